@@ -1,0 +1,13 @@
+//! Plane geometry in metres and radians, `f64`, without any input or output: how are points, frames, paths and boxes related?
+
+mod angle;
+mod oriented_box;
+mod polyline;
+mod transform;
+mod vec2;
+
+pub use angle::{angle_difference, unwrap_angles, wrap_angle};
+pub use oriented_box::OrientedBox;
+pub use polyline::{Polyline, Projection};
+pub use transform::Transform2;
+pub use vec2::Vec2;

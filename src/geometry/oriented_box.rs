@@ -1,0 +1,115 @@
+//! Rectangles with a heading: overlap and distance.
+
+use super::Vec2;
+
+/// A rectangle with its centre, heading and side lengths, such as a vehicle seen from above.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OrientedBox {
+    /// Centre, metres.
+    pub center: Vec2,
+    /// Direction of the long side, radians.
+    pub heading_rad: f64,
+    /// Side along the heading, metres.
+    pub length_m: f64,
+    /// Side across the heading, metres.
+    pub width_m: f64,
+}
+
+impl OrientedBox {
+    /// The corners: front left, rear left, rear right, front right (counter-clockwise).
+    pub fn corners(&self) -> [Vec2; 4] {
+        let forward = Vec2::from_angle(self.heading_rad) * (self.length_m / 2.0);
+        let left = Vec2::from_angle(self.heading_rad).rotated(std::f64::consts::FRAC_PI_2) * (self.width_m / 2.0);
+        [
+            self.center + forward + left,
+            self.center - forward + left,
+            self.center - forward - left,
+            self.center + forward - left,
+        ]
+    }
+
+    /// Half the diagonal: no point of the box is farther from its centre.
+    pub fn radius(&self) -> f64 {
+        self.length_m.hypot(self.width_m) / 2.0
+    }
+
+    /// Whether `point` lies in the box or on its edge.
+    pub fn contains(&self, point: Vec2) -> bool {
+        let local = (point - self.center).rotated(-self.heading_rad);
+        local.x.abs() <= self.length_m / 2.0 && local.y.abs() <= self.width_m / 2.0
+    }
+
+    /// Whether the two boxes share a point (separating-axis test). Touching boxes overlap.
+    pub fn overlaps(&self, other: &Self) -> bool {
+        let between = other.center - self.center;
+        if between.norm() > self.radius() + other.radius() {
+            return false;
+        }
+        let axes = |b: &Self| {
+            let forward = Vec2::from_angle(b.heading_rad);
+            [forward, Vec2::new(-forward.y, forward.x)]
+        };
+        let half_extent = |b: &Self, axis: Vec2| {
+            let [forward, left] = axes(b);
+            (forward.dot(axis) * b.length_m / 2.0).abs() + (left.dot(axis) * b.width_m / 2.0).abs()
+        };
+        axes(self)
+            .into_iter()
+            .chain(axes(other))
+            .all(|axis| between.dot(axis).abs() <= half_extent(self, axis) + half_extent(other, axis))
+    }
+
+    /// Smallest distance between the two boxes, metres; 0 when they overlap.
+    pub fn distance(&self, other: &Self) -> f64 {
+        if self.overlaps(other) {
+            return 0.0;
+        }
+        let to_box = |b: &Self, point: Vec2| {
+            let local = (point - b.center).rotated(-b.heading_rad);
+            let dx = (local.x.abs() - b.length_m / 2.0).max(0.0);
+            let dy = (local.y.abs() - b.width_m / 2.0).max(0.0);
+            dx.hypot(dy)
+        };
+        // Two disjoint convex polygons are closest at a corner of one of them.
+        let from_other = other.corners().into_iter().map(|corner| to_box(self, corner));
+        let from_self = self.corners().into_iter().map(|corner| to_box(other, corner));
+        from_other.chain(from_self).fold(f64::INFINITY, f64::min)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn car(x: f64, y: f64, heading_rad: f64) -> OrientedBox {
+        OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.0, width_m: 2.0 }
+    }
+
+    #[test]
+    fn known_distances() {
+        assert!((car(0.0, 0.0, 0.0).distance(&car(7.0, 0.0, 0.0)) - 3.0).abs() < 1e-12);
+        assert!((car(0.0, 0.0, 0.0).distance(&car(0.0, 5.0, 0.0)) - 3.0).abs() < 1e-12);
+        assert!((car(0.0, 0.0, 0.0).distance(&car(7.0, 6.0, 0.0)) - 5.0).abs() < 1e-12);
+        assert!(car(0.0, 0.0, 0.0).overlaps(&car(2.9, 0.0, std::f64::consts::FRAC_PI_2)));
+        assert!(!car(0.0, 0.0, 0.0).overlaps(&car(3.1, 0.0, std::f64::consts::FRAC_PI_2)));
+    }
+
+    proptest! {
+        #[test]
+        fn overlap_is_symmetric_and_means_no_distance(x in -8.0..8.0f64, y in -8.0..8.0f64, h in -3.0..3.0f64) {
+            let (a, b) = (car(0.0, 0.0, 0.4), car(x, y, h));
+            prop_assert_eq!(a.overlaps(&b), b.overlaps(&a));
+            prop_assert!((a.distance(&b) - b.distance(&a)).abs() < 1e-9);
+            prop_assert_eq!(a.overlaps(&b), a.distance(&b) == 0.0);
+        }
+
+        #[test]
+        fn a_contained_corner_means_overlap(x in -4.0..4.0f64, y in -4.0..4.0f64, h in -3.0..3.0f64) {
+            let (a, b) = (car(0.0, 0.0, 0.4), car(x, y, h));
+            if b.corners().into_iter().any(|corner| a.contains(corner)) {
+                prop_assert!(a.overlaps(&b));
+            }
+        }
+    }
+}

@@ -1,0 +1,109 @@
+//! Paths through the plane: length, points along them, projection onto them, resampling.
+
+use super::Vec2;
+
+/// An ordered series of points.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Polyline(pub Vec<Vec2>);
+
+/// Where a point falls on a polyline.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Projection {
+    /// Distance along the polyline to the closest point, metres.
+    pub station_m: f64,
+    /// Signed distance from the polyline, metres; positive to its left.
+    pub offset_m: f64,
+    /// Direction of the polyline there, radians.
+    pub heading_rad: f64,
+    /// The closest point itself.
+    pub point: Vec2,
+}
+
+impl Polyline {
+    /// Length, metres.
+    pub fn length_m(&self) -> f64 {
+        self.0.windows(2).map(|pair| pair[0].distance(pair[1])).sum()
+    }
+
+    /// The point `station_m` along the polyline, held at its ends. `None` when there are no points.
+    pub fn point_at(&self, station_m: f64) -> Option<Vec2> {
+        let mut left_m = station_m.max(0.0);
+        for pair in self.0.windows(2) {
+            let length = pair[0].distance(pair[1]);
+            if left_m <= length && length > 0.0 {
+                return Some(pair[0].lerp(pair[1], left_m / length));
+            }
+            left_m -= length;
+        }
+        self.0.last().copied()
+    }
+
+    /// `n_points` points at equal distances from the first to the last. Empty when there are no points or `n_points` is 0.
+    pub fn resampled(&self, n_points: usize) -> Self {
+        let length_m = self.length_m();
+        let spacing = length_m / (n_points.max(2) - 1) as f64;
+        Self((0..n_points).filter_map(|i| self.point_at(i as f64 * spacing)).collect())
+    }
+
+    /// The closest point of the polyline to `point`. `None` with fewer than two distinct points.
+    pub fn project(&self, point: Vec2) -> Option<Projection> {
+        let mut best: Option<(f64, Projection)> = None;
+        let mut station_m = 0.0;
+        for pair in self.0.windows(2) {
+            let along = pair[1] - pair[0];
+            let length = along.norm();
+            if length == 0.0 {
+                continue;
+            }
+            let direction = along * (1.0 / length);
+            let from_start = point - pair[0];
+            let s = from_start.dot(direction).clamp(0.0, length);
+            let closest = pair[0] + direction * s;
+            let distance = point.distance(closest);
+            if best.as_ref().is_none_or(|(shortest, _)| distance < *shortest) {
+                let side = direction.cross(from_start);
+                let projection = Projection {
+                    station_m: station_m + s,
+                    offset_m: if side < 0.0 { -distance } else { distance },
+                    heading_rad: direction.angle(),
+                    point: closest,
+                };
+                best = Some((distance, projection));
+            }
+            station_m += length;
+        }
+        best.map(|(_, projection)| projection)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn corner() -> Polyline {
+        Polyline(vec![Vec2::new(0.0, 0.0), Vec2::new(10.0, 0.0), Vec2::new(10.0, 10.0)])
+    }
+
+    #[test]
+    fn resampling_keeps_ends_and_spacing() {
+        let resampled = corner().resampled(5);
+        assert_eq!(resampled.0.len(), 5);
+        assert_eq!(resampled.0[0], Vec2::new(0.0, 0.0));
+        assert!(resampled.0[2].distance(Vec2::new(10.0, 0.0)) < 1e-12);
+        assert!(resampled.0[4].distance(Vec2::new(10.0, 10.0)) < 1e-12);
+    }
+
+    #[test]
+    fn projection_has_station_and_side() {
+        let p = corner().project(Vec2::new(9.0, 4.0)).expect("two segments");
+        assert!((p.station_m - 14.0).abs() < 1e-12 && (p.offset_m - 1.0).abs() < 1e-12);
+        let p = corner().project(Vec2::new(4.0, -2.0)).expect("two segments");
+        assert!((p.station_m - 4.0).abs() < 1e-12 && (p.offset_m + 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn degenerate_lines_project_nowhere() {
+        assert!(Polyline(vec![Vec2::ZERO, Vec2::ZERO]).project(Vec2::ZERO).is_none());
+        assert!(Polyline::default().point_at(1.0).is_none());
+    }
+}

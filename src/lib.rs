@@ -1,0 +1,30 @@
+//! Synthesis of rare-event traffic scenarios: from recordings to a checked corpus.
+//!
+//! Modules in reading order; each may use only those above it (ARCHITECTURE.md, enforced by `tests/it/architecture.rs`).
+
+pub mod geometry;
+pub mod progress;
+pub mod scene;
+pub mod seed;
+
+pub mod behavior;
+pub mod ingest;
+pub mod metrics;
+
+pub mod diffusion;
+pub mod nn;
+pub mod store;
+pub mod tensor;
+
+pub mod model;
+
+pub mod guidance;
+
+pub mod generate;
+pub mod train;
+
+pub mod report;
+
+pub mod pipeline;
+
+pub mod cli;

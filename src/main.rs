@@ -1,0 +1,3 @@
+//! The `djinn` program.
+
+fn main() {}

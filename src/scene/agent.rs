@@ -1,0 +1,84 @@
+//! What kind of road user a track belongs to, and how large it is.
+
+use serde::{Deserialize, Serialize};
+
+/// The kinds of road users that the source datasets tell apart.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AgentClass {
+    /// A car or truck; INTERACTION's `car`, Argoverse 2's `vehicle`.
+    Vehicle,
+    /// Argoverse 2's `bus`.
+    Bus,
+    /// Argoverse 2's `motorcyclist`.
+    Motorcyclist,
+    /// Argoverse 2's `cyclist`.
+    Cyclist,
+    /// Argoverse 2's `pedestrian`.
+    Pedestrian,
+    /// INTERACTION does not tell pedestrians from cyclists.
+    PedestrianOrCyclist,
+    /// Something that does not move by itself: Argoverse 2's `static`, `background`, `construction`, `riderless_bicycle`.
+    Static,
+    /// Not known: all of Argoverse 1.
+    Unknown,
+}
+
+impl AgentClass {
+    /// Every class, in the order of their codes.
+    pub const ALL: [Self; 8] = [
+        Self::Vehicle,
+        Self::Bus,
+        Self::Motorcyclist,
+        Self::Cyclist,
+        Self::Pedestrian,
+        Self::PedestrianOrCyclist,
+        Self::Static,
+        Self::Unknown,
+    ];
+
+    /// The name in tables and configs.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Vehicle => "vehicle",
+            Self::Bus => "bus",
+            Self::Motorcyclist => "motorcyclist",
+            Self::Cyclist => "cyclist",
+            Self::Pedestrian => "pedestrian",
+            Self::PedestrianOrCyclist => "pedestrian_or_cyclist",
+            Self::Static => "static",
+            Self::Unknown => "unknown",
+        }
+    }
+
+    /// The class of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|class| class.name() == name)
+    }
+
+    /// Whether the agent drives on lanes, as far as is known. Unknown agents count: in Argoverse 1 nearly all are vehicles.
+    pub const fn is_motorized(self) -> bool {
+        matches!(self, Self::Vehicle | Self::Bus | Self::Motorcyclist | Self::Unknown)
+    }
+
+    /// The extent to assume where a recording gives none.
+    pub const fn nominal_extent(self) -> Extent {
+        let (length_m, width_m) = match self {
+            Self::Vehicle | Self::Unknown => (4.6, 1.9),
+            Self::Bus => (12.0, 2.6),
+            Self::Motorcyclist | Self::Cyclist => (2.0, 0.8),
+            Self::Pedestrian | Self::PedestrianOrCyclist => (0.75, 0.75),
+            Self::Static => (1.0, 1.0),
+        };
+        Extent { length_m, width_m }
+    }
+}
+
+/// Length and width of a road user seen from above.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Extent {
+    /// Along the heading, metres.
+    pub length_m: f64,
+    /// Across the heading, metres.
+    pub width_m: f64,
+}

@@ -1,0 +1,125 @@
+//! Lanes: their geometry and how they connect.
+
+use super::LaneId;
+use crate::geometry::{Polyline, Transform2};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Which way a lane turns at an intersection (Argoverse 1).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum TurnDirection {
+    /// Straight on, or not said.
+    #[default]
+    None,
+    /// To the left.
+    Left,
+    /// To the right.
+    Right,
+}
+
+/// What a map says of a lane beyond its geometry.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct LaneAttributes {
+    /// Lanelet2 `subtype` or Argoverse 2 `lane_type`, as written; empty where the map has none.
+    pub kind: String,
+    /// Turn at an intersection.
+    pub turn: TurnDirection,
+    /// Whether the lane lies in an intersection.
+    pub is_intersection: bool,
+    /// Whether traffic on it is controlled by lights or signs.
+    pub has_traffic_control: bool,
+    /// Whether traffic runs one way only.
+    pub one_way: bool,
+    /// Further tags, such as regulatory elements (`regulatory:40001` → `speed_limit=…`).
+    pub tags: BTreeMap<String, String>,
+}
+
+/// One driving lane.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lane {
+    /// The map's name for it.
+    pub id: LaneId,
+    /// Points in driving direction, metres.
+    pub centerline: Polyline,
+    /// Left boundary in driving direction; empty where the map has none.
+    pub left: Polyline,
+    /// Right boundary in driving direction; empty where the map has none.
+    pub right: Polyline,
+    /// Lanes that follow on from its end.
+    pub successors: Vec<LaneId>,
+    /// Lanes that end where it begins.
+    pub predecessors: Vec<LaneId>,
+    /// The lane beside it on the left, in the same direction.
+    pub left_neighbor: Option<LaneId>,
+    /// The lane beside it on the right, in the same direction.
+    pub right_neighbor: Option<LaneId>,
+    /// Everything else.
+    pub attributes: LaneAttributes,
+}
+
+impl Lane {
+    /// The outline of the lane: left boundary, then right boundary backwards. `None` without boundaries.
+    pub fn outline(&self) -> Option<Vec<crate::geometry::Vec2>> {
+        (self.left.0.len() >= 2 && self.right.0.len() >= 2)
+            .then(|| self.left.0.iter().chain(self.right.0.iter().rev()).copied().collect())
+    }
+}
+
+/// The lanes around a scene or of a whole map. Connections name only lanes of the graph.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LaneGraph {
+    lanes: Vec<Lane>,
+}
+
+impl LaneGraph {
+    /// Takes lanes in any order, sorts them by id, keeps the first of each id, and drops connections to lanes that are not given.
+    pub fn new(mut lanes: Vec<Lane>) -> Self {
+        lanes.sort_by_key(|lane| lane.id);
+        lanes.dedup_by_key(|lane| lane.id);
+        let known: BTreeSet<LaneId> = lanes.iter().map(|lane| lane.id).collect();
+        for lane in &mut lanes {
+            lane.successors.retain(|id| known.contains(id));
+            lane.predecessors.retain(|id| known.contains(id));
+            lane.left_neighbor = lane.left_neighbor.filter(|id| known.contains(id));
+            lane.right_neighbor = lane.right_neighbor.filter(|id| known.contains(id));
+        }
+        Self { lanes }
+    }
+
+    /// The lanes, by ascending id.
+    pub fn lanes(&self) -> &[Lane] {
+        &self.lanes
+    }
+
+    /// Whether there are no lanes.
+    pub const fn is_empty(&self) -> bool {
+        self.lanes.is_empty()
+    }
+
+    /// The lane of this id.
+    pub fn get(&self, id: LaneId) -> Option<&Lane> {
+        self.lanes.binary_search_by_key(&id, |lane| lane.id).ok().map(|i| &self.lanes[i])
+    }
+
+    /// The graph in another frame.
+    pub fn transformed(&self, to_from_here: &Transform2) -> Self {
+        let line = |polyline: &Polyline| Polyline(polyline.0.iter().map(|p| to_from_here.point(*p)).collect());
+        let lanes = self
+            .lanes
+            .iter()
+            .map(|lane| Lane {
+                centerline: line(&lane.centerline),
+                left: line(&lane.left),
+                right: line(&lane.right),
+                ..lane.clone()
+            })
+            .collect();
+        Self { lanes }
+    }
+
+    /// The lanes of these ids, with connections among them.
+    pub fn subset(&self, ids: &[LaneId]) -> Self {
+        Self::new(ids.iter().filter_map(|id| self.get(*id)).cloned().collect())
+    }
+}

@@ -1,0 +1,20 @@
+//! The nouns of traffic: what is a scene, a track, a lane, an observation mask, a generated scenario? No files, no tensors.
+
+mod agent;
+mod ids;
+mod lane_graph;
+mod observation_mask;
+mod scenario;
+#[expect(clippy::module_inception, reason = "the folder is named for its main type")]
+mod scene;
+mod track;
+mod trajectory;
+
+pub use agent::{AgentClass, Extent};
+pub use ids::{LaneId, MapId, SceneId, TrackId};
+pub use lane_graph::{Lane, LaneAttributes, LaneGraph, TurnDirection};
+pub use observation_mask::ObservationMask;
+pub use scenario::{GuidanceTag, Provenance, Scenario};
+pub use scene::{Dataset, Scene, SceneSource, Split};
+pub use track::{Track, TrackRole};
+pub use trajectory::{State, Trajectory};

@@ -1,0 +1,45 @@
+//! A generated scenario: a scene whose future was sampled, and everything needed to sample it again.
+
+use super::{Scene, SceneId, TrackId};
+use serde::{Deserialize, Serialize};
+
+/// The guidance a scenario was sampled with.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GuidanceTag {
+    /// Name of the guidance, such as `none` or `classifier:cut_in`.
+    pub kind: String,
+    /// Strength α; 0 without guidance.
+    pub strength: f64,
+    /// The tracks the guidance acted on, as (role, track): empty without guidance.
+    pub roles: Vec<(String, TrackId)>,
+}
+
+/// What a generated scenario came from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// The recorded scene whose observed states it continues.
+    pub scene_id: SceneId,
+    /// Fingerprint of the denoiser checkpoint.
+    pub checkpoint: String,
+    /// Fingerprint of the classifier checkpoint; `None` where no classifier was used.
+    pub classifier: Option<String>,
+    /// The run's seed.
+    pub seed: u64,
+    /// Which sample of its scene and guidance this is.
+    pub sample_idx: usize,
+    /// The guidance.
+    pub guidance: GuidanceTag,
+    /// Name of the sampler and its number of steps, such as `heun-50`.
+    pub sampler: String,
+}
+
+/// A generated scene with its provenance.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scenario {
+    /// Unique within a corpus; derived from the provenance.
+    pub id: String,
+    /// Observed history as recorded and generated future; velocities of generated states follow from positions.
+    pub scene: Scene,
+    /// What it came from.
+    pub provenance: Provenance,
+}

@@ -1,0 +1,143 @@
+//! A recorded traffic scene.
+
+use super::{LaneGraph, MapId, SceneId, State, Track, TrackId};
+use crate::geometry::Transform2;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// The datasets that can be ingested.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Dataset {
+    /// INTERACTION, v1.1 recordings or v1.2 cases.
+    Interaction,
+    /// Argoverse 1 motion forecasting.
+    Argoverse1,
+    /// Argoverse 2 motion forecasting.
+    Argoverse2,
+}
+
+impl Dataset {
+    /// Every dataset.
+    pub const ALL: [Self; 3] = [Self::Interaction, Self::Argoverse1, Self::Argoverse2];
+
+    /// The name in tables, ids and configs.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Interaction => "interaction",
+            Self::Argoverse1 => "argoverse1",
+            Self::Argoverse2 => "argoverse2",
+        }
+    }
+
+    /// The dataset of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|dataset| dataset.name() == name)
+    }
+}
+
+/// Which part of a dataset a scene belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Split {
+    /// For training.
+    Train,
+    /// Held out, with futures.
+    Val,
+    /// Held out, futures not given.
+    Test,
+    /// The source does not say.
+    Unsplit,
+}
+
+impl Split {
+    /// Every split.
+    pub const ALL: [Self; 4] = [Self::Train, Self::Val, Self::Test, Self::Unsplit];
+
+    /// The name in tables, ids and configs.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Train => "train",
+            Self::Val => "val",
+            Self::Test => "test",
+            Self::Unsplit => "unsplit",
+        }
+    }
+
+    /// The split of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|split| split.name() == name)
+    }
+}
+
+/// Where a scene came from, precisely enough to find it again.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SceneSource {
+    /// The dataset.
+    pub dataset: Dataset,
+    /// The dataset's version or layout, such as `v1.1`, `v1.2`; empty where there is only one.
+    pub version: String,
+    /// The split.
+    pub split: Split,
+    /// City or location, as the dataset names it: `PIT`, `DR_CHN_Merging_ZS0`.
+    pub place: String,
+    /// The file within its folder or archive, with `/` between parts.
+    pub file: String,
+    /// The case, sequence or scenario id within the file, as written.
+    pub case_id: String,
+    /// The first frame or timestamp of the scene as written in the file.
+    pub first_frame: String,
+}
+
+/// A window of recorded traffic. Every track has the same number of timesteps; coordinates are in the scene frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scene {
+    /// Unique name.
+    pub id: SceneId,
+    /// Where it came from.
+    pub source: SceneSource,
+    /// Time between timesteps, seconds.
+    pub dt_s: f64,
+    /// Number of timesteps, history and future.
+    pub n_timesteps: usize,
+    /// Number of observed timesteps t_obs: timesteps 0 to `n_history` - 1 are the past.
+    pub n_history: usize,
+    /// From the scene frame to the recording's frame. The scene frame has its origin at the ego's position at
+    /// timestep `n_history` - 1 and its x axis along the ego's heading there.
+    pub world_from_scene: Transform2,
+    /// Index into `tracks` of the ego agent.
+    pub ego_idx: usize,
+    /// The tracks.
+    pub tracks: Vec<Track>,
+    /// The map the lanes are from; `None` when the dataset was ingested without maps.
+    pub map_id: Option<MapId>,
+    /// The lanes near the scene, in the scene frame.
+    pub lanes: Arc<LaneGraph>,
+}
+
+impl Scene {
+    /// The last observed timestep, t_obs - 1: the present.
+    pub const fn current_timestep(&self) -> usize {
+        self.n_history.saturating_sub(1)
+    }
+
+    /// The ego track.
+    pub fn ego(&self) -> &Track {
+        &self.tracks[self.ego_idx]
+    }
+
+    /// The index of the track with this id.
+    pub fn track_idx(&self, id: &TrackId) -> Option<usize> {
+        self.tracks.iter().position(|track| track.id == *id)
+    }
+
+    /// The state of a track at `timestep`, if it was tracked then.
+    pub fn state(&self, agent_idx: usize, timestep: usize) -> Option<&State> {
+        self.tracks.get(agent_idx).and_then(|track| track.trajectory.get(timestep))
+    }
+
+    /// Whether the future after `n_history` is recorded (test splits hold none).
+    pub const fn has_future(&self) -> bool {
+        self.n_timesteps > self.n_history
+    }
+}

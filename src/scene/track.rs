@@ -1,0 +1,72 @@
+//! One tracked road user.
+
+use super::{AgentClass, Extent, State, TrackId, Trajectory};
+use crate::geometry::OrientedBox;
+use serde::{Deserialize, Serialize};
+
+/// What the recording says a track is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TrackRole {
+    /// The agent of interest: Argoverse's AGENT or focal track, INTERACTION's `interesting_agent`.
+    Focal,
+    /// To be predicted and scored: INTERACTION's `track_to_predict`, Argoverse 2's scored tracks.
+    Scored,
+    /// The vehicle that carried the sensors.
+    Recorder,
+    /// Everybody else.
+    Context,
+}
+
+impl TrackRole {
+    /// Every role, in the order of their codes.
+    pub const ALL: [Self; 4] = [Self::Focal, Self::Scored, Self::Recorder, Self::Context];
+
+    /// The name in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Focal => "focal",
+            Self::Scored => "scored",
+            Self::Recorder => "recorder",
+            Self::Context => "context",
+        }
+    }
+
+    /// The role of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|role| role.name() == name)
+    }
+}
+
+/// One road user of a scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Track {
+    /// The recording's name for it.
+    pub id: TrackId,
+    /// Kind of road user.
+    pub class: AgentClass,
+    /// What the recording marks it as.
+    pub role: TrackRole,
+    /// Size, where the recording gives one.
+    pub extent: Option<Extent>,
+    /// Its states; as many timesteps as the scene has.
+    pub trajectory: Trajectory,
+}
+
+impl Track {
+    /// The recorded size, or the nominal one of its class.
+    pub fn extent_or_nominal(&self) -> Extent {
+        self.extent.unwrap_or_else(|| self.class.nominal_extent())
+    }
+
+    /// The footprint of the agent in `state`.
+    pub fn footprint(&self, state: &State) -> OrientedBox {
+        let Extent { length_m, width_m } = self.extent_or_nominal();
+        OrientedBox { center: state.position, heading_rad: state.heading_rad, length_m, width_m }
+    }
+
+    /// The footprint at `timestep`, if the agent was tracked then.
+    pub fn footprint_at(&self, timestep: usize) -> Option<OrientedBox> {
+        self.trajectory.get(timestep).map(|state| self.footprint(state))
+    }
+}

@@ -1,0 +1,83 @@
+//! The states of one agent over the timesteps of a scene.
+
+use crate::geometry::{Transform2, Vec2};
+
+/// One agent at one timestep.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct State {
+    /// Centre of the agent in the scene frame, metres.
+    pub position: Vec2,
+    /// Direction in the scene frame, radians in (-π, π].
+    pub heading_rad: f64,
+    /// Velocity in the scene frame, metres per second.
+    pub velocity: Vec2,
+}
+
+impl State {
+    /// Speed, metres per second.
+    pub fn speed_mps(&self) -> f64 {
+        self.velocity.norm()
+    }
+
+    /// The state in another frame.
+    pub fn transformed(&self, to_from_here: &Transform2) -> Self {
+        Self {
+            position: to_from_here.point(self.position),
+            heading_rad: to_from_here.heading(self.heading_rad),
+            velocity: to_from_here.vector(self.velocity),
+        }
+    }
+
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        self.position.is_finite() && self.heading_rad.is_finite() && self.velocity.is_finite()
+    }
+}
+
+/// One entry a timestep; timesteps at which the agent was not tracked hold nothing.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Trajectory {
+    states: Vec<Option<State>>,
+}
+
+impl Trajectory {
+    /// A trajectory from one optional state a timestep.
+    pub const fn new(states: Vec<Option<State>>) -> Self {
+        Self { states }
+    }
+
+    /// Number of timesteps, tracked or not.
+    pub const fn n_timesteps(&self) -> usize {
+        self.states.len()
+    }
+
+    /// The state at `timestep`, if the agent was tracked then.
+    pub fn get(&self, timestep: usize) -> Option<&State> {
+        self.states.get(timestep).and_then(Option::as_ref)
+    }
+
+    /// Whether the agent was tracked at `timestep`.
+    pub fn is_valid(&self, timestep: usize) -> bool {
+        self.get(timestep).is_some()
+    }
+
+    /// All entries, one a timestep.
+    pub fn entries(&self) -> &[Option<State>] {
+        &self.states
+    }
+
+    /// The tracked states with their timesteps.
+    pub fn valid(&self) -> impl DoubleEndedIterator<Item = (usize, &State)> {
+        self.states.iter().enumerate().filter_map(|(timestep, state)| state.as_ref().map(|s| (timestep, s)))
+    }
+
+    /// Number of tracked timesteps.
+    pub fn n_valid(&self) -> usize {
+        self.valid().count()
+    }
+
+    /// The trajectory in another frame.
+    pub fn transformed(&self, to_from_here: &Transform2) -> Self {
+        Self::new(self.states.iter().map(|state| state.map(|s| s.transformed(to_from_here))).collect())
+    }
+}

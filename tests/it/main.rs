@@ -1,0 +1,1 @@
+//! The single integration-test binary: one link instead of one per file.
