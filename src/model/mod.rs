@@ -1,1 +1,9 @@
-//! Placeholder.
+//! The networks: DJINN's scene denoiser and the behavior classifiers that guide it.
+
+mod denoiser_checkpoint;
+mod network;
+mod scene_denoiser;
+
+pub use denoiser_checkpoint::{DenoiserKind, DenoiserSpec, TrainedDenoiser};
+pub use network::{NetworkConfig, SceneNetwork};
+pub use scene_denoiser::{BoundDenoiser, SceneDenoiser};
