@@ -3,6 +3,8 @@
 mod denoiser_checkpoint;
 mod network;
 mod scene_denoiser;
+#[cfg(test)]
+mod tests;
 
 pub use denoiser_checkpoint::{DenoiserKind, DenoiserSpec, TrainedDenoiser};
 pub use network::{NetworkConfig, SceneNetwork};
