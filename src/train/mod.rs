@@ -5,6 +5,8 @@ mod denoising;
 mod error;
 mod fit;
 mod preset;
+#[cfg(test)]
+mod tests;
 
 pub use denoiser::{DenoiserOutcome, TrainingData, train_denoiser};
 pub use denoising::{DenoisingTask, SceneDataset};
