@@ -5,6 +5,8 @@ mod classifier_checkpoint;
 mod denoiser_checkpoint;
 mod network;
 mod scene_denoiser;
+#[cfg(test)]
+mod tests;
 
 pub use behavior_classifier::{BehaviorClassifier, BehaviorClassifierConfig, log_sigmoid};
 pub use classifier_checkpoint::{ClassifierKind, ClassifierSpec, TrainedClassifier};

@@ -11,6 +11,8 @@ mod error;
 mod fit;
 mod pair_examples;
 mod preset;
+#[cfg(test)]
+mod tests;
 
 pub use classification::{ClassificationTask, REPORT_SIGMAS};
 pub use classifier::{ClassifierReport, ClassifierTrainingConfig, PairData, train_classifier};
