@@ -15,7 +15,7 @@ mod wilson;
 pub use distribution::{Distribution, DistributionSeries};
 pub use html::render;
 pub use model::{
-    BehaviorCount, BehaviorDoc, Chart, Curve, Fact, MetricDoc, MetricTable, MiningSummary, NoiseLevelQuality,
+    BehaviorCount, BehaviorDoc, Chart, Curve, Fact, MetricDoc, MetricTable, MiningSummary,
     ReportModel, SamplingRow, TrainingSummary, Warning,
 };
 pub use quantities::{event_distributions, motion_distributions};

@@ -4,6 +4,7 @@ use super::distribution::Distribution;
 use super::scene_card::SceneCard;
 use crate::ingest::IngestReport;
 use crate::store::MetricRow;
+use crate::train::NoiseLevelReport;
 use serde::{Deserialize, Serialize};
 
 /// Everything that a report shows. Parts that a run did not produce are empty and their sections are left out.
@@ -24,7 +25,7 @@ pub struct ReportModel {
     /// How the networks were trained, one entry each.
     pub training: Vec<TrainingSummary>,
     /// How well the classifier tells the behavior at each noise level.
-    pub classifier_quality: Vec<NoiseLevelQuality>,
+    pub classifier_quality: Vec<NoiseLevelReport>,
     /// What was asked of the sampler and what came out, one row for each sweep and guidance strength.
     pub sampling: Vec<SamplingRow>,
     /// Metrics of generated scenes with those of the recording and of the baseline beside them.
@@ -132,21 +133,6 @@ pub struct Curve {
     pub name: String,
     /// (x, y) in drawing order; points that are not finite are left out.
     pub points: Vec<[f64; 2]>,
-}
-
-/// How well a classifier does at one noise level.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct NoiseLevelQuality {
-    /// The noise level σ.
-    pub sigma: f64,
-    /// Examples judged.
-    pub n: u64,
-    /// Positive examples among them.
-    pub n_positive: u64,
-    /// Share of alarms that are right; `None` without alarms.
-    pub precision: Option<f64>,
-    /// Share of positive examples found; `None` without positive examples.
-    pub recall: Option<f64>,
 }
 
 /// What one sweep gave at one guidance strength.

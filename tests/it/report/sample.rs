@@ -4,7 +4,7 @@ use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::ingest::{IngestReport, RejectCount};
 use djinn::report::{
     BehaviorCount, BehaviorDoc, Chart, Curve, Distribution, Fact, MetricDoc, MetricTable, MiningSummary,
-    NoiseLevelQuality, ReportModel, SamplingRow, SceneCard, TrainingSummary, Warning,
+    ReportModel, SamplingRow, SceneCard, TrainingSummary, Warning,
 };
 use djinn::scene::{
     AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, Scene, SceneId, SceneSource, Split, State,
@@ -12,6 +12,7 @@ use djinn::scene::{
 };
 use djinn::seed::Seed;
 use djinn::store::MetricRow;
+use djinn::train::NoiseLevelReport;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -115,15 +116,18 @@ fn training(name: &str, scale: f64) -> TrainingSummary {
     }
 }
 
-fn quality(i: u32) -> NoiseLevelQuality {
+fn quality(i: u32) -> NoiseLevelReport {
     let sigma = 0.002 * 2.6f64.powi(i as i32);
     let skill = 1.0 / (1.0 + sigma * sigma);
-    NoiseLevelQuality {
+    NoiseLevelReport {
         sigma,
-        n: 620,
         n_positive: 20,
+        n_negative: 600,
         precision: (i < 11).then_some(0.05 + 0.8 * skill),
         recall: Some(0.1 + 0.85 * skill),
+        false_positive_rate: Some(0.02),
+        accuracy: Some(0.9),
+        auc: Some(0.5 + 0.48 * skill),
     }
 }
 
