@@ -3,12 +3,17 @@
 pub mod archive;
 mod config;
 mod error;
+pub mod lanelet2;
 mod raw;
 mod report;
 mod source;
+#[cfg(test)]
+mod test_data;
 
 pub use config::{AgentsPresent, IngestConfig, MapsConfig};
 pub use error::{BoxError, Error};
 pub use raw::{Companion, RawScene, RawUnit, Reject, UnitSplit, map_id};
 pub use report::{IngestReport, RejectCount};
 pub use source::{EmitUnit, Horizon, RecordingSource, UnitReader};
+#[cfg(test)]
+pub(crate) use test_data::test_data;
