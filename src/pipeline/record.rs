@@ -93,7 +93,8 @@ impl StageRecord {
 
     /// Announces that the stage begins to write.
     pub fn write_started(&self, root: &Path) -> Result<()> {
-        Ok(write_json_atomically(&started_path(root, self.stage), self)?)
+        write_json_atomically(&started_path(root, self.stage), self)?;
+        Ok(())
     }
 
     /// Declares the stage done, after all its outputs are whole.

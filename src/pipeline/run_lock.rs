@@ -2,6 +2,7 @@
 
 use super::failure::{Failure, Result};
 use fs_err::File;
+use std::fs::TryLockError;
 use std::io::{Read, Write};
 use std::path::Path;
 
@@ -22,7 +23,7 @@ impl RunLock {
         let mut file = File::options().read(true).write(true).create(true).truncate(false).open(path)?;
         match file.try_lock() {
             Ok(()) => {}
-            Err(fs_err::TryLockError::WouldBlock) => {
+            Err(TryLockError::WouldBlock) => {
                 let mut holder = String::new();
                 file.read_to_string(&mut holder)?;
                 let holder = if holder.is_empty() { "another process".to_owned() } else { format!("process {holder}") };
@@ -30,8 +31,8 @@ impl RunLock {
                 return Err(Failure::input_message(busy).with_hint("wait for it, or choose another --run or --output"));
             }
             // Some network file systems know no locks; working without one is better than not at all.
-            Err(fs_err::TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {}
-            Err(fs_err::TryLockError::Error(error)) => return Err(error.into()),
+            Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {}
+            Err(TryLockError::Error(error)) => return Err(error.into()),
         }
         file.set_len(0)?;
         write!(file, "{}", std::process::id())?;
