@@ -1,1 +1,28 @@
-//! Placeholder.
+//! Neural network building blocks on candle, with seeded parameters and gradients that never vanish silently: what is a
+//! model made of, and how is it trained, kept and read back?
+//!
+//! Tensors carry agents' states as (B, A, T, D): batch, agent, timestep, feature. Masks are (B, A, T) or (B, L) of 0 and 1.
+//! Layers describe the network once; [`ops`] chooses between the fused and the plain implementation below them.
+
+mod adam;
+mod attention;
+mod checkpoint;
+mod ema;
+mod error;
+mod fourier;
+mod layer_norm;
+mod linear;
+mod mlp;
+pub mod ops;
+mod params;
+
+pub use adam::Adam;
+pub use attention::{Axis, CrossAttention, SelfAttention};
+pub use checkpoint::{Checkpoint, read_checkpoint, write_checkpoint};
+pub use ema::Ema;
+pub use error::Error;
+pub use fourier::sinusoidal;
+pub use layer_norm::LayerNorm;
+pub use linear::Linear;
+pub use mlp::Mlp;
+pub use params::{Init, Params, Scope};

@@ -1,0 +1,43 @@
+//! What can go wrong with checkpoints, and what to do then.
+
+use std::path::PathBuf;
+
+/// A failure to write or read a checkpoint.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The file cannot be read or written; the message of `fs_err` names it.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+    /// The file is not a safetensors file, or is cut off.
+    #[error("{path} is not a whole safetensors file; write it again or take another checkpoint")]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What the reader found.
+        source: safetensors::SafeTensorError,
+    },
+    /// The file holds tensors but no metadata of ours.
+    #[error(
+        "{path} has no `djinn` entry in its metadata: it was not written by djinn; take a checkpoint that `djinn train` wrote"
+    )]
+    NoMetadata {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The metadata does not describe what the reader expects.
+    #[error("the metadata of {path} does not fit; take a checkpoint of this kind of model, written by this version")]
+    Metadata {
+        /// The file.
+        path: PathBuf,
+        /// What the reader found.
+        source: serde_json::Error,
+    },
+    /// Tensors could not be moved between memory and the device.
+    #[error("cannot move the tensors of {path} between memory and the device")]
+    Tensor {
+        /// The file.
+        path: PathBuf,
+        /// What candle found.
+        source: candle_core::Error,
+    },
+}

@@ -1,0 +1,60 @@
+//! Affine maps of feature vectors: y = W x + b, with an optional ReLU.
+
+use candle_core::{Result, Tensor};
+
+use super::ops::{self, Activation};
+use super::params::{Init, Scope};
+
+/// An affine map of the last dimension, with the tensor names and the initialization of `torch.nn.Linear`.
+#[derive(Debug, Clone)]
+pub struct Linear {
+    weight: Tensor,
+    bias: Tensor,
+}
+
+impl Linear {
+    /// A map from `n_in` to `n_out` features, with parameters `weight` (`n_out`, `n_in`) and `bias` (`n_out`).
+    ///
+    /// # Errors
+    /// When the parameters exist with other shapes.
+    pub fn new(scope: &mut Scope<'_>, name: &str, n_in: usize, n_out: usize) -> Result<Self> {
+        let mut scope = scope.enter(name);
+        let init = Init::KaimingUniform { fan_in: n_in };
+        let weight = scope.tensor("weight", &[n_out, n_in], init)?;
+        let bias = scope.tensor("bias", &[n_out], init)?;
+        Ok(Self { weight, bias })
+    }
+
+    /// W x + b: (.., `n_in`) to (.., `n_out`).
+    ///
+    /// # Errors
+    /// When the last dimension is not `n_in`.
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        ops::linear(x, &self.weight, &self.bias, Activation::None, None)
+    }
+
+    /// max(W x + b, 0): (.., `n_in`) to (.., `n_out`).
+    ///
+    /// # Errors
+    /// When the last dimension is not `n_in`.
+    pub fn forward_relu(&self, x: &Tensor) -> Result<Tensor> {
+        ops::linear(x, &self.weight, &self.bias, Activation::Relu, None)
+    }
+
+    /// As [`forward`](Self::forward) where `valid` (..) is 1, and exactly 0 elsewhere, without work on those rows.
+    ///
+    /// # Errors
+    /// When the last dimension is not `n_in` or the leading ones are not those of `valid`.
+    pub fn forward_valid(&self, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
+        ops::linear(x, &self.weight, &self.bias, Activation::None, Some(valid))
+    }
+
+    /// As [`forward_relu`](Self::forward_relu) where `valid` (..) is 1, and exactly 0 elsewhere, without work on those
+    /// rows.
+    ///
+    /// # Errors
+    /// When the last dimension is not `n_in` or the leading ones are not those of `valid`.
+    pub fn forward_relu_valid(&self, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
+        ops::linear(x, &self.weight, &self.bias, Activation::Relu, Some(valid))
+    }
+}

@@ -1,0 +1,152 @@
+//! The operations that layers are made of: which implementation serves which device and type?
+//!
+//! Every operation has a plain implementation in differentiable candle operations. On the CPU in `f32` a fused one with its
+//! own backward pass takes its place; the choice is made here and nowhere else.
+
+mod attention;
+mod cross_attention;
+mod layer_norm;
+mod linear;
+mod sinusoidal;
+
+use candle_core::{D, DType, Device, Result, Tensor, bail};
+
+use super::attention::Axis;
+
+/// What follows an affine map.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Activation {
+    /// Nothing.
+    None,
+    /// max(y, 0).
+    Relu,
+}
+
+/// Whether the fused operations serve this tensor.
+fn is_fused(x: &Tensor) -> bool {
+    matches!(x.device(), Device::Cpu) && x.dtype() == DType::F32
+}
+
+/// activation(x Wᵀ + b): `x` (.., K), `weight` (N, K), `bias` (N) to (.., N). Rows where `valid` (..) is 0 are exactly 0
+/// and cost nothing.
+///
+/// # Errors
+/// When shapes do not fit.
+pub fn linear(
+    x: &Tensor,
+    weight: &Tensor,
+    bias: &Tensor,
+    activation: Activation,
+    valid: Option<&Tensor>,
+) -> Result<Tensor> {
+    let (n_out, n_in) = weight.dims2()?;
+    if x.dim(D::Minus1)? != n_in || bias.dims() != [n_out] {
+        bail!("linear: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
+    }
+    if let Some(valid) = valid {
+        check_rows("linear", x, valid)?;
+    }
+    linear::reference(x, weight, bias, activation, valid)
+}
+
+/// Normalizes the last dimension of `x` (.., D) to mean 0 and variance 1, then scales by `weight` (D) and adds `bias` (D).
+///
+/// # Errors
+/// When shapes do not fit.
+pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64) -> Result<Tensor> {
+    let dim = x.dim(D::Minus1)?;
+    if weight.dims() != [dim] || bias.dims() != [dim] {
+        bail!("layer_norm: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
+    }
+    layer_norm::reference(x, weight, bias, epsilon)
+}
+
+/// Softmax attention in `n_heads` heads among the valid states along `axis`: `qkv` (B, A, T, 3 D) and `valid` (B, A, T) to
+/// (B, A, T, D). Invalid states have weight exactly 0 and get exactly 0.
+///
+/// # Errors
+/// When shapes do not fit.
+pub fn self_attention(qkv: &Tensor, valid: &Tensor, n_heads: usize, axis: Axis) -> Result<Tensor> {
+    let (_, _, _, width) = qkv.dims4()?;
+    check_rows("self_attention", qkv, valid)?;
+    if n_heads == 0 || !width.is_multiple_of(3 * n_heads) {
+        bail!("self_attention: {width} features are not queries, keys and values of {n_heads} heads");
+    }
+    attention::reference(qkv, valid, n_heads, axis)
+}
+
+/// Softmax attention in `n_heads` heads from states to lanes: `query` (B, A, T, D), `valid` (B, A, T), `keys` (M, L, 2 D)
+/// with keys before values, and `lane_valid` (M, L), to (B, A, T, D). M divides B; each map serves B / M consecutive rows.
+/// Invalid lanes have weight exactly 0; invalid states and states without a lane get exactly 0.
+///
+/// # Errors
+/// When shapes do not fit.
+pub fn cross_attention(
+    query: &Tensor,
+    valid: &Tensor,
+    keys: &Tensor,
+    lane_valid: &Tensor,
+    n_heads: usize,
+) -> Result<Tensor> {
+    let (n_batch, _, _, dim) = query.dims4()?;
+    let (n_maps, _, width) = keys.dims3()?;
+    check_rows("cross_attention", query, valid)?;
+    check_rows("cross_attention", keys, lane_valid)?;
+    if n_heads == 0
+        || !dim.is_multiple_of(n_heads)
+        || width != 2 * dim
+        || n_maps == 0
+        || !n_batch.is_multiple_of(n_maps)
+    {
+        bail!("cross_attention: query {:?} and keys {:?} do not fit {n_heads} heads", query.dims(), keys.dims());
+    }
+    cross_attention::reference(query, valid, keys, lane_valid, n_heads)
+}
+
+/// The states of `valid` (B, A, T) whose map has a valid lane in `lane_valid` (M, L): those that cross-attention serves.
+///
+/// # Errors
+/// When M does not divide B.
+pub fn rows_with_keys(valid: &Tensor, lane_valid: &Tensor) -> Result<Tensor> {
+    let (n_batch, n_agents, n_timesteps) = valid.dims3()?;
+    let (n_maps, n_lanes) = lane_valid.dims2()?;
+    if n_lanes == 0 {
+        return valid.zeros_like();
+    }
+    if n_maps == 0 || !n_batch.is_multiple_of(n_maps) {
+        bail!("cross_attention: {n_maps} maps cannot serve a batch of {n_batch}");
+    }
+    let any = lane_valid.detach().max(1)?.reshape((n_maps, 1))?;
+    let states = valid.detach().reshape((n_maps, n_batch / n_maps * n_agents * n_timesteps))?;
+    states.broadcast_mul(&any)?.reshape((n_batch, n_agents, n_timesteps))
+}
+
+/// The sines, then the cosines, of 2 π f x for every frequency f: `x` (..) to (.., 2 · frequencies).
+///
+/// # Errors
+/// When the device fails.
+pub fn sinusoidal(x: &Tensor, frequencies: &[f64]) -> Result<Tensor> {
+    sinusoidal::reference(x, frequencies)
+}
+
+/// Checks that `valid` has one entry a row of `x`.
+fn check_rows(name: &str, x: &Tensor, valid: &Tensor) -> Result<()> {
+    if x.dims().split_last().is_none_or(|(_, rows)| rows != valid.dims()) {
+        bail!("{name}: mask {:?} does not fit rows of {:?}", valid.dims(), x.dims());
+    }
+    Ok(())
+}
+
+/// Softmax over the last dimension of `scores` among entries where `mask` (broadcast to `scores`) is 1. The others get
+/// exactly 0, also where no entry is left.
+fn masked_softmax(scores: &Tensor, mask: &Tensor) -> Result<Tensor> {
+    let mask = mask.detach().broadcast_as(scores.shape())?.contiguous()?;
+    let keep = mask.ne(0.0)?;
+    let lowest = Tensor::full(f32::MIN, scores.shape(), scores.device())?.to_dtype(scores.dtype())?;
+    let max = keep.where_cond(&scores.detach(), &lowest)?.max_keepdim(D::Minus1)?;
+    // Scores of masked entries are replaced before the exponential: it can neither overflow nor become denormal.
+    let shifted = keep.where_cond(&scores.broadcast_sub(&max)?, &scores.zeros_like()?)?;
+    let weights = (shifted.exp()? * mask)?;
+    let total = weights.sum_keepdim(D::Minus1)?;
+    weights.broadcast_div(&(&total + total.eq(0.0)?.to_dtype(scores.dtype())?)?)
+}

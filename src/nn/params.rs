@@ -1,0 +1,203 @@
+//! Trainable parameters by name: which tensors does a model hold, and where do their first values come from?
+
+use std::collections::BTreeMap;
+
+use candle_core::{DType, Device, Result, Tensor, Var, bail};
+
+use crate::seed::Seed;
+
+/// How the first values of a parameter are drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Init {
+    /// All 0.
+    Zeros,
+    /// All 1.
+    Ones,
+    /// Uniform over ±1 / √`fan_in`: what `torch.nn.Linear` uses for weights and biases.
+    KaimingUniform {
+        /// Number of inputs that each output sums over.
+        fan_in: usize,
+    },
+}
+
+impl Init {
+    /// `n` values, drawn on the host so that they do not depend on the device.
+    fn draw(self, n: usize, seed: Seed) -> Vec<f64> {
+        match self {
+            Self::Zeros => vec![0.0; n],
+            Self::Ones => vec![1.0; n],
+            Self::KaimingUniform { fan_in } => {
+                let bound = 1.0 / (fan_in.max(1) as f64).sqrt();
+                let mut rng = seed.rng();
+                (0..n).map(|_| bound * (2.0 * rng.uniform() - 1.0)).collect()
+            }
+        }
+    }
+}
+
+/// A model's parameters, ordered by name so that every sum over them and every file of them is reproducible.
+#[derive(Debug, Clone)]
+pub struct Params {
+    vars: BTreeMap<String, Var>,
+    device: Device,
+    dtype: DType,
+}
+
+impl Params {
+    /// An empty set of `f32` parameters on `device`.
+    pub fn new(device: &Device) -> Self {
+        Self::with_dtype(device, DType::F32)
+    }
+
+    /// An empty set of parameters of type `dtype` on `device`.
+    pub fn with_dtype(device: &Device, dtype: DType) -> Self {
+        Self { vars: BTreeMap::new(), device: device.clone(), dtype }
+    }
+
+    /// The device that holds the parameters.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// The parameter called `name`, drawn from the stream of that name when it does not exist yet: its first values
+    /// depend on `seed`, `name` and `init` alone, not on which other parameters there are.
+    ///
+    /// # Errors
+    /// When it exists with another shape.
+    pub fn get_or_init(&mut self, name: &str, shape: &[usize], init: Init, seed: Seed) -> Result<Tensor> {
+        if let Some(var) = self.vars.get(name) {
+            if var.dims() != shape {
+                bail!("parameter {name} has shape {:?}, but shape {shape:?} is asked for", var.dims());
+            }
+            return Ok(var.as_tensor().clone());
+        }
+        let values = init.draw(shape.iter().product(), seed.derive_named("init", name));
+        let var = Var::from_tensor(&Tensor::from_vec(values, shape, &self.device)?.to_dtype(self.dtype)?)?;
+        let tensor = var.as_tensor().clone();
+        self.vars.insert(name.to_owned(), var);
+        Ok(tensor)
+    }
+
+    /// The parameters in the order of their names.
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &Var)> {
+        self.vars.iter().map(|(name, var)| (name.as_str(), var))
+    }
+
+    /// Number of trainable values.
+    pub fn n_parameters(&self) -> usize {
+        self.vars.values().map(|var| var.elem_count()).sum()
+    }
+
+    /// The present values, outside every gradient. They share memory with the parameters: whoever keeps them beyond the
+    /// next optimizer step copies them.
+    pub fn tensors(&self) -> BTreeMap<String, Tensor> {
+        self.vars.iter().map(|(name, var)| (name.clone(), var.as_detached_tensor())).collect()
+    }
+
+    /// Overwrites every parameter in place, so that layers built on them see the new values.
+    ///
+    /// # Errors
+    /// When names or shapes differ in any way; nothing is changed then, and the message lists the differences.
+    pub fn load(&mut self, tensors: &BTreeMap<String, Tensor>) -> Result<()> {
+        let mut differences = Vec::new();
+        for (name, var) in &self.vars {
+            match tensors.get(name) {
+                None => differences.push(format!("{name} is missing")),
+                Some(found) if found.dims() != var.dims() => {
+                    differences.push(format!("{name} has shape {:?}, not {:?}", found.dims(), var.dims()));
+                }
+                Some(_) => {}
+            }
+        }
+        let unknown = tensors.keys().filter(|name| !self.vars.contains_key(*name));
+        differences.extend(unknown.map(|name| format!("{name} is not a parameter of this model")));
+        if !differences.is_empty() {
+            bail!("the tensors do not fit the model: {}", differences.join("; "));
+        }
+        for (name, var) in &self.vars {
+            // Detached copies, lest a tensor that shares memory with the parameter be read while it is written.
+            var.set(&tensors[name].detach().to_device(&self.device)?.to_dtype(self.dtype)?.copy()?)?;
+        }
+        Ok(())
+    }
+}
+
+/// A place in the tree of parameter names, in which a layer asks for its tensors.
+#[derive(Debug)]
+pub struct Scope<'a> {
+    params: &'a mut Params,
+    prefix: String,
+    seed: Seed,
+}
+
+impl<'a> Scope<'a> {
+    /// The root of the tree; `seed` decides the first values of all parameters below it.
+    pub fn root(params: &'a mut Params, seed: Seed) -> Self {
+        Self { params, prefix: String::new(), seed }
+    }
+
+    /// The place `name` below this one.
+    pub fn enter(&mut self, name: &str) -> Scope<'_> {
+        Scope { prefix: self.path(name), params: self.params, seed: self.seed }
+    }
+
+    /// The parameter `name` at this place.
+    ///
+    /// # Errors
+    /// When it exists with another shape.
+    pub fn tensor(&mut self, name: &str, shape: &[usize], init: Init) -> Result<Tensor> {
+        let path = self.path(name);
+        self.params.get_or_init(&path, shape, init, self.seed)
+    }
+
+    fn path(&self, name: &str) -> String {
+        if self.prefix.is_empty() { name.to_owned() } else { format!("{}.{name}", self.prefix) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn values(tensor: &Tensor) -> Vec<f32> {
+        tensor.flatten_all().unwrap().to_vec1().unwrap()
+    }
+
+    #[test]
+    fn first_values_depend_on_seed_and_name_alone() {
+        let init = Init::KaimingUniform { fan_in: 16 };
+        let mut alone = Params::new(&Device::Cpu);
+        let a = Scope::root(&mut alone, Seed(3)).enter("trunk").tensor("weight", &[4, 16], init).unwrap();
+        let mut among = Params::new(&Device::Cpu);
+        let mut scope = Scope::root(&mut among, Seed(3));
+        let other = scope.enter("head").tensor("weight", &[4, 16], init).unwrap();
+        let b = scope.enter("trunk").tensor("weight", &[4, 16], init).unwrap();
+        assert_eq!(values(&a), values(&b));
+        assert_ne!(values(&a), values(&other));
+        assert_eq!(among.iter().map(|(name, _)| name).collect::<Vec<_>>(), ["head.weight", "trunk.weight"]);
+        assert_eq!(among.n_parameters(), 128);
+        assert!(values(&a).iter().all(|v| v.abs() <= 0.25));
+        // The variance of a uniform distribution over ±0.25 is 0.25² / 3.
+        let variance = values(&a).iter().map(|v| v * v).sum::<f32>() / 64.0;
+        assert!((variance - 0.25 * 0.25 / 3.0).abs() < 0.008, "{variance}");
+    }
+
+    #[test]
+    fn loading_is_strict_and_reaches_the_layers() {
+        let mut params = Params::new(&Device::Cpu);
+        let weight = params.get_or_init("a", &[2], Init::Ones, Seed(0)).unwrap();
+        params.get_or_init("b", &[3], Init::Zeros, Seed(0)).unwrap();
+        assert!(params.get_or_init("a", &[3], Init::Ones, Seed(0)).is_err());
+
+        let new = |n: usize| Tensor::new(vec![5f32; n], &Device::Cpu).unwrap();
+        let wrong = BTreeMap::from([("a".to_owned(), new(3)), ("c".to_owned(), new(1))]);
+        let message = params.load(&wrong).unwrap_err().to_string();
+        for part in ["a has shape [3], not [2]", "b is missing", "c is not a parameter"] {
+            assert!(message.contains(part), "{message}");
+        }
+        assert_eq!(values(&weight), [1.0, 1.0]);
+
+        params.load(&BTreeMap::from([("a".to_owned(), new(2)), ("b".to_owned(), new(3))])).unwrap();
+        assert_eq!(values(&weight), [5.0, 5.0]);
+    }
+}
