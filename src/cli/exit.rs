@@ -1,18 +1,10 @@
-//! Which exit code does the program end with?
+//! Which exit code does the program end with? The help text lists them too.
 
 use crate::pipeline::{Blame, Failure};
 use std::process::ExitCode;
 
 /// Everything was done.
 pub(super) const DONE: ExitCode = ExitCode::SUCCESS;
-
-/// The exit codes, for the help text.
-pub(super) const HELP: &str = "\
-Exit codes:
-  0  done
-  1  the input is at fault: arguments, configuration, recordings, files given
-  2  the program or the machine is at fault: a bug, a full disk, a damaged file of ours
-  3  everything ran, but a quality gate of the configuration was not met";
 
 /// The code for a failure.
 pub(super) fn of_failure(failure: &Failure) -> ExitCode {

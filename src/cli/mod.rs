@@ -5,6 +5,7 @@
 mod args;
 mod commands;
 mod exit;
+mod help;
 mod printer;
 mod progress;
 

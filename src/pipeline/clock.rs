@@ -3,7 +3,7 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// The time as `2026-11-21T02:45:34Z`.
-pub fn utc_now() -> String {
+pub(super) fn utc_now() -> String {
     let elapsed = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     format_utc(elapsed.as_secs())
 }
@@ -24,7 +24,7 @@ fn format_utc(seconds: u64) -> String {
 }
 
 /// The most memory the process ever held, bytes; `None` where the system does not say.
-pub fn peak_memory_bytes() -> Option<u64> {
+pub(super) fn peak_memory_bytes() -> Option<u64> {
     let status = fs_err::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
     Some(line.split_whitespace().nth(1)?.parse::<u64>().ok()? * 1024)

@@ -48,7 +48,7 @@ pub fn fingerprint_path(path: &Path) -> Result<PathFingerprint> {
 }
 
 /// The fingerprint of a value: of its JSON, in which struct fields keep their order and maps are sorted.
-pub fn fingerprint_value(value: &impl Serialize) -> Result<String> {
+pub(super) fn fingerprint_value(value: &impl Serialize) -> Result<String> {
     Ok(short_hex(&blake3::hash(&serde_json::to_vec(value)?)))
 }
 

@@ -121,9 +121,8 @@ fn identify(root: &Path, planned: &[PlannedStage<'_>], input: &StageInput) -> Re
     let content = fingerprint_path(&input.path).map_err(|error| {
         let failure = Failure::input(error).context(format!("failed to read the input {}", input.name));
         match input.producer {
-            Some(producer) => {
-                failure.with_hint(format!("`djinn {}` makes it; --help says how to name another place", producer.command()))
-            }
+            Some(producer) => failure
+                .with_hint(format!("`djinn {}` makes it; --help says how to name another place", producer.command())),
             None => failure.with_hint("relative paths are relative to the current directory"),
         }
     })?;

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::Mutex;
 
 /// Passes progress on to another receiver and writes down the events: phases, warnings and messages, not every advance.
-pub struct Logged<'a> {
+pub(super) struct Logged<'a> {
     inner: &'a dyn Progress,
     state: Mutex<State>,
 }
@@ -20,17 +20,17 @@ struct State {
 }
 
 /// Name of the log within a run folder.
-pub const LOG_FILE: &str = "log.txt";
+pub(super) const LOG_FILE: &str = "log.txt";
 
 impl<'a> Logged<'a> {
     /// Appends to the log in `folder`.
-    pub fn open(folder: &Path, inner: &'a dyn Progress) -> std::io::Result<Self> {
+    pub(super) fn open(folder: &Path, inner: &'a dyn Progress) -> std::io::Result<Self> {
         let file = File::options().create(true).append(true).open(folder.join(LOG_FILE))?;
         Ok(Self { inner, state: Mutex::new(State { file, phase: String::new(), n_done: 0 }) })
     }
 
     /// Writes a line into the log alone.
-    pub fn line(&self, message: &str) {
+    pub(super) fn line(&self, message: &str) {
         self.with(|state| state.line(message));
     }
 

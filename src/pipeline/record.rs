@@ -136,7 +136,7 @@ impl StageRecord {
 }
 
 /// Removes the records and the outputs of a stage; the done record first, so that a kill halfway leaves no false claim.
-pub fn discard(root: &Path, stage: StageId, outputs: &[&str]) -> Result<()> {
+pub(super) fn discard(root: &Path, stage: StageId, outputs: &[&str]) -> Result<()> {
     remove(&done_path(root, stage))?;
     for name in outputs {
         remove(&root.join(name))?;

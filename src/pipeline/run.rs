@@ -120,9 +120,8 @@ pub fn run_stages(
     save(None)?;
     let mut clock = StageClock::open(root);
     let context = StageContext { root, progress: &logged };
-    let outcome = execute(planned, &context, &mut |record| save(Some(record)), &mut |stage, moment| {
-        clock.take(stage, moment)
-    });
+    let outcome =
+        execute(planned, &context, &mut |record| save(Some(record)), &mut |stage, moment| clock.take(stage, moment));
     match &outcome {
         Ok(_) => logged.line("done"),
         Err(failure) => logged.line(&format!("failed: {:#}", failure.error)),
@@ -152,8 +151,7 @@ impl RunManifest {
         });
         let pending = |PlannedStage { expected, action, .. }: &PlannedStage<'_>| {
             let status = if *action == Action::Reuse { StageStatus::Done } else { StageStatus::Pending };
-            let state =
-                StageState { fingerprint: expected.fingerprint.clone(), status, outputs: BTreeMap::new() };
+            let state = StageState { fingerprint: expected.fingerprint.clone(), status, outputs: BTreeMap::new() };
             (expected.stage.to_string(), state)
         };
         Self {
@@ -170,11 +168,7 @@ impl RunManifest {
 
 impl StageState {
     fn done(record: &StageRecord) -> Self {
-        Self {
-            fingerprint: record.fingerprint.clone(),
-            status: StageStatus::Done,
-            outputs: record.outputs.clone(),
-        }
+        Self { fingerprint: record.fingerprint.clone(), status: StageStatus::Done, outputs: record.outputs.clone() }
     }
 }
 

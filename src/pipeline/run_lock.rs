@@ -9,16 +9,16 @@ use std::path::Path;
 /// The right to write into a folder, until dropped. It is an advisory lock that the system takes back when the process
 /// ends, however it ends; so there are no stale locks. The file itself stays, empty.
 #[derive(Debug)]
-pub struct RunLock {
+pub(super) struct RunLock {
     file: File,
 }
 
 /// Name of the lock file.
-pub const LOCK_FILE: &str = ".lock";
+pub(super) const LOCK_FILE: &str = ".lock";
 
 impl RunLock {
     /// Takes the lock on `folder`, which must exist.
-    pub fn acquire(folder: &Path) -> Result<Self> {
+    pub(super) fn acquire(folder: &Path) -> Result<Self> {
         let path = folder.join(LOCK_FILE);
         let mut file = File::options().read(true).write(true).create(true).truncate(false).open(path)?;
         match file.try_lock() {

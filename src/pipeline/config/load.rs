@@ -151,3 +151,58 @@ fn explain(message: &str) -> (String, Option<String>) {
     let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
     (format!("unknown {kind} `{wrong}`; known here: {known}"), suggestion)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn error(text: &str, overrides: &[&str]) -> ConfigError {
+        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+        parse(Some(Path::new("p.toml")), text, &overrides).unwrap_err()
+    }
+
+    #[test]
+    fn an_unknown_key_is_placed_and_the_nearest_known_one_named() {
+        let error = error("[run]\nseed = 1\nthread = 2\n", &[]);
+        assert_eq!(error.place, Place::File { path: "p.toml".into(), at: Some((3, 1, "thread = 2".to_owned())) });
+        assert_eq!(error.suggestion.as_deref(), Some("threads"));
+        assert!(error.to_string().starts_with("p.toml:3:1: in `thread = 2`: unknown key `thread`; known here: name"));
+    }
+
+    #[test]
+    fn an_unknown_section_is_found_too_and_wild_guesses_are_not_made() {
+        assert_eq!(error("[ingset]\n", &[]).suggestion.as_deref(), Some("ingest"));
+        assert_eq!(error("[weather]\n", &[]).suggestion, None);
+    }
+
+    #[test]
+    fn a_wrong_type_and_broken_syntax_are_placed() {
+        assert!(error("[run]\nseed = \"x\"\n", &[]).to_string().contains("p.toml:2:8"));
+        assert!(error("[run\n", &[]).to_string().contains("p.toml:1:"));
+    }
+
+    #[test]
+    fn a_mistake_in_an_override_is_told_from_one_in_the_file() {
+        let wrong_key = error("[run]\nseed = 1\n", &["run.threads=2", "run.sead=3"]);
+        assert_eq!(wrong_key.place, Place::Override("run.sead=3".to_owned()));
+        assert_eq!(wrong_key.suggestion.as_deref(), Some("seed"));
+        let wrong_value = error("", &["run.seed=red"]);
+        assert_eq!(wrong_value.place, Place::Override("run.seed=red".to_owned()));
+        assert!(error("", &["run.seed"]).to_string().contains("no `=`"));
+        assert!(error("[run]\nseed = 1\n", &["run.seed.x=1"]).message.contains("`seed` is a value"));
+    }
+
+    #[test]
+    fn overrides_win_and_strings_need_no_quotes() {
+        let overrides = ["run.seed=3".to_owned(), "run.name=night drive".to_owned(), "run.seed=4".to_owned()];
+        let config = parse(None, "[run]\nseed = 1\nthreads = 2\n", &overrides).unwrap();
+        assert_eq!((config.run.seed, config.run.threads, config.run.name.as_str()), (4, 2, "night drive"));
+    }
+
+    #[test]
+    fn sections_inherit_the_seed_of_the_run() {
+        let text = "[run]\nseed = 7\n[ingest]\ndataset = \"argoverse1\"\ninputs = [\"a\"]\n";
+        assert_eq!(parse(None, text, &[]).unwrap().ingest.unwrap().seed, 7);
+        assert_eq!(parse(None, text, &["ingest.seed=8".to_owned()]).unwrap().ingest.unwrap().seed, 8);
+    }
+}

@@ -10,6 +10,7 @@ mod overrides;
 pub use load::{ConfigError, Place, parse};
 pub use overrides::Override;
 
+use crate::ingest::IngestConfig;
 use crate::pipeline::failure::{Failure, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -21,6 +22,8 @@ use std::path::{Path, PathBuf};
 pub struct PipelineConfig {
     /// What concerns all stages.
     pub run: RunConfig,
+    /// Which recordings become scenes, and how much of each is kept.
+    pub ingest: Option<IngestConfig>,
 }
 
 /// What concerns all stages.

@@ -93,12 +93,44 @@ fn relocate<'i>(value: DeValue<'i>, span: &Range<usize>) -> Spanned<DeValue<'i>>
         DeValue::Table(table) => DeValue::Table(
             table
                 .into_iter()
-                .map(|(name, item)| {
-                    (Spanned::new(span.clone(), name.into_inner()), relocate(item.into_inner(), span))
-                })
+                .map(|(name, item)| (Spanned::new(span.clone(), name.into_inner()), relocate(item.into_inner(), span)))
                 .collect(),
         ),
         plain => plain,
     };
     Spanned::new(span.clone(), value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn applied(text: &str, written: &str) -> Result<toml::Table, String> {
+        let parsed = Override::parse(written)?;
+        let mut table = DeTable::parse(text).unwrap().into_inner();
+        parsed.apply(&mut table, &(0..0))?;
+        let deserializer = toml::de::Deserializer::from(Spanned::new(0..0, table));
+        Ok(serde::Deserialize::deserialize(deserializer).unwrap())
+    }
+
+    #[test]
+    fn tables_are_made_and_array_elements_are_reached() {
+        let table = applied("", "a.b.c=[1, 2]").unwrap();
+        assert_eq!(table["a"]["b"]["c"].as_array().unwrap().len(), 2);
+        let table = applied("[[a.list]]\nn = 1\n[[a.list]]\nn = 2\n", "a.list.1.n=5").unwrap();
+        assert_eq!(
+            (table["a"]["list"][0]["n"].as_integer(), table["a"]["list"][1]["n"].as_integer()),
+            (Some(1), Some(5))
+        );
+        let table = applied("", "behaviors=[{ kind = \"cut_in\" }]").unwrap();
+        assert_eq!(table["behaviors"][0]["kind"].as_str(), Some("cut_in"));
+    }
+
+    #[test]
+    fn impossible_places_are_refused() {
+        assert!(applied("a = [1]", "a.1=2").unwrap_err().contains("outside an array of 1"));
+        assert!(applied("a = [1]", "a.x=2").unwrap_err().contains("no index"));
+        assert!(applied("a = 1", "a.x=2").unwrap_err().contains("is a value"));
+        assert!(applied("", "a..x=2").unwrap_err().contains("empty part"));
+    }
 }
