@@ -7,6 +7,8 @@ mod normalizer;
 mod pair_features;
 mod reference;
 mod scene_batch;
+#[cfg(test)]
+mod tests;
 
 pub use collate::{AgentFrame, Collator, FutureValidity, SceneView};
 pub use features::{FeatureLayout, LANE_POINTS};
