@@ -2,10 +2,12 @@
 //!
 //! One objective a file. All share one sign convention: potentials are maximized.
 
+mod classifier;
 mod guided_denoiser;
 #[cfg(test)]
 mod tests;
 
+pub use classifier::ClassifierGuidance;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 
 use candle_core::{Result, Tensor};

@@ -38,6 +38,12 @@ fn values(tensor: &Tensor) -> Vec<f32> {
     tensor.flatten_all().unwrap().to_vec1().unwrap()
 }
 
+/// The largest difference between two tensors. Not quite zero where batches differ: matrix products block by size.
+fn worst(a: &Tensor, b: &Tensor) -> f32 {
+    assert_eq!(a.dims(), b.dims());
+    values(a).iter().zip(values(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
 /// Deterministic noisy states of one scene's shape.
 fn noisy(batch: &SceneBatch, seed: u64) -> Tensor {
     let mut rng = Seed(seed).rng();
@@ -76,7 +82,7 @@ fn a_row_is_the_same_alone_and_among_larger_scenes() {
     };
     let expected = run(&alone, &x, &[0.7]);
     let found = run(&together, &both, &[0.7, 2.0]).get(0).unwrap();
-    assert_eq!(values(&found.narrow(0, 0, 2).unwrap()), values(&expected));
+    assert!(worst(&found.narrow(0, 0, 2).unwrap(), &expected.get(0).unwrap()) < 1e-5);
     assert!(values(&found.narrow(0, 2, 3).unwrap()).iter().all(|x| *x == 0.0));
 }
 
@@ -90,7 +96,7 @@ fn samples_of_one_scene_share_its_encoding() {
     let sigma = Tensor::new(&[0.5f32, 0.5, 0.9, 0.9], &Device::Cpu).unwrap();
     let shared = denoiser.bind(&batch, 2).unwrap().denoise(&x, &sigma).unwrap();
     let apart = denoiser.bind(&repeated, 1).unwrap().denoise(&x, &sigma).unwrap();
-    assert_eq!(values(&shared), values(&apart));
+    assert!(worst(&shared, &apart) < 1e-5);
 }
 
 #[test]
@@ -107,8 +113,7 @@ fn the_order_of_agents_does_not_matter() {
     let run = |batch: &SceneBatch, x: &Tensor| denoiser.bind(batch, 1).unwrap().denoise(x, &sigma).unwrap();
     let found = run(&b, &x.index_select(&order, 1).unwrap());
     let expected = run(&a, &x).index_select(&order, 1).unwrap();
-    let worst = values(&found).iter().zip(values(&expected)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-    assert!(worst < 1e-5, "{worst}");
+    assert!(worst(&found, &expected) < 1e-5);
 }
 
 #[test]

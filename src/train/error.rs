@@ -30,6 +30,18 @@ pub enum Error {
     /// Nothing to train on.
     #[error("there is no scene to train on: {0}")]
     NoScenes(String),
+    /// A classifier needs examples of both labels.
+    #[error(
+        "{behavior}: {n_positive} positive and {n_negative} negative pairs to train on; mine more scenes or other places, or relax the behavior's definition"
+    )]
+    NoExamples {
+        /// The behavior.
+        behavior: String,
+        /// Positive pairs.
+        n_positive: usize,
+        /// Negative pairs.
+        n_negative: usize,
+    },
     /// A setting that makes no sense.
     #[error("{0}")]
     Config(String),

@@ -114,10 +114,11 @@ impl SamplerConfig {
     }
 }
 
-/// D(x; σ) with the same noise level in every row.
+/// D(x; σ) with the same noise level in every row, without the graph of a trainable network behind it: over many steps
+/// that graph would keep the activations of every evaluation alive.
 fn denoise_at(denoiser: &dyn Denoiser, x: &Tensor, sigma: f64) -> Result<Tensor> {
     let sigma = Tensor::full(sigma, x.dim(0)?, x.device())?.to_dtype(x.dtype())?;
-    denoiser.denoise(x, &sigma)
+    Ok(denoiser.denoise(x, &sigma)?.detach())
 }
 
 /// The slope dx/dσ = (x - D(x; σ)) / σ of the probability-flow equation (EDM, equation 3 in equation 1).
