@@ -72,7 +72,7 @@ pub fn parse(path: Option<&Path>, text: &str, overrides: &[String]) -> Result<Pi
 
 /// Sections that draw random numbers and name no seed of their own take the run's.
 fn inherit_seed(table: &mut DeTable<'_>) {
-    const SEEDED: [&[&str]; 4] = [&["ingest"], &["train", "denoiser"], &["train", "classifier"], &["generate"]];
+    const SEEDED: [&[&str]; 3] = [&["ingest"], &["train", "classifier"], &["generate"]];
     let run = table.get("run").and_then(|run| run.get_ref().get("seed"));
     let Some(seed) = run.cloned() else { return };
     for path in SEEDED {
@@ -112,8 +112,8 @@ impl Source<'_> {
             return Place::Override(written.clone());
         }
         let Some(path) = self.path else { return Place::Nowhere };
-        // An empty span at the very start stands for the whole document, for instance where a section is missing.
-        let known = span.filter(|span| !span.is_empty() && *span != (0..self.text.len()));
+        // A span of the whole document says nothing, for instance where a key is missing.
+        let known = span.filter(|span| *span != (0..0) && *span != (0..self.text.len()));
         let at = known.and_then(|span| {
             let before = self.text.get(..span.start)?;
             let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
