@@ -12,6 +12,8 @@ pub use overrides::Override;
 
 use crate::ingest::IngestConfig;
 use crate::pipeline::failure::{Failure, Result};
+use crate::pipeline::stages::MineConfig;
+use crate::train::{ClassifierTrainingConfig, DenoiserTrainingConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -24,6 +26,20 @@ pub struct PipelineConfig {
     pub run: RunConfig,
     /// Which recordings become scenes, and how much of each is kept.
     pub ingest: Option<IngestConfig>,
+    /// Which behaviors are looked for.
+    pub mine: Option<MineConfig>,
+    /// The models.
+    pub train: TrainConfig,
+}
+
+/// The models: a section each.
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrainConfig {
+    /// The diffusion model that generates scenarios.
+    pub denoiser: Option<DenoiserTrainingConfig>,
+    /// The classifier that guides it toward a behavior.
+    pub classifier: Option<ClassifierTrainingConfig>,
 }
 
 /// What concerns all stages.

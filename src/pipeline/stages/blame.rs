@@ -1,7 +1,7 @@
 //! Whose failure is an error of each layer? Here, once, for all stages.
 
 use crate::pipeline::{Blame, Failure};
-use crate::{generate, ingest, nn, store, train};
+use crate::{ingest, nn, store, train};
 use std::io::ErrorKind;
 
 impl From<ingest::Error> for Failure {
@@ -39,16 +39,6 @@ impl From<train::Error> for Failure {
             | train::Error::NoExamples { .. }
             | train::Error::Diverged { .. } => Blame::Input,
             _ => Blame::Fault,
-        };
-        Self { blame, ..Self::fault(error) }
-    }
-}
-
-impl From<generate::Error> for Failure {
-    fn from(error: generate::Error) -> Self {
-        let blame = match &error {
-            generate::Error::Scene { .. } | generate::Error::Stale { .. } | generate::Error::Tensor(_) => Blame::Fault,
-            _ => Blame::Input,
         };
         Self { blame, ..Self::fault(error) }
     }

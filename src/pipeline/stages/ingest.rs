@@ -1,7 +1,7 @@
 //! Recordings to a scene store, resuming after the last whole shard.
 
 use crate::ingest::{IngestBatch, IngestConfig, IngestReport, ingest};
-use crate::pipeline::layout::{SCENES};
+use crate::pipeline::layout::SCENES;
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::store::{SceneWriter, SceneWriterOptions};
 use serde_json::{Value, json};

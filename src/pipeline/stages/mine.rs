@@ -105,7 +105,8 @@ impl Stage for Mine<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let behaviors = self.config.build()?;
         let store = SceneStore::open(&self.layout.scenes)?;
-        let wanted = |entry: &SceneIndexEntry| self.config.splits.is_empty() || self.config.splits.contains(&entry.split);
+        let wanted =
+            |entry: &SceneIndexEntry| self.config.splits.is_empty() || self.config.splits.contains(&entry.split);
         let scenes: Vec<usize> = (0..store.len()).filter(|idx| wanted(&store.index()[*idx])).collect();
         if scenes.is_empty() {
             return Err(Failure::input_message("no scene is of the splits of mine.splits"));

@@ -1,5 +1,15 @@
 //! The stages: how are the sections of a pipeline file connected to the code that does the work?
 
+mod blame;
+mod ingest;
+mod mine;
+mod selection;
+mod train_denoiser;
+
+pub use ingest::Ingest;
+pub use mine::{BehaviorCounts, LabelCounts, Mine, MineConfig, MineSummary};
+pub use train_denoiser::TrainDenoiser;
+
 use super::config::PipelineConfig;
 use super::failure::{Failure, Result};
 use super::layout::Layout;
@@ -31,6 +41,12 @@ pub fn check_gates(_records: &[StageRecord]) -> Result<()> {
     Ok(())
 }
 
-fn build<'a>(_id: StageId, _config: &'a PipelineConfig, _layout: &'a Layout) -> Option<Box<dyn Stage + 'a>> {
-    None
+fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Option<Box<dyn Stage + 'a>> {
+    let PipelineConfig { run, ingest, mine, train } = config;
+    Some(match id {
+        StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()? }),
+        StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
+        StageId::TrainDenoiser => Box::new(TrainDenoiser { config: train.denoiser.as_ref()?, seed: run.seed, layout }),
+        _ => return None,
+    })
 }

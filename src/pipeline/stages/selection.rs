@@ -37,7 +37,8 @@ impl Selection {
         };
         let mut train = of(&|split| splits.contains(&split));
         if splits.is_empty() {
-            let default = if index.iter().any(|entry| entry.split == Split::Train) { Split::Train } else { Split::Unsplit };
+            let default =
+                if index.iter().any(|entry| entry.split == Split::Train) { Split::Train } else { Split::Unsplit };
             train = of(&|split| split == default);
         }
         let mut held_out = of(&|split| split == Split::Val && !splits.contains(&split));
