@@ -5,6 +5,8 @@
 mod classifier;
 mod guided_denoiser;
 #[cfg(test)]
+pub(crate) mod testing;
+#[cfg(test)]
 mod tests;
 
 pub use classifier::ClassifierGuidance;

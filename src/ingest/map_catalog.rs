@@ -7,6 +7,7 @@ use super::lane_index::LaneIndex;
 use super::source::RecordingSource;
 use crate::progress::Progress;
 use crate::scene::MapId;
+use std::collections::btree_map::Entry as MapEntry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::BufRead;
 use std::ops::ControlFlow;
@@ -59,10 +60,13 @@ impl MapCatalog {
         progress: &dyn Progress,
     ) -> Result<(), Error> {
         for (id, graph) in source.read_map(entry, reader)? {
-            if self.0.contains_key(&id) {
-                progress.note(&format!("map {id}: {} passed over, already read", entry.path));
-            } else {
-                self.0.insert(id, LaneIndex::new(Arc::new(graph)));
+            match self.0.entry(id) {
+                MapEntry::Vacant(place) => {
+                    place.insert(LaneIndex::new(Arc::new(graph)));
+                }
+                MapEntry::Occupied(known) => {
+                    progress.note(&format!("{} passed over: map {} is already read", entry.path, known.key()));
+                }
             }
         }
         Ok(())

@@ -82,7 +82,7 @@ impl ClassificationTask<'_> {
         let collator = Collator {
             normalizer: self.spec.normalizer.clone(),
             n_timesteps: self.spec.n_timesteps,
-            max_agents: PairExample::MAX_TRACKS,
+            max_agents: 2,
             max_lanes: 0,
         };
         Ok(collator.collate(&views, FutureValidity::Recorded, self.device)?)

@@ -2,78 +2,16 @@
 
 use super::*;
 use crate::behavior::{BehaviorEvent, EventLabel};
-use crate::diffusion::Edm;
-use crate::geometry::{Transform2, Vec2};
+use crate::guidance::testing::{N_HISTORY, N_TIMESTEPS, denoiser_spec, is_positive, scene};
 use crate::guidance::{ClassifierGuidance, Guidance, log_potential_gradient};
-use crate::model::{DenoiserKind, DenoiserSpec, NetworkConfig, TrainedClassifier};
+use crate::model::{DenoiserSpec, TrainedClassifier};
 use crate::progress::{Progress, Silent};
-use crate::scene::{
-    AgentClass, Dataset, ObservationMask, Scene, SceneSource, Split, State, Track, TrackRole, Trajectory,
-};
+use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
-use crate::tensor::{Collator, FutureValidity, NormalizerFit, SceneBatch, SceneView, StateParametrization};
+use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView, StateParametrization};
 use candle_core::{Device, Tensor};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
-
-const N_TIMESTEPS: usize = 12;
-const N_HISTORY: usize = 4;
-const DT_S: f64 = 0.25;
-
-/// Two cars side by side; the second moves over in front of the first where `is_positive`. The history says nothing.
-fn scene(idx: usize) -> Scene {
-    let mut rng = Seed(17).derive("scene", &[idx as u64]).rng();
-    let is_positive = is_positive(idx);
-    let track = |id: &str, start: Vec2, speed_mps: f64, shift_m: f64, wobble_m: f64| {
-        let state = |timestep: usize| {
-            let future = (timestep as f64 - (N_HISTORY - 1) as f64).max(0.0) / (N_TIMESTEPS - N_HISTORY) as f64;
-            State {
-                position: start + Vec2::new(speed_mps * DT_S * timestep as f64 + wobble_m * future, shift_m * future),
-                heading_rad: if future > 0.0 { shift_m.atan2(speed_mps * 2.0) } else { 0.0 },
-                velocity: Vec2::new(speed_mps, 0.0),
-            }
-        };
-        Track {
-            id: id.into(),
-            class: AgentClass::Vehicle,
-            role: TrackRole::Context,
-            extent: None,
-            trajectory: Trajectory::new((0..N_TIMESTEPS).map(|timestep| Some(state(timestep))).collect()),
-        }
-    };
-    let mut draw = |low: f64, high: f64| low + (high - low) * rng.uniform();
-    let shift_m = if is_positive { draw(-4.0, -3.0) } else { draw(-0.5, 0.5) };
-    let tracks = vec![
-        track("bystander", Vec2::new(-20.0, -8.0), draw(4.0, 12.0), 0.0, draw(-3.0, 3.0)),
-        track("behind", Vec2::ZERO, draw(6.0, 10.0), draw(-0.3, 0.3), draw(-3.0, 3.0)),
-        track("ahead", Vec2::new(draw(3.0, 8.0), 3.5), draw(6.0, 10.0), shift_m, draw(-3.0, 3.0)),
-    ];
-    Scene {
-        id: format!("interaction/train/TEST/{idx}").as_str().into(),
-        source: SceneSource {
-            dataset: Dataset::Interaction,
-            version: String::new(),
-            split: Split::Train,
-            place: "TEST".to_owned(),
-            file: String::new(),
-            case_id: idx.to_string(),
-            first_frame: String::new(),
-        },
-        dt_s: DT_S,
-        n_timesteps: N_TIMESTEPS,
-        n_history: N_HISTORY,
-        world_from_scene: Transform2::IDENTITY,
-        ego_idx: 0,
-        tracks,
-        map_id: None,
-        lanes: std::sync::Arc::default(),
-    }
-}
-
-/// One positive scene among four.
-const fn is_positive(idx: usize) -> bool {
-    idx % 4 == 0
-}
 
 struct Scenes(usize);
 
@@ -107,25 +45,6 @@ fn examples(indices: std::ops::Range<usize>, max_examples: usize) -> PairExample
     PairExamples::gather(&Scenes(1000), &mined, max_examples, Seed(2)).unwrap()
 }
 
-fn denoiser(parametrization: StateParametrization) -> DenoiserSpec {
-    let mut normalizer = NormalizerFit::default();
-    (0..100).for_each(|idx| normalizer.add(&scene(idx)));
-    DenoiserSpec {
-        kind: DenoiserKind::SceneDenoiser,
-        network: NetworkConfig::default(),
-        edm: Edm::default(),
-        normalizer: normalizer.finish(parametrization, 3),
-        n_history: N_HISTORY,
-        n_timesteps: N_TIMESTEPS,
-        dt_s: DT_S,
-        max_agents: 8,
-        max_lanes: 8,
-        steps: 0,
-        seed: 0,
-        scenes: String::new(),
-    }
-}
-
 fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progress) -> Result<ClassifierReport, Error> {
     let (train, held_out) = (examples(0..240, 1000), examples(240..400, 1000));
     let data = PairData {
@@ -135,6 +54,7 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
         fingerprint: "events".to_owned(),
     };
     let config = ClassifierTrainingConfig {
+        seed: 4,
         steps,
         batch_size: 32,
         warmup_steps: 10,
@@ -142,14 +62,14 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
         save_every: 7,
         ..ClassifierTrainingConfig::default()
     };
-    train_classifier(&config, denoiser, &data, Seed(4), dir, &Device::Cpu, progress)
+    train_classifier(&config, denoiser, &data, dir, &Device::Cpu, progress)
 }
 
 #[test]
 fn it_separates_the_better_the_less_noise_there_is() {
     for parametrization in [StateParametrization::Residual, StateParametrization::Scene] {
         let dir = tempfile::tempdir().unwrap();
-        let report = train(&denoiser(parametrization), 150, dir.path(), &Silent).unwrap();
+        let report = train(&denoiser_spec(parametrization), 150, dir.path(), &Silent).unwrap();
         assert_eq!((report.spec.n_positive, report.spec.n_negative, report.spec.pos_weight), (60, 180, 3.0));
         let auc: Vec<f64> = report.by_noise_level.iter().map(|level| level.auc.unwrap()).collect();
         assert!(auc[0] > 0.97 && auc[1] > 0.97, "{parametrization:?}: {auc:?}");
@@ -176,7 +96,7 @@ fn a_killed_training_resumes_to_the_same_weights() {
         fn warn(&self, _message: &str) {}
         fn finish(&self) {}
     }
-    let denoiser = denoiser(StateParametrization::Residual);
+    let denoiser = denoiser_spec(StateParametrization::Residual);
     let (whole, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let undisturbed = train(&denoiser, 30, whole.path(), &Silent).unwrap();
     for after in [4, 9, 13] {
@@ -195,7 +115,7 @@ fn a_killed_training_resumes_to_the_same_weights() {
 fn batch(denoiser: &DenoiserSpec, scenes: &[Scene]) -> SceneBatch {
     let masks: Vec<ObservationMask> =
         scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), N_TIMESTEPS, N_HISTORY)).collect();
-    let view = |(scene, mask)| SceneView { scene, ego_idx: 0, mask };
+    let view = |(scene, mask)| SceneView { scene, ego_idx: 1, mask };
     let views: Vec<SceneView<'_>> = scenes.iter().zip(&masks).map(view).collect();
     let collator: Collator = denoiser.collator();
     collator.collate(&views, FutureValidity::Everything, &Device::Cpu).unwrap()
@@ -204,7 +124,7 @@ fn batch(denoiser: &DenoiserSpec, scenes: &[Scene]) -> SceneBatch {
 #[test]
 fn its_gradient_pushes_the_second_agent_toward_the_first() {
     for parametrization in [StateParametrization::Residual, StateParametrization::Scene] {
-        let denoiser = denoiser(parametrization);
+        let denoiser = denoiser_spec(parametrization);
         let dir = tempfile::tempdir().unwrap();
         train(&denoiser, 150, dir.path(), &Silent).unwrap();
         let trained = TrainedClassifier::read(&dir.path().join("model.safetensors"), &Device::Cpu).unwrap();
@@ -243,7 +163,7 @@ fn too_many_examples_lose_negative_ones_first() {
     assert_eq!((examples.positive().len(), examples.negative().len()), (10, 5));
     let scene = &examples.examples()[0].scene;
     let ids: Vec<&str> = scene.tracks.iter().map(|track| track.id.0.as_str()).collect();
-    assert_eq!((ids, scene.ego_idx, examples.examples()[0].pair), (vec!["behind", "ahead", "bystander"], 2, (0, 1)));
+    assert_eq!((ids, scene.ego_idx, examples.examples()[0].pair), (vec!["behind", "ahead"], 0, (0, 1)));
 }
 
 #[test]
@@ -262,8 +182,8 @@ fn missing_examples_and_tracks_are_named() {
         PairData { roles: Vec::new(), train: &only_negative, held_out: &only_negative, fingerprint: String::new() };
     let dir = tempfile::tempdir().unwrap();
     let config = ClassifierTrainingConfig::default();
-    let denoiser = denoiser(StateParametrization::Residual);
-    let error = train_classifier(&config, &denoiser, &data, Seed(0), dir.path(), &Device::Cpu, &Silent).unwrap_err();
+    let denoiser = denoiser_spec(StateParametrization::Residual);
+    let error = train_classifier(&config, &denoiser, &data, dir.path(), &Device::Cpu, &Silent).unwrap_err();
     assert!(error.to_string().contains("0 positive and 3 negative"), "{error}");
 
     let mut stranger = event(1, EventLabel::Negative);

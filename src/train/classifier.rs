@@ -54,6 +54,8 @@ pub struct ClassifierTrainingConfig {
     pub save_every: u64,
     /// A trained checkpoint to use instead of training.
     pub checkpoint: Option<PathBuf>,
+    /// Seed of everything random.
+    pub seed: u64,
 }
 
 impl Default for ClassifierTrainingConfig {
@@ -76,6 +78,7 @@ impl Default for ClassifierTrainingConfig {
             evaluate_every: 500,
             save_every: 250,
             checkpoint: None,
+            seed: 0,
         }
     }
 }
@@ -150,13 +153,13 @@ pub fn train_classifier(
     config: &ClassifierTrainingConfig,
     denoiser: &DenoiserSpec,
     data: &PairData<'_>,
-    seed: Seed,
     dir: &Path,
     device: &Device,
     progress: &dyn Progress,
 ) -> Result<ClassifierReport, Error> {
     let fit_config = config.resolve()?;
-    let spec = describe(config, denoiser, data, seed)?;
+    let seed = Seed(config.seed);
+    let spec = describe(config, denoiser, data)?;
     let mut params = Params::new(device);
     let classifier = spec.build(&mut params, seed.derive("weights", &[]))?;
     let frozen = spec.build(&mut params.frozen(), seed)?;
@@ -190,7 +193,6 @@ fn describe(
     config: &ClassifierTrainingConfig,
     denoiser: &DenoiserSpec,
     data: &PairData<'_>,
-    seed: Seed,
 ) -> Result<ClassifierSpec, Error> {
     let (n_positive, n_negative) = (data.train.positive().len(), data.train.negative().len());
     if n_positive == 0 || n_negative == 0 {
@@ -210,7 +212,7 @@ fn describe(
         n_negative: n_negative as u64,
         pos_weight: config.pos_weight.unwrap_or(n_negative as f64 / n_positive as f64),
         steps: config.steps,
-        seed: seed.0,
+        seed: config.seed,
         events: data.fingerprint.clone(),
     })
 }

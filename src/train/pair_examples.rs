@@ -20,7 +20,7 @@ pub struct MinedEvent<'a> {
 /// A scene reduced to what the classifier of one pair needs.
 #[derive(Debug, Clone)]
 pub struct PairExample {
-    /// The pair and, where it is another, the ego agent; no lanes.
+    /// The agents of the pair, with the first as the ego agent, as guidance will see them; no lanes.
     pub scene: Scene,
     /// Indices of the first and second role among the scene's tracks; equal for behaviors of a single agent.
     pub pair: (usize, usize),
@@ -95,27 +95,17 @@ impl PairExamples {
 }
 
 impl PairExample {
-    /// Most tracks that an example has.
-    pub const MAX_TRACKS: usize = 3;
-
     fn new(scene: &Scene, (_, first, second): &PairKey, is_positive: bool) -> Result<Self, Error> {
-        let mut kept: Vec<usize> = Vec::new();
-        let mut keep = |track_idx: usize| {
-            kept.iter().position(|kept| *kept == track_idx).unwrap_or_else(|| {
-                kept.push(track_idx);
-                kept.len() - 1
-            })
-        };
         let find = |track: &TrackId| {
             scene
                 .track_idx(track)
                 .ok_or_else(|| Error::Config(format!("scene {} has no track {track}; mine the scenes again", scene.id)))
         };
-        let pair = (keep(find(first)?), keep(find(second)?));
-        // The diffused positions of the paper's parametrization are those in the ego's frame.
-        let ego_idx = keep(scene.ego_idx);
+        let mut kept = vec![find(first)?, find(second)?];
+        kept.dedup();
+        let pair = (0, kept.len() - 1);
         let tracks = kept.iter().map(|track_idx| scene.tracks[*track_idx].clone()).collect();
-        let scene = Scene { tracks, ego_idx, lanes: Arc::new(LaneGraph::default()), ..scene.clone() };
+        let scene = Scene { tracks, ego_idx: 0, lanes: Arc::new(LaneGraph::default()), ..scene.clone() };
         Ok(Self { scene, pair, is_positive })
     }
 }

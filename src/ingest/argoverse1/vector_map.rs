@@ -104,10 +104,9 @@ impl VectorMap {
     fn begin(&mut self, element: &BytesStart<'_>) -> Result<(), String> {
         let name = element.name();
         match (name.as_ref(), &mut self.way) {
+            ("ArgoverseVectorMap", _) if self.open.is_empty() => {}
             (root, _) if self.open.is_empty() => {
-                if root != "ArgoverseVectorMap" {
-                    return Err(format!("begins with <{root}>, expected <ArgoverseVectorMap>"));
-                }
+                return Err(format!("begins with <{root}>, expected <ArgoverseVectorMap>"));
             }
             ("node", _) => {
                 let position = Vec2::new(coordinate(element, "x")?, coordinate(element, "y")?);
