@@ -30,6 +30,8 @@ pub use error::{BoxError, Error};
 pub use raw::{Companion, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 pub use report::{IngestReport, RejectCount};
 pub use source::{EmitUnit, Horizon, RecordingSource, UnitReader};
+#[cfg(test)]
+pub(crate) use test_data::test_data;
 
 use crate::scene::Dataset;
 
