@@ -10,6 +10,7 @@ mod overrides;
 pub use load::{ConfigError, Place, parse};
 pub use overrides::Override;
 
+use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
 use crate::pipeline::failure::{Failure, Result};
 use crate::pipeline::stages::MineConfig;
@@ -30,6 +31,8 @@ pub struct PipelineConfig {
     pub mine: Option<MineConfig>,
     /// The models.
     pub train: TrainConfig,
+    /// What is generated.
+    pub generate: Option<GenerateConfig>,
 }
 
 /// The models: a section each.

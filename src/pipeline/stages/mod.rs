@@ -1,13 +1,19 @@
 //! The stages: how are the sections of a pipeline file connected to the code that does the work?
 
 mod blame;
+mod generate;
 mod ingest;
 mod mine;
+mod sample_folder;
 mod selection;
+mod train_classifier;
 mod train_denoiser;
 
+pub use generate::Generate;
 pub use ingest::Ingest;
 pub use mine::{BehaviorCounts, LabelCounts, Mine, MineConfig, MineSummary};
+pub use sample_folder::{SampleFolder, SampleManifest, SampleSidecar};
+pub use train_classifier::TrainClassifier;
 pub use train_denoiser::TrainDenoiser;
 
 use super::config::PipelineConfig;
@@ -42,11 +48,15 @@ pub fn check_gates(_records: &[StageRecord]) -> Result<()> {
 }
 
 fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Option<Box<dyn Stage + 'a>> {
-    let PipelineConfig { run, ingest, mine, train } = config;
+    let PipelineConfig { run, ingest, mine, train, generate } = config;
     Some(match id {
         StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()? }),
         StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
         StageId::TrainDenoiser => Box::new(TrainDenoiser { config: train.denoiser.as_ref()?, seed: run.seed, layout }),
+        StageId::TrainClassifier => Box::new(TrainClassifier { config: train.classifier.as_ref()?, layout }),
+        StageId::Generate => {
+            Box::new(Generate { config: generate.as_ref()?, mine: mine.clone().unwrap_or_default(), layout })
+        }
         _ => return None,
     })
 }
