@@ -1,0 +1,83 @@
+//! How do INTERACTION's recordings become scenes?
+//!
+//! Two versions are in use and told apart by their columns. v1.1 has whole recordings, `vehicle_tracks_NNN.csv` and
+//! `pedestrian_tracks_NNN.csv` in a folder named for the place, which are cut into windows here. v1.2 has tables of cases
+//! of 40 frames, of which 10 are observed; the cases of test sets hold these 10 alone, and mark agents. Maps are Lanelet2.
+
+mod cases;
+mod columns;
+mod path;
+mod recordings;
+mod row;
+mod scenes;
+mod track;
+mod units;
+
+use super::archive::Entry;
+use super::lanelet2;
+use super::{Error, Horizon, IngestConfig, RawScene, RawUnit, RecordingSource, Reject, UnitReader, map_id};
+use crate::scene::{Dataset, LaneGraph, MapId};
+use path::TrackFile;
+use std::io::BufRead;
+
+/// Observed and future timesteps of a v1.2 case, and of v1.1 windows unless configured.
+const CASE_HORIZON: Horizon = Horizon { n_history: 10, n_future: 30 };
+
+/// INTERACTION is recorded at 10 Hz.
+const DT_S: f64 = 0.1;
+
+/// INTERACTION, v1.1 and v1.2.
+#[derive(Debug)]
+pub(super) struct Interaction<'a> {
+    config: &'a IngestConfig,
+    horizon: Horizon,
+}
+
+impl<'a> Interaction<'a> {
+    /// INTERACTION with this configuration.
+    pub(super) fn new(config: &'a IngestConfig) -> Self {
+        Self { config, horizon: Horizon::of(config, CASE_HORIZON) }
+    }
+
+    /// Whether the configuration asks for a file as far as its name tells.
+    fn wants(&self, file: &TrackFile) -> bool {
+        let wants_place = file.place.is_empty() || self.config.wants_place(&file.place);
+        wants_place && file.split.is_none_or(|split| self.config.wants_split(split))
+    }
+}
+
+impl RecordingSource for Interaction<'_> {
+    fn is_recording(&self, path: &str) -> bool {
+        TrackFile::of_path(path).is_some_and(|file| self.wants(&file))
+    }
+
+    fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
+        Box::new(units::TableReader::new(self))
+    }
+
+    fn parse(&self, unit: &RawUnit) -> Vec<Result<RawScene, Reject>> {
+        if unit.header.is_empty() {
+            scenes::windows(unit, self.horizon, self.config)
+        } else {
+            vec![scenes::case(unit, self.horizon)]
+        }
+    }
+
+    fn is_map(&self, path: &str) -> bool {
+        path::place_of_map(path).is_some_and(|place| self.config.wants_place(place))
+    }
+
+    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Vec<(MapId, LaneGraph)>, Error> {
+        let Some(place) = path::place_of_map(&entry.path) else { return Ok(Vec::new()) };
+        let (graph, _) = lanelet2::read_map(reader, &entry.path)?;
+        Ok(vec![(map_id(Dataset::Interaction, place), graph)])
+    }
+
+    fn map_of(&self, path: &str) -> Option<MapId> {
+        let place = TrackFile::of_path(path)?.place;
+        (!place.is_empty()).then(|| map_id(Dataset::Interaction, &place))
+    }
+}
+
+#[cfg(test)]
+mod tests;
