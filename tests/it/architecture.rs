@@ -70,7 +70,8 @@ fn without_tests_and_comments(text: &str) -> String {
 /// The rows of the table in `document` whose header starts with `first_column`; cells are lists of `code` words.
 fn table(document: &str, first_column: &str) -> Vec<Vec<Vec<String>>> {
     let header = format!("| {first_column} |");
-    let rows = document.lines().skip_while(|line| !line.starts_with(&header)).skip(2).take_while(|line| line.starts_with('|'));
+    let rows =
+        document.lines().skip_while(|line| !line.starts_with(&header)).skip(2).take_while(|line| line.starts_with('|'));
     let words = |cell: &str| cell.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>();
     rows.map(|row| row.trim_matches('|').split('|').map(words).collect()).collect()
 }
@@ -130,7 +131,9 @@ fn modules_use_only_modules_of_lower_rank() {
     let ranks = ranks();
     let mut faults = Vec::new();
     for source in sources() {
-        let Some(module) = source.module.first().filter(|first| !["lib", "main"].contains(&first.as_str())) else { continue };
+        let Some(module) = source.module.first().filter(|first| !["lib", "main"].contains(&first.as_str())) else {
+            continue;
+        };
         let Some(rank) = ranks.get(module) else { panic!("`{module}` has no rank in ARCHITECTURE.md") };
         for used in modules_named(&source.code) {
             let allowed = used == *module || ranks.get(&used).is_some_and(|used_rank| used_rank < rank);

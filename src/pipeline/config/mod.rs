@@ -10,9 +10,10 @@ mod overrides;
 pub use load::{ConfigError, Place, parse};
 pub use overrides::Override;
 
+use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
 use crate::pipeline::failure::{Failure, Result};
-use crate::pipeline::stages::MineConfig;
+use crate::pipeline::stages::{EvaluateConfig, MineConfig};
 use crate::train::{ClassifierTrainingConfig, DenoiserTrainingConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -30,6 +31,10 @@ pub struct PipelineConfig {
     pub mine: Option<MineConfig>,
     /// The models.
     pub train: TrainConfig,
+    /// What is generated.
+    pub generate: Option<GenerateConfig>,
+    /// What is measured, what is kept and what must hold.
+    pub evaluate: Option<EvaluateConfig>,
 }
 
 /// The models: a section each.

@@ -66,6 +66,10 @@ fn quality_chart(rows: &[NoiseLevelReport]) -> Chart {
         x_label: "noise level σ".to_owned(),
         y_label: "%".to_owned(),
         log_x: true,
-        curves: vec![curve("precision", |row| row.precision), curve("recall", |row| row.recall), curve("AUC", |row| row.auc)],
+        curves: vec![
+            curve("precision", |row| row.precision),
+            curve("recall", |row| row.recall),
+            curve("AUC", |row| row.auc),
+        ],
     }
 }

@@ -3,8 +3,8 @@
 use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::ingest::{IngestReport, RejectCount};
 use djinn::report::{
-    BehaviorCount, BehaviorDoc, Chart, Curve, Distribution, Fact, MetricDoc, MetricTable, MiningSummary,
-    ReportModel, SamplingRow, SceneCard, TrainingSummary, Warning,
+    BehaviorCount, BehaviorDoc, Chart, Curve, Distribution, Fact, MetricDoc, MetricTable, MiningSummary, ReportModel,
+    SamplingRow, SceneCard, TrainingSummary, Warning,
 };
 use djinn::scene::{
     AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, Scene, SceneId, SceneSource, Split, State,
