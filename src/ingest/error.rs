@@ -71,8 +71,13 @@ pub enum Error {
         found: Vec<String>,
     },
     /// Everything was read and no scene came of it.
-    #[error("no scenes: {}", .0.summary())]
-    NoScenes(Box<IngestReport>),
+    #[error("no scenes: {files}; {}", .report.summary())]
+    NoScenes {
+        /// The files that were seen.
+        files: String,
+        /// What became of them.
+        report: Box<IngestReport>,
+    },
     /// The receiver of the scenes failed.
     #[error("cannot store ingested scenes")]
     Sink(#[source] BoxError),

@@ -1,14 +1,40 @@
 //! Recordings in: how do downloaded datasets become scenes?
+//!
+//! A [`RecordingSource`] knows the formats of one dataset: it cuts files into [`RawUnit`]s, which are parsed in parallel
+//! into [`RawScene`]s. What follows is the same for all: ego, scene frame, agent cap, lanes, counts.
 
 pub mod archive;
+mod argoverse1;
+mod argoverse2;
+mod assemble;
+mod batches;
 mod config;
+mod driver;
 mod error;
+mod files;
+mod lane_index;
+mod lane_topology;
+mod map_catalog;
 mod raw;
 mod report;
 mod source;
 
 pub use config::{AgentsPresent, IngestConfig, MapsConfig};
+pub use driver::{IngestBatch, ingest};
 pub use error::{BoxError, Error};
-pub use raw::{Companion, RawScene, RawUnit, Reject, UnitSplit, map_id};
+pub use raw::{Companion, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 pub use report::{IngestReport, RejectCount};
 pub use source::{EmitUnit, Horizon, RecordingSource, UnitReader};
+
+use crate::scene::Dataset;
+
+/// The formats of the configured dataset: one line for each.
+fn source_of(config: &IngestConfig) -> Result<Box<dyn RecordingSource + '_>, Error> {
+    Ok(match config.dataset {
+        Dataset::Argoverse1 => Box::new(argoverse1::Argoverse1::new(config)?),
+        Dataset::Argoverse2 => Box::new(argoverse2::Argoverse2::new(config)?),
+        Dataset::Interaction => {
+            return Err(Error::Config { key: "dataset", detail: "interaction is not linked in yet".to_owned() });
+        }
+    })
+}

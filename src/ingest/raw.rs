@@ -86,13 +86,21 @@ pub struct RawScene {
     pub n_history: usize,
     /// The tracks in the recording's frame, each with `n_timesteps` entries.
     pub tracks: Vec<Track>,
-    /// Tracks (by index) whose recording tells no direction in the observed past: their headings are placeholders, to be
-    /// replaced by the direction of the lane they stand on.
-    pub headingless: Vec<usize>,
+    /// Headings that the recording does not tell, to be replaced by the direction of the lane.
+    pub heading_gaps: Vec<HeadingGap>,
     /// The map the scene lies on.
     pub map_id: MapId,
     /// That map, where the scene brings its own; otherwise it is looked up among those read beforehand.
     pub own_map: Option<Arc<LaneGraph>>,
+}
+
+/// A track that stands before it moves, in a recording without headings: those before `until_timestep` are placeholders.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct HeadingGap {
+    /// Index of the track.
+    pub track_idx: usize,
+    /// First timestep whose heading is known; the number of timesteps where none is.
+    pub until_timestep: usize,
 }
 
 /// The map of `dataset` for a place, city or scenario.

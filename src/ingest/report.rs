@@ -1,6 +1,7 @@
 //! What an ingest read, kept and left out, by reason.
 
-use super::raw::{RawScene, Reject};
+use super::raw::Reject;
+use crate::scene::SceneSource;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -81,10 +82,10 @@ impl IngestReport {
     }
 
     /// Counts a kept scene.
-    pub(crate) fn count_scene(&mut self, scene: &RawScene, n_agents: usize) {
+    pub(super) fn count_scene(&mut self, source: &SceneSource, n_agents: usize) {
         self.n_scenes += 1;
         self.n_agents += n_agents as u64;
-        add(&mut self.scenes_by, &format!("{}/{}", scene.source.split.name(), scene.source.place), 1);
+        add(&mut self.scenes_by, &format!("{}/{}", source.split.name(), source.place), 1);
     }
 
     /// Number of rejects of all reasons.

@@ -20,8 +20,12 @@ pub trait RecordingSource: Sync {
     /// The scenes of a unit, in a fixed order; each is either complete or a reject.
     fn parse(&self, unit: &RawUnit) -> Vec<Result<RawScene, Reject>>;
 
-    /// Whether the entry at `path` is a map to be read before all recordings. Never true for datasets whose scenes bring
-    /// their own maps.
+    /// Whether scenes bring their own maps, so that none are read beforehand.
+    fn has_own_maps(&self) -> bool {
+        false
+    }
+
+    /// Whether the entry at `path` is a map to be read before all recordings.
     fn is_map(&self, path: &str) -> bool;
 
     /// Reads such a map. Where several files hold the map of one place, the first counts.

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::diffusion::{Denoiser, Edm};
-use crate::nn::Params;
+use crate::nn::{Params, Scope};
 use crate::scene::testing::{Drive, scene};
 use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
@@ -136,4 +136,36 @@ fn the_papers_network_has_15_layers_and_12_million_parameters() {
     let output = 512 + linear(256, 256) + linear(256, 3);
     assert_eq!(params.n_parameters(), input + lane_encoder + 15 * layer + output);
     assert_eq!(params.n_parameters(), 12_712_707);
+}
+
+/// Values and gradients of `scripts/golden_network.py`, an implementation in PyTorch that shares no code with ours.
+#[test]
+fn outputs_and_gradients_are_those_of_pytorch() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/scene_network.safetensors");
+    let golden = candle_core::safetensors::load(path, &Device::Cpu).unwrap();
+    let config = NetworkConfig { layers: "TAMT".to_owned(), ..config() };
+    let mut params = Params::new(&Device::Cpu);
+    let network = SceneNetwork::new(&mut Scope::root(&mut params, Seed(1)), &config, 3).unwrap();
+    let weights = golden.iter().filter_map(|(name, t)| Some((name.strip_prefix("weight.")?.to_owned(), t.clone())));
+    params.load(&weights.collect()).unwrap();
+
+    let input = |name: &str| &golden[&format!("input.{name}")];
+    let known = network
+        .encode_known(input("context"), input("features"), input("valid"), input("lanes"), input("lane_valid"))
+        .unwrap();
+    let x = candle_core::Var::from_tensor(input("x")).unwrap();
+    let output = network.forward(x.as_tensor(), &known, input("c_noise")).unwrap();
+    let close = |name: &str, found: &Tensor, expected: &Tensor| {
+        let scale = values(expected).iter().fold(0f32, |m, v| m.max(v.abs()));
+        let error = worst(found, expected) / scale;
+        assert!(error < 1e-4, "{name}: relative difference {error}");
+    };
+    close("output", &output, &golden["output"]);
+    let gradients = (output * &golden["probe"]).unwrap().sum_all().unwrap().backward().unwrap();
+    let valid = input("valid").unsqueeze(3).unwrap();
+    let gradient_x = gradients.get(x.as_tensor()).unwrap().broadcast_mul(&valid).unwrap();
+    close("x", &gradient_x, &golden["gradient_x"]);
+    for (name, var) in params.iter() {
+        close(name, gradients.get(var.as_tensor()).unwrap(), &golden[&format!("gradient.{name}")]);
+    }
 }

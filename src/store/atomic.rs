@@ -32,7 +32,23 @@ impl FileStamp {
     /// [`Error::Corrupt`] when the length or the hash differ.
     pub fn verify(&self, path: &Path, bytes: &[u8]) -> Result<()> {
         self.verify_length(path, bytes.len() as u64)?;
-        if Self::of(bytes).checksum == self.checksum {
+        self.verify_checksum(path, blake3::hash(bytes))
+    }
+
+    /// Checks that the file at `path` holds the bytes that were stamped, reading it in pieces.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when the length or the hash differ; those of the file system.
+    pub fn verify_file(&self, path: &Path) -> Result<()> {
+        let file = fs::File::open(path)?;
+        self.verify_length(path, file.metadata()?.len())?;
+        let mut hasher = blake3::Hasher::new();
+        hasher.update_reader(file)?;
+        self.verify_checksum(path, hasher.finalize())
+    }
+
+    fn verify_checksum(&self, path: &Path, found: blake3::Hash) -> Result<()> {
+        if found.to_hex().as_str() == self.checksum {
             Ok(())
         } else {
             Err(Error::corrupt(path, "its checksum is not the one it was written with"))

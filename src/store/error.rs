@@ -101,12 +101,6 @@ impl Error {
         Self::Invalid { id: id.to_string(), detail: detail.into() }
     }
 
-    /// For `map_err` on results of Arrow.
-    pub(crate) fn arrow(path: &Path) -> impl FnOnce(arrow::error::ArrowError) -> Self {
-        let path = path.to_owned();
-        move |source| Self::Arrow { path, source }
-    }
-
     /// For `map_err` on results of Parquet.
     pub(crate) fn parquet(path: &Path) -> impl FnOnce(parquet::errors::ParquetError) -> Self {
         let path = path.to_owned();
