@@ -9,15 +9,20 @@ mod argoverse2;
 mod assemble;
 mod batches;
 mod config;
+mod csv_rows;
 mod driver;
 mod error;
 mod files;
+mod interaction;
 mod lane_index;
 mod lane_topology;
+pub mod lanelet2;
 mod map_catalog;
 mod raw;
 mod report;
 mod source;
+#[cfg(test)]
+mod test_data;
 
 pub use config::{AgentsPresent, IngestConfig, MapsConfig};
 pub use driver::{IngestBatch, ingest};
@@ -25,6 +30,8 @@ pub use error::{BoxError, Error};
 pub use raw::{Companion, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 pub use report::{IngestReport, RejectCount};
 pub use source::{EmitUnit, Horizon, RecordingSource, UnitReader};
+#[cfg(test)]
+pub(crate) use test_data::test_data;
 
 use crate::scene::Dataset;
 
@@ -33,8 +40,6 @@ fn source_of(config: &IngestConfig) -> Result<Box<dyn RecordingSource + '_>, Err
     Ok(match config.dataset {
         Dataset::Argoverse1 => Box::new(argoverse1::Argoverse1::new(config)?),
         Dataset::Argoverse2 => Box::new(argoverse2::Argoverse2::new(config)?),
-        Dataset::Interaction => {
-            return Err(Error::Config { key: "dataset", detail: "interaction is not linked in yet".to_owned() });
-        }
+        Dataset::Interaction => Box::new(interaction::Interaction::new(config)),
     })
 }
