@@ -13,7 +13,7 @@ pub use overrides::Override;
 use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
 use crate::pipeline::failure::{Failure, Result};
-use crate::pipeline::stages::{EvaluateConfig, MineConfig};
+use crate::pipeline::stages::{EvaluateConfig, MineConfig, ReportConfig};
 use crate::train::{ClassifierTrainingConfig, DenoiserTrainingConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -35,6 +35,8 @@ pub struct PipelineConfig {
     pub generate: Option<GenerateConfig>,
     /// What is measured, what is kept and what must hold.
     pub evaluate: Option<EvaluateConfig>,
+    /// What the report shows.
+    pub report: Option<ReportConfig>,
 }
 
 /// The models: a section each.
