@@ -5,8 +5,13 @@
 
 mod attention;
 mod cross_attention;
+mod gemm;
+mod heads;
+mod host;
+mod kernels;
 mod layer_norm;
 mod linear;
+mod rows;
 mod sinusoidal;
 
 use candle_core::{D, DType, Device, Result, Tensor, bail};
@@ -43,10 +48,12 @@ pub fn linear(
     if x.dim(D::Minus1)? != n_in || bias.dims() != [n_out] {
         bail!("linear: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
     }
-    if let Some(valid) = valid {
-        check_rows("linear", x, valid)?;
+    let valid = valid.map(|valid| mask_of("linear", x, valid)).transpose()?;
+    if is_fused(x) {
+        linear::fused(x, weight, bias, activation, valid.as_ref())
+    } else {
+        linear::reference(x, weight, bias, activation, valid.as_ref())
     }
-    linear::reference(x, weight, bias, activation, valid)
 }
 
 /// Normalizes the last dimension of `x` (.., D) to mean 0 and variance 1, then scales by `weight` (D) and adds `bias` (D).
@@ -58,7 +65,11 @@ pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64) -> R
     if weight.dims() != [dim] || bias.dims() != [dim] {
         bail!("layer_norm: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
     }
-    layer_norm::reference(x, weight, bias, epsilon)
+    if is_fused(x) {
+        layer_norm::fused(x, weight, bias, epsilon)
+    } else {
+        layer_norm::reference(x, weight, bias, epsilon)
+    }
 }
 
 /// Softmax attention in `n_heads` heads among the valid states along `axis`: `qkv` (B, A, T, 3 D) and `valid` (B, A, T) to
@@ -68,11 +79,15 @@ pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64) -> R
 /// When shapes do not fit.
 pub fn self_attention(qkv: &Tensor, valid: &Tensor, n_heads: usize, axis: Axis) -> Result<Tensor> {
     let (_, _, _, width) = qkv.dims4()?;
-    check_rows("self_attention", qkv, valid)?;
+    let valid = mask_of("self_attention", qkv, valid)?;
     if n_heads == 0 || !width.is_multiple_of(3 * n_heads) {
         bail!("self_attention: {width} features are not queries, keys and values of {n_heads} heads");
     }
-    attention::reference(qkv, valid, n_heads, axis)
+    if is_fused(qkv) {
+        attention::fused(qkv, &valid, n_heads, axis)
+    } else {
+        attention::reference(qkv, &valid, n_heads, axis)
+    }
 }
 
 /// Softmax attention in `n_heads` heads from states to lanes: `query` (B, A, T, D), `valid` (B, A, T), `keys` (M, L, 2 D)
@@ -90,8 +105,8 @@ pub fn cross_attention(
 ) -> Result<Tensor> {
     let (n_batch, _, _, dim) = query.dims4()?;
     let (n_maps, _, width) = keys.dims3()?;
-    check_rows("cross_attention", query, valid)?;
-    check_rows("cross_attention", keys, lane_valid)?;
+    let (valid, lane_valid) =
+        (mask_of("cross_attention", query, valid)?, mask_of("cross_attention", keys, lane_valid)?);
     if n_heads == 0
         || !dim.is_multiple_of(n_heads)
         || width != 2 * dim
@@ -100,7 +115,11 @@ pub fn cross_attention(
     {
         bail!("cross_attention: query {:?} and keys {:?} do not fit {n_heads} heads", query.dims(), keys.dims());
     }
-    cross_attention::reference(query, valid, keys, lane_valid, n_heads)
+    if is_fused(query) {
+        cross_attention::fused(query, &valid, keys, &lane_valid, n_heads)
+    } else {
+        cross_attention::reference(query, &valid, keys, &lane_valid, n_heads)
+    }
 }
 
 /// The states of `valid` (B, A, T) whose map has a valid lane in `lane_valid` (M, L): those that cross-attention serves.
@@ -126,21 +145,21 @@ pub fn rows_with_keys(valid: &Tensor, lane_valid: &Tensor) -> Result<Tensor> {
 /// # Errors
 /// When the device fails.
 pub fn sinusoidal(x: &Tensor, frequencies: &[f64]) -> Result<Tensor> {
-    sinusoidal::reference(x, frequencies)
+    if is_fused(x) { sinusoidal::fused(x, frequencies) } else { sinusoidal::reference(x, frequencies) }
 }
 
-/// Checks that `valid` has one entry a row of `x`.
-fn check_rows(name: &str, x: &Tensor, valid: &Tensor) -> Result<()> {
+/// `valid` as a mask of the rows of `x`, in its type and outside every gradient.
+fn mask_of(name: &str, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
     if x.dims().split_last().is_none_or(|(_, rows)| rows != valid.dims()) {
         bail!("{name}: mask {:?} does not fit rows of {:?}", valid.dims(), x.dims());
     }
-    Ok(())
+    valid.detach().to_dtype(x.dtype())
 }
 
 /// Softmax over the last dimension of `scores` among entries where `mask` (broadcast to `scores`) is 1. The others get
 /// exactly 0, also where no entry is left.
 fn masked_softmax(scores: &Tensor, mask: &Tensor) -> Result<Tensor> {
-    let mask = mask.detach().broadcast_as(scores.shape())?.contiguous()?;
+    let mask = mask.broadcast_as(scores.shape())?.contiguous()?;
     let keep = mask.ne(0.0)?;
     let lowest = Tensor::full(f32::MIN, scores.shape(), scores.device())?.to_dtype(scores.dtype())?;
     let max = keep.where_cond(&scores.detach(), &lowest)?.max_keepdim(D::Minus1)?;
@@ -150,3 +169,6 @@ fn masked_softmax(scores: &Tensor, mask: &Tensor) -> Result<Tensor> {
     let total = weights.sum_keepdim(D::Minus1)?;
     weights.broadcast_div(&(&total + total.eq(0.0)?.to_dtype(scores.dtype())?)?)
 }
+
+#[cfg(test)]
+mod tests;
