@@ -1,7 +1,7 @@
 //! Recorded histories and models to generated scenarios, shard by shard; finished shards are kept when interrupted.
 
 use super::mine::MineConfig;
-use super::sample_folder::{SampleFolder, SampleSidecar};
+use super::sample_folder::{SampleFolder, SampleSidecar, SampledWith};
 use super::train_denoiser::checkpoint_file;
 use crate::generate::{GenerateConfig, Generator, Models, Plan, Shortfall};
 use crate::model::{TrainedClassifier, TrainedDenoiser};
@@ -73,8 +73,16 @@ impl Stage for Generate<'_> {
             context.progress.warn(&format!("sweep {sweep}: {n_wanted} scenes were asked for, {n_found} fit"));
         }
         let shards = self.generate_shards(&generator, &plan, &folder, context)?;
-        let classifier = classifiers.first().map(|classifier| classifier.fingerprint.clone());
-        let manifest = folder.write_manifest(shards, denoiser.fingerprint, classifier)?;
+        let manifest = folder.write_manifest(
+            shards,
+            SampledWith {
+                denoiser: denoiser.fingerprint.clone(),
+                classifier: classifiers.first().map(|classifier| classifier.fingerprint.clone()),
+                sampler: self.config.sampler.name(),
+                n_evaluations: self.config.sampler.n_evaluations() as u64,
+                shortfalls: plan.shortfalls,
+            },
+        )?;
         if manifest.n_rejected > 0 {
             let message = format!("{} samples were no finite numbers and were rejected", manifest.n_rejected);
             context.progress.warn(&message);
