@@ -1,3 +1,7 @@
 //! The `djinn` program.
 
-fn main() {}
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    djinn::cli::main()
+}

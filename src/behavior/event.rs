@@ -1,8 +1,9 @@
 //! One occurrence, or near-occurrence, of a behavior in a scene.
 
-use crate::scene::{SceneId, TrackId};
+use crate::scene::{Scene, SceneId, TrackId};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 
 /// Whether an event is an example of the behavior or one that only looks like it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -39,11 +40,40 @@ pub struct BehaviorEvent {
     pub start_timestep: usize,
     /// Last timestep of the event.
     pub end_timestep: usize,
-    /// What a safety engineer asks for; names end in their unit, such as `gap_m`.
+    /// What a safety engineer asks for; names end in their unit, such as `gap_m`. A parameter that is not defined
+    /// for an event, such as the time to a collision that does not come, is absent.
     pub parameters: BTreeMap<String, f64>,
 }
 
 impl BehaviorEvent {
+    /// An event in `scene` without parameters. `agents` are indices of tracks, in the order of `roles`.
+    pub(crate) fn new(
+        (behavior, roles): (&str, &[&str]),
+        scene: &Scene,
+        label: EventLabel,
+        agents: &[usize],
+        timesteps: RangeInclusive<usize>,
+    ) -> Self {
+        let role = |(role, agent_idx): (&&str, &usize)| ((*role).to_owned(), scene.tracks[*agent_idx].id.clone());
+        Self {
+            behavior: behavior.to_owned(),
+            scene_id: scene.id.clone(),
+            label,
+            roles: roles.iter().zip(agents).map(role).collect(),
+            start_timestep: *timesteps.start(),
+            end_timestep: *timesteps.end(),
+            parameters: BTreeMap::new(),
+        }
+    }
+
+    /// The event with a parameter more; a value that is absent or not finite adds none.
+    pub(crate) fn with(mut self, name: &str, value: impl Into<Option<f64>>) -> Self {
+        if let Some(value) = value.into().filter(|v| v.is_finite()) {
+            self.parameters.insert(name.to_owned(), value);
+        }
+        self
+    }
+
     /// The track in this role.
     pub fn track(&self, role: &str) -> Option<&TrackId> {
         self.roles.iter().find(|(name, _)| name == role).map(|(_, track)| track)

@@ -1,10 +1,40 @@
 //! Behaviors worth finding in traffic: does this scene hold a cut-in, and who took part?
+//!
+//! One behavior a file. A new one needs its file, a variant of [`BehaviorConfig`], an entry in [`ALL`], and example
+//! scenes in `tests/fixtures/behavior/<id>/`, at least one with a positive and one with a negative event.
 
+mod agent_filter;
+mod cut_in;
+mod driven_path;
 mod event;
+pub(crate) mod footprint;
+mod hard_brake;
+mod lane_change;
+pub(crate) mod lane_relation;
+mod lane_tracker;
+mod left_turn;
+mod near_miss;
+mod right_turn;
+pub(crate) mod speed_profile;
+pub(crate) mod sweep;
+#[cfg(test)]
+pub(crate) mod testing;
+mod time_to_collision;
+mod turn;
 
+pub use agent_filter::AgentFilter;
+pub use cut_in::{CutIn, CutInConfig};
 pub use event::{BehaviorEvent, EventLabel};
+pub use hard_brake::{HardBrake, HardBrakeConfig};
+pub use lane_change::{LaneChange, LaneChangeConfig};
+pub use left_turn::LeftTurn;
+pub use near_miss::{NearMiss, NearMissConfig};
+pub use right_turn::RightTurn;
+pub use turn::TurnConfig;
 
 use crate::scene::Scene;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// A behavior with a definition that can be checked on any scene, recorded or generated.
 pub trait Behavior: Send + Sync {
@@ -15,3 +45,105 @@ pub trait Behavior: Send + Sync {
     /// All events of the scene, positive and (where the behavior defines them) hard negative, in a fixed order.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent>;
 }
+
+/// A behavior to look for, with its options: `{ kind = "cut_in", max_delay_s = 2.0 }`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum BehaviorConfig {
+    /// One vehicle moves into the path of another.
+    CutIn(CutInConfig),
+    /// An agent turns left.
+    LeftTurn(TurnConfig),
+    /// An agent turns right.
+    RightTurn(TurnConfig),
+    /// An agent changes lanes.
+    LaneChange(LaneChangeConfig),
+    /// An agent brakes hard.
+    HardBrake(HardBrakeConfig),
+    /// Two road users barely avoid each other.
+    NearMiss(NearMissConfig),
+}
+
+impl BehaviorConfig {
+    /// The behavior with these options.
+    pub fn build(&self) -> Box<dyn Behavior> {
+        match self.clone() {
+            Self::CutIn(config) => Box::new(CutIn::new(config)),
+            Self::LeftTurn(config) => Box::new(LeftTurn::new(config)),
+            Self::RightTurn(config) => Box::new(RightTurn::new(config)),
+            Self::LaneChange(config) => Box::new(LaneChange::new(config)),
+            Self::HardBrake(config) => Box::new(HardBrake::new(config)),
+            Self::NearMiss(config) => Box::new(NearMiss::new(config)),
+        }
+    }
+
+    /// The name of the behavior.
+    pub const fn id(&self) -> &'static str {
+        match self {
+            Self::CutIn(_) => cut_in::ID,
+            Self::LeftTurn(_) => left_turn::ID,
+            Self::RightTurn(_) => right_turn::ID,
+            Self::LaneChange(_) => lane_change::ID,
+            Self::HardBrake(_) => hard_brake::ID,
+            Self::NearMiss(_) => near_miss::ID,
+        }
+    }
+
+    /// The behavior of this name with default options. `None` when there is no such behavior.
+    pub fn from_id(id: &str) -> Option<Self> {
+        ALL.iter().find(|entry| entry.id == id).map(|entry| (entry.default_config)())
+    }
+}
+
+/// What there is to say of a behavior without a scene.
+#[derive(Debug, Clone, Copy)]
+pub struct BehaviorEntry {
+    /// Its name in configs and tables.
+    pub id: &'static str,
+    /// The roles of its events, in order.
+    pub roles: &'static [&'static str],
+    /// What it is, in a line.
+    pub description: &'static str,
+    /// Its default options.
+    pub default_config: fn() -> BehaviorConfig,
+}
+
+/// Every behavior.
+pub static ALL: &[BehaviorEntry] = &[
+    BehaviorEntry {
+        id: cut_in::ID,
+        roles: cut_in::ROLES,
+        description: "one vehicle (other) moves into the path of another (ego) less than 3 s before that one gets there",
+        default_config: || BehaviorConfig::CutIn(CutInConfig::default()),
+    },
+    BehaviorEntry {
+        id: left_turn::ID,
+        roles: turn::ROLES,
+        description: "an agent turns left by at least 60 degrees, as at an intersection",
+        default_config: || BehaviorConfig::LeftTurn(TurnConfig::default()),
+    },
+    BehaviorEntry {
+        id: right_turn::ID,
+        roles: turn::ROLES,
+        description: "an agent turns right by at least 60 degrees, as at an intersection",
+        default_config: || BehaviorConfig::RightTurn(TurnConfig::default()),
+    },
+    BehaviorEntry {
+        id: lane_change::ID,
+        roles: lane_change::ROLES,
+        description: "an agent moves over to the lane beside its own and stays there for at least 1 s",
+        default_config: || BehaviorConfig::LaneChange(LaneChangeConfig::default()),
+    },
+    BehaviorEntry {
+        id: hard_brake::ID,
+        roles: hard_brake::ROLES,
+        description: "an agent brakes with at least 4 m/s² over at least 0.3 s",
+        default_config: || BehaviorConfig::HardBrake(HardBrakeConfig::default()),
+    },
+    BehaviorEntry {
+        id: near_miss::ID,
+        roles: near_miss::ROLES,
+        description: "two road users come within 1 m, or within 1.5 s of a collision, without touching",
+        default_config: || BehaviorConfig::NearMiss(NearMissConfig::default()),
+    },
+];

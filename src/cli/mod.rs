@@ -1,1 +1,36 @@
-//! Placeholder.
+//! The command line: what did the user ask for, and what is printed where?
+//!
+//! Data goes to stdout, everything else to stderr. Only this module prints, and only it knows clap and indicatif.
+
+mod args;
+mod commands;
+mod exit;
+mod help;
+mod printer;
+mod progress;
+
+use args::{Args, Command};
+use clap::Parser;
+use printer::Printer;
+use std::process::ExitCode;
+
+/// Runs the program on the process's arguments.
+pub fn main() -> ExitCode {
+    let args = match Args::try_parse() {
+        Ok(args) => args,
+        Err(error) => return exit::of_usage(&error),
+    };
+    let printer = Printer::new(&args.output);
+    let outcome = match &args.command {
+        Command::Run(run) => commands::run(run, &args.output, &printer),
+        Command::Inspect(inspect) => commands::inspect(inspect, &printer),
+        stage => commands::stage(stage, &args.output, &printer),
+    };
+    match outcome {
+        Ok(()) => exit::DONE,
+        Err(failure) => {
+            printer.failure(&failure);
+            exit::of_failure(&failure)
+        }
+    }
+}

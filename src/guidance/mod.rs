@@ -1,1 +1,23 @@
-//! Placeholder.
+//! Which way should a sample be pushed? Log potentials over noisy tensors, and the denoiser that follows their gradient.
+//!
+//! One objective a file. All share one sign convention: potentials are maximized.
+
+mod classifier;
+mod guided_denoiser;
+#[cfg(test)]
+pub(crate) mod testing;
+#[cfg(test)]
+mod tests;
+
+pub use classifier::ClassifierGuidance;
+pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
+
+use candle_core::{Result, Tensor};
+
+/// Something to be made likely, such as "this pair of agents performs a cut-in".
+pub trait Guidance {
+    /// The log potential of each batch row, (B), higher is better: ln p(y | x; σ) where there is a probability, else any
+    /// score whose exponential tilts the distribution. `x` is (B, …) at the noise levels `sigma` (B). It must be
+    /// differentiable in `x`, and row by row: a row depends on its own row of `x` and `sigma` only.
+    fn log_potential(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor>;
+}

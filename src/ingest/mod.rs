@@ -1,1 +1,45 @@
-//! Placeholder.
+//! Recordings in: how do downloaded datasets become scenes?
+//!
+//! A [`RecordingSource`] knows the formats of one dataset: it cuts files into [`RawUnit`]s, which are parsed in parallel
+//! into [`RawScene`]s. What follows is the same for all: ego, scene frame, agent cap, lanes, counts.
+
+pub mod archive;
+mod argoverse1;
+mod argoverse2;
+mod assemble;
+mod batches;
+mod config;
+mod csv_rows;
+mod driver;
+mod error;
+mod files;
+mod interaction;
+mod lane_index;
+mod lane_topology;
+pub mod lanelet2;
+mod map_catalog;
+mod raw;
+mod report;
+mod source;
+#[cfg(test)]
+mod test_data;
+
+pub use config::{AgentsPresent, IngestConfig, MapsConfig};
+pub use driver::{IngestBatch, ingest};
+pub use error::{BoxError, Error};
+pub use raw::{Companion, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
+pub use report::{IngestReport, RejectCount};
+pub use source::{EmitUnit, Horizon, RecordingSource, UnitReader};
+#[cfg(test)]
+pub(crate) use test_data::test_data;
+
+use crate::scene::Dataset;
+
+/// The formats of the configured dataset: one line for each.
+fn source_of(config: &IngestConfig) -> Result<Box<dyn RecordingSource + '_>, Error> {
+    Ok(match config.dataset {
+        Dataset::Argoverse1 => Box::new(argoverse1::Argoverse1::new(config)?),
+        Dataset::Argoverse2 => Box::new(argoverse2::Argoverse2::new(config)?),
+        Dataset::Interaction => Box::new(interaction::Interaction::new(config)),
+    })
+}

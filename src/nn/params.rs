@@ -41,6 +41,8 @@ pub struct Params {
     vars: BTreeMap<String, Var>,
     device: Device,
     dtype: DType,
+    /// Whether layers get the variables themselves, so that gradients reach them, or their bare values.
+    is_trainable: bool,
 }
 
 impl Params {
@@ -51,7 +53,13 @@ impl Params {
 
     /// An empty set of parameters of type `dtype` on `device`.
     pub fn with_dtype(device: &Device, dtype: DType) -> Self {
-        Self { vars: BTreeMap::new(), device: device.clone(), dtype }
+        Self { vars: BTreeMap::new(), device: device.clone(), dtype, is_trainable: true }
+    }
+
+    /// The same parameters, sharing memory, for sampling and evaluation: layers built on them record nothing for a
+    /// backward pass through the parameters, and see every later optimizer step.
+    pub fn frozen(&self) -> Self {
+        Self { is_trainable: false, ..self.clone() }
     }
 
     /// The device that holds the parameters.
@@ -69,13 +77,17 @@ impl Params {
             if var.dims() != shape {
                 bail!("parameter {name} has shape {:?}, but shape {shape:?} is asked for", var.dims());
             }
-            return Ok(var.as_tensor().clone());
+            return Ok(self.handle(var));
         }
         let values = init.draw(shape.iter().product(), seed.derive_named("init", name));
         let var = Var::from_tensor(&Tensor::from_vec(values, shape, &self.device)?.to_dtype(self.dtype)?)?;
-        let tensor = var.as_tensor().clone();
+        let tensor = self.handle(&var);
         self.vars.insert(name.to_owned(), var);
         Ok(tensor)
+    }
+
+    fn handle(&self, var: &Var) -> Tensor {
+        if self.is_trainable { var.as_tensor().clone() } else { var.as_detached_tensor() }
     }
 
     /// The parameters in the order of their names.

@@ -1,1 +1,22 @@
-//! Placeholder.
+//! The pipeline: which stages are there, which must run, and where do their results lie?
+//!
+//! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code, [`graph`] decides what must run
+//! and runs it, [`run`] keeps the run folder. Only this module (and the command line) uses `anyhow`.
+
+mod clock;
+pub mod config;
+mod failure;
+mod fingerprint;
+pub mod graph;
+pub mod layout;
+mod log;
+mod record;
+pub mod run;
+mod run_lock;
+mod stage;
+pub mod stages;
+
+pub use failure::{Blame, Classify, Failure, Result};
+pub use fingerprint::{PathFingerprint, fingerprint_path};
+pub use record::{InputRecord, StageRecord};
+pub use stage::{Stage, StageContext, StageId, StageInput};

@@ -1,1 +1,23 @@
-//! Placeholder.
+//! What does a reviewer see of a run? One self-contained HTML page with tables, charts and drawings to scale.
+//!
+//! [`ReportModel`] holds everything that is shown as plain data; [`render`] turns it into the page. Equal models give equal
+//! bytes, and the page needs neither network nor script to be read.
+
+mod distribution;
+mod html;
+mod model;
+mod number;
+mod quantities;
+mod scene_card;
+mod svg;
+mod wilson;
+
+pub use distribution::{Distribution, DistributionSeries};
+pub use html::render;
+pub use model::{
+    BehaviorCount, BehaviorDoc, Chart, Curve, Fact, MetricDoc, MetricTable, MiningSummary, ReportModel, SamplingRow,
+    TrainingSummary, Warning,
+};
+pub use quantities::{event_distributions, motion_distributions};
+pub use scene_card::{DrawnAgent, DrawnLane, SceneCard, ScenePanel, ViewRect};
+pub use wilson::{Interval, wilson_interval};

@@ -7,6 +7,8 @@ mod observation_mask;
 mod scenario;
 #[expect(clippy::module_inception, reason = "the folder is named for its main type")]
 mod scene;
+#[cfg(test)]
+pub(crate) mod testing;
 mod track;
 mod trajectory;
 

@@ -1,1 +1,44 @@
-//! Placeholder.
+//! The only reader and writer of our own files: what is in a scene store, an event table, a sample shard, a corpus?
+//!
+//! Recorded scenes are Arrow files that are mapped into memory ([`SceneStore`]); everything else is Parquet. Every column
+//! has a unit, a frame and a description ([`TableSchema`], published in `schemas/`). Equal content gives equal bytes, and a
+//! file is under its final name only when it is whole; the manifest of a folder is written last.
+
+mod atomic;
+mod corpus_manifest;
+mod corpus_reader;
+mod corpus_writer;
+mod error;
+mod events;
+mod ipc_file;
+mod maps;
+mod metrics;
+mod parquet_file;
+mod records;
+mod samples;
+mod scene_manifest;
+mod scene_store;
+mod scene_writer;
+mod schema;
+mod tables;
+#[cfg(test)]
+mod testing;
+
+pub use atomic::{
+    AtomicFile, FileStamp, PARTIAL_SUFFIX, read_json, remove_if_present, remove_partials, write_atomically,
+    write_json_atomically,
+};
+pub use corpus_manifest::{CorpusManifest, CorpusNotes, TableEntry, source_terms};
+pub use corpus_reader::CorpusReader;
+pub use corpus_writer::CorpusWriter;
+pub use error::{Error, Result};
+pub use events::{read_events, write_events};
+pub use maps::MapSource;
+pub use metrics::{read_metrics, write_metrics};
+pub use records::{MetricRow, ScenarioRecord};
+pub use samples::{read_samples, write_samples};
+pub use scene_manifest::{MapsEntry, SceneManifest, ShardEntry, ShardSidecar};
+pub use scene_store::{SceneIndexEntry, SceneStore};
+pub use scene_writer::{SceneWriter, SceneWriterOptions};
+pub use schema::{OpenColumns, SCHEMA_KEY, TableSchema};
+pub use tables::scene_tracks::as_stored;

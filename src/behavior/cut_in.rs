@@ -1,0 +1,344 @@
+//! Cut-in: does one vehicle move into the path of another shortly before that one gets there?
+
+use super::driven_path::DrivenPath;
+use super::sweep::Sweep;
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use crate::geometry::{Vec2, angle_difference};
+use crate::scene::Scene;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Name of the behavior in configs and tables.
+pub(super) const ID: &str = "cut_in";
+/// `ego` is cut off, `other` cuts in.
+pub(super) const ROLES: &[&str] = &["ego", "other"];
+
+/// Speeds below this count as standing where a quotient by the speed would lose its meaning.
+const STANDING_MPS: f64 = 0.1;
+
+/// Options of [`CutIn`]. The defaults are the definition of the DJINN paper, to the letter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct CutInConfig {
+    /// Road users that take part. Default `motorized`.
+    pub agents: AgentFilter,
+    /// The ego must reach the other's place less than this much later, seconds. Default 3.
+    pub max_delay_s: f64,
+    /// A pair that is no cut-in is a hard negative if its boxes come closer than this, metres. Default 5.
+    pub negative_distance_m: f64,
+    /// If given, the two headings at the overlap must differ by less than this, radians. It keeps out crossing and
+    /// oncoming traffic; π/4 is a good value. Default none.
+    pub max_heading_difference_rad: Option<f64>,
+    /// Whether the distance for hard negatives is between states at the same time. Default false: at any two times.
+    pub same_time: bool,
+    /// Whether lane following and the distance for hard negatives are judged from the present on. Default false: over
+    /// the whole scene.
+    pub future_only: bool,
+    /// Whether pairs whose boxes overlap at the same time, at present or in the future, are no cut-ins. Default false.
+    pub collision_free: bool,
+}
+
+impl Default for CutInConfig {
+    fn default() -> Self {
+        Self {
+            agents: AgentFilter::Motorized,
+            max_delay_s: 3.0,
+            negative_distance_m: 5.0,
+            max_heading_difference_rad: None,
+            same_time: false,
+            future_only: false,
+            collision_free: false,
+        }
+    }
+}
+
+/// One vehicle (`other`) merges into the path of another (`ego`).
+///
+/// **Positive** (DJINN, "Conditional Generation from Behavior Classes"): the box of `other` at a future time t_other
+/// overlaps the box of `ego` at a future time t_ego, with t_ego - 3 s < t_other < t_ego (both strict).
+/// The future is every timestep after the present t_obs - 1.
+///
+/// - The event *starts* at the intrusion: the first t_other for which there is such a t_ego.
+/// - It is *complete* at the first such t_ego: the ego stands where the other was.
+/// - *What does not count*: pairs in which the box of `other` at present overlaps any box of the ego's trajectory,
+///   since there the ego merely follows; agents not tracked at present, since they have no initial state.
+///   Crossing and oncoming traffic does count, unless `max_heading_difference_rad` is given; so does driving into
+///   the ego, unless `collision_free` is set.
+///
+/// **Negative**: any other ordered pair whose boxes come closer than 5 m, by default at any two timesteps of the
+/// scene. Start and end are the first and the last timestep considered.
+///
+/// Parameters, all at the intrusion unless said otherwise. "Along" and "across" refer to the path that the ego goes on
+/// to drive; a parameter is absent where it is not defined.
+///
+/// | name | meaning |
+/// |---|---|
+/// | `intrusion_timestep`, `t_other_s` | the start, as a timestep and in seconds since the first timestep of the scene |
+/// | `t_ego_s` | the end, in seconds since the first timestep of the scene |
+/// | `ego_speed_mps`, `other_speed_mps` | speeds |
+/// | `relative_speed_mps` | ego's speed less the other's along the path; positive when closing |
+/// | `gap_m` | along the path from the ego's front to the nearest part of the other; negative when alongside |
+/// | `ttc_s` | gap / relative speed; absent when not closing or alongside |
+/// | `time_headway_s` | gap / ego's speed; absent when the ego stands or is alongside |
+/// | `lateral_speed_mps` | the other's speed across the path, positive toward it |
+/// | `side` | the side the other comes from: +1 left, -1 right |
+/// | `min_distance_m` | smallest distance of the boxes at the same time, from the present on; also for negatives |
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct CutIn {
+    config: CutInConfig,
+}
+
+impl CutIn {
+    /// The behavior with these options.
+    pub const fn new(config: CutInConfig) -> Self {
+        Self { config }
+    }
+
+    /// (t_other, t_ego) of the cut-in of `other` before `ego`, if there is one. Both sweeps hold a box at present.
+    fn overlap(
+        &self,
+        scene: &Scene,
+        [ego_idx, other_idx]: [usize; 2],
+        ego: &Sweep,
+        other: &Sweep,
+    ) -> Option<(usize, usize)> {
+        let present = scene.current_timestep();
+        let same_way = |t_other: usize, t_ego: usize| {
+            self.config.max_heading_difference_rad.is_none_or(|limit_rad| {
+                let heading =
+                    |agent_idx: usize, timestep: usize| scene.state(agent_idx, timestep).map(|s| s.heading_rad);
+                heading(other_idx, t_other)
+                    .zip(heading(ego_idx, t_ego))
+                    .is_some_and(|(theirs, own)| angle_difference(theirs, own).abs() < limit_rad)
+            })
+        };
+        let overlap =
+            ego.first_overlap_after(other, scene.n_history..scene.n_timesteps, self.max_delay(scene.dt_s), same_way)?;
+        let initial = other.at(present)?;
+        let is_following = ego.overlaps_any(initial, self.judged_timesteps(scene));
+        let collides = self.config.collision_free
+            && ego.both_at(other, present..scene.n_timesteps).any(|(_, own, theirs)| own.overlaps(theirs));
+        (!is_following && !collides).then_some(overlap)
+    }
+
+    /// The largest number of timesteps that is strictly less than the longest delay.
+    fn max_delay(&self, dt_s: f64) -> usize {
+        // Delays that are a whole number of timesteps but for rounding, such as 30 of 0.1 s, are excluded.
+        (self.config.max_delay_s / dt_s - 1e-6).floor().max(0.0) as usize
+    }
+
+    fn judged_timesteps(&self, scene: &Scene) -> std::ops::Range<usize> {
+        let start = if self.config.future_only { scene.current_timestep() } else { 0 };
+        start..scene.n_timesteps
+    }
+
+    fn is_near(&self, scene: &Scene, first: &Sweep, second: &Sweep) -> bool {
+        let (timesteps, limit_m) = (self.judged_timesteps(scene), self.config.negative_distance_m);
+        if self.config.same_time {
+            first.comes_within_at_same_time(second, timesteps, limit_m)
+        } else {
+            first.comes_within(second, timesteps, limit_m)
+        }
+    }
+
+    fn positive(&self, scene: &Scene, pair: [usize; 2], (t_other, t_ego): (usize, usize)) -> BehaviorEvent {
+        let event = BehaviorEvent::new((ID, ROLES), scene, EventLabel::Positive, &pair, t_other..=t_ego)
+            .with("intrusion_timestep", t_other as f64)
+            .with("t_other_s", t_other as f64 * scene.dt_s)
+            .with("t_ego_s", t_ego as f64 * scene.dt_s);
+        with_intrusion_parameters(event, scene, pair, t_other)
+    }
+
+    fn negative(&self, scene: &Scene, pair: [usize; 2]) -> BehaviorEvent {
+        let timesteps = self.judged_timesteps(scene);
+        let last = timesteps.end.saturating_sub(1);
+        BehaviorEvent::new((ID, ROLES), scene, EventLabel::Negative, &pair, timesteps.start..=last)
+    }
+}
+
+impl Behavior for CutIn {
+    fn id(&self) -> &'static str {
+        ID
+    }
+
+    fn roles(&self) -> &'static [&'static str] {
+        ROLES
+    }
+
+    /// Pairs in the order of tracks, each pair first with the earlier track as the ego, then with the later one.
+    fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
+        let present = scene.current_timestep();
+        let takes_part = |agent_idx: usize| {
+            self.config.agents.admits(scene.tracks[agent_idx].class)
+                && scene.state(agent_idx, present).is_some_and(|state| state.is_finite())
+        };
+        if scene.n_history == 0 || !scene.has_future() {
+            return Vec::new();
+        }
+        let sweeps: Vec<(usize, Sweep)> = (0..scene.tracks.len())
+            .filter(|agent_idx| takes_part(*agent_idx))
+            .filter_map(|agent_idx| Some((agent_idx, Sweep::new(&scene.tracks[agent_idx])?)))
+            .collect();
+        let mut events = Vec::new();
+        for (i, (first_idx, first)) in sweeps.iter().enumerate() {
+            for (second_idx, second) in &sweeps[i + 1..] {
+                if !first.may_come_within(second, self.config.negative_distance_m.max(0.0)) {
+                    continue;
+                }
+                let ordered = [([*first_idx, *second_idx], first, second), ([*second_idx, *first_idx], second, first)];
+                let overlaps = ordered.map(|(pair, ego, other)| self.overlap(scene, pair, ego, other));
+                let is_near = overlaps.iter().any(Option::is_none) && self.is_near(scene, first, second);
+                // The distance costs more than all else, so it is left out where no event comes of it.
+                let min_distance_m = (is_near || overlaps.iter().any(Option::is_some))
+                    .then(|| first.min_distance_m(second, present..scene.n_timesteps))
+                    .flatten()
+                    .map(|(distance_m, _)| distance_m);
+                for ((pair, _, _), overlap) in ordered.into_iter().zip(overlaps) {
+                    let event = match overlap {
+                        Some(overlap) => self.positive(scene, pair, overlap),
+                        None if is_near => self.negative(scene, pair),
+                        None => continue,
+                    };
+                    events.push(event.with("min_distance_m", min_distance_m));
+                }
+            }
+        }
+        events
+    }
+}
+
+/// Adds what is known of the two agents at `timestep`: nothing where the ego is not tracked then.
+fn with_intrusion_parameters(
+    event: BehaviorEvent,
+    scene: &Scene,
+    [ego_idx, other_idx]: [usize; 2],
+    timestep: usize,
+) -> BehaviorEvent {
+    let (ego, other) = (&scene.tracks[ego_idx], &scene.tracks[other_idx]);
+    let (Some(ego_state), Some(other_state)) = (ego.trajectory.get(timestep), other.trajectory.get(timestep)) else {
+        return event;
+    };
+    let event = event.with("ego_speed_mps", ego_state.speed_mps()).with("other_speed_mps", other_state.speed_mps());
+    let Some(path) = DrivenPath::from(ego, timestep) else { return event };
+    let Some((gap_m, place)) = path.gap_m(&other.footprint(other_state)).zip(path.project(other_state.position)) else {
+        return event;
+    };
+    let along = Vec2::from_angle(place.heading_rad);
+    let relative_speed_mps = ego_state.speed_mps() - other_state.velocity.dot(along);
+    let side = if place.offset_m < 0.0 { -1.0 } else { 1.0 };
+    let is_ahead = gap_m >= 0.0;
+    event
+        .with("gap_m", gap_m)
+        .with("relative_speed_mps", relative_speed_mps)
+        .with("ttc_s", (is_ahead && relative_speed_mps > STANDING_MPS).then(|| gap_m / relative_speed_mps))
+        .with(
+            "time_headway_s",
+            (is_ahead && ego_state.speed_mps() > STANDING_MPS).then(|| gap_m / ego_state.speed_mps()),
+        )
+        .with("lateral_speed_mps", -side * along.cross(other_state.velocity))
+        .with("side", side)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::testing::random_scene;
+    use crate::geometry::OrientedBox;
+
+    /// The definition without any pruning: every pair of states of every ordered pair of agents.
+    fn plain_labels(config: &CutInConfig, scene: &Scene) -> Vec<(usize, usize, EventLabel, Option<(usize, usize)>)> {
+        let footprint = |agent_idx: usize, t: usize| -> Option<OrientedBox> { scene.tracks[agent_idx].footprint_at(t) };
+        let present = scene.current_timestep();
+        let n_agents = scene.tracks.len();
+        let mut labels = Vec::new();
+        let ordered = (0..n_agents).flat_map(|i| (i + 1..n_agents).flat_map(move |j| [(i, j), (j, i)]));
+        for (ego, other) in ordered {
+            let Some(initial) = footprint(other, present).filter(|_| footprint(ego, present).is_some()) else {
+                continue;
+            };
+            let judged = if config.future_only { present } else { 0 }..scene.n_timesteps;
+            let mut first = None;
+            for t_other in scene.n_history..scene.n_timesteps {
+                for t_ego in scene.n_history..scene.n_timesteps {
+                    let delay_s = (t_ego as f64 - t_other as f64) * scene.dt_s;
+                    let (Some(own), Some(theirs)) = (footprint(ego, t_ego), footprint(other, t_other)) else {
+                        continue;
+                    };
+                    let turned = angle_difference(own.heading_rad, theirs.heading_rad).abs();
+                    let is_overlap = delay_s > 0.0
+                        && delay_s < config.max_delay_s - 1e-6
+                        && own.overlaps(&theirs)
+                        && config.max_heading_difference_rad.is_none_or(|limit| turned < limit);
+                    if is_overlap && first.is_none() {
+                        first = Some((t_other, t_ego));
+                    }
+                }
+            }
+            let overlaps =
+                |a: Option<OrientedBox>, b: Option<OrientedBox>| a.zip(b).is_some_and(|(a, b)| a.overlaps(&b));
+            let follows = judged.clone().any(|t| overlaps(footprint(ego, t), Some(initial)));
+            let collides = config.collision_free
+                && (present..scene.n_timesteps).any(|t| overlaps(footprint(ego, t), footprint(other, t)));
+            let first = first.filter(|_| !follows && !collides);
+            let mut distances_m =
+                judged.clone().flat_map(|t| judged.clone().map(move |u| (t, u))).filter_map(|(t, u)| {
+                    let pair = footprint(ego, t).zip(footprint(other, u)).filter(|_| t == u || !config.same_time);
+                    pair.map(|(a, b)| a.distance(&b))
+                });
+            if first.is_some() {
+                labels.push((ego, other, EventLabel::Positive, first));
+            } else if distances_m.any(|distance_m| distance_m < config.negative_distance_m) {
+                labels.push((ego, other, EventLabel::Negative, None));
+            }
+        }
+        labels
+    }
+
+    fn labels(config: &CutInConfig, scene: &Scene) -> Vec<(usize, usize, EventLabel, Option<(usize, usize)>)> {
+        let idx = |event: &BehaviorEvent, role: &str| scene.track_idx(event.track(role).expect("role")).expect("track");
+        let times = |event: &BehaviorEvent| {
+            (event.label == EventLabel::Positive).then_some((event.start_timestep, event.end_timestep))
+        };
+        let events = CutIn::new(config.clone()).detect(scene);
+        events.iter().map(|e| (idx(e, "ego"), idx(e, "other"), e.label, times(e))).collect()
+    }
+
+    #[test]
+    fn the_quick_search_agrees_with_the_plain_definition() {
+        let paper = CutInConfig::default();
+        let configs = [
+            CutInConfig { max_heading_difference_rad: Some(std::f64::consts::FRAC_PI_4), ..paper.clone() },
+            CutInConfig { same_time: true, future_only: true, ..paper.clone() },
+            CutInConfig { max_delay_s: 1.0, negative_distance_m: 2.0, collision_free: true, ..paper.clone() },
+            paper,
+        ];
+        let (mut n_positive, mut n_negative, mut n_far) = (0, 0, 0);
+        for seed in 0..16 {
+            let scene = random_scene(seed, 9, 28.0);
+            for config in &configs {
+                let found = labels(config, &scene);
+                assert_eq!(found, plain_labels(config, &scene), "seed {seed}, {config:?}");
+                let positive = found.iter().filter(|label| label.2 == EventLabel::Positive).count();
+                n_positive += positive;
+                n_negative += found.len() - positive;
+                n_far += 9 * 8 - found.len();
+            }
+        }
+        // The scenes are of no use to this test unless all outcomes are frequent.
+        assert!(n_positive > 50 && n_negative > 500 && n_far > 500, "{n_positive} {n_negative} {n_far}");
+    }
+
+    #[test]
+    fn a_delay_of_exactly_the_limit_is_too_long() {
+        let longest =
+            |max_delay_s: f64, dt_s: f64| CutIn::new(CutInConfig { max_delay_s, ..Default::default() }).max_delay(dt_s);
+        assert_eq!([longest(3.0, 0.1), longest(0.3, 0.1), longest(0.25, 0.1), longest(0.05, 0.1)], [29, 2, 2, 0]);
+    }
+
+    #[test]
+    fn scenes_without_a_future_have_no_events() {
+        let scene = random_scene(1, 9, 20.0);
+        assert!(!CutIn::default().detect(&scene).is_empty());
+        assert!(CutIn::default().detect(&Scene { n_timesteps: scene.n_history, ..scene }).is_empty());
+    }
+}

@@ -1,0 +1,93 @@
+//! The path an agent drives from some timestep on: where do others stand relative to it?
+
+use crate::geometry::{OrientedBox, Polyline, Projection, Vec2};
+use crate::scene::{State, Track};
+
+/// Positions closer together than this are noise of the tracker, not path.
+const MIN_SPACING_M: f64 = 0.1;
+/// How far the path runs straight on at both ends, so that boxes behind the first and beyond the last position
+/// have a place on it. Longer than any road user.
+const EXTENSION_M: f64 = 50.0;
+
+/// The centres of an agent from a timestep to the end of its track, carried straight on at both ends.
+#[derive(Debug, Clone)]
+pub(crate) struct DrivenPath {
+    polyline: Polyline,
+    /// Half the length of the agent: its front bumper is this far ahead of its centre.
+    half_length_m: f64,
+}
+
+impl DrivenPath {
+    /// The path of `track` from `timestep` on. `None` when it is not tracked then.
+    pub(crate) fn from(track: &Track, timestep: usize) -> Option<Self> {
+        let start = track.trajectory.get(timestep).filter(|state| state.is_finite())?;
+        let forward = |state: &State| Vec2::from_angle(state.heading_rad) * EXTENSION_M;
+        let mut points = vec![start.position - forward(start), start.position];
+        let (mut kept, mut last) = (start.position, start);
+        for (_, state) in track.trajectory.valid().filter(|(t, state)| *t > timestep && state.is_finite()) {
+            last = state;
+            if state.position.distance(kept) >= MIN_SPACING_M {
+                kept = state.position;
+                points.push(kept);
+            }
+        }
+        points.push(kept + forward(last));
+        Some(Self { polyline: Polyline(points), half_length_m: track.extent_or_nominal().length_m / 2.0 })
+    }
+
+    /// Where `point` stands relative to the path.
+    pub(crate) fn project(&self, point: Vec2) -> Option<Projection> {
+        self.polyline.project(point)
+    }
+
+    /// Distance along the path from the agent's front bumper to the nearest part of `body`, metres; negative
+    /// where they are alongside each other.
+    pub(crate) fn gap_m(&self, body: &OrientedBox) -> Option<f64> {
+        let stations = body.corners().into_iter().filter_map(|corner| self.project(corner)).map(|p| p.station_m);
+        stations.reduce(f64::min).map(|nearest_m| nearest_m - EXTENSION_M - self.half_length_m)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{AgentClass, Extent, TrackRole, Trajectory};
+
+    /// Ten metres east, then north, one metre a timestep.
+    fn corner_track() -> Track {
+        let state = |t: usize| {
+            let (position, heading_rad) = if t <= 10 {
+                (Vec2::new(t as f64, 0.0), 0.0)
+            } else {
+                (Vec2::new(10.0, (t - 10) as f64), std::f64::consts::FRAC_PI_2)
+            };
+            Some(State { position, heading_rad, velocity: Vec2::from_angle(heading_rad) })
+        };
+        Track {
+            id: "a".into(),
+            class: AgentClass::Vehicle,
+            role: TrackRole::Context,
+            extent: Some(Extent { length_m: 4.0, width_m: 2.0 }),
+            trajectory: Trajectory::new((0..20).map(state).collect()),
+        }
+    }
+
+    #[test]
+    fn gaps_are_measured_from_bumper_to_bumper_along_the_bend() {
+        let path = DrivenPath::from(&corner_track(), 2).expect("tracked");
+        let heading_rad = std::f64::consts::FRAC_PI_2;
+        let body = |x: f64, y: f64| OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.0, width_m: 2.0 };
+        // From (2, 0) to the corner are 8 m, to the rear bumper at y = 5 five more; half a length is 2 m.
+        assert!((path.gap_m(&body(10.0, 7.0)).expect("on the path") - 11.0).abs() < 1e-9);
+        // Beyond the last position the path runs straight on.
+        assert!((path.gap_m(&body(10.0, 27.0)).expect("on the path") - 31.0).abs() < 1e-9);
+        assert!(DrivenPath::from(&corner_track(), 30).is_none());
+    }
+
+    #[test]
+    fn points_have_a_side() {
+        let path = DrivenPath::from(&corner_track(), 2).expect("tracked");
+        assert!(path.project(Vec2::new(5.0, 1.0)).expect("on the path").offset_m > 0.0);
+        assert!(path.project(Vec2::new(5.0, -1.0)).expect("on the path").offset_m < 0.0);
+    }
+}

@@ -1,0 +1,143 @@
+//! Hard braking: does an agent slow down faster than comfortable traffic does?
+
+use super::speed_profile::smoothed_accelerations_mps2;
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use crate::scene::{Scene, Track};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
+
+/// Name of the behavior in configs and tables.
+pub(super) const ID: &str = "hard_brake";
+/// The agent that brakes.
+pub(super) const ROLES: &[&str] = &["agent"];
+
+/// Options of [`HardBrake`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct HardBrakeConfig {
+    /// Road users that are looked at. Default `motorized`.
+    pub agents: AgentFilter,
+    /// Least deceleration of hard braking, m/s². Default 4.
+    pub min_deceleration_mps2: f64,
+    /// Braking that stays below that, but reaches this, is a hard negative, m/s². Default 2.5.
+    pub negative_deceleration_mps2: f64,
+    /// How long the deceleration must last, from its first to its last timestep, seconds. Default 0.3.
+    pub min_duration_s: f64,
+    /// Least speed at the start, m/s. Default 3.
+    pub min_speed_mps: f64,
+    /// Time over which speeds are smoothed, seconds. Default 0.4.
+    pub smoothing_s: f64,
+}
+
+impl Default for HardBrakeConfig {
+    fn default() -> Self {
+        Self {
+            agents: AgentFilter::Motorized,
+            min_deceleration_mps2: 4.0,
+            negative_deceleration_mps2: 2.5,
+            min_duration_s: 0.3,
+            min_speed_mps: 3.0,
+            smoothing_s: 0.4,
+        }
+    }
+}
+
+/// One agent (`agent`) brakes hard.
+///
+/// **Positive**: the agent's smoothed deceleration is at least 4 m/s² over at least 0.3 s without a break, beginning
+/// at a speed of at least 3 m/s. The deceleration at a timestep is the slope of the least-squares line through the
+/// speeds in the 0.4 s around it, so it is not known within 0.2 s of the ends of a track and of its gaps.
+///
+/// - The event *starts* at the first timestep with that deceleration and is *complete* at the last one.
+/// - *What does not count*: single noisy speeds; the last moments of a stop from walking speed; braking that lies
+///   within a gap of the track.
+///
+/// **Negative**: a deceleration of at least 2.5 m/s² over at least 0.3 s during which no hard braking happens, be it
+/// that it is too weak, too short or from too low a speed.
+///
+/// Parameters: `speed_mps` and `end_speed_mps` (at start and end), `max_deceleration_mps2`, `mean_deceleration_mps2`,
+/// `duration_s`.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct HardBrake {
+    config: HardBrakeConfig,
+}
+
+impl HardBrake {
+    /// The behavior with these options.
+    pub const fn new(config: HardBrakeConfig) -> Self {
+        Self { config }
+    }
+
+    fn detect_agent(&self, scene: &Scene, agent_idx: usize, track: &Track) -> Vec<BehaviorEvent> {
+        let config = &self.config;
+        let accelerations = smoothed_accelerations_mps2(&track.trajectory, scene.dt_s, config.smoothing_s);
+        let lasts =
+            |run: &RangeInclusive<usize>| (run.end() - run.start()) as f64 * scene.dt_s >= config.min_duration_s - 1e-9;
+        let starts_fast =
+            |run: &RangeInclusive<usize>| speed_at(track, *run.start()).is_some_and(|v| v >= config.min_speed_mps);
+        let hard: Vec<_> = runs_at_or_below(&accelerations, -config.min_deceleration_mps2)
+            .into_iter()
+            .filter(|run| lasts(run) && starts_fast(run))
+            .collect();
+        let near: Vec<_> = runs_at_or_below(&accelerations, -config.negative_deceleration_mps2)
+            .into_iter()
+            .filter(|run| lasts(run) && !hard.iter().any(|h| run.contains(h.start())))
+            .collect();
+        let labelled = |runs: Vec<_>, label: EventLabel| runs.into_iter().map(move |run| (run, label));
+        labelled(hard, EventLabel::Positive)
+            .chain(labelled(near, EventLabel::Negative))
+            .map(|(run, label)| event(scene, agent_idx, track, &accelerations, run, label))
+            .collect()
+    }
+}
+
+impl Behavior for HardBrake {
+    fn id(&self) -> &'static str {
+        ID
+    }
+
+    fn roles(&self) -> &'static [&'static str] {
+        ROLES
+    }
+
+    /// Agents in the order of tracks; of each agent first its positive, then its negative events, by time.
+    fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
+        let considered = scene.tracks.iter().enumerate().filter(|(_, track)| self.config.agents.admits(track.class));
+        considered.flat_map(|(agent_idx, track)| self.detect_agent(scene, agent_idx, track)).collect()
+    }
+}
+
+fn speed_at(track: &Track, timestep: usize) -> Option<f64> {
+    track.trajectory.get(timestep).map(crate::scene::State::speed_mps)
+}
+
+/// The longest runs of timesteps whose values are known and at most `limit`.
+fn runs_at_or_below(values: &[Option<f64>], limit: f64) -> Vec<RangeInclusive<usize>> {
+    let mut runs: Vec<RangeInclusive<usize>> = Vec::new();
+    for (timestep, _) in values.iter().enumerate().filter(|(_, value)| value.is_some_and(|v| v <= limit)) {
+        match runs.last_mut() {
+            Some(run) if *run.end() + 1 == timestep => *run = *run.start()..=timestep,
+            _ => runs.push(timestep..=timestep),
+        }
+    }
+    runs
+}
+
+fn event(
+    scene: &Scene,
+    agent_idx: usize,
+    track: &Track,
+    accelerations: &[Option<f64>],
+    run: RangeInclusive<usize>,
+    label: EventLabel,
+) -> BehaviorEvent {
+    let decelerations: Vec<f64> = accelerations[run.clone()].iter().flatten().map(|a| -a).collect();
+    let (start, end) = (*run.start(), *run.end());
+    BehaviorEvent::new((ID, ROLES), scene, label, &[agent_idx], run)
+        .with("speed_mps", speed_at(track, start))
+        .with("end_speed_mps", speed_at(track, end))
+        .with("max_deceleration_mps2", decelerations.iter().copied().reduce(f64::max))
+        .with("mean_deceleration_mps2", decelerations.iter().sum::<f64>() / decelerations.len() as f64)
+        .with("duration_s", (end - start) as f64 * scene.dt_s)
+}

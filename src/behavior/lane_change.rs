@@ -1,0 +1,157 @@
+//! Lane change: does an agent move over to the lane beside its own and stay there?
+
+use super::lane_relation::LaneIndex;
+use super::lane_tracker::{Crossing, LaneTrace};
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use crate::geometry::Vec2;
+use crate::scene::Scene;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Name of the behavior in configs and tables.
+pub(super) const ID: &str = "lane_change";
+/// The agent that changes lanes.
+pub(super) const ROLES: &[&str] = &["agent"];
+
+/// Options of [`LaneChange`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LaneChangeConfig {
+    /// Road users that are looked at. Default `motorized`.
+    pub agents: AgentFilter,
+    /// How far the centre must be beyond the lane's side before it has left the lane, metres. Default 0.3.
+    pub hysteresis_m: f64,
+    /// How long the centre must stay in the new lane, seconds. Default 1.
+    pub min_stay_s: f64,
+    /// How far the centre must be from the old centre line for the change to have begun, metres. Default 0.5.
+    pub start_offset_m: f64,
+    /// An agent that stays in its lane but comes closer to the lane beside it than this is a hard negative, metres.
+    /// Default 0.5.
+    pub negative_margin_m: f64,
+}
+
+impl Default for LaneChangeConfig {
+    fn default() -> Self {
+        Self {
+            agents: AgentFilter::Motorized,
+            hysteresis_m: 0.3,
+            min_stay_s: 1.0,
+            start_offset_m: 0.5,
+            negative_margin_m: 0.5,
+        }
+    }
+}
+
+/// One agent (`agent`) changes lanes. Scenes without lanes have no events.
+///
+/// **Positive**: the agent's centre moves from its lane into a lane beside it in the same direction (a left or right
+/// neighbor by the map, or a parallel lane at its side) and stays there for at least 1 s. It has left a lane
+/// when it is more than 0.3 m beyond its side, and not before.
+///
+/// - The event *starts* when the centre is more than 0.5 m off the old centre line and keeps being so until it crosses.
+/// - It is *complete* when the centre has been in the new lane for 1 s. Crossing several lanes, each in less than
+///   that, is one event: the last crossing.
+/// - *What does not count*: going on to a lane that follows, forks or merges (unless the map names it as a neighbor);
+///   moving over to an oncoming lane; weaving within 0.3 m of a line; changes that the scene ends too early to
+///   confirm.
+///
+/// **Negative**: the agent crosses, but goes back within 1 s; or it never crosses, but its centre comes within
+/// 0.5 m of a lane beside its own.
+///
+/// Parameters: `side` (+1 left, -1 right); at the crossing `crossing_timestep`, `speed_mps` and `lateral_speed_mps`
+/// (toward the new lane); `duration_s` from start to end; `margin_m` (smallest distance to the side of the lane, for
+/// agents that never cross).
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LaneChange {
+    config: LaneChangeConfig,
+}
+
+impl LaneChange {
+    /// The behavior with these options.
+    pub const fn new(config: LaneChangeConfig) -> Self {
+        Self { config }
+    }
+
+    fn detect_agent(&self, scene: &Scene, lanes: &LaneIndex<'_>, agent_idx: usize) -> Vec<BehaviorEvent> {
+        let config = &self.config;
+        let trajectory = &scene.tracks[agent_idx].trajectory;
+        let stay = (config.min_stay_s / scene.dt_s - 1e-9).ceil().max(1.0) as usize;
+        let trace = LaneTrace::follow(lanes, trajectory, config.hysteresis_m, stay);
+        if trace.crossings.is_empty() {
+            return self.drift(scene, lanes, &trace, agent_idx).into_iter().collect();
+        }
+        let mut events = Vec::new();
+        let mut crossings = trace.crossings.iter().peekable();
+        while let Some(crossing) = crossings.next() {
+            let is_soon = |next: &Crossing<'_>| next.timestep < crossing.timestep + stay;
+            let back = crossings.next_if(|next| is_soon(next) && next.side != crossing.side);
+            let goes_on = crossings.peek().is_some_and(|next| is_soon(next));
+            let (label, end) = match back {
+                Some(back) => (EventLabel::Negative, back.timestep),
+                None if goes_on || crossing.last_followed < crossing.timestep + stay => continue,
+                None => (EventLabel::Positive, crossing.timestep + stay),
+            };
+            let start = trace.departure(crossing, config.start_offset_m);
+            events.push(self.crossing_event(scene, agent_idx, crossing, label, start, end));
+        }
+        events
+    }
+
+    fn crossing_event(
+        &self,
+        scene: &Scene,
+        agent_idx: usize,
+        crossing: &Crossing<'_>,
+        label: EventLabel,
+        start: usize,
+        end: usize,
+    ) -> BehaviorEvent {
+        let state = scene.state(agent_idx, crossing.timestep);
+        let across = Vec2::from_angle(crossing.heading_rad);
+        BehaviorEvent::new((ID, ROLES), scene, label, &[agent_idx], start..=end)
+            .with("side", crossing.side)
+            .with("crossing_timestep", crossing.timestep as f64)
+            .with("speed_mps", state.map(crate::scene::State::speed_mps))
+            .with("lateral_speed_mps", state.map(|s| crossing.side * across.cross(s.velocity)))
+            .with("duration_s", (end - start) as f64 * scene.dt_s)
+    }
+
+    /// The hard negative of an agent that nears a lane beside its own without crossing.
+    fn drift(
+        &self,
+        scene: &Scene,
+        lanes: &LaneIndex<'_>,
+        trace: &LaneTrace<'_>,
+        agent_idx: usize,
+    ) -> Option<BehaviorEvent> {
+        let drifts: Vec<_> = trace.drifts(lanes, self.config.negative_margin_m).collect();
+        let (first, last) = (drifts.first()?, drifts.last()?);
+        let nearest = drifts.iter().min_by(|a, b| a.margin_m.total_cmp(&b.margin_m))?;
+        let event =
+            BehaviorEvent::new((ID, ROLES), scene, EventLabel::Negative, &[agent_idx], first.timestep..=last.timestep)
+                .with("side", nearest.side)
+                .with("margin_m", nearest.margin_m)
+                .with("duration_s", (last.timestep - first.timestep) as f64 * scene.dt_s);
+        Some(event)
+    }
+}
+
+impl Behavior for LaneChange {
+    fn id(&self) -> &'static str {
+        ID
+    }
+
+    fn roles(&self) -> &'static [&'static str] {
+        ROLES
+    }
+
+    /// Agents in the order of tracks; of each agent by time.
+    fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
+        if scene.lanes.is_empty() {
+            return Vec::new();
+        }
+        let lanes = LaneIndex::new(&scene.lanes);
+        let considered = (0..scene.tracks.len()).filter(|i| self.config.agents.admits(scene.tracks[*i].class));
+        considered.flat_map(|agent_idx| self.detect_agent(scene, &lanes, agent_idx)).collect()
+    }
+}

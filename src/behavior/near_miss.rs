@@ -1,0 +1,181 @@
+//! Near miss: do two road users come dangerously close without touching?
+
+use super::sweep::Sweep;
+use super::time_to_collision::time_to_collision_s;
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use crate::scene::Scene;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Name of the behavior in configs and tables.
+pub(super) const ID: &str = "near_miss";
+/// The two road users, in the order of tracks.
+pub(super) const ROLES: &[&str] = &["first", "second"];
+
+/// Options of [`NearMiss`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct NearMissConfig {
+    /// Road users that take part. Default `road_users`: pedestrians too, but no static objects.
+    pub agents: AgentFilter,
+    /// Boxes closer together than this are a near miss, metres. Default 1.
+    pub max_distance_m: f64,
+    /// Boxes on a course to touch in less than this are a near miss, seconds. Default 1.5.
+    pub max_ttc_s: f64,
+    /// Boxes that come closer than this without a near miss are a hard negative, metres. Default 2.
+    pub negative_distance_m: f64,
+    /// Boxes on a course to touch in less than this without a near miss are a hard negative, seconds. Default 3.
+    pub negative_ttc_s: f64,
+    /// One of the two must move at least this fast, m/s. Default 1.
+    pub min_speed_mps: f64,
+}
+
+impl Default for NearMissConfig {
+    fn default() -> Self {
+        Self {
+            agents: AgentFilter::RoadUsers,
+            max_distance_m: 1.0,
+            max_ttc_s: 1.5,
+            negative_distance_m: 2.0,
+            negative_ttc_s: 3.0,
+            min_speed_mps: 1.0,
+        }
+    }
+}
+
+/// Two road users (`first` and `second`) barely avoid each other.
+///
+/// **Positive**: at some timestep of the scene the boxes are less than 1 m apart, or would touch in less than 1.5 s if
+/// both kept their velocities and headings, while at least one of the two moves with 1 m/s or more.
+///
+/// - The event *starts* at the first such timestep and is *complete* at the last one, with or without breaks between.
+/// - *What does not count*: pairs whose boxes overlap at any timestep, which collide; two that stand; static
+///   objects; being on the same place one after the other, which `pet_s` measures but which is no criterion.
+///
+/// **Negative**: the same with 2 m and 3 s, where no timestep meets the stricter limits.
+///
+/// Parameters over the whole scene: `min_distance_m`, `min_ttc_s` (absent where the courses never meet), `pet_s` (post-encroachment
+/// time: the least time between the two being on the same place; absent where they never are). At the closest timestep:
+/// `relative_speed_mps`, `first_speed_mps`, `second_speed_mps`.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct NearMiss {
+    config: NearMissConfig,
+}
+
+/// One timestep at which two agents are close by the wider limits.
+struct Encounter {
+    timestep: usize,
+    distance_m: f64,
+    ttc_s: Option<f64>,
+}
+
+impl NearMiss {
+    /// The behavior with these options.
+    pub const fn new(config: NearMissConfig) -> Self {
+        Self { config }
+    }
+
+    fn detect_pair(&self, scene: &Scene, pair: [usize; 2], [first, second]: [&Sweep; 2]) -> Option<BehaviorEvent> {
+        let encounters = self.encounters(scene, pair, [first, second])?;
+        let config = &self.config;
+        let is_below = |e: &Encounter, distance_m: f64, ttc_s: f64| {
+            e.distance_m < distance_m || e.ttc_s.is_some_and(|ttc| ttc < ttc_s)
+        };
+        let span = |distance_m: f64, ttc_s: f64| {
+            let mut hits = encounters.iter().filter(|e| is_below(e, distance_m, ttc_s)).map(|e| e.timestep);
+            let start = hits.next()?;
+            Some(start..=hits.next_back().unwrap_or(start))
+        };
+        let positive = span(config.max_distance_m, config.max_ttc_s).map(|span| (EventLabel::Positive, span));
+        let negative =
+            || span(config.negative_distance_m, config.negative_ttc_s).map(|span| (EventLabel::Negative, span));
+        let (label, timesteps) = positive.or_else(negative)?;
+        let (min_distance_m, closest) = first.min_distance_m(second, 0..scene.n_timesteps)?;
+        let state = |agent_idx: usize| scene.state(agent_idx, closest).copied().unwrap_or_default();
+        let [one, other] = pair.map(state);
+        let event = BehaviorEvent::new((ID, ROLES), scene, label, &pair, timesteps)
+            .with("min_distance_m", min_distance_m)
+            .with("min_ttc_s", encounters.iter().filter_map(|e| e.ttc_s).reduce(f64::min))
+            .with("pet_s", post_encroachment_s(scene, first, second))
+            .with("relative_speed_mps", (one.velocity - other.velocity).norm())
+            .with("first_speed_mps", one.speed_mps())
+            .with("second_speed_mps", other.speed_mps());
+        Some(event)
+    }
+
+    /// The timesteps at which the pair could meet the wider limits. `None` when the boxes ever overlap.
+    fn encounters(&self, scene: &Scene, pair: [usize; 2], [first, second]: [&Sweep; 2]) -> Option<Vec<Encounter>> {
+        let config = &self.config;
+        let wide_distance_m = config.max_distance_m.max(config.negative_distance_m);
+        let wide_ttc_s = config.max_ttc_s.max(config.negative_ttc_s);
+        let mut encounters = Vec::new();
+        for (timestep, one, other) in first.both_at(second, 0..scene.n_timesteps) {
+            let (Some(a), Some(b)) = (scene.state(pair[0], timestep), scene.state(pair[1], timestep)) else { continue };
+            let relative_mps = (a.velocity - b.velocity).norm();
+            if one.distance_lower_bound_m(other) > wide_distance_m.max(relative_mps * wide_ttc_s) {
+                continue;
+            }
+            if one.overlaps(other) {
+                return None;
+            }
+            if a.speed_mps().max(b.speed_mps()) >= config.min_speed_mps {
+                let ttc_s = time_to_collision_s(one, a.velocity, other, b.velocity);
+                encounters.push(Encounter { timestep, distance_m: one.distance_m(other), ttc_s });
+            }
+        }
+        Some(encounters)
+    }
+
+    /// Farther apart than this, over the whole scene, no two agents have an encounter.
+    fn reach_m(&self, scene: &Scene) -> f64 {
+        let config = &self.config;
+        let states = scene.tracks.iter().flat_map(|track| track.trajectory.valid());
+        let max_speed_mps = states.map(|(_, state)| state.speed_mps()).filter(|v| v.is_finite()).fold(0.0, f64::max);
+        let wide_ttc_s = config.max_ttc_s.max(config.negative_ttc_s);
+        config.max_distance_m.max(config.negative_distance_m).max(2.0 * max_speed_mps * wide_ttc_s)
+    }
+}
+
+impl Behavior for NearMiss {
+    fn id(&self) -> &'static str {
+        ID
+    }
+
+    fn roles(&self) -> &'static [&'static str] {
+        ROLES
+    }
+
+    /// At most one event a pair, in the order of tracks.
+    fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
+        let reach_m = self.reach_m(scene);
+        let sweeps: Vec<(usize, Sweep)> = scene
+            .tracks
+            .iter()
+            .enumerate()
+            .filter(|(_, track)| self.config.agents.admits(track.class))
+            .filter_map(|(agent_idx, track)| Some((agent_idx, Sweep::new(track)?)))
+            .collect();
+        let mut events = Vec::new();
+        for (i, (first_idx, first)) in sweeps.iter().enumerate() {
+            for (second_idx, second) in &sweeps[i + 1..] {
+                if first.may_come_within(second, reach_m) {
+                    events.extend(self.detect_pair(scene, [*first_idx, *second_idx], [first, second]));
+                }
+            }
+        }
+        events
+    }
+}
+
+/// The least time between the two agents covering the same place, seconds. `None` where they never do.
+fn post_encroachment_s(scene: &Scene, first: &Sweep, second: &Sweep) -> Option<f64> {
+    let timesteps = 0..scene.n_timesteps;
+    if !first.may_come_within(second, 0.0) {
+        return None;
+    }
+    let meets = |one: &Sweep, other: &Sweep, delay: usize| {
+        timesteps.clone().any(|t| one.at(t).zip(other.at(t + delay)).is_some_and(|(a, b)| a.overlaps(b)))
+    };
+    let delay = timesteps.clone().find(|delay| meets(first, second, *delay) || meets(second, first, *delay))?;
+    Some(delay as f64 * scene.dt_s)
+}

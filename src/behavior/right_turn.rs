@@ -1,0 +1,51 @@
+//! Right turn: does an agent turn right by a large angle in little room?
+
+use super::turn::{ROLES, TurnConfig, TurnSide, turns};
+use super::{Behavior, BehaviorEvent};
+use crate::scene::Scene;
+
+/// Name of the behavior in configs and tables.
+pub(super) const ID: &str = "right_turn";
+
+/// One agent (`agent`) turns right, as at an intersection.
+///
+/// **Positive**: from its first to its last tracked timestep the agent's heading changes by at least 60 degrees to the
+/// right, on a mean radius of at most 50 m.
+///
+/// - The event *starts* when the heading has changed by 10 % of that for good, and is *complete* when it has changed
+///   by 90 % for the first time.
+/// - *What does not count*: changes that the agent undoes within the scene, since the net change decides; headings
+///   that jump while the agent creeps or stands (less than 3 m of path between start and end).
+///
+/// **Negative**: a net change between 30 and 60 degrees to the right, or a larger one on a wider radius, as where
+/// the road itself bends.
+///
+/// Parameters: `heading_change_rad` (over all; positive to the left), and between start and end `radius_m`
+/// (path per change of heading), `path_m`, `duration_s`, `mean_speed_mps` and `lateral_acceleration_mps2` (mean speed
+/// squared per radius).
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RightTurn {
+    config: TurnConfig,
+}
+
+impl RightTurn {
+    /// The behavior with these options.
+    pub const fn new(config: TurnConfig) -> Self {
+        Self { config }
+    }
+}
+
+impl Behavior for RightTurn {
+    fn id(&self) -> &'static str {
+        ID
+    }
+
+    fn roles(&self) -> &'static [&'static str] {
+        ROLES
+    }
+
+    /// At most one event an agent, in the order of tracks.
+    fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
+        turns(ID, TurnSide::Right, &self.config, scene)
+    }
+}

@@ -1,0 +1,68 @@
+//! How does an agent's speed change over time, without the noise of single timesteps?
+
+use crate::scene::Trajectory;
+
+/// The acceleration at every timestep, m/s² along the motion: the slope of the least-squares line through the
+/// speeds in a window of at least `window_s` (and at least three timesteps) centred there.
+/// `None` where the window reaches beyond the trajectory or over a timestep that is not tracked.
+pub(crate) fn smoothed_accelerations_mps2(trajectory: &Trajectory, dt_s: f64, window_s: f64) -> Vec<Option<f64>> {
+    let speeds: Vec<Option<f64>> = trajectory
+        .entries()
+        .iter()
+        .map(|state| state.as_ref().map(crate::scene::State::speed_mps).filter(|speed| speed.is_finite()))
+        .collect();
+    let half = half_window(dt_s, window_s);
+    // Σ i² over the offsets -half..=half.
+    let spread = (half * (half + 1) * (2 * half + 1)) as f64 / 3.0;
+    let slope = |center: usize| {
+        let window = speeds.get(center.checked_sub(half)?..=center + half)?;
+        let weighted = window.iter().zip(0..).map(|(speed, i)| speed.map(|v| (f64::from(i) - half as f64) * v));
+        weighted.sum::<Option<f64>>().map(|sum| sum / (spread * dt_s))
+    };
+    (0..speeds.len()).map(slope).collect()
+}
+
+/// Timesteps on either side of the centre, such that the window spans at least `window_s`.
+fn half_window(dt_s: f64, window_s: f64) -> usize {
+    ((window_s / dt_s / 2.0 - 1e-9).ceil().max(1.0)) as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Vec2;
+    use crate::scene::State;
+
+    fn trajectory(speeds: &[f64]) -> Trajectory {
+        let state = |v: &f64| v.is_finite().then(|| State { velocity: Vec2::new(0.0, *v), ..State::default() });
+        Trajectory::new(speeds.iter().map(state).collect())
+    }
+
+    #[test]
+    fn a_steady_change_has_its_own_slope() {
+        let speeds: Vec<f64> = (0..7).map(|t| 10.0 - 0.4 * f64::from(t)).collect();
+        let slopes = smoothed_accelerations_mps2(&trajectory(&speeds), 0.1, 0.3);
+        assert_eq!(
+            slopes.iter().map(Option::is_some).collect::<Vec<_>>(),
+            [false, false, true, true, true, false, false]
+        );
+        assert!(slopes.into_iter().flatten().all(|slope| (slope + 4.0).abs() < 1e-9));
+    }
+
+    #[test]
+    fn a_single_outlier_is_damped_and_a_gap_ends_the_window() {
+        // Weights -2..2 over Σ i² = 10: an outlier of +1 m/s two timesteps ahead adds 2 / 10 / 0.1 s = 2 m/s².
+        let slopes = smoothed_accelerations_mps2(&trajectory(&[5.0, 5.0, 5.0, 5.0, 6.0, 5.0]), 0.1, 0.3);
+        assert!((slopes[2].expect("inside") - 2.0).abs() < 1e-9);
+        let slopes = smoothed_accelerations_mps2(&trajectory(&[5.0, 5.0, f64::NAN, 5.0, 5.0, 5.0, 5.0, 5.0]), 0.1, 0.3);
+        assert_eq!(slopes.iter().filter(|slope| slope.is_some()).count(), 1);
+    }
+
+    #[test]
+    fn windows_span_what_is_asked() {
+        assert_eq!(
+            (half_window(0.1, 0.3), half_window(0.1, 0.4), half_window(0.1, 0.0), half_window(0.5, 0.3)),
+            (2, 2, 1, 1)
+        );
+    }
+}

@@ -1,0 +1,99 @@
+//! Checks every behavior against its example scenes in `tests/fixtures/behavior/<id>/`.
+
+use super::{Case, cases_in, transformed};
+use crate::behavior::{ALL, BehaviorConfig, BehaviorEvent, EventLabel};
+use crate::geometry::{Transform2, Vec2};
+use std::collections::{BTreeMap, BTreeSet};
+
+fn case(id: &str, name: &str, text: &str) -> Case {
+    toml::from_str(text).unwrap_or_else(|error| panic!("{id}/{name}: {error}"))
+}
+
+/// Differences between the events found and those expected, in words.
+fn differences(case: &Case, found: &[BehaviorEvent]) -> Vec<String> {
+    let mut differences = Vec::new();
+    if found.len() != case.events.len() {
+        differences.push(format!("{} events instead of {}", found.len(), case.events.len()));
+    }
+    for (i, (event, expected)) in found.iter().zip(&case.events).enumerate() {
+        let roles: BTreeMap<String, String> =
+            event.roles.iter().map(|(role, id)| (role.clone(), id.0.clone())).collect();
+        if (event.label, &roles) != (expected.label, &expected.roles) {
+            differences.push(format!("event {i} is {:?} for {roles:?}", event.label));
+        }
+        for (name, found, expected) in [
+            ("starts", event.start_timestep, expected.start_timestep),
+            ("ends", event.end_timestep, expected.end_timestep),
+        ] {
+            if expected.is_some_and(|expected| expected != found) {
+                differences.push(format!("event {i} {name} at {found}"));
+            }
+        }
+        for (name, expected) in &expected.parameters {
+            let found = event.parameters.get(name);
+            if !found.is_some_and(|found| (found - expected).abs() <= 0.0051) {
+                differences.push(format!("event {i} has {name} = {found:?}"));
+            }
+        }
+        for name in expected.absent.iter().filter(|name| event.parameters.contains_key(*name)) {
+            differences.push(format!("event {i} has {name}"));
+        }
+    }
+    differences
+}
+
+#[test]
+fn every_example_scene_holds_exactly_its_events() {
+    let mut failures = Vec::new();
+    for entry in ALL {
+        for (name, text) in cases_in(&format!("behavior/{}", entry.id)) {
+            let case = case(entry.id, &name, &text);
+            let config = case.behavior.clone().unwrap_or_else(|| (entry.default_config)());
+            assert_eq!(config.id(), entry.id, "{name} is in the folder of another behavior");
+            let scene = case.scene.build(&name);
+            let found = config.build().detect(&scene);
+            let differences = differences(&case, &found);
+            if !differences.is_empty() {
+                failures.push(format!("{}/{name}: {}\n    found {found:#?}", entry.id, differences.join("; ")));
+            }
+            // Neither where the frame lies nor which way it faces matters.
+            let moved = transformed(&scene, &Transform2::from_pose(Vec2::new(-431.0, 77.0), 2.1));
+            let outline = |events: &[BehaviorEvent]| -> Vec<_> {
+                events.iter().map(|e| (e.label, e.roles.clone(), e.start_timestep, e.end_timestep)).collect()
+            };
+            assert_eq!(outline(&config.build().detect(&moved)), outline(&found), "{}/{name} moved", entry.id);
+        }
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+#[test]
+fn every_behavior_is_listed_once_and_has_examples_of_both_labels() {
+    let ids: BTreeSet<&str> = ALL.iter().map(|entry| entry.id).collect();
+    assert_eq!(ids.len(), ALL.len());
+    for entry in ALL {
+        let config = (entry.default_config)();
+        let behavior = config.build();
+        assert_eq!((config.id(), behavior.id(), behavior.roles()), (entry.id, entry.id, entry.roles));
+        assert_eq!(BehaviorConfig::from_id(entry.id), Some(config));
+        let labels: BTreeSet<EventLabel> = cases_in(&format!("behavior/{}", entry.id))
+            .iter()
+            .flat_map(|(name, text)| case(entry.id, name, text).events)
+            .map(|event| event.label)
+            .collect();
+        assert_eq!(labels.len(), 2, "{} lacks positive or negative example scenes", entry.id);
+    }
+}
+
+#[test]
+fn configs_are_read_by_kind_and_refuse_unknown_options() {
+    let read = |text: &str| toml::from_str::<BehaviorConfig>(text);
+    for entry in ALL {
+        assert_eq!(read(&format!("kind = {:?}", entry.id)).expect("defaults"), (entry.default_config)());
+        let error = read(&format!("kind = {:?}\nno_such = 1", entry.id)).expect_err("unknown").to_string();
+        assert!(error.contains("unknown field `no_such`"), "{error}");
+    }
+    assert!(read("kind = \"teleport\"").is_err());
+    let json = serde_json::to_string(&schemars::schema_for!(BehaviorConfig)).expect("a schema");
+    assert!(ALL.iter().all(|entry| json.contains(entry.id)) && json.contains("additionalProperties"));
+}

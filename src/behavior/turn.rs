@@ -1,0 +1,122 @@
+//! Turning by a large angle in little room: what left and right turns have in common.
+
+use super::{AgentFilter, BehaviorEvent, EventLabel};
+use crate::geometry::{Vec2, angle_difference};
+use crate::scene::{Scene, Track};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::{FRAC_PI_3, FRAC_PI_6};
+
+/// The role of a turn.
+pub(crate) const ROLES: &[&str] = &["agent"];
+
+/// A turn begins and ends where these shares of its change of heading are reached.
+const START_SHARE: f64 = 0.1;
+const END_SHARE: f64 = 0.9;
+
+/// Options of [`super::LeftTurn`] and [`super::RightTurn`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct TurnConfig {
+    /// Road users that are looked at. Default `motorized`.
+    pub agents: AgentFilter,
+    /// Smallest change of heading of a turn, radians. Default π/3 (60 degrees).
+    pub min_heading_change_rad: f64,
+    /// A smaller change of heading than that, but at least this, is a hard negative, radians. Default π/6 (30 degrees).
+    pub negative_heading_change_rad: f64,
+    /// Largest mean radius of a turn, metres; a wider one is a bend of the road and a hard negative. Default 50.
+    pub max_radius_m: f64,
+    /// Shortest path between start and end, metres; less is a noisy heading while creeping. Default 3.
+    pub min_path_m: f64,
+}
+
+impl Default for TurnConfig {
+    fn default() -> Self {
+        Self {
+            agents: AgentFilter::Motorized,
+            min_heading_change_rad: FRAC_PI_3,
+            negative_heading_change_rad: FRAC_PI_6,
+            max_radius_m: 50.0,
+            min_path_m: 3.0,
+        }
+    }
+}
+
+/// Which way a turn goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum TurnSide {
+    Left,
+    Right,
+}
+
+impl TurnSide {
+    /// The sign of a change of heading to this side.
+    const fn sign(self) -> f64 {
+        match self {
+            Self::Left => 1.0,
+            Self::Right => -1.0,
+        }
+    }
+}
+
+/// The turns of all agents to `side`, in the order of tracks: at most one an agent.
+pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene) -> Vec<BehaviorEvent> {
+    let considered = scene.tracks.iter().enumerate().filter(|(_, track)| config.agents.admits(track.class));
+    considered.filter_map(|(agent_idx, track)| turn(id, side, config, scene, agent_idx, track)).collect()
+}
+
+fn turn(
+    id: &str,
+    side: TurnSide,
+    config: &TurnConfig,
+    scene: &Scene,
+    agent_idx: usize,
+    track: &Track,
+) -> Option<BehaviorEvent> {
+    let poses = poses_turned(track, side);
+    let turned_rad = poses.last()?.turned_rad;
+    if turned_rad < config.negative_heading_change_rad || turned_rad <= 0.0 {
+        return None;
+    }
+    let end = poses.iter().position(|pose| pose.turned_rad >= END_SHARE * turned_rad)?;
+    let start = poses[..end].iter().rposition(|pose| pose.turned_rad < START_SHARE * turned_rad).map_or(0, |i| i + 1);
+    let (first, last) = (&poses[start], &poses[end]);
+    let path_m: f64 = poses[start..=end].windows(2).map(|pair| pair[0].position.distance(pair[1].position)).sum();
+    if path_m < config.min_path_m {
+        return None;
+    }
+    let radius_m = path_m / (last.turned_rad - first.turned_rad);
+    let is_turn = turned_rad >= config.min_heading_change_rad && radius_m <= config.max_radius_m;
+    let label = if is_turn { EventLabel::Positive } else { EventLabel::Negative };
+    let duration_s = (last.timestep - first.timestep) as f64 * scene.dt_s;
+    let mean_speed_mps = path_m / duration_s;
+    Some(
+        BehaviorEvent::new((id, ROLES), scene, label, &[agent_idx], first.timestep..=last.timestep)
+            .with("heading_change_rad", side.sign() * turned_rad)
+            .with("radius_m", radius_m)
+            .with("path_m", path_m)
+            .with("duration_s", duration_s)
+            .with("mean_speed_mps", mean_speed_mps)
+            .with("lateral_acceleration_mps2", mean_speed_mps * mean_speed_mps / radius_m),
+    )
+}
+
+struct TurnedPose {
+    timestep: usize,
+    position: Vec2,
+    /// Unwrapped change of heading since the first tracked timestep, positive to the side asked for.
+    turned_rad: f64,
+}
+
+fn poses_turned(track: &Track, side: TurnSide) -> Vec<TurnedPose> {
+    let mut turned_rad = 0.0;
+    let mut previous_rad = None;
+    let states = track.trajectory.valid().filter(|(_, state)| state.is_finite());
+    states
+        .map(|(timestep, state)| {
+            turned_rad += side.sign() * previous_rad.map_or(0.0, |angle| angle_difference(state.heading_rad, angle));
+            previous_rad = Some(state.heading_rad);
+            TurnedPose { timestep, position: state.position, turned_rad }
+        })
+        .collect()
+}

@@ -1,0 +1,222 @@
+//! Which commands and options are there?
+
+use super::help;
+use clap::{Parser, Subcommand};
+use std::path::PathBuf;
+
+/// Turns traffic recordings into a checked corpus of new scenarios that hold rare events, such as cut-ins.
+#[derive(Debug, Parser)]
+#[command(name = "djinn", version, after_help = help::TOP, max_term_width = 120)]
+pub(super) struct Args {
+    #[command(subcommand)]
+    pub(super) command: Command,
+    #[command(flatten)]
+    pub(super) output: OutputArgs,
+}
+
+/// What is printed and how fast it goes; for all commands.
+#[derive(Debug, clap::Args)]
+pub(super) struct OutputArgs {
+    /// Print no progress, only results, warnings and errors
+    #[arg(short, long, global = true, help_heading = "Global options")]
+    pub(super) quiet: bool,
+    /// Say more about what is done and why
+    #[arg(short, long, global = true, conflicts_with = "quiet", help_heading = "Global options")]
+    pub(super) verbose: bool,
+    /// Print lines instead of progress bars, as is done where stderr is no terminal
+    #[arg(long, global = true, help_heading = "Global options")]
+    pub(super) no_progress: bool,
+    /// Number of worker threads, 0 for one a core; results do not depend on it
+    #[arg(long, value_name = "N", global = true, help_heading = "Global options")]
+    pub(super) threads: Option<usize>,
+}
+
+#[derive(Debug, Subcommand)]
+pub(super) enum Command {
+    /// Run all stages of a pipeline file
+    #[command(after_help = help::RUN)]
+    Run(RunArgs),
+    /// Read recordings and write scenes
+    #[command(after_help = help::INGEST)]
+    Ingest(IngestArgs),
+    /// Find behaviors in scenes and write events
+    #[command(after_help = help::MINE)]
+    Mine(MineArgs),
+    /// Train a model on scenes
+    #[command(subcommand)]
+    Train(TrainCommand),
+    /// Sample new scenarios from recorded histories
+    #[command(after_help = help::GENERATE)]
+    Generate(GenerateArgs),
+    /// Measure generated scenarios, check the quality gates and write the corpus
+    #[command(after_help = help::EVALUATE)]
+    Evaluate(EvaluateArgs),
+    /// Write a page for people about what was generated
+    #[command(after_help = help::REPORT)]
+    Report(ReportArgs),
+    /// Say what a file or folder of ours holds
+    #[command(after_help = help::INSPECT)]
+    Inspect(InspectArgs),
+}
+
+#[derive(Debug, Subcommand)]
+pub(super) enum TrainCommand {
+    /// Train the diffusion model that generates scenarios
+    #[command(after_help = help::TRAIN_DENOISER)]
+    Denoiser(TrainDenoiserArgs),
+    /// Train the classifier that guides generation toward a behavior
+    #[command(after_help = help::TRAIN_CLASSIFIER)]
+    Classifier(TrainClassifierArgs),
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct RunArgs {
+    /// The pipeline file
+    #[arg(value_name = "PIPELINE.toml")]
+    pub(super) pipeline: PathBuf,
+    /// Override a value of the file, such as generate.sweeps.0.n_samples=2 (may be repeated)
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub(super) set: Vec<String>,
+    /// Print the resolved configuration and which stages would run, and write nothing
+    #[arg(long)]
+    pub(super) dry_run: bool,
+    /// The folder that holds the folders of all pipelines [default: run.output of the file, or output]
+    #[arg(long, value_name = "DIR")]
+    pub(super) output: Option<PathBuf>,
+    /// Name of the run; the same name again resumes it
+    #[arg(long, value_name = "NAME", default_value = "main")]
+    pub(super) run: String,
+}
+
+/// What every stage takes when it runs alone.
+#[derive(Debug, clap::Args)]
+pub(super) struct StageArgs {
+    /// A pipeline file; the stage's section of it is used [default: the section's defaults]
+    #[arg(long, value_name = "PIPELINE.toml")]
+    pub(super) config: Option<PathBuf>,
+    /// Override a value of the configuration, such as ingest.max_agents=32 (may be repeated)
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub(super) set: Vec<String>,
+    /// Print the resolved configuration and whether the stage would run, and write nothing
+    #[arg(long)]
+    pub(super) dry_run: bool,
+    /// The folder to write into, under the names of a run folder; inputs that are not named are looked for here too
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct IngestArgs {
+    /// Folders, archives or files with recordings [default: ingest.inputs of the configuration]
+    pub(super) inputs: Vec<PathBuf>,
+    /// The dataset they belong to: interaction, argoverse1 or argoverse2
+    #[arg(long)]
+    pub(super) dataset: Option<String>,
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct MineArgs {
+    #[command(flatten)]
+    pub(super) scenes: ScenesArg,
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct TrainDenoiserArgs {
+    #[command(flatten)]
+    pub(super) scenes: ScenesArg,
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct TrainClassifierArgs {
+    #[command(flatten)]
+    pub(super) scenes: ScenesArg,
+    #[command(flatten)]
+    pub(super) events: EventsArg,
+    #[command(flatten)]
+    pub(super) denoiser: DenoiserArg,
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct GenerateArgs {
+    #[command(flatten)]
+    pub(super) scenes: ScenesArg,
+    #[command(flatten)]
+    pub(super) events: EventsArg,
+    #[command(flatten)]
+    pub(super) denoiser: DenoiserArg,
+    /// The folder of a trained classifier [default: classifier in the output folder]
+    #[arg(long, value_name = "DIR")]
+    pub(super) classifier: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct EvaluateArgs {
+    #[command(flatten)]
+    pub(super) scenes: ScenesArg,
+    #[command(flatten)]
+    pub(super) events: EventsArg,
+    /// The folder of generated scenarios [default: samples in the output folder]
+    #[arg(long, value_name = "DIR")]
+    pub(super) samples: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct ReportArgs {
+    /// The folder with the stages' outputs to report on, such as a run folder [default: the output folder]
+    #[arg(long, value_name = "DIR")]
+    pub(super) from: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct InspectArgs {
+    /// A scene store, event table, checkpoint, sample folder or shard, corpus, run folder or report
+    pub(super) path: PathBuf,
+    /// Print JSON instead of text
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct ScenesArg {
+    /// The scene store to read [default: scenes in the output folder]
+    #[arg(long, value_name = "DIR")]
+    pub(super) scenes: Option<PathBuf>,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct EventsArg {
+    /// The events to read [default: events.parquet in the output folder]
+    #[arg(long, value_name = "FILE")]
+    pub(super) events: Option<PathBuf>,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct DenoiserArg {
+    /// The folder of a trained denoiser [default: denoiser in the output folder]
+    #[arg(long, value_name = "DIR")]
+    pub(super) denoiser: Option<PathBuf>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_definition_is_consistent() {
+        <Args as clap::CommandFactory>::command().debug_assert();
+    }
+}

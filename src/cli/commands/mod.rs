@@ -1,0 +1,42 @@
+//! The commands: what does each do with its arguments?
+
+mod inspect;
+mod run;
+mod stage;
+
+pub(super) use inspect::inspect;
+pub(super) use run::run;
+pub(super) use stage::stage;
+
+use crate::cli::args::OutputArgs;
+use crate::cli::printer::Printer;
+use crate::pipeline::config::PipelineConfig;
+use crate::pipeline::graph::PlannedStage;
+use crate::pipeline::{Failure, Result};
+use std::fmt::Write;
+
+/// Sets up the worker threads: what the command line says, else the configuration.
+fn use_threads(output: &OutputArgs, config: &PipelineConfig) -> Result<()> {
+    let n_threads = output.threads.unwrap_or(config.run.threads);
+    rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(|error| Failure::fault(error))
+}
+
+/// Prints the configuration as TOML and the plan as comments, so that the whole is a pipeline file again.
+fn print_dry_run(config: &PipelineConfig, planned: &[PlannedStage<'_>], printer: &Printer) -> Result<()> {
+    let mut text = config.to_toml()?;
+    text.push_str("\n# Plan:\n");
+    for PlannedStage { expected, action, .. } in planned {
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "#   {:<18}{action}", expected.stage.name());
+    }
+    printer.data(&text)
+}
+
+/// Says what will be done with the stages.
+fn announce(planned: &[PlannedStage<'_>], output: &OutputArgs, printer: &Printer) {
+    if output.verbose {
+        for PlannedStage { expected, action, .. } in planned {
+            printer.message(format_args!("{}: {action}, fingerprint {}", expected.stage, expected.fingerprint));
+        }
+    }
+}

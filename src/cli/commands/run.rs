@@ -1,0 +1,43 @@
+//! `djinn run`: all stages of a pipeline file.
+
+use super::{announce, print_dry_run, use_threads};
+use crate::cli::args::{OutputArgs, RunArgs};
+use crate::cli::printer::Printer;
+use crate::cli::progress::TerminalProgress;
+use crate::pipeline::config::PipelineConfig;
+use crate::pipeline::layout::Layout;
+use crate::pipeline::run::{RunFolder, run_stages};
+use crate::pipeline::{Failure, Result, graph, stages};
+
+pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
+    let mut config = PipelineConfig::load(Some(&args.pipeline), &args.set)?;
+    if let Some(folder) = &args.output {
+        config.run.output.clone_from(folder);
+    }
+    use_threads(output, &config)?;
+    for name in [&config.run.name, &args.run] {
+        check_folder_name(name)?;
+    }
+    let root = config.run.output.join(&config.run.name).join(&args.run);
+    let layout = Layout::below(&root);
+    if args.dry_run {
+        let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?)?;
+        return print_dry_run(&config, &planned, printer);
+    }
+    let folder = RunFolder::open(&root)?;
+    let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?)?;
+    announce(&planned, output, printer);
+    let progress = TerminalProgress::new(output, *printer);
+    let records = run_stages(&folder, Some(&config), planned, &progress)?;
+    printer.message(format_args!("results are in {}", root.display()));
+    stages::check_gates(&records)
+}
+
+/// The name becomes one folder: nothing that leads elsewhere.
+fn check_folder_name(name: &str) -> Result<()> {
+    let mut parts = std::path::Path::new(name).components();
+    match (parts.next(), parts.next()) {
+        (Some(std::path::Component::Normal(_)), None) => Ok(()),
+        _ => Err(Failure::input_message(format_args!("`{name}` cannot name a folder of a run"))),
+    }
+}

@@ -1,0 +1,118 @@
+//! The commands that run one stage alone, on explicit inputs and into an explicit folder.
+
+use super::{announce, print_dry_run, use_threads};
+use crate::cli::args::{Command, OutputArgs, StageArgs, TrainCommand};
+use crate::cli::printer::Printer;
+use crate::cli::progress::TerminalProgress;
+use crate::pipeline::config::PipelineConfig;
+use crate::pipeline::layout::Layout;
+use crate::pipeline::run::{RunFolder, run_stages};
+use crate::pipeline::{Failure, Result, StageId, graph, stages};
+use std::path::{Path, PathBuf};
+
+pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Printer) -> Result<()> {
+    let Some(request) = Request::from_command(command) else {
+        return Err(Failure::fault(anyhow::anyhow!("this command runs no stage")));
+    };
+    let Request { id, args, layout, overrides } = request;
+    let overrides = [overrides, args.set.clone()].concat();
+    let config = PipelineConfig::load(args.config.as_deref(), &overrides)?;
+    use_threads(output, &config)?;
+    let root = args.output.as_path();
+    if args.dry_run {
+        let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?])?;
+        return print_dry_run(&config, &planned, printer);
+    }
+    let folder = RunFolder::open(root)?;
+    let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?])?;
+    announce(&planned, output, printer);
+    let progress = TerminalProgress::new(output, *printer);
+    let records = run_stages(&folder, None, planned, &progress)?;
+    stages::check_gates(&records)
+}
+
+/// A stage to run alone.
+struct Request<'a> {
+    id: StageId,
+    args: &'a StageArgs,
+    layout: Layout,
+    /// What the command's own arguments say, as overrides of the configuration.
+    overrides: Vec<String>,
+}
+
+impl<'a> Request<'a> {
+    fn new(id: StageId, args: &'a StageArgs) -> Self {
+        Self { id, args, layout: Layout::below(&args.output), overrides: Vec::new() }
+    }
+
+    fn from_command(command: &'a Command) -> Option<Self> {
+        let request = match command {
+            Command::Ingest(args) => {
+                let mut request = Self::new(StageId::Ingest, &args.stage);
+                if !args.inputs.is_empty() {
+                    let inputs = args.inputs.iter().map(|path| quoted(path)).collect::<Vec<_>>().join(", ");
+                    request.overrides.push(format!("ingest.inputs=[{inputs}]"));
+                }
+                request.overrides.extend(args.dataset.iter().map(|dataset| format!("ingest.dataset={dataset}")));
+                request
+            }
+            Command::Mine(args) => Self::new(StageId::Mine, &args.stage).scenes(&args.scenes.scenes),
+            Command::Train(TrainCommand::Denoiser(args)) => {
+                Self::new(StageId::TrainDenoiser, &args.stage).scenes(&args.scenes.scenes)
+            }
+            Command::Train(TrainCommand::Classifier(args)) => Self::new(StageId::TrainClassifier, &args.stage)
+                .scenes(&args.scenes.scenes)
+                .events(&args.events.events)
+                .denoiser(&args.denoiser.denoiser),
+            Command::Generate(args) => {
+                let mut request = Self::new(StageId::Generate, &args.stage)
+                    .scenes(&args.scenes.scenes)
+                    .events(&args.events.events)
+                    .denoiser(&args.denoiser.denoiser);
+                replace(&mut request.layout.classifier, &args.classifier);
+                request
+            }
+            Command::Evaluate(args) => {
+                let mut request =
+                    Self::new(StageId::Evaluate, &args.stage).scenes(&args.scenes.scenes).events(&args.events.events);
+                replace(&mut request.layout.samples, &args.samples);
+                request
+            }
+            Command::Report(args) => {
+                let mut request = Self::new(StageId::Report, &args.stage);
+                if let Some(folder) = &args.from {
+                    request.layout = Layout::below(folder);
+                }
+                request
+            }
+            Command::Run(_) | Command::Inspect(_) => return None,
+        };
+        Some(request)
+    }
+
+    fn scenes(mut self, path: &Option<PathBuf>) -> Self {
+        replace(&mut self.layout.scenes, path);
+        self
+    }
+
+    fn events(mut self, path: &Option<PathBuf>) -> Self {
+        replace(&mut self.layout.events, path);
+        self
+    }
+
+    fn denoiser(mut self, path: &Option<PathBuf>) -> Self {
+        replace(&mut self.layout.denoiser, path);
+        self
+    }
+}
+
+fn replace(place: &mut PathBuf, path: &Option<PathBuf>) {
+    if let Some(path) = path {
+        place.clone_from(path);
+    }
+}
+
+/// The path as a TOML string.
+fn quoted(path: &Path) -> String {
+    toml::Value::String(path.to_string_lossy().into_owned()).to_string()
+}

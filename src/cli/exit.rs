@@ -1,0 +1,23 @@
+//! Which exit code does the program end with? The help text lists them too.
+
+use crate::pipeline::{Blame, Failure};
+use std::process::ExitCode;
+
+/// Everything was done.
+pub(super) const DONE: ExitCode = ExitCode::SUCCESS;
+
+/// The code for a failure.
+pub(super) fn of_failure(failure: &Failure) -> ExitCode {
+    ExitCode::from(match failure.blame {
+        Blame::Input => 1,
+        Blame::Fault => 2,
+        Blame::Gate => 3,
+    })
+}
+
+/// Prints what clap has to say (help is no error) and gives the code for it.
+pub(super) fn of_usage(error: &clap::Error) -> ExitCode {
+    // Nobody is left to be told when the terminal is gone.
+    let _ = error.print();
+    if error.use_stderr() { ExitCode::from(1) } else { DONE }
+}

@@ -1,0 +1,69 @@
+//! What may be printed, where, and in which colors?
+
+use super::args::OutputArgs;
+use crate::pipeline::{Failure, Result};
+use std::fmt::Display;
+use std::io::{self, IsTerminal, Write};
+
+/// Decides about everything that is printed.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Printer {
+    quiet: bool,
+    color: bool,
+}
+
+impl Printer {
+    pub(super) fn new(output: &OutputArgs) -> Self {
+        let no_color = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+        let dumb = std::env::var_os("TERM").is_some_and(|value| value == "dumb");
+        Self { quiet: output.quiet, color: !no_color && !dumb && io::stderr().is_terminal() }
+    }
+
+    /// Prints what the user asked for, to stdout. A reader that has seen enough (`| head`) is no error.
+    pub(super) fn data(&self, text: &str) -> Result<()> {
+        let mut stdout = io::stdout().lock();
+        match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+            Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// Tells how the work goes, to stderr; nothing when quiet.
+    pub(super) fn message(&self, message: impl Display) {
+        if !self.quiet {
+            stderr_line(&message);
+        }
+    }
+
+    /// Tells of a failure with all its causes and the advice, to stderr.
+    pub(super) fn failure(&self, failure: &Failure) {
+        let mut causes = failure.error.chain().map(ToString::to_string);
+        let mut text = causes.next().unwrap_or_default();
+        let mut last = text.clone();
+        for cause in causes {
+            // Errors that show their source in their own message would be told twice.
+            if !last.contains(&cause) {
+                text.push_str(&format!("\n  caused by: {cause}"));
+            }
+            last = cause;
+        }
+        stderr_line(&format_args!("{}: {text}", self.paint("error", "1;31")));
+        if let Some(hint) = &failure.hint {
+            stderr_line(&format_args!("{}: {hint}", self.paint("hint", "1;36")));
+        }
+    }
+
+    /// Tells of something odd that stops nothing, to stderr.
+    pub(super) fn warning_line(&self, message: &str) -> String {
+        format!("{}: {message}", self.paint("warning", "1;33"))
+    }
+
+    fn paint(&self, text: &str, code: &str) -> String {
+        if self.color { format!("\u{1b}[{code}m{text}\u{1b}[0m") } else { text.to_owned() }
+    }
+}
+
+/// A line on stderr. Nobody is left to be told when it cannot be written.
+pub(super) fn stderr_line(line: &dyn Display) {
+    let _ = writeln!(io::stderr().lock(), "{line}");
+}

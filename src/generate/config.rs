@@ -1,0 +1,177 @@
+//! The `[generate]` section: how many scenarios of what kind, from which scenes.
+
+use super::Error;
+use crate::diffusion::SamplerConfig;
+use crate::diffusion::sampler::HeunConfig;
+use crate::guidance::GuidanceConfig;
+use crate::scene::Split;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+
+/// What to generate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct GenerateConfig {
+    /// Splits whose scenes are continued; empty means `val`, or everything unsplit where there is no such split.
+    pub splits: Vec<Split>,
+    /// Places whose scenes are continued; empty means all.
+    pub places: Vec<String>,
+    /// How noise becomes a sample.
+    pub sampler: SamplerConfig,
+    /// Samples that are denoised together. Memory grows with it; of the results only the last digits can change with it.
+    pub batch_size: usize,
+    /// Scenes of a shard, the unit in which generation is resumed.
+    pub scenes_per_shard: usize,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// The sweeps, generated in order.
+    pub sweeps: Vec<SweepConfig>,
+}
+
+impl Default for GenerateConfig {
+    fn default() -> Self {
+        Self {
+            splits: Vec::new(),
+            places: Vec::new(),
+            sampler: SamplerConfig::Heun(HeunConfig::with_steps(20)),
+            batch_size: 12,
+            scenes_per_shard: 8,
+            seed: 0,
+            sweeps: Vec::new(),
+        }
+    }
+}
+
+/// One kind of scenarios: every chosen scene, at every strength, so many times.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SweepConfig {
+    /// Name, unique among the sweeps.
+    pub name: String,
+    /// Number of scenes to continue.
+    pub n_scenes: usize,
+    /// Number of samples of each scene at each strength.
+    #[serde(default = "default_n_samples")]
+    pub n_samples: usize,
+    /// Name of the mined behavior to ask for. Left out: scenes are continued as they may go on.
+    #[serde(default)]
+    pub behavior: Option<String>,
+    /// Strengths α of classifier guidance; 0 is unguided sampling of the same scenes, pairs and noise, for comparison.
+    #[serde(default = "default_strengths")]
+    pub strengths: Vec<f64>,
+    /// When guidance acts and how far it may go.
+    #[serde(default)]
+    pub guidance: GuidanceConfig,
+    /// Which agents are asked for the behavior.
+    #[serde(default)]
+    pub pairs: PairSelectionConfig,
+    /// No further shard of this sweep is begun once so many of its scenarios are verified. Left out: all are generated.
+    #[serde(default)]
+    pub stop_after_verified: Option<usize>,
+}
+
+fn default_n_samples() -> usize {
+    6
+}
+
+fn default_strengths() -> Vec<f64> {
+    vec![0.0]
+}
+
+/// Which agents of a scene are asked for a behavior of two agents, in the behavior's order of roles (for a cut-in: who is
+/// cut off, who cuts in).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct PairSelectionConfig {
+    /// Pairs of each scene that are asked, one at a time.
+    pub per_scene: usize,
+    /// Their largest distance at present, metres.
+    pub max_distance_m: f64,
+    /// Whether pairs are left out in which the second agent already stands in the way of the first one.
+    pub exclude_following: bool,
+    /// Which of the possible pairs are asked first.
+    pub ranking: PairRanking,
+    /// Number of scenes to rank, of which those with the best pairs are taken. Left out: the first scenes, in random
+    /// order, that have a possible pair at all.
+    pub n_scenes_ranked: Option<usize>,
+}
+
+impl Default for PairSelectionConfig {
+    fn default() -> Self {
+        Self {
+            per_scene: 1,
+            max_distance_m: 30.0,
+            exclude_following: true,
+            ranking: PairRanking::default(),
+            n_scenes_ranked: None,
+        }
+    }
+}
+
+/// Which of the possible pairs of a scene are asked first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PairRanking {
+    /// Those for which the classifier finds the behavior likeliest from their history; by distance without a classifier.
+    #[default]
+    Classifier,
+    /// Those that are closest at present.
+    Distance,
+}
+
+impl GenerateConfig {
+    /// Says which value makes no sense.
+    ///
+    /// # Errors
+    /// When there is one.
+    pub fn validate(&self) -> Result<(), Error> {
+        let refuse = |key: &str, why: &str| Err(Error::Config(format!("generate.{key} {why}")));
+        for (key, value) in [
+            ("sampler.n_steps", self.sampler.n_steps()),
+            ("batch_size", self.batch_size),
+            ("scenes_per_shard", self.scenes_per_shard),
+        ] {
+            if value == 0 {
+                return refuse(key, "is 0, expected at least 1");
+            }
+        }
+        if self.sweeps.is_empty() {
+            return refuse("sweeps", "is empty: add a [[generate.sweeps]] table with a name and n_scenes");
+        }
+        let mut names = BTreeSet::new();
+        for (i, sweep) in self.sweeps.iter().enumerate() {
+            if !names.insert(&sweep.name) {
+                return refuse(&format!("sweeps.{i}.name"), &format!("{:?} is taken by another sweep", sweep.name));
+            }
+            if let Err(why) = sweep.validate() {
+                return refuse(&format!("sweeps.{i}"), &why);
+            }
+        }
+        Ok(())
+    }
+}
+
+impl SweepConfig {
+    fn validate(&self) -> Result<(), String> {
+        let positive = [
+            ("n_scenes", self.n_scenes as f64),
+            ("n_samples", self.n_samples as f64),
+            ("strengths (their number)", self.strengths.len() as f64),
+            ("pairs.per_scene", self.pairs.per_scene as f64),
+            ("pairs.max_distance_m", self.pairs.max_distance_m),
+            ("guidance.max_shift", self.guidance.max_shift.unwrap_or(1.0)),
+            ("guidance.sigma_hi", self.guidance.sigma_hi),
+        ];
+        if let Some((key, value)) = positive.iter().find(|(_, value)| value.is_nan() || *value <= 0.0) {
+            return Err(format!("({}): {key} is {value}, expected a positive number", self.name));
+        }
+        if let Some(strength) = self.strengths.iter().find(|strength| !strength.is_finite()) {
+            return Err(format!("({}): a strength is {strength}, expected a number", self.name));
+        }
+        if self.behavior.is_none() && self.strengths.iter().any(|strength| *strength != 0.0) {
+            return Err(format!("({}): guided strengths need a behavior, such as behavior = \"cut_in\"", self.name));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,139 @@
+//! Everything generation needs, checked before it begins.
+
+use super::{Error, GenerateConfig, SweepConfig};
+use crate::behavior::Behavior;
+use crate::model::{DenoiserSpec, TrainedClassifier, TrainedDenoiser};
+use crate::scene::{Scene, SceneId};
+use crate::seed::Seed;
+use crate::tensor::Normalizer;
+use candle_core::Device;
+
+/// Loads the scene of an index, such as a store's.
+pub type SceneLoader<'a> = dyn Fn(usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> + Sync + 'a;
+
+/// The trained models.
+#[derive(Clone, Copy)]
+pub struct Models<'a> {
+    /// The denoiser.
+    pub denoiser: &'a TrainedDenoiser,
+    /// Classifiers, at most one for each behavior.
+    pub classifiers: &'a [TrainedClassifier],
+}
+
+/// Plans and samples scenarios.
+pub struct Generator<'a> {
+    pub(super) config: &'a GenerateConfig,
+    pub(super) models: Models<'a>,
+    pub(super) behaviors: &'a [Box<dyn Behavior>],
+    pub(super) scenes: &'a SceneLoader<'a>,
+    pub(super) device: &'a Device,
+}
+
+impl<'a> Generator<'a> {
+    /// A generator whose `config` fits its `models` and the mined `behaviors`.
+    ///
+    /// # Errors
+    /// When it does not.
+    pub fn new(
+        config: &'a GenerateConfig,
+        models: Models<'a>,
+        behaviors: &'a [Box<dyn Behavior>],
+        scenes: &'a SceneLoader<'a>,
+        device: &'a Device,
+    ) -> Result<Self, Error> {
+        config.validate()?;
+        let generator = Self { config, models, behaviors, scenes, device };
+        for sweep in &config.sweeps {
+            generator.check(sweep)?;
+        }
+        Ok(generator)
+    }
+
+    /// The seed of everything random.
+    pub(super) const fn seed(&self) -> Seed {
+        Seed(self.config.seed)
+    }
+
+    /// What the denoiser is.
+    pub(super) const fn spec(&self) -> &'a DenoiserSpec {
+        &self.models.denoiser.spec
+    }
+
+    /// The behavior that a sweep asks for.
+    pub(super) fn behavior(&self, sweep: &SweepConfig) -> Option<&'a dyn Behavior> {
+        let id = sweep.behavior.as_deref()?;
+        self.behaviors.iter().find(|behavior| behavior.id() == id).map(AsRef::as_ref)
+    }
+
+    /// The classifier of the behavior that a sweep asks for.
+    pub(super) fn classifier(&self, sweep: &SweepConfig) -> Option<&'a TrainedClassifier> {
+        let id = sweep.behavior.as_deref()?;
+        self.models.classifiers.iter().find(|classifier| classifier.spec.behavior == id)
+    }
+
+    /// Loads a scene and checks that the denoiser can continue it.
+    pub(super) fn load(&self, scene_idx: usize, scene_id: &SceneId) -> Result<Scene, Error> {
+        let scene = (self.scenes)(scene_idx).map_err(|source| Error::Scene { scene_id: scene_id.clone(), source })?;
+        if scene.id != *scene_id {
+            let detail = format!("found {} at its place", scene.id);
+            return Err(Error::Stale { scene_id: scene_id.clone(), detail });
+        }
+        let spec = self.spec();
+        let has_shape = scene.n_history == spec.n_history
+            && (scene.n_timesteps == spec.n_timesteps || !scene.has_future())
+            && (scene.dt_s - spec.dt_s).abs() < 1e-6;
+        if !has_shape {
+            let shape = |n_history: usize, n_timesteps: usize, dt_s: f64| {
+                format!("{n_history} + {} (of {dt_s} s)", n_timesteps.saturating_sub(n_history))
+            };
+            return Err(Error::SceneShape {
+                scene_id: scene_id.clone(),
+                found: shape(scene.n_history, scene.n_timesteps, scene.dt_s),
+                expected: shape(spec.n_history, spec.n_timesteps, spec.dt_s),
+            });
+        }
+        Ok(scene)
+    }
+
+    fn check(&self, sweep: &SweepConfig) -> Result<(), Error> {
+        let Some(behavior) = &sweep.behavior else { return Ok(()) };
+        if self.behavior(sweep).is_none() {
+            let known: Vec<&str> = self.behaviors.iter().map(|behavior| behavior.id()).collect();
+            return Err(Error::UnknownBehavior {
+                sweep: sweep.name.clone(),
+                behavior: behavior.clone(),
+                known: known.join(", "),
+            });
+        }
+        let Some(classifier) = self.classifier(sweep) else {
+            return match sweep.strengths.iter().all(|strength| *strength == 0.0) {
+                true => Ok(()),
+                false => Err(Error::NoClassifier { sweep: sweep.name.clone(), behavior: behavior.clone() }),
+            };
+        };
+        let (own, denoiser) = (&classifier.spec, self.spec());
+        let differs = |what| Err(Error::Mismatch { behavior: behavior.clone(), what });
+        if own.edm != denoiser.edm {
+            return differs("diffusion");
+        }
+        if (own.n_history, own.n_timesteps) != (denoiser.n_history, denoiser.n_timesteps) {
+            return differs("number of timesteps");
+        }
+        if !same_scales(&own.normalizer, &denoiser.normalizer) {
+            return differs("normalization");
+        }
+        Ok(())
+    }
+}
+
+/// Whether two normalizers are the same up to the last digits, which may differ after a round trip through JSON.
+fn same_scales(a: &Normalizer, b: &Normalizer) -> bool {
+    let units = |n: &Normalizer| {
+        let [x, y, heading] = n.scene_units();
+        let [longitudinal, lateral, residual_heading] = n.residual_units();
+        [x, y, heading, longitudinal, lateral, residual_heading]
+    };
+    a.parametrization == b.parametrization
+        && a.state_dim == b.state_dim
+        && units(a).iter().zip(units(b)).all(|(a, b)| (a / b - 1.0).abs() < 1e-9)
+}

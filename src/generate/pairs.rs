@@ -1,0 +1,165 @@
+//! Which agents of a scene could perform a behavior that the recording does not hold, and which of them most likely?
+
+use super::verify::positive_events;
+use super::{Error, Generator, PairRanking, SweepConfig};
+use crate::behavior::Behavior;
+use crate::diffusion::NoiseSource;
+use crate::geometry::OrientedBox;
+use crate::model::TrainedClassifier;
+use crate::scene::{ObservationMask, Scene, TrackId};
+use crate::seed::Seed;
+use crate::tensor::{FutureValidity, SceneBatch, SceneView};
+use candle_core::{DType, Tensor};
+
+/// The noise level at which histories are ranked: well above σ_data, so that the future is hidden, yet within what
+/// classifiers are trained on.
+const RANKING_SIGMA: f64 = 2.0;
+/// Noise draws that a rank is averaged over.
+const N_RANKING_DRAWS: u64 = 8;
+
+/// A pair that may be asked for a behavior.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct CandidatePair {
+    /// Its agents in the behavior's order of roles; the same one twice for behaviors of a single agent.
+    pub(super) agents: (usize, usize),
+    /// The roles with their tracks.
+    pub(super) roles: Vec<(String, TrackId)>,
+    /// How well it is suited; higher is better.
+    pub(super) score: f64,
+}
+
+impl Generator<'_> {
+    /// The pairs of `scene` that may be asked for `behavior`, best first.
+    pub(super) fn candidates(
+        &self,
+        sweep: &SweepConfig,
+        behavior: &dyn Behavior,
+        scene: &Scene,
+    ) -> Result<Vec<CandidatePair>, Error> {
+        let mut candidates = possible_pairs(sweep, behavior, scene);
+        // Both agents must be among those that the denoiser sees when the first one is at the center.
+        candidates.retain(|pair| proximity_rank(scene, pair.agents.0, pair.agents.1) < self.spec().max_agents);
+        if let (PairRanking::Classifier, Some(classifier)) = (sweep.pairs.ranking, self.classifier(sweep)) {
+            self.score(classifier, scene, &mut candidates)?;
+        }
+        // The sort is stable, and pairs come in the order of their tracks: equal scores keep a fixed order.
+        candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
+        Ok(candidates)
+    }
+
+    /// Scores candidates by the classifier's mean log odds under pure noise: what their history says of the behavior.
+    fn score(
+        &self,
+        classifier: &TrainedClassifier,
+        scene: &Scene,
+        candidates: &mut [CandidatePair],
+    ) -> Result<(), Error> {
+        if candidates.is_empty() {
+            return Ok(());
+        }
+        let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
+        let view = |pair: &CandidatePair| SceneView { scene, ego_idx: pair.agents.0, mask: &mask };
+        let views: Vec<SceneView<'_>> = candidates.iter().map(view).collect();
+        let mut collator = self.spec().collator();
+        // The classifier sees no map.
+        collator.max_lanes = 0;
+        let batch = collator.collate(&views, FutureValidity::Everything, self.device)?;
+        let agents: Vec<(usize, usize)> = candidates.iter().map(|pair| pair.agents).collect();
+        let features = classifier.spec.features(&batch, &slots(&batch, &agents)?)?;
+        let sigma = Tensor::full(RANKING_SIGMA, candidates.len(), self.device)?.to_dtype(batch.x0.dtype())?;
+        let mut total = vec![0.0; candidates.len()];
+        for draw in 0..N_RANKING_DRAWS {
+            // All pairs of a scene see the same noise, so that it does not decide between them.
+            let seed = self.seed().derive_named("ranking", &scene.id.0).derive("draw", &[draw]);
+            let noise = NoiseSource::new(vec![seed; candidates.len()]).draw_like(&batch.x0)?;
+            let logits = classifier.classifier.logits(&features, &(noise * RANKING_SIGMA)?, &sigma)?;
+            for (total, logit) in total.iter_mut().zip(logits.to_dtype(DType::F64)?.to_vec1::<f64>()?) {
+                *total += logit;
+            }
+        }
+        for (pair, total) in candidates.iter_mut().zip(total) {
+            pair.score = total / N_RANKING_DRAWS as f64;
+        }
+        Ok(())
+    }
+}
+
+/// Motorized agents tracked over the whole history, near each other, who do not perform the behavior in the recording.
+/// Scored by their distance.
+fn possible_pairs(sweep: &SweepConfig, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
+    let eligible: Vec<usize> = (0..scene.tracks.len())
+        .filter(|agent_idx| {
+            let track = &scene.tracks[*agent_idx];
+            track.class.is_motorized() && (0..scene.n_history).all(|timestep| track.trajectory.is_valid(timestep))
+        })
+        .collect();
+    let recorded = positive_events(behavior, scene);
+    let present = scene.current_timestep();
+    let is_single = behavior.roles().len() == 1;
+    let mut candidates = Vec::new();
+    for &first in &eligible {
+        let path = if sweep.pairs.exclude_following && !is_single { driven_path(scene, first) } else { Vec::new() };
+        for &second in &eligible {
+            if (first == second) != is_single || distance_m(scene, first, second) > sweep.pairs.max_distance_m {
+                continue;
+            }
+            let is_in_the_way = scene.tracks[second]
+                .footprint_at(present)
+                .is_some_and(|footprint| path.iter().any(|occupied| occupied.overlaps(&footprint)));
+            let roles: Vec<(String, TrackId)> = behavior
+                .roles()
+                .iter()
+                .zip([first, second])
+                .map(|(role, agent_idx)| ((*role).to_owned(), scene.tracks[agent_idx].id.clone()))
+                .collect();
+            if is_in_the_way || recorded.iter().any(|event| event.roles == roles) {
+                continue;
+            }
+            candidates.push(CandidatePair { agents: (first, second), roles, score: -distance_m(scene, first, second) });
+        }
+    }
+    candidates
+}
+
+/// The places on the batch's agent axis of the pair of each row.
+pub(super) fn slots(batch: &SceneBatch, agents: &[(usize, usize)]) -> Result<Vec<(usize, usize)>, Error> {
+    let slot = |row: usize, agent_idx: usize| {
+        let detail =
+            || Error::Config(format!("agent {agent_idx} is not among those nearest to its partner; plan again"));
+        batch.frames[row].slot(agent_idx).ok_or_else(detail)
+    };
+    agents.iter().enumerate().map(|(row, pair)| Ok((slot(row, pair.0)?, slot(row, pair.1)?))).collect()
+}
+
+/// How many agents are nearer to agent `center` at present than `agent_idx`; ties go to the smaller index.
+fn proximity_rank(scene: &Scene, center: usize, agent_idx: usize) -> usize {
+    let key = |agent_idx: usize| (distance_m(scene, center, agent_idx), agent_idx);
+    let own = key(agent_idx);
+    (0..scene.tracks.len()).filter(|other| key(*other) < own).count()
+}
+
+/// Distance of two agents at present, metres; infinite unless both are tracked then.
+fn distance_m(scene: &Scene, a: usize, b: usize) -> f64 {
+    let position = |agent_idx| scene.state(agent_idx, scene.current_timestep()).map(|state| state.position);
+    position(a).zip(position(b)).map_or(f64::INFINITY, |(a, b)| a.distance(b))
+}
+
+/// Where the agent was and will be: as recorded, and carried on straight from the present at its present velocity.
+fn driven_path(scene: &Scene, agent_idx: usize) -> Vec<OrientedBox> {
+    let track = &scene.tracks[agent_idx];
+    let mut path: Vec<OrientedBox> = track.trajectory.valid().map(|(_, state)| track.footprint(state)).collect();
+    if let Some(state) = scene.state(agent_idx, scene.current_timestep()) {
+        // A history-only scene says nothing of the length of the future: three times the history is the usual ratio.
+        let n_future = scene.n_timesteps.saturating_sub(scene.n_history).max(3 * scene.n_history);
+        path.extend((1..=n_future).map(|step| {
+            let footprint = track.footprint(state);
+            OrientedBox { center: state.position + state.velocity * (step as f64 * scene.dt_s), ..footprint }
+        }));
+    }
+    path
+}
+
+/// The seed by which scenes of a sweep are put in order; it depends on nothing but the run's seed and the scene.
+pub(super) fn order_seed(seed: Seed, scene_id: &str) -> u64 {
+    seed.derive_named("order", scene_id).0
+}

@@ -1,0 +1,182 @@
+//! What will be generated, decided before anything is sampled: scenes, pairs, shards.
+
+use super::pairs::{CandidatePair, order_seed};
+use super::{Error, GenerateConfig, Generator, SweepConfig};
+use crate::behavior::Behavior;
+use crate::scene::{SceneId, Split, TrackId};
+use crate::store::SceneIndexEntry;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// Everything that will be generated, in order.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Plan {
+    /// The shards; those of a sweep follow each other.
+    pub shards: Vec<ShardPlan>,
+    /// Sweeps for which there were fewer scenes than asked for.
+    pub shortfalls: Vec<Shortfall>,
+}
+
+/// A group of scenes of one sweep, generated and written together.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ShardPlan {
+    /// Its place in the plan.
+    pub idx: usize,
+    /// Index of its sweep in the configuration.
+    pub sweep_idx: usize,
+    /// What is sampled: each cell at every strength of the sweep, as often as the sweep says. A scene's strengths stay in one
+    /// shard, so that they can be compared even if the sweep is stopped early.
+    pub cells: Vec<Cell>,
+}
+
+/// A scene and who is asked for the behavior in it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Cell {
+    /// Index of the scene in the store.
+    pub scene_idx: usize,
+    /// The scene.
+    pub scene_id: SceneId,
+    /// Roles and their tracks; none when no behavior is asked for. They are the same at strength 0.
+    pub roles: Vec<(String, TrackId)>,
+}
+
+/// A sweep for which there were too few scenes.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Shortfall {
+    /// Name of the sweep.
+    pub sweep: String,
+    /// Scenes asked for.
+    pub n_wanted: usize,
+    /// Scenes found.
+    pub n_found: usize,
+}
+
+impl Plan {
+    /// Number of samples in all, if no sweep is stopped early.
+    pub fn n_samples(&self, config: &GenerateConfig) -> usize {
+        self.shards.iter().map(|shard| shard.n_samples(config)).sum()
+    }
+}
+
+impl ShardPlan {
+    /// Number of samples.
+    pub fn n_samples(&self, config: &GenerateConfig) -> usize {
+        let sweep = &config.sweeps[self.sweep_idx];
+        self.cells.len() * sweep.strengths.len() * sweep.n_samples
+    }
+
+    /// Whether the shard is to be generated when the sweep's earlier shards hold `n_verified` verified scenarios.
+    pub fn is_wanted(&self, config: &GenerateConfig, n_verified: usize) -> bool {
+        config.sweeps[self.sweep_idx].stop_after_verified.is_none_or(|enough| n_verified < enough)
+    }
+}
+
+/// The cells of one scene with the score of the best of them.
+struct RankedScene {
+    score: f64,
+    cells: Vec<Cell>,
+}
+
+impl Generator<'_> {
+    /// The plan for the scenes of `index`. The same configuration, models and scenes give the same plan, in whatever order
+    /// the scenes come (but for the indices).
+    ///
+    /// # Errors
+    /// When no scene fits a sweep, or a scene cannot be loaded.
+    pub fn plan(&self, index: &[SceneIndexEntry]) -> Result<Plan, Error> {
+        let mut plan = Plan { shards: Vec::new(), shortfalls: Vec::new() };
+        let order = self.scenes_in_order(index);
+        for (sweep_idx, sweep) in self.config.sweeps.iter().enumerate() {
+            let scenes = match self.behavior(sweep) {
+                Some(behavior) => self.scenes_with_pairs(sweep, behavior, &order)?,
+                None => order.iter().take(sweep.n_scenes).map(|scene| vec![scene.cell(Vec::new())]).collect(),
+            };
+            if scenes.is_empty() {
+                let hint = match order.is_empty() {
+                    true => "; choose other generate.splits or generate.places",
+                    false => ", but none has a pair of agents to ask; raise pairs.max_distance_m",
+                };
+                return Err(Error::NoScenes { sweep: sweep.name.clone(), n_considered: order.len(), hint });
+            }
+            if scenes.len() < sweep.n_scenes {
+                let (n_wanted, n_found) = (sweep.n_scenes, scenes.len());
+                plan.shortfalls.push(Shortfall { sweep: sweep.name.clone(), n_wanted, n_found });
+            }
+            for group in scenes.chunks(self.config.scenes_per_shard) {
+                plan.shards.push(ShardPlan { idx: plan.shards.len(), sweep_idx, cells: group.concat() });
+            }
+        }
+        Ok(plan)
+    }
+
+    /// The scenes of the chosen splits and places, in a random order that depends on the seed and their ids alone.
+    fn scenes_in_order<'i>(&self, index: &'i [SceneIndexEntry]) -> Vec<Listed<'i>> {
+        let has_val = index.iter().any(|entry| entry.split == Split::Val);
+        let default_split = if has_val { Split::Val } else { Split::Unsplit };
+        let GenerateConfig { splits, places, .. } = self.config;
+        let mut scenes: Vec<(u64, Listed<'i>)> = index
+            .iter()
+            .enumerate()
+            .filter(|(_, entry)| match splits.is_empty() {
+                true => entry.split == default_split,
+                false => splits.contains(&entry.split),
+            })
+            .filter(|(_, entry)| places.is_empty() || places.contains(&entry.place))
+            .map(|(scene_idx, entry)| (order_seed(self.seed(), &entry.id.0), Listed { scene_idx, id: &entry.id }))
+            .collect();
+        scenes.sort_by(|a, b| a.0.cmp(&b.0).then_with(|| a.1.id.cmp(b.1.id)));
+        scenes.into_iter().map(|(_, scene)| scene).collect()
+    }
+
+    /// The cells of the scenes that a behavior sweep asks, scene by scene.
+    fn scenes_with_pairs(
+        &self,
+        sweep: &SweepConfig,
+        behavior: &dyn Behavior,
+        order: &[Listed<'_>],
+    ) -> Result<Vec<Vec<Cell>>, Error> {
+        let order = &order[..order.len().min(sweep.pairs.n_scenes_ranked.unwrap_or(usize::MAX))];
+        let mut found: Vec<RankedScene> = Vec::new();
+        // Scenes are looked at in parallel, a batch at a time, and counted in order.
+        for batch in order.chunks(sweep.n_scenes.clamp(8, 64)) {
+            let ranked: Vec<Option<RankedScene>> =
+                batch.par_iter().map(|scene| self.rank(sweep, behavior, scene)).collect::<Result<_, _>>()?;
+            found.extend(ranked.into_iter().flatten());
+            if sweep.pairs.n_scenes_ranked.is_none() && found.len() >= sweep.n_scenes {
+                break;
+            }
+        }
+        if sweep.pairs.n_scenes_ranked.is_some() {
+            found.sort_by(|a, b| b.score.total_cmp(&a.score));
+        }
+        found.truncate(sweep.n_scenes);
+        Ok(found.into_iter().map(|scene| scene.cells).collect())
+    }
+
+    fn rank(
+        &self,
+        sweep: &SweepConfig,
+        behavior: &dyn Behavior,
+        listed: &Listed<'_>,
+    ) -> Result<Option<RankedScene>, Error> {
+        let scene = self.load(listed.scene_idx, listed.id)?;
+        let candidates = self.candidates(sweep, behavior, &scene)?;
+        let Some(CandidatePair { score, .. }) = candidates.first() else { return Ok(None) };
+        let score = *score;
+        let cells = candidates.into_iter().take(sweep.pairs.per_scene).map(|pair| listed.cell(pair.roles)).collect();
+        Ok(Some(RankedScene { score, cells }))
+    }
+}
+
+/// A scene of the store.
+#[derive(Clone, Copy)]
+struct Listed<'a> {
+    scene_idx: usize,
+    id: &'a SceneId,
+}
+
+impl Listed<'_> {
+    fn cell(&self, roles: Vec<(String, TrackId)>) -> Cell {
+        Cell { scene_idx: self.scene_idx, scene_id: self.id.clone(), roles }
+    }
+}

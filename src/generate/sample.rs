@@ -1,0 +1,264 @@
+//! How does a shard of the plan become scenarios? Batches of like scenes, denoised, decoded, checked.
+
+use super::pairs::slots;
+use super::{Cell, Error, Generator, ShardPlan, SweepConfig, Verdict, verify};
+use crate::diffusion::{Denoiser, NoiseSource, Step};
+use crate::guidance::{ClassifierGuidance, GuidedDenoiser};
+use crate::model::TrainedClassifier;
+use crate::progress::Progress;
+use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, SceneId};
+use crate::seed::Seed;
+use crate::store::{ScenarioRecord, as_stored};
+use crate::tensor::{FutureValidity, SceneBatch, SceneView};
+use candle_core::Tensor;
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+
+/// What a shard came to.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ShardOutput {
+    /// The scenarios: cell by cell, within a cell strength by strength, within a strength by sample.
+    pub records: Vec<ScenarioRecord>,
+    /// Samples that came to nothing.
+    pub rejected: Vec<RejectedSample>,
+}
+
+/// A sample that is not a scenario.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RejectedSample {
+    /// The scene it was to continue.
+    pub scene_id: SceneId,
+    /// The sweep.
+    pub sweep: String,
+    /// Strength of the guidance.
+    pub strength: f64,
+    /// Which sample of its scene and strength it is.
+    pub sample_idx: usize,
+    /// The run's seed.
+    pub seed: u64,
+    /// Why it is none.
+    pub reason: String,
+}
+
+/// Cells of one batch, with their scenes, the samples wanted of each, and the strength.
+struct Batch<'a> {
+    sweep: &'a SweepConfig,
+    cells: Vec<(&'a Cell, &'a Scene)>,
+    samples: Range<usize>,
+    strength: f64,
+}
+
+/// One sample: its scene, or why there is none.
+type Sampled = Result<Scene, String>;
+
+impl Generator<'_> {
+    /// Generates a shard. Progress advances by one for each sample.
+    ///
+    /// # Errors
+    /// When a scene cannot be loaded or is not the planned one, or a tensor operation fails. Samples that are no finite
+    /// numbers are not errors: they are rejected.
+    pub fn generate(&self, shard: &ShardPlan, progress: &dyn Progress) -> Result<ShardOutput, Error> {
+        let sweep = &self.config.sweeps[shard.sweep_idx];
+        let scenes: Vec<Scene> =
+            shard.cells.iter().map(|cell| self.load(cell.scene_idx, &cell.scene_id)).collect::<Result<_, _>>()?;
+        let mut output = ShardOutput::default();
+        let mut sampled: Vec<Vec<(f64, usize, Sampled)>> = vec![Vec::new(); shard.cells.len()];
+        for &strength in &sweep.strengths {
+            for (members, samples) in self.batches(sweep, &scenes) {
+                let cells = members.iter().map(|at| (&shard.cells[*at], &scenes[*at])).collect();
+                let batch = Batch { sweep, cells, samples: samples.clone(), strength };
+                let mut results = self.sample(&batch, progress)?.into_iter();
+                for at in members {
+                    let own = samples.clone().zip(results.by_ref().take(samples.len()));
+                    sampled[at].extend(own.map(|(sample_idx, result)| (strength, sample_idx, result)));
+                }
+            }
+        }
+        for ((cell, scene), sampled) in shard.cells.iter().zip(&scenes).zip(sampled) {
+            for (strength, sample_idx, result) in sampled {
+                match result {
+                    Ok(generated) => {
+                        output.records.push(self.record(sweep, cell, scene, generated, (strength, sample_idx)));
+                    }
+                    Err(reason) => output.rejected.push(RejectedSample {
+                        scene_id: cell.scene_id.clone(),
+                        sweep: sweep.name.clone(),
+                        strength,
+                        sample_idx,
+                        seed: self.config.seed,
+                        reason,
+                    }),
+                }
+            }
+        }
+        Ok(output)
+    }
+
+    /// Cells (by index) and samples that are denoised together: scenes of like size, so that little is padding, and all
+    /// samples of a scene where they fit, so that it is encoded once.
+    fn batches(&self, sweep: &SweepConfig, scenes: &[Scene]) -> Vec<(Vec<usize>, Range<usize>)> {
+        let mut order: Vec<usize> = (0..scenes.len()).collect();
+        order.sort_by_key(|at| scenes[*at].tracks.len());
+        let (n_samples, batch_size) = (sweep.n_samples, self.config.batch_size);
+        let mut batches = Vec::new();
+        for members in order.chunks((batch_size / n_samples).max(1)) {
+            for first in (0..n_samples).step_by(batch_size) {
+                batches.push((members.to_vec(), first..n_samples.min(first + batch_size)));
+            }
+        }
+        batches
+    }
+
+    /// The samples of a batch: all of its first cell, then all of the next.
+    fn sample(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Sampled>, Error> {
+        let masks: Vec<ObservationMask> = batch
+            .cells
+            .iter()
+            .map(|(_, scene)| ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history))
+            .collect();
+        let agents: Vec<(usize, usize)> =
+            batch.cells.iter().map(|(cell, scene)| agents(cell, scene)).collect::<Result<_, _>>()?;
+        let views: Vec<SceneView<'_>> = (batch.cells.iter().zip(&masks).zip(&agents))
+            .map(|(((_, scene), mask), agents)| SceneView { scene, ego_idx: agents.0, mask })
+            .collect();
+        let tensors = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
+        let n_samples = batch.samples.len();
+        let bound = self.models.denoiser.denoiser.bind(&tensors, n_samples)?;
+        let tensors = tensors.repeated(n_samples)?;
+        let x = match self.classifier(batch.sweep).filter(|_| batch.strength != 0.0) {
+            Some(classifier) => {
+                let agents: Vec<(usize, usize)> =
+                    agents.iter().flat_map(|pair| std::iter::repeat_n(*pair, n_samples)).collect();
+                self.denoise_guided(batch, &tensors, &bound, classifier, &agents, progress)?
+            }
+            None => self.denoise(batch, &tensors, &bound, progress)?,
+        };
+        let sources: Vec<&Scene> =
+            batch.cells.iter().flat_map(|(_, scene)| std::iter::repeat_n(*scene, n_samples)).collect();
+        let scenes = tensors.decode_scenes(&x, &sources)?;
+        progress.advance(scenes.len() as u64);
+        Ok(scenes.into_iter().map(checked).collect())
+    }
+
+    fn denoise_guided(
+        &self,
+        batch: &Batch<'_>,
+        tensors: &SceneBatch,
+        inner: &dyn Denoiser,
+        classifier: &TrainedClassifier,
+        agents: &[(usize, usize)],
+        progress: &dyn Progress,
+    ) -> Result<Tensor, Error> {
+        let features = classifier.spec.features(tensors, &slots(tensors, agents)?)?;
+        let guidance = ClassifierGuidance { classifier: &classifier.classifier, pairs: &features };
+        let config = batch.sweep.guidance.clone();
+        let guided = GuidedDenoiser { inner, guidance: &guidance, strength: batch.strength, config };
+        self.denoise(batch, tensors, &guided, progress)
+    }
+
+    /// Diffused states (B, A, T, D) of all samples of a batch.
+    fn denoise(
+        &self,
+        batch: &Batch<'_>,
+        tensors: &SceneBatch,
+        denoiser: &dyn Denoiser,
+        progress: &dyn Progress,
+    ) -> Result<Tensor, Error> {
+        let seeds = batch.cells.iter().flat_map(|(cell, _)| {
+            let scene_seed = self.seed().derive_named("noise", &cell.scene_id.0);
+            batch.samples.clone().map(move |sample_idx| sample_seed(scene_seed, sample_idx))
+        });
+        let mut noise = NoiseSource::new(seeds.collect());
+        let row_dims = &tensors.x0.dims()[1..];
+        let mut observer = |step: &Step<'_>| progress.note(&format!("step {} of {}", step.step_idx + 1, step.n_steps));
+        let edm = self.models.denoiser.denoiser.edm();
+        Ok(self.config.sampler.sample(edm, denoiser, row_dims, &tensors.x0, &mut noise, &mut observer)?)
+    }
+
+    fn record(
+        &self,
+        sweep: &SweepConfig,
+        cell: &Cell,
+        recorded: &Scene,
+        generated: Scene,
+        (strength, sample_idx): (f64, usize),
+    ) -> ScenarioRecord {
+        let classifier = self.classifier(sweep).filter(|_| strength != 0.0);
+        let kind = classifier.map_or_else(|| "none".to_owned(), |c| format!("classifier:{}", c.spec.behavior));
+        let provenance = Provenance {
+            scene_id: cell.scene_id.clone(),
+            checkpoint: self.models.denoiser.fingerprint.clone(),
+            classifier: classifier.map(|classifier| classifier.fingerprint.clone()),
+            seed: self.config.seed,
+            sample_idx,
+            guidance: GuidanceTag { kind, strength, roles: cell.roles.clone() },
+            sampler: self.config.sampler.name(),
+        };
+        // What is verified must be what is written.
+        let scene = as_stored(&generated);
+        let verdict = match self.behavior(sweep) {
+            Some(behavior) => verify(behavior, &cell.roles, recorded, &scene),
+            None => Verdict::default(),
+        };
+        ScenarioRecord {
+            scenario: Scenario { id: scenario_id(&sweep.name, &provenance), scene, provenance },
+            sweep: sweep.name.clone(),
+            requested_behavior: sweep.behavior.clone(),
+            verified: verdict.verified,
+            events: verdict.events,
+            recorded_event: verdict.recorded_event,
+        }
+    }
+}
+
+/// The seed of a sample's noise. It depends on the run's seed, the scene and the sample alone: the strengths of a scene start
+/// from the same noise, and neither batches nor shards matter.
+fn sample_seed(scene_seed: Seed, sample_idx: usize) -> Seed {
+    scene_seed.derive("sample", &[sample_idx as u64])
+}
+
+/// The agents that a cell asks, as tracks of its scene; the scene's ego agent twice where it asks nobody. The first is at
+/// the center of what the denoiser sees, as in the classifier's training.
+fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
+    let mut indices = cell.roles.iter().map(|(role, track)| {
+        scene.track_idx(track).ok_or_else(|| Error::Stale {
+            scene_id: cell.scene_id.clone(),
+            detail: format!("it has no track {track} for the role {role}"),
+        })
+    });
+    match (indices.next().transpose()?, indices.next().transpose()?) {
+        (None, _) => Ok((scene.ego_idx, scene.ego_idx)),
+        (Some(only), None) => Ok((only, only)),
+        (Some(first), Some(second)) => Ok((first, second)),
+    }
+}
+
+/// A scene whose every state is a number.
+fn checked(scene: Scene) -> Sampled {
+    for track in &scene.tracks {
+        if let Some((timestep, _)) = track.trajectory.valid().find(|(_, state)| !state.is_finite()) {
+            return Err(format!("track {} is not finite at timestep {timestep}", track.id));
+        }
+    }
+    Ok(scene)
+}
+
+/// 16 hexadecimal digits that belong to this sweep and provenance.
+fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
+    let Provenance { scene_id, checkpoint, classifier, seed, sample_idx, guidance, sampler } = provenance;
+    let mut hasher = blake3::Hasher::new();
+    // Every part ends in a zero byte, which no name holds: different parts cannot make the same text.
+    let mut add = |part: &str| {
+        hasher.update(part.as_bytes());
+        hasher.update(&[0]);
+    };
+    for part in [sweep, &scene_id.0, checkpoint, classifier.as_deref().unwrap_or(""), &guidance.kind, sampler] {
+        add(part);
+    }
+    for (role, track) in &guidance.roles {
+        add(role);
+        add(&track.0);
+    }
+    add(&format!("{seed} {sample_idx} {}", guidance.strength));
+    hasher.finalize().to_hex()[..16].to_owned()
+}

@@ -1,0 +1,330 @@
+//! Is what is generated independent of how it is generated, paired across strengths, and guarded against nonsense?
+
+use super::*;
+use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
+use crate::diffusion::SamplerConfig;
+use crate::diffusion::sampler::HeunConfig;
+use crate::guidance::testing::{N_HISTORY, denoiser_spec, scene};
+use crate::model::{
+    BehaviorClassifierConfig, ClassifierKind, ClassifierSpec, DenoiserSpec, SceneDenoiser, TrainedClassifier,
+    TrainedDenoiser,
+};
+use crate::nn::Params;
+use crate::progress::Silent;
+use crate::scene::{Dataset, Scene, Split};
+use crate::seed::Seed;
+use crate::store::{ScenarioRecord, SceneIndexEntry};
+use crate::tensor::StateParametrization;
+use candle_core::Device;
+use std::collections::BTreeMap;
+
+/// "The second agent ends to the right of where it is now": simple enough to hold in many samples.
+struct Drift;
+
+impl Behavior for Drift {
+    fn id(&self) -> &'static str {
+        "drift"
+    }
+
+    fn roles(&self) -> &'static [&'static str] {
+        &["ego", "other"]
+    }
+
+    fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
+        let lateral = |agent_idx, timestep| scene.state(agent_idx, timestep).map(|state| state.position.y);
+        let mut events = Vec::new();
+        for first in 0..scene.tracks.len() {
+            for second in (0..scene.tracks.len()).filter(|second| *second != first) {
+                let ends = lateral(second, scene.current_timestep()).zip(lateral(second, scene.n_timesteps - 1));
+                if ends.is_some_and(|(now, then)| then < now - 1.0) {
+                    events.push(BehaviorEvent {
+                        behavior: self.id().to_owned(),
+                        scene_id: scene.id.clone(),
+                        label: EventLabel::Positive,
+                        roles: vec![
+                            ("ego".to_owned(), scene.tracks[first].id.clone()),
+                            ("other".to_owned(), scene.tracks[second].id.clone()),
+                        ],
+                        start_timestep: scene.n_history,
+                        end_timestep: scene.n_timesteps - 1,
+                        parameters: BTreeMap::new(),
+                    });
+                }
+            }
+        }
+        events
+    }
+}
+
+fn denoiser(n_nan: usize) -> TrainedDenoiser {
+    let spec: DenoiserSpec = denoiser_spec(StateParametrization::Residual);
+    let mut params = Params::new(&Device::Cpu).frozen();
+    let denoiser = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, Seed(1)).unwrap();
+    if n_nan > 0 {
+        let mut tensors = params.tensors();
+        let bias = tensors.get_mut("output.2.bias").unwrap();
+        *bias = (bias.zeros_like().unwrap() * f64::NAN).unwrap();
+        params.load(&tensors).unwrap();
+    }
+    TrainedDenoiser { denoiser, spec, fingerprint: "denoiser".to_owned() }
+}
+
+fn classifier() -> TrainedClassifier {
+    let denoiser = denoiser_spec(StateParametrization::Residual);
+    let spec = ClassifierSpec {
+        kind: ClassifierKind::BehaviorClassifier,
+        behavior: "drift".to_owned(),
+        roles: vec!["ego".to_owned(), "other".to_owned()],
+        network: BehaviorClassifierConfig::default(),
+        edm: denoiser.edm,
+        normalizer: denoiser.normalizer,
+        n_history: denoiser.n_history,
+        n_timesteps: denoiser.n_timesteps,
+        dt_s: denoiser.dt_s,
+        n_positive: 1,
+        n_negative: 1,
+        pos_weight: 1.0,
+        steps: 0,
+        seed: 0,
+        events: String::new(),
+    };
+    let classifier = spec.build(&mut Params::new(&Device::Cpu).frozen(), Seed(2)).unwrap();
+    TrainedClassifier { classifier, spec, fingerprint: "classifier".to_owned() }
+}
+
+fn config(toml: &str) -> GenerateConfig {
+    let mut config: GenerateConfig = toml::from_str(toml).unwrap();
+    config.sampler = SamplerConfig::Heun(HeunConfig::with_steps(4));
+    config
+}
+
+const SWEEPS: &str = "
+    splits = ['train']
+    [[sweeps]]
+    name = 'plain'
+    n_scenes = 5
+    n_samples = 3
+    [[sweeps]]
+    name = 'guided'
+    n_scenes = 4
+    n_samples = 2
+    behavior = 'drift'
+    strengths = [0.0, 3.0]
+";
+
+fn load(scene_idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
+    Ok(scene(scene_idx))
+}
+
+/// Calls `use_it` with a generator for `config`, and returns what it returns.
+fn with_generator<T>(config: &GenerateConfig, n_nan: usize, use_it: impl FnOnce(&Generator<'_>) -> T) -> T {
+    let (denoiser, classifiers) = (denoiser(n_nan), [classifier()]);
+    let models = Models { denoiser: &denoiser, classifiers: &classifiers };
+    let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
+    use_it(&Generator::new(config, models, &behaviors, &load, &Device::Cpu).unwrap())
+}
+
+fn index(n: usize) -> Vec<SceneIndexEntry> {
+    let entry = |idx| {
+        let scene = scene(idx);
+        SceneIndexEntry {
+            id: scene.id,
+            dataset: Dataset::Interaction,
+            split: Split::Train,
+            place: "TEST".to_owned(),
+            n_agents: 3,
+            n_timesteps: scene.n_timesteps,
+        }
+    };
+    (0..n).map(entry).collect()
+}
+
+fn generate(config: &GenerateConfig) -> Vec<ScenarioRecord> {
+    with_generator(config, 0, |generator| {
+        let plan = generator.plan(&index(12)).unwrap();
+        let shards = plan.shards.iter().map(|shard| generator.generate(shard, &Silent).unwrap());
+        shards.flat_map(|output| output.records).collect()
+    })
+}
+
+/// The largest distance of two generated scenes' states, metres.
+fn difference_m(a: &Scene, b: &Scene) -> f64 {
+    let states = |scene: &Scene| -> Vec<_> {
+        scene.tracks.iter().flat_map(|track| track.trajectory.valid().map(|(_, s)| *s).collect::<Vec<_>>()).collect()
+    };
+    let pairs = states(a).into_iter().zip(states(b));
+    pairs.map(|(a, b)| a.position.distance(b.position)).fold(0.0, f64::max)
+}
+
+/// Matrix products of few rows round differently from those of many, and the encodings of an untrained network, with their
+/// short periods, magnify that; samples of different noise are meters apart.
+const ROUNDING_M: f64 = 0.1;
+
+#[test]
+fn batches_and_shards_do_not_matter() {
+    let reference = generate(&config(SWEEPS));
+    assert_eq!(reference.len(), 5 * 3 + 4 * 2 * 2);
+    for (batch_size, scenes_per_shard) in [(1, 8), (2, 1), (7, 2), (100, 3)] {
+        let other = generate(&GenerateConfig { batch_size, scenes_per_shard, ..config(SWEEPS) });
+        for (a, b) in reference.iter().zip(&other) {
+            assert_eq!((&a.scenario.id, &a.scenario.provenance), (&b.scenario.id, &b.scenario.provenance));
+            let difference_m = difference_m(&a.scenario.scene, &b.scenario.scene);
+            assert!(difference_m < ROUNDING_M, "batches of {batch_size}: {difference_m} m apart");
+        }
+    }
+}
+
+#[test]
+fn the_same_call_gives_the_same_bytes() {
+    assert_eq!(generate(&config(SWEEPS)), generate(&config(SWEEPS)));
+    let other_seed = generate(&GenerateConfig { seed: 1, ..config(SWEEPS) });
+    assert_ne!(generate(&config(SWEEPS))[0].scenario.id, other_seed[0].scenario.id);
+}
+
+#[test]
+fn histories_are_kept_and_samples_differ() {
+    for record in generate(&config(SWEEPS)) {
+        let Scene { tracks, .. } = &record.scenario.scene;
+        let idx: usize = record.scenario.scene.source.case_id.parse().unwrap();
+        for (track, recorded) in tracks.iter().zip(&scene(idx).tracks) {
+            assert_eq!(track.trajectory.entries()[..N_HISTORY], recorded.trajectory.entries()[..N_HISTORY]);
+            assert_ne!(track.trajectory.entries()[N_HISTORY..], recorded.trajectory.entries()[N_HISTORY..]);
+        }
+    }
+    let records = generate(&config(SWEEPS));
+    assert!(difference_m(&records[0].scenario.scene, &records[1].scenario.scene) > 5.0 * ROUNDING_M);
+    let ids: std::collections::BTreeSet<&String> = records.iter().map(|record| &record.scenario.id).collect();
+    assert_eq!(ids.len(), records.len());
+}
+
+#[test]
+fn strengths_are_paired_and_zero_is_unguided() {
+    let records = generate(&config(SWEEPS));
+    let unguided = generate(&config(&SWEEPS.replace("[0.0, 3.0]", "[0.0]")));
+    for (guided, unguided) in records[15..].chunks(4).zip(unguided[15..].chunks(2)) {
+        let of = |strength: f64| guided.iter().filter(move |r| r.scenario.provenance.guidance.strength == strength);
+        for (a, b) in of(0.0).zip(unguided) {
+            assert_eq!(a, b);
+            assert_eq!(
+                (a.scenario.provenance.guidance.kind.as_str(), &a.scenario.provenance.classifier),
+                ("none", &None)
+            );
+        }
+        for (a, b) in of(0.0).zip(of(3.0)) {
+            let (plain, tag) = (&a.scenario.provenance, &b.scenario.provenance);
+            assert_eq!((plain.sample_idx, &plain.guidance.roles), (tag.sample_idx, &tag.guidance.roles));
+            assert_eq!(
+                (tag.guidance.kind.as_str(), tag.classifier.as_deref()),
+                ("classifier:drift", Some("classifier"))
+            );
+            let difference_m = difference_m(&a.scenario.scene, &b.scenario.scene);
+            assert!(difference_m > 1e-3, "guidance changed nothing");
+        }
+    }
+}
+
+#[test]
+fn verdicts_are_the_miners() {
+    let records = generate(&config(SWEEPS));
+    assert!(records[..15].iter().all(|record| !record.verified && record.events.is_empty()));
+    for record in &records[15..] {
+        let roles = &record.scenario.provenance.guidance.roles;
+        let found = Drift.detect(&record.scenario.scene);
+        assert_eq!(record.events.len(), found.len());
+        assert_eq!(record.verified, found.iter().any(|event| event.roles == *roles));
+        assert!(!record.verified || record.events[0].roles == *roles);
+        assert!(!record.recorded_event, "pairs that do it anyway are not asked");
+    }
+}
+
+#[test]
+fn the_plan_does_not_depend_on_the_order_of_scenes() {
+    let config = config(SWEEPS);
+    with_generator(&config, 0, |generator| {
+        let plan = generator.plan(&index(12)).unwrap();
+        assert_eq!(plan, generator.plan(&index(12)).unwrap());
+        assert_eq!(plan.n_samples(&config), 31);
+        assert!(plan.shortfalls.is_empty());
+        let ids = |plan: &Plan| -> Vec<_> {
+            plan.shards.iter().flat_map(|s| s.cells.iter().map(|c| (c.scene_id.clone(), c.roles.clone()))).collect()
+        };
+        let mut entries: Vec<(usize, SceneIndexEntry)> = index(12).into_iter().enumerate().collect();
+        entries.reverse();
+        let positions: Vec<usize> = entries.iter().map(|(position, _)| *position).collect();
+        let reversed: Vec<SceneIndexEntry> = entries.into_iter().map(|(_, entry)| entry).collect();
+        let moved = move |idx: usize| load(positions[idx]);
+        let reversed_generator = Generator { scenes: &moved, ..*generator };
+        assert_eq!(ids(&plan), ids(&reversed_generator.plan(&reversed).unwrap()));
+    });
+}
+
+#[test]
+fn too_few_scenes_are_said_and_none_is_an_error() {
+    let config = config(SWEEPS);
+    with_generator(&config, 0, |generator| {
+        let plan = generator.plan(&index(3)).unwrap();
+        assert_eq!(plan.shortfalls[0], Shortfall { sweep: "plain".to_owned(), n_wanted: 5, n_found: 3 });
+        let error = generator.plan(&[]).unwrap_err().to_string();
+        assert!(error.contains("sweep plain") && error.contains("generate.splits"), "{error}");
+    });
+}
+
+#[test]
+fn samples_that_are_no_numbers_are_rejected_by_name() {
+    let config = config(SWEEPS);
+    with_generator(&config, 1, |generator| {
+        let plan = generator.plan(&index(12)).unwrap();
+        let output = generator.generate(&plan.shards[0], &Silent).unwrap();
+        assert!(output.records.is_empty());
+        assert_eq!(output.rejected.len(), 15);
+        let first = &output.rejected[0];
+        assert_eq!((&first.scene_id, first.sample_idx), (&plan.shards[0].cells[0].scene_id, 0));
+        assert!(first.reason.contains("not finite at timestep 4"), "{}", first.reason);
+    });
+}
+
+#[test]
+fn configurations_that_make_no_sense_are_refused() {
+    let refusal = |toml: &str| match toml::from_str::<GenerateConfig>(toml) {
+        Ok(config) => config.validate().unwrap_err().to_string(),
+        Err(error) => error.to_string(),
+    };
+    let sweep = |rest: &str| format!("[[sweeps]]\nname = 'a'\nn_scenes = 2\n{rest}");
+    for (toml, part) in [
+        (String::new(), "sweeps is empty"),
+        (sweep("strengths = [1.0]"), "need a behavior"),
+        (sweep("n_samples = 0"), "n_samples is 0"),
+        (sweep("behavior = 'drift'\nstrengths = [nan]"), "a strength is NaN"),
+        (sweep(&sweep("")), "taken by another"),
+        (sweep("strenghts = [1.0]"), "strenghts"),
+        (format!("batch_size = 0\n{}", sweep("")), "batch_size is 0"),
+    ] {
+        let message = refusal(&toml);
+        assert!(message.contains(part), "{message}");
+    }
+}
+
+#[test]
+fn models_must_fit_each_other_and_the_sweeps() {
+    let refusal = |toml: &str, classifiers: &[TrainedClassifier]| {
+        let (denoiser, config) = (denoiser(0), config(toml));
+        let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
+        let models = Models { denoiser: &denoiser, classifiers };
+        Generator::new(&config, models, &behaviors, &load, &Device::Cpu).err().map(|error| error.to_string())
+    };
+    assert_eq!(refusal(SWEEPS, &[classifier()]), None);
+    assert!(refusal(SWEEPS, &[]).unwrap().contains("no classifier of drift"));
+    assert_eq!(refusal(&SWEEPS.replace("[0.0, 3.0]", "[0.0]"), &[]), None);
+    assert!(refusal(&SWEEPS.replace("'drift'", "'drifts'"), &[]).unwrap().contains("among the mined ones (drift)"));
+    let mut foreign = classifier();
+    foreign.spec.normalizer.lateral_unit_m *= 1.01;
+    assert!(refusal(SWEEPS, &[foreign]).unwrap().contains("another normalization"));
+}
+
+#[test]
+fn a_sweep_stops_when_enough_is_verified() {
+    let stopping = config(&SWEEPS.replace("strengths = [0.0, 3.0]", "stop_after_verified = 3"));
+    let shard = |sweep_idx| ShardPlan { idx: 0, sweep_idx, cells: Vec::new() };
+    assert!(shard(1).is_wanted(&stopping, 2) && !shard(1).is_wanted(&stopping, 3));
+    assert!(shard(0).is_wanted(&stopping, 1000));
+}

@@ -1,0 +1,31 @@
+//! Did a generated scenario do what was asked for? The miner that defined the behavior decides.
+
+use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
+use crate::scene::{Scene, TrackId};
+
+/// What the miner says of a scenario.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Verdict {
+    /// Whether the behavior happens with the requested roles.
+    pub verified: bool,
+    /// All positive events of the behavior; those with the requested roles come first.
+    pub events: Vec<BehaviorEvent>,
+    /// Whether the recording already held the behavior with these roles.
+    pub recorded_event: bool,
+}
+
+/// Checks `generated`, a continuation of `recorded`, for `behavior` with the requested `roles`.
+pub fn verify(behavior: &dyn Behavior, roles: &[(String, TrackId)], recorded: &Scene, generated: &Scene) -> Verdict {
+    let is_requested = |event: &BehaviorEvent| event.roles == roles;
+    let (mut events, others): (Vec<_>, Vec<_>) =
+        positive_events(behavior, generated).into_iter().partition(is_requested);
+    let verified = !events.is_empty();
+    events.extend(others);
+    let recorded_event = positive_events(behavior, recorded).iter().any(is_requested);
+    Verdict { verified, events, recorded_event }
+}
+
+/// The positive events of `behavior` in `scene`.
+pub(super) fn positive_events(behavior: &dyn Behavior, scene: &Scene) -> Vec<BehaviorEvent> {
+    behavior.detect(scene).into_iter().filter(|event| event.label == EventLabel::Positive).collect()
+}

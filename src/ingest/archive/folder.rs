@@ -1,0 +1,61 @@
+//! Which files lie in a folder and the folders below it, in order of their names?
+
+use super::{Visitor, is_hidden, visit_file};
+use crate::ingest::Error;
+use std::ffi::OsString;
+use std::io;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+/// Visits the files of `root` and of the folders below it; archives among them are entered.
+pub(super) fn visit(
+    root: &Path,
+    wanted: &dyn Fn(&str) -> bool,
+    visit: &mut Visitor<'_>,
+) -> Result<ControlFlow<()>, Error> {
+    visit_folder(root, &mut Vec::new(), &mut Vec::new(), wanted, visit)
+}
+
+/// `below` are the names from the root to this folder, `ancestors` the folders on the way as the file system knows them.
+fn visit_folder(
+    root: &Path,
+    below: &mut Vec<OsString>,
+    ancestors: &mut Vec<PathBuf>,
+    wanted: &dyn Fn(&str) -> bool,
+    visit: &mut Visitor<'_>,
+) -> Result<ControlFlow<()>, Error> {
+    let folder = below.iter().fold(root.to_owned(), |path, name| path.join(name));
+    let canonical = fs_err::canonicalize(&folder)?;
+    if ancestors.contains(&canonical) {
+        let detail = "a symbolic link leads back to a folder above it; remove the link".to_owned();
+        return Err(Error::Container { container: folder, file: String::new(), detail });
+    }
+    ancestors.push(canonical);
+    for name in sorted_names(&folder)? {
+        let path = folder.join(&name);
+        // A dangling link counts as a file, and is an error only where that file is wanted.
+        let is_folder = fs_err::metadata(&path).is_ok_and(|metadata| metadata.is_dir());
+        below.push(name);
+        let flow = if is_folder {
+            visit_folder(root, below, ancestors, wanted, visit)?
+        } else {
+            let relative: Vec<_> = below.iter().map(|name| name.to_string_lossy()).collect();
+            visit_file(root, &relative.join("/"), &path, wanted, visit)?
+        };
+        below.pop();
+        if flow.is_break() {
+            return Ok(flow);
+        }
+    }
+    ancestors.pop();
+    Ok(ControlFlow::Continue(()))
+}
+
+fn sorted_names(folder: &Path) -> io::Result<Vec<OsString>> {
+    let mut names = fs_err::read_dir(folder)?
+        .map(|entry| entry.map(|entry| entry.file_name()))
+        .collect::<io::Result<Vec<OsString>>>()?;
+    names.retain(|name| !is_hidden(&name.to_string_lossy()));
+    names.sort_unstable();
+    Ok(names)
+}

@@ -1,0 +1,139 @@
+//! Which files do the inputs hold, and what is in them, without unpacking anything?
+//!
+//! Inputs are folders, single files, and containers: `.zip`, `.tar`, `.tar.gz`, `.tgz`, and `.gz` around one file. Every
+//! file is handed on as a stream, one after the other, in an order that depends on the inputs alone: folders by name,
+//! archives in the order of their directory. Memory does not grow with the size of a file. Names inside an archive are
+//! names and nothing else: nothing is ever written, so `..` and absolute paths lead nowhere.
+
+mod folder;
+mod tarball;
+mod zipped;
+
+use super::Error;
+use std::io::{self, BufRead, Read};
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+/// One file of an input.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Entry {
+    /// Its path inside the container with `/` between parts, and without the `.gz` of a file that is compressed alone.
+    pub path: String,
+    /// The archive, or the folder that was given as input (for an input that is a file: the folder around it).
+    pub container: PathBuf,
+    /// Size in bytes where the container says so before the file is read.
+    pub size: Option<u64>,
+}
+
+impl Entry {
+    /// The failure to read this entry.
+    pub fn unreadable(&self, error: &io::Error) -> Error {
+        Error::Container { container: self.container.clone(), file: self.path.clone(), detail: error.to_string() }
+    }
+}
+
+/// What is called for every wanted entry: with the entry and its bytes, of which any number may be read.
+///
+/// An entry that cannot be opened is handed on all the same, as a stream whose first read fails, so that the caller
+/// decides whether a broken file among many is a reject or the end.
+pub type Visitor<'a> = dyn FnMut(&Entry, &mut dyn BufRead) -> Result<ControlFlow<()>, Error> + 'a;
+
+/// Visits the entries of `inputs` whose path is `wanted`, until `visit` breaks off.
+///
+/// Entries that are not wanted are not opened (in a `.tar.gz` they still have to be decompressed). Hidden files, links
+/// inside archives, and what macOS adds to archives are passed over.
+///
+/// # Errors
+/// An input that does not exist or cannot be read, a container that is damaged or cut short, and whatever `visit` returns.
+pub fn visit_entries(inputs: &[PathBuf], wanted: &dyn Fn(&str) -> bool, visit: &mut Visitor<'_>) -> Result<(), Error> {
+    for input in inputs {
+        if visit_input(input, wanted, visit)?.is_break() {
+            break;
+        }
+    }
+    Ok(())
+}
+
+fn visit_input(input: &Path, wanted: &dyn Fn(&str) -> bool, visit: &mut Visitor<'_>) -> Result<ControlFlow<()>, Error> {
+    if fs_err::metadata(input)?.is_dir() {
+        return folder::visit(input, wanted, visit);
+    }
+    let folder = input.parent().unwrap_or_else(|| Path::new(""));
+    let name = input.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    visit_file(folder, &name, input, wanted, visit)
+}
+
+/// Visits the file `path`, which is called `name` within `root`: itself, or its entries if it is an archive.
+fn visit_file(
+    root: &Path,
+    name: &str,
+    path: &Path,
+    wanted: &dyn Fn(&str) -> bool,
+    visit: &mut Visitor<'_>,
+) -> Result<ControlFlow<()>, Error> {
+    let lower = name.to_ascii_lowercase();
+    let ends_with = |suffix: &str| lower.ends_with(suffix);
+    if ends_with(".zip") {
+        zipped::visit(path, wanted, visit)
+    } else if ends_with(".tar") {
+        tarball::visit(path, open(path)?, wanted, visit)
+    } else if ends_with(".tar.gz") || ends_with(".tgz") {
+        tarball::visit(path, gunzip(open(path)?), wanted, visit)
+    } else if ends_with(".gz") {
+        let entry =
+            Entry { path: clean_name(&name[..name.len() - ".gz".len()]), container: root.to_owned(), size: None };
+        if !wanted(&entry.path) {
+            return Ok(ControlFlow::Continue(()));
+        }
+        visit(&entry, &mut io::BufReader::with_capacity(BUFFER_BYTES, gunzip(open(path)?)))
+    } else {
+        if !wanted(name) {
+            return Ok(ControlFlow::Continue(()));
+        }
+        let size = fs_err::metadata(path).ok().map(|metadata| metadata.len());
+        visit(&Entry { path: clean_name(name), container: root.to_owned(), size }, &mut open(path)?)
+    }
+}
+
+const BUFFER_BYTES: usize = 128 * 1024;
+
+fn open(path: &Path) -> Result<io::BufReader<fs_err::File>, Error> {
+    Ok(io::BufReader::with_capacity(BUFFER_BYTES, fs_err::File::open(path)?))
+}
+
+/// Several gzip members in a row are one stream, as `gzip` itself has it.
+fn gunzip(reader: impl BufRead) -> impl Read {
+    flate2::bufread::MultiGzDecoder::new(reader)
+}
+
+/// A name as messages may show it: `/` between parts, no empty, `.` or `..` parts, no control characters.
+fn clean_name(name: &str) -> String {
+    let printable: String =
+        name.chars().map(|c| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c }).collect();
+    let parts: Vec<&str> = printable.split(['/', '\\']).filter(|part| !matches!(*part, "" | "." | "..")).collect();
+    parts.join("/")
+}
+
+/// Whether a path is hidden, or one of the companion files that macOS adds to archives (`__MACOSX/…`, `._name`).
+fn is_hidden(clean_name: &str) -> bool {
+    clean_name.split('/').any(|part| part.starts_with('.') || part == "__MACOSX")
+}
+
+/// The container itself is at fault; `after` is the last entry that could be read.
+fn damaged(container: &Path, after: Option<&str>, error: &io::Error) -> Error {
+    let place = after.map_or(String::new(), |entry| format!(" after entry {entry}"));
+    let detail = format!("{error}{place}; it may be damaged or cut short, get it anew");
+    Error::Container { container: container.to_owned(), file: String::new(), detail }
+}
+
+/// Stands for an entry that could not be opened: the first read gives the reason.
+struct Unopened(Option<io::Error>);
+
+impl Read for Unopened {
+    fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+        self.0.take().map_or(Ok(0), Err)
+    }
+}
+
+#[cfg(test)]
+mod tests;

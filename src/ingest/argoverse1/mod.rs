@@ -1,0 +1,78 @@
+//! Argoverse 1 motion forecasting: one CSV file a scene, one vector map a city.
+
+mod kinematics;
+mod tracks;
+mod vector_map;
+
+use super::archive::Entry;
+use super::config::IngestConfig;
+use super::error::Error;
+use super::files::{file_name, file_stem, read_whole, split_of_entry, split_of_path};
+use super::raw::{RawScene, RawUnit, Reject, UnitSplit, map_id};
+use super::source::{EmitUnit, Horizon, RecordingSource, UnitReader};
+use crate::scene::{Dataset, LaneGraph, MapId};
+use std::io::BufRead;
+use std::ops::ControlFlow;
+
+#[cfg(test)]
+pub(super) use tracks::tests::csv_text;
+
+/// What the dataset records: 2 s of past and 3 s of future at 10 Hz.
+const RECORDED: Horizon = Horizon { n_history: 20, n_future: 30 };
+
+/// The formats of Argoverse 1.
+pub(super) struct Argoverse1<'a> {
+    config: &'a IngestConfig,
+    horizon: Horizon,
+}
+
+impl<'a> Argoverse1<'a> {
+    pub(super) fn new(config: &'a IngestConfig) -> Result<Self, Error> {
+        Ok(Self { config, horizon: Horizon::within(config, RECORDED)? })
+    }
+}
+
+impl RecordingSource for Argoverse1<'_> {
+    fn is_recording(&self, path: &str) -> bool {
+        path.ends_with(".csv") && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
+    }
+
+    fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
+        Box::new(OneFileOneUnit)
+    }
+
+    fn parse(&self, unit: &RawUnit) -> Vec<Result<RawScene, Reject>> {
+        vec![tracks::parse(unit, self.horizon)]
+    }
+
+    fn is_map(&self, path: &str) -> bool {
+        vector_map::city_of(file_name(path)).is_some()
+    }
+
+    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Vec<(MapId, LaneGraph)>, Error> {
+        let Some(city) = vector_map::city_of(file_name(&entry.path)) else { return Ok(Vec::new()) };
+        let graph = vector_map::read(&entry.path, reader)?;
+        Ok(vec![(map_id(Dataset::Argoverse1, city), graph)])
+    }
+}
+
+struct OneFileOneUnit;
+
+impl UnitReader for OneFileOneUnit {
+    fn read(
+        &mut self,
+        entry: &Entry,
+        reader: &mut dyn BufRead,
+        emit: &mut EmitUnit<'_>,
+    ) -> Result<ControlFlow<()>, Error> {
+        Ok(emit(read_whole(entry, reader).map(|bytes| RawUnit {
+            file: entry.path.clone(),
+            container: entry.container.clone(),
+            split: UnitSplit::All(split_of_entry(entry)),
+            case_id: file_stem(&entry.path).to_owned(),
+            bytes,
+            first_line: 1,
+            ..RawUnit::default()
+        })))
+    }
+}

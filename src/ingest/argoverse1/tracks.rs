@@ -1,0 +1,231 @@
+//! Argoverse 1 recordings: from the rows of a CSV file to the tracks of a scene.
+
+use super::RECORDED;
+use super::kinematics::derive_states;
+use crate::geometry::Vec2;
+use crate::ingest::raw::{HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
+use crate::ingest::source::Horizon;
+use crate::scene::{AgentClass, Dataset, SceneId, SceneSource, Split, Track, TrackId, TrackRole, Trajectory};
+use csv::ByteRecord;
+use std::collections::HashMap;
+
+const COLUMNS: [&str; 6] = ["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME"];
+
+/// Nominal time between timesteps, seconds. The actual times are uneven and used for velocities.
+const DT_S: f64 = 0.1;
+
+/// The scene of a file, cut to `horizon` around the present of the dataset.
+pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
+    let table = Table::read(unit)?;
+    let split = match unit.split {
+        UnitSplit::All(split) => split,
+        UnitSplit::Divided => Split::Unsplit,
+    };
+    let timestamps_s = timestamps(unit, &table.rows, split)?;
+    let first = RECORDED.n_history - horizon.n_history;
+    let last = timestamps_s.len().min(RECORDED.n_history + horizon.n_future);
+    let mut tracks = Vec::with_capacity(table.tracks.len());
+    let mut heading_gaps = Vec::new();
+    for (track, positions) in table.tracks.iter().zip(positions(unit, &table, &timestamps_s)?) {
+        let (states, placeholder_until) = derive_states(&positions, &timestamps_s, RECORDED.n_history);
+        if placeholder_until > first {
+            heading_gaps.push(HeadingGap { track_idx: tracks.len(), until_timestep: placeholder_until - first });
+        }
+        tracks.push(Track {
+            id: TrackId(track.id.clone()),
+            class: AgentClass::Unknown,
+            role: track.role,
+            extent: None,
+            trajectory: Trajectory::new(states[first..last].to_vec()),
+        });
+    }
+    let place = table.city;
+    Ok(RawScene {
+        id: SceneId(format!("{}/{}/{place}/{}", Dataset::Argoverse1.name(), split.name(), unit.case_id)),
+        map_id: map_id(Dataset::Argoverse1, &place),
+        source: SceneSource {
+            dataset: Dataset::Argoverse1,
+            version: String::new(),
+            split,
+            place,
+            file: unit.file.clone(),
+            case_id: unit.case_id.clone(),
+            first_frame: timestamps_s[first].to_string(),
+        },
+        dt_s: DT_S,
+        n_timesteps: last - first,
+        n_history: horizon.n_history,
+        tracks,
+        heading_gaps,
+        own_map: None,
+    })
+}
+
+struct Table {
+    rows: Vec<Row>,
+    tracks: Vec<TrackHead>,
+    city: String,
+}
+
+struct Row {
+    line: u64,
+    timestamp_s: f64,
+    track_idx: usize,
+    position: Vec2,
+}
+
+struct TrackHead {
+    id: String,
+    role: TrackRole,
+}
+
+impl Table {
+    fn read(unit: &RawUnit) -> Result<Self, Reject> {
+        let bytes = unit.bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&unit.bytes);
+        // The format quotes nothing; a stray quote must not swallow the rest of the file.
+        let mut reader = csv::ReaderBuilder::new().quoting(false).from_reader(bytes);
+        let columns = find_columns(unit, reader.byte_headers())?;
+        let mut table = Self { rows: Vec::with_capacity(bytes.len() / 96), tracks: Vec::new(), city: String::new() };
+        let mut known: HashMap<Vec<u8>, usize> = HashMap::new();
+        let mut record = ByteRecord::new();
+        loop {
+            let line = reader.position().line();
+            match reader.read_byte_record(&mut record) {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(error) => {
+                    let line = error.position().map_or(line, csv::Position::line);
+                    return Err(unit.reject_at("malformed_row", line, describe(&error)));
+                }
+            }
+            let line = record.position().map_or(line, csv::Position::line);
+            let fields = columns.map(|column| record.get(column).unwrap_or_default().trim_ascii());
+            table.push(unit, line, fields, &mut known)?;
+        }
+        let n_focal = table.tracks.iter().filter(|track| track.role == TrackRole::Focal).count();
+        match n_focal {
+            0 => Err(unit.reject("no_agent_track", "no track is of OBJECT_TYPE AGENT; exactly one is expected")),
+            1 => Ok(table),
+            n => Err(unit.reject("several_agent_tracks", format!("{n} tracks are of OBJECT_TYPE AGENT, expected 1"))),
+        }
+    }
+
+    fn push(
+        &mut self,
+        unit: &RawUnit,
+        line: u64,
+        fields: [&[u8]; COLUMNS.len()],
+        known: &mut HashMap<Vec<u8>, usize>,
+    ) -> Result<(), Reject> {
+        let [timestamp, track_id, object_type, x, y, city] = fields;
+        let number = |name: &str, text: &[u8]| {
+            let text = String::from_utf8_lossy(text);
+            let value: f64 = text.parse().map_err(|_| {
+                unit.reject_at("malformed_row", line, format!("{name} is `{}`, expected a number", shorten(&text)))
+            })?;
+            if value.is_finite() {
+                Ok(value)
+            } else {
+                Err(unit.reject_at("non_finite", line, format!("{name} is {value}")))
+            }
+        };
+        let timestamp_s = number("TIMESTAMP", timestamp)?;
+        let position = Vec2::new(number("X", x)?, number("Y", y)?);
+        for (name, text) in [("TRACK_ID", track_id), ("CITY_NAME", city)] {
+            if text.is_empty() {
+                return Err(unit.reject_at("malformed_row", line, format!("{name} is empty")));
+            }
+        }
+        if self.city.is_empty() {
+            self.city = String::from_utf8_lossy(city).into_owned();
+        } else if self.city.as_bytes() != city {
+            let other = String::from_utf8_lossy(city);
+            let detail = format!("CITY_NAME is `{}` after `{}`", shorten(&other), self.city);
+            return Err(unit.reject_at("malformed_row", line, detail));
+        }
+        let track_idx = match known.get(track_id) {
+            Some(track_idx) => *track_idx,
+            None => {
+                let id = String::from_utf8_lossy(track_id).into_owned();
+                self.tracks.push(TrackHead { id, role: role_of(object_type) });
+                known.insert(track_id.to_vec(), self.tracks.len() - 1);
+                self.tracks.len() - 1
+            }
+        };
+        self.rows.push(Row { line, timestamp_s, track_idx, position });
+        Ok(())
+    }
+}
+
+fn role_of(object_type: &[u8]) -> TrackRole {
+    match object_type {
+        b"AGENT" => TrackRole::Focal,
+        b"AV" => TrackRole::Recorder,
+        _ => TrackRole::Context,
+    }
+}
+
+/// Where the columns of the format stand in this file.
+fn find_columns(unit: &RawUnit, header: csv::Result<&ByteRecord>) -> Result<[usize; COLUMNS.len()], Reject> {
+    let header = header.map_err(|error| unit.reject_at("bad_header", 1, describe(&error)))?;
+    let find = |name: &str| header.iter().position(|field| field.trim_ascii() == name.as_bytes());
+    let missing: Vec<&str> = COLUMNS.into_iter().filter(|name| find(name).is_none()).collect();
+    if !missing.is_empty() {
+        let found: Vec<_> = header.iter().take(12).map(String::from_utf8_lossy).collect();
+        let detail = format!(
+            "no column {} in the header `{}`; expected comma-separated {}",
+            missing.join(", "),
+            shorten(&found.join(",")),
+            COLUMNS.join(",")
+        );
+        return Err(unit.reject_at("bad_header", 1, detail));
+    }
+    Ok(COLUMNS.map(|name| find(name).unwrap_or_default()))
+}
+
+/// The distinct times of the file, ascending: the timesteps. Only test files may end at the present.
+fn timestamps(unit: &RawUnit, rows: &[Row], split: Split) -> Result<Vec<f64>, Reject> {
+    let mut timestamps_s: Vec<f64> = rows.iter().map(|row| row.timestamp_s).collect();
+    timestamps_s.sort_by(f64::total_cmp);
+    timestamps_s.dedup();
+    let may_end_at_present = matches!(split, Split::Test | Split::Unsplit);
+    let n = timestamps_s.len();
+    if n == RECORDED.n_timesteps() || (may_end_at_present && n == RECORDED.n_history) {
+        return Ok(timestamps_s);
+    }
+    let or_test = if may_end_at_present { format!(" or {}", RECORDED.n_history) } else { String::new() };
+    let detail = format!("{n} distinct timestamps, expected {}{or_test}", RECORDED.n_timesteps());
+    Err(unit.reject("wrong_timestamp_count", detail))
+}
+
+/// The positions of each track, one entry a timestep.
+fn positions(unit: &RawUnit, table: &Table, timestamps_s: &[f64]) -> Result<Vec<Vec<Option<Vec2>>>, Reject> {
+    let mut positions = vec![vec![None; timestamps_s.len()]; table.tracks.len()];
+    for row in &table.rows {
+        let timestep = timestamps_s.partition_point(|timestamp_s| *timestamp_s < row.timestamp_s);
+        let entry: &mut Option<Vec2> = &mut positions[row.track_idx][timestep];
+        if entry.replace(row.position).is_some() {
+            let detail = format!("track {} has a second row at {}", table.tracks[row.track_idx].id, row.timestamp_s);
+            return Err(unit.reject_at("duplicate_frame", row.line, detail));
+        }
+    }
+    Ok(positions)
+}
+
+fn describe(error: &csv::Error) -> String {
+    match error.kind() {
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => format!("{len} fields, expected {expected_len}"),
+        _ => error.to_string(),
+    }
+}
+
+fn shorten(text: &str) -> String {
+    const MAX_CHARS: usize = 120;
+    if text.chars().count() <= MAX_CHARS {
+        return text.to_owned();
+    }
+    text.chars().take(MAX_CHARS).chain("…".chars()).collect()
+}
+
+#[cfg(test)]
+pub(super) mod tests;

@@ -1,0 +1,324 @@
+//! Argoverse 1 maps: from the XML of a city's lane centerlines to a lane graph.
+//!
+//! `<node id x y/>` are points, `<way lane_id>` are centerlines of `<nd ref/>` with attributes in `<tag k v/>`. Booleans
+//! are `True` and `False`, a missing neighbor is `None`, and ids may name lanes outside the file.
+
+use crate::geometry::{Polyline, Vec2};
+use crate::ingest::error::Error;
+use crate::ingest::lane_topology::connect;
+use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId, TurnDirection};
+use quick_xml::XmlVersion;
+use quick_xml::events::{BytesStart, Event};
+use quick_xml::reader::Reader;
+use std::collections::HashMap;
+use std::fmt::Display;
+use std::io::{BufRead, Read};
+
+/// The map stores no widths; the official reader assumes this one.
+const ASSUMED_LANE_WIDTH_M: f64 = 3.8;
+
+/// Larger than any city; what does not end before is not a map.
+const MAX_MAP_BYTES: u64 = 256 << 20;
+
+/// The city that a map file is named for: `pruned_argoverse_MIA_10316_vector_map.xml` is `MIA`.
+pub(super) fn city_of(file_name: &str) -> Option<&str> {
+    let stem = file_name.strip_suffix("_vector_map.xml")?;
+    stem.split('_').find(|word| word.len() >= 2 && word.bytes().all(|byte| byte.is_ascii_uppercase()))
+}
+
+/// Reads a vector map.
+pub(super) fn read(file: &str, reader: &mut dyn BufRead) -> Result<LaneGraph, Error> {
+    let mut xml = Reader::from_reader(reader.take(MAX_MAP_BYTES));
+    let mut map = VectorMap::default();
+    let mut buffer = Vec::new();
+    loop {
+        let event = xml.read_event_into(&mut buffer);
+        let done = event.map_err(|error| error.to_string()).and_then(|event| map.take(&event)).map_err(|detail| {
+            fault(file, format!("byte {}", xml.error_position().max(xml.buffer_position())), detail)
+        })?;
+        if done {
+            break;
+        }
+        buffer.clear();
+    }
+    let lanes: Vec<Lane> = map.lanes;
+    if lanes.is_empty() {
+        return Err(fault(file, String::new(), "holds no lanes (`way` elements with a `lane_id`)"));
+    }
+    Ok(connect(lanes))
+}
+
+fn fault(file: &str, place: String, detail: impl Display) -> Error {
+    Error::Map { file: file.to_owned(), place, detail: detail.to_string() }
+}
+
+#[derive(Default)]
+struct VectorMap {
+    /// Names of the open elements, outermost first.
+    open: Vec<String>,
+    nodes: HashMap<i64, Vec2>,
+    way: Option<Way>,
+    lanes: Vec<Lane>,
+}
+
+#[derive(Default)]
+struct Way {
+    id: i64,
+    points: Vec<Vec2>,
+    left_neighbor: Option<LaneId>,
+    right_neighbor: Option<LaneId>,
+    successors: Vec<LaneId>,
+    predecessors: Vec<LaneId>,
+    attributes: LaneAttributes,
+}
+
+impl VectorMap {
+    /// Takes in one event; `true` after the last.
+    fn take(&mut self, event: &Event<'_>) -> Result<bool, String> {
+        match event {
+            Event::Start(element) => {
+                self.begin(element)?;
+                self.open.push(element.name().as_ref().to_owned());
+            }
+            Event::Empty(element) => {
+                self.begin(element)?;
+                self.end(element.name().as_ref())?;
+            }
+            Event::End(element) => {
+                self.open.pop();
+                self.end(element.name().as_ref())?;
+            }
+            // Entities could grow without bound, and no map has any.
+            Event::DocType(_) => return Err("has a document type declaration, which maps never have".to_owned()),
+            Event::Eof => {
+                return match self.open.last() {
+                    Some(element) => Err(format!("ends within <{element}>; the file is cut short")),
+                    None => Ok(true),
+                };
+            }
+            _ => {}
+        }
+        Ok(false)
+    }
+
+    fn begin(&mut self, element: &BytesStart<'_>) -> Result<(), String> {
+        let name = element.name();
+        match (name.as_ref(), &mut self.way) {
+            ("ArgoverseVectorMap", _) if self.open.is_empty() => {}
+            (root, _) if self.open.is_empty() => {
+                return Err(format!("begins with <{root}>, expected <ArgoverseVectorMap>"));
+            }
+            ("node", _) => {
+                let position = Vec2::new(coordinate(element, "x")?, coordinate(element, "y")?);
+                self.nodes.insert(integer("node id", &attribute(element, "id")?)?, position);
+            }
+            ("way", None) => {
+                let id = integer("lane_id", &attribute(element, "lane_id")?)?;
+                self.way = Some(Way { id, ..Way::default() });
+            }
+            ("way", Some(way)) => return Err(format!("way {} holds another way", way.id)),
+            ("nd", Some(way)) => {
+                let node = integer("node reference", &attribute(element, "ref")?)?;
+                let point =
+                    self.nodes.get(&node).ok_or_else(|| format!("way {} refers to missing node {node}", way.id))?;
+                way.points.push(*point);
+            }
+            ("tag", Some(way)) => {
+                let (key, value) = (attribute(element, "k")?, attribute(element, "v")?);
+                way.tag(&key, &value).map_err(|detail| format!("way {}: {detail}", way.id))?;
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn end(&mut self, name: &str) -> Result<(), String> {
+        if name == "way"
+            && let Some(way) = self.way.take()
+        {
+            self.lanes.push(way.into_lane()?);
+        }
+        Ok(())
+    }
+}
+
+impl Way {
+    fn tag(&mut self, key: &str, value: &str) -> Result<(), String> {
+        match key {
+            "has_traffic_control" => self.attributes.has_traffic_control = boolean(key, value)?,
+            "is_intersection" => self.attributes.is_intersection = boolean(key, value)?,
+            "turn_direction" => {
+                self.attributes.turn = match value {
+                    "LEFT" => TurnDirection::Left,
+                    "RIGHT" => TurnDirection::Right,
+                    "NONE" | "None" => TurnDirection::None,
+                    _ => return Err(format!("turn_direction is `{value}`, expected LEFT, RIGHT or NONE")),
+                }
+            }
+            "l_neighbor_id" => self.left_neighbor = lane_id(key, value)?,
+            "r_neighbor_id" => self.right_neighbor = lane_id(key, value)?,
+            "predecessor" => self.predecessors.extend(lane_id(key, value)?),
+            "successor" => self.successors.extend(lane_id(key, value)?),
+            _ => {
+                self.attributes.tags.insert(key.to_owned(), value.to_owned());
+            }
+        }
+        Ok(())
+    }
+
+    fn into_lane(self) -> Result<Lane, String> {
+        let mut points = self.points;
+        points.dedup();
+        if points.len() < 2 {
+            return Err(format!("way {} has {} distinct points, expected at least 2", self.id, points.len()));
+        }
+        let mut attributes = self.attributes;
+        attributes.one_way = true;
+        attributes.tags.insert("boundaries".to_owned(), format!("assumed:{ASSUMED_LANE_WIDTH_M}_m_wide"));
+        Ok(Lane {
+            id: LaneId(self.id),
+            left: beside(&points, ASSUMED_LANE_WIDTH_M / 2.0),
+            right: beside(&points, -ASSUMED_LANE_WIDTH_M / 2.0),
+            centerline: Polyline(points),
+            successors: self.successors,
+            predecessors: self.predecessors,
+            left_neighbor: self.left_neighbor,
+            right_neighbor: self.right_neighbor,
+            attributes,
+        })
+    }
+}
+
+/// The line at `offset_m` to the left of `points`: each point moves across the mean direction of its two segments.
+fn beside(points: &[Vec2], offset_m: f64) -> Polyline {
+    let direction = |from: Vec2, to: Vec2| (to - from) * (1.0 / from.distance(to));
+    let shifted = (0..points.len()).map(|i| {
+        let arriving = i.checked_sub(1).map(|previous| direction(points[previous], points[i]));
+        let leaving = points.get(i + 1).map(|next| direction(points[i], *next));
+        let mean = arriving.unwrap_or(Vec2::ZERO) + leaving.unwrap_or(Vec2::ZERO);
+        points[i] + Vec2::from_angle(mean.angle() + std::f64::consts::FRAC_PI_2) * offset_m
+    });
+    Polyline(shifted.collect())
+}
+
+fn attribute(element: &BytesStart<'_>, name: &str) -> Result<String, String> {
+    let tag = element.name();
+    let attribute = element.try_get_attribute(name).map_err(|error| error.to_string())?;
+    let attribute = attribute.ok_or_else(|| format!("<{}> has no attribute `{name}`", tag.as_ref()))?;
+    attribute
+        .normalized_value(XmlVersion::Implicit1_0)
+        .map(|value| value.into_owned())
+        .map_err(|error| error.to_string())
+}
+
+fn coordinate(element: &BytesStart<'_>, name: &str) -> Result<f64, String> {
+    let text = attribute(element, name)?;
+    let value = text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
+    value.ok_or_else(|| format!("node coordinate {name} is `{text}`, expected a finite number"))
+}
+
+fn integer(what: &str, text: &str) -> Result<i64, String> {
+    text.trim().parse().map_err(|_| format!("{what} is `{text}`, expected an integer"))
+}
+
+fn lane_id(key: &str, value: &str) -> Result<Option<LaneId>, String> {
+    if value == "None" { Ok(None) } else { integer(key, value).map(|id| Some(LaneId(id))) }
+}
+
+fn boolean(key: &str, value: &str) -> Result<bool, String> {
+    match value {
+        "True" => Ok(true),
+        "False" => Ok(false),
+        _ => Err(format!("{key} is `{value}`, expected True or False")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WAYS: &str = r#"
+        <node id="0" x="0" y="0"/> <node id="1" x="10" y="0" height="3.5"/> <node id="2" x="20" y="0"/>
+        <node id="3" x="20" y="3.8"/> <node id="4" x="0" y="3.8"/>
+        <way lane_id="100">
+          <tag k="has_traffic_control" v="True"/> <tag k="turn_direction" v="LEFT"/> <tag k="is_intersection" v="False"/>
+          <tag k="l_neighbor_id" v="102"/> <tag k="r_neighbor_id" v="None"/>
+          <nd ref="0"/> <nd ref="1"/> <tag k="successor" v="101"/> <tag k="successor" v="999"/>
+        </way>
+        <way lane_id="101"><nd ref="1"/><nd ref="2"/><tag k="r_neighbor_id" v="777"/></way>
+        <way lane_id="102"><nd ref="3"/><nd ref="4"/><tag k="l_neighbor_id" v="100"/></way>"#;
+
+    fn read_text(text: &str) -> Result<LaneGraph, Error> {
+        read("m_MIA_1_vector_map.xml", &mut text.as_bytes())
+    }
+
+    fn read_ways(ways: &str) -> Result<LaneGraph, Error> {
+        read_text(&format!("<ArgoverseVectorMap>{ways}</ArgoverseVectorMap>"))
+    }
+
+    fn message(ways: &str) -> String {
+        read_ways(ways).expect_err("the map is faulty").to_string()
+    }
+
+    #[test]
+    fn lanes_have_attributes_links_and_assumed_boundaries() {
+        let graph = read_ways(WAYS).expect("well formed");
+        let lane = graph.get(LaneId(100)).expect("listed");
+        assert!(lane.attributes.has_traffic_control && !lane.attributes.is_intersection && lane.attributes.one_way);
+        assert_eq!(lane.attributes.turn, TurnDirection::Left);
+        assert_eq!(lane.successors, [LaneId(101)]);
+        assert_eq!(graph.get(LaneId(101)).expect("listed").predecessors, [LaneId(100)]);
+        assert_eq!(lane.left_neighbor, None, "the neighbor drives the other way");
+        assert_eq!(lane.attributes.tags["opposite_left_neighbor"], "102");
+        assert!(lane.left.0[0].distance(Vec2::new(0.0, 1.9)) < 1e-12);
+        assert!(lane.right.0[1].distance(Vec2::new(10.0, -1.9)) < 1e-12);
+        assert!(lane.attributes.tags["boundaries"].starts_with("assumed"));
+    }
+
+    #[test]
+    fn boundaries_of_a_bend_keep_their_distance() {
+        let arc: Vec<Vec2> = (0..10).map(|i| Vec2::from_angle(i as f64 * 0.1) * 20.0).collect();
+        for (point, left) in arc.iter().zip(beside(&arc, 1.9).0).skip(1).take(8) {
+            assert!((left.norm() - 18.1).abs() < 1e-9 && (point.distance(left) - 1.9).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn cities_come_from_file_names() {
+        assert_eq!(city_of("pruned_argoverse_MIA_10316_vector_map.xml"), Some("MIA"));
+        assert_eq!(city_of("pruned_argoverse_PIT_10314_vector_map.xml"), Some("PIT"));
+        assert_eq!(city_of("MIA_10316_driveable_area.npy"), None);
+        assert_eq!(city_of("my_vector_map.xml"), None);
+    }
+
+    #[test]
+    fn faults_name_the_file_the_place_and_the_element() {
+        let missing = message(&WAYS.replace(r#"<nd ref="2"/>"#, r#"<nd ref="9"/>"#));
+        assert!(missing.starts_with("map m_MIA_1_vector_map.xml, byte ") && missing.contains("way 101"), "{missing}");
+        assert!(message(&WAYS.replace("20", "NaN")).contains("finite"));
+        assert!(message(&WAYS.replace("v=\"True\"", "v=\"yes\"")).contains("way 100: has_traffic_control is `yes`"));
+        assert!(message(&WAYS.replace(r#"<nd ref="1"/>"#, "")).contains("1 distinct points"));
+        assert!(message("").contains("no lanes"));
+        assert!(message("<way><nd ref=\"1\"/></way>").contains("lane_id"));
+        assert!(message(r#"<way lane_id="1"><way lane_id="2"/></way>"#).contains("another way"));
+    }
+
+    #[test]
+    fn cut_or_foreign_files_are_refused() {
+        let whole = format!("<ArgoverseVectorMap>{WAYS}</ArgoverseVectorMap>");
+        for cut in [whole.len() - 5, whole.len() / 2, 30] {
+            assert!(read_text(&whole[..cut]).is_err(), "cut at {cut}");
+        }
+        assert!(read_text("<osm/>").expect_err("foreign").to_string().contains("<osm>"));
+        assert!(read_text("").is_err());
+        assert!(read_text("no map at all").is_err());
+    }
+
+    #[test]
+    fn entities_are_refused_before_they_grow() {
+        let bomb =
+            r#"<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><ArgoverseVectorMap>&b;</ArgoverseVectorMap>"#;
+        assert!(read_text(bomb).expect_err("bomb").to_string().contains("document type"));
+        assert!(message(r#"<node id="&b;" x="0" y="0"/>"#).contains("byte"));
+    }
+}

@@ -1,0 +1,155 @@
+//! Argoverse 2 maps: from the JSON of a scenario's surroundings to a lane graph.
+
+use crate::geometry::{Polyline, Vec2};
+use crate::ingest::lane_topology::connect;
+use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+/// Lanes for bicycles are left out: nobody whom the models drive uses them.
+const DRIVING_LANES: [&str; 2] = ["VEHICLE", "BUS"];
+
+/// Points of a centerline that is computed from the boundaries, as in the official reader.
+const N_CENTERLINE_POINTS: usize = 10;
+
+#[derive(Deserialize)]
+struct MapFile {
+    lane_segments: BTreeMap<String, LaneSegment>,
+}
+
+#[derive(Deserialize)]
+struct LaneSegment {
+    id: i64,
+    lane_type: String,
+    is_intersection: bool,
+    left_lane_boundary: Vec<Point>,
+    right_lane_boundary: Vec<Point>,
+    centerline: Option<Vec<Point>>,
+    #[serde(default)]
+    successors: Vec<i64>,
+    #[serde(default)]
+    predecessors: Vec<i64>,
+    left_neighbor_id: Option<i64>,
+    right_neighbor_id: Option<i64>,
+    left_lane_mark_type: Option<String>,
+    right_lane_mark_type: Option<String>,
+}
+
+#[derive(Deserialize)]
+struct Point {
+    x: f64,
+    y: f64,
+}
+
+/// Reads a map; the error says what is wrong and where.
+pub(super) fn parse(json: &[u8]) -> Result<LaneGraph, String> {
+    let map: MapFile = serde_json::from_slice(json).map_err(|error| error.to_string())?;
+    let driving = map.lane_segments.into_values().filter(|lane| DRIVING_LANES.contains(&lane.lane_type.as_str()));
+    let lanes: Vec<Lane> = driving.map(LaneSegment::into_lane).collect::<Result<_, _>>()?;
+    Ok(connect(lanes))
+}
+
+impl LaneSegment {
+    fn into_lane(self) -> Result<Lane, String> {
+        let (left, right) = (line(&self.left_lane_boundary), line(&self.right_lane_boundary));
+        let centerline = match &self.centerline {
+            Some(points) => line(points),
+            None => between(&left, &right),
+        };
+        for (name, line) in [("left boundary", &left), ("right boundary", &right), ("centerline", &centerline)] {
+            if line.length_m() == 0.0 {
+                return Err(format!("lane {}: its {name} has fewer than 2 distinct points", self.id));
+            }
+        }
+        let marks = [("left_mark", self.left_lane_mark_type), ("right_mark", self.right_lane_mark_type)];
+        let tags = marks.into_iter().filter_map(|(name, mark)| mark.map(|mark| (name.to_owned(), mark))).collect();
+        let ids = |ids: Vec<i64>| ids.into_iter().map(LaneId).collect();
+        Ok(Lane {
+            id: LaneId(self.id),
+            centerline,
+            left,
+            right,
+            successors: ids(self.successors),
+            predecessors: ids(self.predecessors),
+            left_neighbor: self.left_neighbor_id.map(LaneId),
+            right_neighbor: self.right_neighbor_id.map(LaneId),
+            attributes: LaneAttributes {
+                kind: self.lane_type,
+                is_intersection: self.is_intersection,
+                one_way: true,
+                tags,
+                ..LaneAttributes::default()
+            },
+        })
+    }
+}
+
+/// The points of a line, each once.
+fn line(points: &[Point]) -> Polyline {
+    let mut points: Vec<Vec2> = points.iter().map(|point| Vec2::new(point.x, point.y)).collect();
+    points.dedup();
+    Polyline(points)
+}
+
+/// The line half way between two boundaries.
+fn between(left: &Polyline, right: &Polyline) -> Polyline {
+    let pairs = left.resampled(N_CENTERLINE_POINTS).0.into_iter().zip(right.resampled(N_CENTERLINE_POINTS).0);
+    Polyline(pairs.map(|(left, right)| left.lerp(right, 0.5)).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn segment(id: i64, kind: &str, more: &str) -> String {
+        format!(
+            r#""{id}": {{"id": {id}, "is_intersection": false, "lane_type": "{kind}",
+            "left_lane_boundary": [{{"x": 0, "y": 2, "z": 1}}, {{"x": 10, "y": 2, "z": 1}}],
+            "right_lane_boundary": [{{"x": 0, "y": -2, "z": 1}}, {{"x": 5, "y": -2, "z": 1}}, {{"x": 10, "y": -2, "z": 1}}],
+            "left_lane_mark_type": "NONE", "right_lane_mark_type": "SOLID_WHITE", {more}
+            "successors": [7, 8], "predecessors": []}}"#
+        )
+    }
+
+    fn map(segments: &[String]) -> String {
+        format!(
+            r#"{{"drivable_areas": {{}}, "pedestrian_crossings": {{}}, "lane_segments": {{{}}}}}"#,
+            segments.join(",")
+        )
+    }
+
+    #[test]
+    fn driving_lanes_are_kept_and_connected() {
+        let none = r#""left_neighbor_id": null, "right_neighbor_id": 9,"#;
+        let text = map(&[segment(6, "VEHICLE", none), segment(7, "BUS", ""), segment(9, "BIKE", none)]);
+        let graph = parse(text.as_bytes()).expect("well formed");
+        assert_eq!(graph.lanes().iter().map(|lane| lane.id.0).collect::<Vec<_>>(), [6, 7]);
+        let first = &graph.lanes()[0];
+        assert_eq!((first.successors.as_slice(), first.right_neighbor), ([LaneId(7)].as_slice(), None));
+        assert_eq!(graph.lanes()[1].predecessors, [LaneId(6)]);
+        assert_eq!(first.attributes.tags["right_mark"], "SOLID_WHITE");
+    }
+
+    #[test]
+    fn centerlines_are_read_or_computed() {
+        let given = r#""centerline": [{"x": 0, "y": 0.5, "z": 0}, {"x": 10, "y": 0.5, "z": 0}],"#;
+        let graph =
+            parse(map(&[segment(1, "VEHICLE", given), segment(2, "VEHICLE", "")]).as_bytes()).expect("well formed");
+        assert_eq!(graph.lanes()[0].centerline.0, [Vec2::new(0.0, 0.5), Vec2::new(10.0, 0.5)]);
+        let computed = &graph.lanes()[1].centerline;
+        assert_eq!(computed.0.len(), N_CENTERLINE_POINTS);
+        assert!(computed.0.iter().all(|point| point.y.abs() < 1e-12));
+        assert!((computed.length_m() - 10.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn faulty_maps_are_refused() {
+        let whole = map(&[segment(1, "VEHICLE", "")]);
+        assert!(parse(&whole.as_bytes()[..whole.len() / 2]).expect_err("cut").contains("line"));
+        assert!(parse(b"[]").is_err() && parse(b"").is_err());
+        assert!(parse(whole.replace("\"x\": 10", "\"x\": 1e999").as_bytes()).is_err());
+        assert!(parse(whole.replace("\"x\": 10", "\"x\": 0").as_bytes()).expect_err("a point").contains("lane 1"));
+        let deep = format!("{{\"lane_segments\": {}", "[".repeat(100_000));
+        assert!(parse(deep.as_bytes()).is_err());
+    }
+}

@@ -1,0 +1,78 @@
+//! Argoverse 2 motion forecasting: one parquet file and one map a scenario.
+
+mod columns;
+mod map;
+mod pairing;
+mod tracks;
+
+use super::archive::Entry;
+use super::config::IngestConfig;
+use super::error::Error;
+use super::files::split_of_path;
+use super::raw::{RawScene, RawUnit, Reject};
+use super::source::{Horizon, RecordingSource, UnitReader};
+use crate::scene::{LaneGraph, MapId};
+use std::io::BufRead;
+use std::sync::Arc;
+
+/// What the dataset records: 5 s of past and 6 s of future at 10 Hz.
+const RECORDED: Horizon = Horizon { n_history: 50, n_future: 60 };
+
+/// The formats of Argoverse 2.
+pub(super) struct Argoverse2<'a> {
+    config: &'a IngestConfig,
+    horizon: Horizon,
+}
+
+impl<'a> Argoverse2<'a> {
+    pub(super) fn new(config: &'a IngestConfig) -> Result<Self, Error> {
+        if !config.map_inputs.is_empty() {
+            let detail = "cannot be used with argoverse2: every scenario has its own map beside it".to_owned();
+            return Err(Error::Config { key: "map_inputs", detail });
+        }
+        Ok(Self { config, horizon: Horizon::within(config, RECORDED)? })
+    }
+}
+
+impl RecordingSource for Argoverse2<'_> {
+    fn is_recording(&self, path: &str) -> bool {
+        let wanted = match pairing::part_of(path) {
+            Some((_, pairing::Part::Scenario)) => true,
+            Some((_, pairing::Part::Map)) => self.config.wants_maps(),
+            None => false,
+        };
+        wanted && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
+    }
+
+    fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
+        Box::new(pairing::PairReader::new(self.config.wants_maps()))
+    }
+
+    fn parse(&self, unit: &RawUnit) -> Vec<Result<RawScene, Reject>> {
+        vec![self.parse_scenario(unit)]
+    }
+
+    fn has_own_maps(&self) -> bool {
+        true
+    }
+
+    fn is_map(&self, _path: &str) -> bool {
+        false
+    }
+
+    fn read_map(&self, _entry: &Entry, _reader: &mut dyn BufRead) -> Result<Vec<(MapId, LaneGraph)>, Error> {
+        Ok(Vec::new())
+    }
+}
+
+impl Argoverse2<'_> {
+    fn parse_scenario(&self, unit: &RawUnit) -> Result<RawScene, Reject> {
+        let mut scene = tracks::parse(unit, self.horizon)?;
+        if let Some(companion) = &unit.companion {
+            let graph = map::parse(&companion.bytes)
+                .map_err(|detail| Reject { reason: "bad_map", detail: format!("{}: {detail}", companion.file) })?;
+            scene.own_map = Some(Arc::new(graph));
+        }
+        Ok(scene)
+    }
+}

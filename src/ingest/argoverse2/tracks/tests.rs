@@ -1,0 +1,148 @@
+use super::*;
+use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
+use arrow::compute::cast;
+use arrow::datatypes::DataType;
+use parquet::arrow::ArrowWriter;
+use std::sync::Arc;
+
+/// Two tracks over `n_timesteps`: the focal vehicle `7` drives north at 10 m/s, `AV` stands.
+fn columns(n_timesteps: usize) -> Vec<(&'static str, ArrayRef)> {
+    let rows: Vec<(usize, bool)> = (0..2 * n_timesteps).map(|i| (i / 2, i % 2 == 0)).collect();
+    let floats = |value: &dyn Fn(usize, bool) -> f64| -> ArrayRef {
+        Arc::new(rows.iter().map(|(t, is_focal)| value(*t, *is_focal)).collect::<Float64Array>())
+    };
+    let texts = |value: &dyn Fn(bool) -> &'static str| -> ArrayRef {
+        Arc::new(StringArray::from_iter_values(rows.iter().map(|(_, is_focal)| value(*is_focal))))
+    };
+    let integers = |value: &dyn Fn(usize, bool) -> i64| -> ArrayRef {
+        Arc::new(rows.iter().map(|(t, is_focal)| value(*t, *is_focal)).collect::<Int64Array>())
+    };
+    vec![
+        ("track_id", texts(&|is_focal| if is_focal { "7" } else { "AV" })),
+        ("object_type", texts(&|is_focal| if is_focal { "bus" } else { "vehicle" })),
+        ("object_category", integers(&|_, is_focal| if is_focal { 3 } else { 1 })),
+        ("timestep", integers(&|t, _| t as i64)),
+        ("position_x", floats(&|_, is_focal| if is_focal { 5.0 } else { -5.0 })),
+        ("position_y", floats(&|t, is_focal| if is_focal { t as f64 } else { 0.0 })),
+        ("heading", floats(&|_, is_focal| if is_focal { std::f64::consts::FRAC_PI_2 } else { -4.0 })),
+        ("velocity_x", floats(&|_, _| 0.0)),
+        ("velocity_y", floats(&|_, is_focal| if is_focal { 10.0 } else { 0.0 })),
+        ("scenario_id", texts(&|_| "abc")),
+        ("focal_track_id", texts(&|_| "7")),
+        ("city", texts(&|_| "austin")),
+        ("start_timestamp", integers(&|_, _| 315_000_000_000_000_000)),
+    ]
+}
+
+fn parquet_bytes(columns: Vec<(&'static str, ArrayRef)>) -> Vec<u8> {
+    let batch = RecordBatch::try_from_iter(columns).expect("columns of one length");
+    let mut bytes = Vec::new();
+    let mut writer = ArrowWriter::try_new(&mut bytes, batch.schema(), None).expect("a plain schema");
+    writer.write(&batch).expect("memory");
+    writer.close().expect("memory");
+    bytes
+}
+
+fn parse_bytes(bytes: Vec<u8>, split: Split) -> Result<RawScene, Reject> {
+    let unit = RawUnit {
+        file: "abc/scenario_abc.parquet".to_owned(),
+        split: UnitSplit::All(split),
+        bytes,
+        ..RawUnit::default()
+    };
+    parse(&unit, RECORDED)
+}
+
+fn parse_columns(columns: Vec<(&'static str, ArrayRef)>) -> Result<RawScene, Reject> {
+    parse_bytes(parquet_bytes(columns), Split::Train)
+}
+
+fn replaced(name: &str, column: impl Fn(&ArrayRef) -> ArrayRef) -> Vec<(&'static str, ArrayRef)> {
+    columns(110).into_iter().map(|(n, c)| (n, if n == name { column(&c) } else { c })).collect()
+}
+
+#[test]
+fn a_file_becomes_a_scene() {
+    let scene = parse_columns(columns(110)).expect("well formed");
+    assert_eq!(scene.id.0, "argoverse2/train/austin/abc");
+    assert_eq!((scene.n_timesteps, scene.n_history), (110, 50));
+    assert_eq!(scene.source.first_frame, "315000000000000000");
+    let focal = &scene.tracks[0];
+    assert_eq!((focal.role, focal.class), (TrackRole::Focal, AgentClass::Bus));
+    let state = focal.trajectory.get(49).expect("tracked");
+    assert_eq!((state.position, state.velocity), (Vec2::new(5.0, 49.0), Vec2::new(0.0, 10.0)));
+    assert_eq!(scene.tracks[1].role, TrackRole::Recorder);
+    let heading = scene.tracks[1].trajectory.get(0).expect("tracked").heading_rad;
+    assert!((heading - (std::f64::consts::TAU - 4.0)).abs() < 1e-12, "headings are wrapped");
+}
+
+#[test]
+fn the_encoding_of_columns_does_not_matter() {
+    let plain = parse_columns(columns(110)).expect("well formed");
+    let dictionary = DataType::Dictionary(Box::new(DataType::Int32), Box::new(DataType::Utf8));
+    for (name, data_type) in [
+        ("track_id", dictionary),
+        ("object_type", DataType::Utf8View),
+        ("city", DataType::LargeUtf8),
+        ("timestep", DataType::UInt16),
+        ("start_timestamp", DataType::Float64),
+    ] {
+        let scene = parse_columns(replaced(name, |column| cast(column, &data_type).expect("castable"))).expect(name);
+        assert_eq!((scene.tracks, scene.source), (plain.tracks.clone(), plain.source.clone()), "{name}");
+    }
+}
+
+#[test]
+fn only_test_files_may_end_at_the_present() {
+    let scene = parse_bytes(parquet_bytes(columns(50)), Split::Test).expect("a test file");
+    assert_eq!((scene.n_timesteps, scene.n_history), (50, 50));
+    for (n_timesteps, split) in [(50, Split::Train), (49, Split::Test), (109, Split::Val)] {
+        let reject = parse_bytes(parquet_bytes(columns(n_timesteps)), split).expect_err("short");
+        assert_eq!(reject.reason, "wrong_timestamp_count");
+    }
+}
+
+#[test]
+fn malformed_tables_are_rejected() {
+    let reason = |columns| {
+        let reject = parse_columns(columns).expect_err("malformed");
+        assert!(reject.detail.starts_with("abc/scenario_abc.parquet: "), "{}", reject.detail);
+        reject.reason
+    };
+    let floats =
+        |value: f64| move |column: &ArrayRef| Arc::new(Float64Array::from(vec![value; column.len()])) as ArrayRef;
+    let integers =
+        |value: i64| move |column: &ArrayRef| Arc::new(Int64Array::from(vec![value; column.len()])) as ArrayRef;
+    let texts = |value: &'static str| {
+        move |column: &ArrayRef| Arc::new(StringArray::from(vec![value; column.len()])) as ArrayRef
+    };
+    let nulls = |column: &ArrayRef| Arc::new(Float64Array::from(vec![None; column.len()])) as ArrayRef;
+    assert_eq!(reason(columns(110).into_iter().filter(|(name, _)| *name != "heading").collect()), "missing_column");
+    assert_eq!(reason(replaced("position_x", floats(f64::NAN))), "non_finite");
+    assert_eq!(reason(replaced("position_x", nulls)), "malformed_row");
+    assert_eq!(reason(replaced("position_x", texts("east"))), "malformed_row");
+    assert_eq!(reason(replaced("timestep", integers(-1))), "malformed_row");
+    assert_eq!(reason(replaced("timestep", integers(110))), "malformed_row");
+    assert_eq!(reason(replaced("track_id", texts("7"))), "duplicate_frame");
+    assert_eq!(reason(replaced("focal_track_id", texts("8"))), "no_focal_track");
+    assert_eq!(reason(columns(0)), "bad_parquet");
+}
+
+#[test]
+fn cut_or_damaged_files_are_rejected_without_panic() {
+    let whole = parquet_bytes(columns(110));
+    for n_bytes in [0, 3, 8, 100, whole.len() / 2, whole.len() - 1] {
+        let reject = parse_bytes(whole[..n_bytes].to_vec(), Split::Train).expect_err("cut");
+        assert_eq!(reject.reason, "bad_parquet");
+    }
+    let mut rng = crate::seed::Seed(5).rng();
+    for _ in 0..300 {
+        let mut damaged = whole.clone();
+        for _ in 0..4 {
+            let at = rng.below(damaged.len());
+            damaged[at] = rng.below(256) as u8;
+        }
+        // Whatever comes of it, it must be a value.
+        let _ = parse_bytes(damaged, Split::Train);
+    }
+}

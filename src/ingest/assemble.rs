@@ -1,0 +1,153 @@
+//! From a recorded scene to one of ours: who is the ego, who else takes part, and which lanes are near?
+
+use super::config::{AgentsPresent, IngestConfig};
+use super::lane_index::LaneIndex;
+use super::raw::{HeadingGap, RawScene, Reject};
+use super::report::IngestReport;
+use crate::geometry::{Transform2, Vec2};
+use crate::scene::{AgentClass, LaneGraph, Scene, State, Track, TrackRole, Trajectory};
+use crate::seed::Seed;
+use std::sync::Arc;
+
+/// A standing vehicle takes the direction of a lane no farther than this from its center, metres.
+const MAX_LANE_DISTANCE_M: f64 = 5.0;
+
+/// Puts a recorded scene into the frame of its ego and keeps the agents and lanes that the configuration asks for.
+///
+/// The ego is the focal track; where there is none at present, a seeded draw among the motorized tracks that are tracked
+/// throughout, or else among those tracked at present. `map` is `None` when scenes need no lanes.
+///
+/// # Errors
+/// Rejects `non_finite` states, scenes with `no_ego`, and those with `no_lanes_in_radius` of the map.
+pub(super) fn assemble(
+    mut raw: RawScene,
+    map: Option<&LaneIndex>,
+    config: &IngestConfig,
+) -> Result<(Scene, IngestReport), Reject> {
+    let reject = |raw: &RawScene, reason, detail: String| Reject {
+        reason,
+        detail: format!("{}: scene {}: {detail}", raw.source.file, raw.id),
+    };
+    if let Some(track) = raw.tracks.iter().find(|track| track.trajectory.valid().any(|(_, state)| !state.is_finite())) {
+        return Err(reject(&raw, "non_finite", format!("track {} has a state that is not finite", track.id)));
+    }
+    let present = raw.n_history.saturating_sub(1);
+    let mut counts = IngestReport::default();
+    let Some((ego_idx, ego_state)) = choose_ego(&raw, present, Seed(config.seed)) else {
+        return Err(reject(&raw, "no_ego", format!("no motorized track is present at timestep {present}")));
+    };
+    let lane_ids = map.map(|map| map.within(ego_state.position, config.map_radius_m));
+    if lane_ids.as_ref().is_some_and(Vec::is_empty) {
+        let Vec2 { x, y } = ego_state.position;
+        let detail = format!("no lane of {} within {} m of ({x:.1}, {y:.1})", raw.map_id, config.map_radius_m);
+        return Err(reject(&raw, "no_lanes_in_radius", detail));
+    }
+    let kept = choose_agents(&raw.tracks, ego_idx, present, config, &mut counts);
+    for gap in std::mem::take(&mut raw.heading_gaps) {
+        if kept.binary_search(&gap.track_idx).is_ok() {
+            fill_headings(&mut raw.tracks[gap.track_idx], gap, present, map, &mut counts);
+        }
+    }
+
+    let ego_heading_rad = raw.tracks[ego_idx].trajectory.get(present).map_or(0.0, |state| state.heading_rad);
+    let world_from_scene = Transform2::from_pose(ego_state.position, ego_heading_rad);
+    let scene_from_world = world_from_scene.inverse();
+    let tracks: Vec<Track> = kept
+        .iter()
+        .map(|&idx| {
+            let track = &raw.tracks[idx];
+            Track { trajectory: track.trajectory.transformed(&scene_from_world), ..track.clone() }
+        })
+        .collect();
+    let lanes = match (map, &lane_ids) {
+        (Some(map), Some(ids)) => map.graph().subset(ids).transformed(&scene_from_world),
+        _ => LaneGraph::default(),
+    };
+    counts.count_scene(&raw.source, tracks.len());
+    let scene = Scene {
+        ego_idx: kept.binary_search(&ego_idx).unwrap_or_default(),
+        map_id: map.is_some().then_some(raw.map_id),
+        lanes: Arc::new(lanes),
+        id: raw.id,
+        source: raw.source,
+        dt_s: raw.dt_s,
+        n_timesteps: raw.n_timesteps,
+        n_history: raw.n_history,
+        world_from_scene,
+        tracks,
+    };
+    Ok((scene, counts))
+}
+
+fn choose_ego(raw: &RawScene, present: usize, seed: Seed) -> Option<(usize, State)> {
+    let is_present = |track: &Track| track.trajectory.is_valid(present);
+    let is_whole = |track: &Track| track.trajectory.n_valid() == raw.n_timesteps;
+    let draw = |is_eligible: &dyn Fn(&Track) -> bool| {
+        let eligible: Vec<usize> = (0..raw.tracks.len())
+            .filter(|idx| raw.tracks[*idx].class.is_motorized() && is_eligible(&raw.tracks[*idx]))
+            .collect();
+        let drawn = seed.derive_named("ego", &raw.id.0).rng().below(eligible.len());
+        eligible.get(drawn).copied()
+    };
+    let focal = raw.tracks.iter().position(|track| track.role == TrackRole::Focal && is_present(track));
+    let ego_idx = focal.or_else(|| draw(&is_whole)).or_else(|| draw(&is_present))?;
+    raw.tracks[ego_idx].trajectory.get(present).map(|state| (ego_idx, *state))
+}
+
+/// The tracks that take part, by ascending index: the ego, and the nearest of those present up to the cap.
+fn choose_agents(
+    tracks: &[Track],
+    ego_idx: usize,
+    present: usize,
+    config: &IngestConfig,
+    counts: &mut IngestReport,
+) -> Vec<usize> {
+    let last_observed = |idx: usize| tracks[idx].trajectory.valid().rev().find(|(timestep, _)| *timestep <= present);
+    let ego_position = last_observed(ego_idx).map_or(Vec2::ZERO, |(_, state)| state.position);
+    let mut by_distance: Vec<(f64, usize)> = Vec::with_capacity(tracks.len());
+    for (idx, track) in tracks.iter().enumerate() {
+        let Some((timestep, state)) = last_observed(idx) else {
+            counts.count_dropped("agents_absent", 1);
+            continue;
+        };
+        let is_ego = idx == ego_idx;
+        if config.agents_present == AgentsPresent::AtCurrent && timestep != present {
+            counts.count_dropped("agents_absent", 1);
+        } else if track.class == AgentClass::Static && !config.keep_static && !is_ego {
+            counts.count_dropped("agents_static", 1);
+        } else {
+            // The ego comes first even where another agent is recorded at the same place.
+            by_distance.push((if is_ego { -1.0 } else { state.position.distance(ego_position) }, idx));
+        }
+    }
+    by_distance.sort_by(|(a, i), (b, j)| a.total_cmp(b).then_with(|| tracks[*i].id.cmp(&tracks[*j].id)));
+    counts.count_dropped("agents_over_cap", by_distance.len().saturating_sub(config.max_agents) as u64);
+    by_distance.truncate(config.max_agents);
+    let mut kept: Vec<usize> = by_distance.into_iter().map(|(_, idx)| idx).collect();
+    kept.sort_unstable();
+    kept
+}
+
+/// Gives a standing track the direction of the lane it stands on; without one its headings stay 0 in the recording's frame.
+fn fill_headings(
+    track: &mut Track,
+    gap: HeadingGap,
+    present: usize,
+    map: Option<&LaneIndex>,
+    counts: &mut IngestReport,
+) {
+    let observed = track.trajectory.valid().rev().find(|(timestep, _)| *timestep <= present);
+    let Some((_, state)) = observed else { return };
+    let Some(heading_rad) = map.and_then(|map| map.heading_at(state.position, MAX_LANE_DISTANCE_M)) else {
+        counts.count_assumed("headings_unknown", 1);
+        return;
+    };
+    counts.count_assumed("headings_from_lanes", 1);
+    let entries = track.trajectory.entries().iter().enumerate().map(|(timestep, state)| {
+        state.map(|state| if timestep < gap.until_timestep { State { heading_rad, ..state } } else { state })
+    });
+    track.trajectory = Trajectory::new(entries.collect());
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,195 @@
+use super::*;
+use crate::ingest::lane_topology::tests::lane;
+use crate::ingest::raw::map_id;
+use crate::scene::{Dataset, SceneId, SceneSource, Split, TrackId};
+use proptest::prelude::*;
+
+const N_TIMESTEPS: usize = 5;
+const N_HISTORY: usize = 3;
+const PRESENT: usize = N_HISTORY - 1;
+
+/// A track at `position` that moves 1 m a timestep along `heading_rad`, tracked where `is_valid`.
+fn track(id: &str, role: TrackRole, position: Vec2, heading_rad: f64, is_valid: impl Fn(usize) -> bool) -> Track {
+    let states = (0..N_TIMESTEPS).map(|timestep| {
+        let moved = Vec2::from_angle(heading_rad) * (timestep as f64 - PRESENT as f64);
+        let velocity = Vec2::from_angle(heading_rad) * 10.0;
+        is_valid(timestep).then_some(State { position: position + moved, heading_rad, velocity })
+    });
+    Track {
+        id: TrackId::from(id),
+        class: AgentClass::Vehicle,
+        role,
+        extent: None,
+        trajectory: Trajectory::new(states.collect()),
+    }
+}
+
+fn context(id: &str, x: f64, y: f64) -> Track {
+    track(id, TrackRole::Context, Vec2::new(x, y), 0.3, |_| true)
+}
+
+fn raw(tracks: Vec<Track>) -> RawScene {
+    RawScene {
+        id: SceneId::from("interaction/val/X/1"),
+        source: SceneSource {
+            dataset: Dataset::Interaction,
+            version: "v1.2".to_owned(),
+            split: Split::Val,
+            place: "X".to_owned(),
+            file: "val/X_val.csv".to_owned(),
+            case_id: "1".to_owned(),
+            first_frame: "1".to_owned(),
+        },
+        dt_s: 0.1,
+        n_timesteps: N_TIMESTEPS,
+        n_history: N_HISTORY,
+        tracks,
+        heading_gaps: Vec::new(),
+        map_id: map_id(Dataset::Interaction, "X"),
+        own_map: None,
+    }
+}
+
+fn config() -> IngestConfig {
+    IngestConfig::new(Dataset::Interaction, vec!["x".into()])
+}
+
+fn ids(scene: &Scene) -> Vec<&str> {
+    scene.tracks.iter().map(|track| track.id.0.as_str()).collect()
+}
+
+#[test]
+fn the_focal_track_is_the_ego_if_it_is_there() {
+    let focal = |is_valid: fn(usize) -> bool| track("f", TrackRole::Focal, Vec2::new(3.0, 4.0), 1.0, is_valid);
+    let (scene, _) = assemble(raw(vec![context("a", 0.0, 0.0), focal(|_| true)]), None, &config()).expect("complete");
+    assert_eq!(scene.ego().id.0, "f");
+    assert!(scene.world_from_scene.translation.distance(Vec2::new(3.0, 4.0)) < 1e-12);
+    let present = scene.state(scene.ego_idx, PRESENT).expect("the ego is present");
+    assert!(present.position.norm() < 1e-12 && present.heading_rad.abs() < 1e-12);
+    let (scene, counts) =
+        assemble(raw(vec![context("a", 0.0, 0.0), focal(|t| t != PRESENT)]), None, &config()).expect("complete");
+    assert_eq!((scene.ego().id.0.as_str(), ids(&scene)), ("a", vec!["a"]));
+    assert_eq!(counts.dropped["agents_absent"], 1);
+}
+
+#[test]
+fn without_a_focal_track_the_draw_depends_on_seed_and_scene_alone() {
+    let tracks: Vec<Track> = (0..9).map(|i| context(&format!("t{i}"), i as f64 * 5.0, 0.0)).collect();
+    let ego = |seed: u64, name: &str| {
+        let scene = RawScene { id: SceneId::from(name), ..raw(tracks.clone()) };
+        let config = IngestConfig { seed, ..config() };
+        assemble(scene, None, &config).expect("complete").0.ego_idx
+    };
+    assert_eq!(ego(1, "a"), ego(1, "a"));
+    let drawn: std::collections::BTreeSet<usize> = (0..60).map(|i| ego(1, &i.to_string())).collect();
+    assert!(drawn.len() >= 8, "every vehicle may be drawn: {drawn:?}");
+    assert!((0..20).any(|seed| ego(seed, "a") != ego(seed + 1, "a")));
+}
+
+#[test]
+fn whole_tracks_are_preferred_as_ego_and_pedestrians_never_drawn() {
+    let partial = track("p", TrackRole::Context, Vec2::ZERO, 0.0, |t| t >= PRESENT);
+    let pedestrian = Track { class: AgentClass::Pedestrian, ..context("w", 1.0, 1.0) };
+    for seed in 0..10 {
+        let config = IngestConfig { seed, ..config() };
+        let ego = |tracks| assemble(raw(tracks), None, &config).map(|(scene, _)| scene.ego().id.0.clone());
+        assert_eq!(ego(vec![partial.clone(), pedestrian.clone(), context("a", 9.0, 0.0)]), Ok("a".to_owned()));
+        assert_eq!(ego(vec![partial.clone(), pedestrian.clone()]), Ok("p".to_owned()));
+        assert_eq!(ego(vec![pedestrian.clone()]).expect_err("nobody drives").reason, "no_ego");
+    }
+}
+
+#[test]
+fn the_cap_keeps_the_nearest_with_ties_by_id() {
+    let focal = track("f", TrackRole::Focal, Vec2::ZERO, 0.0, |_| true);
+    let tracks = vec![context("far", 50.0, 0.0), context("b", 0.0, 2.0), focal, context("a", 0.0, -2.0)];
+    let kept = |max_agents| {
+        let config = IngestConfig { max_agents, ..config() };
+        let (scene, counts) = assemble(raw(tracks.clone()), None, &config).expect("complete");
+        assert_eq!(scene.ego().id.0, "f");
+        let names: Vec<String> = ids(&scene).into_iter().map(str::to_owned).collect();
+        (names.join(" "), counts.dropped.get("agents_over_cap").copied().unwrap_or(0))
+    };
+    assert_eq!(kept(4), ("far b f a".to_owned(), 0));
+    assert_eq!(kept(3), ("b f a".to_owned(), 1));
+    assert_eq!(kept(2), ("f a".to_owned(), 2));
+    assert_eq!(kept(1), ("f".to_owned(), 3));
+}
+
+#[test]
+fn presence_and_static_objects_are_configured() {
+    let gone = track("gone", TrackRole::Context, Vec2::ZERO, 0.0, |t| t < PRESENT);
+    let later = track("later", TrackRole::Context, Vec2::ZERO, 0.0, |t| t > PRESENT);
+    let cone = Track { class: AgentClass::Static, ..context("cone", 1.0, 0.0) };
+    let tracks = vec![context("a", 0.0, 0.0), gone, later, cone];
+    let (scene, counts) = assemble(raw(tracks.clone()), None, &config()).expect("complete");
+    assert_eq!(ids(&scene), ["a"]);
+    assert_eq!((counts.dropped["agents_absent"], counts.dropped["agents_static"]), (2, 1));
+    let config = IngestConfig { agents_present: AgentsPresent::InHistory, keep_static: true, ..config() };
+    assert_eq!(ids(&assemble(raw(tracks), None, &config).expect("complete").0), ["a", "gone", "cone"]);
+}
+
+#[test]
+fn lanes_are_cropped_and_required() {
+    let lanes =
+        vec![lane(1, (0.0, 0.0), (10.0, 0.0)), lane(2, (10.0, 0.0), (500.0, 0.0)), lane(3, (300.0, 9.0), (400.0, 9.0))];
+    let index = LaneIndex::new(Arc::new(LaneGraph::new(lanes)));
+    let focal = |x| vec![track("f", TrackRole::Focal, Vec2::new(x, 0.0), 0.0, |_| true)];
+    let (scene, _) = assemble(raw(focal(0.0)), Some(&index), &config()).expect("complete");
+    assert_eq!(scene.lanes.lanes().iter().map(|lane| lane.id.0).collect::<Vec<_>>(), [1, 2]);
+    assert_eq!(scene.map_id, Some(map_id(Dataset::Interaction, "X")));
+    let (scene, _) = assemble(raw(focal(290.0)), Some(&index), &config()).expect("complete");
+    assert_eq!(scene.lanes.lanes()[0].centerline.0[0], Vec2::new(-280.0, 0.0), "lanes are in the scene frame");
+    let reject = assemble(raw(focal(700.0)), Some(&index), &config()).expect_err("far from every lane");
+    assert_eq!(reject.reason, "no_lanes_in_radius");
+    let (scene, _) = assemble(raw(focal(700.0)), None, &config()).expect("no map is needed");
+    assert!(scene.lanes.is_empty() && scene.map_id.is_none());
+}
+
+#[test]
+fn standing_tracks_take_the_direction_of_their_lane() {
+    let index = LaneIndex::new(Arc::new(LaneGraph::new(vec![lane(1, (0.0, 0.0), (0.0, 90.0))])));
+    let parked = |x| track("parked", TrackRole::Focal, Vec2::new(x, 10.0), 0.0, |_| true);
+    let heading = |x| {
+        let heading_gaps = vec![HeadingGap { track_idx: 0, until_timestep: 4 }];
+        let (scene, counts) =
+            assemble(RawScene { heading_gaps, ..raw(vec![parked(x)]) }, Some(&index), &config()).expect("complete");
+        let headings: Vec<f64> = scene.tracks[0].trajectory.valid().map(|(_, state)| state.heading_rad).collect();
+        (scene.world_from_scene.rotation_rad, headings[0], headings[4], counts.assumed)
+    };
+    let (world, first, last, assumed) = heading(4.0);
+    assert!((world - std::f64::consts::FRAC_PI_2).abs() < 1e-12 && first.abs() < 1e-12);
+    assert!((last + std::f64::consts::FRAC_PI_2).abs() < 1e-12, "known headings stay");
+    assert_eq!(assumed["headings_from_lanes"], 1);
+    let (world, _, _, assumed) = heading(6.0);
+    assert_eq!((world, assumed["headings_unknown"]), (0.0, 1));
+}
+
+#[test]
+fn states_that_are_not_finite_are_rejected() {
+    let mut bad = raw(vec![context("a", f64::NAN, 0.0)]);
+    bad.tracks.push(context("b", 0.0, 0.0));
+    assert_eq!(assemble(bad, None, &config()).expect_err("not finite").reason, "non_finite");
+}
+
+proptest! {
+    #[test]
+    fn scene_states_map_back_to_recorded_coordinates(
+        x in -1e5..1e5f64, y in -1e5..1e5f64, heading in -3.1..3.1f64,
+        others in prop::collection::vec((-200.0..200.0f64, -200.0..200.0f64, -3.1..3.1f64), 0..6),
+    ) {
+        let mut tracks = vec![track("f", TrackRole::Focal, Vec2::new(x, y), heading, |_| true)];
+        tracks.extend(others.iter().enumerate().map(|(i, (dx, dy, h))| {
+            track(&i.to_string(), TrackRole::Context, Vec2::new(x + dx, y + dy), *h, |_| true)
+        }));
+        let (scene, _) = assemble(raw(tracks.clone()), None, &config()).expect("complete");
+        for (recorded, kept) in tracks.iter().zip(&scene.tracks) {
+            let back = kept.trajectory.transformed(&scene.world_from_scene);
+            for ((_, recorded), (_, back)) in recorded.trajectory.valid().zip(back.valid()) {
+                prop_assert!(recorded.position.distance(back.position) < 1e-6);
+                prop_assert!(recorded.velocity.distance(back.velocity) < 1e-6);
+                prop_assert!(crate::geometry::angle_difference(recorded.heading_rad, back.heading_rad).abs() < 1e-9);
+            }
+        }
+    }
+}

@@ -1,0 +1,104 @@
+//! The bounded stream of units from the reading thread to the parsers.
+
+use super::error::Error;
+use super::raw::{RawUnit, Reject};
+use std::ops::ControlFlow;
+use std::sync::mpsc::SyncSender;
+
+/// Units that are parsed together.
+pub(super) type Batch = Vec<Result<RawUnit, Reject>>;
+
+/// A batch is cut after this many units …
+const MAX_UNITS: usize = 64;
+
+/// … or when it holds this many bytes. A few batches are in memory at a time: one being filled, one waiting, one parsed.
+const MAX_BYTES: u64 = 32 << 20;
+
+/// Collects units into batches and sends them. Cuts depend on the units since the last cut only, so that batches are the
+/// same whether or not those before them were skipped.
+pub(super) struct BatchSender {
+    sender: SyncSender<Result<Batch, Error>>,
+    n_to_skip: u64,
+    batch: Batch,
+    n_bytes: u64,
+}
+
+impl BatchSender {
+    /// Skips the first `n_to_skip` units, which must end with a batch.
+    pub(super) const fn new(sender: SyncSender<Result<Batch, Error>>, n_to_skip: u64) -> Self {
+        Self { sender, n_to_skip, batch: Vec::new(), n_bytes: 0 }
+    }
+
+    /// Takes a unit; `Break` when nobody listens any more.
+    pub(super) fn push(&mut self, unit: Result<RawUnit, Reject>) -> ControlFlow<()> {
+        if self.n_to_skip > 0 {
+            self.n_to_skip -= 1;
+            return ControlFlow::Continue(());
+        }
+        self.n_bytes += unit.as_ref().map_or(0, RawUnit::n_bytes);
+        self.batch.push(unit);
+        if self.batch.len() < MAX_UNITS && self.n_bytes < MAX_BYTES {
+            return ControlFlow::Continue(());
+        }
+        self.n_bytes = 0;
+        self.send(Ok)
+    }
+
+    /// Sends what is left, or the error that ended reading.
+    pub(super) fn finish(mut self, result: Result<(), Error>) {
+        // A failed send means that the receiver has left: there is nobody to tell.
+        let _ = match result {
+            Ok(()) if self.batch.is_empty() => ControlFlow::Continue(()),
+            Ok(()) => self.send(Ok),
+            Err(error) => self.send(|_| Err(error)),
+        };
+    }
+
+    fn send(&mut self, message: impl FnOnce(Batch) -> Result<Batch, Error>) -> ControlFlow<()> {
+        match self.sender.send(message(std::mem::take(&mut self.batch))) {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(_) => ControlFlow::Break(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::mpsc::sync_channel;
+
+    /// Sizes of the batches that units of these sizes come in.
+    fn batch_sizes(n_to_skip: u64, unit_bytes: &[usize]) -> Vec<usize> {
+        let (sender, receiver) = sync_channel(unit_bytes.len() + 1);
+        let mut batches = BatchSender::new(sender, n_to_skip);
+        for n_bytes in unit_bytes {
+            assert!(batches.push(Ok(RawUnit { bytes: vec![0; *n_bytes], ..RawUnit::default() })).is_continue());
+        }
+        batches.finish(Ok(()));
+        receiver.into_iter().map(|batch| batch.expect("no error was sent").len()).collect()
+    }
+
+    #[test]
+    fn batches_are_cut_by_count_and_by_size() {
+        assert_eq!(batch_sizes(0, &[10; 150]), [64, 64, 22]);
+        assert_eq!(batch_sizes(0, &[10; 64]), [64]);
+        assert_eq!(batch_sizes(0, &[17 << 20, 17 << 20, 40 << 20, 1]), [2, 1, 1]);
+        assert_eq!(batch_sizes(0, &[]), Vec::<usize>::new());
+    }
+
+    #[test]
+    fn skipping_whole_batches_leaves_the_others_alone() {
+        assert_eq!(batch_sizes(64, &[10; 150]), [64, 22]);
+        assert_eq!(batch_sizes(128, &[10; 150]), [22]);
+        assert_eq!(batch_sizes(150, &[10; 150]), Vec::<usize>::new());
+    }
+
+    #[test]
+    fn the_reader_learns_that_nobody_listens() {
+        let (sender, receiver) = sync_channel(1);
+        drop(receiver);
+        let mut batches = BatchSender::new(sender, 0);
+        let flows: Vec<bool> = (0..64).map(|_| batches.push(Ok(RawUnit::default())).is_break()).collect();
+        assert!(!flows[62] && flows[63]);
+    }
+}

@@ -1,0 +1,194 @@
+//! The `[ingest]` section: which recordings become scenes, and how much of each is kept.
+
+use super::error::Error;
+use crate::scene::{Dataset, Split};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Configuration of an ingest.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct IngestConfig {
+    /// The dataset whose formats the inputs are in.
+    #[schemars(schema_with = "dataset_schema")]
+    pub dataset: Dataset,
+    /// Folders, archives (`.zip`, `.tar`, `.tar.gz`, `.tgz`) and files (also `.gz`) to read, as downloaded.
+    pub inputs: Vec<PathBuf>,
+    /// Whether scenes must have maps.
+    #[serde(default)]
+    pub maps: MapsConfig,
+    /// Where to look for maps; empty: among `inputs`.
+    #[serde(default)]
+    pub map_inputs: Vec<PathBuf>,
+    /// The splits to keep; empty: all.
+    #[serde(default)]
+    #[schemars(schema_with = "splits_schema")]
+    pub splits: Vec<Split>,
+    /// The places to keep (cities, or INTERACTION's locations); empty: all.
+    #[serde(default)]
+    pub places: Vec<String>,
+    /// Observed timesteps of a scene; default: the dataset's (INTERACTION 10, Argoverse 1 20, Argoverse 2 50).
+    #[serde(default)]
+    pub n_history: Option<usize>,
+    /// Future timesteps of a scene; default: the dataset's (INTERACTION 30, Argoverse 1 30, Argoverse 2 60).
+    #[serde(default)]
+    pub n_future: Option<usize>,
+    /// INTERACTION v1.1 recordings: timesteps between the starts of consecutive scenes.
+    #[serde(default = "default_window_stride")]
+    pub window_stride: usize,
+    /// INTERACTION v1.1 recordings: the last share of each recording becomes the val split; scenes across the cut are dropped.
+    #[serde(default = "default_holdout_share")]
+    pub holdout_share: f64,
+    /// Agents of a scene: the nearest to the ego at present are kept, the ego always.
+    #[serde(default = "default_max_agents")]
+    pub max_agents: usize,
+    /// Which agents belong to a scene.
+    #[serde(default)]
+    pub agents_present: AgentsPresent,
+    /// Whether to keep objects that do not move by themselves (Argoverse 2's static, background, construction, riderless bicycle).
+    #[serde(default)]
+    pub keep_static: bool,
+    /// Lanes with any point within this distance of the ego's present position belong to the scene, metres.
+    #[serde(default = "default_map_radius_m")]
+    pub map_radius_m: f64,
+    /// Stop after this many scenes; default: no limit.
+    #[serde(default)]
+    pub limit: Option<u64>,
+    /// Seed of the choice of an ego where the recording marks none.
+    #[serde(default)]
+    pub seed: u64,
+}
+
+/// Whether scenes must have maps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum MapsConfig {
+    /// A place without a map is an error, and a scene without lanes a reject.
+    #[default]
+    Required,
+    /// Maps are not read; scenes have no lanes.
+    None,
+}
+
+/// Which agents belong to a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AgentsPresent {
+    /// Those tracked at the last observed timestep.
+    #[default]
+    AtCurrent,
+    /// Those tracked at any observed timestep.
+    InHistory,
+}
+
+impl IngestConfig {
+    /// The default configuration for these inputs.
+    pub const fn new(dataset: Dataset, inputs: Vec<PathBuf>) -> Self {
+        Self {
+            dataset,
+            inputs,
+            maps: MapsConfig::Required,
+            map_inputs: Vec::new(),
+            splits: Vec::new(),
+            places: Vec::new(),
+            n_history: None,
+            n_future: None,
+            window_stride: default_window_stride(),
+            holdout_share: default_holdout_share(),
+            max_agents: default_max_agents(),
+            agents_present: AgentsPresent::AtCurrent,
+            keep_static: false,
+            map_radius_m: default_map_radius_m(),
+            limit: None,
+            seed: 0,
+        }
+    }
+
+    /// Whether scenes of this split are kept.
+    pub fn wants_split(&self, split: Split) -> bool {
+        self.splits.is_empty() || self.splits.contains(&split)
+    }
+
+    /// Whether scenes of this place are kept.
+    pub fn wants_place(&self, place: &str) -> bool {
+        self.places.is_empty() || self.places.iter().any(|wanted| wanted == place)
+    }
+
+    /// Whether maps are read.
+    pub fn wants_maps(&self) -> bool {
+        self.maps == MapsConfig::Required
+    }
+
+    /// Refuses values that cannot work for any dataset.
+    ///
+    /// # Errors
+    /// [`Error::Config`] names the key.
+    pub fn validate(&self) -> Result<(), Error> {
+        let refuse = |key, detail: &str| Err(Error::Config { key, detail: detail.to_owned() });
+        if self.inputs.is_empty() {
+            return refuse("inputs", "is empty; name at least one folder, archive or file");
+        }
+        if self.n_history == Some(0) {
+            return refuse("n_history", "is 0; a scene needs at least one observed timestep");
+        }
+        if self.window_stride == 0 {
+            return refuse("window_stride", "is 0; use at least 1 timestep");
+        }
+        if !(0.0..=1.0).contains(&self.holdout_share) {
+            return refuse("holdout_share", "must lie between 0 and 1");
+        }
+        if self.max_agents == 0 {
+            return refuse("max_agents", "is 0; a scene needs at least its ego");
+        }
+        if !(self.map_radius_m.is_finite() && self.map_radius_m > 0.0) {
+            return refuse("map_radius_m", "must be a positive number of metres");
+        }
+        Ok(())
+    }
+}
+
+const fn default_window_stride() -> usize {
+    40
+}
+
+const fn default_holdout_share() -> f64 {
+    0.2
+}
+
+const fn default_max_agents() -> usize {
+    64
+}
+
+const fn default_map_radius_m() -> f64 {
+    100.0
+}
+
+fn dataset_schema(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "type": "string", "enum": Dataset::ALL.map(Dataset::name) })
+}
+
+fn splits_schema(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "type": "array", "items": { "type": "string", "enum": Split::ALL.map(Split::name) } })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_of_the_file_are_those_of_the_constructor() {
+        let config: IngestConfig =
+            toml::from_str("dataset = \"argoverse1\"\ninputs = [\"train.tar.gz\"]").expect("two keys suffice");
+        assert_eq!(config, IngestConfig::new(Dataset::Argoverse1, vec!["train.tar.gz".into()]));
+        config.validate().expect("defaults are valid");
+    }
+
+    #[test]
+    fn unknown_keys_and_impossible_values_are_refused() {
+        let error = toml::from_str::<IngestConfig>("dataset = \"argoverse1\"\ninputs = []\nradius = 3").unwrap_err();
+        assert!(error.to_string().contains("radius"), "{error}");
+        let config = IngestConfig { max_agents: 0, ..IngestConfig::new(Dataset::Argoverse1, vec!["x".into()]) };
+        assert!(config.validate().unwrap_err().to_string().starts_with("ingest.max_agents"));
+    }
+}

@@ -1,0 +1,104 @@
+//! How are the lines of a large table read without holding the table?
+
+use std::io::{self, BufRead, Read};
+
+/// Longest line that is accepted; the tables have lines of about 100 bytes.
+const MAX_LINE_BYTES: usize = 64 * 1024;
+
+/// The lines of a stream with their numbers. Lines end in LF or CRLF, the last one may lack its end, and a byte order
+/// mark at the start is passed over.
+pub(crate) struct Lines<'a> {
+    reader: &'a mut dyn BufRead,
+    line: Vec<u8>,
+    number: u64,
+}
+
+impl<'a> Lines<'a> {
+    /// The lines of `reader`, which must stand at the start of the stream.
+    pub(crate) fn new(reader: &'a mut dyn BufRead) -> Self {
+        Self { reader, line: Vec::new(), number: 0 }
+    }
+
+    /// The next line without its end, and its number, counted from 1; `None` at the end of the stream.
+    ///
+    /// # Errors
+    /// When the stream cannot be read, or a line is longer than 64 KiB, which means that this is no table.
+    pub(crate) fn next(&mut self) -> io::Result<Option<(u64, &[u8])>> {
+        self.line.clear();
+        let n = Read::take(&mut *self.reader, MAX_LINE_BYTES as u64 + 1).read_until(b'\n', &mut self.line)?;
+        if n == 0 {
+            return Ok(None);
+        }
+        self.number += 1;
+        if n > MAX_LINE_BYTES {
+            let message = format!("line {} is longer than {} KiB", self.number, MAX_LINE_BYTES / 1024);
+            return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+        }
+        let line = without_end(&self.line);
+        Ok(Some((self.number, if self.number == 1 { without_byte_order_mark(line) } else { line })))
+    }
+
+    /// Appends what follows the last line to `bytes`.
+    ///
+    /// # Errors
+    /// When the stream cannot be read, or, as [`io::ErrorKind::FileTooLarge`], when more than `max_bytes` follow.
+    pub(crate) fn read_rest(&mut self, bytes: &mut Vec<u8>, max_bytes: u64) -> io::Result<()> {
+        let n = Read::take(&mut *self.reader, max_bytes + 1).read_to_end(bytes)?;
+        if n as u64 > max_bytes {
+            let message = format!("more than {} MiB", max_bytes >> 20);
+            return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
+        }
+        Ok(())
+    }
+}
+
+/// A line without its LF or CRLF.
+pub(crate) fn without_end(line: &[u8]) -> &[u8] {
+    let line = line.strip_suffix(b"\n").unwrap_or(line);
+    line.strip_suffix(b"\r").unwrap_or(line)
+}
+
+fn without_byte_order_mark(line: &[u8]) -> &[u8] {
+    line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lines(mut bytes: &[u8]) -> io::Result<Vec<String>> {
+        let mut lines = Lines::new(&mut bytes);
+        let mut all = Vec::new();
+        while let Some((_, line)) = lines.next()? {
+            all.push(String::from_utf8_lossy(line).into_owned());
+        }
+        Ok(all)
+    }
+
+    #[test]
+    fn byte_order_marks_and_line_ends_are_no_part_of_lines() {
+        assert_eq!(lines(b"\xef\xbb\xbfa,b\r\n1,2\r\n\r\n3,4").unwrap(), ["a,b", "1,2", "", "3,4"]);
+        assert_eq!(lines(b"a\nb\n").unwrap(), ["a", "b"]);
+        assert!(lines(b"").unwrap().is_empty());
+    }
+
+    #[test]
+    fn the_rest_is_bounded() {
+        let mut bytes = &b"a\nb\nc\n"[..];
+        let mut lines = Lines::new(&mut bytes);
+        lines.next().unwrap();
+        let mut rest = Vec::new();
+        lines.read_rest(&mut rest, 4).unwrap();
+        assert_eq!(rest, b"b\nc\n");
+        let mut endless = io::BufReader::new(io::repeat(b'x'));
+        let error = Lines::new(&mut endless).read_rest(&mut rest, 1000).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
+    }
+
+    #[test]
+    fn endless_lines_are_refused_without_reading_them() {
+        let mut endless = io::BufReader::new(io::repeat(b'x'));
+        let error = Lines::new(&mut endless).next().unwrap_err().to_string();
+        assert!(error.contains("line 1 is longer than 64 KiB"), "{error}");
+    }
+}

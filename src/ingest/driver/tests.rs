@@ -1,0 +1,214 @@
+use super::*;
+use crate::ingest::argoverse1::csv_text;
+use crate::ingest::{MapsConfig, test_data};
+use crate::progress::Silent;
+use crate::scene::Dataset;
+use flate2::write::GzEncoder;
+use std::io::Write;
+use std::path::Path;
+
+const MAP: &str = r#"<ArgoverseVectorMap><node id="0" x="900" y="2000"/><node id="1" x="1200" y="2000"/>
+    <way lane_id="5"><nd ref="0"/><nd ref="1"/></way></ArgoverseVectorMap>"#;
+
+/// A folder with `n_scenes` recordings, of which every tenth has no AGENT, and a map of their city.
+fn folder(n_scenes: usize) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let data = folder.path().join("train/data");
+    fs_err::create_dir_all(&data).expect("writable");
+    fs_err::write(folder.path().join("pruned_argoverse_PIT_10314_vector_map.xml"), MAP).expect("writable");
+    for i in 0..n_scenes {
+        let text = csv_text(50);
+        let text = if i % 10 == 9 { text.replace("AGENT", "OTHERS") } else { text };
+        fs_err::write(data.join(format!("{i:04}.csv")), text).expect("writable");
+    }
+    folder
+}
+
+fn config(path: &Path) -> IngestConfig {
+    IngestConfig::new(Dataset::Argoverse1, vec![path.to_owned()])
+}
+
+fn run(config: &IngestConfig, done: Option<&IngestReport>) -> Result<(Vec<IngestBatch>, IngestReport), Error> {
+    let mut batches = Vec::new();
+    let report = ingest(config, done, &Silent, &mut |batch| {
+        batches.push(batch);
+        Ok(())
+    })?;
+    Ok((batches, report))
+}
+
+fn scenes(batches: &[IngestBatch]) -> Vec<Scene> {
+    batches.iter().flat_map(|batch| batch.scenes.clone()).collect()
+}
+
+#[test]
+fn scenes_come_in_order_with_their_map_once() {
+    let folder = folder(130);
+    let (batches, report) = run(&config(folder.path()), None).expect("whole");
+    let cases: Vec<String> = scenes(&batches).into_iter().map(|scene| scene.source.case_id).collect();
+    let expected: Vec<String> = (0..130).filter(|i| i % 10 != 9).map(|i| format!("{i:04}")).collect();
+    assert_eq!(cases, expected);
+    let maps: Vec<usize> = batches.iter().map(|batch| batch.maps.len()).collect();
+    assert_eq!(maps, [1, 0, 0]);
+    assert_eq!(batches.iter().map(|batch| batch.units_done).collect::<Vec<_>>(), [64, 128, 130]);
+    assert_eq!((report.n_units, report.n_scenes, report.n_agents), (130, 117, 351));
+    assert_eq!(report.scenes_by["train/PIT"], 117);
+    assert_eq!(report.rejects["no_agent_track"].count, 13);
+    assert!(report.rejects["no_agent_track"].examples[0].starts_with("train/data/0009.csv: "));
+    assert_eq!(report.assumed["headings_from_lanes"], 117, "the parked vehicle stands 3.5 m from the lane");
+    let mut sum = IngestReport::default();
+    batches.iter().for_each(|batch| sum.merge(&batch.report));
+    assert_eq!(sum, report);
+}
+
+#[test]
+fn resuming_continues_with_the_same_batches() {
+    let folder = folder(130);
+    for limit in [None, Some(100)] {
+        let config = IngestConfig { limit, ..config(folder.path()) };
+        let (batches, report) = run(&config, None).expect("whole");
+        let (resumed, resumed_report) = run(&config, Some(&batches[0].report)).expect("whole");
+        assert_eq!(scenes(&resumed), scenes(&batches[1..]));
+        assert_eq!(resumed_report, report);
+        let (nothing, _) = run(&config, Some(&report)).expect("all was done");
+        assert!(nothing.iter().all(|batch| batch.scenes.is_empty()));
+    }
+}
+
+#[test]
+fn the_number_of_threads_does_not_matter() {
+    let folder = folder(70);
+    let on_threads = |n| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("a pool");
+        pool.install(|| run(&config(folder.path()), None)).map(|(batches, report)| (scenes(&batches), report))
+    };
+    assert_eq!(on_threads(1).expect("whole"), on_threads(3).expect("whole"));
+}
+
+#[test]
+fn the_limit_counts_scenes() {
+    let folder = folder(130);
+    let (all, _) = run(&config(folder.path()), None).expect("whole");
+    for limit in [1, 9, 58, 59, 500] {
+        let (batches, report) =
+            run(&IngestConfig { limit: Some(limit), ..config(folder.path()) }, None).expect("whole");
+        assert_eq!(report.n_scenes, limit.min(117));
+        assert_eq!(scenes(&batches), scenes(&all)[..report.n_scenes as usize]);
+    }
+}
+
+#[test]
+fn missing_maps_are_errors_that_say_what_to_do() {
+    let folder = folder(3);
+    let message = |config: &IngestConfig| run(config, None).expect_err("no map").to_string();
+    let map = folder.path().join("pruned_argoverse_PIT_10314_vector_map.xml");
+    let other = folder.path().join("pruned_argoverse_MIA_10316_vector_map.xml");
+    fs_err::rename(&map, &other).expect("writable");
+    let text = message(&config(folder.path()));
+    assert!(text.contains("no map for argoverse1/PIT") && text.contains("argoverse1/MIA"), "{text}");
+    fs_err::remove_file(other).expect("writable");
+    assert!(message(&config(folder.path())).contains("ingest.maps = \"none\""));
+    let without = IngestConfig { maps: MapsConfig::None, ..config(folder.path()) };
+    let (batches, report) = run(&without, None).expect("maps are not needed");
+    assert!(batches[0].maps.is_empty() && scenes(&batches)[0].map_id.is_none());
+    assert_eq!(report.assumed["headings_unknown"], 3);
+}
+
+#[test]
+fn no_scenes_is_an_error_that_says_what_was_seen() {
+    let folder = folder(3);
+    fs_err::write(folder.path().join("train/data/notes.txt"), "hello").expect("writable");
+    let message = |config: &IngestConfig| run(config, None).expect_err("no scenes").to_string();
+    let text = message(&IngestConfig { places: vec!["MIA".to_owned()], ..config(folder.path()) });
+    assert!(
+        text.contains("3 files that are named like argoverse1 recordings") && text.contains("3 units read"),
+        "{text}"
+    );
+    assert!(text.contains("3 units of other places dropped"), "{text}");
+    for i in 0..3 {
+        fs_err::write(folder.path().join(format!("train/data/{i:04}.csv")), "a;b\n1;2\n").expect("writable");
+    }
+    let text = message(&config(folder.path()));
+    assert!(text.contains("3 rejected as bad_header (first: train/data/0000.csv:1: no column"), "{text}");
+    let text = message(&IngestConfig { splits: vec![crate::scene::Split::Val], ..config(folder.path()) });
+    assert!(text.contains("0 files that are named like"), "{text}");
+}
+
+#[test]
+fn faults_of_the_whole_input_end_the_ingest() {
+    let folder = folder(3);
+    assert!(matches!(run(&config(&folder.path().join("nowhere")), None), Err(Error::Io(_))));
+    let error =
+        ingest(&config(folder.path()), None, &Silent, &mut |_| Err("disk full".into())).expect_err("sink fails");
+    assert!(matches!(error, Error::Sink(source) if source.to_string() == "disk full"));
+    let archive = folder.path().join("all.tar.gz");
+    let mut tar = tar::Builder::new(GzEncoder::new(Vec::new(), flate2::Compression::fast()));
+    tar.append_dir_all("train", folder.path().join("train")).expect("readable");
+    let bytes = tar.into_inner().and_then(GzEncoder::finish).expect("memory");
+    fs_err::File::create(&archive).and_then(|mut file| file.write_all(&bytes[..bytes.len() / 2])).expect("writable");
+    let cut = IngestConfig { maps: MapsConfig::None, ..config(&archive) };
+    let text = run(&cut, None).expect_err("cut short").to_string();
+    assert!(text.contains("all.tar.gz"), "{text}");
+}
+
+#[test]
+fn argoverse_1_archives_are_read_completely() {
+    for (archive, n_scenes) in [("train", 1990), ("val", 303)] {
+        let Some(path) = test_data(&format!("archives/argoverse1_forecasting_{archive}.tar.gz")) else { return };
+        let config = IngestConfig { maps: MapsConfig::None, ..config(&path) };
+        let report = ingest(&config, None, &Silent, &mut |_| Ok(())).expect("a whole archive");
+        assert_eq!((report.n_units, report.n_scenes, report.n_rejects()), (n_scenes, n_scenes, 0), "{archive}");
+    }
+}
+
+#[test]
+fn argoverse_1_samples_lie_on_their_map() {
+    let Some(path) = test_data("samples/argoverse1") else { return };
+    let listed = fs_err::read_to_string(path.join("scenes_on_map.txt")).expect("part of the sample");
+    let config = IngestConfig { places: vec!["MIA".to_owned()], map_radius_m: 30.0, ..config(&path) };
+    let (batches, report) = run(&config, None).expect("samples on the map");
+    let distance_to_lane = |scene: &Scene| {
+        assert!(listed.contains(&format!("{}.csv", scene.source.case_id)), "{} lies on the map", scene.id);
+        let projections =
+            scene.lanes.lanes().iter().filter_map(|lane| lane.centerline.project(crate::geometry::Vec2::ZERO));
+        projections.map(|p| p.offset_m.abs()).fold(f64::INFINITY, f64::min)
+    };
+    let mut distances: Vec<f64> = scenes(&batches).iter().map(distance_to_lane).collect();
+    distances.sort_by(f64::total_cmp);
+    assert!(distances[distances.len() / 2] < 1.0, "most egos drive on a lane: {distances:?}");
+    assert!(report.n_scenes > 0 && report.rejects.keys().all(|reason| reason == "no_lanes_in_radius"), "{report:?}");
+}
+
+#[test]
+fn the_argoverse_2_sample_is_read_with_its_map() {
+    let Some(path) = test_data("samples/argoverse2") else { return };
+    let (batches, report) = run(&IngestConfig::new(Dataset::Argoverse2, vec![path]), None).expect("one scenario");
+    assert_eq!((report.n_scenes, report.n_rejects()), (1, 0));
+    let scene = &batches[0].scenes[0];
+    assert_eq!((scene.n_timesteps, scene.n_history, scene.ego().id.0.as_str()), (110, 50, "138951"));
+    assert_eq!((batches[0].maps.len(), batches[0].maps[0].1.lanes().len()), (1, 34), "driving lanes only");
+    assert!(!scene.lanes.is_empty() && report.dropped["agents_static"] > 0);
+}
+
+#[test]
+fn the_interaction_archive_is_read_completely() {
+    let Some(path) = test_data("archives/INTERACTION-sim-multi-v1_2.zip") else { return };
+    let report =
+        ingest(&IngestConfig::new(Dataset::Interaction, vec![path]), None, &Silent, &mut |_| Ok(())).expect("whole");
+    let of_split =
+        |split: &str| report.scenes_by.iter().filter(|(key, _)| key.starts_with(split)).map(|(_, n)| n).sum::<u64>();
+    assert_eq!((of_split("train/"), of_split("val/"), of_split("test/")), (5000, 700, 300), "{}", report.summary());
+    assert_eq!(report.scenes_by.len(), 9, "three places in three splits");
+    assert_eq!(report.n_rejects(), 0, "{}", report.summary());
+}
+
+#[test]
+fn interaction_recordings_are_cut_into_windows() {
+    let Some(path) = test_data("samples/interaction/recorded_trackfiles") else { return };
+    let Some(maps) = test_data("samples/interaction/maps") else { return };
+    let config = IngestConfig { map_inputs: vec![maps], ..IngestConfig::new(Dataset::Interaction, vec![path]) };
+    let (batches, report) = run(&config, None).expect("whole");
+    assert_eq!(batches.iter().map(|batch| batch.maps.len()).sum::<usize>(), 3);
+    assert!(report.scenes_by["train/SIM_Merging"] > 3 * report.scenes_by["val/SIM_Merging"]);
+    assert!(scenes(&batches).iter().all(|scene| scene.n_timesteps == 40 && !scene.lanes.is_empty()));
+}

@@ -1,0 +1,92 @@
+//! What can end an ingest: faults of the whole input, as opposed to rejects of single recordings.
+
+use super::report::IngestReport;
+use std::path::PathBuf;
+
+/// An error of a caller's own making, passed through unchanged.
+pub type BoxError = Box<dyn std::error::Error + Send + Sync>;
+
+/// Why an ingest cannot go on.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The configuration contradicts itself or the dataset.
+    #[error("ingest.{key}: {detail}")]
+    Config {
+        /// The offending key.
+        key: &'static str,
+        /// What is wrong and what to write instead.
+        detail: String,
+    },
+    /// The operating system refused to read an input; its message names the path.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+    /// A folder, archive or compressed file cannot be read to its end.
+    #[error("cannot read {}{}: {detail}", .container.display(), in_container(.file))]
+    Container {
+        /// The folder or archive.
+        container: PathBuf,
+        /// The entry at fault, empty where the container itself is.
+        file: String,
+        /// What is wrong.
+        detail: String,
+    },
+    /// A table that many scenes are read from does not have the columns of its format.
+    #[error("{file}: {detail}")]
+    Table {
+        /// The table, within its container.
+        file: String,
+        /// What is missing or wrong, and what was expected.
+        detail: String,
+    },
+    /// A map cannot be read.
+    #[error("map {file}{}: {detail}", at_place(.place))]
+    Map {
+        /// The map file, within its container.
+        file: String,
+        /// Where in the file: a byte, line or element; empty where unknown.
+        place: String,
+        /// What is wrong.
+        detail: String,
+    },
+    /// Maps are required and none was found.
+    #[error(
+        "no {dataset} map found among {searched}: name the map files in `ingest.map_inputs`, or set `ingest.maps = \"none\"`"
+    )]
+    NoMaps {
+        /// The dataset.
+        dataset: &'static str,
+        /// The inputs that were searched.
+        searched: String,
+    },
+    /// Maps are required and some places lack one.
+    #[error(
+        "no map for {}: the maps found are for {}; add the missing ones to `ingest.map_inputs`, restrict `ingest.places`, \
+         or set `ingest.maps = \"none\"`", .missing.join(", "), .found.join(", ")
+    )]
+    MissingMaps {
+        /// Places without a map.
+        missing: Vec<String>,
+        /// Maps that were found.
+        found: Vec<String>,
+    },
+    /// Everything was read and no scene came of it.
+    #[error("no scenes: {files}; {}", .report.summary())]
+    NoScenes {
+        /// The files that were seen.
+        files: String,
+        /// What became of them.
+        report: Box<IngestReport>,
+    },
+    /// The receiver of the scenes failed.
+    #[error("cannot store ingested scenes")]
+    Sink(#[source] BoxError),
+}
+
+fn in_container(file: &str) -> String {
+    if file.is_empty() { String::new() } else { format!(", entry {file}") }
+}
+
+fn at_place(place: &str) -> String {
+    if place.is_empty() { String::new() } else { format!(", {place}") }
+}

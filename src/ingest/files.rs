@@ -1,0 +1,93 @@
+//! What does the name of a file tell, and what are its bytes?
+
+use super::archive::Entry;
+use super::raw::Reject;
+use crate::scene::Split;
+use std::io::{BufRead, Read};
+use std::path::Path;
+
+/// No single recording or map that is read as a whole is this large; what is larger is not what it claims to be.
+pub(super) const MAX_WHOLE_FILE_BYTES: u64 = 64 << 20;
+
+/// The name of a file without its folders.
+pub(super) fn file_name(path: &str) -> &str {
+    path.rsplit('/').next().unwrap_or(path)
+}
+
+/// The name of a file without its folders and last extension.
+pub(super) fn file_stem(path: &str) -> &str {
+    let name = file_name(path);
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
+/// The split that the folders of `path` name, the innermost first.
+pub(super) fn split_of_path(path: &str) -> Option<Split> {
+    path.rsplit('/').find_map(split_of_name)
+}
+
+/// The split that the folders of an entry name, or else the name of its container (or of the folder around it).
+pub(super) fn split_of_entry(entry: &Entry) -> Split {
+    let name_of = |path: &Path| path.file_name().and_then(|name| split_of_name(&name.to_string_lossy()));
+    split_of_path(&entry.path)
+        .or_else(|| name_of(&entry.container))
+        .or_else(|| entry.container.parent().and_then(name_of))
+        .unwrap_or(Split::Unsplit)
+}
+
+/// `train`, `val` or `test` as a word of a name: `forecasting_train_v1.1`, `test_multi-agent`, `val`.
+fn split_of_name(name: &str) -> Option<Split> {
+    name.split(|c: char| !c.is_ascii_alphanumeric()).find_map(|word| match word.to_ascii_lowercase().as_str() {
+        "train" | "training" => Some(Split::Train),
+        "val" | "validation" => Some(Split::Val),
+        "test" | "testing" => Some(Split::Test),
+        _ => None,
+    })
+}
+
+/// The bytes of an entry. What cannot be read, or is too large to be held, is a reject: one broken file among many.
+pub(super) fn read_whole(entry: &Entry, reader: &mut dyn BufRead) -> Result<Vec<u8>, Reject> {
+    let mut bytes = Vec::with_capacity(entry.size.unwrap_or(0).min(MAX_WHOLE_FILE_BYTES) as usize);
+    let reject = |reason, detail| Reject { reason, detail: format!("{}: {detail}", entry.path) };
+    match reader.take(MAX_WHOLE_FILE_BYTES + 1).read_to_end(&mut bytes) {
+        Err(error) => Err(reject("unreadable", error.to_string())),
+        Ok(_) if bytes.len() as u64 > MAX_WHOLE_FILE_BYTES => {
+            Err(reject("too_large", format!("more than {} MiB", MAX_WHOLE_FILE_BYTES >> 20)))
+        }
+        Ok(_) => Ok(bytes),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn entry(container: &str, path: &str) -> Entry {
+        Entry { path: path.to_owned(), container: container.into(), size: None }
+    }
+
+    #[test]
+    fn splits_come_from_the_innermost_name_that_tells() {
+        for (container, path, split) in [
+            ("argoverse1_forecasting_train.tar.gz", "val/data/3.csv", Split::Val),
+            ("argoverse1_forecasting_train.tar.gz", "data/3.csv", Split::Train),
+            ("/data/forecasting/val/data", "3.csv", Split::Val),
+            ("a.zip", "INTERACTION/test_multi-agent/X_obs.csv", Split::Test),
+            ("/home/training_course/a/b", "data/3.csv", Split::Unsplit),
+            ("/data/tests/valley", "trainer/3.csv", Split::Unsplit),
+        ] {
+            assert_eq!(split_of_entry(&entry(container, path)), split, "{container} {path}");
+        }
+    }
+
+    #[test]
+    fn names_without_folders_and_extension() {
+        assert_eq!(file_stem("a.b/c.d.csv"), "c.d");
+        assert_eq!(file_stem("plain"), "plain");
+    }
+
+    #[test]
+    fn endless_files_are_rejects() {
+        let mut endless = std::io::BufReader::new(std::io::repeat(b'1'));
+        assert_eq!(read_whole(&entry("x", "y.csv"), &mut endless).unwrap_err().reason, "too_large");
+    }
+}

@@ -1,0 +1,103 @@
+//! How do INTERACTION's recordings become scenes?
+//!
+//! Two versions are in use and told apart by their columns. v1.1 has whole recordings, `vehicle_tracks_NNN.csv` and
+//! `pedestrian_tracks_NNN.csv` in a folder named for the place, which are cut into windows here. v1.2 has tables of cases
+//! of 40 frames, of which 10 are observed; the cases of test sets hold these 10 alone, and mark agents. Maps are Lanelet2
+//! and belong to the place of exactly their name: v1.1's `DR_CHN_Merging_ZS` is neither v1.2's `ZS0` nor its `ZS2`.
+//!
+//! A flaw costs its case or recording, and no other. Reasons of rejects:
+//!
+//! | reason | what is wrong |
+//! |---|---|
+//! | `malformed_row` | too few or too many columns, or a cell that is no number, no whole number, or no id |
+//! | `non_finite` | a number is NaN or infinite |
+//! | `out_of_range` | a position beyond 1000 km, a speed beyond 1 km/s, a frame that no recording has |
+//! | `bad_timestamp` | `timestamp_ms` is not 100 times `frame_id`, the recordings being at 10 Hz |
+//! | `duplicate_frame` | a track is twice at the same frame |
+//! | `unknown_agent_type`, `inconsistent_agent_type` | not a type of the format; two types in one track |
+//! | `bad_case_id`, `case_not_contiguous` | no usable id; a case goes on after another one began |
+//! | `frame_out_of_range` | the frames of a case span more than 40, or those of a recording more than a day |
+//! | `recording_not_contiguous` | the other file of a recording comes after the recording was read, or comes twice |
+//! | `recording_too_short`, `window_across_holdout`, `empty_window` | see [`scenes`] |
+//! | `no_rows`, `bad_header`, `unreadable`, `too_large` | of a whole file or case |
+//!
+//! Tolerated: columns in any order and unknown ones, CRLF, byte order marks, empty lines, a missing last line end, whole
+//! numbers printed as floats, sizes that change along a track (the first counts) or are not positive (taken as unknown).
+
+mod cases;
+mod columns;
+mod path;
+mod recordings;
+mod row;
+mod scenes;
+mod track;
+mod units;
+
+use super::archive::Entry;
+use super::lanelet2;
+use super::{Error, Horizon, IngestConfig, RawScene, RawUnit, RecordingSource, Reject, UnitReader, map_id};
+use crate::scene::{Dataset, LaneGraph, MapId};
+use path::TrackFile;
+use std::io::BufRead;
+
+/// Observed and future timesteps of a v1.2 case, and of v1.1 windows unless configured.
+const CASE_HORIZON: Horizon = Horizon { n_history: 10, n_future: 30 };
+
+/// INTERACTION is recorded at 10 Hz.
+const DT_S: f64 = 0.1;
+
+/// INTERACTION, v1.1 and v1.2.
+#[derive(Debug)]
+pub(super) struct Interaction<'a> {
+    config: &'a IngestConfig,
+    horizon: Horizon,
+}
+
+impl<'a> Interaction<'a> {
+    /// INTERACTION with this configuration.
+    pub(super) fn new(config: &'a IngestConfig) -> Self {
+        Self { config, horizon: Horizon::of(config, CASE_HORIZON) }
+    }
+
+    /// Whether the configuration asks for a file as far as its name tells.
+    fn wants(&self, file: &TrackFile) -> bool {
+        let wants_place = file.place.is_empty() || self.config.wants_place(&file.place);
+        wants_place && file.split.is_none_or(|split| self.config.wants_split(split))
+    }
+}
+
+impl RecordingSource for Interaction<'_> {
+    fn is_recording(&self, path: &str) -> bool {
+        TrackFile::of_path(path).is_some_and(|file| self.wants(&file))
+    }
+
+    fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
+        Box::new(units::TableReader::new(self))
+    }
+
+    fn parse(&self, unit: &RawUnit) -> Vec<Result<RawScene, Reject>> {
+        if unit.header.is_empty() {
+            scenes::windows(unit, self.horizon, self.config)
+        } else {
+            vec![scenes::case(unit, self.horizon)]
+        }
+    }
+
+    fn is_map(&self, path: &str) -> bool {
+        path::place_of_map(path).is_some_and(|place| self.config.wants_place(place))
+    }
+
+    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Vec<(MapId, LaneGraph)>, Error> {
+        let Some(place) = path::place_of_map(&entry.path) else { return Ok(Vec::new()) };
+        let (graph, _) = lanelet2::read_map(reader, &entry.path)?;
+        Ok(vec![(map_id(Dataset::Interaction, place), graph)])
+    }
+
+    fn map_of(&self, path: &str) -> Option<MapId> {
+        let place = TrackFile::of_path(path)?.place;
+        (!place.is_empty()).then(|| map_id(Dataset::Interaction, &place))
+    }
+}
+
+#[cfg(test)]
+mod tests;

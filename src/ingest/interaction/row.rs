@@ -1,0 +1,174 @@
+//! What does one row of a table of tracks say?
+
+use super::columns::Columns;
+use crate::geometry::Vec2;
+use crate::scene::Extent;
+
+/// INTERACTION is recorded at 10 Hz, and `timestamp_ms` counts from the start of the recording.
+const MS_PER_FRAME: i64 = 100;
+
+/// Beyond these, a value is a fault of the recording: places are within kilometres of their origin.
+const MAX_COORDINATE_M: f64 = 1e6;
+const MAX_SPEED_MPS: f64 = 1e3;
+const MAX_FRAME: i64 = 100_000_000;
+
+/// One agent at one frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Row<'a> {
+    /// As written.
+    pub(super) track_id: &'a [u8],
+    pub(super) frame_id: i64,
+    /// As written.
+    pub(super) agent_type: &'a [u8],
+    pub(super) position: Vec2,
+    pub(super) velocity: Vec2,
+    /// Absent for pedestrians.
+    pub(super) heading_rad: Option<f64>,
+    /// Absent for pedestrians, and where length or width is not positive.
+    pub(super) extent: Option<Extent>,
+    pub(super) is_interesting: bool,
+    pub(super) is_to_predict: bool,
+}
+
+/// Why a row cannot be read: reason and detail.
+pub(super) type Flaw = (&'static str, String);
+
+impl<'a> Row<'a> {
+    /// Reads `line`; `cells` is room to work in.
+    pub(super) fn parse(line: &'a [u8], columns: &Columns, cells: &mut Vec<&'a [u8]>) -> Result<Self, Flaw> {
+        cells.clear();
+        cells.extend(line.split(|byte| *byte == b',').take(columns.n_columns + 1).map(<[u8]>::trim_ascii));
+        if cells.len() != columns.n_columns {
+            let n = line.iter().filter(|byte| **byte == b',').count() + 1;
+            return Err(("malformed_row", format!("{n} columns, expected {}", columns.n_columns)));
+        }
+        let cells = cells.as_slice();
+        let number = |index: usize, name| number(cells[index], name);
+        let optional = |index: Option<usize>, name| match index {
+            Some(index) if !cells[index].is_empty() => number(index, name).map(Some),
+            _ => Ok(None),
+        };
+
+        let track_id = cells[columns.track_id];
+        if track_id.is_empty() || !track_id.iter().all(u8::is_ascii_graphic) {
+            return Err(malformed("track_id", track_id, "an id"));
+        }
+        let frame_id = integer(cells[columns.frame_id], "frame_id")?;
+        if !(0..=MAX_FRAME).contains(&frame_id) {
+            return Err(("out_of_range", format!("frame_id is {frame_id}")));
+        }
+        let timestamp_ms = integer(cells[columns.timestamp_ms], "timestamp_ms")?;
+        if timestamp_ms != MS_PER_FRAME * frame_id {
+            let expected = MS_PER_FRAME * frame_id;
+            let detail = format!("timestamp_ms is {timestamp_ms} at frame_id {frame_id}, expected {expected}");
+            return Err(("bad_timestamp", detail));
+        }
+        let position = Vec2::new(number(columns.x, "x")?, number(columns.y, "y")?);
+        let velocity = Vec2::new(number(columns.vx, "vx")?, number(columns.vy, "vy")?);
+        if position.x.abs().max(position.y.abs()) > MAX_COORDINATE_M || velocity.norm() > MAX_SPEED_MPS {
+            let detail = format!("position ({}, {}) m, speed {} m/s", position.x, position.y, velocity.norm());
+            return Err(("out_of_range", detail));
+        }
+        let [heading_rad, length_m, width_m] = match columns.shape {
+            Some([psi, length, width]) => {
+                [optional(Some(psi), "psi_rad")?, optional(Some(length), "length")?, optional(Some(width), "width")?]
+            }
+            None => [None; 3],
+        };
+        let extent = match (length_m, width_m) {
+            (Some(length_m), Some(width_m)) if length_m > 0.0 && width_m > 0.0 => Some(Extent { length_m, width_m }),
+            _ => None,
+        };
+        let mark = |index, name| optional(index, name).map(|mark| mark.is_some_and(|mark| mark != 0.0));
+        Ok(Self {
+            track_id,
+            frame_id,
+            agent_type: cells[columns.agent_type],
+            position,
+            velocity,
+            heading_rad,
+            extent,
+            is_interesting: mark(columns.interesting_agent, "interesting_agent")?,
+            is_to_predict: mark(columns.track_to_predict, "track_to_predict")?,
+        })
+    }
+}
+
+fn number(cell: &[u8], column: &str) -> Result<f64, Flaw> {
+    let number: f64 = std::str::from_utf8(cell)
+        .ok()
+        .and_then(|text| text.parse().ok())
+        .ok_or_else(|| malformed(column, cell, "a number"))?;
+    if number.is_finite() {
+        Ok(number)
+    } else {
+        Err(("non_finite", format!("column {column} is \"{}\"", printable(cell))))
+    }
+}
+
+/// A whole number, which may be printed as a float.
+fn integer(cell: &[u8], column: &str) -> Result<i64, Flaw> {
+    let text = std::str::from_utf8(cell).unwrap_or_default();
+    if let Ok(integer) = text.parse() {
+        return Ok(integer);
+    }
+    let number = number(cell, column)?;
+    // Beyond 2^53 not every whole number is a float.
+    if number.fract() == 0.0 && number.abs() < 9e15 {
+        Ok(number as i64)
+    } else {
+        Err(malformed(column, cell, "a whole number"))
+    }
+}
+
+fn malformed(column: &str, cell: &[u8], expected: &str) -> Flaw {
+    ("malformed_row", format!("column {column} is \"{}\", expected {expected}", printable(cell)))
+}
+
+fn printable(cell: &[u8]) -> String {
+    String::from_utf8_lossy(cell).chars().take(40).map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(line: &str) -> Result<Row<'_>, Flaw> {
+        let header = b"track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width,track_to_predict,interesting_agent";
+        Row::parse(line.as_bytes(), &Columns::of(header, false).unwrap(), &mut Vec::new())
+    }
+
+    #[test]
+    fn rows_are_read() {
+        let row = parse("7,3,300,car,1.5,-2,3e0,0,0.25,4.5,1.8,1.0,0.0").unwrap();
+        assert_eq!((row.track_id, row.frame_id, row.agent_type), (&b"7"[..], 3, &b"car"[..]));
+        assert_eq!((row.position, row.velocity), (Vec2::new(1.5, -2.0), Vec2::new(3.0, 0.0)));
+        assert_eq!((row.heading_rad, row.extent), (Some(0.25), Some(Extent { length_m: 4.5, width_m: 1.8 })));
+        assert_eq!((row.is_to_predict, row.is_interesting), (true, false));
+        let row = parse("P7,3.0,300.0,pedestrian/bicycle,1,2,3,4,,,,0,1").unwrap();
+        assert_eq!((row.frame_id, row.heading_rad, row.extent, row.is_interesting), (3, None, None, true));
+        assert_eq!(parse("7,3,300,car,1,2,3,0,0,0.0,1.8,,").unwrap().extent, None);
+    }
+
+    #[test]
+    fn flaws_name_the_column_and_what_was_found() {
+        for (line, reason, detail) in [
+            ("7,3,300,car,1.5", "malformed_row", "5 columns, expected 13"),
+            ("7,3,300,car,1,2,3,4,0,4,2,1,0,9", "malformed_row", "14 columns"),
+            ("7,3,300,car,one,2,3,4,0,4,2,1,0", "malformed_row", "column x is \"one\", expected a number"),
+            ("7,3,300,car,,2,3,4,0,4,2,1,0", "malformed_row", "column x is \"\""),
+            ("7,3.5,300,car,1,2,3,4,0,4,2,1,0", "malformed_row", "column frame_id is \"3.5\", expected a whole number"),
+            (",3,300,car,1,2,3,4,0,4,2,1,0", "malformed_row", "column track_id"),
+            ("7,3,300,car,1,NaN,3,4,0,4,2,1,0", "non_finite", "column y is \"NaN\""),
+            ("7,3,300,car,1,2,inf,4,0,4,2,1,0", "non_finite", "column vx"),
+            ("7,3,300,car,1,2,3,4,nan,4,2,1,0", "non_finite", "column psi_rad"),
+            ("7,3,310,car,1,2,3,4,0,4,2,1,0", "bad_timestamp", "timestamp_ms is 310 at frame_id 3, expected 300"),
+            ("7,-3,-300,car,1,2,3,4,0,4,2,1,0", "out_of_range", "frame_id is -3"),
+            ("7,3,300,car,1e9,2,3,4,0,4,2,1,0", "out_of_range", "position"),
+            ("7,9223372036854775807,300,car,1,2,3,4,0,4,2,1,0", "out_of_range", "frame_id"),
+        ] {
+            let flaw = parse(line).unwrap_err();
+            assert!(flaw.0 == reason && flaw.1.contains(detail), "{line}: {flaw:?}");
+        }
+    }
+}

@@ -1,0 +1,356 @@
+//! From files to scenes: small tables written out here, damaged ones, and all of the development data.
+
+use super::*;
+use crate::ingest::UnitSplit;
+use crate::ingest::archive::visit_entries;
+use crate::ingest::test_data::{self, test_data};
+use crate::scene::{AgentClass, Split, TrackRole};
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+const V1_2: &str = "case_id,track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n";
+const V1_1: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n";
+const V1_1_PEDESTRIANS: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy\n";
+
+/// A car that drives along x at 10 m/s in the frames `frames`; `case` is the case id and comma, or empty.
+fn car(case: &str, track: u32, frames: std::ops::RangeInclusive<u32>) -> String {
+    frames.map(|f| format!("{case}{track},{f},{}00,car,{f},2,10,0,0,4.5,1.8\n", f)).collect()
+}
+
+fn config(root: &Path) -> IngestConfig {
+    IngestConfig::new(Dataset::Interaction, vec![root.to_owned()])
+}
+
+/// The units that the files of `config.inputs` are cut into.
+fn read_units(config: &IngestConfig) -> Result<Vec<Result<RawUnit, Reject>>, Error> {
+    let source = Interaction::new(config);
+    let mut reader = source.unit_reader();
+    let mut units = Vec::new();
+    let mut emit = |unit| {
+        units.push(unit);
+        ControlFlow::Continue(())
+    };
+    visit_entries(&config.inputs, &|path| source.is_recording(path), &mut |entry, bytes| {
+        reader.read(entry, bytes, &mut emit)
+    })?;
+    let _ = reader.finish(&mut emit)?;
+    drop(reader);
+    Ok(units)
+}
+
+fn read_scenes(config: &IngestConfig) -> Vec<Result<RawScene, Reject>> {
+    let source = Interaction::new(config);
+    let units = read_units(config).unwrap();
+    units
+        .into_iter()
+        .flat_map(|unit| unit.map_or_else(|reject| vec![Err(reject)], |unit| source.parse(&unit)))
+        .collect()
+}
+
+/// The scenes of these files, each `(path, content)`.
+fn scenes_of(files: &[(&str, &str)]) -> Vec<Result<RawScene, Reject>> {
+    let folder = folder_of(files);
+    read_scenes(&config(folder.path()))
+}
+
+fn folder_of(files: &[(&str, &str)]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, text) in files {
+        let path = folder.path().join(name);
+        fs_err::create_dir_all(path.parent().unwrap()).unwrap();
+        fs_err::write(path, text).unwrap();
+    }
+    folder
+}
+
+fn outcomes(scenes: &[Result<RawScene, Reject>]) -> Vec<&str> {
+    scenes.iter().map(|scene| scene.as_ref().map_or_else(|reject| reject.reason, |scene| scene.id.0.as_str())).collect()
+}
+
+#[test]
+fn a_case_is_a_scene() {
+    let pedestrian = "1.0,P2,10,1000,pedestrian/bicycle,5,6,0,-1,,,\n";
+    let text = [V1_2, &car("1.0,", 7, 1..=40), &car("1.0,", 9, 5..=12), pedestrian, &car("2.0,", 7, 3..=40)].concat();
+    let scenes = scenes_of(&[("train/SIM_A_train.csv", &text)]);
+    assert_eq!(outcomes(&scenes), ["interaction/train/SIM_A/1", "interaction/train/SIM_A/2"]);
+    let scene = scenes[0].as_ref().unwrap();
+    assert_eq!((scene.n_history, scene.n_timesteps, scene.dt_s), (10, 40, 0.1));
+    assert_eq!(scene.map_id.0, "interaction/SIM_A");
+    let source = &scene.source;
+    assert_eq!((source.version.as_str(), source.split, source.place.as_str()), ("v1.2", Split::Train, "SIM_A"));
+    assert_eq!(
+        (source.file.as_str(), source.case_id.as_str(), source.first_frame.as_str()),
+        ("train/SIM_A_train.csv", "1.0", "1")
+    );
+
+    let [first, late, pedestrian] = scene.tracks.as_slice() else { panic!("three tracks") };
+    assert_eq!((first.id.0.as_str(), first.class, first.role), ("7", AgentClass::Vehicle, TrackRole::Context));
+    assert_eq!(first.extent.unwrap().length_m, 4.5);
+    assert_eq!(first.trajectory.n_valid(), 40);
+    let state = first.trajectory.get(9).unwrap();
+    assert_eq!((state.position.x, state.position.y, state.velocity.x), (10.0, 2.0, 10.0));
+    assert_eq!(late.trajectory.valid().map(|(timestep, _)| timestep).collect::<Vec<_>>(), (4..12).collect::<Vec<_>>());
+    assert_eq!((pedestrian.class, pedestrian.extent), (AgentClass::PedestrianOrCyclist, None));
+    assert!((pedestrian.trajectory.get(9).unwrap().heading_rad + std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+    // A case without an agent in its first frames still begins at frame 1.
+    assert!(scenes[1].as_ref().unwrap().tracks[0].trajectory.get(2).is_some());
+}
+
+#[test]
+fn test_cases_have_their_history_and_marks() {
+    let header = V1_2.replace('\n', ",track_to_predict,interesting_agent\n");
+    let marked = |track, marks: &str| car("1.0,", track, 1..=10).replace('\n', &format!(",{marks}\n"));
+    let text = [&header, &marked(1, "1.0,1.0"), &marked(2, "1.0,0.0"), marked(3, "0.0,0.0").as_str()].concat();
+    let files = [("test_multi-agent/SIM_A_obs.csv", text.as_str()), ("test_single-agent/SIM_A_obs.csv", text.as_str())];
+    let scenes = scenes_of(&files);
+    assert_eq!(outcomes(&scenes), ["interaction/test/SIM_A/1", "interaction/test/SIM_A/single-agent:1"]);
+    let scene = scenes[0].as_ref().unwrap();
+    assert_eq!((scene.n_history, scene.n_timesteps), (10, 10));
+    let roles: Vec<TrackRole> = scene.tracks.iter().map(|track| track.role).collect();
+    assert_eq!(roles, [TrackRole::Focal, TrackRole::Scored, TrackRole::Context]);
+}
+
+#[test]
+fn the_present_of_a_case_is_fixed() {
+    let folder = folder_of(&[("SIM_A_val.csv", &[V1_2, &car("1.0,", 7, 1..=40)].concat())]);
+    let shorter = IngestConfig { n_history: Some(4), n_future: Some(6), ..config(folder.path()) };
+    let scenes = read_scenes(&shorter);
+    let scene = scenes[0].as_ref().unwrap();
+    assert_eq!((scene.n_history, scene.n_timesteps, scene.source.first_frame.as_str()), (4, 10, "7"));
+    assert_eq!(scene.tracks[0].trajectory.get(3).unwrap().position.x, 10.0);
+    let longer = IngestConfig { n_future: Some(31), ..config(folder.path()) };
+    assert!(read_units(&longer).unwrap_err().to_string().contains("n_future"));
+}
+
+#[test]
+fn recordings_are_cut_into_windows_and_divided_by_time() {
+    // 200 frames: windows begin at 1, 41, 81, 121 and 161; val begins at 141.
+    let vehicles = [V1_1, &car("", 1, 1..=200), &car("", 2, 50..=70)].concat();
+    let pedestrians = [V1_1_PEDESTRIANS, "P1,90,9000,pedestrian/bicycle,0,0,1,1\n"].concat();
+    let folder = folder_of(&[
+        ("recorded_trackfiles/SIM_A/vehicle_tracks_003.csv", &vehicles),
+        ("recorded_trackfiles/SIM_A/pedestrian_tracks_003.csv", &pedestrians),
+    ]);
+    let config = IngestConfig { holdout_share: 0.3, ..config(folder.path()) };
+    let scenes = read_scenes(&config);
+    let expected = [
+        "interaction/train/SIM_A/003@1",
+        "interaction/train/SIM_A/003@41",
+        "interaction/train/SIM_A/003@81",
+        "window_across_holdout",
+        "interaction/val/SIM_A/003@161",
+    ];
+    assert_eq!(outcomes(&scenes), expected);
+    let tracks = |index: usize| -> Vec<&str> {
+        scenes[index].as_ref().unwrap().tracks.iter().map(|track| track.id.0.as_str()).collect()
+    };
+    assert_eq!((tracks(0), tracks(1), tracks(2), tracks(4)), (vec!["1"], vec!["1", "2"], vec!["1", "P1"], vec!["1"]));
+    let source = &scenes[1].as_ref().unwrap().source;
+    assert_eq!((source.version.as_str(), source.case_id.as_str(), source.first_frame.as_str()), ("v1.1", "003", "41"));
+
+    // Any stride; the windows before the cut are train, those after it val.
+    let config = IngestConfig { window_stride: 7, holdout_share: 0.5, ..config };
+    let scenes = read_scenes(&config);
+    let n_windows = scenes.iter().filter(|scene| scene.is_ok()).count();
+    assert_eq!((scenes.len(), n_windows), ((200 - 40) / 7 + 1, 9 + 8));
+}
+
+#[test]
+fn recordings_without_whole_or_filled_windows_say_so() {
+    let short = [V1_1, &car("", 1, 1..=39)].concat();
+    assert_eq!(outcomes(&scenes_of(&[("SIM_A/vehicle_tracks_000.csv", &short)])), ["recording_too_short"]);
+    let gap = [V1_1, &car("", 1, 1..=40), &car("", 2, 81..=120)].concat();
+    let scenes = scenes_of(&[("train/SIM_A/vehicle_tracks_000.csv", &gap)]);
+    assert_eq!(outcomes(&scenes), ["interaction/train/SIM_A/000@1", "empty_window", "interaction/train/SIM_A/000@81"]);
+    let far = [V1_1, &car("", 1, 1..=1), "2,2000000,200000000,car,0,0,0,0,0,4,2\n"].concat();
+    assert_eq!(outcomes(&scenes_of(&[("SIM_A/vehicle_tracks_000.csv", &far)])), ["frame_out_of_range"]);
+    let empty = scenes_of(&[("SIM_A/vehicle_tracks_000.csv", V1_1), ("SIM_A_val.csv", V1_2)]);
+    assert_eq!(outcomes(&empty), ["no_rows"]);
+}
+
+#[test]
+fn windows_style_files_are_the_same() {
+    let text = [V1_2, &car("1.0,", 7, 1..=40), &car("2.0,", 7, 1..=40)].concat();
+    let crlf = format!("\u{feff}{}", text.trim_end().replace('\n', "\r\n"));
+    let [plain, windows] = [&text, &crlf].map(|text| scenes_of(&[("SIM_A_val.csv", text)]));
+    assert_eq!(plain.len(), 2);
+    for (plain, windows) in plain.iter().zip(&windows) {
+        assert_eq!(plain.as_ref().unwrap().tracks, windows.as_ref().unwrap().tracks);
+    }
+    let text = [V1_1, &car("", 7, 1..=40)].concat();
+    let crlf = format!("\u{feff}{}", text.trim_end().replace('\n', "\r\n"));
+    let [plain, windows] = [&text, &crlf].map(|text| scenes_of(&[("val/SIM_A/vehicle_tracks_000.csv", text)]));
+    assert_eq!(plain[0].as_ref().unwrap().tracks, windows[0].as_ref().unwrap().tracks);
+}
+
+#[test]
+fn a_flaw_costs_its_case_and_no_other() {
+    let good = car("1.0,", 7, 1..=40);
+    let broken = [
+        ("malformed_row", car("2.0,", 7, 1..=40).replacen(",2,10,0,0,4.5,1.8", "", 1)),
+        ("non_finite", car("3.0,", 7, 1..=40).replacen(",2,10,", ",NaN,10,", 1)),
+        ("duplicate_frame", car("4.0,", 7, 1..=40) + &car("4.0,", 7, 3..=3)),
+        ("bad_timestamp", car("5.0,", 7, 1..=40).replacen(",100,car", ",150,car", 1)),
+        ("frame_out_of_range", car("6.0,", 7, 5..=45)),
+        ("case_not_contiguous", car("1.0,", 8, 1..=40)),
+    ];
+    let text = [V1_2, &good, &broken.clone().map(|(_, rows)| rows).concat(), &car("7.0,", 1, 101..=140)].concat();
+    let scenes = scenes_of(&[("train/SIM_A_train.csv", &text)]);
+    let mut expected = vec!["interaction/train/SIM_A/1"];
+    expected.extend(broken.iter().map(|(reason, _)| *reason));
+    expected.push("interaction/train/SIM_A/7");
+    assert_eq!(outcomes(&scenes), expected);
+    for (scene, line) in scenes[1..].iter().zip([42, 82, 162, 163, 203, 244]) {
+        let detail = &scene.as_ref().unwrap_err().detail;
+        assert!(detail.starts_with(&format!("train/SIM_A_train.csv:{line}: ")), "{detail}");
+    }
+}
+
+#[test]
+fn tables_without_their_columns_are_errors_that_name_them() {
+    let cases = [
+        ("train/SIM_A_train.csv", V1_2.replace(",psi_rad", ""), "no column psi_rad"),
+        ("train/SIM_A_train.csv", V1_2.replace(',', ";"), "not `;`"),
+        ("SIM_A/vehicle_tracks_000.csv", V1_1_PEDESTRIANS.to_owned(), "no column psi_rad, length, width"),
+        ("SIM_A/vehicle_tracks_000.csv", String::new(), "found ``"),
+        ("SIM_A/pedestrian_tracks_000.csv", V1_1_PEDESTRIANS.replace(",vy", ""), "no column vy"),
+    ];
+    for (name, text, expected) in cases {
+        let folder = folder_of(&[(name, &text)]);
+        let message = read_units(&config(folder.path())).unwrap_err().to_string();
+        assert!(message.contains(name) && message.contains("line 1") && message.contains(expected), "{message}");
+    }
+}
+
+#[test]
+fn a_file_that_breaks_off_is_a_reject() {
+    use std::io::Write;
+    let text: String = (1..=50).map(|case| car(&format!("{case}.0,"), 7, 1..=40)).collect();
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    encoder.write_all([V1_2, &text].concat().as_bytes()).unwrap();
+    let bytes = encoder.finish().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    fs_err::write(folder.path().join("SIM_A_val.csv.gz"), &bytes[..bytes.len() / 2]).unwrap();
+    fs_err::write(folder.path().join("SIM_B_val.csv"), [V1_2, &car("1.0,", 7, 1..=40)].concat()).unwrap();
+    let scenes = read_scenes(&config(folder.path()));
+    let outcomes = outcomes(&scenes);
+    assert_eq!(outcomes[outcomes.len() - 2..], ["unreadable", "interaction/val/SIM_B/1"]);
+    assert!(outcomes[..outcomes.len() - 2].iter().all(|id| id.starts_with("interaction/val/SIM_A/")));
+    assert!(scenes[outcomes.len() - 2].as_ref().unwrap_err().detail.starts_with("SIM_A_val.csv"));
+}
+
+#[test]
+fn only_what_is_asked_for_is_read() {
+    let table = [V1_2, &car("1.0,", 7, 1..=40)].concat();
+    let folder = folder_of(&[
+        ("train/SIM_A_train.csv", &table),
+        ("val/SIM_A_val.csv", &table),
+        ("val/SIM_B_val.csv", &table),
+        ("maps/SIM_A.osm", ""),
+    ]);
+    let config = IngestConfig { splits: vec![Split::Val], places: vec!["SIM_B".to_owned()], ..config(folder.path()) };
+    assert_eq!(outcomes(&read_scenes(&config)), ["interaction/val/SIM_B/1"]);
+    let source = Interaction::new(&config);
+    assert!(source.is_map("maps/SIM_B.osm_xy") && !source.is_map("maps/SIM_A.osm") && !source.is_map("a.csv"));
+    assert_eq!(source.map_of("x/SIM_B_val.csv"), Some(map_id(Dataset::Interaction, "SIM_B")));
+    assert_eq!(source.map_of("vehicle_tracks_000.csv"), None);
+}
+
+/// Number of scenes by split and place; panics on a reject.
+fn count_scenes(inputs: Vec<PathBuf>) -> BTreeMap<String, usize> {
+    let config = IngestConfig { inputs, ..config(Path::new("")) };
+    let mut counts = BTreeMap::new();
+    for scene in read_scenes(&config) {
+        let scene = scene.unwrap();
+        assert!(scene.tracks.iter().all(|track| track.trajectory.n_timesteps() == scene.n_timesteps));
+        assert!(scene.heading_gaps.is_empty());
+        *counts.entry(format!("{}/{}", scene.source.split.name(), scene.source.place)).or_default() += 1;
+    }
+    counts
+}
+
+#[test]
+fn all_of_the_simulated_archive_is_read() {
+    let Some(archive) = test_data("archives/INTERACTION-sim-multi-v1_2.zip") else { return };
+    let counts = count_scenes(vec![archive]);
+    let total = |split: &str| counts.iter().filter(|(key, _)| key.starts_with(split)).map(|(_, n)| n).sum::<usize>();
+    assert_eq!((total("train/"), total("val/"), total("test/")), (5000, 700, 300), "{counts:?}");
+    assert_eq!((counts["train/SIM_Merging"], counts.len()), (3000, 9));
+}
+
+#[test]
+fn samples_of_both_versions_are_read() {
+    let Some(samples) = test_data("samples/interaction") else { return };
+    let counts = count_scenes(vec![samples.join("val")]);
+    assert_eq!(counts.values().sum::<usize>(), 90, "{counts:?}");
+
+    let config = IngestConfig { holdout_share: 0.0, ..config(&samples.join("recorded_trackfiles")) };
+    let units = read_units(&config).unwrap();
+    let pairs: Vec<(String, bool)> = units
+        .iter()
+        .map(|unit| unit.as_ref().unwrap())
+        .map(|unit| {
+            assert_eq!((unit.version, unit.split), ("v1.1", UnitSplit::Divided));
+            (format!("{}/{}", unit.place, unit.case_id), unit.companion.is_some())
+        })
+        .collect();
+    let n_with_pedestrians = pairs.iter().filter(|(_, has_pedestrians)| *has_pedestrians).count();
+    assert_eq!((pairs.len(), n_with_pedestrians), (7, 4), "{pairs:?}");
+    let scenes = read_scenes(&config);
+    assert!(scenes.len() > 7 * 50 && scenes.iter().all(Result::is_ok));
+    let n_pedestrians = scenes
+        .iter()
+        .flat_map(|scene| &scene.as_ref().unwrap().tracks)
+        .filter(|track| track.class == AgentClass::PedestrianOrCyclist)
+        .count();
+    assert!(n_pedestrians > 100, "{n_pedestrians}");
+}
+
+#[test]
+fn the_toy_recording_of_the_interaction_authors_is_read() {
+    let Some(samples) = test_data("samples/interaction_official") else { return };
+    let config = IngestConfig { holdout_share: 0.0, n_future: Some(5), ..config(&samples) };
+    let scenes = read_scenes(&config);
+    // The second car comes at frame 31 and drives the other way.
+    assert_eq!(outcomes(&scenes).len(), 3);
+    let scene = scenes[1].as_ref().unwrap();
+    let [first, second] = scene.tracks.as_slice() else { panic!("two cars") };
+    let state = first.trajectory.get(0).unwrap();
+    assert_eq!((state.position.x, state.position.y, state.heading_rad), (41.0, 2.5, 0.0));
+    let state = second.trajectory.get(0).unwrap();
+    assert_eq!((state.position.x, state.position.y, state.velocity.x), (90.0, 5.5, 10.0));
+    assert!((state.heading_rad - std::f64::consts::PI).abs() < 1e-4);
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn damaged_tables_never_panic(
+        is_recording: bool,
+        damages in proptest::collection::vec((0..6000usize, proptest::prelude::any::<u8>(), 0..40usize), 1..6),
+    ) {
+        let cases: String = (1..4).map(|case| car(&format!("{case}.0,"), 7, 1..=40)).collect();
+        let (name, text) = if is_recording {
+            ("SIM_A/vehicle_tracks_000.csv", [V1_1, &car("", 1, 1..=100), &car("", 2, 20..=60)].concat())
+        } else {
+            ("SIM_A_val.csv", [V1_2, &cases].concat())
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        fs_err::create_dir_all(path.parent().unwrap()).unwrap();
+        fs_err::write(&path, test_data::damaged(text.as_bytes(), &damages)).unwrap();
+        let config = config(folder.path());
+        if let Ok(units) = read_units(&config) {
+            let source = Interaction::new(&config);
+            for unit in units.into_iter().flatten() {
+                for scene in source.parse(&unit).into_iter().flatten() {
+                    let states = || scene.tracks.iter().flat_map(|track| track.trajectory.valid());
+                    assert!(states().all(|(_, state)| state.is_finite()));
+                    assert!(scene.tracks.iter().all(|track| track.trajectory.n_timesteps() == scene.n_timesteps));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! Which lanes of a map are near a point?
+
+use crate::geometry::Vec2;
+use crate::scene::{Lane, LaneGraph, LaneId};
+use std::sync::Arc;
+
+/// A map with the bounds of its lanes, to pass over far ones quickly.
+#[derive(Debug, Clone)]
+pub(super) struct LaneIndex {
+    graph: Arc<LaneGraph>,
+    /// Least and greatest coordinates of each centerline.
+    bounds: Vec<(Vec2, Vec2)>,
+}
+
+impl LaneIndex {
+    pub(super) fn new(graph: Arc<LaneGraph>) -> Self {
+        let bounds = graph.lanes().iter().map(bounds).collect();
+        Self { graph, bounds }
+    }
+
+    /// The whole map.
+    pub(super) fn graph(&self) -> &LaneGraph {
+        &self.graph
+    }
+
+    /// The lanes whose centerline comes within `radius_m` of `point`, by ascending id.
+    pub(super) fn within(&self, point: Vec2, radius_m: f64) -> Vec<LaneId> {
+        self.candidates(point, radius_m)
+            .filter(|lane| lane.centerline.project(point).is_some_and(|p| p.offset_m.abs() <= radius_m))
+            .map(|lane| lane.id)
+            .collect()
+    }
+
+    /// Direction of the lane nearest to `point`, if one comes within `radius_m`.
+    pub(super) fn heading_at(&self, point: Vec2, radius_m: f64) -> Option<f64> {
+        self.candidates(point, radius_m)
+            .filter_map(|lane| lane.centerline.project(point))
+            .filter(|projection| projection.offset_m.abs() <= radius_m)
+            .min_by(|a, b| a.offset_m.abs().total_cmp(&b.offset_m.abs()))
+            .map(|projection| projection.heading_rad)
+    }
+
+    fn candidates(&self, point: Vec2, radius_m: f64) -> impl Iterator<Item = &Lane> {
+        self.graph.lanes().iter().zip(&self.bounds).filter_map(move |(lane, (least, greatest))| {
+            let is_near = point.x >= least.x - radius_m
+                && point.x <= greatest.x + radius_m
+                && point.y >= least.y - radius_m
+                && point.y <= greatest.y + radius_m;
+            is_near.then_some(lane)
+        })
+    }
+}
+
+fn bounds(lane: &Lane) -> (Vec2, Vec2) {
+    let nothing = (Vec2::new(f64::INFINITY, f64::INFINITY), Vec2::new(f64::NEG_INFINITY, f64::NEG_INFINITY));
+    lane.centerline.0.iter().fold(nothing, |(least, greatest), p| {
+        (Vec2::new(least.x.min(p.x), least.y.min(p.y)), Vec2::new(greatest.x.max(p.x), greatest.y.max(p.y)))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ingest::lane_topology::tests::lane;
+
+    #[test]
+    fn lanes_are_found_by_their_closest_point() {
+        // A diagonal lane whose bounds hold the point though the lane itself is 10 / √2 m away.
+        let lanes = vec![lane(1, (0.0, 0.0), (100.0, 100.0)), lane(2, (0.0, 200.0), (100.0, 200.0))];
+        let index = LaneIndex::new(Arc::new(LaneGraph::new(lanes)));
+        let point = Vec2::new(60.0, 50.0);
+        assert_eq!(index.within(point, 7.0), []);
+        assert_eq!(index.within(point, 7.2), [LaneId(1)]);
+        assert_eq!(index.within(point, 150.0), [LaneId(1), LaneId(2)]);
+        assert!(index.heading_at(point, 7.0).is_none());
+        let heading = index.heading_at(point, 160.0).expect("both lanes are near");
+        assert!((heading - std::f64::consts::FRAC_PI_4).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,118 @@
+//! Which lanes does a Lanelet2 map hold?
+//!
+//! Lanelet2 maps are OSM XML: nodes, ways (polylines of nodes), and relations. A relation of type `lanelet` has a left and
+//! a right bound. Coordinates are metres on the plane (`.osm_xy`), metres disguised as latitude and longitude near (0°, 0°)
+//! (INTERACTION's `.osm`), or true WGS84 coordinates, for which the frame of the map is the UTM zone of its first node with
+//! the origin at that node. x points east and y north.
+
+mod bound;
+mod lanelet;
+mod osm;
+mod projection;
+mod report;
+mod topology;
+
+pub use report::MapReport;
+
+use crate::geometry::Vec2;
+use crate::ingest::Error;
+use crate::scene::LaneGraph;
+use lanelet::Lanelet;
+use osm::{NodePosition, Osm};
+use projection::LocalUtm;
+use std::collections::BTreeMap;
+use std::io::{BufRead, Read};
+
+/// Largest map that is read. INTERACTION's largest are below 2 MB.
+const MAX_MAP_BYTES: u64 = 64 * 1024 * 1024;
+/// Most points in all bounds together: any number of lanelets may name one way, so the size of the file alone does not
+/// bound the size of the lanes.
+const MAX_BOUND_POINTS: usize = 2_000_000;
+/// Most bytes in the tags of all lanes together, for the same reason: lanelets share regulatory elements.
+const MAX_TAG_BYTES: usize = 64 * 1024 * 1024;
+
+/// Reads a Lanelet2 map: its vehicle lanes in the frame of the recordings, and what was wrong with it.
+///
+/// Lanelets that are not whole are left out and reported.
+///
+/// # Errors
+/// [`Error::Map`], naming `file` and line, when the document is not well-formed, has a document type, is beyond all
+/// bounds, or when no lane remains.
+pub fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapReport), Error> {
+    let error = |place: String, detail: String| Error::Map { file: file.to_owned(), place, detail };
+    let mut bytes = Vec::new();
+    reader
+        .take(MAX_MAP_BYTES + 1)
+        .read_to_end(&mut bytes)
+        .map_err(|source| error(String::new(), format!("cannot be read: {source}")))?;
+    if bytes.len() as u64 > MAX_MAP_BYTES {
+        return Err(error(String::new(), format!("is larger than {} MiB", MAX_MAP_BYTES >> 20)));
+    }
+    let text = std::str::from_utf8(&bytes)
+        .map_err(|utf8| error(format!("byte {}", utf8.valid_up_to()), "is not UTF-8 text".to_owned()))?;
+
+    let mut report = MapReport::default();
+    let osm = osm::parse(text, &mut report)
+        .map_err(|malformed| error(format!("line {}", malformed.line), malformed.detail))?;
+    let lanelets = lanelets(&osm, &mut report).map_err(|detail| error(String::new(), detail))?;
+    if lanelets.is_empty() {
+        let detail = format!(
+            "has no vehicle lane: {} lanelets, {} of them not for vehicles; {}",
+            report.n_lanelets,
+            report.n_not_drivable,
+            report.summary()
+        );
+        return Err(error(String::new(), detail));
+    }
+    report.n_lanes = lanelets.len() as u64;
+    let lanes = topology::connect(lanelets).map_err(|n| {
+        error(String::new(), format!("has {n} lane connections; its lanelets share too many end nodes"))
+    })?;
+    Ok((LaneGraph::new(lanes), report))
+}
+
+fn lanelets(osm: &Osm, report: &mut MapReport) -> Result<Vec<Lanelet>, String> {
+    let positions = positions(osm);
+    let mut lanelets = Vec::new();
+    let (mut n_points, mut n_tag_bytes) = (0, 0);
+    for (id, relation) in &osm.relations {
+        if relation.tags.get("type").is_none_or(|kind| kind != "lanelet") {
+            continue;
+        }
+        report.n_lanelets += 1;
+        if !lanelet::is_drivable(relation) {
+            report.n_not_drivable += 1;
+            continue;
+        }
+        n_points += relation.members.iter().filter_map(|member| osm.ways.get(&member.id)).map(Vec::len).sum::<usize>();
+        if n_points > MAX_BOUND_POINTS {
+            return Err(format!("its lanelets have more than {MAX_BOUND_POINTS} points together"));
+        }
+        match Lanelet::of(relation, *id, osm, &positions, report) {
+            Ok(lanelet) => {
+                n_tag_bytes += lanelet.attributes.tags.values().map(String::len).sum::<usize>();
+                lanelets.push(lanelet);
+            }
+            Err((reason, detail)) => report.warn(reason, format!("lanelet {id}: {detail}")),
+        }
+        if n_tag_bytes > MAX_TAG_BYTES {
+            return Err(format!("its lanelets have more than {} MiB of tags together", MAX_TAG_BYTES >> 20));
+        }
+    }
+    Ok(lanelets)
+}
+
+/// Where the nodes lie in the frame of the map, metres.
+fn positions(osm: &Osm) -> BTreeMap<i64, Vec2> {
+    let projection = osm.first_geo.map(LocalUtm::for_map);
+    osm.nodes
+        .iter()
+        .filter_map(|(id, position)| match position {
+            NodePosition::Plane(point) => Some((*id, *point)),
+            NodePosition::Geo(geo) => projection.map(|projection| (*id, projection.project(*geo))),
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,238 @@
+//! Which nodes, ways and relations does an OSM XML document hold?
+//!
+//! Only what Lanelet2 uses is read. Documents with a document type are refused, so there are no entities to expand, and
+//! size, depth and attributes are bounded, so that no document can exhaust memory or time.
+
+use super::projection::GeoPoint;
+use super::report::MapReport;
+use crate::geometry::Vec2;
+use quick_xml::XmlVersion;
+use quick_xml::events::{BytesStart, Event};
+use std::collections::BTreeMap;
+
+/// OSM documents are three elements deep: `osm`, `relation`, `member`.
+const MAX_DEPTH: usize = 16;
+/// OSM elements have about ten attributes.
+const MAX_ATTRIBUTES: usize = 64;
+
+/// The elements of a document by their ids. Elements that an editor marked as deleted are left out.
+#[derive(Debug, Default)]
+pub(super) struct Osm {
+    /// Where the nodes lie.
+    pub(super) nodes: BTreeMap<i64, NodePosition>,
+    /// The first node with latitude and longitude, in the order of the document.
+    pub(super) first_geo: Option<GeoPoint>,
+    /// Polylines: the nodes in order.
+    pub(super) ways: BTreeMap<i64, Vec<i64>>,
+    /// Lanelets, regulatory elements, areas.
+    pub(super) relations: BTreeMap<i64, Relation>,
+}
+
+/// A node is given on the ellipsoid (`.osm`) or on the plane (`.osm_xy`).
+#[derive(Debug, Clone, Copy)]
+pub(super) enum NodePosition {
+    Geo(GeoPoint),
+    Plane(Vec2),
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Relation {
+    pub(super) tags: BTreeMap<String, String>,
+    pub(super) members: Vec<Member>,
+}
+
+#[derive(Debug)]
+pub(super) struct Member {
+    /// `node`, `way` or `relation`.
+    pub(super) kind: String,
+    pub(super) id: i64,
+    pub(super) role: String,
+}
+
+/// What is wrong with a document, and where.
+#[derive(Debug)]
+pub(super) struct Malformed {
+    /// Line, counted from 1.
+    pub(super) line: usize,
+    pub(super) detail: String,
+}
+
+/// Reads a document; nodes without a usable position are left out and reported.
+pub(super) fn parse(text: &str, report: &mut MapReport) -> Result<Osm, Malformed> {
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let mut reader = quick_xml::Reader::from_str(text);
+    let mut document = Document { osm: Osm::default(), open: Open::Nothing, report };
+    let mut depth = 0;
+    loop {
+        let at = usize::try_from(reader.buffer_position()).unwrap_or(text.len());
+        let malformed = |detail: String| Malformed { line: line_at(text, at), detail };
+        match reader.read_event() {
+            Ok(Event::Start(element)) => {
+                depth += 1;
+                if depth > MAX_DEPTH {
+                    return Err(malformed(format!("elements are nested deeper than {MAX_DEPTH}")));
+                }
+                document.begin(&element, depth).map_err(malformed)?;
+            }
+            Ok(Event::Empty(element)) => {
+                document.begin(&element, depth + 1).map_err(malformed)?;
+                document.end(depth + 1);
+            }
+            Ok(Event::End(_)) => {
+                document.end(depth);
+                depth -= 1;
+            }
+            Ok(Event::DocType(_)) => {
+                return Err(malformed("document types and entities are not accepted; remove `<!DOCTYPE …>`".into()));
+            }
+            Ok(Event::GeneralRef(entity)) => return Err(malformed(format!("unexpected reference `&{};`", &*entity))),
+            Ok(Event::Eof) if depth > 0 => return Err(malformed("the document ends within an element".into())),
+            Ok(Event::Eof) => return Ok(document.osm),
+            Ok(_) => {}
+            Err(error) => {
+                let at = usize::try_from(reader.error_position()).unwrap_or(text.len());
+                return Err(Malformed { line: line_at(text, at), detail: error.to_string() });
+            }
+        }
+    }
+}
+
+fn line_at(text: &str, byte: usize) -> usize {
+    1 + text.as_bytes().iter().take(byte).filter(|b| **b == b'\n').count()
+}
+
+/// The element that is being read.
+enum Open {
+    Nothing,
+    Way { id: i64, nodes: Vec<i64> },
+    Relation { id: i64, relation: Relation },
+    Deleted,
+}
+
+struct Document<'a> {
+    osm: Osm,
+    open: Open,
+    report: &'a mut MapReport,
+}
+
+impl Document<'_> {
+    /// Takes in an element at `depth` (1 is the root).
+    fn begin(&mut self, element: &BytesStart<'_>, depth: usize) -> Result<(), String> {
+        let name = element.name();
+        let name: &str = name.as_ref();
+        let attributes = Attributes::read(element)?;
+        match (depth, name, &mut self.open) {
+            (1, "osm", _) => {}
+            (1, ..) => return Err(format!("is no OSM document: the root element is `<{name}>`, expected `<osm>`")),
+            (2, "node", _) => self.add_node(&attributes)?,
+            (2, "way" | "relation", _) if attributes.is_deleted() => self.open = Open::Deleted,
+            (2, "way", _) => self.open = Open::Way { id: attributes.id("id", name)?, nodes: Vec::new() },
+            (2, "relation", _) => {
+                self.open = Open::Relation { id: attributes.id("id", name)?, relation: Relation::default() };
+            }
+            (3, "nd", Open::Way { nodes, .. }) => nodes.push(attributes.id("ref", name)?),
+            (3, "member", Open::Relation { relation, .. }) => relation.members.push(Member {
+                kind: attributes.get("type").unwrap_or_default().to_owned(),
+                id: attributes.id("ref", name)?,
+                role: attributes.get("role").unwrap_or_default().to_owned(),
+            }),
+            (3, "tag", Open::Relation { relation, .. }) => {
+                if let (Some(key), Some(value)) = (attributes.get("k"), attributes.get("v")) {
+                    relation.tags.insert(key.to_owned(), value.to_owned());
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// Closes the element at `depth`.
+    fn end(&mut self, depth: usize) {
+        if depth != 2 {
+            return;
+        }
+        let duplicate = match std::mem::replace(&mut self.open, Open::Nothing) {
+            Open::Way { id, nodes } => insert_new(&mut self.osm.ways, id, nodes).then_some(("way", id)),
+            Open::Relation { id, relation } => {
+                insert_new(&mut self.osm.relations, id, relation).then_some(("relation", id))
+            }
+            Open::Nothing | Open::Deleted => None,
+        };
+        if let Some((kind, id)) = duplicate {
+            self.report.warn("duplicate_id", format!("{kind} {id}: the first of this id is kept"));
+        }
+    }
+
+    fn add_node(&mut self, attributes: &Attributes) -> Result<(), String> {
+        let id = attributes.id("id", "node")?;
+        if attributes.is_deleted() {
+            return Ok(());
+        }
+        let Some(position) = attributes.position() else {
+            self.report.warn("node_without_position", format!("node {id}: needs `lat` and `lon`, or `x` and `y`"));
+            return Ok(());
+        };
+        if let (NodePosition::Geo(geo), None) = (position, self.osm.first_geo) {
+            self.osm.first_geo = Some(geo);
+        }
+        if insert_new(&mut self.osm.nodes, id, position) {
+            self.report.warn("duplicate_id", format!("node {id}: the first of this id is kept"));
+        }
+        Ok(())
+    }
+}
+
+/// Inserts unless the key is taken, and says whether it was.
+fn insert_new<T>(elements: &mut BTreeMap<i64, T>, id: i64, element: T) -> bool {
+    let taken = elements.contains_key(&id);
+    if !taken {
+        elements.insert(id, element);
+    }
+    taken
+}
+
+/// The attributes of one element.
+struct Attributes(Vec<(String, String)>);
+
+impl Attributes {
+    fn read(element: &BytesStart<'_>) -> Result<Self, String> {
+        let mut pairs = Vec::new();
+        // The library's check for duplicates takes quadratic time; here the first of a name counts.
+        for attribute in element.attributes().with_checks(false) {
+            let attribute = attribute.map_err(|error| error.to_string())?;
+            if pairs.len() == MAX_ATTRIBUTES {
+                return Err(format!("an element has more than {MAX_ATTRIBUTES} attributes"));
+            }
+            // Resolves the five predefined entities and character references, and refuses all others.
+            let value =
+                attribute.normalized_value(XmlVersion::Implicit1_0).map_err(|error| format!("attribute: {error}"))?;
+            pairs.push((AsRef::<str>::as_ref(&attribute.key).to_owned(), value.into_owned()));
+        }
+        Ok(Self(pairs))
+    }
+
+    fn get(&self, key: &str) -> Option<&str> {
+        self.0.iter().find(|(k, _)| k == key).map(|(_, value)| value.as_str())
+    }
+
+    fn id(&self, key: &str, element: &str) -> Result<i64, String> {
+        let text = self.get(key).ok_or_else(|| format!("`<{element}>` without `{key}`"))?;
+        text.parse().map_err(|_| format!("`<{element}>`: `{key}` is \"{text}\", expected a whole number"))
+    }
+
+    /// JOSM and Lanelet2 keep deleted elements in the file.
+    fn is_deleted(&self) -> bool {
+        self.get("action") == Some("delete")
+    }
+
+    /// `x` and `y` where given, else `lat` and `lon`; `None` where these are missing, no numbers, or nowhere on Earth.
+    fn position(&self) -> Option<NodePosition> {
+        const EARTH_M: f64 = 2.1e7;
+        let number = |key| self.get(key).and_then(|text| text.trim().parse::<f64>().ok());
+        if let (Some(x), Some(y)) = (number("x"), number("y")) {
+            return (x.abs() < EARTH_M && y.abs() < EARTH_M).then_some(NodePosition::Plane(Vec2::new(x, y)));
+        }
+        let geo = GeoPoint { latitude_deg: number("lat")?, longitude_deg: number("lon")? };
+        geo.is_valid().then_some(NodePosition::Geo(geo))
+    }
+}

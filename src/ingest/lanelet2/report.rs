@@ -1,0 +1,38 @@
+//! What did a map lack, and what was left out of it for that?
+
+use crate::ingest::RejectCount;
+use std::collections::BTreeMap;
+
+/// How many examples of each warning are kept.
+const MAX_EXAMPLES: usize = 5;
+
+/// What became of the lanelets of a map.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct MapReport {
+    /// Relations that say they are lanelets.
+    pub n_lanelets: u64,
+    /// Lanelets that vehicles may not use, such as crosswalks; not lanes.
+    pub n_not_drivable: u64,
+    /// Lanes read.
+    pub n_lanes: u64,
+    /// What is wrong with the map by reason, with the ids of the first few elements.
+    pub warnings: BTreeMap<&'static str, RejectCount>,
+}
+
+impl MapReport {
+    pub(super) fn warn(&mut self, reason: &'static str, detail: String) {
+        let entry = self.warnings.entry(reason).or_default();
+        entry.count += 1;
+        if entry.examples.len() < MAX_EXAMPLES {
+            entry.examples.push(detail);
+        }
+    }
+
+    /// The warnings on one line; empty when there are none.
+    pub fn summary(&self) -> String {
+        let one = |(reason, warnings): (&&str, &RejectCount)| {
+            format!("{} {reason} ({})", warnings.count, warnings.examples.join("; "))
+        };
+        self.warnings.iter().map(one).collect::<Vec<_>>().join(", ")
+    }
+}

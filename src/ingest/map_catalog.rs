@@ -1,0 +1,91 @@
+//! The maps that were read before the recordings: which lanes lie at a place?
+
+use super::archive::{Entry, visit_entries};
+use super::config::IngestConfig;
+use super::error::Error;
+use super::lane_index::LaneIndex;
+use super::source::RecordingSource;
+use crate::progress::Progress;
+use crate::scene::MapId;
+use std::collections::btree_map::Entry as MapEntry;
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::BufRead;
+use std::ops::ControlFlow;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The maps of places and cities by id. Empty when maps are not asked for, or when scenes bring their own.
+#[derive(Debug, Default)]
+pub(super) struct MapCatalog(BTreeMap<MapId, LaneIndex>);
+
+impl MapCatalog {
+    /// Reads the maps among `map_inputs`, or else among the inputs themselves.
+    ///
+    /// # Errors
+    /// When a map cannot be read, none is found, or a place named by the recordings' paths lacks one.
+    pub(super) fn read(
+        config: &IngestConfig,
+        source: &dyn RecordingSource,
+        progress: &dyn Progress,
+    ) -> Result<Self, Error> {
+        if !config.wants_maps() || source.has_own_maps() {
+            return Ok(Self::default());
+        }
+        let inputs = if config.map_inputs.is_empty() { &config.inputs } else { &config.map_inputs };
+        let needed = Mutex::new(BTreeSet::new());
+        let is_wanted = |path: &str| {
+            if source.is_recording(path) {
+                needed.lock().unwrap_or_else(PoisonError::into_inner).extend(source.map_of(path));
+            }
+            source.is_map(path)
+        };
+        let mut catalog = Self::default();
+        visit_entries(inputs, &is_wanted, &mut |entry, reader| {
+            catalog.add(entry, reader, source, progress)?;
+            Ok(ControlFlow::Continue(()))
+        })?;
+        if catalog.0.is_empty() {
+            let searched: Vec<String> = inputs.iter().map(|input| input.display().to_string()).collect();
+            return Err(Error::NoMaps { dataset: config.dataset.name(), searched: searched.join(", ") });
+        }
+        let needed = needed.into_inner().unwrap_or_else(PoisonError::into_inner);
+        catalog.require(needed.into_iter().filter(|id| !catalog.0.contains_key(id)))?;
+        Ok(catalog)
+    }
+
+    fn add(
+        &mut self,
+        entry: &Entry,
+        reader: &mut dyn BufRead,
+        source: &dyn RecordingSource,
+        progress: &dyn Progress,
+    ) -> Result<(), Error> {
+        for (id, graph) in source.read_map(entry, reader)? {
+            match self.0.entry(id) {
+                MapEntry::Vacant(place) => {
+                    place.insert(LaneIndex::new(Arc::new(graph)));
+                }
+                MapEntry::Occupied(known) => {
+                    progress.note(&format!("{} passed over: map {} is already read", entry.path, known.key()));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The map of this id.
+    pub(super) fn get(&self, id: &MapId) -> Option<&LaneIndex> {
+        self.0.get(id)
+    }
+
+    /// Fails if any map is missing.
+    ///
+    /// # Errors
+    /// [`Error::MissingMaps`] names them, and those that were found.
+    pub(super) fn require(&self, missing: impl Iterator<Item = MapId>) -> Result<(), Error> {
+        let missing: Vec<String> = missing.map(|id| id.0).collect();
+        if missing.is_empty() {
+            return Ok(());
+        }
+        Err(Error::MissingMaps { missing, found: self.0.keys().map(|id| id.0.clone()).collect() })
+    }
+}

@@ -1,0 +1,118 @@
+//! What lies between a file and a scene: units of raw bytes, scenes in the recording's frame, and rejects.
+
+use crate::scene::{Dataset, LaneGraph, MapId, SceneId, SceneSource, Split, Track};
+use std::fmt::Display;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// The bytes that are parsed on their own: one Argoverse file, one INTERACTION case, or one INTERACTION recording.
+#[derive(Debug, Clone, Default)]
+pub struct RawUnit {
+    /// The file within its folder or archive, with `/` between parts.
+    pub file: String,
+    /// The folder or archive.
+    pub container: PathBuf,
+    /// The dataset's version or layout, such as `v1.1`; empty where there is only one.
+    pub version: &'static str,
+    /// The split that the file's name or folder tells.
+    pub split: UnitSplit,
+    /// City or location; empty where only the content tells.
+    pub place: String,
+    /// The case, sequence or recording within the dataset, as written.
+    pub case_id: String,
+    /// The header line of the table that `bytes` were cut from; empty where `bytes` hold the whole file.
+    pub header: Arc<[u8]>,
+    /// The content.
+    pub bytes: Vec<u8>,
+    /// Line of the file at which `bytes` begin, counted from 1.
+    pub first_line: u64,
+    /// A second file that belongs to the first: the pedestrians of a recording, the map of a scenario.
+    pub companion: Option<Companion>,
+}
+
+/// The second file of a [`RawUnit`].
+#[derive(Debug, Clone, Default)]
+pub struct Companion {
+    /// The file within its folder or archive.
+    pub file: String,
+    /// The content.
+    pub bytes: Vec<u8>,
+}
+
+/// The split of a unit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum UnitSplit {
+    /// All scenes of the unit are of this split.
+    All(Split),
+    /// The scenes of the unit are divided among splits when it is parsed.
+    Divided,
+}
+
+impl Default for UnitSplit {
+    fn default() -> Self {
+        Self::All(Split::Unsplit)
+    }
+}
+
+impl RawUnit {
+    /// Bytes held in memory.
+    pub fn n_bytes(&self) -> u64 {
+        (self.bytes.len() + self.companion.as_ref().map_or(0, |companion| companion.bytes.len())) as u64
+    }
+
+    /// A reject of something in this unit at `line` of its file.
+    pub fn reject_at(&self, reason: &'static str, line: u64, detail: impl Display) -> Reject {
+        Reject { reason, detail: format!("{}:{line}: {detail}", self.file) }
+    }
+
+    /// A reject of the whole unit.
+    pub fn reject(&self, reason: &'static str, detail: impl Display) -> Reject {
+        Reject { reason, detail: format!("{}: {detail}", self.file) }
+    }
+}
+
+/// A scene as recorded: tracks in the recording's frame, no ego, nothing left out.
+#[derive(Debug, Clone)]
+pub struct RawScene {
+    /// Unique name.
+    pub id: SceneId,
+    /// Where it came from.
+    pub source: SceneSource,
+    /// Time between timesteps, seconds.
+    pub dt_s: f64,
+    /// Number of timesteps, history and future.
+    pub n_timesteps: usize,
+    /// Number of observed timesteps.
+    pub n_history: usize,
+    /// The tracks in the recording's frame, each with `n_timesteps` entries.
+    pub tracks: Vec<Track>,
+    /// Headings that the recording does not tell, to be replaced by the direction of the lane.
+    pub heading_gaps: Vec<HeadingGap>,
+    /// The map the scene lies on.
+    pub map_id: MapId,
+    /// That map, where the scene brings its own; otherwise it is looked up among those read beforehand.
+    pub own_map: Option<Arc<LaneGraph>>,
+}
+
+/// A track that stands before it moves, in a recording without headings: those before `until_timestep` are placeholders.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct HeadingGap {
+    /// Index of the track.
+    pub track_idx: usize,
+    /// First timestep whose heading is known; the number of timesteps where none is.
+    pub until_timestep: usize,
+}
+
+/// The map of `dataset` for a place, city or scenario.
+pub fn map_id(dataset: Dataset, key: &str) -> MapId {
+    MapId(format!("{}/{key}", dataset.name()))
+}
+
+/// A recording, or a scene of one, that was left out.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Reject {
+    /// A stable code, such as `wrong_timestamp_count`.
+    pub reason: &'static str,
+    /// File, line and what is wrong there.
+    pub detail: String,
+}

@@ -1,0 +1,143 @@
+//! What an ingest read, kept and left out, by reason.
+
+use super::raw::Reject;
+use crate::scene::SceneSource;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// How many examples of each reject reason are kept.
+const MAX_EXAMPLES: usize = 5;
+
+/// Counts of what was read, kept and left out. Reports of consecutive batches add up with [`IngestReport::merge`].
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IngestReport {
+    /// Units read: files, cases or recordings.
+    pub n_units: u64,
+    /// Bytes of those units, uncompressed.
+    pub n_bytes: u64,
+    /// Scenes kept.
+    pub n_scenes: u64,
+    /// Agents in those scenes.
+    pub n_agents: u64,
+    /// Scenes by `split/place`.
+    pub scenes_by: BTreeMap<String, u64>,
+    /// Rejected units and scenes by reason.
+    pub rejects: BTreeMap<String, RejectCount>,
+    /// What was left out of kept scenes, or left out by the configuration: agents over the cap, scenes of other places, …
+    pub dropped: BTreeMap<String, u64>,
+    /// What the recording does not say and was assumed, such as headings of standing vehicles.
+    pub assumed: BTreeMap<String, u64>,
+}
+
+/// Rejects of one reason.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RejectCount {
+    /// How many.
+    pub count: u64,
+    /// File, line and detail of the first few.
+    pub examples: Vec<String>,
+}
+
+impl IngestReport {
+    /// Adds what a later batch counted.
+    pub fn merge(&mut self, later: &Self) {
+        self.n_units += later.n_units;
+        self.n_bytes += later.n_bytes;
+        self.n_scenes += later.n_scenes;
+        self.n_agents += later.n_agents;
+        for (counts, added) in [
+            (&mut self.scenes_by, &later.scenes_by),
+            (&mut self.dropped, &later.dropped),
+            (&mut self.assumed, &later.assumed),
+        ] {
+            for (key, n) in added {
+                add(counts, key, *n);
+            }
+        }
+        for (reason, rejects) in &later.rejects {
+            let entry = self.rejects.entry(reason.clone()).or_default();
+            entry.count += rejects.count;
+            let room = MAX_EXAMPLES.saturating_sub(entry.examples.len());
+            entry.examples.extend(rejects.examples.iter().take(room).cloned());
+        }
+    }
+
+    /// Counts a reject.
+    pub fn count_reject(&mut self, reject: &Reject) {
+        let entry = self.rejects.entry(reject.reason.to_owned()).or_default();
+        entry.count += 1;
+        if entry.examples.len() < MAX_EXAMPLES {
+            entry.examples.push(reject.detail.clone());
+        }
+    }
+
+    /// Counts `n` things left out.
+    pub fn count_dropped(&mut self, what: &str, n: u64) {
+        add(&mut self.dropped, what, n);
+    }
+
+    /// Counts `n` assumptions.
+    pub fn count_assumed(&mut self, what: &str, n: u64) {
+        add(&mut self.assumed, what, n);
+    }
+
+    /// Counts a kept scene.
+    pub(super) fn count_scene(&mut self, source: &SceneSource, n_agents: usize) {
+        self.n_scenes += 1;
+        self.n_agents += n_agents as u64;
+        add(&mut self.scenes_by, &format!("{}/{}", source.split.name(), source.place), 1);
+    }
+
+    /// Number of rejects of all reasons.
+    pub fn n_rejects(&self) -> u64 {
+        self.rejects.values().map(|rejects| rejects.count).sum()
+    }
+
+    /// One line on what was read and what became of it.
+    pub fn summary(&self) -> String {
+        let mut parts = vec![format!("{} units read, {} scenes kept", self.n_units, self.n_scenes)];
+        parts.extend(self.rejects.iter().map(|(reason, rejects)| {
+            let first = rejects.examples.first().map_or(String::new(), |example| format!(" (first: {example})"));
+            format!("{} rejected as {reason}{first}", rejects.count)
+        }));
+        parts.extend(self.dropped.iter().map(|(what, n)| format!("{n} {} dropped", what.replace('_', " "))));
+        parts.join("; ")
+    }
+}
+
+fn add(counts: &mut BTreeMap<String, u64>, key: &str, n: u64) {
+    if n > 0 {
+        *counts.entry(key.to_owned()).or_default() += n;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with_rejects(range: std::ops::Range<usize>) -> IngestReport {
+        let mut report = IngestReport { n_units: range.len() as u64, ..Default::default() };
+        for i in range {
+            report.count_reject(&Reject { reason: "non_finite", detail: format!("file{i}.csv:2: x is NaN") });
+        }
+        report.count_dropped("agents_over_cap", 3);
+        report
+    }
+
+    #[test]
+    fn merging_batches_is_counting_all_at_once() {
+        let mut merged = with_rejects(0..2);
+        merged.merge(&with_rejects(2..9));
+        let mut at_once = with_rejects(0..9);
+        at_once.count_dropped("agents_over_cap", 3);
+        assert_eq!(merged, at_once);
+        assert_eq!(merged.rejects["non_finite"].examples.len(), MAX_EXAMPLES);
+        assert_eq!(merged.n_rejects(), 9);
+    }
+
+    #[test]
+    fn the_summary_names_the_first_example() {
+        let summary = with_rejects(0..2).summary();
+        assert!(summary.contains("2 rejected as non_finite (first: file0.csv:2: x is NaN)"), "{summary}");
+    }
+}

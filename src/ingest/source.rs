@@ -1,0 +1,107 @@
+//! What a dataset must provide to be ingested.
+
+use super::archive::Entry;
+use super::config::IngestConfig;
+use super::error::Error;
+use super::raw::{RawScene, RawUnit, Reject};
+use crate::scene::{LaneGraph, MapId};
+use std::io::BufRead;
+use std::ops::ControlFlow;
+
+/// The formats of one dataset. Files are read one after another by a [`UnitReader`]; units are parsed in parallel.
+pub trait RecordingSource: Sync {
+    /// Whether the entry at `path` holds recordings (or, where scenes bring their own maps, such a map) that the
+    /// configuration asks for. Called before the entry is read, so that others are skipped cheaply.
+    fn is_recording(&self, path: &str) -> bool;
+
+    /// A reader that cuts entries into units, in the order of the entries.
+    fn unit_reader(&self) -> Box<dyn UnitReader + '_>;
+
+    /// The scenes of a unit, in a fixed order; each is either complete or a reject.
+    fn parse(&self, unit: &RawUnit) -> Vec<Result<RawScene, Reject>>;
+
+    /// Whether scenes bring their own maps, so that none are read beforehand.
+    fn has_own_maps(&self) -> bool {
+        false
+    }
+
+    /// Whether the entry at `path` is a map to be read before all recordings.
+    fn is_map(&self, path: &str) -> bool;
+
+    /// Reads such a map. Where several files hold the map of one place, the first counts.
+    ///
+    /// # Errors
+    /// [`Error::Map`] when the map is not whole.
+    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Vec<(MapId, LaneGraph)>, Error>;
+
+    /// The map that the recordings at `path` need, where the path tells: lets a missing map be reported before reading.
+    fn map_of(&self, _path: &str) -> Option<MapId> {
+        None
+    }
+}
+
+/// Receives units, and rejects of what cannot be made a unit; each counts as one unit. `Break` means: no more are wanted.
+pub type EmitUnit<'a> = dyn FnMut(Result<RawUnit, Reject>) -> ControlFlow<()> + 'a;
+
+/// Cuts entries into units. May hold entries back until their counterpart comes, within bounds.
+pub trait UnitReader {
+    /// Reads one entry.
+    ///
+    /// # Errors
+    /// When the entry cannot be read, or is a table that lacks columns.
+    fn read(
+        &mut self,
+        entry: &Entry,
+        reader: &mut dyn BufRead,
+        emit: &mut EmitUnit<'_>,
+    ) -> Result<ControlFlow<()>, Error>;
+
+    /// Emits what was held back, after the last entry.
+    ///
+    /// # Errors
+    /// As [`UnitReader::read`].
+    fn finish(&mut self, _emit: &mut EmitUnit<'_>) -> Result<ControlFlow<()>, Error> {
+        Ok(ControlFlow::Continue(()))
+    }
+}
+
+/// Observed and future timesteps of a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Horizon {
+    /// Observed timesteps.
+    pub n_history: usize,
+    /// Future timesteps.
+    pub n_future: usize,
+}
+
+impl Horizon {
+    /// The configured horizon, or `default` where nothing is configured.
+    pub fn of(config: &IngestConfig, default: Self) -> Self {
+        Self {
+            n_history: config.n_history.unwrap_or(default.n_history),
+            n_future: config.n_future.unwrap_or(default.n_future),
+        }
+    }
+
+    /// The configured horizon for recordings of fixed length, whose present is fixed: it may only be shorter.
+    ///
+    /// # Errors
+    /// [`Error::Config`] when more is asked for than is recorded.
+    pub fn within(config: &IngestConfig, recorded: Self) -> Result<Self, Error> {
+        let horizon = Self::of(config, recorded);
+        for (key, asked, has) in
+            [("n_history", horizon.n_history, recorded.n_history), ("n_future", horizon.n_future, recorded.n_future)]
+        {
+            if asked > has {
+                let detail = format!("is {asked}, but {} records only {has} timesteps", config.dataset.name());
+                return Err(Error::Config { key, detail });
+            }
+        }
+        Ok(horizon)
+    }
+
+    /// Number of timesteps.
+    pub const fn n_timesteps(self) -> usize {
+        self.n_history + self.n_future
+    }
+}

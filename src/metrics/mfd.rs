@@ -1,0 +1,38 @@
+//! How different are the samples of one scene?
+
+use super::displacement::mean;
+use super::sample_group::{future, present_agents};
+use super::{Direction, Metric, MetricSpec, SampleGroup};
+use crate::geometry::Vec2;
+
+/// MFD, the maximum final distance: of each agent the largest distance between its last positions in any two samples, averaged
+/// over agents. Defined for two samples and more; the recorded future does not matter.
+#[derive(Debug, Clone, Copy)]
+pub struct Mfd;
+
+impl Metric for Mfd {
+    fn spec(&self) -> MetricSpec {
+        MetricSpec {
+            id: "mfd_m",
+            unit: "m",
+            direction: Direction::Neither,
+            description: "largest distance between the last positions of an agent in two samples, mean over agents",
+        }
+    }
+
+    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
+        if group.samples.len() < 2 {
+            return None;
+        }
+        let last = future(group.recorded).last()?;
+        let largest_m = |agent_idx: usize| -> Option<f64> {
+            let ends: Option<Vec<Vec2>> =
+                group.samples.iter().map(|sample| sample.state(agent_idx, last).map(|state| state.position)).collect();
+            let ends = ends?;
+            let pairs = ends.iter().enumerate().flat_map(|(i, a)| ends[i + 1..].iter().map(|b| a.distance(*b)));
+            pairs.reduce(f64::max)
+        };
+        let distances: Option<Vec<f64>> = present_agents(group.recorded).map(largest_m).collect();
+        mean(&distances?)
+    }
+}

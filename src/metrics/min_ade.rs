@@ -1,0 +1,55 @@
+//! How far is the ego from its recording on average over time, in the best sample?
+
+use super::displacement::{displacements_m, final_displacement_m, mean};
+use super::{Direction, Metric, MetricSpec, SampleGroup};
+use crate::scene::Scene;
+
+/// minADE of the ego: the least average displacement of all samples (INTERACTION's rule: the sample is chosen
+/// independently of the one for minFDE).
+#[derive(Debug, Clone, Copy)]
+pub struct MinAde;
+
+impl Metric for MinAde {
+    fn spec(&self) -> MetricSpec {
+        MetricSpec {
+            id: "min_ade_m",
+            unit: "m",
+            direction: Direction::LowerIsBetter,
+            description: "ego: mean distance to the recording over the future, in the best sample",
+        }
+    }
+
+    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
+        group.min_over_samples(|sample| ego_ade_m(group.recorded, sample))
+    }
+}
+
+/// The ADE of the ego in the sample with the least FDE, which Argoverse 1's own evaluation calls minADE. Of samples
+/// with the same FDE the first one decides.
+#[derive(Debug, Clone, Copy)]
+pub struct MinAdeOfMinFde;
+
+impl Metric for MinAdeOfMinFde {
+    fn spec(&self) -> MetricSpec {
+        MetricSpec {
+            id: "min_ade_of_min_fde_m",
+            unit: "m",
+            direction: Direction::LowerIsBetter,
+            description: "ego: mean distance to the recording over the future, in the sample that ends closest",
+        }
+    }
+
+    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
+        let ends: Option<Vec<f64>> = group
+            .samples
+            .iter()
+            .map(|sample| final_displacement_m(group.recorded, sample, group.recorded.ego_idx))
+            .collect();
+        let (best, _) = ends?.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
+        ego_ade_m(group.recorded, &group.samples[best])
+    }
+}
+
+fn ego_ade_m(recorded: &Scene, sample: &Scene) -> Option<f64> {
+    mean(&displacements_m(recorded, sample, recorded.ego_idx)?)
+}

@@ -1,0 +1,24 @@
+//! How far is the ego from its recording at the end, in the best sample?
+
+use super::displacement::final_displacement_m;
+use super::{Direction, Metric, MetricSpec, SampleGroup};
+
+/// minFDE of the ego: the least displacement at the last timestep of all samples. Not defined where the ego is not
+/// recorded then.
+#[derive(Debug, Clone, Copy)]
+pub struct MinFde;
+
+impl Metric for MinFde {
+    fn spec(&self) -> MetricSpec {
+        MetricSpec {
+            id: "min_fde_m",
+            unit: "m",
+            direction: Direction::LowerIsBetter,
+            description: "ego: distance to the recording at the last timestep, in the best sample",
+        }
+    }
+
+    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
+        group.min_over_samples(|sample| final_displacement_m(group.recorded, sample, group.recorded.ego_idx))
+    }
+}

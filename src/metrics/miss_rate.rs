@@ -1,0 +1,76 @@
+//! Does no sample end where the ego went?
+
+use super::{Direction, Metric, MetricSpec, SampleGroup};
+use crate::scene::{Dataset, State};
+
+/// Farthest miss along the motion of a slow and of a fast vehicle, metres, and the speeds these are, m/s (INTERACTION).
+const LONGITUDINAL_M: [f64; 2] = [1.0, 2.0];
+const SPEEDS_MPS: [f64; 2] = [1.4, 11.0];
+/// Farthest miss across the motion, metres (INTERACTION).
+const LATERAL_M: f64 = 1.0;
+/// Farthest miss in any direction, metres (Argoverse).
+const RADIAL_M: f64 = 2.0;
+
+/// Miss rate of the ego: 1 where every sample misses at the last timestep, else 0.
+///
+/// By INTERACTION's rule a sample misses if, along the axes of the recorded heading at the last timestep, it is off by
+/// more than 1 m sideways or by more than a threshold lengthwise: 1 m below 1.4 m/s, 2 m from 11 m/s, linear between, for
+/// the recorded speed at the last timestep. For Argoverse it misses if it is off by more than 2 m.
+#[derive(Debug, Clone, Copy)]
+pub struct MissRate;
+
+impl Metric for MissRate {
+    fn spec(&self) -> MetricSpec {
+        MetricSpec {
+            id: "miss_rate",
+            unit: "1",
+            direction: Direction::LowerIsBetter,
+            description: "ego: share of scenes in which every sample misses the recorded last state",
+        }
+    }
+
+    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
+        let recorded = group.recorded;
+        let last = recorded.n_timesteps.checked_sub(1).filter(|_| recorded.has_future())?;
+        let truth = recorded.state(recorded.ego_idx, last)?;
+        group.min_over_samples(|sample| {
+            let sampled = sample.state(recorded.ego_idx, last)?;
+            Some(if is_miss(recorded.source.dataset, truth, sampled) { 1.0 } else { 0.0 })
+        })
+    }
+}
+
+fn is_miss(dataset: Dataset, truth: &State, sampled: &State) -> bool {
+    let error = (sampled.position - truth.position).rotated(-truth.heading_rad);
+    match dataset {
+        Dataset::Interaction => error.y.abs() > LATERAL_M || error.x.abs() > longitudinal_limit_m(truth.speed_mps()),
+        Dataset::Argoverse1 | Dataset::Argoverse2 => error.norm() > RADIAL_M,
+    }
+}
+
+fn longitudinal_limit_m(speed_mps: f64) -> f64 {
+    let share = ((speed_mps - SPEEDS_MPS[0]) / (SPEEDS_MPS[1] - SPEEDS_MPS[0])).clamp(0.0, 1.0);
+    LONGITUDINAL_M[0] + (LONGITUDINAL_M[1] - LONGITUDINAL_M[0]) * share
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Vec2;
+
+    #[test]
+    fn thresholds_follow_speed_and_heading() {
+        assert_eq!([0.0, 1.4, 6.2, 11.0, 30.0].map(longitudinal_limit_m), [1.0, 1.0, 1.5, 2.0, 2.0]);
+        // Facing north at 6.2 m/s: 1.5 m lengthwise is along y.
+        let heading_rad = std::f64::consts::FRAC_PI_2;
+        let truth = State { heading_rad, velocity: Vec2::new(0.0, 6.2), ..State::default() };
+        let misses = |dataset: Dataset, x: f64, y: f64| {
+            is_miss(dataset, &truth, &State { position: Vec2::new(x, y), ..State::default() })
+        };
+        assert!(!misses(Dataset::Interaction, 0.99, 1.49));
+        assert!(misses(Dataset::Interaction, 1.01, 0.0));
+        assert!(misses(Dataset::Interaction, 0.0, -1.51));
+        assert!(!misses(Dataset::Argoverse1, 1.4, 1.4));
+        assert!(misses(Dataset::Argoverse2, 1.5, 1.5));
+    }
+}

@@ -1,0 +1,46 @@
+//! Do vehicles leave the road?
+
+use super::road::Road;
+use super::sample_group::{future, present_agents};
+use super::{Direction, Metric, MetricSpec, SampleGroup};
+use crate::scene::Scene;
+
+/// Off-road rate: of the motorized agents, over all samples, that are on the road at present, the share that leaves it.
+///
+/// An agent is on the road if its centre is within the outline of any lane, or at most 0.3 m outside; for lanes without
+/// boundaries, if it is at most 1.9 m from the centre line. Where the map ends nothing is known of the road, so lanes
+/// are carried straight on beyond ends that no lane continues. Not defined for scenes without lanes.
+#[derive(Debug, Clone, Copy)]
+pub struct OffroadRate;
+
+impl Metric for OffroadRate {
+    fn spec(&self) -> MetricSpec {
+        MetricSpec {
+            id: "offroad_rate",
+            unit: "1",
+            direction: Direction::LowerIsBetter,
+            description: "share of vehicles on the road at present, over all samples, that leave it",
+        }
+    }
+
+    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
+        if group.recorded.lanes.is_empty() || !group.recorded.has_future() {
+            return None;
+        }
+        let road = Road::new(&group.recorded.lanes);
+        group.share_over_samples(|sample| leaves(&road, sample))
+    }
+}
+
+/// For every motorized agent on the road at present whether it leaves it.
+fn leaves(road: &Road, scene: &Scene) -> Vec<bool> {
+    let is_on_road = |agent_idx: usize, timestep: usize| {
+        scene.state(agent_idx, timestep).map(|state| state.position.is_finite() && road.holds(state.position))
+    };
+    let present = scene.current_timestep();
+    present_agents(scene)
+        .filter(|agent_idx| scene.tracks[*agent_idx].class.is_motorized())
+        .filter(|agent_idx| is_on_road(*agent_idx, present) == Some(true))
+        .map(|agent_idx| future(scene).any(|timestep| is_on_road(agent_idx, timestep) == Some(false)))
+        .collect()
+}

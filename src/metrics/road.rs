@@ -1,0 +1,72 @@
+//! The drivable surface that the lanes of a scene make up: is a point on it?
+
+use crate::behavior::footprint::Bounds;
+use crate::behavior::lane_relation::{HALF_NOMINAL_WIDTH_M, is_in_polygon};
+use crate::geometry::{Polyline, Vec2};
+use crate::scene::{Lane, LaneGraph};
+
+/// Points this far outside the outlines still count as on the road, metres (nuPlan's tolerance).
+const SLACK_M: f64 = 0.3;
+/// How far a lane is carried straight on where the map ends, metres: nothing is known of the road there.
+const EXTENSION_M: f64 = 100.0;
+
+/// The union of the outlines of all lanes; of lanes without boundaries the strip of 3.8 m around the centre line.
+pub(super) struct Road {
+    pieces: Vec<(Bounds, Piece)>,
+}
+
+enum Piece {
+    /// An area with a closed outline, and that outline.
+    Outline(Vec<Vec2>, Polyline),
+    /// A strip around a centre line.
+    Strip(Polyline),
+}
+
+impl Road {
+    /// The road of these lanes. Beyond the ends that no lane of `lanes` continues, lanes are carried straight on.
+    pub(super) fn new(lanes: &LaneGraph) -> Self {
+        let pieces = lanes.lanes().iter().flat_map(|lane| {
+            let outline = lane.outline().map(|outline| {
+                let closed = outline.iter().chain(outline.first()).copied().collect();
+                Piece::Outline(outline, Polyline(closed))
+            });
+            let piece = outline.unwrap_or_else(|| Piece::Strip(lane.centerline.clone()));
+            open_ends(lane).into_iter().chain([piece])
+        });
+        Self { pieces: pieces.filter_map(|piece| Some((piece.bounds()?, piece))).collect() }
+    }
+
+    /// Whether `point` is on the road, or off it by no more than the slack.
+    pub(super) fn holds(&self, point: Vec2) -> bool {
+        let could_hold = |bounds: &Bounds| bounds.contains(point, HALF_NOMINAL_WIDTH_M);
+        self.pieces.iter().any(|(bounds, piece)| could_hold(bounds) && piece.holds(point))
+    }
+}
+
+impl Piece {
+    fn bounds(&self) -> Option<Bounds> {
+        let (Self::Outline(_, line) | Self::Strip(line)) = self;
+        Bounds::around(line.0.iter().copied())
+    }
+
+    fn holds(&self, point: Vec2) -> bool {
+        let is_near = |line: &Polyline, limit_m: f64| line.project(point).is_some_and(|p| p.offset_m.abs() <= limit_m);
+        match self {
+            Self::Outline(outline, closed) => is_in_polygon(outline, point) || is_near(closed, SLACK_M),
+            Self::Strip(line) => is_near(line, HALF_NOMINAL_WIDTH_M),
+        }
+    }
+}
+
+/// The continuations of a lane before its start and beyond its end, where no other lane is connected.
+fn open_ends(lane: &Lane) -> Vec<Piece> {
+    let points = &lane.centerline.0;
+    let ray = |from: Option<&Vec2>, end: Option<&Vec2>| {
+        let (from, end) = (*from?, *end?);
+        let onward = Vec2::from_angle((end - from).angle()) * EXTENSION_M;
+        Some(Piece::Strip(Polyline(vec![end, end + onward])))
+    };
+    let before = lane.predecessors.is_empty().then(|| ray(points.get(1), points.first())).flatten();
+    let beyond = lane.successors.is_empty().then(|| ray(points.iter().rev().nth(1), points.last())).flatten();
+    before.into_iter().chain(beyond).collect()
+}

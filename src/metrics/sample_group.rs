@@ -1,0 +1,43 @@
+//! What a metric looks at: a recorded scene and futures sampled for it.
+
+use crate::scene::Scene;
+use std::ops::Range;
+
+/// A recorded scene and samples of its future.
+///
+/// The samples hold the same tracks in the same order, the same timesteps and the same history, and a future state
+/// of every agent tracked at present wherever the recording has one; what lacks one there cannot be scored. The
+/// recording itself may serve as its only sample.
+#[derive(Debug, Clone, Copy)]
+pub struct SampleGroup<'a> {
+    /// What happened.
+    pub recorded: &'a Scene,
+    /// What could have happened.
+    pub samples: &'a [Scene],
+}
+
+impl SampleGroup<'_> {
+    /// The least `figure` of all samples. `None` without samples, or where it is not defined for one of them.
+    pub(super) fn min_over_samples(&self, figure: impl Fn(&Scene) -> Option<f64>) -> Option<f64> {
+        let figures: Option<Vec<f64>> = self.samples.iter().map(figure).collect();
+        figures?.into_iter().reduce(f64::min)
+    }
+
+    /// The share of `true` in all the verdicts on all samples. `None` when there are no verdicts.
+    pub(super) fn share_over_samples(&self, verdicts: impl Fn(&Scene) -> Vec<bool>) -> Option<f64> {
+        let verdicts: Vec<bool> = self.samples.iter().flat_map(verdicts).collect();
+        let n_true = verdicts.iter().filter(|verdict| **verdict).count();
+        (!verdicts.is_empty()).then(|| n_true as f64 / verdicts.len() as f64)
+    }
+}
+
+/// The timesteps after the present.
+pub(super) const fn future(scene: &Scene) -> Range<usize> {
+    scene.n_history..scene.n_timesteps
+}
+
+/// The agents tracked at present.
+pub(super) fn present_agents(scene: &Scene) -> impl Iterator<Item = usize> + '_ {
+    let present = scene.current_timestep();
+    (0..scene.tracks.len()).filter(move |agent_idx| scene.state(*agent_idx, present).is_some())
+}

@@ -1,0 +1,108 @@
+//! A trained behavior classifier on disk: weights, and everything needed to use them on scenes.
+
+use super::{BehaviorClassifier, BehaviorClassifierConfig};
+use crate::diffusion::Edm;
+use crate::nn::{Error, Params, read_checkpoint, write_checkpoint};
+use crate::seed::Seed;
+use crate::tensor::{Normalizer, PairFeatures, SceneBatch};
+use candle_core::Device;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// What a classifier is, beside its weights.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClassifierSpec {
+    /// Says that this is a behavior classifier, to readers of the file.
+    pub kind: ClassifierKind,
+    /// Name of the behavior.
+    pub behavior: String,
+    /// The roles of the pair: one or two, in the behavior's order.
+    pub roles: Vec<String>,
+    /// Shape of the network.
+    pub network: BehaviorClassifierConfig,
+    /// Constants of the diffusion.
+    pub edm: Edm,
+    /// Scales: those of the denoiser that the classifier guides, which must be the same.
+    pub normalizer: Normalizer,
+    /// Observed timesteps t_obs of the scenes it was trained on.
+    pub n_history: usize,
+    /// Timesteps T of the scenes it was trained on.
+    pub n_timesteps: usize,
+    /// Time between timesteps, seconds.
+    pub dt_s: f64,
+    /// Number of positive pairs it was trained on.
+    pub n_positive: u64,
+    /// Number of negative pairs it was trained on.
+    pub n_negative: u64,
+    /// How much more a positive pair counted in the loss than a negative one.
+    pub pos_weight: f64,
+    /// Optimizer steps it was trained for.
+    pub steps: u64,
+    /// Seed it was trained with.
+    pub seed: u64,
+    /// Fingerprint of the events it was trained on.
+    pub events: String,
+}
+
+/// The one value of `ClassifierSpec::kind`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClassifierKind {
+    /// A classifier of the behavior of agents.
+    BehaviorClassifier,
+}
+
+/// A classifier for guidance, with what it is and where it came from.
+#[derive(Debug, Clone)]
+pub struct TrainedClassifier {
+    /// The classifier; its parameters take no gradients.
+    pub classifier: BehaviorClassifier,
+    /// What it is.
+    pub spec: ClassifierSpec,
+    /// Hash of its file.
+    pub fingerprint: String,
+}
+
+impl ClassifierSpec {
+    /// The network with parameters in `params`.
+    ///
+    /// # Errors
+    /// Fails when the parameters exist with other shapes.
+    pub fn build(&self, params: &mut Params, seed: Seed) -> candle_core::Result<BehaviorClassifier> {
+        let state_dim = self.normalizer.state_dim;
+        BehaviorClassifier::new(params, &self.network, self.n_timesteps, state_dim, self.edm, seed)
+    }
+
+    /// Writes the checkpoint file and returns its fingerprint.
+    ///
+    /// # Errors
+    /// When the folder cannot be written.
+    pub fn write(&self, params: &Params, path: &Path) -> Result<String, Error> {
+        write_checkpoint(path, &params.tensors(), self)
+    }
+
+    /// What the classifier sees of agents `pairs[b]` = (first, second) of row b, as places on the batch's agent axis.
+    ///
+    /// # Errors
+    /// Fails when there is not one pair a row or a place lies outside the agent axis.
+    pub fn features(&self, batch: &SceneBatch, pairs: &[(usize, usize)]) -> candle_core::Result<PairFeatures> {
+        PairFeatures::new(batch, pairs, self.normalizer.parametrization, self.edm.sigma_data)
+    }
+}
+
+impl TrainedClassifier {
+    /// Reads a checkpoint file.
+    ///
+    /// # Errors
+    /// When the file is not a whole classifier checkpoint of this version.
+    pub fn read(path: &Path, device: &Device) -> Result<Self, Error> {
+        let checkpoint = read_checkpoint::<ClassifierSpec>(path, device)?;
+        let spec = checkpoint.metadata;
+        let tensor_error = |source| Error::Tensor { path: path.to_owned(), source };
+        let mut params = Params::new(device).frozen();
+        let classifier = spec.build(&mut params, Seed(spec.seed)).map_err(tensor_error)?;
+        params.load(&checkpoint.tensors).map_err(tensor_error)?;
+        Ok(Self { classifier, spec, fingerprint: checkpoint.fingerprint })
+    }
+}

@@ -1,0 +1,97 @@
+//! A trained denoiser on disk: weights, and everything needed to use them on scenes.
+
+use super::{NetworkConfig, SceneDenoiser};
+use crate::diffusion::Edm;
+use crate::nn::{Error, Params, read_checkpoint, write_checkpoint};
+use crate::seed::Seed;
+use crate::tensor::{Collator, Normalizer};
+use candle_core::Device;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// What a denoiser is, beside its weights.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DenoiserSpec {
+    /// Says that this is a denoiser, to readers of the file.
+    pub kind: DenoiserKind,
+    /// The network.
+    pub network: NetworkConfig,
+    /// Constants of the diffusion.
+    pub edm: Edm,
+    /// Scales, from the training scenes.
+    pub normalizer: Normalizer,
+    /// Observed timesteps t_obs of the scenes it was trained on.
+    pub n_history: usize,
+    /// Timesteps T of the scenes it was trained on.
+    pub n_timesteps: usize,
+    /// Time between timesteps, seconds.
+    pub dt_s: f64,
+    /// At most so many agents a scene.
+    pub max_agents: usize,
+    /// At most so many lane polylines a scene.
+    pub max_lanes: usize,
+    /// Optimizer steps it was trained for.
+    pub steps: u64,
+    /// Seed it was trained with.
+    pub seed: u64,
+    /// Fingerprint of the scenes it was trained on.
+    pub scenes: String,
+}
+
+/// The one value of `DenoiserSpec::kind`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DenoiserKind {
+    /// A DJINN denoiser.
+    SceneDenoiser,
+}
+
+/// A denoiser for sampling, with what it is and where it came from.
+#[derive(Debug, Clone)]
+pub struct TrainedDenoiser {
+    /// The denoiser; its parameters take no gradients.
+    pub denoiser: SceneDenoiser,
+    /// What it is.
+    pub spec: DenoiserSpec,
+    /// Hash of its file.
+    pub fingerprint: String,
+}
+
+impl DenoiserSpec {
+    /// How scenes become batches for this denoiser.
+    pub fn collator(&self) -> Collator {
+        Collator {
+            normalizer: self.normalizer.clone(),
+            n_timesteps: self.n_timesteps,
+            max_agents: self.max_agents,
+            max_lanes: self.max_lanes,
+        }
+    }
+
+    /// Writes the checkpoint file and returns its fingerprint.
+    ///
+    /// # Errors
+    /// When the folder cannot be written.
+    pub fn write(&self, params: &Params, path: &Path) -> Result<String, Error> {
+        write_checkpoint(path, &params.tensors(), self)
+    }
+}
+
+impl TrainedDenoiser {
+    /// Reads a checkpoint file.
+    ///
+    /// # Errors
+    /// When the file is not a whole denoiser checkpoint of this version.
+    pub fn read(path: &Path, device: &Device) -> Result<Self, Error> {
+        let checkpoint = read_checkpoint::<DenoiserSpec>(path, device)?;
+        let spec = checkpoint.metadata;
+        let tensor_error = |source| Error::Tensor { path: path.to_owned(), source };
+        let mut params = Params::new(device).frozen();
+        let denoiser =
+            SceneDenoiser::new(&mut params, &spec.network, spec.normalizer.state_dim, spec.edm, Seed(spec.seed))
+                .map_err(tensor_error)?;
+        params.load(&checkpoint.tensors).map_err(tensor_error)?;
+        Ok(Self { denoiser, spec, fingerprint: checkpoint.fingerprint })
+    }
+}

@@ -1,0 +1,171 @@
+//! Gradients reach every parameter, padding never leaks, and the order of agents does not matter.
+
+use super::*;
+use crate::diffusion::{Denoiser, Edm};
+use crate::nn::{Params, Scope};
+use crate::scene::testing::{Drive, scene};
+use crate::scene::{ObservationMask, Scene};
+use crate::seed::Seed;
+use crate::tensor::{Collator, FutureValidity, NormalizerFit, SceneBatch, SceneView, StateParametrization};
+use candle_core::{Device, Tensor};
+
+fn config() -> NetworkConfig {
+    NetworkConfig { layers: "TAM AT".to_owned(), width: 16, n_heads: 2, feed_forward: 32, encoding: 8 }
+}
+
+fn cars(n: usize) -> Scene {
+    let drive = |i: usize| Drive {
+        x: 6.0 * i as f64,
+        y: 2.0 - i as f64,
+        heading_rad: 0.1 * i as f64,
+        speed_mps: 9.0 + i as f64,
+        curvature_1pm: 0.02 * i as f64,
+    };
+    scene(&(0..n).map(drive).collect::<Vec<_>>())
+}
+
+fn collate(scenes: &[&Scene]) -> SceneBatch {
+    let mut fit = NormalizerFit::default();
+    fit.add(&cars(3));
+    let normalizer = fit.finish(StateParametrization::Residual, 3);
+    let collator = Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 16 };
+    let masks: Vec<_> = scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), 12, 4)).collect();
+    let views: Vec<_> = scenes.iter().zip(&masks).map(|(scene, mask)| SceneView { scene, ego_idx: 0, mask }).collect();
+    collator.collate(&views, FutureValidity::Recorded, &Device::Cpu).unwrap()
+}
+
+fn values(tensor: &Tensor) -> Vec<f32> {
+    tensor.flatten_all().unwrap().to_vec1().unwrap()
+}
+
+/// The largest difference between two tensors. Not quite zero where batches differ: matrix products block by size.
+fn worst(a: &Tensor, b: &Tensor) -> f32 {
+    assert_eq!(a.dims(), b.dims());
+    values(a).iter().zip(values(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+/// Deterministic noisy states of one scene's shape.
+fn noisy(batch: &SceneBatch, seed: u64) -> Tensor {
+    let mut rng = Seed(seed).rng();
+    let dims = batch.x0.dims().to_vec();
+    let draws: Vec<f32> = (0..batch.x0.elem_count()).map(|_| rng.normal() as f32).collect();
+    let noise = Tensor::from_vec(draws, dims, &Device::Cpu).unwrap();
+    (&batch.x0 + noise).unwrap().broadcast_mul(&batch.latent.unsqueeze(3).unwrap()).unwrap()
+}
+
+#[test]
+fn every_parameter_receives_a_gradient() {
+    let mut params = Params::new(&Device::Cpu);
+    let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
+    let batch = collate(&[&cars(3)]);
+    let sigma = Tensor::new(&[0.4f32], &Device::Cpu).unwrap();
+    let x0_hat = denoiser.bind(&batch, 1).unwrap().denoise(&noisy(&batch, 2), &sigma).unwrap();
+    let gradients = (x0_hat - &batch.x0).unwrap().sqr().unwrap().sum_all().unwrap().backward().unwrap();
+    for (name, var) in params.iter() {
+        let gradient = gradients.get(var.as_tensor()).unwrap_or_else(|| panic!("{name} has no gradient"));
+        assert!(values(gradient).iter().any(|g| *g != 0.0), "the gradient of {name} is zero");
+    }
+}
+
+#[test]
+fn a_row_is_the_same_alone_and_among_larger_scenes() {
+    let mut params = Params::new(&Device::Cpu);
+    let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
+    let (small, large) = (cars(2), cars(5));
+    let (alone, together) = (collate(&[&small]), collate(&[&small, &large]));
+    let x = noisy(&alone, 3);
+    let padded = x.pad_with_zeros(1, 0, 3).unwrap();
+    let both = Tensor::cat(&[&padded, &noisy(&collate(&[&large]), 4)], 0).unwrap();
+    let run = |batch: &SceneBatch, x: &Tensor, sigmas: &[f32]| {
+        let sigma = Tensor::new(sigmas, &Device::Cpu).unwrap();
+        denoiser.bind(batch, 1).unwrap().denoise(x, &sigma).unwrap()
+    };
+    let expected = run(&alone, &x, &[0.7]);
+    let found = run(&together, &both, &[0.7, 2.0]).get(0).unwrap();
+    assert!(worst(&found.narrow(0, 0, 2).unwrap(), &expected.get(0).unwrap()) < 1e-5);
+    assert!(values(&found.narrow(0, 2, 3).unwrap()).iter().all(|x| *x == 0.0));
+}
+
+#[test]
+fn samples_of_one_scene_share_its_encoding() {
+    let mut params = Params::new(&Device::Cpu);
+    let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
+    let batch = collate(&[&cars(3), &cars(2)]);
+    let repeated = batch.repeated(2).unwrap();
+    let x = noisy(&repeated, 5);
+    let sigma = Tensor::new(&[0.5f32, 0.5, 0.9, 0.9], &Device::Cpu).unwrap();
+    let shared = denoiser.bind(&batch, 2).unwrap().denoise(&x, &sigma).unwrap();
+    let apart = denoiser.bind(&repeated, 1).unwrap().denoise(&x, &sigma).unwrap();
+    assert!(worst(&shared, &apart) < 1e-5);
+}
+
+#[test]
+fn the_order_of_agents_does_not_matter() {
+    let mut params = Params::new(&Device::Cpu);
+    let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
+    let scene = cars(3);
+    let mut swapped = scene.clone();
+    swapped.tracks.swap(1, 2);
+    let (a, b) = (collate(&[&scene]), collate(&[&swapped]));
+    let x = noisy(&a, 6);
+    let order = Tensor::new(&[0u32, 2, 1], &Device::Cpu).unwrap();
+    let sigma = Tensor::new(&[0.4f32], &Device::Cpu).unwrap();
+    let run = |batch: &SceneBatch, x: &Tensor| denoiser.bind(batch, 1).unwrap().denoise(x, &sigma).unwrap();
+    let found = run(&b, &x.index_select(&order, 1).unwrap());
+    let expected = run(&a, &x).index_select(&order, 1).unwrap();
+    assert!(worst(&found, &expected) < 1e-5);
+}
+
+#[test]
+fn a_letter_that_is_no_layer_is_refused() {
+    let config = NetworkConfig { layers: "TAX".to_owned(), ..config() };
+    let error = SceneDenoiser::new(&mut Params::new(&Device::Cpu), &config, 3, Edm::default(), Seed(1)).unwrap_err();
+    assert!(error.to_string().contains('X'), "{error}");
+}
+
+#[test]
+fn the_papers_network_has_15_layers_and_12_million_parameters() {
+    let config = NetworkConfig::default();
+    assert_eq!(config.layers.chars().filter(|c| !c.is_whitespace()).count(), 15);
+    let mut params = Params::new(&Device::Cpu);
+    SceneDenoiser::new(&mut params, &config, 3, Edm::default(), Seed(1)).unwrap();
+    let linear = |n_in: usize, n_out: usize| n_in * n_out + n_out;
+    let input = linear(3 * 256, 256) + linear(4 * 256 + 7, 256) + 2 * linear(256, 256);
+    let lane_encoder = linear(35, 256) + 3 * linear(256, 256);
+    let layer = 2 * 512 + linear(256, 3 * 256) + linear(256, 256) + linear(256, 1024) + linear(1024, 256);
+    let output = 512 + linear(256, 256) + linear(256, 3);
+    assert_eq!(params.n_parameters(), input + lane_encoder + 15 * layer + output);
+    assert_eq!(params.n_parameters(), 12_712_707);
+}
+
+/// Values and gradients of `scripts/golden_network.py`, an implementation in PyTorch that shares no code with ours.
+#[test]
+fn outputs_and_gradients_are_those_of_pytorch() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/scene_network.safetensors");
+    let golden = candle_core::safetensors::load(path, &Device::Cpu).unwrap();
+    let config = NetworkConfig { layers: "TAMT".to_owned(), ..config() };
+    let mut params = Params::new(&Device::Cpu);
+    let network = SceneNetwork::new(&mut Scope::root(&mut params, Seed(1)), &config, 3).unwrap();
+    let weights = golden.iter().filter_map(|(name, t)| Some((name.strip_prefix("weight.")?.to_owned(), t.clone())));
+    params.load(&weights.collect()).unwrap();
+
+    let input = |name: &str| &golden[&format!("input.{name}")];
+    let known = network
+        .encode_known(input("context"), input("features"), input("valid"), input("lanes"), input("lane_valid"))
+        .unwrap();
+    let x = candle_core::Var::from_tensor(input("x")).unwrap();
+    let output = network.forward(x.as_tensor(), &known, input("c_noise")).unwrap();
+    let close = |name: &str, found: &Tensor, expected: &Tensor| {
+        let scale = values(expected).iter().fold(0f32, |m, v| m.max(v.abs()));
+        let error = worst(found, expected) / scale;
+        assert!(error < 1e-4, "{name}: relative difference {error}");
+    };
+    close("output", &output, &golden["output"]);
+    let gradients = (output * &golden["probe"]).unwrap().sum_all().unwrap().backward().unwrap();
+    let valid = input("valid").unsqueeze(3).unwrap();
+    let gradient_x = gradients.get(x.as_tensor()).unwrap().broadcast_mul(&valid).unwrap();
+    close("x", &gradient_x, &golden["gradient_x"]);
+    for (name, var) in params.iter() {
+        close(name, gradients.get(var.as_tensor()).unwrap(), &golden[&format!("gradient.{name}")]);
+    }
+}

@@ -1,0 +1,208 @@
+//! How does a TOML file, with the overrides of the command line, become a typed configuration, and what does the user
+//! read when it does not?
+//!
+//! The file is parsed into a tree that knows the place of every value, the overrides are applied to the tree, and the
+//! tree is deserialized once; so both kinds of mistakes are reported by the same code, each with its place.
+
+use super::{Override, PipelineConfig};
+use std::fmt;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// A configuration that cannot be used, with the place of the mistake.
+#[derive(Debug, thiserror::Error)]
+#[error("{place}{message}")]
+pub struct ConfigError {
+    /// Where the mistake is.
+    pub place: Place,
+    /// What is wrong.
+    pub message: String,
+    /// The name the user probably meant, if one is close.
+    pub suggestion: Option<String>,
+}
+
+/// Where a mistake in a configuration is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Place {
+    /// In the file, with the line and column (both from 1) and the line's text.
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Line, column and text of the line, where known.
+        at: Option<(usize, usize, String)>,
+    },
+    /// In an override, as written.
+    Override(String),
+    /// Not in one place.
+    Nowhere,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File { path, at: Some((line, column, text)) } => {
+                write!(f, "{}:{line}:{column}: in `{}`: ", path.display(), text.trim())
+            }
+            Self::File { path, at: None } => write!(f, "{}: ", path.display()),
+            Self::Override(text) => write!(f, "--set {text}: "),
+            Self::Nowhere => Ok(()),
+        }
+    }
+}
+
+/// Parses `text`, the content of the file at `path`, and applies `overrides` (`key=value`) in order.
+pub fn parse(path: Option<&Path>, text: &str, overrides: &[String]) -> Result<PipelineConfig, ConfigError> {
+    let source = Source { path, text, overrides };
+    let parsed_overrides = overrides
+        .iter()
+        .map(|written| Override::parse(written).map_err(|why| source.override_error(written, why)))
+        .collect::<Result<Vec<_>, _>>()?;
+    let root = DeTable::parse(text).map_err(|error| source.error(&error))?;
+    let span = root.span();
+    let mut table = root.into_inner();
+    for (idx, (parsed, written)) in parsed_overrides.iter().zip(overrides).enumerate() {
+        parsed.apply(&mut table, &source.override_span(idx)).map_err(|why| source.override_error(written, why))?;
+    }
+    inherit_seed(&mut table);
+    let deserializer = toml::de::Deserializer::from(Spanned::new(span, table));
+    serde::Deserialize::deserialize(deserializer).map_err(|error| source.error(&error))
+}
+
+/// Sections that draw random numbers and name no seed of their own take the run's.
+fn inherit_seed(table: &mut DeTable<'_>) {
+    const SEEDED: [&[&str]; 3] = [&["ingest"], &["train", "classifier"], &["generate"]];
+    let run = table.get("run").and_then(|run| run.get_ref().get("seed"));
+    let Some(seed) = run.cloned() else { return };
+    for path in SEEDED {
+        let mut section = Some(&mut *table);
+        for part in path {
+            section = section.and_then(|table| table.get_mut(*part)).and_then(|value| match value.get_mut() {
+                DeValue::Table(table) => Some(table),
+                _ => None,
+            });
+        }
+        if let Some(section) = section
+            && !section.contains_key("seed")
+        {
+            section.insert(Spanned::new(seed.span(), "seed".into()), seed.clone());
+        }
+    }
+}
+
+/// What was parsed, for finding places.
+struct Source<'a> {
+    path: Option<&'a Path>,
+    text: &'a str,
+    overrides: &'a [String],
+}
+
+impl Source<'_> {
+    /// A span beyond the end of the file that stands for an override.
+    fn override_span(&self, idx: usize) -> Range<usize> {
+        let at = self.text.len() + 1 + idx;
+        at..at
+    }
+
+    fn place(&self, span: Option<Range<usize>>) -> Place {
+        let start = span.as_ref().map(|span| span.start);
+        let written = start.and_then(|start| start.checked_sub(self.text.len() + 1));
+        if let Some(written) = written.and_then(|idx| self.overrides.get(idx)) {
+            return Place::Override(written.clone());
+        }
+        let Some(path) = self.path else { return Place::Nowhere };
+        // A span of the whole document says nothing, for instance where a key is missing.
+        let known = span.filter(|span| *span != (0..0) && *span != (0..self.text.len()));
+        let at = known.and_then(|span| {
+            let before = self.text.get(..span.start)?;
+            let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
+            let line = self.text[line_start..].lines().next().unwrap_or_default();
+            Some((before.matches('\n').count() + 1, before[line_start..].chars().count() + 1, line.to_owned()))
+        });
+        Place::File { path: path.to_owned(), at }
+    }
+
+    fn error(&self, error: &toml::de::Error) -> ConfigError {
+        let (message, suggestion) = explain(error.message());
+        ConfigError { place: self.place(error.span()), message, suggestion }
+    }
+
+    fn override_error(&self, written: &str, why: String) -> ConfigError {
+        ConfigError { place: Place::Override(written.to_owned()), message: why, suggestion: None }
+    }
+}
+
+/// Turns serde's `unknown field` into our words and finds the known name that is nearest to what was written.
+fn explain(message: &str) -> (String, Option<String>) {
+    let message = message.trim().replace('\n', " ");
+    let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
+    let what = ["unknown field", "unknown variant"].into_iter().find(|what| message.starts_with(what));
+    let (Some(what), Some((wrong, known))) = (what, quoted.split_first()) else {
+        return (message, None);
+    };
+    let suggestion = known
+        .iter()
+        .map(|name| (strsim::damerau_levenshtein(wrong, name), *name))
+        .filter(|(distance, name)| *distance <= 1 + name.len().min(wrong.len()) / 3)
+        .min_by_key(|(distance, _)| *distance)
+        .map(|(_, name)| name.to_owned());
+    let kind = if what == "unknown field" { "key" } else { "value" };
+    let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+    (format!("unknown {kind} `{wrong}`; known here: {known}"), suggestion)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn error(text: &str, overrides: &[&str]) -> ConfigError {
+        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+        parse(Some(Path::new("p.toml")), text, &overrides).unwrap_err()
+    }
+
+    #[test]
+    fn an_unknown_key_is_placed_and_the_nearest_known_one_named() {
+        let error = error("[run]\nseed = 1\nthread = 2\n", &[]);
+        assert_eq!(error.place, Place::File { path: "p.toml".into(), at: Some((3, 1, "thread = 2".to_owned())) });
+        assert_eq!(error.suggestion.as_deref(), Some("threads"));
+        assert!(error.to_string().starts_with("p.toml:3:1: in `thread = 2`: unknown key `thread`; known here: name"));
+    }
+
+    #[test]
+    fn an_unknown_section_is_found_too_and_wild_guesses_are_not_made() {
+        assert_eq!(error("[ingset]\n", &[]).suggestion.as_deref(), Some("ingest"));
+        assert_eq!(error("[weather]\n", &[]).suggestion, None);
+    }
+
+    #[test]
+    fn a_wrong_type_and_broken_syntax_are_placed() {
+        assert!(error("[run]\nseed = \"x\"\n", &[]).to_string().contains("p.toml:2:8"));
+        assert!(error("[run\n", &[]).to_string().contains("p.toml:1:"));
+    }
+
+    #[test]
+    fn a_mistake_in_an_override_is_told_from_one_in_the_file() {
+        let wrong_key = error("[run]\nseed = 1\n", &["run.threads=2", "run.sead=3"]);
+        assert_eq!(wrong_key.place, Place::Override("run.sead=3".to_owned()));
+        assert_eq!(wrong_key.suggestion.as_deref(), Some("seed"));
+        let wrong_value = error("", &["run.seed=red"]);
+        assert_eq!(wrong_value.place, Place::Override("run.seed=red".to_owned()));
+        assert!(error("", &["run.seed"]).to_string().contains("no `=`"));
+        assert!(error("[run]\nseed = 1\n", &["run.seed.x=1"]).message.contains("`seed` is a value"));
+    }
+
+    #[test]
+    fn overrides_win_and_strings_need_no_quotes() {
+        let overrides = ["run.seed=3".to_owned(), "run.name=night drive".to_owned(), "run.seed=4".to_owned()];
+        let config = parse(None, "[run]\nseed = 1\nthreads = 2\n", &overrides).unwrap();
+        assert_eq!((config.run.seed, config.run.threads, config.run.name.as_str()), (4, 2, "night drive"));
+    }
+
+    #[test]
+    fn sections_inherit_the_seed_of_the_run() {
+        let text = "[run]\nseed = 7\n[ingest]\ndataset = \"argoverse1\"\ninputs = [\"a\"]\n";
+        assert_eq!(parse(None, text, &[]).unwrap().ingest.unwrap().seed, 7);
+        assert_eq!(parse(None, text, &["ingest.seed=8".to_owned()]).unwrap().ingest.unwrap().seed, 8);
+    }
+}

@@ -1,0 +1,102 @@
+//! What does a pipeline file say? One TOML table a stage, each with the type that is defined beside the code it configures.
+//!
+//! A stage is part of the pipeline if its section is there, be it empty. Unknown keys are errors, defaults are in the
+//! types, `--set` overrides single values, and relative paths are relative to the current directory (not to the file:
+//! the same pipeline file serves many data folders).
+
+mod load;
+mod overrides;
+
+pub use load::{ConfigError, Place, parse};
+pub use overrides::Override;
+
+use crate::generate::GenerateConfig;
+use crate::ingest::IngestConfig;
+use crate::pipeline::failure::{Failure, Result};
+use crate::pipeline::stages::{EvaluateConfig, MineConfig};
+use crate::train::{ClassifierTrainingConfig, DenoiserTrainingConfig};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// A whole pipeline.
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct PipelineConfig {
+    /// What concerns all stages.
+    pub run: RunConfig,
+    /// Which recordings become scenes, and how much of each is kept.
+    pub ingest: Option<IngestConfig>,
+    /// Which behaviors are looked for.
+    pub mine: Option<MineConfig>,
+    /// The models.
+    pub train: TrainConfig,
+    /// What is generated.
+    pub generate: Option<GenerateConfig>,
+    /// What is measured, what is kept and what must hold.
+    pub evaluate: Option<EvaluateConfig>,
+}
+
+/// The models: a section each.
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrainConfig {
+    /// The diffusion model that generates scenarios.
+    pub denoiser: Option<DenoiserTrainingConfig>,
+    /// The classifier that guides it toward a behavior.
+    pub classifier: Option<ClassifierTrainingConfig>,
+}
+
+/// What concerns all stages.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RunConfig {
+    /// Name of the pipeline: the folder of its runs. Empty: the name of the pipeline file.
+    pub name: String,
+    /// Seed of everything random; sections that name a seed of their own are exempt.
+    pub seed: u64,
+    /// Number of worker threads; 0: one a core. Results do not depend on it.
+    pub threads: usize,
+    /// The folder that holds the folders of all pipelines.
+    pub output: PathBuf,
+}
+
+impl Default for RunConfig {
+    fn default() -> Self {
+        Self { name: String::new(), seed: 0, threads: 0, output: PathBuf::from("output") }
+    }
+}
+
+impl PipelineConfig {
+    /// Reads a pipeline file (none: all defaults) and applies overrides such as `mine.splits=["val"]`.
+    pub fn load(path: Option<&Path>, overrides: &[String]) -> Result<Self> {
+        let text = match path {
+            Some(path) => fs_err::read_to_string(path).map_err(Failure::input)?,
+            None => String::new(),
+        };
+        let mut config = parse(path, &text, overrides).map_err(|error| {
+            let hint = error.suggestion.as_ref().map(|name| format!("did you mean `{name}`?"));
+            Failure { hint, ..Failure::input(error).context("failed to read the configuration") }
+        })?;
+        if config.run.name.is_empty() {
+            let stem = path.and_then(Path::file_stem).map_or("pipeline".into(), |stem| stem.to_string_lossy());
+            config.run.name = stem.into_owned();
+        }
+        Ok(config)
+    }
+
+    /// The configuration as TOML, every default spelled out.
+    pub fn to_toml(&self) -> anyhow::Result<String> {
+        Ok(toml::to_string(self)?)
+    }
+
+    /// The configuration without what does not bear on results: the number of threads and the output folder. Two runs
+    /// of one pipeline on two machines have the same.
+    #[must_use]
+    pub fn portable(&self) -> Self {
+        let mut config = self.clone();
+        let defaults = RunConfig::default();
+        config.run = RunConfig { threads: defaults.threads, output: defaults.output, ..config.run };
+        config
+    }
+}

@@ -1,0 +1,136 @@
+//! What does `--set a.b.c=value` change in a parsed configuration?
+
+use std::ops::Range;
+use toml::Spanned;
+use toml::de::{DeArray, DeString, DeTable, DeValue};
+
+/// One `key=value` given on the command line.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Override {
+    /// The key's parts, outermost first.
+    key: Vec<String>,
+    /// The value as written.
+    value: String,
+}
+
+impl Override {
+    /// Reads `generate.sweeps.0.n_samples=2`. The error says what is wrong with the text.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let (key, value) = text.split_once('=').ok_or("it has no `=`: write key=value")?;
+        let key: Vec<String> = key.split('.').map(|part| part.trim().to_owned()).collect();
+        if key.iter().any(String::is_empty) {
+            return Err("its key has an empty part".to_owned());
+        }
+        Ok(Self { key, value: value.trim().to_owned() })
+    }
+
+    /// Sets the value in `table`, making tables that are missing. Everything it adds gets `span`, so that a later error
+    /// about it can be told from one about the file.
+    pub fn apply<'i>(&'i self, table: &mut DeTable<'i>, span: &Range<usize>) -> Result<(), String> {
+        let (last, parents) = self.key.split_last().ok_or("its key is empty")?;
+        let mut place = Place::Table(table);
+        for part in parents {
+            place = place.enter(part, span)?;
+        }
+        // What is no TOML value is taken as text, so that strings need no quotes: `--set run.name=night`.
+        let value = DeValue::parse(&self.value)
+            .map_or_else(|_| DeValue::String(DeString::Borrowed(&self.value)), Spanned::into_inner);
+        place.set(last, relocate(value, span), span)
+    }
+}
+
+/// Somewhere in a parsed configuration that can hold values.
+enum Place<'t, 'i> {
+    Table(&'t mut DeTable<'i>),
+    Array(&'t mut DeArray<'i>),
+}
+
+impl<'i> Place<'_, 'i> {
+    fn enter(self, part: &'i str, span: &Range<usize>) -> Result<Self, String> {
+        let value = match self {
+            Place::Table(table) => table
+                .entry(spanned_key(part, span))
+                .or_insert_with(|| Spanned::new(span.clone(), DeValue::Table(DeTable::new())))
+                .get_mut(),
+            Place::Array(array) => element(array, part)?.get_mut(),
+        };
+        match value {
+            DeValue::Table(table) => Ok(Place::Table(table)),
+            DeValue::Array(array) => Ok(Place::Array(array)),
+            _ => Err(format!("`{part}` is a value, not a table")),
+        }
+    }
+
+    fn set(self, part: &'i str, value: Spanned<DeValue<'i>>, span: &Range<usize>) -> Result<(), String> {
+        match self {
+            Place::Table(table) => {
+                // The old key is removed first: inserting alone would keep its place in the file.
+                table.remove(part);
+                table.insert(spanned_key(part, span), value);
+            }
+            Place::Array(array) => *element(array, part)? = value,
+        }
+        Ok(())
+    }
+}
+
+fn spanned_key<'i>(part: &'i str, span: &Range<usize>) -> Spanned<DeString<'i>> {
+    Spanned::new(span.clone(), DeString::Borrowed(part))
+}
+
+fn element<'t, 'i>(array: &'t mut DeArray<'i>, part: &str) -> Result<&'t mut Spanned<DeValue<'i>>, String> {
+    let n_elements = array.len();
+    let idx: usize = part.parse().map_err(|_| format!("`{part}` is no index into an array"))?;
+    array.get_mut(idx).ok_or_else(|| format!("index {idx} is outside an array of {n_elements}"))
+}
+
+/// Gives a value and everything in it one span.
+fn relocate<'i>(value: DeValue<'i>, span: &Range<usize>) -> Spanned<DeValue<'i>> {
+    let value = match value {
+        DeValue::Array(array) => {
+            DeValue::Array(array.into_iter().map(|item| relocate(item.into_inner(), span)).collect())
+        }
+        DeValue::Table(table) => DeValue::Table(
+            table
+                .into_iter()
+                .map(|(name, item)| (Spanned::new(span.clone(), name.into_inner()), relocate(item.into_inner(), span)))
+                .collect(),
+        ),
+        plain => plain,
+    };
+    Spanned::new(span.clone(), value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn applied(text: &str, written: &str) -> Result<toml::Table, String> {
+        let parsed = Override::parse(written)?;
+        let mut table = DeTable::parse(text).unwrap().into_inner();
+        parsed.apply(&mut table, &(0..0))?;
+        let deserializer = toml::de::Deserializer::from(Spanned::new(0..0, table));
+        Ok(serde::Deserialize::deserialize(deserializer).unwrap())
+    }
+
+    #[test]
+    fn tables_are_made_and_array_elements_are_reached() {
+        let table = applied("", "a.b.c=[1, 2]").unwrap();
+        assert_eq!(table["a"]["b"]["c"].as_array().unwrap().len(), 2);
+        let table = applied("[[a.list]]\nn = 1\n[[a.list]]\nn = 2\n", "a.list.1.n=5").unwrap();
+        assert_eq!(
+            (table["a"]["list"][0]["n"].as_integer(), table["a"]["list"][1]["n"].as_integer()),
+            (Some(1), Some(5))
+        );
+        let table = applied("", "behaviors=[{ kind = \"cut_in\" }]").unwrap();
+        assert_eq!(table["behaviors"][0]["kind"].as_str(), Some("cut_in"));
+    }
+
+    #[test]
+    fn impossible_places_are_refused() {
+        assert!(applied("a = [1]", "a.1=2").unwrap_err().contains("outside an array of 1"));
+        assert!(applied("a = [1]", "a.x=2").unwrap_err().contains("no index"));
+        assert!(applied("a = 1", "a.x=2").unwrap_err().contains("is a value"));
+        assert!(applied("", "a..x=2").unwrap_err().contains("empty part"));
+    }
+}

@@ -1,0 +1,101 @@
+//! Who has to act when something fails: the user, or the people who look after the program and the machine?
+
+use std::fmt;
+
+/// Who can do something about a failure. The command line turns this into the exit code.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Blame {
+    /// The user's input: arguments, configuration, recordings, files given.
+    Input,
+    /// The program or the machine: a bug, a full disk, a file of ours that is damaged.
+    Fault,
+    /// Everything ran, but a quality gate that the user set was not met.
+    Gate,
+}
+
+/// An error with the blame for it and, where it is known, what to do about it.
+pub struct Failure {
+    /// Who can act.
+    pub blame: Blame,
+    /// What went wrong, with its causes.
+    pub error: anyhow::Error,
+    /// What to do about it.
+    pub hint: Option<String>,
+}
+
+/// The result of work that may fail with a [`Failure`].
+pub type Result<T, E = Failure> = std::result::Result<T, E>;
+
+impl Failure {
+    /// A failure that the user can mend.
+    pub fn input(error: impl Into<anyhow::Error>) -> Self {
+        Self { blame: Blame::Input, error: error.into(), hint: None }
+    }
+
+    /// A failure of ours or of the machine.
+    pub fn fault(error: impl Into<anyhow::Error>) -> Self {
+        Self { blame: Blame::Fault, error: error.into(), hint: None }
+    }
+
+    /// A failure that the user can mend, from a message.
+    pub fn input_message(message: impl fmt::Display) -> Self {
+        Self::input(anyhow::anyhow!("{message}"))
+    }
+
+    /// A quality gate that was not met.
+    pub fn gate(message: impl fmt::Display) -> Self {
+        Self { blame: Blame::Gate, error: anyhow::anyhow!("{message}"), hint: None }
+    }
+
+    /// The same failure with advice.
+    #[must_use]
+    pub fn with_hint(mut self, hint: impl Into<String>) -> Self {
+        self.hint = Some(hint.into());
+        self
+    }
+
+    /// The same failure, said from one step further out.
+    #[must_use]
+    pub fn context(mut self, context: impl fmt::Display + Send + Sync + 'static) -> Self {
+        self.error = self.error.context(context);
+        self
+    }
+}
+
+impl fmt::Debug for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}: {:#}", self.blame, self.error)?;
+        self.hint.iter().try_for_each(|hint| write!(f, " (hint: {hint})"))
+    }
+}
+
+/// An error that nobody classified is a fault of ours: the user is never blamed by default.
+impl From<anyhow::Error> for Failure {
+    fn from(error: anyhow::Error) -> Self {
+        Self::fault(error)
+    }
+}
+
+impl From<std::io::Error> for Failure {
+    fn from(error: std::io::Error) -> Self {
+        Self::fault(error)
+    }
+}
+
+/// Says whose failure an error of another layer is.
+pub trait Classify<T> {
+    /// The user's.
+    fn blame_input(self) -> Result<T>;
+    /// Ours or the machine's.
+    fn blame_fault(self) -> Result<T>;
+}
+
+impl<T, E: Into<anyhow::Error>> Classify<T> for std::result::Result<T, E> {
+    fn blame_input(self) -> Result<T> {
+        self.map_err(Failure::input)
+    }
+
+    fn blame_fault(self) -> Result<T> {
+        self.map_err(Failure::fault)
+    }
+}

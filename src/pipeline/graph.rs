@@ -1,0 +1,148 @@
+//! Which stages must run, which can be reused, which taken up where they stopped; and then: run them.
+
+use super::failure::{Failure, Result};
+use super::fingerprint::fingerprint_path;
+use super::record::{InputRecord, StageRecord, discard};
+use super::stage::{Stage, StageContext, StageId, StageInput};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::Path;
+
+/// A stage with what is to be done about it.
+pub struct PlannedStage<'a> {
+    /// The stage.
+    pub stage: Box<dyn Stage + 'a>,
+    /// What it would be run on.
+    pub expected: StageRecord,
+    /// What is to be done.
+    pub action: Action,
+}
+
+/// What is to be done about a stage.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Action {
+    /// Nothing: its outputs are there, from the same configuration and inputs.
+    Reuse,
+    /// Go on with what an interrupted run left.
+    Resume,
+    /// Run it from the start, for this reason.
+    Run(String),
+}
+
+impl fmt::Display for Action {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Reuse => f.write_str("cached"),
+            Self::Resume => f.write_str("fresh (resumes an interrupted run)"),
+            Self::Run(why) => write!(f, "fresh ({why})"),
+        }
+    }
+}
+
+/// Decides about every stage, in order. `root` is the folder in which they write. Reads recordings to fingerprint them,
+/// and writes nothing.
+pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>) -> Result<Vec<PlannedStage<'a>>> {
+    let mut planned: Vec<PlannedStage<'a>> = Vec::new();
+    for stage in stages {
+        let mut inputs = BTreeMap::new();
+        for input in stage.inputs() {
+            let record = identify(root, &planned, &input)?;
+            inputs.insert(input.name, record);
+        }
+        let expected = StageRecord::expected(stage.as_ref(), inputs)?;
+        let action = decide(root, &expected);
+        planned.push(PlannedStage { stage, expected, action });
+    }
+    Ok(planned)
+}
+
+/// Runs what must be run. Returns the records of all stages, and calls `after` with each as soon as it is done.
+pub fn execute(
+    planned: Vec<PlannedStage<'_>>,
+    context: &StageContext<'_>,
+    after: &mut dyn FnMut(&StageRecord) -> anyhow::Result<()>,
+    around: &mut dyn FnMut(StageId, Moment) -> anyhow::Result<()>,
+) -> Result<Vec<StageRecord>> {
+    let mut records = Vec::new();
+    for PlannedStage { stage, expected, action } in planned {
+        let record = if action == Action::Reuse {
+            // Planning has just read the same record.
+            StageRecord::done(context.root, stage.id()).unwrap_or(expected)
+        } else {
+            around(stage.id(), Moment::Start)?;
+            let record = run_stage(stage.as_ref(), expected, &action, context)
+                .map_err(|failure| failure.context(format!("stage {} failed", stage.id())))?;
+            around(stage.id(), Moment::End)?;
+            record
+        };
+        after(&record)?;
+        records.push(record);
+    }
+    Ok(records)
+}
+
+/// When a stage's time is taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Moment {
+    /// Before its work.
+    Start,
+    /// After its outputs are whole.
+    End,
+}
+
+fn run_stage(
+    stage: &dyn Stage,
+    expected: StageRecord,
+    action: &Action,
+    context: &StageContext<'_>,
+) -> Result<StageRecord> {
+    if *action != Action::Resume {
+        discard(context.root, stage.id(), stage.outputs())?;
+        expected.write_started(context.root)?;
+    }
+    let summary = stage.run(context)?;
+    Ok(expected.write_done(context.root, stage.outputs(), summary)?)
+}
+
+/// What a stage's input holds: a fingerprint of the stage that makes it, or of its content.
+fn identify(root: &Path, planned: &[PlannedStage<'_>], input: &StageInput) -> Result<InputRecord> {
+    if let Some(producer) = input.producer {
+        let folder = input.path.parent().unwrap_or(Path::new("."));
+        let here = planned.iter().find(|other| other.stage.id() == producer && folder == root);
+        let fingerprint = here
+            .map(|other| other.expected.fingerprint.clone())
+            .or_else(|| StageRecord::done(folder, producer).map(|record| record.fingerprint));
+        if let Some(fingerprint) = fingerprint {
+            return Ok(InputRecord::Stage { producer, fingerprint });
+        }
+    }
+    let content = fingerprint_path(&input.path).map_err(|error| {
+        let failure = Failure::input(error).context(format!("failed to read the input {}", input.name));
+        match input.producer {
+            Some(producer) => failure
+                .with_hint(format!("`djinn {}` makes it; --help says how to name another place", producer.command())),
+            None => failure.with_hint("relative paths are relative to the current directory"),
+        }
+    })?;
+    Ok(InputRecord::Path { path: input.path.clone(), content })
+}
+
+fn decide(root: &Path, expected: &StageRecord) -> Action {
+    let stage = expected.stage;
+    if let Some(done) = StageRecord::done(root, stage) {
+        if done.fingerprint != expected.fingerprint {
+            return Action::Run(expected.changes_since(&done));
+        }
+        return match done.damaged_output(root) {
+            Some(name) => Action::Run(format!("{name} is missing or was changed")),
+            None => Action::Reuse,
+        };
+    }
+    match StageRecord::started(root, stage) {
+        Some(started) if started.fingerprint == expected.fingerprint => Action::Resume,
+        Some(started) => Action::Run(expected.changes_since(&started)),
+        None => Action::Run("not done yet".to_owned()),
+    }
+}

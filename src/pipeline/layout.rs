@@ -1,0 +1,59 @@
+//! Where does each stage find what another one wrote?
+
+use std::path::{Path, PathBuf};
+
+/// The places of everything that stages pass on. In a run folder they are all below it; a stage that runs alone may
+/// read from elsewhere, but always writes below its output folder under these names.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Layout {
+    /// The scene store.
+    pub scenes: PathBuf,
+    /// The mined events.
+    pub events: PathBuf,
+    /// The folder of the trained denoiser.
+    pub denoiser: PathBuf,
+    /// The folder of the trained classifier.
+    pub classifier: PathBuf,
+    /// The folder of sample shards.
+    pub samples: PathBuf,
+    /// The folder of the corpus.
+    pub corpus: PathBuf,
+    /// The metric rows.
+    pub metrics: PathBuf,
+}
+
+impl Layout {
+    /// Everything under its own name below `root`.
+    pub fn below(root: &Path) -> Self {
+        Self {
+            scenes: root.join(SCENES),
+            events: root.join(EVENTS),
+            denoiser: root.join(DENOISER),
+            classifier: root.join(CLASSIFIER),
+            samples: root.join(SAMPLES),
+            corpus: root.join(CORPUS),
+            metrics: root.join(METRICS),
+        }
+    }
+}
+
+/// The scene store.
+pub const SCENES: &str = "scenes";
+/// The mined events.
+pub const EVENTS: &str = "events.parquet";
+/// Counts of the mined events.
+pub const MINE_SUMMARY: &str = "mine.json";
+/// The trained denoiser.
+pub const DENOISER: &str = "denoiser";
+/// The trained classifier.
+pub const CLASSIFIER: &str = "classifier";
+/// The generated scenarios, sharded.
+pub const SAMPLES: &str = "samples";
+/// The corpus.
+pub const CORPUS: &str = "corpus";
+/// The metric rows.
+pub const METRICS: &str = "metrics.parquet";
+/// The metrics that a person asks for first, and the gates.
+pub const METRICS_SUMMARY: &str = "metrics.json";
+/// The report.
+pub const REPORT: &str = "report.html";

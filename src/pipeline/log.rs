@@ -1,0 +1,82 @@
+//! What happened in a run, for reading afterwards: `log.txt`.
+
+use super::clock::utc_now;
+use crate::progress::Progress;
+use fs_err::File;
+use std::io::Write;
+use std::path::Path;
+use std::sync::Mutex;
+
+/// Passes progress on to another receiver and writes down the events: phases, warnings and messages, not every advance.
+pub(super) struct Logged<'a> {
+    inner: &'a dyn Progress,
+    state: Mutex<State>,
+}
+
+struct State {
+    file: File,
+    phase: String,
+    n_done: u64,
+}
+
+/// Name of the log within a run folder.
+pub(super) const LOG_FILE: &str = "log.txt";
+
+impl<'a> Logged<'a> {
+    /// Appends to the log in `folder`.
+    pub(super) fn open(folder: &Path, inner: &'a dyn Progress) -> std::io::Result<Self> {
+        let file = File::options().create(true).append(true).open(folder.join(LOG_FILE))?;
+        Ok(Self { inner, state: Mutex::new(State { file, phase: String::new(), n_done: 0 }) })
+    }
+
+    /// Writes a line into the log alone.
+    pub(super) fn line(&self, message: &str) {
+        self.with(|state| state.line(message));
+    }
+
+    fn with(&self, act: impl FnOnce(&mut State)) {
+        // A thread that panicked while writing a line leaves at worst half a line.
+        act(&mut self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+    }
+}
+
+impl State {
+    fn line(&mut self, message: &str) {
+        // A log that cannot be written (a full disk) must not end the work: the outputs will say so if they fail too.
+        let _ = writeln!(self.file, "{} {message}", utc_now());
+    }
+}
+
+impl Progress for Logged<'_> {
+    fn start(&self, phase: &str, total: u64, unit: &str) {
+        self.with(|state| {
+            state.phase = phase.to_owned();
+            state.n_done = 0;
+            let of = if total == 0 { String::new() } else { format!(" ({total} {unit})") };
+            state.line(&format!("{phase}: started{of}"));
+        });
+        self.inner.start(phase, total, unit);
+    }
+
+    fn advance(&self, n: u64) {
+        self.with(|state| state.n_done += n);
+        self.inner.advance(n);
+    }
+
+    fn note(&self, message: &str) {
+        self.inner.note(message);
+    }
+
+    fn warn(&self, message: &str) {
+        self.with(|state| state.line(&format!("warning: {message}")));
+        self.inner.warn(message);
+    }
+
+    fn finish(&self) {
+        self.with(|state| {
+            let line = format!("{}: finished {}", state.phase, state.n_done);
+            state.line(&line);
+        });
+        self.inner.finish();
+    }
+}

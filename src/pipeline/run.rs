@@ -1,0 +1,211 @@
+//! What does a run folder hold, and how is a pipeline run in it?
+//!
+//! Beside the outputs of the stages: `config.toml` (the resolved configuration), `run.json` (versions, seed, device,
+//! input fingerprints, state of every stage), `timings.json` and `log.txt`. Two runs of one pipeline on the same inputs
+//! differ in the last two alone: everything that tells one run from another is kept there.
+
+use super::clock::{peak_memory_bytes, utc_now};
+use super::config::PipelineConfig;
+use super::failure::Result;
+use super::graph::{Action, Moment, PlannedStage, execute};
+use super::log::Logged;
+use super::record::{InputRecord, StageRecord};
+use super::run_lock::RunLock;
+use super::stage::{StageContext, StageId};
+use crate::progress::Progress;
+use crate::store::{read_json, remove_partials, write_atomically, write_json_atomically};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Name of the resolved configuration in a run folder.
+pub const CONFIG_FILE: &str = "config.toml";
+/// Name of the run's manifest in a run folder.
+pub const RUN_FILE: &str = "run.json";
+/// Name of the file for times and other facts that differ between equal runs.
+pub const TIMINGS_FILE: &str = "timings.json";
+
+/// What `run.json` says.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunManifest {
+    /// Version of the program.
+    pub djinn_version: String,
+    /// Revision of its source, where the build knew it.
+    pub revision: Option<String>,
+    /// Name of the pipeline.
+    pub pipeline: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// What the tensors were computed on.
+    pub device: String,
+    /// Files and folders from outside, by stage and name.
+    pub inputs: BTreeMap<String, InputRecord>,
+    /// The stages by name.
+    pub stages: BTreeMap<String, StageState>,
+}
+
+/// What `run.json` says of a stage.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StageState {
+    /// Hash of its version, configuration and inputs.
+    pub fingerprint: String,
+    /// Whether its outputs are whole.
+    pub status: StageStatus,
+    /// What it wrote, by name within the run folder.
+    pub outputs: BTreeMap<String, super::PathFingerprint>,
+}
+
+/// How far a stage is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StageStatus {
+    /// Not yet, or not wholly, run.
+    Pending,
+    /// Its outputs are whole.
+    Done,
+}
+
+/// What `timings.json` says.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Timings {
+    /// One entry for each time that a stage was at work, oldest first; a stage that was interrupted has several.
+    pub stages: BTreeMap<String, Vec<StageTiming>>,
+}
+
+/// One time that a stage was at work.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StageTiming {
+    /// When it began, UTC.
+    pub started: String,
+    /// When it was done, UTC; `None` if it was interrupted.
+    pub finished: Option<String>,
+    /// How long it took, seconds.
+    pub seconds: Option<f64>,
+    /// Number of worker threads.
+    pub n_threads: usize,
+    /// The most memory that the process had held by then, bytes.
+    pub peak_memory_bytes: Option<u64>,
+}
+
+/// Runs planned stages in a folder, keeping its log and timings; with `config`, also its configuration and manifest.
+/// The stages must have been planned while the folder was open, so that no other process changed it since.
+pub fn run_stages(
+    folder: &RunFolder,
+    config: Option<&PipelineConfig>,
+    planned: Vec<PlannedStage<'_>>,
+    progress: &dyn Progress,
+) -> Result<Vec<StageRecord>> {
+    let root = folder.root.as_path();
+    remove_partials(root)?;
+    let logged = Logged::open(root, progress)?;
+    logged.line(&format!("djinn {} begins in {}", env!("CARGO_PKG_VERSION"), root.display()));
+    for PlannedStage { expected, action, .. } in &planned {
+        logged.line(&format!("{}: {action}", expected.stage));
+    }
+    let mut manifest = config.map(|config| RunManifest::new(config, &planned));
+    if let Some(config) = config {
+        let text = config.portable().to_toml()?;
+        write_atomically::<std::io::Error>(&root.join(CONFIG_FILE), |file| file.write_all(text.as_bytes()))?;
+    }
+    let mut save = |record: Option<&StageRecord>| -> anyhow::Result<()> {
+        let Some(manifest) = &mut manifest else { return Ok(()) };
+        if let Some(record) = record {
+            manifest.stages.insert(record.stage.to_string(), StageState::done(record));
+        }
+        write_json_atomically(&root.join(RUN_FILE), manifest)?;
+        Ok(())
+    };
+    save(None)?;
+    let mut clock = StageClock::open(root);
+    let context = StageContext { root, progress: &logged };
+    let outcome =
+        execute(planned, &context, &mut |record| save(Some(record)), &mut |stage, moment| clock.take(stage, moment));
+    match &outcome {
+        Ok(_) => logged.line("done"),
+        Err(failure) => logged.line(&format!("failed: {:#}", failure.error)),
+    }
+    outcome
+}
+
+/// A folder to write into, locked against other processes.
+pub struct RunFolder {
+    root: PathBuf,
+    _lock: RunLock,
+}
+
+impl RunFolder {
+    /// Makes the folder and takes its lock.
+    pub fn open(root: &Path) -> Result<Self> {
+        fs_err::create_dir_all(root)?;
+        Ok(Self { root: root.to_owned(), _lock: RunLock::acquire(root)? })
+    }
+}
+
+impl RunManifest {
+    fn new(config: &PipelineConfig, planned: &[PlannedStage<'_>]) -> Self {
+        let external = planned.iter().flat_map(|PlannedStage { expected, .. }| {
+            let paths = expected.inputs.iter().filter(|(_, input)| matches!(input, InputRecord::Path { .. }));
+            paths.map(|(name, input)| (format!("{}/{name}", expected.stage), input.clone()))
+        });
+        let pending = |PlannedStage { expected, action, .. }: &PlannedStage<'_>| {
+            let status = if *action == Action::Reuse { StageStatus::Done } else { StageStatus::Pending };
+            let state = StageState { fingerprint: expected.fingerprint.clone(), status, outputs: BTreeMap::new() };
+            (expected.stage.to_string(), state)
+        };
+        Self {
+            djinn_version: env!("CARGO_PKG_VERSION").to_owned(),
+            revision: option_env!("DJINN_REVISION").map(str::to_owned),
+            pipeline: config.run.name.clone(),
+            seed: config.run.seed,
+            device: "cpu".to_owned(),
+            inputs: external.collect(),
+            stages: planned.iter().map(pending).collect(),
+        }
+    }
+}
+
+impl StageState {
+    fn done(record: &StageRecord) -> Self {
+        Self { fingerprint: record.fingerprint.clone(), status: StageStatus::Done, outputs: record.outputs.clone() }
+    }
+}
+
+/// Keeps `timings.json`.
+struct StageClock<'a> {
+    root: &'a Path,
+    timings: Timings,
+    began: Instant,
+}
+
+impl<'a> StageClock<'a> {
+    fn open(root: &'a Path) -> Self {
+        // Timings inform people and nothing depends on them: unreadable ones are begun anew.
+        let timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
+        Self { root, timings, began: Instant::now() }
+    }
+
+    fn take(&mut self, stage: StageId, moment: Moment) -> anyhow::Result<()> {
+        let entries = self.timings.stages.entry(stage.to_string()).or_default();
+        match (moment, entries.last_mut()) {
+            (Moment::End, Some(entry)) => {
+                entry.finished = Some(utc_now());
+                entry.seconds = Some(self.began.elapsed().as_secs_f64());
+                entry.peak_memory_bytes = peak_memory_bytes();
+            }
+            _ => {
+                self.began = Instant::now();
+                entries.push(StageTiming {
+                    started: utc_now(),
+                    finished: None,
+                    seconds: None,
+                    n_threads: rayon::current_num_threads(),
+                    peak_memory_bytes: None,
+                });
+            }
+        }
+        write_json_atomically(&self.root.join(TIMINGS_FILE), &self.timings)?;
+        Ok(())
+    }
+}

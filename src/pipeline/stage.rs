@@ -1,0 +1,127 @@
+//! What is a stage: which section configures it, what does it read and write, and when must it be redone?
+
+use super::failure::Result;
+use crate::progress::Progress;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// The stages, in the order in which they run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StageId {
+    /// Recordings to scenes.
+    Ingest,
+    /// Scenes to events.
+    Mine,
+    /// Scenes to a denoiser.
+    TrainDenoiser,
+    /// Scenes and events to a classifier of noised scenes.
+    TrainClassifier,
+    /// Scenes and models to generated scenarios.
+    Generate,
+    /// Generated scenarios to metrics and the corpus.
+    Evaluate,
+    /// Metrics and corpus to a page for people.
+    Report,
+}
+
+impl StageId {
+    /// Every stage, in the order in which they run.
+    pub const ALL: [Self; 7] = [
+        Self::Ingest,
+        Self::Mine,
+        Self::TrainDenoiser,
+        Self::TrainClassifier,
+        Self::Generate,
+        Self::Evaluate,
+        Self::Report,
+    ];
+
+    /// The name in file names and messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Ingest => "ingest",
+            Self::Mine => "mine",
+            Self::TrainDenoiser => "train_denoiser",
+            Self::TrainClassifier => "train_classifier",
+            Self::Generate => "generate",
+            Self::Evaluate => "evaluate",
+            Self::Report => "report",
+        }
+    }
+
+    /// The words of the command that runs this stage alone.
+    pub const fn command(self) -> &'static str {
+        match self {
+            Self::TrainDenoiser => "train denoiser",
+            Self::TrainClassifier => "train classifier",
+            other => other.name(),
+        }
+    }
+
+    /// The section of a pipeline file that configures it.
+    pub const fn section(self) -> &'static str {
+        match self {
+            Self::TrainDenoiser => "train.denoiser",
+            Self::TrainClassifier => "train.classifier",
+            other => other.name(),
+        }
+    }
+}
+
+impl fmt::Display for StageId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Something a stage reads.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StageInput {
+    /// What it is to the stage, such as `scenes`; unique within the stage.
+    pub name: String,
+    /// Where it is.
+    pub path: PathBuf,
+    /// The stage that makes such things; `None` for recordings and other files from outside.
+    pub producer: Option<StageId>,
+}
+
+impl StageInput {
+    /// Something that another stage made.
+    pub fn made_by(producer: StageId, name: &str, path: &Path) -> Self {
+        Self { name: name.to_owned(), path: path.to_owned(), producer: Some(producer) }
+    }
+
+    /// Something from outside.
+    pub fn external(name: impl Into<String>, path: &Path) -> Self {
+        Self { name: name.into(), path: path.to_owned(), producer: None }
+    }
+}
+
+/// One step of the pipeline.
+///
+/// A stage must write the same bytes whenever its configuration, its inputs and its version are the same; when it finds
+/// its own unfinished work in place it may take it up, because that work is from the same fingerprint.
+pub trait Stage {
+    /// Which stage this is.
+    fn id(&self) -> StageId;
+    /// Raised whenever the code changes what the stage writes, so that old outputs are redone.
+    fn version(&self) -> u32;
+    /// Its section, as JSON.
+    fn config(&self) -> anyhow::Result<serde_json::Value>;
+    /// What it reads.
+    fn inputs(&self) -> Vec<StageInput>;
+    /// What it writes: names of files and folders within the output folder.
+    fn outputs(&self) -> &'static [&'static str];
+    /// Does the work. Returns a short summary for people and for later checks.
+    fn run(&self, context: &StageContext<'_>) -> Result<serde_json::Value>;
+}
+
+/// What a running stage is given.
+pub struct StageContext<'a> {
+    /// The folder in which it writes its outputs.
+    pub root: &'a Path,
+    /// Who is told about the progress.
+    pub progress: &'a dyn Progress,
+}

@@ -1,0 +1,70 @@
+//! Whose failure is an error of each layer? Here, once, for all stages.
+
+use crate::pipeline::{Blame, Failure};
+use crate::{generate, ingest, nn, store, train};
+use std::io::ErrorKind;
+
+impl From<ingest::Error> for Failure {
+    fn from(error: ingest::Error) -> Self {
+        match error {
+            ingest::Error::Io(io) => of_input_file(io),
+            // What the sink fails with is ours: the store's errors, which say more than the wrapper.
+            ingest::Error::Sink(source) => match source.downcast::<store::Error>() {
+                Ok(source) => Self::from(*source).context("failed to store ingested scenes"),
+                Err(source) => Self::fault(anyhow::anyhow!(source)),
+            },
+            error => Self::input(error),
+        }
+    }
+}
+
+impl From<store::Error> for Failure {
+    fn from(error: store::Error) -> Self {
+        match error {
+            store::Error::Io(io) if io.kind() == ErrorKind::NotFound => Self::input(io),
+            error @ (store::Error::Unfinished { .. }
+            | store::Error::SchemaVersion { .. }
+            | store::Error::NotFound { .. }
+            | store::Error::UnknownMap { .. }) => Self::input(error),
+            error => Self::fault(error),
+        }
+    }
+}
+
+impl From<train::Error> for Failure {
+    fn from(error: train::Error) -> Self {
+        let blame = match &error {
+            train::Error::Config(_)
+            | train::Error::NoScenes(_)
+            | train::Error::NoExamples { .. }
+            | train::Error::Diverged { .. } => Blame::Input,
+            _ => Blame::Fault,
+        };
+        Self { blame, ..Self::fault(error) }
+    }
+}
+
+/// For checkpoints that the user names or that another stage made: a missing or foreign file is the user's to mend.
+impl From<nn::Error> for Failure {
+    fn from(error: nn::Error) -> Self {
+        Self::input(error)
+    }
+}
+
+fn of_input_file(error: std::io::Error) -> Failure {
+    match error.kind() {
+        ErrorKind::NotFound | ErrorKind::PermissionDenied | ErrorKind::NotADirectory | ErrorKind::IsADirectory => {
+            Failure::input(error).with_hint("relative paths are relative to the current directory")
+        }
+        _ => Failure::fault(error),
+    }
+}
+impl From<generate::Error> for Failure {
+    fn from(error: generate::Error) -> Self {
+        let blame = match &error {
+            generate::Error::Scene { .. } | generate::Error::Stale { .. } | generate::Error::Tensor(_) => Blame::Fault,
+            _ => Blame::Input,
+        };
+        Self { blame, ..Self::fault(error) }
+    }
+}

@@ -1,0 +1,59 @@
+//! Recordings to a scene store, resuming after the last whole shard.
+
+use crate::ingest::{IngestBatch, IngestConfig, IngestReport, ingest};
+use crate::pipeline::layout::SCENES;
+use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
+use crate::store::{SceneWriter, SceneWriterOptions};
+use serde_json::{Value, json};
+
+/// The stage.
+pub struct Ingest<'a> {
+    /// Its section.
+    pub config: &'a IngestConfig,
+}
+
+impl Stage for Ingest<'_> {
+    fn id(&self) -> StageId {
+        StageId::Ingest
+    }
+
+    fn version(&self) -> u32 {
+        1
+    }
+
+    fn config(&self) -> anyhow::Result<Value> {
+        Ok(serde_json::to_value(self.config)?)
+    }
+
+    fn inputs(&self) -> Vec<StageInput> {
+        let named = |what: &'static str| {
+            move |(idx, path): (usize, &std::path::PathBuf)| StageInput::external(format!("{what}.{idx}"), path)
+        };
+        let recordings = self.config.inputs.iter().enumerate().map(named("inputs"));
+        recordings.chain(self.config.map_inputs.iter().enumerate().map(named("map_inputs"))).collect()
+    }
+
+    fn outputs(&self) -> &'static [&'static str] {
+        &[SCENES]
+    }
+
+    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
+        let dir = context.root.join(SCENES);
+        let (mut writer, finished) = SceneWriter::resume(&dir, SceneWriterOptions::default())?;
+        let done: Option<IngestReport> =
+            finished.map(|shard| serde_json::from_value(shard.report)).transpose().map_err(anyhow::Error::from)?;
+        let mut total = done.clone().unwrap_or_default();
+        let report = ingest(self.config, done.as_ref(), context.progress, &mut |batch: IngestBatch| {
+            total.merge(&batch.report);
+            let so_far = serde_json::to_value(&total)?;
+            Ok(writer.write_batch(&batch.scenes, &batch.maps, batch.units_done, &so_far)?)
+        })?;
+        let whole = serde_json::to_value(&report).map_err(anyhow::Error::from)?;
+        let manifest = writer.finish(&whole)?;
+        Ok(json!({
+            "n_scenes": manifest.n_scenes,
+            "n_agents": manifest.n_agents,
+            "n_rejects": report.n_rejects(),
+        }))
+    }
+}

@@ -1,0 +1,169 @@
+//! Scenes to an event table: the detectors run on every scene, in parallel, and their events are kept in order.
+
+use crate::behavior::{self, Behavior, BehaviorConfig, BehaviorEvent, EventLabel};
+use crate::pipeline::layout::{EVENTS, Layout, MINE_SUMMARY};
+use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
+use crate::scene::Split;
+use crate::store::{SceneIndexEntry, SceneStore, write_events, write_json_atomically};
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::BTreeMap;
+
+/// Scenes that are mined together: enough for every thread, few enough to show progress.
+const SCENES_PER_CHUNK: usize = 256;
+
+/// What to look for, and in which scenes.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct MineConfig {
+    /// The behaviors with their definitions; empty: all that are known, each by its default definition.
+    pub behaviors: Vec<BehaviorConfig>,
+    /// The splits to mine; empty: all.
+    pub splits: Vec<Split>,
+}
+
+impl MineConfig {
+    /// The detectors.
+    ///
+    /// # Errors
+    /// When a behavior is given twice: their events could not be told apart.
+    pub fn build(&self) -> Result<Vec<Box<dyn Behavior>>> {
+        let mut configs = self.behaviors.clone();
+        if configs.is_empty() {
+            configs = behavior::ALL.iter().map(|entry| (entry.default_config)()).collect();
+        }
+        for (idx, config) in configs.iter().enumerate() {
+            if configs[..idx].iter().any(|earlier| earlier.id() == config.id()) {
+                let message = format!("mine.behaviors.{idx}: {} is given twice", config.id());
+                return Err(Failure::input_message(message));
+            }
+        }
+        Ok(configs.iter().map(BehaviorConfig::build).collect())
+    }
+}
+
+/// What was mined: the content of `mine.json`.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MineSummary {
+    /// Number of scenes that were looked at.
+    pub n_scenes: u64,
+    /// Counts by behavior.
+    pub behaviors: BTreeMap<String, BehaviorCounts>,
+}
+
+/// How often a behavior was found.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BehaviorCounts {
+    /// Events in all places.
+    pub events: LabelCounts,
+    /// Scenes with at least one positive event.
+    pub n_scenes_with_positive: u64,
+    /// Events by `split/place`.
+    pub by_place: BTreeMap<String, LabelCounts>,
+}
+
+/// Events by label.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LabelCounts {
+    /// Examples of the behavior.
+    pub positive: u64,
+    /// Hard negatives.
+    pub negative: u64,
+}
+
+/// The stage.
+pub struct Mine<'a> {
+    /// Its section.
+    pub config: &'a MineConfig,
+    /// Where the scenes are.
+    pub layout: &'a Layout,
+}
+
+impl Stage for Mine<'_> {
+    fn id(&self) -> StageId {
+        StageId::Mine
+    }
+
+    fn version(&self) -> u32 {
+        1
+    }
+
+    fn config(&self) -> anyhow::Result<Value> {
+        Ok(serde_json::to_value(self.config)?)
+    }
+
+    fn inputs(&self) -> Vec<StageInput> {
+        vec![StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes)]
+    }
+
+    fn outputs(&self) -> &'static [&'static str] {
+        &[EVENTS, MINE_SUMMARY]
+    }
+
+    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
+        let behaviors = self.config.build()?;
+        let store = SceneStore::open(&self.layout.scenes)?;
+        let wanted =
+            |entry: &SceneIndexEntry| self.config.splits.is_empty() || self.config.splits.contains(&entry.split);
+        let scenes: Vec<usize> = (0..store.len()).filter(|idx| wanted(&store.index()[*idx])).collect();
+        if scenes.is_empty() {
+            return Err(Failure::input_message("no scene is of the splits of mine.splits"));
+        }
+        let mut summary = MineSummary::default();
+        for behavior in &behaviors {
+            summary.behaviors.insert(behavior.id().to_owned(), BehaviorCounts::default());
+        }
+        let mut events = Vec::new();
+        context.progress.start("mine", scenes.len() as u64, "scenes");
+        for chunk in scenes.chunks(SCENES_PER_CHUNK) {
+            let found: Vec<Vec<BehaviorEvent>> =
+                chunk.par_iter().map(|idx| detect_all(&store, *idx, &behaviors)).collect::<Result<_>>()?;
+            for (idx, found) in chunk.iter().zip(found) {
+                summary.add(&store.index()[*idx], &found);
+                events.extend(found);
+            }
+            context.progress.advance(chunk.len() as u64);
+            context.progress.note(&format!("{} events", events.len()));
+        }
+        context.progress.finish();
+        write_events(&context.root.join(EVENTS), &events)?;
+        write_json_atomically(&context.root.join(MINE_SUMMARY), &summary)?;
+        Ok(serde_json::to_value(&summary.events_by_behavior()).map_err(anyhow::Error::from)?)
+    }
+}
+
+fn detect_all(store: &SceneStore, idx: usize, behaviors: &[Box<dyn Behavior>]) -> Result<Vec<BehaviorEvent>> {
+    let scene = store.scene(idx)?;
+    Ok(behaviors.iter().flat_map(|behavior| behavior.detect(&scene)).collect())
+}
+
+impl MineSummary {
+    fn add(&mut self, entry: &SceneIndexEntry, found: &[BehaviorEvent]) {
+        self.n_scenes += 1;
+        let place = format!("{}/{}", entry.split.name(), entry.place);
+        for (behavior, counts) in &mut self.behaviors {
+            let mut has_positive = false;
+            for event in found.iter().filter(|event| event.behavior == *behavior) {
+                counts.events.add(event.label);
+                counts.by_place.entry(place.clone()).or_default().add(event.label);
+                has_positive |= event.label == EventLabel::Positive;
+            }
+            counts.n_scenes_with_positive += u64::from(has_positive);
+        }
+    }
+
+    fn events_by_behavior(&self) -> BTreeMap<&str, &LabelCounts> {
+        self.behaviors.iter().map(|(behavior, counts)| (behavior.as_str(), &counts.events)).collect()
+    }
+}
+
+impl LabelCounts {
+    fn add(&mut self, label: EventLabel) {
+        match label {
+            EventLabel::Positive => self.positive += 1,
+            EventLabel::Negative => self.negative += 1,
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! The page: which sections, in which order, with what around them?
+
+mod data;
+mod outcome;
+mod quality;
+mod scenes;
+mod training;
+
+use super::model::{Fact, ReportModel};
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+const STYLE: &str = include_str!("style.css");
+const PLAYER: &str = include_str!("player.js");
+
+/// A part of the page with an entry in the table of contents.
+struct Section {
+    id: &'static str,
+    title: &'static str,
+    body: Markup,
+}
+
+impl Section {
+    const fn new(id: &'static str, title: &'static str, body: Markup) -> Self {
+        Self { id, title, body }
+    }
+}
+
+/// The report as one HTML file that needs no other: equal models give equal bytes.
+pub fn render(model: &ReportModel) -> String {
+    let sections: Vec<Section> = [
+        Some(warnings(model)),
+        outcome::section(model),
+        quality::metrics(model),
+        quality::distributions(model),
+        scenes::section(model),
+        training::networks(model),
+        training::classifier(model),
+        data::mining(model),
+        data::ingest(model),
+        config(model),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { (model.title) " – djinn report" }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                a class="skip" href="#main" { "Skip to the content" }
+                header {
+                    h1 { (model.title) }
+                    (facts(&model.facts))
+                }
+                nav aria-label="Contents" {
+                    ol { @for section in &sections { li { a href=(format!("#{}", section.id)) { (section.title) } } } }
+                }
+                main id="main" {
+                    @for section in &sections {
+                        section id=(section.id) aria-labelledby=(format!("{}-title", section.id)) {
+                            h2 id=(format!("{}-title", section.id)) { (section.title) }
+                            (section.body)
+                        }
+                    }
+                }
+                footer {
+                    p { "Written by djinn " (env!("CARGO_PKG_VERSION")) ". Lengths in metres, times in seconds, angles in radians unless a heading says otherwise." }
+                }
+                script { (PreEscaped(PLAYER)) }
+            }
+        }
+    };
+    page.into_string()
+}
+
+fn warnings(model: &ReportModel) -> Section {
+    let body = html! {
+        @if model.warnings.is_empty() {
+            p class="fine" { "None." }
+        } @else {
+            ul class="warnings" {
+                @for warning in &model.warnings { li { strong { (warning.stage) } " " (warning.message) } }
+            }
+        }
+    };
+    Section::new("warnings", "Warnings", body)
+}
+
+fn config(model: &ReportModel) -> Option<Section> {
+    (!model.config.is_empty()).then(|| {
+        let body = html! {
+            p { "The configuration with every default filled in. Running it again with the same program and inputs gives the same bytes." }
+            pre tabindex="0" { code { (model.config) } }
+        };
+        Section::new("config", "Configuration", body)
+    })
+}
+
+/// Names and values in two columns.
+fn facts(facts: &[Fact]) -> Markup {
+    html! {
+        @if !facts.is_empty() {
+            dl class="facts" { @for fact in facts { div { dt { (fact.name) } dd { (fact.value) } } } }
+        }
+    }
+}
+
+/// A table in a box that scrolls by itself when it is too wide. `head` and `body` hold the rows.
+fn table(caption: &str, head: &Markup, body: &Markup) -> Markup {
+    html! {
+        div class="scroll" tabindex="0" role="region" aria-label=(caption) {
+            table {
+                caption { (caption) }
+                thead { (head) }
+                tbody { (body) }
+            }
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! What was asked for, what came out, and what it cost.
+
+use super::{Section, table};
+use crate::report::model::{ReportModel, SamplingRow};
+use crate::report::number::{ABSENT, count, percent, setting, share};
+use crate::report::svg::{Bar, bar_chart};
+use crate::report::wilson::wilson_interval;
+use maud::{Markup, html};
+
+pub(super) fn section(model: &ReportModel) -> Option<Section> {
+    if model.sampling.is_empty() && model.ingest.is_none() {
+        return None;
+    }
+    let body = html! {
+        (headline(model))
+        @if !model.sampling.is_empty() {
+            (sampling_table(&model.sampling))
+            (yield_chart(&model.sampling))
+        }
+    };
+    Some(Section::new("outcome", "What was asked, what came out", body))
+}
+
+/// The run in a few large figures.
+fn headline(model: &ReportModel) -> Markup {
+    let sum = |of: fn(&SamplingRow) -> u64| model.sampling.iter().map(of).sum::<u64>();
+    let asked: Vec<&SamplingRow> = model.sampling.iter().filter(|row| row.behavior.is_some()).collect();
+    html! {
+        ul class="headline" {
+            @if let Some(ingest) = &model.ingest { (figure(ingest.n_scenes, "recorded scenes")) }
+            @if let Some(mining) = &model.mining { (figure(mining.counts.iter().map(|c| c.n_positive).sum(), "recorded events")) }
+            @if !model.sampling.is_empty() { (figure(sum(|row| row.n_scenarios), "generated scenarios")) }
+            @if !asked.is_empty() {
+                (figure(sum(|row| row.n_verified), "verified: the miner finds the behavior asked for"))
+                (figure(sum(|row| row.n_new), "of them not in the recording"))
+            }
+        }
+    }
+}
+
+fn figure(n: u64, what: &str) -> Markup {
+    html! { li { strong { (count(n)) } " " (what) } }
+}
+
+fn sampling_table(rows: &[SamplingRow]) -> Markup {
+    let head = html! {
+        tr {
+            th scope="col" { "Sweep" } th scope="col" { "Behavior" } th scope="col" { "Place" }
+            th scope="col" class="n" { "Strength α" } th scope="col" { "Sampler" }
+            th scope="col" class="n" { "Scenes" } th scope="col" class="n" { "Scenarios" }
+            th scope="col" class="n" { "Verified" } th scope="col" class="n" { "Verified rate" small { " (95 %)" } } th scope="col" class="n" { "New" }
+            th scope="col" class="n" { "With collision" } th scope="col" class="n" { "Off-road agents" }
+            th scope="col" class="n" { "Evaluations per verified" }
+        }
+    };
+    let body = html! {
+        @for row in rows {
+            tr {
+                th scope="row" { (row.sweep) }
+                td { (row.behavior.as_deref().unwrap_or(ABSENT)) }
+                td { (if row.place.is_empty() { "all" } else { &row.place }) }
+                td class="n" { (setting(row.strength)) }
+                td { (row.sampler) }
+                td class="n" { (count(row.n_scenes)) }
+                td class="n" { (count(row.n_scenarios)) }
+                td class="n" { (if row.behavior.is_some() { count(row.n_verified) } else { ABSENT.to_owned() }) }
+                td class="n" { (rate(row)) }
+                td class="n" { (if row.behavior.is_some() { count(row.n_new) } else { ABSENT.to_owned() }) }
+                td class="n" { (share(row.n_collision, row.n_scenarios)) }
+                td class="n" { (row.offroad_rate.map_or_else(|| ABSENT.to_owned(), percent)) }
+                td class="n" { (cost(row)) }
+            }
+        }
+    };
+    html! {
+        (table("Sampling by sweep and guidance strength", &head, &body))
+        p class="note" {
+            "A scenario is verified when the miner that defined the behavior finds it for the tracks that were asked to show it, independently of the "
+            "classifier that guided the sample. It is new when the recorded future of the same tracks does not hold it. Intervals are Wilson's, at 95 %."
+        }
+    }
+}
+
+fn rate(row: &SamplingRow) -> Markup {
+    html! {
+        @match (&row.behavior, wilson_interval(row.n_verified, row.n_scenarios)) {
+            (Some(_), Some(interval)) => {
+                (share(row.n_verified, row.n_scenarios))
+                small { br; (percent(interval.low)) " to " (percent(interval.high)) }
+            }
+            _ => (ABSENT),
+        }
+    }
+}
+
+fn cost(row: &SamplingRow) -> String {
+    match row.n_evaluations {
+        Some(n) if row.n_verified > 0 => count((n as f64 / row.n_verified as f64).round() as u64),
+        _ => ABSENT.to_owned(),
+    }
+}
+
+/// Verified rates as bars, so that guided and unguided sampling can be compared at a glance.
+fn yield_chart(rows: &[SamplingRow]) -> Markup {
+    let mut sweeps: Vec<&str> = Vec::new();
+    let mut bars = Vec::new();
+    for row in rows.iter().filter(|row| row.behavior.is_some() && row.n_scenarios > 0) {
+        let group = sweeps.iter().position(|sweep| *sweep == row.sweep).unwrap_or_else(|| {
+            sweeps.push(&row.sweep);
+            sweeps.len() - 1
+        });
+        let place = if row.place.is_empty() { String::new() } else { format!("{}, ", row.place) };
+        bars.push(Bar {
+            label: format!("{}, {place}α = {}", row.sweep, setting(row.strength)),
+            group,
+            rate: row.n_verified as f64 / row.n_scenarios as f64,
+            interval: wilson_interval(row.n_verified, row.n_scenarios),
+        });
+    }
+    html! {
+        @if !bars.is_empty() {
+            figure class="wide" {
+                figcaption { "Rate of verified scenarios by sweep and guidance strength, with 95 % intervals" }
+                (bar_chart("Rate of verified scenarios by sweep and guidance strength", &bars))
+            }
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! How do generated scenes compare with the recording and with a simple baseline?
+
+use super::{Section, table};
+use crate::report::distribution::Distribution;
+use crate::report::model::{MetricDoc, MetricTable, ReportModel};
+use crate::report::number::{ABSENT, count, optional, setting, uncertainty};
+use crate::report::svg::histogram;
+use crate::store::MetricRow;
+use maud::{Markup, html};
+
+/// The metric tables, one for each place, and the definitions.
+pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
+    let MetricTable { docs, rows } = &model.metrics;
+    let rows: Vec<&MetricRow> = rows.iter().filter(|row| row.scene_id.is_none() && row.scenario_id.is_none()).collect();
+    if rows.is_empty() {
+        return None;
+    }
+    let body = html! {
+        @for place in distinct(rows.iter().map(|row| row.place.clone())) {
+            (place_table(&place, docs, &rows.iter().copied().filter(|row| row.place == place).collect::<Vec<_>>()))
+        }
+        p class="note" { "Means with their standard error. Recorded futures are the reference: their own row shows what the metric says of real traffic. "
+            "The constant-velocity baseline carries every agent on as it moved at the present." }
+        details open {
+            summary { "What the metrics mean" }
+            dl class="definitions" {
+                @for doc in docs { dt { (heading(doc)) } dd { (doc.description) (better(doc)) } }
+            }
+        }
+    };
+    Some(Section::new("metrics", "Metrics beside recording and baseline", body))
+}
+
+fn place_table(place: &str, docs: &[MetricDoc], rows: &[&MetricRow]) -> Markup {
+    let head = html! {
+        tr {
+            th scope="col" { "Group" } th scope="col" class="n" { "Strength α" } th scope="col" class="n" { "n" }
+            @for doc in docs { th scope="col" class="n" { (heading(doc)) } }
+        }
+    };
+    // Grouped in order of first appearance: the writer puts the recording and the baseline first.
+    let groups = distinct(rows.iter().map(|row| (row.group.clone(), row.sweep.clone(), row.strength.to_bits())));
+    let body = html! {
+        @for (group, sweep, strength) in groups {
+            @let of_group: Vec<&MetricRow> = rows.iter().copied()
+                .filter(|row| row.group == group && row.sweep == sweep && row.strength.to_bits() == strength).collect();
+            @let generated = !matches!(group.as_str(), "recorded" | "constant_velocity");
+            tr class=[(!generated).then_some("reference")] {
+                th scope="row" { (group.replace('_', " ")) @if !sweep.is_empty() && sweep != group { " (" (sweep) ")" } }
+                td class="n" { (if generated { setting(f64::from_bits(strength)) } else { ABSENT.to_owned() }) }
+                td class="n" { (count(of_group.iter().map(|row| row.n).max().unwrap_or(0))) }
+                @for doc in docs { td class="n" { (cell(of_group.iter().find(|row| row.metric == doc.metric).copied())) } }
+            }
+        }
+    };
+    table(&format!("Metrics, {}", if place.is_empty() { "all places" } else { place }), &head, &body)
+}
+
+fn cell(row: Option<&MetricRow>) -> Markup {
+    html! {
+        (optional(row.map(|row| row.value)))
+        @if let Some(error) = row.and_then(|row| row.std_error) { small { " ± " (uncertainty(error)) } }
+    }
+}
+
+fn heading(doc: &MetricDoc) -> Markup {
+    html! { (doc.metric) @if !doc.unit.is_empty() { small { " (" (doc.unit) ")" } } }
+}
+
+fn better(doc: &MetricDoc) -> &'static str {
+    match doc.better.as_str() {
+        "lower" => " Lower is better.",
+        "higher" => " Higher is better.",
+        _ => "",
+    }
+}
+
+/// Each item once, in order of first appearance.
+fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
+    let mut seen = Vec::new();
+    for item in items {
+        if !seen.contains(&item) {
+            seen.push(item);
+        }
+    }
+    seen
+}
+
+/// Histograms with their distances.
+pub(super) fn distributions(model: &ReportModel) -> Option<Section> {
+    (!model.distributions.is_empty()).then(|| {
+        let reference = model.distributions[0].series.first().map_or("the reference", |series| &series.name);
+        let body = html! {
+            p class="note" {
+                "Values beyond the ends of an axis are counted in its first and last bins. The distance is Wasserstein-1 to “" (reference) "”: "
+                "how far, on average, a value must be moved to turn one distribution into the other."
+            }
+            div class="grid" { @for distribution in &model.distributions { (distribution_figure(distribution)) } }
+        };
+        Section::new("distributions", "Distributions, recorded and generated", body)
+    })
+}
+
+fn distribution_figure(distribution: &Distribution) -> Markup {
+    let unit = if distribution.unit.is_empty() { String::new() } else { format!(" ({})", distribution.unit) };
+    let head = html! {
+        tr { th scope="col" { "Group" } th scope="col" class="n" { "n" } th scope="col" class="n" { "Mean" }
+            th scope="col" class="n" { "Median" } th scope="col" class="n" { "Distance" } }
+    };
+    let body = html! {
+        @for series in &distribution.series {
+            tr { th scope="row" { (series.name) } td class="n" { (count(series.n)) } td class="n" { (optional(series.mean)) }
+                td class="n" { (optional(series.median)) } td class="n" { (optional(series.distance)) } }
+        }
+    };
+    html! {
+        figure {
+            figcaption { (distribution.title) @if !distribution.description.is_empty() { ": " (distribution.description) } }
+            (histogram(distribution))
+            (table(&format!("{}{unit} in numbers", distribution.title), &head, &body))
+        }
+    }
+}

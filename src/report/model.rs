@@ -1,0 +1,187 @@
+//! What a report says, as plain data: the page is one rendering of it, JSON another.
+
+use super::distribution::Distribution;
+use super::scene_card::SceneCard;
+use crate::ingest::IngestReport;
+use crate::store::MetricRow;
+use crate::train::NoiseLevelReport;
+use serde::{Deserialize, Serialize};
+
+/// Everything that a report shows. Parts that a run did not produce are empty and their sections are left out.
+///
+/// Nothing in here may depend on the clock: a resumed run must give the same page as an undisturbed one.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct ReportModel {
+    /// The page's title, such as the pipeline's name.
+    pub title: String,
+    /// What a reader must know of the run as a whole: name, seed, program version, device.
+    pub facts: Vec<Fact>,
+    /// What a reader must know before trusting a figure; shown first.
+    pub warnings: Vec<Warning>,
+    /// What was read from the recordings.
+    pub ingest: Option<IngestReport>,
+    /// Which behaviors the recordings hold.
+    pub mining: Option<MiningSummary>,
+    /// How the networks were trained, one entry each.
+    pub training: Vec<TrainingSummary>,
+    /// How well the classifier tells the behavior at each noise level.
+    pub classifier_quality: Vec<NoiseLevelReport>,
+    /// What was asked of the sampler and what came out, one row for each sweep and guidance strength.
+    pub sampling: Vec<SamplingRow>,
+    /// Metrics of generated scenes with those of the recording and of the baseline beside them.
+    pub metrics: MetricTable,
+    /// Distributions of quantities, recorded and generated.
+    pub distributions: Vec<Distribution>,
+    /// Generated scenes beside their source recording.
+    pub scenes: Vec<SceneCard>,
+    /// The resolved configuration, as TOML.
+    pub config: String,
+}
+
+/// A name and what it is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Fact {
+    /// What the value is of.
+    pub name: String,
+    /// The value with its unit.
+    pub value: String,
+}
+
+impl Fact {
+    /// A fact from anything that can be written.
+    pub fn new(name: impl Into<String>, value: impl std::fmt::Display) -> Self {
+        Self { name: name.into(), value: value.to_string() }
+    }
+}
+
+/// Something a reader must know before trusting a figure.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Warning {
+    /// The stage it is about, such as `ingest`.
+    pub stage: String,
+    /// One sentence, and what to do about it.
+    pub message: String,
+}
+
+/// What the miner found in the recordings.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct MiningSummary {
+    /// The definition of each mined behavior.
+    pub definitions: Vec<BehaviorDoc>,
+    /// Counts by behavior, split and place.
+    pub counts: Vec<BehaviorCount>,
+}
+
+/// The definition of a behavior.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BehaviorDoc {
+    /// Its name, such as `cut_in`.
+    pub behavior: String,
+    /// When it starts, when it is complete and what does not count.
+    pub definition: String,
+}
+
+/// How often a behavior was found in one part of the recordings.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BehaviorCount {
+    /// Its name.
+    pub behavior: String,
+    /// The split.
+    pub split: String,
+    /// The place.
+    pub place: String,
+    /// Scenes searched.
+    pub n_scenes: u64,
+    /// Scenes with at least one positive event.
+    pub n_scenes_with: u64,
+    /// Positive events.
+    pub n_positive: u64,
+    /// Hard negatives.
+    pub n_negative: u64,
+}
+
+/// How a network was trained.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TrainingSummary {
+    /// The network, such as `denoiser`.
+    pub name: String,
+    /// Parameters, steps, batch size, final loss, …
+    pub facts: Vec<Fact>,
+    /// Curves over training.
+    pub charts: Vec<Chart>,
+}
+
+/// Curves over a common axis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Chart {
+    /// What is shown.
+    pub title: String,
+    /// The horizontal quantity with its unit.
+    pub x_label: String,
+    /// The vertical quantity with its unit.
+    pub y_label: String,
+    /// Whether the horizontal axis is logarithmic.
+    pub log_x: bool,
+    /// The curves.
+    pub curves: Vec<Curve>,
+}
+
+/// One curve.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Curve {
+    /// Its name in the legend.
+    pub name: String,
+    /// (x, y) in drawing order; points that are not finite are left out.
+    pub points: Vec<[f64; 2]>,
+}
+
+/// What one sweep gave at one guidance strength.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SamplingRow {
+    /// The sweep's name in the configuration.
+    pub sweep: String,
+    /// The behavior asked for; `None` where none was.
+    pub behavior: Option<String>,
+    /// The place of the source scenes; empty for all.
+    pub place: String,
+    /// Guidance strength α; 0 is unguided.
+    pub strength: f64,
+    /// The sampler and its steps, such as `heun-20`.
+    pub sampler: String,
+    /// Source scenes.
+    pub n_scenes: u64,
+    /// Scenarios sampled.
+    pub n_scenarios: u64,
+    /// Scenarios in which the miner finds the behavior for the roles asked for.
+    pub n_verified: u64,
+    /// Verified scenarios whose recording does not hold the behavior for the same roles.
+    pub n_new: u64,
+    /// Scenarios with a collision that the recorded present does not hold.
+    pub n_collision: u64,
+    /// Share of agents that leave the road; `None` where it was not measured.
+    pub offroad_rate: Option<f64>,
+    /// Denoiser evaluations spent; `None` where they were not counted.
+    pub n_evaluations: Option<u64>,
+}
+
+/// Metric values with what is needed to read them.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct MetricTable {
+    /// The metrics, in the order of the columns.
+    pub docs: Vec<MetricDoc>,
+    /// Aggregated rows (those without a scene); rows of single scenes are passed over.
+    pub rows: Vec<MetricRow>,
+}
+
+/// How to read a metric.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MetricDoc {
+    /// Its name in the tables.
+    pub metric: String,
+    /// Its unit; empty for shares and counts.
+    pub unit: String,
+    /// `lower`, `higher` or empty: which way is better.
+    pub better: String,
+    /// Its definition.
+    pub description: String,
+}

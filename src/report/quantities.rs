@@ -1,0 +1,196 @@
+//! What is compared between recorded and generated scenes: how road users move, and how close they come.
+
+use super::distribution::Distribution;
+use crate::behavior::BehaviorEvent;
+use crate::geometry::wrap_angle;
+use crate::scene::{Scene, Track};
+use std::collections::BTreeSet;
+
+/// Bins of each histogram.
+const N_BINS: usize = 40;
+/// Timesteps between those at which distances are measured: neighboring ones say the same.
+const DISTANCE_STRIDE: usize = 5;
+/// Below this speed a heading says little, metres per second.
+const MOVING_MPS: f64 = 1.0;
+
+/// Distributions of motion over the futures of each group's scenes; the first group is the reference.
+///
+/// Everything is derived from positions and headings in the same way for every group, because generated scenes have no
+/// measured velocities.
+pub fn motion_distributions(groups: &[(&str, &[&Scene])]) -> Vec<Distribution> {
+    let of = |title: &str, unit: &str, description: &str, values: fn(&Scene) -> Vec<f64>| {
+        let groups: Vec<(&str, Vec<f64>)> = groups
+            .iter()
+            .map(|(name, scenes)| (*name, scenes.iter().flat_map(|scene| values(scene)).collect()))
+            .collect();
+        Distribution::of(title, unit, description, N_BINS, &groups)
+    };
+    vec![
+        of("speed", "m/s", "from one position to the next", |scene| over_tracks(scene, speeds)),
+        of("acceleration", "m/s²", "change of speed from one timestep to the next", |scene| {
+            over_tracks(scene, accelerations)
+        }),
+        of("yaw rate", "rad/s", "change of heading while faster than 1 m/s", |scene| over_tracks(scene, yaw_rates)),
+        of("distance to the nearest", "m", "between boxes, 0 when they overlap; every half second", nearest_distances),
+    ]
+}
+
+/// Distributions of the parameters of events, one for each parameter that any event has; the first group is the reference.
+pub fn event_distributions(groups: &[(&str, &[&BehaviorEvent])]) -> Vec<Distribution> {
+    let names: BTreeSet<&String> =
+        groups.iter().flat_map(|(_, events)| events.iter()).flat_map(|e| e.parameters.keys()).collect();
+    names
+        .into_iter()
+        .map(|name| {
+            let groups: Vec<(&str, Vec<f64>)> = groups
+                .iter()
+                .map(|(group, events)| {
+                    (*group, events.iter().filter_map(|e| e.parameters.get(name).copied()).collect())
+                })
+                .collect();
+            let (title, unit) = title_and_unit(name);
+            Distribution::of(&title, unit, "of the events", N_BINS / 2, &groups)
+        })
+        .collect()
+}
+
+/// `relative_speed_mps` is the relative speed in m/s.
+fn title_and_unit(parameter: &str) -> (String, &'static str) {
+    for (suffix, unit) in
+        [("_mps2", "m/s²"), ("_mps", "m/s"), ("_m", "m"), ("_s", "s"), ("_radps", "rad/s"), ("_rad", "rad")]
+    {
+        if let Some(name) = parameter.strip_suffix(suffix) {
+            return (name.replace('_', " "), unit);
+        }
+    }
+    (parameter.replace('_', " "), "")
+}
+
+fn over_tracks(scene: &Scene, values: fn(&Scene, &Track) -> Vec<f64>) -> Vec<f64> {
+    scene.tracks.iter().flat_map(|track| values(scene, track)).collect()
+}
+
+/// The speed over the step that ends at `timestep`.
+fn speed(scene: &Scene, track: &Track, timestep: usize) -> Option<f64> {
+    let before = track.trajectory.get(timestep.checked_sub(1)?)?;
+    Some(track.trajectory.get(timestep)?.position.distance(before.position) / scene.dt_s)
+}
+
+fn speeds(scene: &Scene, track: &Track) -> Vec<f64> {
+    (scene.n_history..scene.n_timesteps).filter_map(|timestep| speed(scene, track, timestep)).collect()
+}
+
+fn accelerations(scene: &Scene, track: &Track) -> Vec<f64> {
+    (scene.n_history..scene.n_timesteps)
+        .filter_map(|timestep| {
+            Some((speed(scene, track, timestep)? - speed(scene, track, timestep.checked_sub(1)?)?) / scene.dt_s)
+        })
+        .collect()
+}
+
+fn yaw_rates(scene: &Scene, track: &Track) -> Vec<f64> {
+    (scene.n_history..scene.n_timesteps)
+        .filter(|timestep| speed(scene, track, *timestep).is_some_and(|v| v > MOVING_MPS))
+        .filter_map(|timestep| {
+            let (before, now) = (track.trajectory.get(timestep.checked_sub(1)?)?, track.trajectory.get(timestep)?);
+            Some(wrap_angle(now.heading_rad - before.heading_rad) / scene.dt_s)
+        })
+        .collect()
+}
+
+fn nearest_distances(scene: &Scene) -> Vec<f64> {
+    let mut distances = Vec::new();
+    for timestep in (scene.n_history..scene.n_timesteps).step_by(DISTANCE_STRIDE) {
+        let boxes: Vec<_> = scene.tracks.iter().filter_map(|track| track.footprint_at(timestep)).collect();
+        for (i, a) in boxes.iter().enumerate() {
+            let others = boxes.iter().enumerate().filter(|(j, _)| *j != i);
+            distances.extend(others.map(|(_, b)| a.distance(b)).min_by(f64::total_cmp));
+        }
+    }
+    distances
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Transform2, Vec2};
+    use crate::scene::{
+        AgentClass, Dataset, Extent, LaneGraph, SceneId, SceneSource, Split, State, TrackId, TrackRole, Trajectory,
+    };
+    use std::collections::BTreeMap;
+    use std::sync::Arc;
+
+    /// Two cars of 4 m by 2 m side by side, 6 m apart between centers, at 10 m/s; the first gains 2 m/s each second.
+    fn scene() -> Scene {
+        let track = |id: &str, y: f64, acceleration: f64| Track {
+            id: TrackId::from(id),
+            class: AgentClass::Vehicle,
+            role: TrackRole::Context,
+            extent: Some(Extent { length_m: 4.0, width_m: 2.0 }),
+            trajectory: Trajectory::new(
+                (0..8)
+                    .map(|timestep| f64::from(timestep) * 0.1)
+                    .map(|t| {
+                        let position = Vec2::new(10.0 * t + 0.5 * acceleration * t * t, y);
+                        Some(State { position, heading_rad: 0.05 * t, velocity: Vec2::new(99.0, 0.0) })
+                    })
+                    .collect(),
+            ),
+        };
+        Scene {
+            id: SceneId::from("interaction/val/X/1"),
+            source: SceneSource {
+                dataset: Dataset::Interaction,
+                version: String::new(),
+                split: Split::Val,
+                place: "X".into(),
+                file: String::new(),
+                case_id: "1".into(),
+                first_frame: "1".into(),
+            },
+            dt_s: 0.1,
+            n_timesteps: 8,
+            n_history: 3,
+            world_from_scene: Transform2::from_pose(Vec2::new(0.0, 0.0), 0.0),
+            ego_idx: 0,
+            tracks: vec![track("1", 0.0, 2.0), track("2", 6.0, 0.0)],
+            map_id: None,
+            lanes: Arc::new(LaneGraph::default()),
+        }
+    }
+
+    fn all_near(values: &[f64], n: usize, expected: f64) -> bool {
+        values.len() == n && values.iter().all(|value| (value - expected).abs() < 1e-6)
+    }
+
+    #[test]
+    fn motion_follows_from_positions_in_the_future_only() {
+        let scene = scene();
+        let [first, second] = [&scene.tracks[0], &scene.tracks[1]];
+        assert!(all_near(&accelerations(&scene, first), 5, 2.0));
+        assert!(all_near(&speeds(&scene, second), 5, 10.0));
+        assert!(all_near(&yaw_rates(&scene, second), 5, 0.05));
+        let at_start = nearest_distances(&scene);
+        assert_eq!(at_start.len(), 2);
+        assert!((at_start[0] - 4.0).abs() < 0.1, "{at_start:?}");
+    }
+
+    #[test]
+    fn event_parameters_get_titles_and_units() {
+        let event = |gap_m: f64| BehaviorEvent {
+            behavior: "cut_in".into(),
+            scene_id: SceneId::from("s"),
+            label: crate::behavior::EventLabel::Positive,
+            roles: vec![],
+            start_timestep: 0,
+            end_timestep: 1,
+            parameters: BTreeMap::from([("gap_m".to_owned(), gap_m), ("relative_speed_mps".to_owned(), -1.0)]),
+        };
+        let (a, b) = (event(4.0), event(6.0));
+        let distributions = event_distributions(&[("recorded", &[&a]), ("generated", &[&a, &b])]);
+        let titles: Vec<(&str, &str)> = distributions.iter().map(|d| (d.title.as_str(), d.unit.as_str())).collect();
+        assert_eq!(titles, [("gap", "m"), ("relative speed", "m/s")]);
+        assert_eq!(distributions[0].series[1].mean, Some(5.0));
+        assert_eq!(distributions[0].series[1].distance, Some(1.0));
+    }
+}

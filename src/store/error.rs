@@ -1,0 +1,125 @@
+//! What can go wrong with our own files, and what the user can do about it.
+
+use std::path::{Path, PathBuf};
+
+/// A failure to read or write one of our files.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The file system refused; the message names the path.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+    /// A folder without its manifest, which is written last.
+    #[error("{} has no manifest.json: the command that writes it did not finish, run the same command again", .dir.display())]
+    Unfinished {
+        /// The folder.
+        dir: PathBuf,
+    },
+    /// A file of another schema, or of another version of it.
+    #[error("{} holds schema {found:?} but {expected:?} is needed: write it again with this version of djinn", .path.display())]
+    SchemaVersion {
+        /// The file.
+        path: PathBuf,
+        /// The schema that this version reads, such as `scene.v1`.
+        expected: String,
+        /// What the file says it holds; empty when it says nothing.
+        found: String,
+    },
+    /// A file whose content is not what was written.
+    #[error("{} is damaged: {detail}; remove its folder and run the command that writes it again", .path.display())]
+    Corrupt {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        detail: String,
+    },
+    /// A value that cannot be stored faithfully.
+    #[error("cannot store {id}: {detail}")]
+    Invalid {
+        /// The scene, scenario, event or table.
+        id: String,
+        /// Why not.
+        detail: String,
+    },
+    /// A map that no table holds.
+    #[error("map {map_id} is not among the maps of {}", .path.display())]
+    UnknownMap {
+        /// The map.
+        map_id: String,
+        /// Where it was looked for.
+        path: PathBuf,
+    },
+    /// A position or name that a table does not hold.
+    #[error("{} holds no {what}", .path.display())]
+    NotFound {
+        /// The file or folder.
+        path: PathBuf,
+        /// What was asked for, such as `scene 12 of 10`.
+        what: String,
+    },
+    /// JSON that is not of the expected form.
+    #[error("cannot read or write {}: {source}", .path.display())]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: serde_json::Error,
+    },
+    /// Arrow refused to encode or decode a table.
+    #[error("cannot encode or decode {}: {source}", .path.display())]
+    Arrow {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: arrow::error::ArrowError,
+    },
+    /// Parquet refused to encode or decode a table.
+    #[error("cannot encode or decode {}: {source}", .path.display())]
+    Parquet {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        source: parquet::errors::ParquetError,
+    },
+    /// A group-by failed.
+    #[error("cannot summarize {table}: {source}")]
+    Frame {
+        /// What was summarized.
+        table: &'static str,
+        /// The cause.
+        source: polars::prelude::PolarsError,
+    },
+}
+
+impl Error {
+    /// A file whose content is not what was written.
+    pub(crate) fn corrupt(path: &Path, detail: impl Into<String>) -> Self {
+        Self::Corrupt { path: path.to_owned(), detail: detail.into() }
+    }
+
+    /// A value that cannot be stored faithfully.
+    pub(crate) fn invalid(id: impl ToString, detail: impl Into<String>) -> Self {
+        Self::Invalid { id: id.to_string(), detail: detail.into() }
+    }
+
+    /// For `map_err` on results of Parquet.
+    pub(crate) fn parquet(path: &Path) -> impl FnOnce(parquet::errors::ParquetError) -> Self {
+        let path = path.to_owned();
+        move |source| match source {
+            // Parquet wraps the errors of the writer beneath it: a full disk should read as one.
+            parquet::errors::ParquetError::External(cause) => match cause.downcast::<std::io::Error>() {
+                Ok(io) => Self::Io(*io),
+                Err(cause) => Self::Parquet { path, source: parquet::errors::ParquetError::External(cause) },
+            },
+            source => Self::Parquet { path, source },
+        }
+    }
+
+    /// For `map_err` on results of JSON.
+    pub(crate) fn json(path: &Path) -> impl FnOnce(serde_json::Error) -> Self {
+        let path = path.to_owned();
+        move |source| Self::Json { path, source }
+    }
+}
+
+/// The results of this layer.
+pub type Result<T> = std::result::Result<T, Error>;

@@ -1,0 +1,115 @@
+//! One Arrow file of ours: written batch by batch, read by mapping it into memory without copying.
+
+use super::atomic::{AtomicFile, FileStamp};
+use super::schema::TableSchema;
+use super::{Error, Result};
+use arrow::array::RecordBatch;
+use arrow::buffer::Buffer;
+use arrow::error::ArrowError;
+use arrow::ipc::convert::try_fb_to_schema;
+use arrow::ipc::reader::{FileDecoder, read_footer_length};
+use arrow::ipc::writer::FileWriter;
+use arrow::ipc::{Block, root_as_footer};
+use fs_err as fs;
+use memmap2::Mmap;
+use std::path::{Path, PathBuf};
+use std::ptr::NonNull;
+use std::sync::Arc;
+
+/// Length of the magic at either end of a file.
+const MAGIC_LEN: usize = 6;
+/// Length of what follows the footer: its length and the magic.
+const TRAILER_LEN: usize = 4 + MAGIC_LEN;
+
+/// Writes one table.
+pub(crate) struct IpcFile {
+    path: PathBuf,
+    writer: FileWriter<AtomicFile>,
+}
+
+impl IpcFile {
+    /// Begins a file of this table.
+    pub(crate) fn create(path: &Path, table: &TableSchema) -> Result<Self> {
+        let file = AtomicFile::create(path)?;
+        let writer = FileWriter::try_new(file, &table.arrow()).map_err(failed(path))?;
+        Ok(Self { path: path.to_owned(), writer })
+    }
+
+    /// Adds rows.
+    pub(crate) fn write(&mut self, batch: &RecordBatch) -> Result<()> {
+        self.writer.write(batch).map_err(failed(&self.path))
+    }
+
+    /// Writes the footer and gives the file its name.
+    pub(crate) fn finish(self) -> Result<FileStamp> {
+        let file = self.writer.into_inner().map_err(failed(&self.path))?;
+        Ok(file.commit()?)
+    }
+}
+
+/// Maps a file of this table and decodes its batches, whose buffers stay in the mapping.
+///
+/// # Errors
+/// [`Error::Corrupt`] when the content is not what `stamp` says or is no table, [`Error::SchemaVersion`] when it is another.
+pub(crate) fn map(path: &Path, table: &TableSchema, stamp: &FileStamp) -> Result<Vec<RecordBatch>> {
+    let buffer = map_file(path)?;
+    // The checksum comes first: past it, nothing in the file can be other than what was written.
+    stamp.verify(path, &buffer)?;
+    let damaged = |detail: &str| Error::corrupt(path, detail);
+    let unreadable = |error: ArrowError| Error::corrupt(path, error.to_string());
+
+    let trailer_start = buffer.len().checked_sub(TRAILER_LEN).ok_or_else(|| damaged("it is too short"))?;
+    let mut trailer = [0; TRAILER_LEN];
+    trailer.copy_from_slice(&buffer[trailer_start..]);
+    let footer_len = read_footer_length(trailer).map_err(unreadable)?;
+    let footer_start = trailer_start.checked_sub(footer_len).ok_or_else(|| damaged("its footer is too long"))?;
+    let footer = root_as_footer(&buffer[footer_start..trailer_start])
+        .map_err(|error| damaged(&format!("its footer cannot be read: {error}")))?;
+
+    let schema = footer.schema().ok_or_else(|| damaged("it has no schema"))?;
+    let schema = Arc::new(try_fb_to_schema(schema).map_err(unreadable)?);
+    table.check(path, &schema)?;
+    let decoder = FileDecoder::new(schema, footer.version()).with_require_alignment(true);
+    let decode = |block: &Block| {
+        let block_buffer = block_of(&buffer, block).ok_or_else(|| damaged("a batch lies outside of it"))?;
+        decoder
+            .read_record_batch(block, &block_buffer)
+            .map_err(unreadable)?
+            .ok_or_else(|| damaged("a batch has no content"))
+    };
+    footer.recordBatches().into_iter().flatten().map(decode).collect()
+}
+
+/// The bytes of a block, without copying; `None` when it is not within the file.
+fn block_of(buffer: &Buffer, block: &Block) -> Option<Buffer> {
+    let start = usize::try_from(block.offset()).ok()?;
+    let head = usize::try_from(block.metaDataLength()).ok()?;
+    let len = head.checked_add(usize::try_from(block.bodyLength()).ok()?)?;
+    (start.checked_add(len)? <= buffer.len()).then(|| buffer.slice_with_length(start, len))
+}
+
+/// The content of a file as a buffer that keeps the mapping alive.
+#[expect(unsafe_code, reason = "mapping a file is the only way to share it with the page cache")]
+fn map_file(path: &Path) -> Result<Buffer> {
+    let file = fs::File::open(path)?;
+    if file.metadata()?.len() == 0 {
+        return Err(Error::corrupt(path, "it is empty"));
+    }
+    // SAFETY: the mapping is private and never written to. Our files are only ever replaced by renaming, never changed in
+    // place, so the bytes stay as they are while they are mapped, unless another program tampers with them.
+    let mapping = unsafe { Mmap::map(file.file()) }
+        .map_err(|error| std::io::Error::new(error.kind(), format!("cannot map {}: {error}", path.display())))?;
+    let len = mapping.len();
+    let start = NonNull::from(&mapping[..]).cast::<u8>();
+    // SAFETY: `start` points to `len` bytes that live as long as `mapping`, which the buffer owns.
+    Ok(unsafe { Buffer::from_custom_allocation(start, len, Arc::new(mapping)) })
+}
+
+/// Arrow wraps the errors of the writer beneath it: a full disk should read as one.
+fn failed(path: &Path) -> impl FnOnce(ArrowError) -> Error {
+    let path = path.to_owned();
+    move |error| match error {
+        ArrowError::IoError(_, source) => Error::Io(source),
+        source => Error::Arrow { path, source },
+    }
+}

@@ -1,0 +1,109 @@
+//! Lanes by map: where are the rows of a map, and which of them does a scene need?
+
+use super::tables::columns::Columns;
+use super::tables::lane;
+use super::{Error, Result};
+use crate::scene::{LaneGraph, LaneId, MapId};
+use arrow::array::{Int64Array, RecordBatch, StringArray};
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// Where maps can be looked up: a scene store or a corpus. Lanes are in the recording's frame.
+pub trait MapSource: Sync {
+    /// The whole map.
+    ///
+    /// # Errors
+    /// [`Error::UnknownMap`] when there is none of this name.
+    fn map(&self, id: &MapId) -> Result<LaneGraph>;
+
+    /// These lanes of the map, with connections among them.
+    ///
+    /// # Errors
+    /// [`Error::UnknownMap`] when there is no such map, [`Error::NotFound`] when it lacks one of the lanes.
+    fn lanes(&self, id: &MapId, lane_ids: &[LaneId]) -> Result<LaneGraph>;
+}
+
+/// Lane rows and where in them each map is.
+#[derive(Debug, Default)]
+pub(crate) struct MapTable {
+    /// Where they are from, for errors.
+    dir: PathBuf,
+    batches: Vec<(PathBuf, RecordBatch)>,
+    /// The rows of each map: ranges of batches, with ascending lane ids over all of them.
+    rows: BTreeMap<String, Vec<(usize, Range<usize>)>>,
+}
+
+impl MapTable {
+    /// A table without maps.
+    pub(crate) fn new(dir: &Path) -> Self {
+        Self { dir: dir.to_owned(), ..Self::default() }
+    }
+
+    /// Adds the rows of a batch of lanes that was read from `path`.
+    pub(crate) fn push(&mut self, path: &Path, batch: RecordBatch) -> Result<()> {
+        let ids: &StringArray = Columns::of_batch(&batch, path).get("map_id")?;
+        let batch_idx = self.batches.len();
+        let mut start = 0;
+        while start < batch.num_rows() {
+            let id = ids.value(start);
+            let end = (start + 1..batch.num_rows()).find(|row| ids.value(*row) != id).unwrap_or(batch.num_rows());
+            self.rows.entry(id.to_owned()).or_default().push((batch_idx, start..end));
+            start = end;
+        }
+        self.batches.push((path.to_owned(), batch));
+        Ok(())
+    }
+
+    /// Where the maps are from.
+    pub(crate) fn dir(&self) -> &Path {
+        &self.dir
+    }
+
+    /// The names of all maps, sorted.
+    pub(crate) fn ids(&self) -> impl Iterator<Item = &str> {
+        self.rows.keys().map(String::as_str)
+    }
+
+    fn rows_of(&self, id: &MapId) -> Result<&[(usize, Range<usize>)]> {
+        let unknown = || Error::UnknownMap { map_id: id.0.clone(), path: self.dir.clone() };
+        self.rows.get(&id.0).map(Vec::as_slice).ok_or_else(unknown)
+    }
+
+    fn columns(&self, batch_idx: usize) -> Columns<'_> {
+        let (path, batch) = &self.batches[batch_idx];
+        Columns::of_batch(batch, path)
+    }
+
+    /// The batch and row of a lane.
+    fn find(&self, pieces: &[(usize, Range<usize>)], lane_id: LaneId) -> Result<Option<(usize, usize)>> {
+        for (batch_idx, range) in pieces {
+            let ids: &Int64Array = self.columns(*batch_idx).get("lane_id")?;
+            if let Ok(i) = ids.values()[range.clone()].binary_search(&lane_id.0) {
+                return Ok(Some((*batch_idx, range.start + i)));
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl MapSource for MapTable {
+    fn map(&self, id: &MapId) -> Result<LaneGraph> {
+        let rows = self.rows_of(id)?.iter().flat_map(|(batch_idx, range)| range.clone().map(|row| (*batch_idx, row)));
+        let lanes: Result<Vec<_>> = rows.map(|(batch_idx, row)| lane::decode(&self.columns(batch_idx), row)).collect();
+        Ok(LaneGraph::new(lanes?))
+    }
+
+    fn lanes(&self, id: &MapId, lane_ids: &[LaneId]) -> Result<LaneGraph> {
+        let pieces = self.rows_of(id)?;
+        let decode = |lane_id: &LaneId| {
+            let (batch_idx, row) = self.find(pieces, *lane_id)?.ok_or_else(|| Error::NotFound {
+                path: self.dir.clone(),
+                what: format!("lane {} of map {id}", lane_id.0),
+            })?;
+            lane::decode(&self.columns(batch_idx), row)
+        };
+        let lanes: Result<Vec<_>> = lane_ids.iter().map(decode).collect();
+        Ok(LaneGraph::new(lanes?))
+    }
+}

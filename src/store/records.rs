@@ -1,0 +1,56 @@
+//! What a corpus is made of: a generated scenario with its verdict, and one value of a metric.
+
+use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::scene::{Scenario, SceneId};
+use serde::{Deserialize, Serialize};
+
+/// A generated scenario, what was asked for and what was found in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScenarioRecord {
+    /// The scenario. Its states must be as the store keeps them: pass the scene through
+    /// [`as_stored`](super::as_stored) before verifying it, so that what was verified is what is written.
+    pub scenario: Scenario,
+    /// The sweep of the configuration that asked for it.
+    pub sweep: String,
+    /// The behavior that was asked for; `None` for unconditional sampling.
+    pub requested_behavior: Option<String>,
+    /// Whether the miner found the requested behavior; `false` when none was requested.
+    pub verified: bool,
+    /// The positive events of the requested behavior that the miner found; their `scene_id` is the scene's.
+    pub events: Vec<BehaviorEvent>,
+    /// Whether the recording already held the requested behavior with these roles.
+    pub recorded_event: bool,
+}
+
+impl ScenarioRecord {
+    /// The event that stands for the scenario in tables: the first positive one of the requested behavior.
+    pub fn main_event(&self) -> Option<&BehaviorEvent> {
+        let requested = self.requested_behavior.as_ref()?;
+        self.events.iter().find(|event| event.behavior == *requested && event.label == EventLabel::Positive)
+    }
+}
+
+/// One value of one metric: of a single scene or scenario, or aggregated over many.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MetricRow {
+    /// What was measured: `recorded`, `constant_velocity`, `unguided`, or the name of a sweep.
+    pub group: String,
+    /// The sweep; empty for recorded data and baselines.
+    pub sweep: String,
+    /// Guidance strength; 0 without guidance.
+    pub strength: f64,
+    /// The place; empty for all places together.
+    pub place: String,
+    /// The recorded scene; `None` for an aggregate.
+    pub scene_id: Option<SceneId>,
+    /// The scenario; `None` for an aggregate or a value over all samples of a scene.
+    pub scenario_id: Option<String>,
+    /// The metric's id, such as `min_scene_ade_m`.
+    pub metric: String,
+    /// The value, in the unit that the metric's name ends in.
+    pub value: f64,
+    /// How many scenes, scenarios or samples the value is over.
+    pub n: u64,
+    /// Standard error of the mean, for aggregates over at least two values.
+    pub std_error: Option<f64>,
+}

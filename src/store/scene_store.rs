@@ -1,0 +1,332 @@
+//! Reading a scene store: any scene at once, from files that are mapped into memory.
+
+use super::maps::{MapSource, MapTable};
+use super::scene_manifest::{MANIFEST_FILE, SceneManifest, ShardEntry};
+use super::tables::columns::{Columns, entries};
+use super::tables::{lane, scene};
+use super::{Error, Result, ipc_file};
+use crate::scene::{Dataset, LaneGraph, LaneId, MapId, Scene, SceneId, Split};
+use arrow::array::RecordBatch;
+use arrow::datatypes::UInt32Type;
+use fs_err as fs;
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+
+/// What can be known of a scene without loading it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SceneIndexEntry {
+    /// The scene.
+    pub id: SceneId,
+    /// Its dataset.
+    pub dataset: Dataset,
+    /// Its split.
+    pub split: Split,
+    /// Its place.
+    pub place: String,
+    /// Number of tracks.
+    pub n_agents: usize,
+    /// Number of timesteps.
+    pub n_timesteps: usize,
+}
+
+/// A finished scene store, verified and mapped into memory. It may be shared between threads.
+pub struct SceneStore {
+    manifest: SceneManifest,
+    fingerprint: String,
+    batches: Vec<SceneBatchFile>,
+    maps: MapTable,
+    index: Vec<SceneIndexEntry>,
+    /// Positions in `index`, by scene id.
+    by_id: Vec<usize>,
+}
+
+/// A batch of scenes and where it is from.
+struct SceneBatchFile {
+    path: PathBuf,
+    batch: RecordBatch,
+    /// Position of its first scene in the store.
+    first: usize,
+}
+
+impl SceneStore {
+    /// Opens a finished store and verifies the checksums of all of its files.
+    ///
+    /// # Errors
+    /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when another version wrote it, [`Error::Corrupt`]
+    /// when a file is not what was written.
+    pub fn open(dir: &Path) -> Result<Self> {
+        let manifest = SceneManifest::read(dir)?;
+        let fingerprint = blake3::hash(&fs::read(dir.join(MANIFEST_FILE))?).to_hex().to_string();
+        let shards: Vec<ShardBatches> =
+            manifest.shards.par_iter().map(|shard| open_shard(dir, shard)).collect::<Result<_>>()?;
+
+        let (mut batches, mut maps, mut index) = (Vec::new(), MapTable::new(dir), Vec::new());
+        for (shard, opened) in manifest.shards.iter().zip(shards) {
+            for (path, batch) in opened.maps {
+                maps.push(&path, batch)?;
+            }
+            let first_of_shard = index.len();
+            for batch in opened.scenes {
+                let path = dir.join(&shard.file);
+                let first = index.len();
+                let columns = Columns::of_batch(&batch, &path);
+                for row in 0..batch.num_rows() {
+                    index.push(index_entry(&columns, row)?);
+                }
+                batches.push(SceneBatchFile { path, batch, first });
+            }
+            if (index.len() - first_of_shard) as u64 != shard.n_scenes {
+                return Err(Error::corrupt(
+                    &dir.join(&shard.file),
+                    "it has another number of scenes than its manifest says",
+                ));
+            }
+        }
+        let mut by_id: Vec<usize> = (0..index.len()).collect();
+        by_id.sort_by_key(|i| &index[*i].id);
+        Ok(Self { manifest, fingerprint, batches, maps, index, by_id })
+    }
+
+    /// The manifest.
+    pub const fn manifest(&self) -> &SceneManifest {
+        &self.manifest
+    }
+
+    /// Hash of the manifest, and through its checksums of everything in the store; hexadecimal.
+    pub fn fingerprint(&self) -> &str {
+        &self.fingerprint
+    }
+
+    /// Number of scenes.
+    pub const fn len(&self) -> usize {
+        self.index.len()
+    }
+
+    /// Whether there are no scenes.
+    pub const fn is_empty(&self) -> bool {
+        self.index.is_empty()
+    }
+
+    /// One entry a scene, in the order of ingest.
+    pub fn index(&self) -> &[SceneIndexEntry] {
+        &self.index
+    }
+
+    /// The position of a scene.
+    pub fn position(&self, id: &SceneId) -> Option<usize> {
+        self.by_id.binary_search_by_key(&id, |i| &self.index[*i].id).ok().map(|i| self.by_id[i])
+    }
+
+    /// Loads scene `i` with its lanes.
+    ///
+    /// # Errors
+    /// [`Error::NotFound`] when there are not as many; those of its map.
+    pub fn scene(&self, i: usize) -> Result<Scene> {
+        let after = self.batches.partition_point(|file| file.first <= i);
+        let file = after.checked_sub(1).map(|before| &self.batches[before]).filter(|_| i < self.len());
+        let Some(file) = file else {
+            let path = self.maps.dir().join(MANIFEST_FILE);
+            return Err(Error::NotFound { path, what: format!("scene {i}: there are {}", self.len()) });
+        };
+        scene::decode(&Columns::of_batch(&file.batch, &file.path), i - file.first, &self.maps)
+    }
+}
+
+impl MapSource for SceneStore {
+    fn map(&self, id: &MapId) -> Result<LaneGraph> {
+        self.maps.map(id)
+    }
+
+    fn lanes(&self, id: &MapId, lane_ids: &[LaneId]) -> Result<LaneGraph> {
+        self.maps.lanes(id, lane_ids)
+    }
+}
+
+/// The batches of a shard.
+struct ShardBatches {
+    scenes: Vec<RecordBatch>,
+    maps: Vec<(PathBuf, RecordBatch)>,
+}
+
+fn open_shard(dir: &Path, shard: &ShardEntry) -> Result<ShardBatches> {
+    let mut maps = Vec::new();
+    if let Some(entry) = &shard.maps {
+        let path = dir.join(&entry.file);
+        let batches = ipc_file::map(&path, &lane::schema(), &entry.stamp)?;
+        maps.extend(batches.into_iter().map(|batch| (path.clone(), batch)));
+    }
+    Ok(ShardBatches { scenes: ipc_file::map(&dir.join(&shard.file), &scene::schema(), &shard.stamp)?, maps })
+}
+
+fn index_entry(columns: &Columns<'_>, row: usize) -> Result<SceneIndexEntry> {
+    let (tracks, _) = columns.of_list("tracks")?;
+    Ok(SceneIndexEntry {
+        id: SceneId::from(columns.text("scene_id", row)?),
+        dataset: columns.named("dataset", row, Dataset::from_name)?,
+        split: columns.named("split", row, Split::from_name)?,
+        place: columns.text("place", row)?.to_owned(),
+        n_agents: entries(tracks, row).len(),
+        n_timesteps: columns.number::<UInt32Type>("n_timesteps", row)? as usize,
+    })
+}
+
+impl std::fmt::Debug for SceneStore {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("SceneStore")
+            .field("dir", &self.maps.dir())
+            .field("n_scenes", &self.len())
+            .finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::testing::{folder_bytes, map, scene};
+    use crate::store::{SceneWriter, SceneWriterOptions, as_stored};
+    use proptest::prelude::*;
+    use serde_json::json;
+
+    const OPTIONS: SceneWriterOptions = SceneWriterOptions { scenes_per_shard: 3 };
+
+    /// Writes scenes two by two, every third without a map.
+    fn write(dir: &Path, scenes: &[Scene], maps: &[(MapId, LaneGraph)]) {
+        let mut writer = SceneWriter::create(dir, OPTIONS).unwrap();
+        for (i, batch) in scenes.chunks(2).enumerate() {
+            writer.write_batch(batch, maps, i as u64, &json!(i)).unwrap();
+        }
+        writer.finish(&json!({ "rejects": {} })).unwrap();
+    }
+
+    fn scenes(seeds: std::ops::Range<u64>) -> (Vec<Scene>, Vec<(MapId, LaneGraph)>) {
+        let maps = vec![(MapId::from("PIT"), map(1, 9)), (MapId::from("MIA"), map(2, 7))];
+        let choose = |seed: u64| maps.get(seed as usize % 3).map(|(id, graph)| (id, graph));
+        (seeds.map(|seed| scene(seed, choose(seed))).collect(), maps)
+    }
+
+    #[test]
+    fn any_scene_can_be_read_at_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let (scenes, maps) = scenes(0..11);
+        write(dir.path(), &scenes, &maps);
+        let store = SceneStore::open(dir.path()).unwrap();
+        assert_eq!(store.len(), 11);
+        assert_eq!(store.manifest().shards.len(), 3);
+        for i in [10, 0, 5, 3, 4, 9] {
+            assert_eq!(store.scene(i).unwrap(), as_stored(&scenes[i]), "scene {i}");
+            let entry = &store.index()[i];
+            assert_eq!((&entry.id, entry.n_agents), (&scenes[i].id, scenes[i].tracks.len()));
+            assert_eq!(store.position(&entry.id), Some(i));
+        }
+        assert_eq!(store.position(&SceneId::from("nowhere")), None);
+        let error = store.scene(11).unwrap_err().to_string();
+        assert!(error.contains("scene 11: there are 11"), "{error}");
+    }
+
+    #[test]
+    fn maps_are_read_whole_or_in_part() {
+        let dir = tempfile::tempdir().unwrap();
+        let (scenes, maps) = scenes(0..4);
+        write(dir.path(), &scenes, &maps);
+        let store = SceneStore::open(dir.path()).unwrap();
+        for (id, graph) in &maps {
+            assert_eq!(store.map(id).unwrap(), *graph);
+            let some: Vec<LaneId> = graph.lanes().iter().step_by(2).map(|lane| lane.id).collect();
+            assert_eq!(store.lanes(id, &some).unwrap(), graph.subset(&some));
+        }
+        let error = store.map(&MapId::from("WDC")).unwrap_err().to_string();
+        assert!(error.starts_with("map WDC is not among the maps of"), "{error}");
+        let error = store.lanes(&maps[0].0, &[LaneId(7)]).unwrap_err().to_string();
+        assert!(error.ends_with("holds no lane 7 of map PIT"), "{error}");
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(20))]
+        #[test]
+        fn what_is_read_is_what_was_written(first in 0..1_000_000u64) {
+            let (first_dir, second_dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+            let (scenes, maps) = scenes(first..first + 4);
+            write(first_dir.path(), &scenes, &maps);
+            let store = SceneStore::open(first_dir.path()).unwrap();
+            let read: Vec<Scene> = (0..store.len()).map(|i| store.scene(i).unwrap()).collect();
+            for (read, scene) in read.iter().zip(&scenes) {
+                prop_assert_eq!(&read.lanes, &scene.lanes);
+                prop_assert_eq!(read.world_from_scene, scene.world_from_scene);
+                for (track, original) in read.tracks.iter().zip(&scene.tracks) {
+                    prop_assert_eq!((&track.id, track.class, track.role), (&original.id, original.class, original.role));
+                    for (state, original) in track.trajectory.entries().iter().zip(original.trajectory.entries()) {
+                        prop_assert_eq!(state.is_some(), original.is_some());
+                        let (Some(state), Some(original)) = (state, original) else { continue };
+                        // In the recording's frame, to which single precision would give only decimetres.
+                        let world = |s: &crate::scene::State| scene.world_from_scene.point(s.position);
+                        prop_assert!(world(state).distance(world(original)) < 1e-4);
+                    }
+                }
+            }
+            write(second_dir.path(), &read, &maps);
+            prop_assert_eq!(folder_bytes(first_dir.path()), folder_bytes(second_dir.path()));
+        }
+    }
+
+    #[test]
+    fn an_empty_store_is_a_store() {
+        let dir = tempfile::tempdir().unwrap();
+        write(dir.path(), &[], &[]);
+        assert!(SceneStore::open(dir.path()).unwrap().is_empty());
+    }
+
+    #[test]
+    fn an_unfinished_store_says_what_to_do() {
+        let dir = tempfile::tempdir().unwrap();
+        let error = SceneStore::open(dir.path()).unwrap_err().to_string();
+        assert!(error.contains("has no manifest.json") && error.contains("run the same command again"), "{error}");
+    }
+
+    #[test]
+    fn another_version_is_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let (scenes, maps) = scenes(0..2);
+        write(dir.path(), &scenes, &maps);
+        let path = dir.path().join(MANIFEST_FILE);
+        let text = fs::read_to_string(&path).unwrap().replace("scene.v1", "scene.v0");
+        fs::write(&path, text).unwrap();
+        let error = SceneStore::open(dir.path()).unwrap_err().to_string();
+        assert!(error.contains("holds schema \"scene.v0\" but \"scene.v1\" is needed"), "{error}");
+    }
+
+    #[test]
+    fn damage_anywhere_is_an_error_that_names_the_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let (scenes, maps) = scenes(0..4);
+        write(dir.path(), &scenes, &maps);
+        for file in ["scenes-00000.arrow", "maps-00000.arrow"] {
+            let path = dir.path().join(file);
+            let whole = fs::read(&path).unwrap();
+            for at in (0..whole.len()).step_by(97) {
+                let mut damaged = whole.clone();
+                damaged[at] ^= 0x10;
+                for content in [&damaged[..], &whole[..at]] {
+                    fs::write(&path, content).unwrap();
+                    let error = SceneStore::open(dir.path()).unwrap_err();
+                    assert!(matches!(&error, Error::Corrupt { path, .. } if path.ends_with(file)), "{error}");
+                }
+            }
+            fs::write(&path, &whole).unwrap();
+        }
+        SceneStore::open(dir.path()).unwrap();
+        fs::remove_file(dir.path().join("scenes-00000.arrow")).unwrap();
+        assert!(SceneStore::open(dir.path()).unwrap_err().to_string().contains("scenes-00000.arrow"));
+    }
+
+    #[test]
+    fn equal_stores_have_equal_fingerprints() {
+        let dirs = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+        for (dir, seeds) in dirs.iter().zip([0..3, 0..3, 1..4]) {
+            let (scenes, maps) = scenes(seeds);
+            write(dir.path(), &scenes, &maps);
+        }
+        let fingerprints = dirs.map(|dir| SceneStore::open(dir.path()).unwrap().fingerprint().to_owned());
+        assert_eq!(fingerprints[0], fingerprints[1]);
+        assert_ne!(fingerprints[0], fingerprints[2]);
+    }
+}

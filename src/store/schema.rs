@@ -1,0 +1,262 @@
+//! The schemas of our tables: which columns does each have, in which unit and frame, and which version is it?
+
+use super::{Error, Result, tables};
+use arrow::datatypes::{DataType, Field, FieldRef, Fields, Schema, SchemaRef};
+use serde_json::{Value, json};
+use std::path::Path;
+use std::sync::Arc;
+
+/// The key in a file's metadata under which its schema is named, such as `scene.v1`.
+pub const SCHEMA_KEY: &str = "djinn.schema";
+
+/// Frame of coordinates near zero: origin at the ego's position at the present, x axis along its heading there.
+pub(crate) const SCENE_FRAME: &str = "scene";
+/// Frame of the recording or its map, as the dataset defines it.
+pub(crate) const WORLD_FRAME: &str = "world";
+/// Unit or frame of what has none.
+const NONE: &str = "none";
+
+/// Columns whose names depend on the data: one for each role or parameter that occurs.
+#[derive(Debug, Clone)]
+pub struct OpenColumns {
+    /// The form of the names, such as `<role>_track_id`.
+    pub pattern: &'static str,
+    /// Their type.
+    pub data_type: DataType,
+    /// What they hold.
+    pub description: &'static str,
+}
+
+/// The schema of one table.
+#[derive(Debug, Clone)]
+pub struct TableSchema {
+    /// Name of the table, such as `scene`.
+    pub name: &'static str,
+    /// Version; it changes whenever a column is added, removed or changes its meaning.
+    pub version: u32,
+    /// What one row is.
+    pub description: &'static str,
+    /// The columns.
+    pub fields: Vec<Field>,
+    /// Families of nullable columns after these.
+    pub open: Vec<OpenColumns>,
+}
+
+impl TableSchema {
+    /// Every table that we write, in the order of the pipeline.
+    pub fn all() -> Vec<Self> {
+        vec![
+            tables::scene::schema(),
+            tables::lane::schema(),
+            tables::event::schema(),
+            tables::sample::schema(),
+            tables::scenario::schema(),
+            tables::track::schema(),
+            tables::metric::schema(),
+        ]
+    }
+
+    /// Name and version, such as `scene.v1`.
+    pub fn id(&self) -> String {
+        format!("{}.v{}", self.name, self.version)
+    }
+
+    /// The Arrow schema without open columns.
+    pub fn arrow(&self) -> SchemaRef {
+        self.arrow_with(Vec::new())
+    }
+
+    /// The Arrow schema with these open columns at its end.
+    pub(crate) fn arrow_with(&self, open: Vec<Field>) -> SchemaRef {
+        let fields: Fields = self.fields.iter().cloned().chain(open).collect();
+        Arc::new(Schema::new_with_metadata(fields, [(SCHEMA_KEY, self.id())]))
+    }
+
+    /// Whether a column of this name is one of the fixed ones.
+    pub(crate) fn has(&self, name: &str) -> bool {
+        self.fields.iter().any(|field| field.name() == name)
+    }
+
+    /// Checks that `found`, read from `path`, is this schema in this version.
+    ///
+    /// # Errors
+    /// [`Error::SchemaVersion`] when the file names another schema or none, [`Error::Corrupt`] when it names this one
+    /// but has other columns.
+    pub(crate) fn check(&self, path: &Path, found: &Schema) -> Result<()> {
+        let found_id = found.metadata().get(SCHEMA_KEY).map_or("", |id| id.as_str());
+        if found_id != self.id() {
+            return Err(Error::SchemaVersion {
+                path: path.to_owned(),
+                expected: self.id(),
+                found: found_id.to_owned(),
+            });
+        }
+        for field in &self.fields {
+            let same_type =
+                |other: &FieldRef| other.name() == field.name() && other.data_type().equals_datatype(field.data_type());
+            if !found.fields().iter().any(same_type) {
+                return Err(Error::corrupt(path, format!("column {} is missing or has another type", field.name())));
+            }
+        }
+        Ok(())
+    }
+
+    /// The schema as it is published in `schemas/`.
+    pub fn json(&self) -> Value {
+        let open: Vec<Value> = self
+            .open
+            .iter()
+            .map(|columns| {
+                json!({
+                    "names": columns.pattern,
+                    "type": type_name(&columns.data_type),
+                    "nullable": true,
+                    "description": columns.description,
+                })
+            })
+            .collect();
+        json!({
+            "schema": self.id(),
+            "description": self.description,
+            "frames": {
+                SCENE_FRAME: "Metres; origin at the ego's position at timestep n_history - 1, x axis along its heading there.",
+                WORLD_FRAME: "Metres; the frame of the recording or its map, as the dataset defines it.",
+            },
+            "fields": self.fields.iter().map(field_json).collect::<Vec<_>>(),
+            "further_columns": open,
+        })
+    }
+}
+
+fn field_json(field: &Field) -> Value {
+    let metadata = |key: &str| field.metadata().get(key).map_or("", |value| value.as_str()).to_owned();
+    let mut value = json!({
+        "name": field.name(),
+        "type": type_name(field.data_type()),
+        "nullable": field.is_nullable(),
+        "unit": metadata("unit"),
+        "frame": metadata("frame"),
+        "description": metadata("description"),
+    });
+    let members = match field.data_type() {
+        DataType::Struct(members) => Some(members),
+        DataType::List(item) => match item.data_type() {
+            DataType::Struct(members) => Some(members),
+            _ => None,
+        },
+        _ => None,
+    };
+    if let Some(members) = members {
+        value["fields"] = members.iter().map(|member| field_json(member)).collect();
+    }
+    value
+}
+
+fn type_name(data_type: &DataType) -> String {
+    match data_type {
+        DataType::List(item) => format!("list<{}>", type_name(item.data_type())),
+        DataType::Struct(_) => "struct".to_owned(),
+        other => other.to_string().to_lowercase(),
+    }
+}
+
+/// A required column without unit or frame.
+pub(crate) fn column(name: &str, data_type: DataType, description: &str) -> Field {
+    let metadata = [("unit", NONE), ("frame", NONE), ("description", description)];
+    Field::new(name, data_type, false).with_metadata(metadata)
+}
+
+/// The type of a list without missing entries.
+pub(crate) fn list_of(data_type: DataType) -> DataType {
+    DataType::List(Arc::new(Field::new_list_field(data_type, false)))
+}
+
+/// The type of a list of structs.
+pub(crate) fn list_of_structs(fields: Vec<Field>) -> DataType {
+    list_of(DataType::Struct(fields.into()))
+}
+
+/// What can be said of a column beyond its type.
+pub(crate) trait ColumnExt {
+    /// Names its unit.
+    fn unit(self, unit: &str) -> Self;
+    /// Names its frame.
+    fn frame(self, frame: &str) -> Self;
+    /// Lets it hold nothing.
+    fn optional(self) -> Self;
+}
+
+impl ColumnExt for Field {
+    fn unit(self, unit: &str) -> Self {
+        with_entry(self, "unit", unit)
+    }
+
+    fn frame(self, frame: &str) -> Self {
+        with_entry(self, "frame", frame)
+    }
+
+    fn optional(self) -> Self {
+        self.with_nullable(true)
+    }
+}
+
+fn with_entry(field: Field, key: &str, value: &str) -> Field {
+    let metadata = field.metadata().clone();
+    let entries = metadata.iter().map(|(k, v)| (k.to_string(), v.to_string())).filter(|(k, _)| k != key);
+    let entries: Vec<_> = entries.chain([(key.to_owned(), value.to_owned())]).collect();
+    field.with_metadata(entries.into_iter().collect::<arrow::datatypes::Metadata>())
+}
+
+/// The unit that a parameter's name ends in.
+pub(crate) fn unit_of_name(name: &str) -> &'static str {
+    const SUFFIXES: [(&str, &str); 9] = [
+        ("_mps3", "m/s^3"),
+        ("_mps2", "m/s^2"),
+        ("_mps", "m/s"),
+        ("_radps", "rad/s"),
+        ("_rad", "rad"),
+        ("_deg", "deg"),
+        ("_per_m", "1/m"),
+        ("_m", "m"),
+        ("_s", "s"),
+    ];
+    SUFFIXES.iter().find(|(suffix, _)| name.ends_with(suffix)).map_or("1", |(_, unit)| unit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_field_of_every_table_says_what_it_is() {
+        fn check(table: &str, field: &Field) {
+            for key in ["unit", "frame", "description"] {
+                let value = field.metadata().get(key).map_or("", |value| value.as_str());
+                assert!(!value.is_empty(), "{table}.{} has no {key}", field.name());
+            }
+            let unit = field.metadata().get("unit").unwrap().to_string();
+            let by_name = unit_of_name(field.name());
+            assert!(by_name == "1" || by_name == unit, "{table}.{} is in {unit}", field.name());
+            match field.data_type() {
+                DataType::Struct(members) => members.iter().for_each(|member| check(table, member)),
+                DataType::List(item) => {
+                    if let DataType::Struct(members) = item.data_type() {
+                        members.iter().for_each(|member| check(table, member));
+                    }
+                }
+                _ => {}
+            }
+        }
+        for table in TableSchema::all() {
+            table.fields.iter().for_each(|field| check(table.name, field));
+        }
+    }
+
+    #[test]
+    fn units_follow_from_names() {
+        let cases = [("gap_m", "m"), ("speed_mps", "m/s"), ("decel_mps2", "m/s^2"), ("ttc_s", "s"), ("count", "1")];
+        for (name, unit) in cases {
+            assert_eq!(unit_of_name(name), unit);
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! The table of events: one row an event, with one column for each role and each parameter that occurs.
+
+use super::columns::{Columns, numbers, optional_texts, small, texts};
+use super::{parameters, roles};
+use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::scene::SceneId;
+use crate::store::schema::{ColumnExt, TableSchema, column};
+use crate::store::{Error, Result};
+use arrow::array::{ArrayRef, RecordBatch};
+use arrow::datatypes::{DataType, UInt32Type};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// `event.v1`.
+pub(crate) fn schema() -> TableSchema {
+    let fields = vec![
+        column("event_id", DataType::Utf8, "Unique within the table: scene, behavior and running number."),
+        column("behavior", DataType::Utf8, "Name of the behavior."),
+        column("label", DataType::Utf8, "positive: the behavior happens; negative: it only looks like it."),
+        column("scene_id", DataType::Utf8, "The scene it was found in: dataset/split/place/case."),
+        column("dataset", DataType::Utf8, "First part of the scene's name.").optional(),
+        column("split", DataType::Utf8, "Second part of the scene's name.").optional(),
+        column("place", DataType::Utf8, "Third part of the scene's name.").optional(),
+        column("start_timestep", DataType::UInt32, "First timestep of the event.").unit("1"),
+        column("end_timestep", DataType::UInt32, "Last timestep of the event.").unit("1"),
+        roles::field("roles", "Who took part, in the behavior's order of roles."),
+    ];
+    TableSchema {
+        name: "event",
+        version: 1,
+        description: "One row an event of a behavior in a scene.",
+        fields,
+        open: vec![roles::open_columns(), parameters::open_columns()],
+    }
+}
+
+/// The rows of these events.
+pub(crate) fn encode(events: &[BehaviorEvent]) -> Result<RecordBatch> {
+    let schema = schema();
+    let roles = || events.iter().map(|event| event.roles.as_slice());
+    let parameters = || events.iter().map(|event| &event.parameters);
+    let names = parameters::occurring(&schema, parameters())?;
+    let open = roles::flatten(roles()).into_iter().chain(parameters::flatten(&names, parameters().map(Some)));
+    let (open_fields, open_arrays): (Vec<_>, Vec<_>) = open.unzip();
+    let ids = event_ids(events);
+    let part = |i: usize| optional_texts(events.iter().map(move |event| scene_part(&event.scene_id, i)));
+    let mut arrays: Vec<ArrayRef> = vec![
+        texts(ids.iter().map(String::as_str)),
+        texts(events.iter().map(|event| event.behavior.as_str())),
+        texts(events.iter().map(|event| event.label.name())),
+        texts(events.iter().map(|event| event.scene_id.0.as_str())),
+        part(0),
+        part(1),
+        part(2),
+        timesteps(events, |event| event.start_timestep)?,
+        timesteps(events, |event| event.end_timestep)?,
+        roles::encode(roles())?,
+    ];
+    arrays.extend(open_arrays);
+    RecordBatch::try_new(schema.arrow_with(open_fields), arrays).map_err(|e| Error::invalid("events", e.to_string()))
+}
+
+/// The events in a batch.
+pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<BehaviorEvent>> {
+    let columns = Columns::of_batch(batch, path);
+    let parameters = parameters::names(&schema(), batch);
+    let event = |row: usize| {
+        Ok(BehaviorEvent {
+            behavior: columns.text("behavior", row)?.to_owned(),
+            scene_id: SceneId::from(columns.text("scene_id", row)?),
+            label: columns.named("label", row, label_from_name)?,
+            roles: roles::decode(&columns, "roles", row)?,
+            start_timestep: columns.number::<UInt32Type>("start_timestep", row)? as usize,
+            end_timestep: columns.number::<UInt32Type>("end_timestep", row)? as usize,
+            parameters: parameters::decode(&columns, &parameters, row)?,
+        })
+    };
+    (0..batch.num_rows()).map(event).collect()
+}
+
+/// The label of this name.
+pub(crate) fn label_from_name(name: &str) -> Option<EventLabel> {
+    [EventLabel::Positive, EventLabel::Negative].into_iter().find(|label| label.name() == name)
+}
+
+fn timesteps(events: &[BehaviorEvent], of: fn(&BehaviorEvent) -> usize) -> Result<ArrayRef> {
+    let values: Result<Vec<u32>> = events.iter().map(|event| small(&event.scene_id.0, "timestep", of(event))).collect();
+    Ok(numbers::<UInt32Type>(values?))
+}
+
+/// `<scene>#<behavior>#<running number within both>`: the same whatever else the table holds.
+fn event_ids(events: &[BehaviorEvent]) -> Vec<String> {
+    let mut counts: BTreeMap<(&SceneId, &str), usize> = BTreeMap::new();
+    let mut ids = Vec::with_capacity(events.len());
+    for BehaviorEvent { scene_id, behavior, .. } in events {
+        let count = counts.entry((scene_id, behavior)).or_default();
+        ids.push(format!("{scene_id}#{behavior}#{count}"));
+        *count += 1;
+    }
+    ids
+}
+
+/// Part `i` of a scene's name, when the name has all four.
+fn scene_part(id: &SceneId, i: usize) -> Option<&str> {
+    let parts: Vec<&str> = id.0.splitn(4, '/').collect();
+    (parts.len() == 4).then(|| parts[i])
+}

@@ -1,0 +1,16 @@
+//! One file a table: its columns, and how our types become rows and rows become our types.
+
+pub(crate) mod columns;
+pub(crate) mod event;
+mod event_list;
+pub(crate) mod lane;
+pub(crate) mod metric;
+mod parameters;
+mod provenance;
+mod roles;
+pub(crate) mod sample;
+pub(crate) mod scenario;
+pub(crate) mod scene;
+mod scene_header;
+pub(crate) mod scene_tracks;
+pub(crate) mod track;

@@ -1,0 +1,71 @@
+//! The parameters of events, which differ by behavior: one nullable column for each that occurs, so that
+//! `SELECT avg(gap_m) FROM events WHERE behavior = 'cut_in'` works.
+
+use super::columns::{Columns, optional_numbers};
+use crate::store::schema::{ColumnExt, OpenColumns, TableSchema, column, unit_of_name};
+use crate::store::{Error, Result};
+use arrow::array::{ArrayRef, RecordBatch};
+use arrow::datatypes::{DataType, Field, Float64Type};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Parameters as events hold them.
+pub(crate) type Parameters = BTreeMap<String, f64>;
+
+/// What the schema says of the columns of [`flatten`].
+pub(crate) fn open_columns() -> OpenColumns {
+    OpenColumns {
+        pattern: "<parameter>",
+        data_type: DataType::Float64,
+        description: "A parameter of the event, such as gap_m; its name ends in its unit; missing where the event has none of this name.",
+    }
+}
+
+/// The parameters that occur in these rows.
+///
+/// # Errors
+/// [`Error::Invalid`] when a parameter has the name of another column of the table.
+pub(crate) fn occurring<'p>(
+    table: &TableSchema,
+    rows: impl Iterator<Item = &'p Parameters>,
+) -> Result<BTreeSet<&'p str>> {
+    let names: BTreeSet<&str> = rows.flat_map(BTreeMap::keys).map(String::as_str).collect();
+    match names.iter().find(|name| table.has(name) || name.ends_with("_track_id")) {
+        Some(taken) => {
+            Err(Error::invalid(taken, format!("a parameter of this name cannot be a column of {}", table.id())))
+        }
+        None => Ok(names),
+    }
+}
+
+/// The columns of these parameters, in the order of `names`.
+pub(crate) fn flatten<'p>(
+    names: &BTreeSet<&str>,
+    rows: impl Iterator<Item = Option<&'p Parameters>> + Clone,
+) -> Vec<(Field, ArrayRef)> {
+    let columns = names.iter().map(|name| {
+        let field = column(name, DataType::Float64, "Parameter of the event; see its behavior.");
+        let values = rows.clone().map(|parameters| parameters.and_then(|p| p.get(*name)).copied());
+        (field.unit(unit_of_name(name)).optional(), optional_numbers::<Float64Type>(values))
+    });
+    columns.collect()
+}
+
+/// The names of the parameter columns of a batch.
+pub(crate) fn names<'b>(table: &TableSchema, batch: &'b RecordBatch) -> Vec<&'b str> {
+    let fields = batch.schema_ref().fields().iter();
+    fields
+        .filter(|field| !table.has(field.name()) && *field.data_type() == DataType::Float64)
+        .map(|field| field.name().as_str())
+        .collect()
+}
+
+/// The parameters in a row.
+pub(crate) fn decode(columns: &Columns<'_>, names: &[&str], row: usize) -> Result<Parameters> {
+    let mut parameters = Parameters::new();
+    for name in names {
+        if let Some(value) = columns.optional_number::<Float64Type>(name, row)? {
+            parameters.insert((*name).to_owned(), value);
+        }
+    }
+    Ok(parameters)
+}

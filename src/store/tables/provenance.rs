@@ -1,0 +1,93 @@
+//! The columns that say what a scenario is, what it came from and what was found in it; sample shards and scenario tables
+//! share them.
+
+use super::columns::{Columns, flags, numbers, optional_texts, small, texts};
+use super::{event_list, roles};
+use crate::scene::{GuidanceTag, Provenance, Scenario, Scene};
+use crate::store::schema::{ColumnExt, column};
+use crate::store::{Result, ScenarioRecord};
+use arrow::array::ArrayRef;
+use arrow::datatypes::{DataType, Field, Float64Type, UInt32Type, UInt64Type};
+
+/// The columns, in order.
+pub(crate) fn fields() -> Vec<Field> {
+    vec![
+        column("scenario_id", DataType::Utf8, "The scenario; unique within a corpus."),
+        column("sweep", DataType::Utf8, "The sweep of the configuration that asked for it."),
+        column(
+            "requested_behavior",
+            DataType::Utf8,
+            "The behavior that was asked for; missing for unconditional sampling.",
+        )
+        .optional(),
+        column("verified", DataType::Boolean, "Whether the miner found the requested behavior in it."),
+        column(
+            "recorded_event",
+            DataType::Boolean,
+            "Whether the recording held the requested behavior for these roles already.",
+        ),
+        column("guidance_kind", DataType::Utf8, "The guidance it was sampled with, such as none or classifier:cut_in."),
+        column("guidance_strength", DataType::Float64, "Strength of the guidance; 0 without.").unit("1"),
+        roles::field("guidance_roles", "The tracks that the guidance acted on; empty without guidance."),
+        column("seed", DataType::UInt64, "Seed of the run."),
+        column("sample_idx", DataType::UInt32, "Which sample of its scene and guidance it is."),
+        column("sampler", DataType::Utf8, "Sampler and number of steps, such as heun-50."),
+        column("checkpoint", DataType::Utf8, "Fingerprint of the denoiser checkpoint."),
+        column("classifier", DataType::Utf8, "Fingerprint of the classifier checkpoint; missing where none was used.")
+            .optional(),
+        event_list::field(),
+    ]
+}
+
+/// The arrays of these records, in the order of [`fields`].
+pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
+    let provenance = || records.iter().map(|record| &record.scenario.provenance);
+    let sample_idx: Result<Vec<u32>> = records
+        .iter()
+        .map(|record| small(&record.scenario.id, "sample index", record.scenario.provenance.sample_idx))
+        .collect();
+    let events: Vec<_> = records.iter().map(|record| record.events.as_slice()).collect();
+    Ok(vec![
+        texts(records.iter().map(|record| record.scenario.id.as_str())),
+        texts(records.iter().map(|record| record.sweep.as_str())),
+        optional_texts(records.iter().map(|record| record.requested_behavior.as_deref())),
+        flags(records.iter().map(|record| record.verified)),
+        flags(records.iter().map(|record| record.recorded_event)),
+        texts(provenance().map(|p| p.guidance.kind.as_str())),
+        numbers::<Float64Type>(provenance().map(|p| p.guidance.strength)),
+        roles::encode(provenance().map(|p| p.guidance.roles.as_slice()))?,
+        numbers::<UInt64Type>(provenance().map(|p| p.seed)),
+        numbers::<UInt32Type>(sample_idx?),
+        texts(provenance().map(|p| p.sampler.as_str())),
+        texts(provenance().map(|p| p.checkpoint.as_str())),
+        optional_texts(provenance().map(|p| p.classifier.as_deref())),
+        event_list::encode(&events)?,
+    ])
+}
+
+/// The record in a row, with its scene, which bears the name of the recording.
+pub(crate) fn decode(columns: &Columns<'_>, row: usize, scene: Scene) -> Result<ScenarioRecord> {
+    let text = |name: &str| columns.text(name, row).map(str::to_owned);
+    let optional_text = |name: &str| columns.optional_text(name, row).map(|text| text.map(str::to_owned));
+    let provenance = Provenance {
+        scene_id: scene.id.clone(),
+        checkpoint: text("checkpoint")?,
+        classifier: optional_text("classifier")?,
+        seed: columns.number::<UInt64Type>("seed", row)?,
+        sample_idx: columns.number::<UInt32Type>("sample_idx", row)? as usize,
+        guidance: GuidanceTag {
+            kind: text("guidance_kind")?,
+            strength: columns.number::<Float64Type>("guidance_strength", row)?,
+            roles: roles::decode(columns, "guidance_roles", row)?,
+        },
+        sampler: text("sampler")?,
+    };
+    Ok(ScenarioRecord {
+        sweep: text("sweep")?,
+        requested_behavior: optional_text("requested_behavior")?,
+        verified: columns.flag("verified", row)?,
+        recorded_event: columns.flag("recorded_event", row)?,
+        events: event_list::decode(columns, row, &scene.id)?,
+        scenario: Scenario { id: text("scenario_id")?, scene, provenance },
+    })
+}

@@ -1,0 +1,60 @@
+//! Who took part in what: lists of roles and tracks, and the extra columns that make them easy to query.
+
+use super::columns::{Columns, entries, lists, optional_texts, structs, texts};
+use crate::scene::TrackId;
+use crate::store::Result;
+use crate::store::schema::{ColumnExt, OpenColumns, column, list_of_structs};
+use arrow::array::ArrayRef;
+use arrow::datatypes::{DataType, Field};
+use std::collections::BTreeSet;
+
+/// Roles as events and guidance hold them.
+pub(crate) type Roles = [(String, TrackId)];
+
+/// A column that lists who has which role.
+pub(crate) fn field(name: &str, description: &str) -> Field {
+    let members = vec![
+        column("role", DataType::Utf8, "Name of the role."),
+        column("track_id", DataType::Utf8, "The track in it."),
+    ];
+    column(name, list_of_structs(members), description)
+}
+
+/// The array of a roles column.
+pub(crate) fn encode<'r>(rows: impl Iterator<Item = &'r Roles> + Clone) -> Result<ArrayRef> {
+    let all = || rows.clone().flatten();
+    let arrays = vec![texts(all().map(|(role, _)| role.as_str())), texts(all().map(|(_, track)| track.0.as_str()))];
+    let values = structs("roles", field("roles", "").data_type(), arrays)?;
+    Ok(lists(rows.map(<[_]>::len), values))
+}
+
+/// The roles in a row.
+pub(crate) fn decode(columns: &Columns<'_>, name: &str, row: usize) -> Result<Vec<(String, TrackId)>> {
+    let (list, roles) = columns.of_list(name)?;
+    entries(list, row)
+        .map(|i| Ok((roles.text("role", i)?.to_owned(), TrackId::from(roles.text("track_id", i)?))))
+        .collect()
+}
+
+/// What the schema says of the columns of [`flatten`].
+pub(crate) fn open_columns() -> OpenColumns {
+    OpenColumns {
+        pattern: "<role>_track_id",
+        data_type: DataType::Utf8,
+        description: "The track in this role, such as ego_track_id; missing where the row has no such role.",
+    }
+}
+
+/// One column for each role that occurs, sorted by name.
+pub(crate) fn flatten<'r>(rows: impl Iterator<Item = &'r Roles> + Clone) -> Vec<(Field, ArrayRef)> {
+    let names: BTreeSet<&str> = rows.clone().flatten().map(|(role, _)| role.as_str()).collect();
+    names
+        .into_iter()
+        .map(|name| {
+            let field = column(&format!("{name}_track_id"), DataType::Utf8, "The track in this role.").optional();
+            let tracks =
+                rows.clone().map(|roles| roles.iter().find(|(role, _)| role == name).map(|(_, t)| t.0.as_str()));
+            (field, optional_texts(tracks))
+        })
+        .collect()
+}

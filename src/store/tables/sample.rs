@@ -1,0 +1,89 @@
+//! The table of a sample shard: one row a generated scenario, with everything needed to read it back.
+
+use super::columns::Columns;
+use super::{provenance, scene_header, scene_tracks};
+use crate::geometry::Transform2;
+use crate::scene::{LaneGraph, LaneId, MapId, Scene};
+use crate::store::schema::TableSchema;
+use crate::store::{Error, MapSource, Result, ScenarioRecord, as_stored};
+use arrow::array::RecordBatch;
+use std::path::Path;
+use std::sync::Arc;
+
+/// `sample.v1`.
+pub(crate) fn schema() -> TableSchema {
+    let mut fields = provenance::fields();
+    fields.extend(scene_header::fields());
+    fields.push(scene_tracks::field());
+    TableSchema {
+        name: "sample",
+        version: 1,
+        description: "One row a generated scenario, with its tracks nested; the form between generation and the corpus.",
+        fields,
+        open: Vec::new(),
+    }
+}
+
+/// The rows of these records.
+pub(crate) fn encode(records: &[ScenarioRecord]) -> Result<RecordBatch> {
+    records.iter().try_for_each(check)?;
+    let scenes: Vec<&Scene> = records.iter().map(|record| &record.scenario.scene).collect();
+    let mut arrays = provenance::encode(&records.iter().collect::<Vec<_>>())?;
+    arrays.extend(scene_header::encode(&scenes)?);
+    arrays.push(scene_tracks::encode(&scenes)?);
+    RecordBatch::try_new(schema().arrow(), arrays).map_err(|error| Error::invalid("samples", error.to_string()))
+}
+
+/// Whether the record will be read back as it is.
+pub(crate) fn check(record: &ScenarioRecord) -> Result<()> {
+    let scenario = &record.scenario;
+    let refuse = |detail: &str| Err(Error::invalid(&scenario.id, detail));
+    if scenario.scene.id != scenario.provenance.scene_id {
+        return refuse("its scene must bear the name of the recording that its provenance names");
+    }
+    if record.events.iter().any(|event| event.scene_id != scenario.scene.id) {
+        return refuse("its events must bear the name of its scene");
+    }
+    if as_stored(&scenario.scene).tracks != scenario.scene.tracks {
+        return refuse(
+            "its states are finer than the store keeps: pass the scene through as_stored before verifying it",
+        );
+    }
+    Ok(())
+}
+
+/// The records in a batch. Neighbouring samples of a scene share their lanes.
+pub(crate) fn decode(batch: &RecordBatch, path: &Path, maps: &dyn MapSource) -> Result<Vec<ScenarioRecord>> {
+    let columns = Columns::of_batch(batch, path);
+    let mut lanes = LaneCache::default();
+    let record = |row: usize| {
+        let header = scene_header::decode(&columns, row)?;
+        let tracks = scene_tracks::decode(&columns, row, header.scene.n_timesteps)?;
+        let lanes = lanes.of(&header, maps, path)?;
+        provenance::decode(&columns, row, header.complete(path, tracks, lanes)?)
+    };
+    (0..batch.num_rows()).map(record).collect()
+}
+
+/// The lanes of the last scene: samples of one scene follow each other.
+#[derive(Default)]
+struct LaneCache {
+    last: Option<(LaneKey, Arc<LaneGraph>)>,
+}
+
+/// What determines the lanes of a scene.
+type LaneKey = (Option<MapId>, Vec<LaneId>, Transform2);
+
+impl LaneCache {
+    fn of(&mut self, header: &scene_header::SceneHeader, maps: &dyn MapSource, path: &Path) -> Result<Arc<LaneGraph>> {
+        let key = (header.scene.map_id.clone(), header.lane_ids.clone(), header.scene.world_from_scene);
+        if let Some((last, lanes)) = &self.last
+            && *last == key
+        {
+            return Ok(Arc::clone(lanes));
+        }
+        let lanes = Arc::new(header.lanes(maps, path)?);
+        self.last = Some((key, Arc::clone(&lanes)));
+        Ok(lanes)
+    }
+}

@@ -1,0 +1,102 @@
+//! The corpus table of scenarios: one row a generated scenario; its states are in the track table.
+
+use super::columns::{Columns, numbers, optional_numbers, small};
+use super::parameters::{self, Parameters};
+use super::{provenance, scene_header};
+use crate::behavior::BehaviorEvent;
+use crate::scene::{Scene, Track};
+use crate::store::schema::{ColumnExt, TableSchema, column};
+use crate::store::{Error, MapSource, Result, ScenarioRecord};
+use arrow::array::{ArrayRef, RecordBatch};
+use arrow::datatypes::{DataType, Field, UInt32Type, UInt64Type};
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::Arc;
+
+/// `scenario.v1`.
+pub(crate) fn schema() -> TableSchema {
+    let mut fields = provenance::fields();
+    fields.extend(scene_header::fields());
+    fields.extend([
+        column("n_agents", DataType::UInt32, "Number of tracks with at least one state.").unit("1"),
+        column("n_states", DataType::UInt64, "Number of its rows in the track table, which are in the same order.")
+            .unit("1"),
+        column("event_start_timestep", DataType::UInt32, "First timestep of the first requested event.")
+            .unit("1")
+            .optional(),
+        column("event_end_timestep", DataType::UInt32, "Last timestep of the first requested event.")
+            .unit("1")
+            .optional(),
+    ]);
+    TableSchema {
+        name: "scenario",
+        version: 1,
+        description: "One row a generated scenario; parameters are those of the first requested event found in it.",
+        fields,
+        open: vec![parameters::open_columns()],
+    }
+}
+
+/// Rows without the columns of parameters, which are known only once all rows are.
+pub(crate) struct ScenarioRows {
+    arrays: Vec<ArrayRef>,
+    parameters: Vec<Option<Parameters>>,
+}
+
+impl ScenarioRows {
+    /// The rows of these records.
+    pub(crate) fn new(records: &[ScenarioRecord]) -> Result<Self> {
+        let scenes: Vec<&Scene> = records.iter().map(|record| &record.scenario.scene).collect();
+        let events: Vec<Option<&BehaviorEvent>> = records.iter().map(ScenarioRecord::main_event).collect();
+        let (mut n_agents, mut starts, mut ends) = (Vec::new(), Vec::new(), Vec::new());
+        for (record, event) in records.iter().zip(&events) {
+            let id = &record.scenario.id;
+            let present = record.scenario.scene.tracks.iter().filter(|track| track.trajectory.n_valid() > 0);
+            n_agents.push(small(id, "number of agents", present.count())?);
+            starts.push(event.map(|event| small(id, "timestep", event.start_timestep)).transpose()?);
+            ends.push(event.map(|event| small(id, "timestep", event.end_timestep)).transpose()?);
+        }
+        let n_states = |scene: &&Scene| scene.tracks.iter().map(|track| track.trajectory.n_valid() as u64).sum();
+        let mut arrays = provenance::encode(&records.iter().collect::<Vec<_>>())?;
+        arrays.extend(scene_header::encode(&scenes)?);
+        arrays.extend([
+            numbers::<UInt32Type>(n_agents),
+            numbers::<UInt64Type>(scenes.iter().map(n_states)),
+            optional_numbers::<UInt32Type>(starts),
+            optional_numbers::<UInt32Type>(ends),
+        ]);
+        Ok(Self { arrays, parameters: events.iter().map(|event| event.map(|e| e.parameters.clone())).collect() })
+    }
+
+    /// The parameters that occur in these rows.
+    pub(crate) fn parameters(&self) -> Result<BTreeSet<&str>> {
+        parameters::occurring(&schema(), self.parameters.iter().flatten())
+    }
+
+    /// The schema of a table with these parameters.
+    pub(crate) fn schema_with(names: &BTreeSet<&str>) -> arrow::datatypes::SchemaRef {
+        let fields: Vec<Field> = parameters::flatten(names, std::iter::empty()).into_iter().map(|(f, _)| f).collect();
+        schema().arrow_with(fields)
+    }
+
+    /// The rows with the columns of these parameters.
+    pub(crate) fn into_batch(mut self, names: &BTreeSet<&str>) -> Result<RecordBatch> {
+        let columns = parameters::flatten(names, self.parameters.iter().map(Option::as_ref));
+        self.arrays.extend(columns.into_iter().map(|(_, array)| array));
+        RecordBatch::try_new(Self::schema_with(names), self.arrays)
+            .map_err(|error| Error::invalid("scenarios", error.to_string()))
+    }
+}
+
+/// The record in a row, given its tracks.
+pub(crate) fn decode(
+    columns: &Columns<'_>,
+    row: usize,
+    tracks: Vec<Track>,
+    maps: &dyn MapSource,
+) -> Result<ScenarioRecord> {
+    let path: &Path = columns.path;
+    let header = scene_header::decode(columns, row)?;
+    let lanes = Arc::new(header.lanes(maps, path)?);
+    provenance::decode(columns, row, header.complete(path, tracks, lanes)?)
+}

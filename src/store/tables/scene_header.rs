@@ -1,0 +1,168 @@
+//! The columns of a scene apart from its tracks; scenes, sample shards and scenario tables share them.
+
+use super::columns::{Columns, number_lists, numbers, optional_texts, small, structs, texts};
+use crate::geometry::{Transform2, Vec2};
+use crate::scene::{Dataset, LaneGraph, LaneId, MapId, Scene, SceneId, SceneSource, Split, Track, TrackId};
+use crate::store::schema::{ColumnExt, WORLD_FRAME, column, list_of};
+use crate::store::{Error, MapSource, Result};
+use arrow::array::ArrayRef;
+use arrow::datatypes::{DataType, Field, Float64Type, Int64Type, UInt32Type};
+use std::path::Path;
+use std::sync::Arc;
+
+/// The columns, in order.
+pub(crate) fn fields() -> Vec<Field> {
+    vec![
+        column("scene_id", DataType::Utf8, "The recorded scene: dataset/split/place/case."),
+        column("dataset", DataType::Utf8, "Dataset of the recording."),
+        column("version", DataType::Utf8, "Version or layout of the dataset; empty where there is only one."),
+        column("split", DataType::Utf8, "Split of the dataset: train, val, test or unsplit."),
+        column("place", DataType::Utf8, "City or location, as the dataset names it."),
+        column("file", DataType::Utf8, "Recording file within its folder or archive."),
+        column("case_id", DataType::Utf8, "Case, sequence or scenario id within the file, as written."),
+        column("first_frame", DataType::Utf8, "First frame or timestamp of the scene, as written."),
+        column("dt_s", DataType::Float64, "Time between timesteps.").unit("s"),
+        column("n_timesteps", DataType::UInt32, "Number of timesteps, history and future.").unit("1"),
+        column("n_history", DataType::UInt32, "Number of observed timesteps; the present is n_history - 1.").unit("1"),
+        column(
+            "world_from_scene",
+            DataType::Struct(transform_fields().into()),
+            "Takes scene coordinates to the recording: rotate, then translate.",
+        )
+        .frame(WORLD_FRAME),
+        column("ego_track_id", DataType::Utf8, "Track of the ego, which defines the scene frame."),
+        column("map_id", DataType::Utf8, "Map of the lanes; missing where the dataset was ingested without maps.")
+            .optional(),
+        column(
+            "lane_ids",
+            list_of(DataType::Int64),
+            "Lanes near the scene, ascending; their rows are in the lane table.",
+        ),
+    ]
+}
+
+fn transform_fields() -> Vec<Field> {
+    vec![
+        column("x_m", DataType::Float64, "Origin of the scene frame.").unit("m").frame(WORLD_FRAME),
+        column("y_m", DataType::Float64, "Origin of the scene frame.").unit("m").frame(WORLD_FRAME),
+        column("rotation_rad", DataType::Float64, "Direction of the scene's x axis.").unit("rad").frame(WORLD_FRAME),
+    ]
+}
+
+/// The arrays of these scenes, in the order of [`fields`].
+pub(crate) fn encode(scenes: &[&Scene]) -> Result<Vec<ArrayRef>> {
+    let (mut n_timesteps, mut n_history) = (Vec::new(), Vec::new());
+    for scene in scenes {
+        n_timesteps.push(small(&scene.id.0, "number of timesteps", scene.n_timesteps)?);
+        n_history.push(small(&scene.id.0, "number of observed timesteps", scene.n_history)?);
+        check(scene)?;
+    }
+    let world_from_scene = |number: fn(&Transform2) -> f64| {
+        numbers::<Float64Type>(scenes.iter().map(|scene| number(&scene.world_from_scene)))
+    };
+    let transform = structs(
+        "scene",
+        &DataType::Struct(transform_fields().into()),
+        vec![
+            world_from_scene(|t| t.translation.x),
+            world_from_scene(|t| t.translation.y),
+            world_from_scene(|t| t.rotation_rad),
+        ],
+    )?;
+    let source = |text: fn(&SceneSource) -> &str| texts(scenes.iter().map(|scene| text(&scene.source)));
+    Ok(vec![
+        texts(scenes.iter().map(|scene| scene.id.0.as_str())),
+        source(|s| s.dataset.name()),
+        source(|s| &s.version),
+        source(|s| s.split.name()),
+        source(|s| &s.place),
+        source(|s| &s.file),
+        source(|s| &s.case_id),
+        source(|s| &s.first_frame),
+        numbers::<Float64Type>(scenes.iter().map(|scene| scene.dt_s)),
+        numbers::<UInt32Type>(n_timesteps),
+        numbers::<UInt32Type>(n_history),
+        transform,
+        texts(scenes.iter().map(|scene| scene.ego().id.0.as_str())),
+        optional_texts(scenes.iter().map(|scene| scene.map_id.as_ref().map(|id| id.0.as_str()))),
+        number_lists::<Int64Type, _>(scenes.iter().map(|scene| scene.lanes.lanes().iter().map(|lane| lane.id.0))),
+    ])
+}
+
+/// What a header cannot hold.
+fn check(scene: &Scene) -> Result<()> {
+    let refuse = |detail: &str| Err(Error::invalid(&scene.id, detail));
+    if scene.ego_idx >= scene.tracks.len() {
+        return refuse("its ego is not among its tracks");
+    }
+    if scene.map_id.is_none() && !scene.lanes.is_empty() {
+        return refuse("it has lanes but names no map");
+    }
+    let t = &scene.world_from_scene;
+    if !(scene.dt_s.is_finite() && t.translation.is_finite() && t.rotation_rad.is_finite()) {
+        return refuse("its timing or frame is not finite");
+    }
+    Ok(())
+}
+
+/// A scene without tracks and lanes, and what is needed to find them.
+pub(crate) struct SceneHeader {
+    /// Everything but tracks, ego and lanes.
+    pub(crate) scene: Scene,
+    /// The ego, to be found among the tracks.
+    pub(crate) ego_track_id: TrackId,
+    /// The lanes, to be found in the map.
+    pub(crate) lane_ids: Vec<LaneId>,
+}
+
+/// The header in a row.
+pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<SceneHeader> {
+    let text = |name: &str| columns.text(name, row).map(str::to_owned);
+    let transform = columns.of_struct_column("world_from_scene")?;
+    let coordinate = |name: &str| transform.number::<Float64Type>(name, row);
+    let scene = Scene {
+        id: SceneId(text("scene_id")?),
+        source: SceneSource {
+            dataset: columns.named("dataset", row, Dataset::from_name)?,
+            version: text("version")?,
+            split: columns.named("split", row, Split::from_name)?,
+            place: text("place")?,
+            file: text("file")?,
+            case_id: text("case_id")?,
+            first_frame: text("first_frame")?,
+        },
+        dt_s: columns.number::<Float64Type>("dt_s", row)?,
+        n_timesteps: columns.number::<UInt32Type>("n_timesteps", row)? as usize,
+        n_history: columns.number::<UInt32Type>("n_history", row)? as usize,
+        world_from_scene: Transform2 {
+            translation: Vec2::new(coordinate("x_m")?, coordinate("y_m")?),
+            rotation_rad: coordinate("rotation_rad")?,
+        },
+        ego_idx: 0,
+        tracks: Vec::new(),
+        map_id: columns.optional_text("map_id", row)?.map(MapId::from),
+        lanes: Arc::default(),
+    };
+    let lane_ids = columns.numbers::<Int64Type>("lane_ids", row)?.iter().copied().map(LaneId).collect();
+    Ok(SceneHeader { scene, ego_track_id: TrackId(text("ego_track_id")?), lane_ids })
+}
+
+impl SceneHeader {
+    /// The lanes of the scene, in the scene frame.
+    pub(crate) fn lanes(&self, maps: &dyn MapSource, path: &Path) -> Result<LaneGraph> {
+        if self.lane_ids.is_empty() {
+            return Ok(LaneGraph::default());
+        }
+        let map_id = self.scene.map_id.as_ref().ok_or_else(|| Error::corrupt(path, "a scene has lanes but no map"))?;
+        let lanes = maps.lanes(map_id, &self.lane_ids)?;
+        Ok(lanes.transformed(&self.scene.world_from_scene.inverse()))
+    }
+
+    /// The scene with its tracks and lanes, both in the scene frame.
+    pub(crate) fn complete(self, path: &Path, tracks: Vec<Track>, lanes: Arc<LaneGraph>) -> Result<Scene> {
+        let ego_idx = tracks.iter().position(|track| track.id == self.ego_track_id).ok_or_else(|| {
+            Error::corrupt(path, format!("the ego {} of {} is not among its tracks", self.ego_track_id, self.scene.id))
+        })?;
+        Ok(Scene { ego_idx, tracks, lanes, ..self.scene })
+    }
+}

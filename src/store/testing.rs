@@ -1,0 +1,139 @@
+//! Scenes, maps and scenarios for the tests of this layer: arbitrary, but the same for the same seed.
+
+use super::{ScenarioRecord, as_stored};
+use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::geometry::{Polyline, Transform2, Vec2};
+use crate::scene::{
+    AgentClass, Dataset, Extent, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, MapId, Provenance, Scenario,
+    Scene, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole, Trajectory, TurnDirection,
+};
+use crate::seed::{Seed, SeededRng};
+use std::sync::Arc;
+
+/// A map of `n_lanes` lanes whose coordinates are as large as city frames have them.
+pub(crate) fn map(seed: u64, n_lanes: i64) -> LaneGraph {
+    let mut rng = Seed(seed).derive_named("test", "map").rng();
+    let mut line = |n_points: usize| {
+        let start = Vec2::new(2000.0 + 100.0 * rng.normal(), -1500.0 + 100.0 * rng.normal());
+        Polyline((0..n_points).map(|i| start + Vec2::new(i as f64 * 1.7, rng.normal())).collect())
+    };
+    let lanes = (0..n_lanes).map(|i| Lane {
+        id: LaneId(10 * i - 20),
+        centerline: line(5 + i as usize % 3),
+        left: if i % 4 == 0 { Polyline::default() } else { line(4) },
+        right: if i % 4 == 0 { Polyline::default() } else { line(6) },
+        successors: vec![LaneId(10 * i - 10)],
+        predecessors: vec![LaneId(10 * i - 30)],
+        left_neighbor: (i % 2 == 0).then_some(LaneId(10 * i)),
+        right_neighbor: None,
+        attributes: LaneAttributes {
+            kind: "road".to_owned(),
+            turn: if i % 3 == 0 { TurnDirection::Left } else { TurnDirection::None },
+            is_intersection: i % 2 == 1,
+            has_traffic_control: false,
+            one_way: true,
+            tags: [("speed_limit".to_owned(), format!("{i} km/h"))].into_iter().take(i as usize % 2).collect(),
+        },
+    });
+    LaneGraph::new(lanes.collect())
+}
+
+/// A scene on the first lanes of `map`; without one where there is no map.
+pub(crate) fn scene(seed: u64, map: Option<(&MapId, &LaneGraph)>) -> Scene {
+    let mut rng = Seed(seed).derive_named("test", "scene").rng();
+    let (n_timesteps, n_history) = (12 + rng.below(4), 5);
+    let tracks: Vec<Track> = (0..2 + rng.below(5)).map(|i| track(&mut rng, i, n_timesteps)).collect();
+    let world_from_scene = Transform2::from_pose(Vec2::new(1987.654_321, -1432.1), 3.0 * rng.uniform());
+    let lanes = map.map_or_else(LaneGraph::default, |(_, graph)| {
+        let near: Vec<LaneId> = graph.lanes().iter().take(4 + rng.below(3)).map(|lane| lane.id).collect();
+        graph.subset(&near).transformed(&world_from_scene.inverse())
+    });
+    Scene {
+        id: SceneId(format!("argoverse1/train/PIT/{seed}")),
+        source: SceneSource {
+            dataset: Dataset::Argoverse1,
+            version: String::new(),
+            split: Split::Train,
+            place: "PIT".to_owned(),
+            file: format!("train/data/{seed}.csv"),
+            case_id: seed.to_string(),
+            first_frame: "315969629.2".to_owned(),
+        },
+        dt_s: 0.1,
+        n_timesteps,
+        n_history,
+        world_from_scene,
+        ego_idx: 1,
+        tracks,
+        map_id: map.map(|(id, _)| id.clone()),
+        lanes: Arc::new(lanes),
+    }
+}
+
+fn track(rng: &mut SeededRng, i: usize, n_timesteps: usize) -> Track {
+    let start = Vec2::new(60.0 * rng.normal(), 60.0 * rng.normal());
+    let velocity = Vec2::new(8.0 * rng.normal(), 2.0 * rng.normal());
+    let enters = rng.below(4);
+    let state = |timestep: usize| State {
+        position: start + velocity * (0.1 * timestep as f64),
+        heading_rad: velocity.angle(),
+        velocity,
+    };
+    Track {
+        id: TrackId(format!("track-{i}")),
+        class: AgentClass::ALL[i % AgentClass::ALL.len()],
+        role: TrackRole::ALL[i % TrackRole::ALL.len()],
+        extent: (i % 2 == 0).then_some(Extent { length_m: 4.31 + i as f64, width_m: 1.83 }),
+        trajectory: Trajectory::new((0..n_timesteps).map(|t| (t >= enters && t != 7).then(|| state(t))).collect()),
+    }
+}
+
+/// An event between the first two tracks of a scene.
+pub(crate) fn event(scene_id: &SceneId, behavior: &str, parameters: &[(&str, f64)]) -> BehaviorEvent {
+    BehaviorEvent {
+        behavior: behavior.to_owned(),
+        scene_id: scene_id.clone(),
+        label: EventLabel::Positive,
+        roles: vec![("other".to_owned(), TrackId::from("track-1")), ("ego".to_owned(), TrackId::from("track-0"))],
+        start_timestep: 3,
+        end_timestep: 8,
+        parameters: parameters.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect(),
+    }
+}
+
+/// A generated scenario from `scene`.
+pub(crate) fn record(scene: &Scene, sample_idx: usize) -> ScenarioRecord {
+    let verified = sample_idx % 2 == 1;
+    let events =
+        if verified { vec![event(&scene.id, "cut_in", &[("gap_m", 5.0 + sample_idx as f64)])] } else { vec![] };
+    ScenarioRecord {
+        scenario: Scenario {
+            id: format!("{}#{sample_idx}", scene.id),
+            scene: as_stored(scene),
+            provenance: Provenance {
+                scene_id: scene.id.clone(),
+                checkpoint: "c0ffee".to_owned(),
+                classifier: verified.then(|| "beef".to_owned()),
+                seed: u64::MAX,
+                sample_idx,
+                guidance: GuidanceTag {
+                    kind: "classifier:cut_in".to_owned(),
+                    strength: 2.0,
+                    roles: vec![("ego".to_owned(), TrackId::from("track-0"))],
+                },
+                sampler: "heun-20".to_owned(),
+            },
+        },
+        sweep: "guided".to_owned(),
+        requested_behavior: Some("cut_in".to_owned()),
+        verified,
+        events,
+        recorded_event: false,
+    }
+}
+
+/// The names and contents of all files of a folder.
+pub(crate) fn folder_bytes(dir: &std::path::Path) -> std::collections::BTreeMap<String, Vec<u8>> {
+    let entries = fs_err::read_dir(dir).unwrap().map(|entry| entry.unwrap());
+    entries.map(|e| (e.file_name().to_string_lossy().into_owned(), fs_err::read(e.path()).unwrap())).collect()
+}

@@ -1,0 +1,136 @@
+//! Training-set constants that bring what is diffused to a standard deviation of σ_data = 0.5.
+
+use super::reference::Reference;
+use crate::geometry::{angle_difference, unwrap_angles};
+use crate::scene::{ObservationMask, Scene};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// σ_data: the standard deviation of every diffused feature (paper, Appendix A).
+const SIGMA_DATA: f64 = 0.5;
+
+/// What is diffused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum StateParametrization {
+    /// The paper's: positions and headings in the ego frame.
+    Scene,
+    /// Each agent's residual to a kinematic reference that follows from the observed states, in the agent's own
+    /// frame: an invertible change of variables, which a network learns about five times closer in the same time.
+    #[default]
+    Residual,
+}
+
+/// Scales from normalized units to metres and radians. Constants of the training set, so that nothing of a
+/// scene's future leaks into its scaling, and any scene can be mapped back.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Normalizer {
+    /// What is diffused.
+    pub parametrization: StateParametrization,
+    /// Dimensions of a diffused state: 3 (x, y, heading), or 2 where headings are not recorded.
+    pub state_dim: usize,
+    /// Metres per unit of position in the ego frame, one for both axes; also scales the map.
+    pub position_unit_m: f64,
+    /// Radians per unit of heading in the ego frame.
+    pub heading_unit_rad: f64,
+    /// Metres per unit of residual along the agent's heading.
+    pub longitudinal_unit_m: f64,
+    /// Metres per unit of residual across the agent's heading.
+    pub lateral_unit_m: f64,
+    /// Radians per unit of residual heading.
+    pub residual_heading_unit_rad: f64,
+    /// Metres per second per unit of observed velocity.
+    pub velocity_unit_mps: f64,
+    /// Metres per unit of an agent's size.
+    pub extent_unit_m: f64,
+}
+
+impl Normalizer {
+    /// Units of (x, y, heading) in the ego frame.
+    pub const fn scene_units(&self) -> [f64; 3] {
+        [self.position_unit_m, self.position_unit_m, self.heading_unit_rad]
+    }
+
+    /// Units of (longitudinal, lateral, heading) residuals in an agent's frame.
+    pub const fn residual_units(&self) -> [f64; 3] {
+        [self.longitudinal_unit_m, self.lateral_unit_m, self.residual_heading_unit_rad]
+    }
+}
+
+/// Root mean square of what has been added; the mean is not removed (paper-faithful: no shift).
+#[derive(Debug, Clone, Copy, Default)]
+struct RootMeanSquare {
+    sum: f64,
+    n: u64,
+}
+
+impl RootMeanSquare {
+    fn add(&mut self, value: f64) {
+        self.sum += value * value;
+        self.n += 1;
+    }
+
+    /// The unit in which the values have a root mean square of σ_data; 1 when there were none.
+    fn unit(&self) -> f64 {
+        let unit = (self.sum / self.n.max(1) as f64).sqrt() / SIGMA_DATA;
+        if unit > 1e-6 { unit } else { 1.0 }
+    }
+}
+
+/// Gathers the constants over training scenes, one after the other.
+#[derive(Debug, Clone, Default)]
+pub struct NormalizerFit {
+    position: RootMeanSquare,
+    heading: RootMeanSquare,
+    longitudinal: RootMeanSquare,
+    lateral: RootMeanSquare,
+    residual_heading: RootMeanSquare,
+    velocity: RootMeanSquare,
+    extent: RootMeanSquare,
+}
+
+impl NormalizerFit {
+    /// Adds a scene in its stored frame; residuals are those of the predictive task.
+    pub fn add(&mut self, scene: &Scene) {
+        let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
+        for (agent_idx, track) in scene.tracks.iter().enumerate() {
+            let states: Vec<_> = track.trajectory.valid().collect();
+            let mut headings: Vec<f64> = states.iter().map(|(_, state)| state.heading_rad).collect();
+            unwrap_angles(&mut headings);
+            let reference = Reference::new(track, scene.dt_s, |timestep| mask.is_observed(agent_idx, timestep));
+            if let Some(extent) = track.extent {
+                self.extent.add(extent.length_m);
+                self.extent.add(extent.width_m);
+            }
+            for ((timestep, state), heading) in states.into_iter().zip(headings) {
+                self.position.add(state.position.x);
+                self.position.add(state.position.y);
+                self.heading.add(heading);
+                self.velocity.add(state.velocity.x);
+                self.velocity.add(state.velocity.y);
+                if let Some(expected) = reference.at(timestep).filter(|_| timestep >= scene.n_history) {
+                    let residual = (state.position - expected.position).rotated(-reference.frame_heading_rad());
+                    self.longitudinal.add(residual.x);
+                    self.lateral.add(residual.y);
+                    self.residual_heading.add(angle_difference(state.heading_rad, expected.heading_rad));
+                }
+            }
+        }
+    }
+
+    /// The constants.
+    pub fn finish(&self, parametrization: StateParametrization, state_dim: usize) -> Normalizer {
+        Normalizer {
+            parametrization,
+            state_dim,
+            position_unit_m: self.position.unit(),
+            heading_unit_rad: self.heading.unit(),
+            longitudinal_unit_m: self.longitudinal.unit(),
+            lateral_unit_m: self.lateral.unit(),
+            residual_heading_unit_rad: self.residual_heading.unit(),
+            velocity_unit_mps: self.velocity.unit(),
+            extent_unit_m: self.extent.unit(),
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! What a pairwise classifier sees of two agents whose future is being diffused.
+
+use super::{SceneBatch, StateParametrization};
+use crate::geometry::{Transform2, Vec2, wrap_angle};
+use candle_core::{Result, Tensor};
+
+/// Metres per unit of the fixed positions; of the order of what separates two agents that meet.
+const POSITION_UNIT_M: f32 = 20.0;
+/// Fixed features of an agent at a timestep: base position (2), cosine and sine of the base heading, observed, latent.
+const FIXED: usize = 6;
+
+/// Features of one pair of agents a row, differentiable in the diffused states.
+///
+/// Everything is expressed in the pair's frame: that of the first agent at its last observed state. What is known
+/// (observed states, kinematic reference) is fixed; the diffused states enter scaled by c_in(σ), so that their
+/// magnitude does not depend on the noise level. In the scene parametrization they are turned into the pair's
+/// frame; in the residual one they already are in each agent's own.
+#[derive(Debug, Clone)]
+pub struct PairFeatures {
+    rows: Tensor,
+    latent: Tensor,
+    rotation: Option<(Tensor, Tensor)>,
+    fixed: Tensor,
+    n_pairs: usize,
+    sigma_data: f64,
+}
+
+impl PairFeatures {
+    /// Number of features of a pair over `n_timesteps` with `state_dim` diffused dimensions.
+    pub const fn n_features(n_timesteps: usize, state_dim: usize) -> usize {
+        2 * n_timesteps * (FIXED + state_dim)
+    }
+
+    /// The features of agents `pairs[b]` = (first, second) of row b, as places on the batch's agent axis.
+    ///
+    /// # Errors
+    /// Fails when there is not one pair a row or a place lies outside the agent axis.
+    pub fn new(
+        batch: &SceneBatch,
+        pairs: &[(usize, usize)],
+        parametrization: StateParametrization,
+        sigma_data: f64,
+    ) -> Result<Self> {
+        let (n_rows, n_agents, n_timesteps, _) = batch.x0.dims4()?;
+        if pairs.len() != n_rows || pairs.iter().any(|(first, second)| (*first).max(*second) >= n_agents) {
+            candle_core::bail!("{} pairs given for {n_rows} rows of {n_agents} agents", pairs.len());
+        }
+        let device = batch.x0.device();
+        let flat = |(row, (first, second)): (usize, &(usize, usize))| {
+            [(row * n_agents + first) as u32, (row * n_agents + second) as u32]
+        };
+        let rows: Vec<u32> = pairs.iter().enumerate().flat_map(flat).collect();
+        let rows = Tensor::from_vec(rows, n_rows * 2, device)?;
+        let select = |tensor: &Tensor, shape: &[usize]| tensor.reshape(shape)?.index_select(&rows, 0);
+        let base = select(&batch.base, &[n_rows * n_agents, n_timesteps, 3])?.to_vec3::<f32>()?;
+        let observed = select(&batch.observed, &[n_rows * n_agents, n_timesteps])?.to_vec2::<f32>()?;
+        let latent = select(&batch.latent, &[n_rows * n_agents, n_timesteps])?;
+        let latent_entries = latent.to_vec2::<f32>()?;
+
+        let mut fixed = Vec::with_capacity(n_rows * 2 * n_timesteps * FIXED);
+        let mut headings = Vec::with_capacity(n_rows * 2);
+        for row in 0..n_rows {
+            let last_observed = observed[row * 2].iter().rposition(|o| *o > 0.0).unwrap_or(0);
+            let origin = &base[row * 2][last_observed];
+            let row_from_pair =
+                Transform2::from_pose(Vec2::new(f64::from(origin[0]), f64::from(origin[1])), f64::from(origin[2]));
+            let pair_from_row = row_from_pair.inverse();
+            for agent in [row * 2, row * 2 + 1] {
+                headings.push(wrap_angle(-f64::from(origin[2])) as f32);
+                for timestep in 0..n_timesteps {
+                    let (is_observed, is_latent) = (observed[agent][timestep], latent_entries[agent][timestep]);
+                    if is_observed + is_latent == 0.0 {
+                        fixed.extend([0.0; FIXED]);
+                        continue;
+                    }
+                    let state = &base[agent][timestep];
+                    let position = pair_from_row.point(Vec2::new(f64::from(state[0]), f64::from(state[1])));
+                    let (sin, cos) = pair_from_row.heading(f64::from(state[2])).sin_cos();
+                    let (x, y) = (position.x as f32 / POSITION_UNIT_M, position.y as f32 / POSITION_UNIT_M);
+                    fixed.extend([x, y, cos as f32, sin as f32, is_observed, is_latent]);
+                }
+            }
+        }
+        let rotation = match parametrization {
+            StateParametrization::Residual => None,
+            StateParametrization::Scene => {
+                let angles = Tensor::from_vec(headings, (n_rows * 2, 1, 1), device)?;
+                Some((angles.cos()?, angles.sin()?))
+            }
+        };
+        let fixed = Tensor::from_vec(fixed, (n_rows, 2 * n_timesteps * FIXED), device)?;
+        Ok(Self { rows, latent: latent.unsqueeze(2)?, rotation, fixed, n_pairs: n_rows, sigma_data })
+    }
+
+    /// The features (B, F) for diffused states `x` (B, A, T, D) at noise levels `sigma` (B).
+    ///
+    /// # Errors
+    /// Fails when shapes do not agree with the batch the features were made for.
+    pub fn forward(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {
+        let (n_rows, n_agents, n_timesteps, state_dim) = x.dims4()?;
+        let x = x.reshape((n_rows * n_agents, n_timesteps, state_dim))?.index_select(&self.rows, 0)?;
+        let x = x.broadcast_mul(&self.latent)?;
+        let x = match &self.rotation {
+            None => x,
+            Some((cos, sin)) => {
+                let (px, py) = (x.narrow(2, 0, 1)?, x.narrow(2, 1, 1)?);
+                let turned_x = (px.broadcast_mul(cos)? - py.broadcast_mul(sin)?)?;
+                let turned_y = (px.broadcast_mul(sin)? + py.broadcast_mul(cos)?)?;
+                let mut parts = vec![turned_x, turned_y];
+                if state_dim > 2 {
+                    parts.push(x.narrow(2, 2, state_dim - 2)?);
+                }
+                Tensor::cat(&parts, 2)?
+            }
+        };
+        let c_in = (sigma.sqr()? + self.sigma_data * self.sigma_data)?.sqrt()?.recip()?;
+        let x = x.reshape((self.n_pairs, 2 * n_timesteps * state_dim))?.broadcast_mul(&c_in.unsqueeze(1)?)?;
+        Tensor::cat(&[&self.fixed, &x], 1)
+    }
+}

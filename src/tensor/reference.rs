@@ -1,0 +1,88 @@
+//! The kinematic reference of an agent: where would it be if it only carried on from what is observed?
+
+use crate::geometry::{Vec2, angle_difference, wrap_angle};
+use crate::scene::{State, Track};
+
+/// Position and heading that follow from an agent's observed states alone.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct ReferencePose {
+    pub(super) position: Vec2,
+    pub(super) heading_rad: f64,
+}
+
+/// The reference trajectory of one agent: its observed states, linear interpolation between them, and the
+/// velocity of the nearest observed state carried on outside of them.
+pub(super) struct Reference<'a> {
+    observed: Vec<(usize, &'a State)>,
+    dt_s: f64,
+}
+
+impl<'a> Reference<'a> {
+    /// The reference of `track`, given which of its timesteps are observed.
+    pub(super) fn new(track: &'a Track, dt_s: f64, observed: impl Fn(usize) -> bool) -> Self {
+        let observed = track.trajectory.valid().filter(|(timestep, _)| observed(*timestep)).collect();
+        Self { observed, dt_s }
+    }
+
+    /// The heading of the agent's own frame: that of its last observed state; 0 for an agent never observed.
+    pub(super) fn frame_heading_rad(&self) -> f64 {
+        self.observed.last().map_or(0.0, |(_, state)| state.heading_rad)
+    }
+
+    /// The reference at `timestep`; `None` for an agent never observed.
+    pub(super) fn at(&self, timestep: usize) -> Option<ReferencePose> {
+        let after = self.observed.partition_point(|(t, _)| *t < timestep);
+        let carried = |(from, state): &(usize, &State)| {
+            let elapsed_s = (timestep as f64 - *from as f64) * self.dt_s;
+            ReferencePose { position: state.position + state.velocity * elapsed_s, heading_rad: state.heading_rad }
+        };
+        match (after.checked_sub(1).map(|i| &self.observed[i]), self.observed.get(after)) {
+            (None, None) => None,
+            (Some(before), None) => Some(carried(before)),
+            (None, Some(next)) => Some(carried(next)),
+            (Some((t0, s0)), Some((t1, s1))) => {
+                let fraction = (timestep - t0) as f64 / (t1 - t0) as f64;
+                let turn = angle_difference(s1.heading_rad, s0.heading_rad);
+                Some(ReferencePose {
+                    position: s0.position.lerp(s1.position, fraction),
+                    heading_rad: wrap_angle(s0.heading_rad + turn * fraction),
+                })
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{AgentClass, TrackRole, Trajectory};
+
+    fn track() -> Track {
+        // Accelerates from 10 m/s by 1 m/s a step along x.
+        let state = |t: usize| State {
+            position: Vec2::new(t as f64 + 0.05 * (t * t) as f64, 0.0),
+            heading_rad: 0.1 * t as f64,
+            velocity: Vec2::new(10.0 + t as f64, 0.0),
+        };
+        Track {
+            id: "1".into(),
+            class: AgentClass::Vehicle,
+            role: TrackRole::Context,
+            extent: None,
+            trajectory: Trajectory::new((0..8).map(|t| Some(state(t))).collect()),
+        }
+    }
+
+    #[test]
+    fn carries_on_interpolates_and_passes_through() {
+        let track = track();
+        let reference = Reference::new(&track, 0.1, |t| t == 2 || t == 4);
+        let at = |t| reference.at(t).unwrap();
+        assert!((at(4).position.x - (4.0 + 0.8)).abs() < 1e-12);
+        assert!((at(3).position.x - (2.2 + 4.8) / 2.0).abs() < 1e-12 && (at(3).heading_rad - 0.3).abs() < 1e-12);
+        assert!((at(6).position.x - (4.8 + 2.0 * 1.4)).abs() < 1e-12 && (at(6).heading_rad - 0.4).abs() < 1e-12);
+        assert!((at(0).position.x - (2.2 - 2.0 * 1.2)).abs() < 1e-12);
+        assert!((reference.frame_heading_rad() - 0.4).abs() < 1e-12);
+        assert!(Reference::new(&track, 0.1, |_| false).at(3).is_none());
+    }
+}

@@ -1,0 +1,169 @@
+//! A batch of scenes as tensors, and the way back from samples to scenes.
+
+use super::AgentFrame;
+use crate::geometry::{Vec2, wrap_angle};
+use crate::scene::{Scene, State, Track, Trajectory};
+use candle_core::{D, Result, Tensor};
+use std::sync::Arc;
+
+/// Scenes as padded tensors: B scenes, A agents, T timesteps, L polylines, D dimensions of a diffused state.
+///
+/// An entry is *latent* when it is to be generated, *observed* when it is given, *valid* when it is either.
+/// Everything else is padding, and zero. Diffused values x are related to metres and radians in the row's ego
+/// frame by `decode`: base + rotation · (unit · x) on latent entries; observed entries are the base itself.
+#[derive(Debug, Clone)]
+pub struct SceneBatch {
+    /// Clean diffused states, (B, A, T, D): zero except on latent entries.
+    pub x0: Tensor,
+    /// What the network sees of known states, (B, A, T, D), in scene units: observed states; on latent entries
+    /// zero (scene parametrization) or the kinematic reference (residual parametrization).
+    pub context: Tensor,
+    /// 1 where the state is given, (B, A, T).
+    pub observed: Tensor,
+    /// 1 where the state is to be generated, (B, A, T).
+    pub latent: Tensor,
+    /// 1 where the state is observed or latent, (B, A, T).
+    pub valid: Tensor,
+    /// Agent features c, (B, A, T, C).
+    pub features: Tensor,
+    /// Lane polylines in the ego frame, (B, L, F).
+    pub lanes: Tensor,
+    /// 1 where a polyline is no padding, (B, L).
+    pub lane_valid: Tensor,
+    /// Decoding: base (B, A, T, 3), metres and radians.
+    pub base: Tensor,
+    /// Decoding: cosine and sine of each agent's frame in the ego frame, (B, A, 2).
+    pub rotation: Tensor,
+    /// Decoding: metres and radians per unit of x, (B, A, 3).
+    pub unit: Tensor,
+    /// Which agents and frame each row has.
+    pub frames: Vec<Arc<AgentFrame>>,
+}
+
+impl SceneBatch {
+    /// Number of rows B.
+    pub fn n_rows(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// Every row `n` times in a row: row b becomes rows b·n to b·n + n - 1.
+    ///
+    /// # Errors
+    /// Fails when the device runs out of memory.
+    pub fn repeated(&self, n: usize) -> Result<Self> {
+        let rows: Vec<u32> = (0..self.n_rows() * n).map(|row| (row / n) as u32).collect();
+        let rows = Tensor::from_vec(rows, self.n_rows() * n, self.x0.device())?;
+        let repeat = |tensor: &Tensor| tensor.index_select(&rows, 0);
+        Ok(Self {
+            x0: repeat(&self.x0)?,
+            context: repeat(&self.context)?,
+            observed: repeat(&self.observed)?,
+            latent: repeat(&self.latent)?,
+            valid: repeat(&self.valid)?,
+            features: repeat(&self.features)?,
+            lanes: repeat(&self.lanes)?,
+            lane_valid: repeat(&self.lane_valid)?,
+            base: repeat(&self.base)?,
+            rotation: repeat(&self.rotation)?,
+            unit: repeat(&self.unit)?,
+            frames: self.frames.iter().flat_map(|frame| std::iter::repeat_n(frame, n)).cloned().collect(),
+        })
+    }
+
+    /// Positions and headings of diffused states `x` (B, A, T, D): (B, A, T, 3), metres and radians in each row's
+    /// ego frame. Linear in `x`, and differentiable. Without a diffused heading (D = 2) the base heading is returned.
+    ///
+    /// # Errors
+    /// Fails when `x` has another shape than `x0`.
+    pub fn decode(&self, x: &Tensor) -> Result<Tensor> {
+        let state_dim = x.dim(D::Minus1)?;
+        let x = x.broadcast_mul(&self.latent.unsqueeze(3)?)?;
+        let scaled = x.broadcast_mul(&self.unit.narrow(2, 0, state_dim)?.unsqueeze(2)?)?;
+        let (along, across) = (scaled.narrow(3, 0, 1)?, scaled.narrow(3, 1, 1)?);
+        let cos = self.rotation.narrow(2, 0, 1)?.unsqueeze(2)?;
+        let sin = self.rotation.narrow(2, 1, 1)?.unsqueeze(2)?;
+        let dx = (along.broadcast_mul(&cos)? - across.broadcast_mul(&sin)?)?;
+        let dy = (along.broadcast_mul(&sin)? + across.broadcast_mul(&cos)?)?;
+        let turn = if state_dim > 2 { scaled.narrow(3, 2, 1)? } else { dx.zeros_like()? };
+        Tensor::cat(&[dx, dy, turn], 3)? + &self.base
+    }
+
+    /// The scenes that samples `x` (B, A, T, D) stand for. `sources[b]` is the scene that row b was made of.
+    ///
+    /// Each has the tracks of its source in the same order: observed states as recorded, latent states decoded, with
+    /// velocities by backward difference; agents that the batch left out keep their observed states only.
+    /// Without a diffused heading, headings follow the motion.
+    ///
+    /// # Errors
+    /// Fails when shapes do not agree.
+    pub fn decode_scenes(&self, x: &Tensor, sources: &[&Scene]) -> Result<Vec<Scene>> {
+        let with_heading = x.dim(D::Minus1)? > 2;
+        let decoded = self.decode(x)?.to_dtype(candle_core::DType::F64)?;
+        let latent = self.latent.to_dtype(candle_core::DType::U8)?;
+        (0..self.n_rows())
+            .map(|row| {
+                let states = decoded.get(row)?.to_vec3::<f64>()?;
+                let latent = latent.get(row)?.to_vec2::<u8>()?;
+                Ok(self.frames[row].scene(sources[row], &states, &latent, with_heading))
+            })
+            .collect()
+    }
+}
+
+impl AgentFrame {
+    /// Puts decoded states (A, T, 3) of this row, in its ego frame, into a copy of `source`.
+    fn scene(&self, source: &Scene, states: &[Vec<Vec<f64>>], latent: &[Vec<u8>], with_heading: bool) -> Scene {
+        let n_timesteps = states.first().map_or(source.n_timesteps, Vec::len);
+        let scene_from_ego = self.ego_from_scene.inverse();
+        let mut tracks: Vec<Track> = source.tracks.clone();
+        for (agent_idx, track) in tracks.iter_mut().enumerate() {
+            let slot = self.agents.iter().position(|agent| *agent == agent_idx);
+            let mut entries: Vec<Option<State>> = vec![None; n_timesteps];
+            for (timestep, entry) in entries.iter_mut().enumerate() {
+                *entry = match slot {
+                    Some(slot) if latent[slot][timestep] != 0 => {
+                        let [x, y, heading_rad] = states[slot][timestep][..] else { continue };
+                        let state = State {
+                            position: Vec2::new(x, y),
+                            heading_rad: wrap_angle(heading_rad),
+                            velocity: Vec2::ZERO,
+                        };
+                        Some(state.transformed(&scene_from_ego))
+                    }
+                    _ if self.observed(agent_idx, timestep) => track.trajectory.get(timestep).copied(),
+                    _ => None,
+                };
+            }
+            if let Some(slot) = slot {
+                derive_motion(&mut entries, &latent[slot], source.dt_s, with_heading);
+            }
+            track.trajectory = Trajectory::new(entries);
+        }
+        Scene { tracks, n_timesteps, ..source.clone() }
+    }
+}
+
+/// Distance below which motion says nothing of the heading, metres.
+const STANDING_STEP_M: f64 = 0.05;
+
+/// Velocities of generated entries by backward difference, and where wanted headings along the motion.
+fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, with_heading: bool) {
+    for timestep in 0..entries.len() {
+        if latent[timestep] == 0 {
+            continue;
+        }
+        let before = timestep.checked_sub(1).and_then(|t| entries[t]);
+        let after = entries.get(timestep + 1).copied().flatten();
+        let Some(state) = entries[timestep].as_mut() else { continue };
+        let step = match (before, after) {
+            (Some(before), _) => state.position - before.position,
+            (None, Some(after)) => after.position - state.position,
+            (None, None) => Vec2::ZERO,
+        };
+        state.velocity = step * (1.0 / dt_s);
+        if !with_heading {
+            let held = before.map_or(state.heading_rad, |before| before.heading_rad);
+            state.heading_rad = if step.norm() > STANDING_STEP_M { step.angle() } else { held };
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! Encoding and decoding agree, masks are what the paper says, and nothing leaks.
+
+use super::*;
+use crate::geometry::angle_difference;
+use crate::scene::testing::{Drive, scene, without_states};
+use crate::scene::{ObservationMask, Scene};
+use crate::seed::Seed;
+use candle_core::{Device, Tensor};
+
+fn three_cars() -> Scene {
+    let turning = Drive { x: 30.0, y: 20.0, heading_rad: -1.6, speed_mps: 8.0, curvature_1pm: -0.3 };
+    let scene = scene(&[Drive::straight(5.0, 1.0, 0.3, 12.0), turning, Drive::straight(-20.0, 3.5, 3.1, 0.0)]);
+    without_states(scene, 2, |t| t > 8)
+}
+
+fn collator(scene: &Scene, parametrization: StateParametrization) -> Collator {
+    let mut fit = NormalizerFit::default();
+    fit.add(scene);
+    let normalizer = fit.finish(parametrization, 3);
+    Collator { normalizer, n_timesteps: scene.n_timesteps, max_agents: 8, max_lanes: 16 }
+}
+
+fn collate(collator: &Collator, scene: &Scene, ego_idx: usize, mask: &ObservationMask) -> SceneBatch {
+    let view = SceneView { scene, ego_idx, mask };
+    collator.collate(&[view], FutureValidity::Recorded, &Device::Cpu).unwrap()
+}
+
+const TASKS: [MaskTask; 7] = [
+    MaskTask::Predictive,
+    MaskTask::GoalConditioned,
+    MaskTask::AgentConditioned,
+    MaskTask::EgoConditioned,
+    MaskTask::Windowed,
+    MaskTask::Upsampling,
+    MaskTask::Imputation,
+];
+
+#[test]
+fn clean_states_decode_to_the_recording_under_every_task_and_parametrization() {
+    let scene = three_cars();
+    for parametrization in [StateParametrization::Scene, StateParametrization::Residual] {
+        for (i, task) in TASKS.into_iter().enumerate() {
+            let mask = task.sample(&scene, 1, &mut Seed(i as u64).rng());
+            let batch = collate(&collator(&scene, parametrization), &scene, 1, &mask);
+            let decoded = &batch.decode_scenes(&batch.x0, &[&scene]).unwrap()[0];
+            for (agent_idx, track) in scene.tracks.iter().enumerate() {
+                for (t, expected) in track.trajectory.valid() {
+                    let found = decoded.state(agent_idx, t).unwrap();
+                    assert!(found.position.distance(expected.position) < 1e-4, "{parametrization:?} {task:?} {t}");
+                    assert!(angle_difference(found.heading_rad, expected.heading_rad).abs() < 1e-4);
+                }
+                assert_eq!(decoded.tracks[agent_idx].trajectory.n_valid(), track.trajectory.n_valid());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_zero_residual_is_constant_velocity() {
+    let scene = three_cars();
+    let mask = ObservationMask::predictive(3, 12, 4);
+    let batch = collate(&collator(&scene, StateParametrization::Residual), &scene, 0, &mask);
+    let decoded = &batch.decode_scenes(&batch.x0.zeros_like().unwrap(), &[&scene]).unwrap()[0];
+    let (last, found) = (scene.state(1, 3).unwrap(), decoded.state(1, 11).unwrap());
+    assert!(found.position.distance(last.position + last.velocity * 0.8) < 1e-4);
+    // The car that drives straight on has no residual at all.
+    let x0 = batch.x0.get(0).unwrap().get(0).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    assert!(x0.iter().all(|x| x.abs() < 1e-5), "{x0:?}");
+}
+
+#[test]
+fn diffused_states_have_the_standard_deviation_sigma_data() {
+    let scene = three_cars();
+    let mask = ObservationMask::predictive(3, 12, 4);
+    let batch = collate(&collator(&scene, StateParametrization::Residual), &scene, 0, &mask);
+    let x0 = batch.x0.flatten_to(2).unwrap();
+    let latent = batch.latent.sum_all().unwrap().to_scalar::<f32>().unwrap();
+    let mean_square = (x0.sqr().unwrap().sum(0).unwrap() / f64::from(latent)).unwrap().to_vec1::<f32>().unwrap();
+    assert!(mean_square.iter().all(|m| (m - 0.25).abs() < 1e-3), "{mean_square:?}");
+}
+
+#[test]
+fn what_is_to_be_generated_never_shows_in_what_the_network_is_given() {
+    let scene = three_cars();
+    let mut altered = scene.clone();
+    for track in &mut altered.tracks {
+        let shifted = track.trajectory.entries().iter().enumerate().map(|(t, state)| {
+            state.map(|mut s| {
+                if t >= 4 {
+                    s.position = s.position + crate::geometry::Vec2::new(3.0, -2.0);
+                    s.heading_rad += 0.5;
+                    s.velocity = s.velocity * 2.0;
+                }
+                s
+            })
+        });
+        track.trajectory = crate::scene::Trajectory::new(shifted.collect());
+    }
+    let mask = ObservationMask::predictive(3, 12, 4);
+    for parametrization in [StateParametrization::Scene, StateParametrization::Residual] {
+        let collator = collator(&scene, parametrization);
+        let (a, b) = (collate(&collator, &scene, 0, &mask), collate(&collator, &altered, 0, &mask));
+        let same = |x: &Tensor, y: &Tensor| {
+            x.flatten_all().unwrap().to_vec1::<f32>().unwrap() == y.flatten_all().unwrap().to_vec1::<f32>().unwrap()
+        };
+        assert!(same(&a.context, &b.context) && same(&a.features, &b.features) && same(&a.base, &b.base));
+        assert!(!same(&a.x0, &b.x0));
+    }
+}
+
+#[test]
+fn masks_are_those_of_the_papers_table() {
+    let scene = three_cars();
+    let observed = |mask: &ObservationMask, a: usize| (0..12).filter(|t| mask.is_observed(a, *t)).collect::<Vec<_>>();
+    let mut rng = Seed(5).rng();
+    let ego = MaskTask::EgoConditioned.sample(&scene, 1, &mut rng);
+    assert_eq!((observed(&ego, 0), observed(&ego, 1).len()), (vec![0, 1, 2, 3], 12));
+    // Track 2 is not there at the end: it has no goal and no whole trajectory.
+    let goals = MaskTask::GoalConditioned.sample(&scene, 0, &mut rng);
+    assert_eq!((observed(&goals, 0), observed(&goals, 2)), (vec![0, 1, 2, 3, 11], vec![0, 1, 2, 3]));
+    let agents = MaskTask::AgentConditioned.sample(&scene, 0, &mut rng);
+    assert_eq!((observed(&agents, 1).len(), observed(&agents, 2).len()), (12, 4));
+    for _ in 0..20 {
+        let window = MaskTask::Windowed.sample(&scene, 0, &mut rng);
+        let hidden: Vec<usize> = (0..12).filter(|t| !window.is_observed(0, *t)).collect();
+        assert!(hidden.len() == 4 && hidden[3] - hidden[0] == 3 && hidden[0] <= 4);
+        let upsampled = MaskTask::Upsampling.sample(&scene, 0, &mut rng);
+        let kept = observed(&upsampled, 0);
+        assert!(kept.len() == 4 && kept.windows(2).all(|pair| pair[1] - pair[0] == 3) && kept[0] < 3);
+    }
+    let imputed: usize = (0..200).map(|_| observed(&MaskTask::Imputation.sample(&scene, 0, &mut rng), 0).len()).sum();
+    assert!((imputed as f64 / 2400.0 - 1.0 / 3.0).abs() < 0.04, "{imputed}");
+}
+
+#[test]
+fn the_papers_weights_are_normalized_from_their_110_percent() {
+    let probabilities = TaskWeights::default().probabilities().unwrap();
+    assert!((probabilities.iter().map(|(_, p)| p).sum::<f64>() - 1.0).abs() < 1e-12);
+    assert!((probabilities[0].1 - 50.0 / 110.0).abs() < 1e-12);
+    assert!(TaskWeights { predictive: -1.0, ..TaskWeights::default() }.probabilities().is_none());
+}
+
+#[test]
+fn sampling_covers_every_future_state_of_agents_seen() {
+    let scene = three_cars();
+    let mask = ObservationMask::predictive(3, 12, 4);
+    let collator = collator(&scene, StateParametrization::Residual);
+    let history_only = Scene { n_timesteps: 4, ..scene.clone() };
+    for source in [&scene, &history_only] {
+        let view = SceneView { scene: source, ego_idx: 0, mask: &mask };
+        let batch = collator.collate(&[view], FutureValidity::Everything, &Device::Cpu).unwrap();
+        assert_eq!(batch.latent.sum_all().unwrap().to_scalar::<f32>().unwrap(), 24.0);
+        let generated = &batch.decode_scenes(&batch.x0, &[source]).unwrap()[0];
+        assert_eq!((generated.n_timesteps, generated.tracks[2].trajectory.n_valid()), (12, 12));
+    }
+}
+
+#[test]
+fn pair_features_do_not_change_when_the_scene_is_seen_from_another_agent() {
+    let scene = three_cars();
+    let mask = ObservationMask::predictive(3, 12, 4);
+    let sigma = Tensor::new(&[0.3f32], &Device::Cpu).unwrap();
+    for parametrization in [StateParametrization::Scene, StateParametrization::Residual] {
+        let collator = collator(&scene, parametrization);
+        let features = |ego_idx: usize| {
+            let batch = collate(&collator, &scene, ego_idx, &mask);
+            let features = PairFeatures::new(&batch, &[(1, 0)], parametrization, 0.5).unwrap();
+            let all = features.forward(&batch.x0, &sigma).unwrap();
+            assert_eq!(all.dims(), &[1, PairFeatures::n_features(12, 3)]);
+            all.flatten_all().unwrap().to_vec1::<f32>().unwrap()
+        };
+        if parametrization == StateParametrization::Residual {
+            let worst = features(0).iter().zip(features(2)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(worst < 1e-4, "{worst}");
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! Does the classifier learn what separates its examples, and does guidance by it push toward the behavior?
+
+use super::*;
+use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::guidance::testing::{N_HISTORY, N_TIMESTEPS, denoiser_spec, is_positive, scene};
+use crate::guidance::{ClassifierGuidance, Guidance, log_potential_gradient};
+use crate::model::{DenoiserSpec, TrainedClassifier};
+use crate::progress::{Progress, Silent};
+use crate::scene::{ObservationMask, Scene};
+use crate::seed::Seed;
+use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView, StateParametrization};
+use candle_core::{Device, Tensor};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+struct Scenes(usize);
+
+impl SceneDataset for Scenes {
+    fn len(&self) -> usize {
+        self.0
+    }
+
+    fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
+        Ok(scene(idx))
+    }
+}
+
+fn event(idx: usize, label: EventLabel) -> BehaviorEvent {
+    BehaviorEvent {
+        behavior: "cut_in".to_owned(),
+        scene_id: scene(idx).id,
+        label,
+        roles: vec![("ego".to_owned(), "behind".into()), ("other".to_owned(), "ahead".into())],
+        start_timestep: 0,
+        end_timestep: 1,
+        parameters: std::collections::BTreeMap::new(),
+    }
+}
+
+fn examples(indices: std::ops::Range<usize>, max_examples: usize) -> PairExamples {
+    let label = |idx| if is_positive(idx) { EventLabel::Positive } else { EventLabel::Negative };
+    let events: Vec<(usize, BehaviorEvent)> = indices.map(|idx| (idx, event(idx, label(idx)))).collect();
+    let mined: Vec<MinedEvent<'_>> =
+        events.iter().map(|(scene_idx, event)| MinedEvent { scene_idx: *scene_idx, event }).collect();
+    PairExamples::gather(&Scenes(1000), &mined, max_examples, Seed(2)).unwrap()
+}
+
+fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progress) -> Result<ClassifierReport, Error> {
+    let (train, held_out) = (examples(0..240, 1000), examples(240..400, 1000));
+    let data = PairData {
+        roles: vec!["ego".to_owned(), "other".to_owned()],
+        train: &train,
+        held_out: &held_out,
+        fingerprint: "events".to_owned(),
+    };
+    let config = ClassifierTrainingConfig {
+        seed: 4,
+        steps,
+        batch_size: 32,
+        warmup_steps: 10,
+        evaluate_every: 50,
+        save_every: 7,
+        ..ClassifierTrainingConfig::default()
+    };
+    train_classifier(&config, denoiser, &data, dir, &Device::Cpu, progress)
+}
+
+#[test]
+fn it_separates_the_better_the_less_noise_there_is() {
+    for parametrization in [StateParametrization::Residual, StateParametrization::Scene] {
+        let dir = tempfile::tempdir().unwrap();
+        let report = train(&denoiser_spec(parametrization), 150, dir.path(), &Silent).unwrap();
+        assert_eq!((report.spec.n_positive, report.spec.n_negative, report.spec.pos_weight), (60, 180, 3.0));
+        let auc: Vec<f64> = report.by_noise_level.iter().map(|level| level.auc.unwrap()).collect();
+        assert!(auc[0] > 0.97 && auc[1] > 0.97, "{parametrization:?}: {auc:?}");
+        assert!(auc[5] < auc[3] - 0.1, "{parametrization:?}: {auc:?}");
+        let clear = &report.by_noise_level[0];
+        assert_eq!((clear.n_positive, clear.n_negative), (40, 120));
+        assert!(clear.recall.unwrap() > 0.9 && clear.precision.unwrap() > 0.8, "{clear:?}");
+        let written: ClassifierReport =
+            serde_json::from_slice(&fs_err::read(dir.path().join("classifier.json")).unwrap()).unwrap();
+        assert_eq!((written.fingerprint, written.by_noise_level.len()), (report.fingerprint, REPORT_SIGMAS.len()));
+    }
+}
+
+#[test]
+fn a_killed_training_resumes_to_the_same_weights() {
+    /// Unwinds at the n-th step of a call, as abruptly as a killed process.
+    struct Kill(AtomicU64);
+    impl Progress for Kill {
+        fn start(&self, _phase: &str, _total: u64, _unit: &str) {}
+        fn advance(&self, _n: u64) {
+            assert!(self.0.fetch_sub(1, Ordering::Relaxed) > 1, "killed");
+        }
+        fn note(&self, _message: &str) {}
+        fn warn(&self, _message: &str) {}
+        fn finish(&self) {}
+    }
+    let denoiser = denoiser_spec(StateParametrization::Residual);
+    let (whole, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let undisturbed = train(&denoiser, 30, whole.path(), &Silent).unwrap();
+    for after in [4, 9, 13] {
+        let run = || train(&denoiser, 30, killed.path(), &Kill(AtomicU64::new(after)));
+        assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(run)).is_err());
+    }
+    let resumed = train(&denoiser, 30, killed.path(), &Silent).unwrap();
+    assert_eq!(
+        (resumed.fingerprint, resumed.by_noise_level, resumed.statistics.len()),
+        (undisturbed.fingerprint, undisturbed.by_noise_level, undisturbed.statistics.len())
+    );
+    let read = |dir: &Path| fs_err::read(dir.join("model.safetensors")).unwrap();
+    assert_eq!(read(killed.path()), read(whole.path()));
+}
+
+fn batch(denoiser: &DenoiserSpec, scenes: &[Scene]) -> SceneBatch {
+    let masks: Vec<ObservationMask> =
+        scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), N_TIMESTEPS, N_HISTORY)).collect();
+    let view = |(scene, mask)| SceneView { scene, ego_idx: 1, mask };
+    let views: Vec<SceneView<'_>> = scenes.iter().zip(&masks).map(view).collect();
+    let collator: Collator = denoiser.collator();
+    collator.collate(&views, FutureValidity::Everything, &Device::Cpu).unwrap()
+}
+
+#[test]
+fn its_gradient_pushes_the_second_agent_toward_the_first() {
+    for parametrization in [StateParametrization::Residual, StateParametrization::Scene] {
+        let denoiser = denoiser_spec(parametrization);
+        let dir = tempfile::tempdir().unwrap();
+        train(&denoiser, 150, dir.path(), &Silent).unwrap();
+        let trained = TrainedClassifier::read(&dir.path().join("model.safetensors"), &Device::Cpu).unwrap();
+        // Held-out scenes in which nothing happens.
+        let scenes: Vec<Scene> = [401, 402, 403].into_iter().map(scene).collect();
+        let batch = batch(&denoiser, &scenes);
+        let pairs = trained.spec.features(&batch, &[(1, 2); 3]).unwrap();
+        let guidance = ClassifierGuidance { classifier: &trained.classifier, pairs: &pairs };
+        let sigma = Tensor::new(&[0.1f32; 3], &Device::Cpu).unwrap();
+        let gradient = log_potential_gradient(&guidance, &batch.x0, &sigma).unwrap();
+
+        // Along its gradient the log probability grows as fast as the gradient is long (finite differences in f32).
+        let value = |h: f64| -> f64 {
+            let x = (&batch.x0 + (&gradient * h).unwrap()).unwrap();
+            f64::from(guidance.log_potential(&x, &sigma).unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap())
+        };
+        let squared = f64::from(gradient.sqr().unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap());
+        let h = 1e-2 / squared.sqrt();
+        let growth = (value(h) - value(-h)) / (2.0 * h);
+        assert!((growth / squared - 1.0).abs() < 0.02, "growth {growth}, squared norm {squared}");
+
+        // A step along it moves the second agent's future to the right, and the bystander not at all.
+        let lateral = |x: &Tensor| batch.decode(x).unwrap().narrow(3, 1, 1).unwrap().squeeze(3).unwrap();
+        let moved = (lateral(&(&batch.x0 + &gradient).unwrap()) - lateral(&batch.x0)).unwrap();
+        let moved: Vec<f32> = moved.mean_keepdim(2).unwrap().mean(0).unwrap().flatten_all().unwrap().to_vec1().unwrap();
+        assert!(moved[0] == 0.0 && moved[2] < 0.0, "{parametrization:?}: {moved:?}");
+        // Observed states have no gradient.
+        let observed = gradient.narrow(2, 0, N_HISTORY).unwrap().abs().unwrap().sum_all().unwrap();
+        assert_eq!(observed.to_scalar::<f32>().unwrap(), 0.0);
+    }
+}
+
+#[test]
+fn too_many_examples_lose_negative_ones_first() {
+    let examples = examples(0..40, 15);
+    assert_eq!((examples.positive().len(), examples.negative().len()), (10, 5));
+    let scene = &examples.examples()[0].scene;
+    let ids: Vec<&str> = scene.tracks.iter().map(|track| track.id.0.as_str()).collect();
+    assert_eq!((ids, scene.ego_idx, examples.examples()[0].pair), (vec!["behind", "ahead"], 0, (0, 1)));
+}
+
+#[test]
+fn one_positive_event_makes_a_pair_positive() {
+    let events = [event(1, EventLabel::Negative), event(1, EventLabel::Positive), event(2, EventLabel::Negative)];
+    let mined: Vec<MinedEvent<'_>> =
+        events.iter().zip([1, 1, 2]).map(|(event, scene_idx)| MinedEvent { scene_idx, event }).collect();
+    let examples = PairExamples::gather(&Scenes(10), &mined, 10, Seed(0)).unwrap();
+    assert_eq!((examples.positive(), examples.negative()), (&[0][..], &[1][..]));
+}
+
+#[test]
+fn missing_examples_and_tracks_are_named() {
+    let only_negative = examples(1..4, 10);
+    let data =
+        PairData { roles: Vec::new(), train: &only_negative, held_out: &only_negative, fingerprint: String::new() };
+    let dir = tempfile::tempdir().unwrap();
+    let config = ClassifierTrainingConfig::default();
+    let denoiser = denoiser_spec(StateParametrization::Residual);
+    let error = train_classifier(&config, &denoiser, &data, dir.path(), &Device::Cpu, &Silent).unwrap_err();
+    assert!(error.to_string().contains("0 positive and 3 negative"), "{error}");
+
+    let mut stranger = event(1, EventLabel::Negative);
+    stranger.roles[1].1 = "stranger".into();
+    let mined = [MinedEvent { scene_idx: 1, event: &stranger }];
+    let error = PairExamples::gather(&Scenes(10), &mined, 10, Seed(0)).unwrap_err();
+    assert!(error.to_string().contains("no track stranger"), "{error}");
+}

@@ -1,0 +1,129 @@
+//! From scenes to a denoiser checkpoint: constants, network, training, file.
+
+use super::{DenoiserTraining, DenoisingTask, Error, FitStatistics, SceneDataset, fit};
+use crate::model::{DenoiserKind, DenoiserSpec, SceneDenoiser};
+use crate::nn::Params;
+use crate::progress::Progress;
+use crate::seed::Seed;
+use crate::tensor::{MaskSampler, NormalizerFit};
+use candle_core::Device;
+use std::path::Path;
+
+/// Scenes to gather the normalization constants from: enough for three digits.
+const N_NORMALIZER_SCENES: usize = 2_000;
+
+/// The scenes of a training run.
+pub struct TrainingData<'a> {
+    /// The scenes.
+    pub dataset: &'a dyn SceneDataset,
+    /// Indices of the scenes to train on.
+    pub train: Vec<usize>,
+    /// Indices of held-out scenes; those evaluated on are chosen from them.
+    pub held_out: Vec<usize>,
+    /// Dimensions of a diffused state.
+    pub state_dim: usize,
+    /// Fingerprint of the scenes.
+    pub fingerprint: String,
+}
+
+/// What training a denoiser came to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DenoiserOutcome {
+    /// Fingerprint of the checkpoint.
+    pub fingerprint: String,
+    /// What the denoiser is.
+    pub spec: DenoiserSpec,
+    /// Number of trained values.
+    pub n_parameters: usize,
+    /// Losses and evaluations.
+    pub statistics: Vec<FitStatistics>,
+}
+
+/// Trains a denoiser in `dir` (resuming what is there) and writes it to `dir/model.safetensors`.
+///
+/// # Errors
+/// When there is no scene to train on, scenes differ in their timesteps, or training fails.
+pub fn train_denoiser(
+    training: &DenoiserTraining,
+    data: &TrainingData<'_>,
+    seed: Seed,
+    dir: &Path,
+    device: &Device,
+    progress: &dyn Progress,
+) -> Result<DenoiserOutcome, Error> {
+    let Some(masks) = MaskSampler::new(&training.tasks) else {
+        return Err(Error::Config("train.denoiser.tasks are no weights".to_owned()));
+    };
+    let spec = describe(training, data, seed, progress)?;
+    let mut params = Params::new(device);
+    let (network, state_dim) = (&spec.network, data.state_dim);
+    let denoiser = SceneDenoiser::new(&mut params, network, state_dim, spec.edm, seed.derive("weights", &[]))?;
+    let frozen = SceneDenoiser::new(&mut params.frozen(), network, state_dim, spec.edm, seed)?;
+    let mut held_out = data.held_out.clone();
+    seed.derive("held-out", &[]).rng().shuffle(&mut held_out);
+    held_out.truncate(training.n_eval_scenes);
+    let task = DenoisingTask {
+        denoiser: &denoiser,
+        frozen: &frozen,
+        training,
+        collator: &spec.collator(),
+        dataset: data.dataset,
+        train: &data.train,
+        held_out: &held_out,
+        masks: &masks,
+        seed,
+        device,
+    };
+    let outcome = fit(&training.fit, &mut params, &task, dir, progress)?;
+    let fingerprint = spec.write(&params, &dir.join("model.safetensors"))?;
+    Ok(DenoiserOutcome { fingerprint, n_parameters: params.n_parameters(), spec, statistics: outcome.statistics })
+}
+
+/// Gathers the constants of the training set.
+fn describe(
+    training: &DenoiserTraining,
+    data: &TrainingData<'_>,
+    seed: Seed,
+    progress: &dyn Progress,
+) -> Result<DenoiserSpec, Error> {
+    let mut sample = data.train.clone();
+    seed.derive("normalizer", &[]).rng().shuffle(&mut sample);
+    sample.truncate(N_NORMALIZER_SCENES);
+    progress.start("normalize", sample.len() as u64, "scenes");
+    let mut fit = NormalizerFit::default();
+    let mut shape: Option<(usize, usize, f64)> = None;
+    for idx in sample {
+        let scene = data.dataset.scene(idx).map_err(Error::Scene)?;
+        let this = (scene.n_history, scene.n_timesteps, scene.dt_s);
+        if *shape.get_or_insert(this) != this {
+            let message = format!(
+                "scene {} has {} + {} timesteps of {} s, others differ: train on scenes of one shape",
+                scene.id,
+                scene.n_history,
+                scene.n_timesteps - scene.n_history,
+                scene.dt_s
+            );
+            return Err(Error::Config(message));
+        }
+        fit.add(&scene);
+        progress.advance(1);
+    }
+    progress.finish();
+    let Some((n_history, n_timesteps, dt_s)) = shape else {
+        return Err(Error::NoScenes("choose other splits or places in train.denoiser".to_owned()));
+    };
+    Ok(DenoiserSpec {
+        kind: DenoiserKind::SceneDenoiser,
+        network: training.network.clone(),
+        edm: training.edm,
+        normalizer: fit.finish(training.parametrization, data.state_dim),
+        n_history,
+        n_timesteps,
+        dt_s,
+        max_agents: training.max_agents,
+        max_lanes: training.max_lanes,
+        steps: training.fit.steps,
+        seed: seed.0,
+        scenes: data.fingerprint.clone(),
+    })
+}

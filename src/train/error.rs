@@ -1,0 +1,56 @@
+//! What can stop a training run.
+
+use std::path::PathBuf;
+
+/// A failure of training.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A tensor operation failed.
+    #[error("a tensor operation failed")]
+    Tensor(#[from] candle_core::Error),
+    /// A checkpoint could not be written or read.
+    #[error("the training state could not be kept")]
+    Checkpoint(#[from] crate::nn::Error),
+    /// A file could not be written or read.
+    #[error("the training folder cannot be used")]
+    Io(#[from] std::io::Error),
+    /// The recorded statistics are not those of the training state beside them.
+    #[error("{path}, line {line}: not a line of training statistics; remove the folder to train from the start")]
+    Statistics {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: usize,
+        /// What the parser found.
+        source: serde_json::Error,
+    },
+    /// A scene could not be loaded.
+    #[error("a training scene could not be loaded")]
+    Scene(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// Nothing to train on.
+    #[error("there is no scene to train on: {0}")]
+    NoScenes(String),
+    /// A classifier needs examples of both labels.
+    #[error(
+        "{behavior}: {n_positive} positive and {n_negative} negative pairs to train on; mine more scenes or other places, or relax the behavior's definition"
+    )]
+    NoExamples {
+        /// The behavior.
+        behavior: String,
+        /// Positive pairs.
+        n_positive: usize,
+        /// Negative pairs.
+        n_negative: usize,
+    },
+    /// A setting that makes no sense.
+    #[error("{0}")]
+    Config(String),
+    /// The loss is no longer a number.
+    #[error("the loss is {loss} at step {step}: lower the learning rate or look for non-finite inputs")]
+    Diverged {
+        /// The step.
+        step: u64,
+        /// The loss.
+        loss: f64,
+    },
+}

@@ -1,0 +1,372 @@
+//! One training loop for every model: steps, warm-up, clipping, averages, evaluation, and a state to resume from.
+
+use super::Error;
+use crate::nn::{Adam, Ema, Params, read_checkpoint, write_checkpoint};
+use crate::progress::Progress;
+use candle_core::Tensor;
+use fs_err as fs;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// How the learning rate goes on after its warm-up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum LearningRateDecay {
+    /// It stays (the paper's).
+    Constant,
+    /// It falls to zero along half a cosine by the last step: more from a short budget.
+    #[default]
+    Cosine,
+}
+
+/// Settings of the loop.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FitConfig {
+    /// Optimizer steps in all.
+    pub steps: u64,
+    /// Learning rate after warm-up (the paper's 3e-4).
+    pub learning_rate: f64,
+    /// Steps over which the learning rate rises from 0.
+    pub warmup_steps: u64,
+    /// How it goes on.
+    pub decay: LearningRateDecay,
+    /// Gradients are scaled down to this global norm (the paper's 5).
+    pub clip_norm: f64,
+    /// Decay of the moving average of the weights; 0 for none.
+    pub ema_decay: f64,
+    /// Steps between evaluations.
+    pub evaluate_every: u64,
+    /// Steps between saved states.
+    pub save_every: u64,
+    /// Steps whose mean loss makes a line of the statistics.
+    pub log_every: u64,
+}
+
+impl FitConfig {
+    /// The learning rate of `step`, from 0.
+    pub fn learning_rate_at(&self, step: u64) -> f64 {
+        let warm = ((step + 1) as f64 / self.warmup_steps.max(1) as f64).min(1.0);
+        let share = match self.decay {
+            LearningRateDecay::Constant => 1.0,
+            LearningRateDecay::Cosine => {
+                let done = step as f64 / self.steps.max(1) as f64;
+                0.5 * (1.0 + (std::f64::consts::PI * done).cos())
+            }
+        };
+        self.learning_rate * warm * share
+    }
+}
+
+/// What is trained.
+pub trait TrainTask {
+    /// The loss of the batch of `step`, a scalar. It must depend on the parameters and `step` alone, so that a resumed
+    /// run takes the same steps.
+    ///
+    /// # Errors
+    /// When the batch cannot be made.
+    fn loss(&self, step: u64) -> Result<Tensor, Error>;
+
+    /// Figures on held-out data with the present parameters, by name.
+    ///
+    /// # Errors
+    /// When the data cannot be loaded.
+    fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error>;
+}
+
+/// A line of the statistics.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FitStatistics {
+    /// Steps taken.
+    pub step: u64,
+    /// Mean training loss since the line before; `None` on lines of an evaluation.
+    pub loss: Option<f64>,
+    /// Mean norm of the gradients before clipping since the line before.
+    pub gradient_norm: Option<f64>,
+    /// Held-out figures, on lines of an evaluation.
+    pub evaluation: BTreeMap<String, f64>,
+}
+
+/// What a training run came to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FitOutcome {
+    /// Steps that this call took, beyond those of the state it resumed from.
+    pub steps_taken: u64,
+    /// All lines of statistics, in order.
+    pub statistics: Vec<FitStatistics>,
+}
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Position {
+    step: u64,
+    ema_updates: u64,
+    loss_sum: f64,
+    norm_sum: f64,
+}
+
+/// Trains `params` on `task` for `config.steps` steps, from the state in `dir` where there is one. At the end `params`
+/// hold the averaged weights where `config.ema_decay` is positive, else the last ones.
+///
+/// `dir` holds `state.safetensors` (weights, averages, optimizer, position) and `statistics.jsonl`. A killed run that
+/// is started again ends with the same weights as an undisturbed one.
+///
+/// # Errors
+/// When the loss is no longer finite, or files cannot be written or do not fit the model.
+pub fn fit(
+    config: &FitConfig,
+    params: &mut Params,
+    task: &dyn TrainTask,
+    dir: &Path,
+    progress: &dyn Progress,
+) -> Result<FitOutcome, Error> {
+    fs::create_dir_all(dir)?;
+    let mut run = Run::open(config, params, dir)?;
+    let first_step = run.position.step;
+    progress.start("train", config.steps, "steps");
+    progress.advance(first_step);
+    while run.position.step < config.steps {
+        run.step(config, params, task)?;
+        let step = run.position.step;
+        let is_last = step == config.steps;
+        if step.is_multiple_of(config.log_every) || is_last {
+            progress.note(&run.log(config)?);
+        }
+        if step.is_multiple_of(config.evaluate_every) || is_last {
+            run.evaluate(params, task)?;
+        }
+        if step.is_multiple_of(config.save_every) || is_last {
+            run.save(params)?;
+        }
+        progress.advance(1);
+    }
+    progress.finish();
+    if let Some(ema) = &mut run.ema {
+        ema.swap(params)?;
+    }
+    Ok(FitOutcome { steps_taken: run.position.step - first_step, statistics: run.statistics })
+}
+
+/// The state of a run between steps.
+struct Run {
+    dir: PathBuf,
+    adam: Adam,
+    ema: Option<Ema>,
+    position: Position,
+    statistics: Vec<FitStatistics>,
+}
+
+impl Run {
+    fn state_path(dir: &Path) -> PathBuf {
+        dir.join("state.safetensors")
+    }
+
+    fn open(config: &FitConfig, params: &mut Params, dir: &Path) -> Result<Self, Error> {
+        let mut run = Self {
+            dir: dir.to_owned(),
+            adam: Adam::default(),
+            ema: None,
+            position: Position { step: 0, ema_updates: 0, loss_sum: 0.0, norm_sum: 0.0 },
+            statistics: Vec::new(),
+        };
+        let path = Self::state_path(dir);
+        let mut averages = BTreeMap::new();
+        if path.exists() {
+            let checkpoint = read_checkpoint::<Position>(&path, params.device())?;
+            let part = |prefix: &str| -> BTreeMap<String, Tensor> {
+                let named = checkpoint.tensors.iter();
+                named.filter_map(|(name, t)| Some((name.strip_prefix(prefix)?.to_owned(), t.clone()))).collect()
+            };
+            params.load(&part("params."))?;
+            run.adam.load(params, &part("adam."))?;
+            averages = part("ema.");
+            run.position = checkpoint.metadata;
+        }
+        if config.ema_decay > 0.0 {
+            run.ema = Some(match averages.is_empty() {
+                true => Ema::new(config.ema_decay, params)?,
+                false => Ema::resume(config.ema_decay, run.position.ema_updates, averages),
+            });
+        }
+        run.read_statistics()?;
+        Ok(run)
+    }
+
+    /// Takes up the lines that are not newer than the state: a run may have been killed between the two.
+    fn read_statistics(&mut self) -> Result<(), Error> {
+        let path = self.dir.join("statistics.jsonl");
+        if self.position.step == 0 || !path.exists() {
+            return Ok(());
+        }
+        for (i, line) in fs::read_to_string(&path)?.lines().enumerate() {
+            let parsed = serde_json::from_str::<FitStatistics>(line);
+            match parsed {
+                Ok(line) if line.step <= self.position.step => self.statistics.push(line),
+                Ok(_) => break,
+                Err(source) => return Err(Error::Statistics { path, line: i + 1, source }),
+            }
+        }
+        Ok(())
+    }
+
+    fn step(&mut self, config: &FitConfig, params: &Params, task: &dyn TrainTask) -> Result<(), Error> {
+        let step = self.position.step;
+        let loss = task.loss(step)?;
+        let value = f64::from(loss.to_dtype(candle_core::DType::F32)?.to_scalar::<f32>()?);
+        if !value.is_finite() {
+            return Err(Error::Diverged { step, loss: value });
+        }
+        let gradients = loss.backward()?;
+        let norm = self.adam.step(params, &gradients, config.learning_rate_at(step), Some(config.clip_norm))?;
+        if let Some(ema) = &mut self.ema {
+            ema.update(params)?;
+            self.position.ema_updates = ema.n_updates();
+        }
+        self.position.step += 1;
+        self.position.loss_sum += value;
+        self.position.norm_sum += norm;
+        Ok(())
+    }
+
+    fn log(&mut self, config: &FitConfig) -> Result<String, Error> {
+        let n_steps = match self.position.step % config.log_every {
+            0 => config.log_every,
+            rest => rest,
+        } as f64;
+        let (loss, norm) = (self.position.loss_sum / n_steps, self.position.norm_sum / n_steps);
+        self.position.loss_sum = 0.0;
+        self.position.norm_sum = 0.0;
+        self.statistics.push(FitStatistics {
+            step: self.position.step,
+            loss: Some(loss),
+            gradient_norm: Some(norm),
+            evaluation: BTreeMap::new(),
+        });
+        self.write_statistics()?;
+        Ok(format!("loss {loss:.4}"))
+    }
+
+    fn evaluate(&mut self, params: &mut Params, task: &dyn TrainTask) -> Result<(), Error> {
+        if let Some(ema) = &mut self.ema {
+            ema.swap(params)?;
+        }
+        let evaluation = task.evaluate();
+        if let Some(ema) = &mut self.ema {
+            ema.swap(params)?;
+        }
+        self.statistics.push(FitStatistics {
+            step: self.position.step,
+            loss: None,
+            gradient_norm: None,
+            evaluation: evaluation?,
+        });
+        self.write_statistics()
+    }
+
+    /// Rewritten whole each time: the file is small, and never half-written.
+    fn write_statistics(&self) -> Result<(), Error> {
+        let mut text = Vec::new();
+        for line in &self.statistics {
+            serde_json::to_writer(&mut text, line).map_err(std::io::Error::from)?;
+            text.push(b'\n');
+        }
+        let partial = self.dir.join("statistics.jsonl.partial");
+        let mut file = fs::File::create(&partial)?;
+        file.write_all(&text)?;
+        fs::rename(&partial, self.dir.join("statistics.jsonl"))?;
+        Ok(())
+    }
+
+    fn save(&self, params: &Params) -> Result<(), Error> {
+        let mut tensors = BTreeMap::new();
+        let mut put = |prefix: &str, part: BTreeMap<String, Tensor>| {
+            tensors.extend(part.into_iter().map(|(name, tensor)| (format!("{prefix}.{name}"), tensor)));
+        };
+        put("params", params.tensors());
+        put("adam", self.adam.state()?);
+        if let Some(ema) = &self.ema {
+            put("ema", ema.tensors().clone());
+        }
+        write_checkpoint(&Self::state_path(&self.dir), &tensors, &self.position)?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nn::Init;
+    use crate::progress::Silent;
+    use crate::seed::Seed;
+    use candle_core::Device;
+
+    /// Least squares towards a target that depends on the step; fails at one step, as a killed process would.
+    struct Chase {
+        x: Tensor,
+        fails_at: Option<u64>,
+    }
+
+    impl TrainTask for Chase {
+        fn loss(&self, step: u64) -> Result<Tensor, Error> {
+            if self.fails_at == Some(step) {
+                return Err(Error::Config("killed".to_owned()));
+            }
+            Ok((&self.x - (step % 7) as f64)?.sqr()?.mean_all()?)
+        }
+
+        fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
+            let mean = self.x.detach().mean_all()?.to_scalar::<f32>()?;
+            Ok(BTreeMap::from([("mean".to_owned(), f64::from(mean))]))
+        }
+    }
+
+    fn config() -> FitConfig {
+        FitConfig {
+            steps: 23,
+            learning_rate: 0.05,
+            warmup_steps: 4,
+            decay: LearningRateDecay::Constant,
+            clip_norm: 5.0,
+            ema_decay: 0.9,
+            evaluate_every: 6,
+            save_every: 5,
+            log_every: 4,
+        }
+    }
+
+    fn train(dir: &Path, fails_at: Option<u64>) -> (Vec<f32>, Result<FitOutcome, Error>) {
+        let mut params = Params::new(&Device::Cpu);
+        let x = params.get_or_init("x", &[3], Init::KaimingUniform { fan_in: 1 }, Seed(1)).unwrap();
+        let outcome = fit(&config(), &mut params, &Chase { x: x.clone(), fails_at }, dir, &Silent);
+        (x.to_vec1().unwrap(), outcome)
+    }
+
+    #[test]
+    fn a_resumed_run_ends_where_an_undisturbed_one_does() {
+        let (whole, stopped) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (expected, undisturbed) = train(whole.path(), None);
+        for fails_at in [3, 13, 14, 21] {
+            assert!(train(stopped.path(), Some(fails_at)).1.is_err());
+        }
+        let (found, resumed) = train(stopped.path(), None);
+        assert_eq!(found, expected);
+        assert_eq!(resumed.unwrap().statistics, undisturbed.unwrap().statistics);
+        for name in ["state.safetensors", "statistics.jsonl"] {
+            let read = |dir: &Path| fs::read(dir.join(name)).unwrap();
+            assert_eq!(read(whole.path()), read(stopped.path()), "{name}");
+        }
+        let (again, outcome) = train(whole.path(), None);
+        assert_eq!((again, outcome.unwrap().steps_taken), (expected, 0));
+    }
+
+    #[test]
+    fn the_learning_rate_warms_up_and_decays() {
+        let config = FitConfig { decay: LearningRateDecay::Cosine, steps: 100, ..config() };
+        assert!((config.learning_rate_at(0) - 0.05 * 0.25).abs() < 1e-12);
+        assert!(config.learning_rate_at(50) < 0.0251 && config.learning_rate_at(50) > 0.0249);
+        assert!(config.learning_rate_at(99) < 1e-4);
+    }
+}

@@ -1,0 +1,222 @@
+//! The `[train.denoiser]` section: presets from a test's network to the paper's, and what overrides them.
+
+use super::{Error, FitConfig, LearningRateDecay};
+use crate::diffusion::{Edm, LossWeight, NoiseDistribution};
+use crate::model::NetworkConfig;
+use crate::scene::Split;
+use crate::tensor::{StateParametrization, TaskWeights};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A size of network with settings that suit it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum Preset {
+    /// 4 layers, 32 wide: trains in a minute, for tests and first looks.
+    Tiny,
+    /// 9 layers, 128 wide: for a laptop.
+    #[default]
+    Small,
+    /// The paper's 15 layers, 256 wide, with its parametrization, batch size and learning rate.
+    Paper,
+}
+
+/// How to train the denoiser. What is left out is the preset's.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, Default)]
+#[serde(deny_unknown_fields, default)]
+pub struct DenoiserTrainingConfig {
+    /// Size of the network: `tiny`, `small` or `paper`.
+    pub preset: Preset,
+    /// The network, where the preset's does not fit.
+    pub network: Option<NetworkConfig>,
+    /// What is diffused: `scene` (the paper's) or `residual`.
+    pub state_parametrization: Option<StateParametrization>,
+    /// Constants of the diffusion.
+    pub diffusion: Edm,
+    /// Distribution of the training noise levels.
+    pub noise: NoiseDistribution,
+    /// Weight of the noise levels in the loss: `edm` or `unit`.
+    pub loss_weight: LossWeight,
+    /// How often each observation task is drawn.
+    pub tasks: TaskWeights,
+    /// Splits to train on; empty means `train`, or everything unsplit where there is no such split.
+    pub splits: Vec<Split>,
+    /// Places to train on; empty means all.
+    pub places: Vec<String>,
+    /// Optimizer steps in all.
+    pub steps: Option<u64>,
+    /// Scenes a step.
+    pub batch_size: Option<usize>,
+    /// Learning rate after warm-up.
+    pub learning_rate: Option<f64>,
+    /// Steps over which the learning rate rises from 0.
+    pub warmup_steps: Option<u64>,
+    /// How the learning rate goes on: `constant` or `cosine`.
+    pub decay: Option<LearningRateDecay>,
+    /// Gradients are scaled down to this global norm.
+    pub clip_norm: Option<f64>,
+    /// Decay of the moving average of the weights; 0 for none.
+    pub ema_decay: Option<f64>,
+    /// At most so many agents a scene, nearest to the ego agent.
+    pub max_agents: Option<usize>,
+    /// At most so many lane polylines a scene, nearest to the ego agent.
+    pub max_lanes: Option<usize>,
+    /// Dimensions of a diffused state: 3 (x, y, heading) or 2 (x, y). Left out: 2 for Argoverse 1, else 3.
+    pub state_dim: Option<usize>,
+    /// Held-out scenes of each evaluation during training.
+    pub n_eval_scenes: Option<usize>,
+    /// Steps between evaluations.
+    pub evaluate_every: Option<u64>,
+    /// Steps between saved states.
+    pub save_every: Option<u64>,
+    /// A trained checkpoint to use instead of training.
+    pub checkpoint: Option<std::path::PathBuf>,
+}
+
+/// The same with every value decided.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DenoiserTraining {
+    /// The network.
+    pub network: NetworkConfig,
+    /// What is diffused.
+    pub parametrization: StateParametrization,
+    /// Constants of the diffusion.
+    pub edm: Edm,
+    /// Distribution of the training noise levels.
+    pub noise: NoiseDistribution,
+    /// Weight of the noise levels in the loss.
+    pub loss_weight: LossWeight,
+    /// How often each observation task is drawn.
+    pub tasks: TaskWeights,
+    /// Scenes a step.
+    pub batch_size: usize,
+    /// At most so many agents a scene.
+    pub max_agents: usize,
+    /// At most so many lane polylines a scene.
+    pub max_lanes: usize,
+    /// Held-out scenes of each evaluation during training.
+    pub n_eval_scenes: usize,
+    /// The loop.
+    pub fit: FitConfig,
+}
+
+impl DenoiserTrainingConfig {
+    /// The preset with everything that the section says laid over it.
+    ///
+    /// # Errors
+    /// When a value makes no sense, naming it.
+    pub fn resolve(&self) -> Result<DenoiserTraining, Error> {
+        let base = self.preset.settings();
+        let fit = FitConfig {
+            steps: self.steps.unwrap_or(base.fit.steps),
+            learning_rate: self.learning_rate.unwrap_or(base.fit.learning_rate),
+            warmup_steps: self.warmup_steps.unwrap_or(base.fit.warmup_steps),
+            decay: self.decay.unwrap_or(base.fit.decay),
+            clip_norm: self.clip_norm.unwrap_or(base.fit.clip_norm),
+            ema_decay: self.ema_decay.unwrap_or(base.fit.ema_decay),
+            evaluate_every: self.evaluate_every.unwrap_or(base.fit.evaluate_every),
+            save_every: self.save_every.unwrap_or(base.fit.save_every),
+            log_every: base.fit.log_every,
+        };
+        let positive: [(&str, f64); 8] = [
+            ("steps", fit.steps as f64),
+            ("learning_rate", fit.learning_rate),
+            ("clip_norm", fit.clip_norm),
+            ("evaluate_every", fit.evaluate_every as f64),
+            ("save_every", fit.save_every as f64),
+            ("batch_size", self.batch_size.unwrap_or(1) as f64),
+            ("max_agents", self.max_agents.unwrap_or(1) as f64),
+            ("diffusion.sigma_data", self.diffusion.sigma_data),
+        ];
+        if let Some((name, value)) = positive.iter().find(|(_, value)| !value.is_finite() || *value <= 0.0) {
+            return Err(Error::Config(format!("train.denoiser.{name} is {value}, expected a positive number")));
+        }
+        if !(0.0..1.0).contains(&fit.ema_decay) {
+            let message = format!("train.denoiser.ema_decay is {}, expected 0 (none) up to below 1", fit.ema_decay);
+            return Err(Error::Config(message));
+        }
+        if self.tasks.probabilities().is_none() {
+            let message = "train.denoiser.tasks are no weights: give numbers of at least 0, one of them positive";
+            return Err(Error::Config(message.to_owned()));
+        }
+        Ok(DenoiserTraining {
+            network: self.network.clone().unwrap_or(base.network),
+            parametrization: self.state_parametrization.unwrap_or(base.parametrization),
+            edm: self.diffusion,
+            noise: self.noise,
+            loss_weight: self.loss_weight,
+            tasks: self.tasks,
+            batch_size: self.batch_size.unwrap_or(base.batch_size),
+            max_agents: self.max_agents.unwrap_or(base.max_agents),
+            max_lanes: self.max_lanes.unwrap_or(base.max_lanes),
+            n_eval_scenes: self.n_eval_scenes.unwrap_or(base.n_eval_scenes),
+            fit,
+        })
+    }
+}
+
+impl Preset {
+    fn settings(self) -> DenoiserTraining {
+        let network = |layers: &str, width, n_heads, encoding| NetworkConfig {
+            layers: layers.to_owned(),
+            width,
+            n_heads,
+            feed_forward: 4 * width,
+            encoding,
+        };
+        let fit = |steps, learning_rate, warmup_steps, decay, ema_decay, every| FitConfig {
+            steps,
+            learning_rate,
+            warmup_steps,
+            decay,
+            clip_norm: 5.0,
+            ema_decay,
+            evaluate_every: every,
+            save_every: every / 2,
+            log_every: 20,
+        };
+        let common =
+            |network, parametrization, batch_size, max_agents, max_lanes, n_eval_scenes, fit| DenoiserTraining {
+                network,
+                parametrization,
+                edm: Edm::default(),
+                noise: NoiseDistribution::default(),
+                loss_weight: LossWeight::default(),
+                tasks: TaskWeights::default(),
+                batch_size,
+                max_agents,
+                max_lanes,
+                n_eval_scenes,
+                fit,
+            };
+        match self {
+            Self::Tiny => common(
+                network("TATM", 32, 2, 16),
+                StateParametrization::Residual,
+                8,
+                12,
+                32,
+                16,
+                fit(400, 2e-3, 20, LearningRateDecay::Cosine, 0.99, 200),
+            ),
+            Self::Small => common(
+                network("TATM TATM T", 128, 4, 32),
+                StateParametrization::Residual,
+                16,
+                16,
+                64,
+                48,
+                fit(6_000, 1e-3, 200, LearningRateDecay::Cosine, 0.995, 500),
+            ),
+            Self::Paper => common(
+                NetworkConfig::default(),
+                StateParametrization::Scene,
+                32,
+                64,
+                256,
+                200,
+                fit(200_000, 3e-4, 133, LearningRateDecay::Constant, 0.0, 5_000),
+            ),
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! Training learns, resumes to the same weights, and says what is wrong with its input.
+
+use super::*;
+use crate::model::NetworkConfig;
+use crate::model::TrainedDenoiser;
+use crate::progress::Silent;
+use crate::scene::Scene;
+use crate::scene::testing::{Drive, scene};
+use crate::seed::Seed;
+use candle_core::Device;
+use std::path::Path;
+
+/// Two cars each: one drives on, one turns at a speed that shows in its history.
+struct Arcs(Vec<Scene>);
+
+impl Arcs {
+    fn new(n: usize) -> Self {
+        let mut rng = Seed(11).rng();
+        let one = |_| {
+            let speed_mps = 6.0 + 6.0 * rng.uniform();
+            let curvature_1pm = 0.05;
+            scene(&[
+                Drive::straight(0.0, 0.0, 0.0, 10.0),
+                Drive { x: 10.0, y: 4.0, heading_rad: 0.2, speed_mps, curvature_1pm },
+            ])
+        };
+        Self((0..n).map(one).collect())
+    }
+}
+
+impl SceneDataset for Arcs {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
+        self.0.get(idx).cloned().ok_or_else(|| format!("no scene {idx}").into())
+    }
+}
+
+fn training(steps: u64) -> DenoiserTraining {
+    let network = NetworkConfig { layers: "TA".to_owned(), width: 16, n_heads: 2, feed_forward: 32, encoding: 8 };
+    let config = DenoiserTrainingConfig {
+        preset: Preset::Tiny,
+        network: Some(network),
+        steps: Some(steps),
+        learning_rate: Some(5e-3),
+        batch_size: Some(4),
+        evaluate_every: Some(20),
+        save_every: Some(10),
+        n_eval_scenes: Some(8),
+        ..DenoiserTrainingConfig::default()
+    };
+    config.resolve().unwrap()
+}
+
+fn train(dataset: &dyn SceneDataset, training: &DenoiserTraining, dir: &Path) -> Result<DenoiserOutcome, Error> {
+    let n = dataset.len();
+    let data = TrainingData {
+        dataset,
+        train: (0..n - 8).collect(),
+        held_out: (n - 8..n).collect(),
+        state_dim: 3,
+        fingerprint: "scenes".to_owned(),
+    };
+    train_denoiser(training, &data, Seed(3), dir, &Device::Cpu, &Silent)
+}
+
+#[test]
+fn the_held_out_loss_falls_and_the_checkpoint_reads_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let outcome = train(&Arcs::new(40), &training(400), dir.path()).unwrap();
+    let evaluations: Vec<_> = outcome.statistics.iter().filter(|line| !line.evaluation.is_empty()).collect();
+    let loss = |line: &FitStatistics| line.evaluation["held_out_loss_at_sigma_0.8"];
+    let (first, last) = (loss(evaluations[0]), loss(evaluations[evaluations.len() - 1]));
+    assert!(last < 0.6 * first, "from {first} to {last}");
+    let read = TrainedDenoiser::read(&dir.path().join("model.safetensors"), &Device::Cpu).unwrap();
+    assert_eq!((read.spec, read.fingerprint), (outcome.spec, outcome.fingerprint));
+}
+
+#[test]
+fn the_same_seed_gives_the_same_checkpoint_and_an_interruption_changes_nothing() {
+    let dataset = Arcs::new(20);
+    let (whole, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let expected = train(&dataset, &training(25), whole.path()).unwrap();
+    // Training fails at the first scene that cannot be loaded, after some steps have been saved.
+    struct Failing<'a>(&'a Arcs, std::sync::atomic::AtomicUsize);
+    impl SceneDataset for Failing<'_> {
+        fn len(&self) -> usize {
+            self.0.len()
+        }
+        fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
+            match self.1.fetch_add(1, std::sync::atomic::Ordering::Relaxed) {
+                80.. => Err("gone".into()),
+                _ => self.0.scene(idx),
+            }
+        }
+    }
+    assert!(train(&Failing(&dataset, 0.into()), &training(25), killed.path()).is_err());
+    assert!(killed.path().join("state.safetensors").exists() && !killed.path().join("model.safetensors").exists());
+    let resumed = train(&dataset, &training(25), killed.path()).unwrap();
+    assert_eq!(resumed.fingerprint, expected.fingerprint);
+    assert_eq!(resumed.statistics, expected.statistics);
+}
+
+#[test]
+fn settings_that_make_no_sense_are_named() {
+    for (config, name) in [
+        (DenoiserTrainingConfig { learning_rate: Some(-1.0), ..Default::default() }, "learning_rate"),
+        (DenoiserTrainingConfig { batch_size: Some(0), ..Default::default() }, "batch_size"),
+        (DenoiserTrainingConfig { ema_decay: Some(1.0), ..Default::default() }, "ema_decay"),
+    ] {
+        let message = config.resolve().unwrap_err().to_string();
+        assert!(message.contains(name), "{message}");
+    }
+}

@@ -1,0 +1,77 @@
+//! Is the report whole, self-contained and safe, whatever the names in the recordings?
+
+mod markup;
+mod sample;
+
+use djinn::report::{ReportModel, render};
+
+/// Renders the sample and leaves it in the target folder, where a browser can open it.
+fn sample_page() -> String {
+    let page = render(&sample::model());
+    let path = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("report.html");
+    fs_err::write(path, &page).unwrap();
+    page
+}
+
+#[test]
+fn every_part_of_the_model_is_on_the_page() {
+    let page = sample_page();
+    for id in [
+        "warnings",
+        "outcome",
+        "metrics",
+        "distributions",
+        "scenes",
+        "training",
+        "classifier",
+        "mining",
+        "data",
+        "config",
+    ] {
+        assert!(page.contains(&format!(r##"<a href="#{id}">"##)), "no entry for {id}");
+        assert!(page.contains(&format!(r#"<section id="{id}""#)), "no section {id}");
+    }
+    for text in
+        ["min_scene_ade_m", "constant velocity", "Wilson", "bad_rows.csv:17", "α = 2", "other cuts in ahead of ego"]
+    {
+        assert!(page.contains(text), "“{text}” is missing");
+    }
+    assert!(!page.contains("NaN") && !page.contains("inf "), "numbers that are not finite are written as a dash");
+}
+
+#[test]
+fn an_empty_model_gives_a_page_without_empty_sections() {
+    let page = render(&ReportModel::default());
+    markup::check(&page);
+    assert_eq!(page.matches("<section").count(), 1, "only the warnings, which say that there are none");
+}
+
+#[test]
+fn elements_are_closed_ids_are_unique_and_links_lead_somewhere() {
+    markup::check(&sample_page());
+}
+
+#[test]
+fn nothing_is_loaded_from_elsewhere() {
+    let page = sample_page();
+    for forbidden in ["http:", "https:", "//cdn", "@import", "url(", "src=", "<link", "<iframe", "<img"] {
+        assert!(!page.contains(forbidden), "{forbidden} found");
+    }
+}
+
+#[test]
+fn names_from_recordings_cannot_become_markup() {
+    let hostile = r#""><script>alert('x')</script></script><svg/onload=1>&amp;"#;
+    let page = render(&sample::model_named(hostile));
+    markup::check(&page);
+    assert!(!page.contains("<script>alert") && !page.contains("<svg/onload"));
+    assert_eq!(page.matches("<script").count(), render(&sample::model()).matches("<script").count());
+}
+
+#[test]
+fn equal_models_give_equal_bytes_and_survive_json() {
+    let model = sample::model();
+    let json = serde_json::to_string(&model).unwrap();
+    let back: ReportModel = serde_json::from_str(&json).unwrap();
+    assert_eq!(render(&model), render(&back));
+}

@@ -1,0 +1,304 @@
+//! A hand-made report: a cut-in on a three-lane road, with every section filled.
+
+use djinn::geometry::{Polyline, Transform2, Vec2};
+use djinn::ingest::{IngestReport, RejectCount};
+use djinn::report::{
+    BehaviorCount, BehaviorDoc, Chart, Curve, Distribution, Fact, MetricDoc, MetricTable, MiningSummary, ReportModel,
+    SamplingRow, SceneCard, TrainingSummary, Warning,
+};
+use djinn::scene::{
+    AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, Scene, SceneId, SceneSource, Split, State,
+    Track, TrackId, TrackRole, Trajectory,
+};
+use djinn::seed::Seed;
+use djinn::store::MetricRow;
+use djinn::train::NoiseLevelReport;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+const N_TIMESTEPS: usize = 40;
+const N_HISTORY: usize = 10;
+
+/// A report with every section.
+pub(crate) fn model() -> ReportModel {
+    model_named("v17")
+}
+
+/// The same with `name` wherever a name comes from the recordings or the configuration.
+pub(crate) fn model_named(name: &str) -> ReportModel {
+    ReportModel {
+        title: format!("Cut-ins at the merging highway ({name})"),
+        facts: vec![
+            Fact::new("Run", name),
+            Fact::new("Seed", 20),
+            Fact::new("Device", "cpu"),
+            Fact::new("Denoiser", "small, residual parametrization, 0.6 million parameters"),
+            Fact::new("Checkpoint", "9f3c0d1be2"),
+            Fact::new("Recordings", "INTERACTION v1.2, 3 places"),
+        ],
+        warnings: vec![
+            Warning { stage: "ingest".into(), message: format!("1 case of {name} was rejected as non_finite; see Recordings.") },
+            Warning {
+                stage: "evaluate".into(),
+                message: "Collision rate of guided samples is more than twice that of unguided ones; lower the guidance strength.".into(),
+            },
+        ],
+        ingest: Some(ingest(name)),
+        mining: Some(mining(name)),
+        training: vec![training("Denoiser", 2.2), training("Classifier (cut_in)", 0.6)],
+        classifier_quality: (0..12).map(quality).collect(),
+        sampling: sampling(name),
+        metrics: metrics(name),
+        distributions: distributions(),
+        scenes: vec![
+            card("cut_in-0", name, 1.0, 0.0),
+            card("cut_in-1", name, 0.6, std::f64::consts::FRAC_PI_3),
+        ],
+        config: format!("[run]\nname = \"{name}\"\nseed = 20\n\n[generate]\nsplit = \"val\"\nsampler = {{ kind = \"heun\", n_steps = 20 }}\n"),
+    }
+}
+
+fn ingest(name: &str) -> IngestReport {
+    IngestReport {
+        n_units: 151,
+        n_bytes: 5_183_806,
+        n_scenes: 150,
+        n_agents: 2_364,
+        scenes_by: BTreeMap::from([("train/FIX_Merging".into(), 120), (format!("val/{name}"), 30)]),
+        rejects: BTreeMap::from([(
+            "non_finite".into(),
+            RejectCount { count: 1, examples: vec![format!("{name}/bad_rows.csv:17: x is not finite in case 12")] },
+        )]),
+        dropped: BTreeMap::from([("agents_absent_at_present".into(), 412)]),
+        assumed: BTreeMap::from([("heading_of_standing_agents".into(), 3)]),
+    }
+}
+
+fn mining(name: &str) -> MiningSummary {
+    let count = |split: &str, n_scenes, n_scenes_with, n_positive, n_negative| BehaviorCount {
+        behavior: "cut_in".into(),
+        split: split.into(),
+        place: name.into(),
+        n_scenes,
+        n_scenes_with,
+        n_positive,
+        n_negative,
+    };
+    MiningSummary {
+        definitions: vec![BehaviorDoc {
+            behavior: "cut_in".into(),
+            definition: "A future state of the other overlaps a future state that the ego reaches less than 3 s later, and the other's \
+                         present does not overlap any state of the ego."
+                .into(),
+        }],
+        counts: vec![count("train", 120, 64, 105, 2_310), count("val", 30, 15, 20, 601)],
+    }
+}
+
+fn training(name: &str, scale: f64) -> TrainingSummary {
+    let curve = |name: &str, offset: f64| Curve {
+        name: name.into(),
+        points: (1..60)
+            .map(|i| [f64::from(i) * 100.0, scale * (0.2 + offset + (-f64::from(i) / 12.0).exp())])
+            .collect(),
+    };
+    let loss = |title: &str, y_label: &str| Chart {
+        title: title.into(),
+        x_label: "training step".into(),
+        y_label: y_label.into(),
+        log_x: false,
+        curves: vec![curve("train", 0.0), curve("val", 0.06)],
+    };
+    TrainingSummary {
+        name: name.into(),
+        facts: vec![Fact::new("Steps", "6 000"), Fact::new("Batch size", 16), Fact::new("Parameters", "604 931")],
+        charts: vec![loss("Loss", "loss"), loss("minSceneADE of 6 samples", "m")],
+    }
+}
+
+fn quality(i: u32) -> NoiseLevelReport {
+    let sigma = 0.002 * 2.6f64.powi(i as i32);
+    let skill = 1.0 / (1.0 + sigma * sigma);
+    NoiseLevelReport {
+        sigma,
+        n_positive: 20,
+        n_negative: 600,
+        precision: (i < 11).then_some(0.05 + 0.8 * skill),
+        recall: Some(0.1 + 0.85 * skill),
+        false_positive_rate: Some(0.02),
+        accuracy: Some(0.9),
+        auc: Some(0.5 + 0.48 * skill),
+    }
+}
+
+fn sampling(name: &str) -> Vec<SamplingRow> {
+    let row = |sweep: &str, strength, n_verified, n_collision| SamplingRow {
+        sweep: sweep.into(),
+        behavior: Some("cut_in".into()),
+        place: name.into(),
+        strength,
+        sampler: "heun-20".into(),
+        n_scenes: 30,
+        n_scenarios: 180,
+        n_verified,
+        n_new: n_verified / 2,
+        n_collision,
+        offroad_rate: Some(0.012),
+        n_evaluations: Some(180 * 39),
+    };
+    vec![row("unguided", 0.0, 9, 4), row("cut_in", 1.0, 21, 5), row("cut_in", 2.0, 47, 9), row("cut_in", 4.0, 61, 31)]
+}
+
+fn metrics(name: &str) -> MetricTable {
+    let doc = |metric: &str, unit: &str, better: &str, description: &str| MetricDoc {
+        metric: metric.into(),
+        unit: unit.into(),
+        better: better.into(),
+        description: description.into(),
+    };
+    let mut rows = Vec::new();
+    for (group, strength, values) in [
+        ("recorded", 0.0, [0.0, 0.0, 0.001, 0.0]),
+        ("constant_velocity", 0.0, [0.43, 1.15, 0.021, -1.0]),
+        ("unguided", 0.0, [0.38, 1.04, 0.004, 2.31]),
+        ("cut_in", 2.0, [0.52, 1.46, 0.012, 3.02]),
+    ] {
+        for (metric, value) in ["min_scene_ade_m", "min_scene_fde_m", "collision_rate", "mfd_m"].iter().zip(values) {
+            if value < 0.0 {
+                continue; // one prediction has no spread
+            }
+            rows.push(MetricRow {
+                group: group.into(),
+                sweep: group.into(),
+                strength,
+                place: name.into(),
+                scene_id: None,
+                scenario_id: None,
+                metric: (*metric).into(),
+                value,
+                n: 30,
+                std_error: (value > 0.0).then_some(value / 12.0),
+            });
+        }
+    }
+    let docs = vec![
+        doc(
+            "min_scene_ade_m",
+            "m",
+            "lower",
+            "Mean distance to the recorded positions over all agents and future timesteps, of the best of 6 samples.",
+        ),
+        doc("min_scene_fde_m", "m", "lower", "The same at the last timestep."),
+        doc(
+            "collision_rate",
+            "",
+            "lower",
+            "Share of agents whose box overlaps another's in the future though it did not at the present.",
+        ),
+        doc("mfd_m", "m", "", "Largest distance between the final positions of two samples, mean over agents."),
+    ];
+    MetricTable { docs, rows }
+}
+
+fn distributions() -> Vec<Distribution> {
+    let mut rng = Seed(5).rng();
+    let mut draw = |mean: f64, std: f64, n: usize| (0..n).map(|_| mean + std * rng.normal()).collect::<Vec<_>>();
+    [("speed", "m/s", 11.9, 1.9), ("longitudinal acceleration", "m/s²", 0.0, 0.8), ("gap at intrusion", "m", 9.0, 4.0)]
+        .into_iter()
+        .map(|(title, unit, mean, std)| {
+            let groups =
+                [("recorded", draw(mean, std, 4000)), ("generated, α = 2", draw(mean - 0.3 * std, 1.2 * std, 2500))];
+            Distribution::of(title, unit, "every agent at every future timestep", 40, &groups)
+        })
+        .collect()
+}
+
+fn card(id: &str, name: &str, depth: f64, turned_rad: f64) -> SceneCard {
+    let (recorded, generated) = (scene(name, 0.0, turned_rad), scene(name, depth, turned_rad));
+    let roles = [("ego".to_owned(), TrackId::from("3")), ("other".to_owned(), TrackId::from(name))];
+    let facts = vec![
+        Fact::new("Scenario", format!("{name}-s4")),
+        Fact::new("Source", format!("interaction/val/{name}/12.0")),
+        Fact::new("Guidance", "classifier:cut_in, α = 2"),
+        Fact::new("Verdict", "verified, not in the recording"),
+        Fact::new("Gap at intrusion", "4.1 m"),
+        Fact::new("Time to collision at intrusion", "2.6 s"),
+        Fact::new("Relative speed", "−1.6 m/s"),
+        Fact::new("Lateral speed", "0.9 m/s"),
+    ];
+    let scenes = [("recorded", &recorded), ("generated, sample 4", &generated)];
+    SceneCard::new(format!("{id}-{name}"), format!("{name}: other cuts in ahead of ego"), facts, &scenes, &roles)
+}
+
+/// Three lanes; `depth` of 1 brings the other car fully into the ego's lane.
+fn scene(name: &str, depth: f64, turned_rad: f64) -> Scene {
+    let turn = Transform2::from_pose(Vec2::new(0.0, 0.0), turned_rad);
+    let cars = [
+        (name, 6.0, 3.5, 10.5, -3.5 * depth),
+        ("3", 0.0, 0.0, 12.5, 0.0),
+        ("4", 28.0, 0.0, 12.0, 0.0),
+        ("5", -18.0, 3.5, 12.0, 0.0),
+        ("6", 15.0, -3.5, 9.0, 0.0),
+        ("7", -9.0, -3.5, 13.5, 0.0),
+    ];
+    let tracks = cars
+        .iter()
+        .map(|(id, x, y, speed, shift)| Track {
+            id: TrackId::from(*id),
+            class: AgentClass::Vehicle,
+            role: TrackRole::Context,
+            extent: Some(Extent { length_m: 4.6, width_m: 1.9 }),
+            trajectory: trajectory(*x, *y, *speed, *shift).transformed(&turn),
+        })
+        .collect();
+    let lanes = (-1..=1).map(lane).collect();
+    Scene {
+        id: SceneId(format!("interaction/val/{name}/12.0")),
+        source: SceneSource {
+            dataset: Dataset::Interaction,
+            version: "v1.2".into(),
+            split: Split::Val,
+            place: name.into(),
+            file: "val/FIX_Merging_val.csv".into(),
+            case_id: "12.0".into(),
+            first_frame: "1".into(),
+        },
+        dt_s: 0.1,
+        n_timesteps: N_TIMESTEPS,
+        n_history: N_HISTORY,
+        world_from_scene: Transform2::from_pose(Vec2::new(1000.0, 1000.0), 0.0),
+        ego_idx: 1,
+        tracks,
+        map_id: None,
+        lanes: Arc::new(LaneGraph::new(lanes).transformed(&turn)),
+    }
+}
+
+fn trajectory(x: f64, y: f64, speed: f64, shift: f64) -> Trajectory {
+    let present = N_HISTORY as f64 - 1.0;
+    let states = (0..N_TIMESTEPS).map(|timestep| {
+        let t = (timestep as f64 - present) * 0.1;
+        let done = (t / 3.0).clamp(0.0, 1.0);
+        let lateral_speed = shift * std::f64::consts::FRAC_PI_2 / 3.0 * (std::f64::consts::PI * done).sin();
+        let position = Vec2::new(x + speed * t, y + shift * 0.5 * (1.0 - (std::f64::consts::PI * done).cos()));
+        Some(State { position, heading_rad: (lateral_speed / speed).atan(), velocity: Vec2::new(speed, lateral_speed) })
+    });
+    Trajectory::new(states.collect())
+}
+
+fn lane(i: i64) -> Lane {
+    let line = |offset: f64| {
+        Polyline((0..8).map(|k| Vec2::new(f64::from(k) * 30.0 - 80.0, i as f64 * 3.5 + offset)).collect())
+    };
+    Lane {
+        id: LaneId(i),
+        centerline: line(0.0),
+        left: line(1.75),
+        right: line(-1.75),
+        successors: vec![],
+        predecessors: vec![],
+        left_neighbor: None,
+        right_neighbor: None,
+        attributes: LaneAttributes::default(),
+    }
+}
