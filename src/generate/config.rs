@@ -19,7 +19,7 @@ pub struct GenerateConfig {
     pub places: Vec<String>,
     /// How noise becomes a sample.
     pub sampler: SamplerConfig,
-    /// Samples that are denoised together. Memory grows with it; results do not depend on anything else it changes.
+    /// Samples that are denoised together. Memory grows with it; of the results only the last digits can change with it.
     pub batch_size: usize,
     /// Scenes of a shard, the unit in which generation is resumed.
     pub scenes_per_shard: usize,

@@ -13,7 +13,7 @@ use crate::nn::Params;
 use crate::progress::Silent;
 use crate::scene::{Dataset, Scene, Split};
 use crate::seed::Seed;
-use crate::store::{ScenarioRecord, SceneIndexEntry};
+use crate::store::{ScenarioRecord, SceneIndexEntry, as_stored};
 use crate::tensor::StateParametrization;
 use candle_core::Device;
 use std::collections::BTreeMap;
@@ -156,6 +156,10 @@ fn difference_m(a: &Scene, b: &Scene) -> f64 {
     pairs.map(|(a, b)| a.position.distance(b.position)).fold(0.0, f64::max)
 }
 
+/// Matrix products of few rows round differently from those of many, and the encodings of an untrained network, with their
+/// short periods, magnify that; samples of different noise are meters apart.
+const ROUNDING_M: f64 = 0.1;
+
 #[test]
 fn batches_and_shards_do_not_matter() {
     let reference = generate(&config(SWEEPS));
@@ -165,7 +169,7 @@ fn batches_and_shards_do_not_matter() {
         for (a, b) in reference.iter().zip(&other) {
             assert_eq!((&a.scenario.id, &a.scenario.provenance), (&b.scenario.id, &b.scenario.provenance));
             let difference_m = difference_m(&a.scenario.scene, &b.scenario.scene);
-            assert!(difference_m < 1e-4, "batches of {batch_size}: {difference_m} m apart");
+            assert!(difference_m < ROUNDING_M, "batches of {batch_size}: {difference_m} m apart");
         }
     }
 }
@@ -182,13 +186,13 @@ fn histories_are_kept_and_samples_differ() {
     for record in generate(&config(SWEEPS)) {
         let Scene { tracks, .. } = &record.scenario.scene;
         let idx: usize = record.scenario.scene.source.case_id.parse().unwrap();
-        for (track, recorded) in tracks.iter().zip(&scene(idx).tracks) {
+        for (track, recorded) in tracks.iter().zip(&as_stored(&scene(idx)).tracks) {
             assert_eq!(track.trajectory.entries()[..N_HISTORY], recorded.trajectory.entries()[..N_HISTORY]);
             assert_ne!(track.trajectory.entries()[N_HISTORY..], recorded.trajectory.entries()[N_HISTORY..]);
         }
     }
     let records = generate(&config(SWEEPS));
-    assert!(difference_m(&records[0].scenario.scene, &records[1].scenario.scene) > 0.1);
+    assert!(difference_m(&records[0].scenario.scene, &records[1].scenario.scene) > 5.0 * ROUNDING_M);
     let ids: std::collections::BTreeSet<&String> = records.iter().map(|record| &record.scenario.id).collect();
     assert_eq!(ids.len(), records.len());
 }

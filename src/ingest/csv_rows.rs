@@ -38,12 +38,15 @@ impl<'a> Lines<'a> {
         Ok(Some((self.number, if self.number == 1 { without_byte_order_mark(line) } else { line })))
     }
 
-    /// Appends what follows the last line to `bytes`, unless it is more than `max_bytes`.
+    /// Appends what follows the last line to `bytes`.
+    ///
+    /// # Errors
+    /// When the stream cannot be read, or, as [`io::ErrorKind::FileTooLarge`], when more than `max_bytes` follow.
     pub(crate) fn read_rest(&mut self, bytes: &mut Vec<u8>, max_bytes: u64) -> io::Result<()> {
         let n = Read::take(&mut *self.reader, max_bytes + 1).read_to_end(bytes)?;
         if n as u64 > max_bytes {
-            let message = format!("is larger than {} MiB", max_bytes >> 20);
-            return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+            let message = format!("more than {} MiB", max_bytes >> 20);
+            return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
         }
         Ok(())
     }
@@ -77,6 +80,19 @@ mod tests {
         assert_eq!(lines(b"\xef\xbb\xbfa,b\r\n1,2\r\n\r\n3,4").unwrap(), ["a,b", "1,2", "", "3,4"]);
         assert_eq!(lines(b"a\nb\n").unwrap(), ["a", "b"]);
         assert!(lines(b"").unwrap().is_empty());
+    }
+
+    #[test]
+    fn the_rest_is_bounded() {
+        let mut bytes = &b"a\nb\nc\n"[..];
+        let mut lines = Lines::new(&mut bytes);
+        lines.next().unwrap();
+        let mut rest = Vec::new();
+        lines.read_rest(&mut rest, 4).unwrap();
+        assert_eq!(rest, b"b\nc\n");
+        let mut endless = io::BufReader::new(io::repeat(b'x'));
+        let error = Lines::new(&mut endless).read_rest(&mut rest, 1000).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
     }
 
     #[test]

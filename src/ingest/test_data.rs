@@ -1,4 +1,4 @@
-//! Where does the development data lie, for the tests that use it?
+//! Where does the development data lie, for the tests that use it, and how are files damaged?
 
 use std::path::PathBuf;
 
@@ -15,4 +15,20 @@ pub(crate) fn test_data(relative: &str) -> Option<PathBuf> {
         return None;
     }
     Some(path)
+}
+
+/// The bytes with some damage: at each place (taken modulo the length), a byte is exchanged, then some are removed. Every
+/// seventh length cuts the rest off.
+pub(crate) fn damaged(bytes: &[u8], damages: &[(usize, u8, usize)]) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    for (place, byte, n_removed) in damages {
+        if bytes.is_empty() {
+            break;
+        }
+        let at = place % bytes.len();
+        bytes[at] = *byte;
+        let end = if n_removed % 7 == 6 { bytes.len() } else { bytes.len().min(at + 1 + n_removed % 7) };
+        bytes.drain(at + 1..end);
+    }
+    bytes
 }

@@ -146,3 +146,124 @@ fn write_scenario_table(path: &Path, batches: Vec<ScenarioRows>) -> Result<(u64,
     }
     Ok((file.n_rows(), file.finish()?))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{LaneGraph, Scene};
+    use crate::store::testing::{event, folder_bytes, map, record, scene};
+    use crate::store::{CorpusReader, SceneStore, SceneWriter, SceneWriterOptions};
+    use serde_json::Value;
+
+    /// A store of some scenes on two maps, and scenarios from them.
+    fn store_and_records(dir: &Path) -> (SceneStore, Vec<ScenarioRecord>) {
+        let maps: Vec<(MapId, LaneGraph)> = vec![("PIT".into(), map(1, 9)), ("MIA".into(), map(2, 7))];
+        let scenes: Vec<Scene> =
+            (0..70).map(|i| scene(i, maps.get(i as usize % 3).map(|(id, graph)| (id, graph)))).collect();
+        let mut writer = SceneWriter::create(dir, SceneWriterOptions::default()).unwrap();
+        writer.write_batch(&scenes, &maps, 1, &Value::Null).unwrap();
+        writer.finish(&Value::Null).unwrap();
+        let mut records: Vec<ScenarioRecord> =
+            scenes.iter().flat_map(|scene| (0..2).map(|i| record(scene, i))).collect();
+        // A parameter that occurs late, in a batch of its own.
+        let last = records.last_mut().unwrap();
+        last.events = vec![event(&last.scenario.scene.id, "cut_in", &[("ttc_s", 2.5)])];
+        (SceneStore::open(dir).unwrap(), records)
+    }
+
+    fn metric_row() -> MetricRow {
+        MetricRow {
+            group: "recorded".to_owned(),
+            sweep: String::new(),
+            strength: 0.0,
+            place: "PIT".to_owned(),
+            scene_id: None,
+            scenario_id: None,
+            metric: "collision_rate".to_owned(),
+            value: 0.25,
+            n: 4,
+            std_error: None,
+        }
+    }
+
+    fn write(dir: &Path, store: &SceneStore, records: &[ScenarioRecord], batch_len: usize) -> CorpusManifest {
+        let mut writer = CorpusWriter::create(dir, store).unwrap();
+        for batch in records.chunks(batch_len) {
+            writer.write_scenarios(batch).unwrap();
+        }
+        writer.write_metrics(&[metric_row()]).unwrap();
+        writer.finish(&CorpusNotes::default()).unwrap()
+    }
+
+    #[test]
+    fn scenarios_come_back_as_they_were() {
+        let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (store, records) = store_and_records(store_dir.path());
+        let manifest = write(dir.path(), &store, &records, 33);
+        assert_eq!((manifest.n_scenarios, manifest.n_verified, manifest.n_maps), (140, 70, 2));
+        assert_eq!(manifest.scenarios_by_sweep["guided"], 140);
+        assert!(manifest.sources["argoverse1"].contains("CC BY-NC-SA 4.0"));
+
+        let reader = CorpusReader::open(dir.path()).unwrap();
+        reader.verify().unwrap();
+        assert_eq!(*reader.manifest(), manifest);
+        assert_eq!(reader.metrics().unwrap(), [metric_row()]);
+        assert!(reader.scenario_ids().unwrap().eq(records.iter().map(|record| record.scenario.id.as_str())));
+        for (i, record) in records.iter().enumerate().rev() {
+            assert_eq!(reader.scenario(i).unwrap(), *record, "scenario {i}");
+        }
+        assert_eq!(reader.position(&records[7].scenario.id).unwrap(), 7);
+        assert!(reader.scenario(140).unwrap_err().to_string().ends_with("holds no scenario number 140 of 140"));
+    }
+
+    #[test]
+    fn the_same_scenarios_give_the_same_bytes_however_they_come() {
+        let (store_dir, one, two) =
+            (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (store, records) = store_and_records(store_dir.path());
+        write(one.path(), &store, &records, 5);
+        write(two.path(), &store, &records, 140);
+        assert!(folder_bytes(one.path()) == folder_bytes(two.path()));
+    }
+
+    #[test]
+    fn an_abandoned_corpus_is_no_corpus() {
+        let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (store, records) = store_and_records(store_dir.path());
+        write(dir.path(), &store, &records, 33);
+        let mut writer = CorpusWriter::create(dir.path(), &store).unwrap();
+        writer.write_scenarios(&records[..3]).unwrap();
+        drop(writer);
+        assert_eq!(folder_bytes(dir.path()).len(), 0);
+        assert!(matches!(CorpusReader::open(dir.path()).err(), Some(Error::Unfinished { .. })));
+    }
+
+    #[test]
+    fn an_id_cannot_occur_twice() {
+        let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (store, records) = store_and_records(store_dir.path());
+        let mut writer = CorpusWriter::create(dir.path(), &store).unwrap();
+        let error = writer.write_scenarios(&[records[0].clone(), records[0].clone()]).unwrap_err();
+        assert!(error.to_string().ends_with("another scenario has this id"), "{error}");
+    }
+
+    #[test]
+    fn damage_is_found() {
+        let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (store, records) = store_and_records(store_dir.path());
+        write(dir.path(), &store, &records, 33);
+        for file in [SCENARIOS_FILE, TRACKS_FILE, LANES_FILE, METRICS_FILE] {
+            let path = dir.path().join(file);
+            let whole = fs::read(&path).unwrap();
+            fs::write(&path, &whole[..whole.len() - 1]).unwrap();
+            let error = CorpusReader::open(dir.path()).err().unwrap().to_string();
+            assert!(error.contains(file) && error.contains("is damaged"), "{error}");
+            let mut damaged = whole.clone();
+            damaged[whole.len() / 2] ^= 1;
+            fs::write(&path, &damaged).unwrap();
+            let found = CorpusReader::open(dir.path()).and_then(|reader| reader.verify()).unwrap_err().to_string();
+            assert!(found.contains(file) && found.contains("is damaged"), "{found}");
+            fs::write(&path, &whole).unwrap();
+        }
+    }
+}

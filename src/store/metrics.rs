@@ -25,3 +25,36 @@ pub fn read_metrics(path: &Path) -> Result<Vec<MetricRow>> {
     }
     Ok(rows)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::SceneId;
+
+    #[test]
+    fn values_come_back_as_they_were() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("metrics.parquet");
+        let aggregate = MetricRow {
+            group: "guided".to_owned(),
+            sweep: "guided".to_owned(),
+            strength: 2.0,
+            place: String::new(),
+            scene_id: None,
+            scenario_id: None,
+            metric: "collision_rate".to_owned(),
+            value: 1.0 / 3.0,
+            n: 6,
+            std_error: Some(0.1),
+        };
+        let single = MetricRow {
+            scene_id: Some(SceneId::from("a/b/c/d")),
+            scenario_id: Some("s".to_owned()),
+            std_error: None,
+            ..aggregate.clone()
+        };
+        let rows = [aggregate, single];
+        write_metrics(&path, &rows).unwrap();
+        assert_eq!(read_metrics(&path).unwrap(), rows);
+    }
+}

@@ -14,18 +14,20 @@ pub struct ScenarioRecord {
     pub sweep: String,
     /// The behavior that was asked for; `None` for unconditional sampling.
     pub requested_behavior: Option<String>,
-    /// Whether the miner found the requested behavior; `false` when none was requested.
+    /// Whether the miner found the requested behavior with the requested roles; `false` when none was requested.
     pub verified: bool,
-    /// The positive events of the requested behavior that the miner found; their `scene_id` is the scene's.
+    /// The positive events of the requested behavior that the miner found, those with the requested roles first; their
+    /// `scene_id` is the scene's.
     pub events: Vec<BehaviorEvent>,
     /// Whether the recording already held the requested behavior with these roles.
     pub recorded_event: bool,
 }
 
 impl ScenarioRecord {
-    /// The event that stands for the scenario in tables: the first positive one of the requested behavior.
+    /// The event that stands for a verified scenario in tables: the first positive one of the requested behavior, which
+    /// verification puts those with the requested roles before.
     pub fn main_event(&self) -> Option<&BehaviorEvent> {
-        let requested = self.requested_behavior.as_ref()?;
+        let requested = self.requested_behavior.as_ref().filter(|_| self.verified)?;
         self.events.iter().find(|event| event.behavior == *requested && event.label == EventLabel::Positive)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{Error, Result, tables};
 use arrow::datatypes::{DataType, Field, FieldRef, Fields, Schema, SchemaRef};
-use serde_json::{Value, json};
+use serde::Serialize;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -101,55 +101,95 @@ impl TableSchema {
         Ok(())
     }
 
-    /// The schema as it is published in `schemas/`.
-    pub fn json(&self) -> Value {
-        let open: Vec<Value> = self
-            .open
-            .iter()
-            .map(|columns| {
-                json!({
-                    "names": columns.pattern,
-                    "type": type_name(&columns.data_type),
-                    "nullable": true,
-                    "description": columns.description,
-                })
-            })
-            .collect();
-        json!({
-            "schema": self.id(),
-            "description": self.description,
-            "frames": {
-                SCENE_FRAME: "Metres; origin at the ego's position at timestep n_history - 1, x axis along its heading there.",
-                WORLD_FRAME: "Metres; the frame of the recording or its map, as the dataset defines it.",
-            },
-            "fields": self.fields.iter().map(field_json).collect::<Vec<_>>(),
-            "further_columns": open,
-        })
+    /// The schema as it is published in `schemas/`: indented JSON with a final newline.
+    ///
+    /// # Errors
+    /// Those of JSON.
+    pub fn json(&self) -> serde_json::Result<String> {
+        let open = |columns: &OpenColumns| OpenColumnsDoc {
+            names: columns.pattern,
+            data_type: type_name(&columns.data_type),
+            nullable: true,
+            description: columns.description,
+        };
+        let doc = TableDoc {
+            schema: self.id(),
+            description: self.description,
+            frames: FRAMES,
+            columns: self.fields.iter().map(ColumnDoc::of).collect(),
+            further_columns: self.open.iter().map(open).collect(),
+        };
+        Ok(serde_json::to_string_pretty(&doc)? + "\n")
     }
 }
 
-fn field_json(field: &Field) -> Value {
-    let metadata = |key: &str| field.metadata().get(key).map_or("", |value| value.as_str()).to_owned();
-    let mut value = json!({
-        "name": field.name(),
-        "type": type_name(field.data_type()),
-        "nullable": field.is_nullable(),
-        "unit": metadata("unit"),
-        "frame": metadata("frame"),
-        "description": metadata("description"),
-    });
-    let members = match field.data_type() {
-        DataType::Struct(members) => Some(members),
-        DataType::List(item) => match item.data_type() {
+/// What the names of frames stand for.
+const FRAMES: FramesDoc = FramesDoc {
+    scene: "Origin at the ego's position at timestep n_history - 1, x axis along its heading there.",
+    world: "The frame of the recording or its map, as the dataset defines it.",
+};
+
+/// A published schema.
+#[derive(Serialize)]
+struct TableDoc {
+    schema: String,
+    description: &'static str,
+    frames: FramesDoc,
+    columns: Vec<ColumnDoc>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    further_columns: Vec<OpenColumnsDoc>,
+}
+
+#[derive(Serialize)]
+struct FramesDoc {
+    scene: &'static str,
+    world: &'static str,
+}
+
+#[derive(Serialize)]
+struct ColumnDoc {
+    name: String,
+    #[serde(rename = "type")]
+    data_type: String,
+    nullable: bool,
+    unit: String,
+    frame: String,
+    description: String,
+    /// The members of a struct or of a list of structs.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    members: Vec<Self>,
+}
+
+#[derive(Serialize)]
+struct OpenColumnsDoc {
+    names: &'static str,
+    #[serde(rename = "type")]
+    data_type: String,
+    nullable: bool,
+    description: &'static str,
+}
+
+impl ColumnDoc {
+    fn of(field: &Field) -> Self {
+        let metadata = |key: &str| field.metadata().get(key).cloned().unwrap_or_default();
+        let members = match field.data_type() {
             DataType::Struct(members) => Some(members),
+            DataType::List(item) => match item.data_type() {
+                DataType::Struct(members) => Some(members),
+                _ => None,
+            },
             _ => None,
-        },
-        _ => None,
-    };
-    if let Some(members) = members {
-        value["fields"] = members.iter().map(|member| field_json(member)).collect();
+        };
+        Self {
+            name: field.name().clone(),
+            data_type: type_name(field.data_type()),
+            nullable: field.is_nullable(),
+            unit: metadata("unit"),
+            frame: metadata("frame"),
+            description: metadata("description"),
+            members: members.into_iter().flatten().map(|member| Self::of(member)).collect(),
+        }
     }
-    value
 }
 
 fn type_name(data_type: &DataType) -> String {

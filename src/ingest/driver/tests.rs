@@ -1,11 +1,12 @@
 use super::*;
-use crate::ingest::MapsConfig;
 use crate::ingest::argoverse1::csv_text;
+use crate::ingest::argoverse2::scenario_bytes;
+use crate::ingest::{MapsConfig, test_data};
 use crate::progress::Silent;
 use crate::scene::Dataset;
 use flate2::write::GzEncoder;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 const MAP: &str = r#"<ArgoverseVectorMap><node id="0" x="900" y="2000"/><node id="1" x="1200" y="2000"/>
     <way lane_id="5"><nd ref="0"/><nd ref="1"/></way></ArgoverseVectorMap>"#;
@@ -151,22 +152,36 @@ fn faults_of_the_whole_input_end_the_ingest() {
     assert!(text.contains("all.tar.gz"), "{text}");
 }
 
-/// `archives/…` or `samples/…` of the data that is shared beside the project, or a message that it is not there.
-fn shared(path: &str) -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-    let path = std::env::var_os("DJINN_DATA").map_or(beside, PathBuf::from).join(path);
-    if !path.exists() {
-        let mut stderr = std::io::stderr();
-        writeln!(stderr, "skipped: {} does not exist (set DJINN_DATA)", path.display()).expect("stderr is open");
-        return None;
+#[test]
+fn argoverse_2_scenarios_need_their_maps() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let lane = r#"{"id": 1, "lane_type": "VEHICLE", "is_intersection": false,
+        "left_lane_boundary": [{"x": 0, "y": 0}, {"x": 0, "y": 90}],
+        "right_lane_boundary": [{"x": 4, "y": 0}, {"x": 4, "y": 90}]}"#;
+    let map = format!(r#"{{"lane_segments": {{"1": {lane}}}}}"#);
+    for (id, map) in [("a", Some(map.as_str())), ("b", Some(&map[..80])), ("c", None)] {
+        let scenario = folder.path().join("val").join(id);
+        fs_err::create_dir_all(&scenario).expect("writable");
+        fs_err::write(scenario.join(format!("scenario_{id}.parquet")), scenario_bytes()).expect("writable");
+        if let Some(map) = map {
+            fs_err::write(scenario.join(format!("log_map_archive_{id}.json")), map).expect("writable");
+        }
     }
-    Some(path)
+    let config = IngestConfig::new(Dataset::Argoverse2, vec![folder.path().to_owned()]);
+    let (batches, report) = run(&config, None).expect("one scenario is whole");
+    assert_eq!((report.n_scenes, batches[0].maps.len()), (1, 1));
+    let lanes = batches[0].scenes[0].lanes.lanes();
+    assert!(lanes[0].centerline.0[0].distance(crate::geometry::Vec2::new(-49.0, 3.0)) < 1e-9, "in the ego's frame");
+    assert!(report.rejects["bad_map"].examples[0].starts_with("val/b/log_map_archive_b.json: "));
+    assert!(report.rejects["no_map"].examples[0].starts_with("val/c/scenario_c.parquet: "));
+    let without = IngestConfig { maps: MapsConfig::None, ..config };
+    assert_eq!(run(&without, None).expect("maps are not needed").1.n_scenes, 3);
 }
 
 #[test]
 fn argoverse_1_archives_are_read_completely() {
     for (archive, n_scenes) in [("train", 1990), ("val", 303)] {
-        let Some(path) = shared(&format!("archives/argoverse1_forecasting_{archive}.tar.gz")) else { return };
+        let Some(path) = test_data(&format!("archives/argoverse1_forecasting_{archive}.tar.gz")) else { return };
         let config = IngestConfig { maps: MapsConfig::None, ..config(&path) };
         let report = ingest(&config, None, &Silent, &mut |_| Ok(())).expect("a whole archive");
         assert_eq!((report.n_units, report.n_scenes, report.n_rejects()), (n_scenes, n_scenes, 0), "{archive}");
@@ -175,7 +190,7 @@ fn argoverse_1_archives_are_read_completely() {
 
 #[test]
 fn argoverse_1_samples_lie_on_their_map() {
-    let Some(path) = shared("samples/argoverse1") else { return };
+    let Some(path) = test_data("samples/argoverse1") else { return };
     let listed = fs_err::read_to_string(path.join("scenes_on_map.txt")).expect("part of the sample");
     let config = IngestConfig { places: vec!["MIA".to_owned()], map_radius_m: 30.0, ..config(&path) };
     let (batches, report) = run(&config, None).expect("samples on the map");
@@ -193,11 +208,34 @@ fn argoverse_1_samples_lie_on_their_map() {
 
 #[test]
 fn the_argoverse_2_sample_is_read_with_its_map() {
-    let Some(path) = shared("samples/argoverse2") else { return };
+    let Some(path) = test_data("samples/argoverse2") else { return };
     let (batches, report) = run(&IngestConfig::new(Dataset::Argoverse2, vec![path]), None).expect("one scenario");
     assert_eq!((report.n_scenes, report.n_rejects()), (1, 0));
     let scene = &batches[0].scenes[0];
     assert_eq!((scene.n_timesteps, scene.n_history, scene.ego().id.0.as_str()), (110, 50, "138951"));
     assert_eq!((batches[0].maps.len(), batches[0].maps[0].1.lanes().len()), (1, 34), "driving lanes only");
     assert!(!scene.lanes.is_empty() && report.dropped["agents_static"] > 0);
+}
+
+#[test]
+fn the_interaction_archive_is_read_completely() {
+    let Some(path) = test_data("archives/INTERACTION-sim-multi-v1_2.zip") else { return };
+    let report =
+        ingest(&IngestConfig::new(Dataset::Interaction, vec![path]), None, &Silent, &mut |_| Ok(())).expect("whole");
+    let of_split =
+        |split: &str| report.scenes_by.iter().filter(|(key, _)| key.starts_with(split)).map(|(_, n)| n).sum::<u64>();
+    assert_eq!((of_split("train/"), of_split("val/"), of_split("test/")), (5000, 700, 300), "{}", report.summary());
+    assert_eq!(report.scenes_by.len(), 9, "three places in three splits");
+    assert_eq!(report.n_rejects(), 0, "{}", report.summary());
+}
+
+#[test]
+fn interaction_recordings_are_cut_into_windows() {
+    let Some(path) = test_data("samples/interaction/recorded_trackfiles") else { return };
+    let Some(maps) = test_data("samples/interaction/maps") else { return };
+    let config = IngestConfig { map_inputs: vec![maps], ..IngestConfig::new(Dataset::Interaction, vec![path]) };
+    let (batches, report) = run(&config, None).expect("whole");
+    assert_eq!(batches.iter().map(|batch| batch.maps.len()).sum::<usize>(), 3);
+    assert!(report.scenes_by["train/SIM_Merging"] > 3 * report.scenes_by["val/SIM_Merging"]);
+    assert!(scenes(&batches).iter().all(|scene| scene.n_timesteps == 40 && !scene.lanes.is_empty()));
 }

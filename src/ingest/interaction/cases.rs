@@ -40,7 +40,7 @@ pub(super) fn split_cases(
             // The case that is being read is not whole.
             Err(error) => {
                 let rest = current.as_ref().map_or("the file", |_| "the current case and the rest of the file");
-                return emit(Err(table.reject("unreadable_file", format!("{error}; {rest} is left out"))));
+                return emit(Err(table.reject("unreadable", format!("{error}; {rest} is left out"))));
             }
         };
         let id = CaseId::of(line, columns);
@@ -64,7 +64,7 @@ pub(super) fn split_cases(
         }
         if let Some(case) = &mut current {
             if case.rows.len() + line.len() > MAX_CASE_BYTES {
-                case.flaw = case.flaw.or(Some("case_too_large"));
+                case.flaw = case.flaw.or(Some("too_large"));
             }
             if case.flaw.is_none() {
                 case.rows.extend_from_slice(line);
@@ -197,7 +197,7 @@ mod tests {
         let units = split(&[HEADER, &row("1.0", 1), &row("2.0", 1), &"x".repeat(100_000)].concat());
         assert!(units[0].is_ok());
         let reject = units[1].as_ref().unwrap_err();
-        assert!(reject.starts_with("unreadable_file") && reject.contains("line 4"), "{reject}");
+        assert!(reject.starts_with("unreadable") && reject.contains("line 4"), "{reject}");
         assert_eq!(units.len(), 2);
     }
 

@@ -2,7 +2,27 @@
 //!
 //! Two versions are in use and told apart by their columns. v1.1 has whole recordings, `vehicle_tracks_NNN.csv` and
 //! `pedestrian_tracks_NNN.csv` in a folder named for the place, which are cut into windows here. v1.2 has tables of cases
-//! of 40 frames, of which 10 are observed; the cases of test sets hold these 10 alone, and mark agents. Maps are Lanelet2.
+//! of 40 frames, of which 10 are observed; the cases of test sets hold these 10 alone, and mark agents. Maps are Lanelet2
+//! and belong to the place of exactly their name: v1.1's `DR_CHN_Merging_ZS` is neither v1.2's `ZS0` nor its `ZS2`.
+//!
+//! A flaw costs its case or recording, and no other. Reasons of rejects:
+//!
+//! | reason | what is wrong |
+//! |---|---|
+//! | `malformed_row` | too few or too many columns, or a cell that is no number, no whole number, or no id |
+//! | `non_finite` | a number is NaN or infinite |
+//! | `out_of_range` | a position beyond 1000 km, a speed beyond 1 km/s, a frame that no recording has |
+//! | `bad_timestamp` | `timestamp_ms` is not 100 times `frame_id`, the recordings being at 10 Hz |
+//! | `duplicate_frame` | a track is twice at the same frame |
+//! | `unknown_agent_type`, `inconsistent_agent_type` | not a type of the format; two types in one track |
+//! | `bad_case_id`, `case_not_contiguous` | no usable id; a case goes on after another one began |
+//! | `frame_out_of_range` | the frames of a case span more than 40, or those of a recording more than a day |
+//! | `recording_not_contiguous` | the other file of a recording comes after the recording was read, or comes twice |
+//! | `recording_too_short`, `window_across_holdout`, `empty_window` | see [`scenes`] |
+//! | `no_rows`, `bad_header`, `unreadable`, `too_large` | of a whole file or case |
+//!
+//! Tolerated: columns in any order and unknown ones, CRLF, byte order marks, empty lines, a missing last line end, whole
+//! numbers printed as floats, sizes that change along a track (the first counts) or are not positive (taken as unknown).
 
 mod cases;
 mod columns;
@@ -61,6 +81,14 @@ impl RecordingSource for Interaction<'_> {
         } else {
             vec![scenes::case(unit, self.horizon)]
         }
+    }
+
+    fn n_bytes_parsed(&self, unit: &RawUnit) -> u64 {
+        let is_recording = unit.header.is_empty();
+        // Each row of a recording is in as many windows as overlap there.
+        let n_overlapping =
+            if is_recording { self.horizon.n_timesteps().div_ceil(self.config.window_stride) } else { 1 };
+        unit.n_bytes() * n_overlapping.max(1) as u64
     }
 
     fn is_map(&self, path: &str) -> bool {

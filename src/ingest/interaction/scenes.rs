@@ -17,7 +17,7 @@ const MAX_RECORDING_FRAMES: i64 = 1_000_000;
 /// The present is the tenth frame of the case, so a shorter history begins later. A case in which nothing comes after the
 /// present, as in test sets, has the history alone.
 pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
-    let columns = Columns::of(&unit.header, false).map_err(|detail| unit.reject("malformed_header", detail))?;
+    let columns = Columns::of(&unit.header, false).map_err(|detail| unit.reject("bad_header", detail))?;
     let table = Table { file: &unit.file, columns, rows: &unit.bytes, first_line: unit.first_line };
     let tracks = read_tracks(&[table])?;
     let Some((min_frame, max_frame)) = frames(&tracks) else {
@@ -110,7 +110,7 @@ fn recording_tables(unit: &RawUnit) -> Result<Vec<Table<'_>>, Reject> {
             let (header, rows) = bytes.split_at(end);
             // The headers were checked when the files were read, with the name of the file in mind.
             let columns = Columns::of(without_end(header), true)
-                .map_err(|detail| Reject { reason: "malformed_header", detail: format!("{file}: {detail}") })?;
+                .map_err(|detail| Reject { reason: "bad_header", detail: format!("{file}: {detail}") })?;
             Ok(Table { file, columns, rows, first_line: 2 })
         })
         .collect()

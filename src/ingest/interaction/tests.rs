@@ -1,8 +1,9 @@
 //! From files to scenes: small tables written out here, damaged ones, and all of the development data.
 
 use super::*;
+use crate::ingest::UnitSplit;
 use crate::ingest::archive::visit_entries;
-use crate::ingest::{UnitSplit, test_data};
+use crate::ingest::test_data::{self, test_data};
 use crate::scene::{AgentClass, Split, TrackRole};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -234,7 +235,7 @@ fn a_file_that_breaks_off_is_a_reject() {
     fs_err::write(folder.path().join("SIM_B_val.csv"), [V1_2, &car("1.0,", 7, 1..=40)].concat()).unwrap();
     let scenes = read_scenes(&config(folder.path()));
     let outcomes = outcomes(&scenes);
-    assert_eq!(outcomes[outcomes.len() - 2..], ["unreadable_file", "interaction/val/SIM_B/1"]);
+    assert_eq!(outcomes[outcomes.len() - 2..], ["unreadable", "interaction/val/SIM_B/1"]);
     assert!(outcomes[..outcomes.len() - 2].iter().all(|id| id.starts_with("interaction/val/SIM_A/")));
     assert!(scenes[outcomes.len() - 2].as_ref().unwrap_err().detail.starts_with("SIM_A_val.csv"));
 }
@@ -320,4 +321,36 @@ fn the_toy_recording_of_the_interaction_authors_is_read() {
     let state = second.trajectory.get(0).unwrap();
     assert_eq!((state.position.x, state.position.y, state.velocity.x), (90.0, 5.5, 10.0));
     assert!((state.heading_rad - std::f64::consts::PI).abs() < 1e-4);
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn damaged_tables_never_panic(
+        is_recording: bool,
+        damages in proptest::collection::vec((0..6000usize, proptest::prelude::any::<u8>(), 0..40usize), 1..6),
+    ) {
+        let cases: String = (1..4).map(|case| car(&format!("{case}.0,"), 7, 1..=40)).collect();
+        let (name, text) = if is_recording {
+            ("SIM_A/vehicle_tracks_000.csv", [V1_1, &car("", 1, 1..=100), &car("", 2, 20..=60)].concat())
+        } else {
+            ("SIM_A_val.csv", [V1_2, &cases].concat())
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        fs_err::create_dir_all(path.parent().unwrap()).unwrap();
+        fs_err::write(&path, test_data::damaged(text.as_bytes(), &damages)).unwrap();
+        let config = config(folder.path());
+        if let Ok(units) = read_units(&config) {
+            let source = Interaction::new(&config);
+            for unit in units.into_iter().flatten() {
+                for scene in source.parse(&unit).into_iter().flatten() {
+                    let states = || scene.tracks.iter().flat_map(|track| track.trajectory.valid());
+                    assert!(states().all(|(_, state)| state.is_finite()));
+                    assert!(scene.tracks.iter().all(|track| track.trajectory.n_timesteps() == scene.n_timesteps));
+                }
+            }
+        }
+    }
 }

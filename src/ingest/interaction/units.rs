@@ -8,7 +8,7 @@ use super::{CASE_HORIZON, Interaction};
 use crate::ingest::archive::Entry;
 use crate::ingest::csv_rows::Lines;
 use crate::ingest::{EmitUnit, Error, Horizon, RawUnit, UnitReader};
-use std::io::BufRead;
+use std::io::{self, BufRead};
 use std::ops::ControlFlow;
 
 /// Largest file of a v1.1 recording; those of 5 minutes of dense traffic have 20 MB.
@@ -49,7 +49,7 @@ impl UnitReader for TableReader<'_> {
         let mut lines = Lines::new(reader);
         let header = match lines.next() {
             Ok(line) => line.map(|(_, line)| line.to_vec()).unwrap_or_default(),
-            Err(error) => return Ok(emit(Err(unit.reject("unreadable_file", error)))),
+            Err(error) => return Ok(emit(Err(unit.reject("unreadable", error)))),
         };
         let is_pedestrians = file.recording.as_ref().is_some_and(|part| part.is_pedestrians);
         let columns = Columns::of(&header, is_pedestrians)
@@ -67,7 +67,8 @@ impl UnitReader for TableReader<'_> {
         unit.bytes = header;
         unit.bytes.push(b'\n');
         if let Err(error) = lines.read_rest(&mut unit.bytes, MAX_RECORDING_BYTES) {
-            return Ok(emit(Err(unit.reject("unreadable_file", error))));
+            let is_too_large = error.kind() == io::ErrorKind::FileTooLarge;
+            return Ok(emit(Err(unit.reject(if is_too_large { "too_large" } else { "unreadable" }, error))));
         }
         let part = file.recording.unwrap_or(RecordingPart { number: file.place, is_pedestrians });
         unit.case_id.clone_from(&part.number);

@@ -12,7 +12,6 @@ mod projection;
 mod report;
 mod topology;
 
-pub use projection::{GeoPoint, LocalUtm};
 pub use report::MapReport;
 
 use crate::geometry::Vec2;
@@ -20,6 +19,7 @@ use crate::ingest::Error;
 use crate::scene::LaneGraph;
 use lanelet::Lanelet;
 use osm::{NodePosition, Osm};
+use projection::LocalUtm;
 use std::collections::BTreeMap;
 use std::io::{BufRead, Read};
 

@@ -1,8 +1,17 @@
 //! Affine map, bias and activation.
 
-use candle_core::{D, Result, Tensor};
+use candle_core::{CpuStorage, CustomOp3, D, Layout, Result, Shape, Tensor};
+use rayon::prelude::*;
 
 use super::Activation;
+use super::gemm::{Into, Matrix, matmul};
+use super::host::{gradient, slice, values};
+use super::rows::{gather, spans, valid_rows};
+
+/// Rows that one task maps: with them its share of inputs and outputs stays in the cache between product and activation.
+const N_ROWS: usize = 128;
+/// Outputs whose weights one task differentiates.
+const N_OUTPUTS: usize = 64;
 
 /// The plain implementation: see [`linear`](super::linear).
 pub(super) fn reference(
@@ -23,6 +32,151 @@ pub(super) fn reference(
     };
     match valid {
         None => Ok(y),
-        Some(valid) => y.broadcast_mul(&valid.detach().unsqueeze(D::Minus1)?),
+        Some(valid) => y.broadcast_mul(&valid.unsqueeze(D::Minus1)?),
     }
+}
+
+/// The fused implementation: see [`linear`](super::linear).
+pub(super) fn fused(
+    x: &Tensor,
+    weight: &Tensor,
+    bias: &Tensor,
+    activation: Activation,
+    valid: Option<&Tensor>,
+) -> Result<Tensor> {
+    let rows = match valid {
+        None => (0..(x.elem_count() / x.dim(D::Minus1)?) as u32).collect(),
+        Some(valid) => valid_rows(&values(&valid.contiguous()?)?),
+    };
+    x.contiguous()?.apply_op3(&weight.contiguous()?, &bias.contiguous()?, FusedLinear { activation, rows })
+}
+
+/// x (.., K), W (N, K), b (N) to (.., N), on `rows` alone; the others are 0.
+struct FusedLinear {
+    activation: Activation,
+    rows: Vec<u32>,
+}
+
+impl FusedLinear {
+    /// The gradient at the output of the affine map, for some rows and the outputs from `first` to `end`.
+    fn gradient(&self, y: &[f32], grad: &[f32], rows: &[u32], n_out: usize, first: usize, end: usize) -> Vec<f32> {
+        let mut gradient = Vec::with_capacity(rows.len() * (end - first));
+        for row in rows {
+            let start = *row as usize * n_out;
+            let grad = &grad[start + first..start + end];
+            match self.activation {
+                Activation::None => gradient.extend_from_slice(grad),
+                Activation::Relu => {
+                    let y = &y[start + first..start + end];
+                    gradient.extend(grad.iter().zip(y).map(|(g, y)| if *y > 0.0 { *g } else { 0.0 }));
+                }
+            }
+        }
+        gradient
+    }
+
+    fn gradient_of_x(&self, y: &[f32], grad: &[f32], weight: &[f32], n_out: usize) -> Vec<f32> {
+        let n_in = weight.len() / n_out;
+        let mut dx = vec![0.0; y.len() / n_out * n_in];
+        spans(&mut dx, n_in, &self.rows, N_ROWS).par_iter_mut().for_each(|span| {
+            let gradient = self.gradient(y, grad, span.rows, n_out, 0, n_out);
+            span.write(|dx| matmul(dx, Into::Replace, 1.0, Matrix::new(&gradient, n_out), Matrix::new(weight, n_in)));
+        });
+        dx
+    }
+
+    /// Gradients of weight and bias. Each task sums over all rows in their order, for outputs of its own.
+    fn gradient_of_weights(
+        &self,
+        x: &[f32],
+        y: &[f32],
+        grad: &[f32],
+        n_in: usize,
+        n_out: usize,
+    ) -> (Vec<f32>, Vec<f32>) {
+        let (mut dw, mut db) = (vec![0.0; n_out * n_in], vec![0.0; n_out]);
+        let tasks = dw.par_chunks_mut(N_OUTPUTS * n_in).zip(db.par_chunks_mut(N_OUTPUTS)).enumerate();
+        tasks.for_each(|(task, (dw, db))| {
+            let first = task * N_OUTPUTS;
+            for rows in self.rows.chunks(2 * N_ROWS) {
+                let gradient = self.gradient(y, grad, rows, n_out, first, first + db.len());
+                let x = gather(x, n_in, rows);
+                matmul(dw, Into::Add, 1.0, Matrix::new(&gradient, db.len()).t(), Matrix::new(&x, n_in));
+                for gradient in gradient.chunks_exact(db.len()) {
+                    db.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += g);
+                }
+            }
+        });
+        (dw, db)
+    }
+}
+
+impl CustomOp3 for FusedLinear {
+    fn name(&self) -> &'static str {
+        "linear"
+    }
+
+    fn cpu_fwd(
+        &self,
+        x: &CpuStorage,
+        x_layout: &Layout,
+        weight: &CpuStorage,
+        weight_layout: &Layout,
+        bias: &CpuStorage,
+        bias_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let (x, weight, bias) = (slice(x, x_layout)?, slice(weight, weight_layout)?, slice(bias, bias_layout)?);
+        let (n_out, n_in) = weight_layout.shape().dims2()?;
+        let mut shape = x_layout.dims().to_vec();
+        shape.pop();
+        shape.push(n_out);
+        // Transposed once here, lest every product pack its weights anew.
+        let weight = transposed(weight, n_in);
+        let mut y = vec![0.0; x.len() / n_in * n_out];
+        spans(&mut y, n_out, &self.rows, N_ROWS).par_iter_mut().for_each(|span| {
+            let x = gather(x, n_in, span.rows);
+            span.write(|y| {
+                matmul(y, Into::Replace, 1.0, Matrix::new(&x, n_in), Matrix::new(&weight, n_out));
+                for y in y.chunks_exact_mut(n_out) {
+                    match self.activation {
+                        Activation::None => y.iter_mut().zip(bias).for_each(|(y, b)| *y += b),
+                        Activation::Relu => y.iter_mut().zip(bias).for_each(|(y, b)| *y = (*y + b).max(0.0)),
+                    }
+                }
+            });
+        });
+        Ok((CpuStorage::F32(y), shape.into()))
+    }
+
+    fn bwd(
+        &self,
+        x: &Tensor,
+        weight: &Tensor,
+        bias: &Tensor,
+        y: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let grad = grad.contiguous()?;
+        let (n_out, n_in) = weight.dims2()?;
+        let (x_values, weight_values, y_values, grad) = (values(x)?, values(weight)?, values(y)?, values(&grad)?);
+        let (x_slice, weight_slice, y, grad) = (&*x_values, &*weight_values, &*y_values, &*grad);
+        let (dx, dw) = rayon::join(
+            || x.track_op().then(|| self.gradient_of_x(y, grad, weight_slice, n_out)),
+            || (weight.track_op() || bias.track_op()).then(|| self.gradient_of_weights(x_slice, y, grad, n_in, n_out)),
+        );
+        let (dw, db) = dw.unzip();
+        Ok((gradient(dx, x)?, gradient(dw, weight)?, gradient(db, bias)?))
+    }
+}
+
+/// The transposed matrix of rows of `n_cols`.
+fn transposed(matrix: &[f32], n_cols: usize) -> Vec<f32> {
+    let n_rows = matrix.len() / n_cols;
+    let mut transposed = vec![0.0; matrix.len()];
+    for (i, row) in matrix.chunks_exact(n_cols).enumerate() {
+        for (j, value) in row.iter().enumerate() {
+            transposed[j * n_rows + i] = *value;
+        }
+    }
+    transposed
 }

@@ -3,14 +3,21 @@
 //! Every operation has a plain implementation in differentiable candle operations. On the CPU in `f32` a fused one with its
 //! own backward pass takes its place; the choice is made here and nowhere else.
 
+mod adam;
 mod attention;
 mod cross_attention;
+mod gemm;
+mod heads;
+mod host;
+mod kernels;
 mod layer_norm;
 mod linear;
+mod rows;
 mod sinusoidal;
 
 use candle_core::{D, DType, Device, Result, Tensor, bail};
 
+pub(super) use self::adam::{AdamStep, Moments};
 use super::attention::Axis;
 
 /// What follows an affine map.
@@ -43,10 +50,12 @@ pub fn linear(
     if x.dim(D::Minus1)? != n_in || bias.dims() != [n_out] {
         bail!("linear: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
     }
-    if let Some(valid) = valid {
-        check_rows("linear", x, valid)?;
+    let valid = valid.map(|valid| mask_of("linear", x, valid)).transpose()?;
+    if is_fused(x) {
+        linear::fused(x, weight, bias, activation, valid.as_ref())
+    } else {
+        linear::reference(x, weight, bias, activation, valid.as_ref())
     }
-    linear::reference(x, weight, bias, activation, valid)
 }
 
 /// Normalizes the last dimension of `x` (.., D) to mean 0 and variance 1, then scales by `weight` (D) and adds `bias` (D).
@@ -58,7 +67,11 @@ pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64) -> R
     if weight.dims() != [dim] || bias.dims() != [dim] {
         bail!("layer_norm: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
     }
-    layer_norm::reference(x, weight, bias, epsilon)
+    if is_fused(x) {
+        layer_norm::fused(x, weight, bias, epsilon)
+    } else {
+        layer_norm::reference(x, weight, bias, epsilon)
+    }
 }
 
 /// Softmax attention in `n_heads` heads among the valid states along `axis`: `qkv` (B, A, T, 3 D) and `valid` (B, A, T) to
@@ -68,11 +81,15 @@ pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64) -> R
 /// When shapes do not fit.
 pub fn self_attention(qkv: &Tensor, valid: &Tensor, n_heads: usize, axis: Axis) -> Result<Tensor> {
     let (_, _, _, width) = qkv.dims4()?;
-    check_rows("self_attention", qkv, valid)?;
+    let valid = mask_of("self_attention", qkv, valid)?;
     if n_heads == 0 || !width.is_multiple_of(3 * n_heads) {
         bail!("self_attention: {width} features are not queries, keys and values of {n_heads} heads");
     }
-    attention::reference(qkv, valid, n_heads, axis)
+    if is_fused(qkv) {
+        attention::fused(qkv, &valid, n_heads, axis)
+    } else {
+        attention::reference(qkv, &valid, n_heads, axis)
+    }
 }
 
 /// Softmax attention in `n_heads` heads from states to lanes: `query` (B, A, T, D), `valid` (B, A, T), `keys` (M, L, 2 D)
@@ -90,8 +107,8 @@ pub fn cross_attention(
 ) -> Result<Tensor> {
     let (n_batch, _, _, dim) = query.dims4()?;
     let (n_maps, _, width) = keys.dims3()?;
-    check_rows("cross_attention", query, valid)?;
-    check_rows("cross_attention", keys, lane_valid)?;
+    let (valid, lane_valid) =
+        (mask_of("cross_attention", query, valid)?, mask_of("cross_attention", keys, lane_valid)?);
     if n_heads == 0
         || !dim.is_multiple_of(n_heads)
         || width != 2 * dim
@@ -100,7 +117,11 @@ pub fn cross_attention(
     {
         bail!("cross_attention: query {:?} and keys {:?} do not fit {n_heads} heads", query.dims(), keys.dims());
     }
-    cross_attention::reference(query, valid, keys, lane_valid, n_heads)
+    if is_fused(query) {
+        cross_attention::fused(query, &valid, keys, &lane_valid, n_heads)
+    } else {
+        cross_attention::reference(query, &valid, keys, &lane_valid, n_heads)
+    }
 }
 
 /// The states of `valid` (B, A, T) whose map has a valid lane in `lane_valid` (M, L): those that cross-attention serves.
@@ -126,21 +147,61 @@ pub fn rows_with_keys(valid: &Tensor, lane_valid: &Tensor) -> Result<Tensor> {
 /// # Errors
 /// When the device fails.
 pub fn sinusoidal(x: &Tensor, frequencies: &[f64]) -> Result<Tensor> {
-    sinusoidal::reference(x, frequencies)
+    if is_fused(x) { sinusoidal::fused(x, frequencies) } else { sinusoidal::reference(x, frequencies) }
 }
 
-/// Checks that `valid` has one entry a row of `x`.
-fn check_rows(name: &str, x: &Tensor, valid: &Tensor) -> Result<()> {
+/// Moves a parameter and its moments by one step of Adam, in place.
+///
+/// # Errors
+/// When shapes do not fit.
+pub(super) fn adam_step(parameter: &Tensor, moments: &mut Moments, grad: &Tensor, step: AdamStep) -> Result<()> {
+    if parameter.dims() != grad.dims() || parameter.dims() != moments.first.dims() {
+        bail!("adam: a gradient {:?} does not fit a parameter {:?}", grad.dims(), parameter.dims());
+    }
+    if is_fused(parameter) && is_fused(grad) && parameter.is_contiguous() {
+        adam::fused(parameter, moments, grad, step)
+    } else {
+        adam::reference(parameter, moments, grad, step)
+    }
+}
+
+/// The sum of the squares of all entries, in double precision and a fixed order.
+///
+/// # Errors
+/// When the device fails.
+pub(super) fn sum_of_squares(x: &Tensor) -> Result<f64> {
+    if is_fused(x) {
+        adam::fused_sum_of_squares(x)
+    } else {
+        x.detach().to_dtype(DType::F64)?.sqr()?.sum_all()?.to_scalar()
+    }
+}
+
+/// Moves `average` by the share 1 - `decay` towards `value`, in place.
+///
+/// # Errors
+/// When shapes do not fit.
+pub(super) fn average_step(average: &mut Tensor, value: &Tensor, decay: f64) -> Result<()> {
+    if is_fused(average) && is_fused(value) && average.dims() == value.dims() && average.is_contiguous() {
+        adam::fused_average_step(average, value, decay)
+    } else {
+        *average = ((&*average * decay)? + (value.detach() * (1.0 - decay))?)?;
+        Ok(())
+    }
+}
+
+/// `valid` as a mask of the rows of `x`, in its type and outside every gradient.
+fn mask_of(name: &str, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
     if x.dims().split_last().is_none_or(|(_, rows)| rows != valid.dims()) {
         bail!("{name}: mask {:?} does not fit rows of {:?}", valid.dims(), x.dims());
     }
-    Ok(())
+    valid.detach().to_dtype(x.dtype())
 }
 
 /// Softmax over the last dimension of `scores` among entries where `mask` (broadcast to `scores`) is 1. The others get
 /// exactly 0, also where no entry is left.
 fn masked_softmax(scores: &Tensor, mask: &Tensor) -> Result<Tensor> {
-    let mask = mask.detach().broadcast_as(scores.shape())?.contiguous()?;
+    let mask = mask.broadcast_as(scores.shape())?.contiguous()?;
     let keep = mask.ne(0.0)?;
     let lowest = Tensor::full(f32::MIN, scores.shape(), scores.device())?.to_dtype(scores.dtype())?;
     let max = keep.where_cond(&scores.detach(), &lowest)?.max_keepdim(D::Minus1)?;
@@ -150,3 +211,6 @@ fn masked_softmax(scores: &Tensor, mask: &Tensor) -> Result<Tensor> {
     let total = weights.sum_keepdim(D::Minus1)?;
     weights.broadcast_div(&(&total + total.eq(0.0)?.to_dtype(scores.dtype())?)?)
 }
+
+#[cfg(test)]
+mod tests;

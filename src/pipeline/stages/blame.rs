@@ -1,7 +1,7 @@
 //! Whose failure is an error of each layer? Here, once, for all stages.
 
 use crate::pipeline::{Blame, Failure};
-use crate::{ingest, nn, store, train};
+use crate::{generate, ingest, nn, store, train};
 use std::io::ErrorKind;
 
 impl From<ingest::Error> for Failure {
@@ -57,5 +57,14 @@ fn of_input_file(error: std::io::Error) -> Failure {
             Failure::input(error).with_hint("relative paths are relative to the current directory")
         }
         _ => Failure::fault(error),
+    }
+}
+impl From<generate::Error> for Failure {
+    fn from(error: generate::Error) -> Self {
+        let blame = match &error {
+            generate::Error::Scene { .. } | generate::Error::Stale { .. } | generate::Error::Tensor(_) => Blame::Fault,
+            _ => Blame::Input,
+        };
+        Self { blame, ..Self::fault(error) }
     }
 }

@@ -1,13 +1,23 @@
 //! The stages: how are the sections of a pipeline file connected to the code that does the work?
 
 mod blame;
+mod evaluate;
+mod generate;
 mod ingest;
 mod mine;
+mod report;
+mod sample_folder;
 mod selection;
+mod train_classifier;
 mod train_denoiser;
 
+pub use evaluate::{Evaluate, EvaluateConfig, EvaluationSummary, GateResult, GatesConfig, Keep};
+pub use generate::Generate;
 pub use ingest::Ingest;
-pub use mine::{BehaviorCounts, LabelCounts, Mine, MineConfig, MineSummary};
+pub use mine::{BehaviorCounts, EventCounts, Mine, MineConfig, MineSummary};
+pub use report::{About, Report, ReportConfig};
+pub use sample_folder::{SampleFolder, SampleManifest, SampleSidecar, SampledWith};
+pub use train_classifier::TrainClassifier;
 pub use train_denoiser::TrainDenoiser;
 
 use super::config::PipelineConfig;
@@ -37,16 +47,66 @@ pub fn alone<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) ->
 }
 
 /// Fails if a quality gate was not met, whether the metrics were computed now or earlier.
-pub fn check_gates(_records: &[StageRecord]) -> Result<()> {
-    Ok(())
+pub fn check_gates(records: &[StageRecord]) -> Result<()> {
+    let Some(evaluated) = records.iter().find(|record| record.stage == StageId::Evaluate) else { return Ok(()) };
+    let gates: Vec<GateResult> =
+        serde_json::from_value(evaluated.summary["gates"].clone()).map_err(anyhow::Error::from)?;
+    let missed: Vec<String> =
+        gates.iter().filter(|gate| !gate.met).map(|gate| format!("{}: {}", gate.gate, gate.detail)).collect();
+    if missed.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::gate(format_args!("quality gate not met: {}", missed.join("; "))))
+    }
 }
 
 fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Option<Box<dyn Stage + 'a>> {
-    let PipelineConfig { run, ingest, mine, train } = config;
+    let PipelineConfig { run, ingest, mine, train, generate, evaluate, report } = config;
+    let definitions = || mine.clone().unwrap_or_default();
     Some(match id {
         StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()? }),
         StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
         StageId::TrainDenoiser => Box::new(TrainDenoiser { config: train.denoiser.as_ref()?, seed: run.seed, layout }),
-        _ => return None,
+        StageId::TrainClassifier => Box::new(TrainClassifier { config: train.classifier.as_ref()?, layout }),
+        StageId::Generate => Box::new(Generate { config: generate.as_ref()?, mine: definitions(), layout }),
+        StageId::Evaluate => {
+            Box::new(Evaluate { config: evaluate.as_ref()?, mine: definitions(), pipeline: &run.name, layout })
+        }
+        StageId::Report => Box::new(Report {
+            config: report.as_ref()?,
+            parts: reported_stages(config, layout),
+            about: About {
+                pipeline: run.name.clone(),
+                seed: run.seed,
+                // A configuration that cannot be written has failed before: it is saved in the run folder.
+                config: config.portable().to_toml().unwrap_or_default(),
+            },
+            layout,
+        }),
     })
+}
+
+/// The stages to report on: those of the pipeline, or where the configuration has no other section, those whose outputs
+/// are there.
+fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
+    let has_section = |id: StageId| match id {
+        StageId::Ingest => config.ingest.is_some(),
+        StageId::Mine => config.mine.is_some(),
+        StageId::TrainDenoiser => config.train.denoiser.is_some(),
+        StageId::TrainClassifier => config.train.classifier.is_some(),
+        StageId::Generate => config.generate.is_some(),
+        StageId::Evaluate => config.evaluate.is_some(),
+        StageId::Report => false,
+    };
+    let is_there = |id: StageId| match id {
+        StageId::Ingest => layout.scenes.exists(),
+        StageId::Mine => layout.events.exists(),
+        StageId::TrainDenoiser => layout.denoiser.exists(),
+        StageId::TrainClassifier => layout.classifier.exists(),
+        StageId::Generate => layout.samples.exists(),
+        StageId::Evaluate => layout.metrics.exists(),
+        StageId::Report => false,
+    };
+    let in_pipeline: Vec<StageId> = StageId::ALL.into_iter().filter(|id| has_section(*id)).collect();
+    if in_pipeline.is_empty() { StageId::ALL.into_iter().filter(|id| is_there(*id)).collect() } else { in_pipeline }
 }

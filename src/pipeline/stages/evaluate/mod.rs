@@ -1,0 +1,182 @@
+//! Generated scenarios to metrics and the corpus: how good are they, and do they pass?
+
+mod cells;
+mod config;
+mod gates;
+mod measures;
+mod sampling;
+mod table;
+
+pub use config::{EvaluateConfig, GatesConfig, Keep};
+pub use gates::GateResult;
+
+use super::mine::MineConfig;
+use super::sample_folder::SampleManifest;
+use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY};
+use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
+use crate::report::{MetricDoc, SamplingRow};
+use crate::scene::Scene;
+use crate::store::{
+    CorpusNotes, CorpusWriter, MetricRow, ScenarioRecord, SceneStore, write_json_atomically, write_metrics,
+};
+use cells::{CellFigures, into_cells};
+use measures::Measures;
+use rayon::prelude::*;
+use sampling::SamplingTable;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use table::MetricTable;
+
+/// The metrics that a person asks for first: the content of `metrics.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EvaluationSummary {
+    /// Number of generated scenarios.
+    pub n_scenarios: u64,
+    /// How many of them hold the behavior that was asked for.
+    pub n_verified: u64,
+    /// How many of the verified ones the recording does not hold already.
+    pub n_new: u64,
+    /// How many scenarios the corpus has.
+    pub n_kept: u64,
+    /// The gates.
+    pub gates: Vec<GateResult>,
+    /// What was asked and what came out, by sweep, place and strength.
+    pub sampling: Vec<SamplingRow>,
+    /// What the metrics mean.
+    pub docs: Vec<MetricDoc>,
+    /// Means over scenes: of all places together, then of each.
+    pub aggregates: Vec<MetricRow>,
+}
+
+/// The stage.
+pub struct Evaluate<'a> {
+    /// Its section.
+    pub config: &'a EvaluateConfig,
+    /// The definitions of the behaviors that are counted.
+    pub mine: MineConfig,
+    /// Name of the pipeline, for the corpus.
+    pub pipeline: &'a str,
+    /// Where the scenes and samples are.
+    pub layout: &'a Layout,
+}
+
+impl Stage for Evaluate<'_> {
+    fn id(&self) -> StageId {
+        StageId::Evaluate
+    }
+
+    fn version(&self) -> u32 {
+        1
+    }
+
+    fn config(&self) -> anyhow::Result<Value> {
+        let mut config = serde_json::to_value(self.config)?;
+        config["behaviors"] = serde_json::to_value(&self.mine.behaviors)?;
+        config["pipeline"] = json!(self.pipeline);
+        Ok(config)
+    }
+
+    fn inputs(&self) -> Vec<StageInput> {
+        vec![
+            StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
+            StageInput::made_by(StageId::Generate, "samples", &self.layout.samples),
+        ]
+    }
+
+    fn outputs(&self) -> &'static [&'static str] {
+        &[CORPUS, METRICS, METRICS_SUMMARY]
+    }
+
+    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
+        self.config.validate()?;
+        let behaviors = self.mine.build()?;
+        let measures = Measures::new(self.config, &behaviors);
+        let store = SceneStore::open(&self.layout.scenes)?;
+        let samples = SampleManifest::read(&self.layout.samples)?;
+        let mut table = MetricTable::new(measures.docs());
+        let mut sampling = SamplingTable::new(&measures.docs(), samples.sampled_with.n_evaluations);
+        let mut corpus = CorpusWriter::create(&context.root.join(CORPUS), &store)?;
+        let mut kept_ids = BTreeSet::new();
+        context.progress.start("evaluate", samples.n_scenarios, "scenarios");
+        for shard in &samples.shards {
+            let records = SampleManifest::read_shard(&self.layout.samples, shard, &store)?;
+            for (cell, recorded, figures) in evaluate_shard(&records, &store, &measures)? {
+                sampling.add(&shard.sweep, &cell, &recorded, &figures);
+                table.add(&shard.sweep, &cell, &recorded, figures);
+            }
+            let keeps = |record: &ScenarioRecord| self.config.keep == Keep::All || record.verified;
+            let n_records = records.len() as u64;
+            let kept: Vec<ScenarioRecord> = records.into_iter().filter(keeps).collect();
+            corpus.write_scenarios(&kept)?;
+            kept_ids.extend(kept.into_iter().map(|record| record.scenario.id));
+            context.progress.advance(n_records);
+        }
+        context.progress.finish();
+        let (aggregates, sampling) = (table.aggregates(), sampling.finish());
+        self.write_tables(context, corpus, &table, &aggregates, &kept_ids)?;
+        let summary = EvaluationSummary {
+            n_scenarios: samples.n_scenarios,
+            n_verified: samples.n_verified,
+            n_new: sampling.iter().map(|row| row.n_new).sum(),
+            n_kept: kept_ids.len() as u64,
+            gates: gates::check(&self.config.gates, &sampling, &aggregates),
+            sampling,
+            docs: measures.docs(),
+            aggregates,
+        };
+        write_json_atomically(&context.root.join(METRICS_SUMMARY), &summary)?;
+        Ok(json!({
+            "n_scenarios": summary.n_scenarios,
+            "n_verified": summary.n_verified,
+            "n_new": summary.n_new,
+            "n_kept": summary.n_kept,
+            "gates": summary.gates,
+        }))
+    }
+}
+
+impl Evaluate<'_> {
+    /// Writes every row to the metric table of the run, and the aggregates and the rows of kept scenarios to the corpus.
+    fn write_tables(
+        &self,
+        context: &StageContext<'_>,
+        mut corpus: CorpusWriter<'_>,
+        table: &MetricTable,
+        aggregates: &[MetricRow],
+        kept_ids: &BTreeSet<String>,
+    ) -> Result<()> {
+        let all = [aggregates, &table.of_scenes(), table.of_scenarios()].concat();
+        write_metrics(&context.root.join(METRICS), &all)?;
+        let is_kept = |row: &&MetricRow| row.scenario_id.as_ref().is_some_and(|id| kept_ids.contains(id));
+        corpus.write_metrics(aggregates)?;
+        corpus.write_metrics(&table.of_scenarios().iter().filter(is_kept).cloned().collect::<Vec<_>>())?;
+        let notes = BTreeMap::from([
+            ("pipeline".to_owned(), self.pipeline.to_owned()),
+            ("made_by".to_owned(), format!("djinn {}", env!("CARGO_PKG_VERSION"))),
+        ]);
+        corpus.finish(&CorpusNotes { sources: BTreeMap::new(), notes })?;
+        Ok(())
+    }
+}
+
+/// Measures the cells of a shard in parallel, and gives them back in order.
+fn evaluate_shard<'r>(
+    records: &'r [ScenarioRecord],
+    store: &SceneStore,
+    measures: &Measures<'_>,
+) -> Result<Vec<(cells::Cell<'r>, Scene, CellFigures)>> {
+    into_cells(records)
+        .into_par_iter()
+        .map(|cell| {
+            let scene_id = &cell.records[0].scenario.provenance.scene_id;
+            let idx = store.position(scene_id).ok_or_else(|| {
+                Failure::input_message(format_args!("scene {scene_id} of the samples is not among the scenes"))
+                    .with_hint("give the scenes that the samples were generated from")
+            })?;
+            let recorded = store.scene(idx)?;
+            let figures = cell.evaluate(&recorded, measures);
+            Ok((cell, recorded, figures))
+        })
+        .collect()
+}

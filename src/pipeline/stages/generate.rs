@@ -1,0 +1,151 @@
+//! Recorded histories and models to generated scenarios, shard by shard; finished shards are kept when interrupted.
+
+use super::mine::MineConfig;
+use super::sample_folder::{SampleFolder, SampleSidecar, SampledWith};
+use super::train_denoiser::checkpoint_file;
+use crate::generate::{GenerateConfig, Generator, Models, Plan, Shortfall};
+use crate::model::{TrainedClassifier, TrainedDenoiser};
+use crate::pipeline::layout::{Layout, SAMPLES};
+use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
+use crate::store::SceneStore;
+use candle_core::Device;
+use serde_json::{Value, json};
+
+/// The stage.
+pub struct Generate<'a> {
+    /// Its section.
+    pub config: &'a GenerateConfig,
+    /// The definitions of the behaviors that scenarios are checked for.
+    pub mine: MineConfig,
+    /// Where the scenes and models are.
+    pub layout: &'a Layout,
+}
+
+impl Stage for Generate<'_> {
+    fn id(&self) -> StageId {
+        StageId::Generate
+    }
+
+    fn version(&self) -> u32 {
+        1
+    }
+
+    fn config(&self) -> anyhow::Result<Value> {
+        let mut config = serde_json::to_value(self.config)?;
+        config["behaviors"] = serde_json::to_value(&self.mine.behaviors)?;
+        Ok(config)
+    }
+
+    fn inputs(&self) -> Vec<StageInput> {
+        let mut inputs = vec![
+            StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
+            StageInput::made_by(StageId::TrainDenoiser, "denoiser", &self.layout.denoiser),
+        ];
+        if self.needs_classifier() {
+            inputs.push(StageInput::made_by(StageId::TrainClassifier, "classifier", &self.layout.classifier));
+        }
+        inputs
+    }
+
+    fn outputs(&self) -> &'static [&'static str] {
+        &[SAMPLES]
+    }
+
+    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
+        let device = Device::Cpu;
+        let store = SceneStore::open(&self.layout.scenes)?;
+        let denoiser = TrainedDenoiser::read(&checkpoint_file(&self.layout.denoiser), &device)?;
+        let mut classifiers = Vec::new();
+        if self.needs_classifier() {
+            classifiers.push(TrainedClassifier::read(&checkpoint_file(&self.layout.classifier), &device)?);
+        }
+        let behaviors = self.mine.build()?;
+        let models = Models { denoiser: &denoiser, classifiers: &classifiers };
+        let load = |idx: usize| Ok(store.scene(idx)?);
+        let generator = Generator::new(self.config, models, &behaviors, &load, &device)?;
+        let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
+        let plan = match folder.plan() {
+            Some(plan) => plan,
+            None => plan_generation(&generator, &store, &folder, context)?,
+        };
+        for shortfall in &plan.shortfalls {
+            let Shortfall { sweep, n_wanted, n_found } = shortfall;
+            context.progress.warn(&format!("sweep {sweep}: {n_wanted} scenes were asked for, {n_found} fit"));
+        }
+        let shards = self.generate_shards(&generator, &plan, &folder, context)?;
+        let manifest = folder.write_manifest(
+            shards,
+            SampledWith {
+                denoiser: denoiser.fingerprint.clone(),
+                classifier: classifiers.first().map(|classifier| classifier.fingerprint.clone()),
+                sampler: self.config.sampler.name(),
+                n_evaluations: self.config.sampler.n_evaluations() as u64,
+                shortfalls: plan.shortfalls,
+            },
+        )?;
+        if manifest.n_rejected > 0 {
+            let message = format!("{} samples were no finite numbers and were rejected", manifest.n_rejected);
+            context.progress.warn(&message);
+        }
+        Ok(json!({
+            "n_scenarios": manifest.n_scenarios,
+            "n_verified": manifest.n_verified,
+            "n_rejected": manifest.n_rejected,
+        }))
+    }
+}
+
+impl Generate<'_> {
+    /// Unguided sampling needs no classifier, except to rank pairs: there it is used if some sweep is guided.
+    fn needs_classifier(&self) -> bool {
+        self.config.sweeps.iter().any(|sweep| sweep.strengths.iter().any(|strength| *strength != 0.0))
+    }
+
+    fn generate_shards(
+        &self,
+        generator: &Generator<'_>,
+        plan: &Plan,
+        folder: &SampleFolder,
+        context: &StageContext<'_>,
+    ) -> Result<Vec<SampleSidecar>> {
+        let mut done = Vec::new();
+        let mut n_verified = vec![0; self.config.sweeps.len()];
+        context.progress.start("generate", plan.n_samples(self.config) as u64, "samples");
+        for shard in &plan.shards {
+            let n_samples = shard.n_samples(self.config) as u64;
+            if !shard.is_wanted(self.config, n_verified[shard.sweep_idx]) {
+                context.progress.advance(n_samples);
+                continue;
+            }
+            let sidecar = match folder.finished(shard.idx) {
+                Some(sidecar) => {
+                    context.progress.advance(n_samples);
+                    sidecar
+                }
+                None => {
+                    let output = generator.generate(shard, context.progress)?;
+                    let sweep = &self.config.sweeps[shard.sweep_idx].name;
+                    folder.write_shard(shard.idx, sweep, &output.records, output.rejected)?
+                }
+            };
+            n_verified[shard.sweep_idx] += sidecar.n_verified as usize;
+            done.push(sidecar);
+        }
+        context.progress.note(&format!("{} verified", n_verified.iter().sum::<usize>()));
+        context.progress.finish();
+        Ok(done)
+    }
+}
+
+fn plan_generation(
+    generator: &Generator<'_>,
+    store: &SceneStore,
+    folder: &SampleFolder,
+    context: &StageContext<'_>,
+) -> Result<Plan> {
+    context.progress.start("plan", 0, "sweeps");
+    let plan = generator.plan(store.index())?;
+    folder.write_plan(&plan)?;
+    context.progress.finish();
+    Ok(plan)
+}
