@@ -4,8 +4,11 @@ use super::*;
 use crate::behavior::testing::random_scene;
 use crate::geometry::OrientedBox;
 
+/// An ordered pair of agents (ego, other), its label, and (t_other, t_ego) of a cut-in.
+type Verdict = (usize, usize, EventLabel, Option<(usize, usize)>);
+
 /// The definition without any pruning: every pair of states of every ordered pair of agents.
-fn plain_labels(config: &CutInConfig, scene: &Scene) -> Vec<(usize, usize, EventLabel, Option<(usize, usize)>)> {
+fn plain_labels(config: &CutInConfig, scene: &Scene) -> Vec<Verdict> {
     let footprint = |agent_idx: usize, t: usize| -> Option<OrientedBox> { scene.tracks[agent_idx].footprint_at(t) };
     let present = scene.current_timestep();
     let n_agents = scene.tracks.len();
@@ -51,7 +54,7 @@ fn plain_labels(config: &CutInConfig, scene: &Scene) -> Vec<(usize, usize, Event
     labels
 }
 
-fn labels(config: &CutInConfig, scene: &Scene) -> Vec<(usize, usize, EventLabel, Option<(usize, usize)>)> {
+fn labels(config: &CutInConfig, scene: &Scene) -> Vec<Verdict> {
     let idx = |event: &BehaviorEvent, role: &str| scene.track_idx(event.track(role).expect("role")).expect("track");
     let times = |event: &BehaviorEvent| {
         (event.label == EventLabel::Positive).then_some((event.start_timestep, event.end_timestep))
