@@ -97,7 +97,7 @@ impl Error {
     }
 
     /// A value that cannot be stored faithfully.
-    pub(crate) fn invalid(id: impl ToString, detail: impl Into<String>) -> Self {
+    pub(crate) fn invalid(id: &(impl ToString + ?Sized), detail: impl Into<String>) -> Self {
         Self::Invalid { id: id.to_string(), detail: detail.into() }
     }
 

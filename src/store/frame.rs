@@ -1,6 +1,7 @@
 //! The polars view of our tables: what do many metric values, or many events, come to by group?
 
 use super::schema::unit_of_name;
+use super::tables::event::{label_from_name, scene_part};
 use super::{Error, MetricRow, Result};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use polars::prelude::*;
@@ -97,7 +98,7 @@ fn metric_summary(groups: &DataFrame, i: usize) -> PolarsResult<MetricRow> {
 /// [`Error::Frame`] when a group-by fails.
 pub fn summarize_events(events: &[BehaviorEvent], by_place: bool) -> Result<Vec<EventSummary>> {
     let place = |event: &BehaviorEvent| {
-        let place = event.scene_id.0.splitn(4, '/').nth(2).filter(|_| by_place);
+        let place = scene_part(&event.scene_id, 2).filter(|_| by_place);
         place.unwrap_or_default().to_owned()
     };
     let places: Vec<String> = events.iter().map(place).collect();
@@ -204,7 +205,7 @@ fn count(frame: &DataFrame, column: &str, i: usize) -> PolarsResult<usize> {
 
 fn label(frame: &DataFrame, i: usize) -> PolarsResult<EventLabel> {
     let name = text(frame, "label", i)?;
-    super::tables::event::label_from_name(&name).ok_or_else(|| polars_err!(ComputeError: "there is no label {name}"))
+    label_from_name(&name).ok_or_else(|| polars_err!(ComputeError: "there is no label {name}"))
 }
 
 #[cfg(test)]

@@ -4,13 +4,14 @@ use super::atomic::{AtomicFile, FileStamp};
 use super::schema::{SCHEMA_KEY, TableSchema};
 use super::{Error, Result};
 use arrow::array::RecordBatch;
-use arrow::datatypes::SchemaRef;
+use arrow::datatypes::{Schema, SchemaRef};
 use fs_err as fs;
-use parquet::arrow::ArrowWriter;
-use parquet::arrow::arrow_reader::{ParquetRecordBatchReaderBuilder, RowSelection, RowSelector};
-use parquet::basic::{Compression, ZstdLevel};
-use parquet::file::metadata::KeyValue;
+use parquet::arrow::arrow_reader::{ArrowReaderOptions, ParquetRecordBatchReaderBuilder, RowSelection, RowSelector};
+use parquet::arrow::{ArrowSchemaConverter, ArrowWriter};
+use parquet::basic::{Compression, Type, ZstdLevel};
+use parquet::file::metadata::{KeyValue, PageIndexPolicy};
 use parquet::file::properties::WriterProperties;
+use parquet::file::reader::ChunkReader;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -27,14 +28,7 @@ pub(crate) struct ParquetFile {
 impl ParquetFile {
     /// Begins a file of this table; `schema` is the table's with its open columns.
     pub(crate) fn create(path: &Path, table: &TableSchema, schema: SchemaRef) -> Result<Self> {
-        let level = ZstdLevel::try_new(3).map_err(Error::parquet(path))?;
-        let properties = WriterProperties::builder()
-            .set_compression(Compression::ZSTD(level))
-            // The default names the version of the library: an update would change every file.
-            .set_created_by("djinn".to_owned())
-            .set_max_row_group_row_count(Some(ROWS_PER_GROUP))
-            .set_key_value_metadata(Some(vec![KeyValue::new(SCHEMA_KEY.to_owned(), table.id())]))
-            .build();
+        let properties = properties(table, &schema).map_err(Error::parquet(path))?;
         let file = AtomicFile::create(path)?;
         let writer = ArrowWriter::try_new(file, schema, Some(properties)).map_err(Error::parquet(path))?;
         Ok(Self { path: path.to_owned(), writer, n_rows: 0 })
@@ -58,6 +52,22 @@ impl ParquetFile {
     }
 }
 
+fn properties(table: &TableSchema, schema: &Schema) -> parquet::errors::Result<WriterProperties> {
+    let mut properties = WriterProperties::builder()
+        .set_compression(Compression::ZSTD(ZstdLevel::try_new(3)?))
+        // The default names the version of the library: an update would change every file.
+        .set_created_by("djinn".to_owned())
+        .set_max_row_group_row_count(Some(ROWS_PER_GROUP))
+        .set_key_value_metadata(Some(vec![KeyValue::new(SCHEMA_KEY.to_owned(), table.id())]));
+    for column in ArrowSchemaConverter::new().convert(schema)?.columns() {
+        // Hardly any measured number occurs twice: a dictionary of them all would make the column larger, not smaller.
+        if matches!(column.physical_type(), Type::FLOAT | Type::DOUBLE) {
+            properties = properties.set_column_dictionary_enabled(column.path().clone(), false);
+        }
+    }
+    Ok(properties.build())
+}
+
 /// Writes a table that is one batch.
 pub(crate) fn write_batch(path: &Path, table: &TableSchema, batch: &RecordBatch) -> Result<FileStamp> {
     let mut file = ParquetFile::create(path, table, batch.schema())?;
@@ -67,27 +77,33 @@ pub(crate) fn write_batch(path: &Path, table: &TableSchema, batch: &RecordBatch)
 
 /// Reads all rows of a table.
 pub(crate) fn read(path: &Path, table: &TableSchema) -> Result<Vec<RecordBatch>> {
-    collect(path, open(path, table)?)
+    collect(path, open(path, table, ArrowReaderOptions::new())?)
 }
 
-/// Reads a range of the rows of a table, skipping the others.
+/// Reads a range of the rows of a table, and only the pages that hold them.
 pub(crate) fn read_rows(path: &Path, table: &TableSchema, rows: Range<usize>) -> Result<Vec<RecordBatch>> {
     let selection = RowSelection::from(vec![RowSelector::skip(rows.start), RowSelector::select(rows.len())]);
-    let reader = open(path, table)?.with_row_selection(selection).with_batch_size(rows.len().max(1));
+    let options = ArrowReaderOptions::new().with_offset_index_policy(PageIndexPolicy::Optional);
+    let reader = open(path, table, options)?.with_row_selection(selection).with_batch_size(rows.len().max(1));
     collect(path, reader)
 }
 
-type Reader = ParquetRecordBatchReaderBuilder<std::fs::File>;
-
-fn open(path: &Path, table: &TableSchema) -> Result<Reader> {
+fn open(
+    path: &Path,
+    table: &TableSchema,
+    options: ArrowReaderOptions,
+) -> Result<ParquetRecordBatchReaderBuilder<impl ChunkReader + 'static>> {
     // Parquet reads files of the standard library only; the errors of opening still name the path.
     let (file, _) = fs::File::open(path)?.into_parts();
-    let reader = Reader::try_new(file).map_err(damaged(path))?;
+    let reader = ParquetRecordBatchReaderBuilder::try_new_with_options(file, options).map_err(damaged(path))?;
     table.check(path, reader.schema())?;
     Ok(reader)
 }
 
-fn collect(path: &Path, reader: Reader) -> Result<Vec<RecordBatch>> {
+fn collect<R: ChunkReader + 'static>(
+    path: &Path,
+    reader: ParquetRecordBatchReaderBuilder<R>,
+) -> Result<Vec<RecordBatch>> {
     let batches = reader.build().map_err(damaged(path))?;
     batches.map(|batch| batch.map_err(|error| Error::corrupt(path, error.to_string()))).collect()
 }

@@ -43,7 +43,7 @@ pub(crate) fn scene(seed: u64, map: Option<(&MapId, &LaneGraph)>) -> Scene {
     let mut rng = Seed(seed).derive_named("test", "scene").rng();
     let (n_timesteps, n_history) = (12 + rng.below(4), 5);
     let tracks: Vec<Track> = (0..2 + rng.below(5)).map(|i| track(&mut rng, i, n_timesteps)).collect();
-    let world_from_scene = Transform2::from_pose(Vec2::new(1987.654_321, -1432.1), 3.0 * rng.uniform());
+    let world_from_scene = Transform2::from_pose(Vec2::new(1987.654321, -1432.1), 3.0 * rng.uniform());
     let lanes = map.map_or_else(LaneGraph::default, |(_, graph)| {
         let near: Vec<LaneId> = graph.lanes().iter().take(4 + rng.below(3)).map(|lane| lane.id).collect();
         graph.subset(&near).transformed(&world_from_scene.inverse())
@@ -83,7 +83,7 @@ fn track(rng: &mut SeededRng, i: usize, n_timesteps: usize) -> Track {
         id: TrackId(format!("track-{i}")),
         class: AgentClass::ALL[i % AgentClass::ALL.len()],
         role: TrackRole::ALL[i % TrackRole::ALL.len()],
-        extent: (i % 2 == 0).then_some(Extent { length_m: 4.31 + i as f64, width_m: 1.83 }),
+        extent: i.is_multiple_of(2).then_some(Extent { length_m: 4.31 + i as f64, width_m: 1.83 }),
         trajectory: Trajectory::new((0..n_timesteps).map(|t| (t >= enters && t != 7).then(|| state(t))).collect()),
     }
 }

@@ -1,7 +1,8 @@
 //! The table of events: one row an event, with one column for each role and each parameter that occurs.
 
 use super::columns::{Columns, numbers, optional_texts, small, texts};
-use super::{parameters, roles};
+use super::parameters::{self, Parameters};
+use super::roles::{self, Roles};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::scene::SceneId;
 use crate::store::schema::{ColumnExt, TableSchema, column};
@@ -37,10 +38,10 @@ pub(crate) fn schema() -> TableSchema {
 /// The rows of these events.
 pub(crate) fn encode(events: &[BehaviorEvent]) -> Result<RecordBatch> {
     let schema = schema();
-    let roles = || events.iter().map(|event| event.roles.as_slice());
-    let parameters = || events.iter().map(|event| &event.parameters);
-    let names = parameters::occurring(&schema, parameters())?;
-    let open = roles::flatten(roles()).into_iter().chain(parameters::flatten(&names, parameters().map(Some)));
+    let roles: Vec<&Roles> = events.iter().map(|event| event.roles.as_slice()).collect();
+    let parameters: Vec<Option<&Parameters>> = events.iter().map(|event| Some(&event.parameters)).collect();
+    let names = parameters::occurring(&schema, &parameters)?;
+    let open = roles::flatten(&roles).into_iter().chain(parameters::flatten(&names, &parameters));
     let (open_fields, open_arrays): (Vec<_>, Vec<_>) = open.unzip();
     let ids = event_ids(events);
     let part = |i: usize| optional_texts(events.iter().map(move |event| scene_part(&event.scene_id, i)));
@@ -54,7 +55,7 @@ pub(crate) fn encode(events: &[BehaviorEvent]) -> Result<RecordBatch> {
         part(2),
         timesteps(events, |event| event.start_timestep)?,
         timesteps(events, |event| event.end_timestep)?,
-        roles::encode(roles())?,
+        roles::encode(&roles)?,
     ];
     arrays.extend(open_arrays);
     RecordBatch::try_new(schema.arrow_with(open_fields), arrays).map_err(|e| Error::invalid("events", e.to_string()))
@@ -101,7 +102,7 @@ fn event_ids(events: &[BehaviorEvent]) -> Vec<String> {
 }
 
 /// Part `i` of a scene's name, when the name has all four.
-fn scene_part(id: &SceneId, i: usize) -> Option<&str> {
+pub(crate) fn scene_part(id: &SceneId, i: usize) -> Option<&str> {
     let parts: Vec<&str> = id.0.splitn(4, '/').collect();
     (parts.len() == 4).then(|| parts[i])
 }

@@ -24,11 +24,8 @@ pub(crate) fn open_columns() -> OpenColumns {
 ///
 /// # Errors
 /// [`Error::Invalid`] when a parameter has the name of another column of the table.
-pub(crate) fn occurring<'p>(
-    table: &TableSchema,
-    rows: impl Iterator<Item = &'p Parameters>,
-) -> Result<BTreeSet<&'p str>> {
-    let names: BTreeSet<&str> = rows.flat_map(BTreeMap::keys).map(String::as_str).collect();
+pub(crate) fn occurring<'p>(table: &TableSchema, rows: &[Option<&'p Parameters>]) -> Result<BTreeSet<&'p str>> {
+    let names: BTreeSet<&str> = rows.iter().flatten().flat_map(|row| row.keys()).map(String::as_str).collect();
     match names.iter().find(|name| table.has(name) || name.ends_with("_track_id")) {
         Some(taken) => {
             Err(Error::invalid(taken, format!("a parameter of this name cannot be a column of {}", table.id())))
@@ -38,13 +35,10 @@ pub(crate) fn occurring<'p>(
 }
 
 /// The columns of these parameters, in the order of `names`.
-pub(crate) fn flatten<'p>(
-    names: &BTreeSet<&str>,
-    rows: impl Iterator<Item = Option<&'p Parameters>> + Clone,
-) -> Vec<(Field, ArrayRef)> {
+pub(crate) fn flatten(names: &BTreeSet<&str>, rows: &[Option<&Parameters>]) -> Vec<(Field, ArrayRef)> {
     let columns = names.iter().map(|name| {
         let field = column(name, DataType::Float64, "Parameter of the event; see its behavior.");
-        let values = rows.clone().map(|parameters| parameters.and_then(|p| p.get(*name)).copied());
+        let values = rows.iter().map(|row| row.and_then(|parameters| parameters.get(*name)).copied());
         (field.unit(unit_of_name(name)).optional(), optional_numbers::<Float64Type>(values))
     });
     columns.collect()

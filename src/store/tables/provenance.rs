@@ -55,7 +55,7 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
         flags(records.iter().map(|record| record.recorded_event)),
         texts(provenance().map(|p| p.guidance.kind.as_str())),
         numbers::<Float64Type>(provenance().map(|p| p.guidance.strength)),
-        roles::encode(provenance().map(|p| p.guidance.roles.as_slice()))?,
+        roles::encode(&provenance().map(|p| p.guidance.roles.as_slice()).collect::<Vec<_>>())?,
         numbers::<UInt64Type>(provenance().map(|p| p.seed)),
         numbers::<UInt32Type>(sample_idx?),
         texts(provenance().map(|p| p.sampler.as_str())),

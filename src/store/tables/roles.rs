@@ -21,11 +21,11 @@ pub(crate) fn field(name: &str, description: &str) -> Field {
 }
 
 /// The array of a roles column.
-pub(crate) fn encode<'r>(rows: impl Iterator<Item = &'r Roles> + Clone) -> Result<ArrayRef> {
-    let all = || rows.clone().flatten();
+pub(crate) fn encode(rows: &[&Roles]) -> Result<ArrayRef> {
+    let all = || rows.iter().copied().flatten();
     let arrays = vec![texts(all().map(|(role, _)| role.as_str())), texts(all().map(|(_, track)| track.0.as_str()))];
     let values = structs("roles", field("roles", "").data_type(), arrays)?;
-    Ok(lists(rows.map(<[_]>::len), values))
+    Ok(lists(rows.iter().map(|roles| roles.len()), values))
 }
 
 /// The roles in a row.
@@ -46,14 +46,14 @@ pub(crate) fn open_columns() -> OpenColumns {
 }
 
 /// One column for each role that occurs, sorted by name.
-pub(crate) fn flatten<'r>(rows: impl Iterator<Item = &'r Roles> + Clone) -> Vec<(Field, ArrayRef)> {
-    let names: BTreeSet<&str> = rows.clone().flatten().map(|(role, _)| role.as_str()).collect();
+pub(crate) fn flatten(rows: &[&Roles]) -> Vec<(Field, ArrayRef)> {
+    let names: BTreeSet<&str> = rows.iter().copied().flatten().map(|(role, _)| role.as_str()).collect();
     names
         .into_iter()
         .map(|name| {
             let field = column(&format!("{name}_track_id"), DataType::Utf8, "The track in this role.").optional();
             let tracks =
-                rows.clone().map(|roles| roles.iter().find(|(role, _)| role == name).map(|(_, t)| t.0.as_str()));
+                rows.iter().map(|roles| roles.iter().find(|(role, _)| role == name).map(|(_, t)| t.0.as_str()));
             (field, optional_texts(tracks))
         })
         .collect()

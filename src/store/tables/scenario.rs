@@ -70,18 +70,18 @@ impl ScenarioRows {
 
     /// The parameters that occur in these rows.
     pub(crate) fn parameters(&self) -> Result<BTreeSet<&str>> {
-        parameters::occurring(&schema(), self.parameters.iter().flatten())
+        parameters::occurring(&schema(), &self.parameters.iter().map(Option::as_ref).collect::<Vec<_>>())
     }
 
     /// The schema of a table with these parameters.
     pub(crate) fn schema_with(names: &BTreeSet<&str>) -> arrow::datatypes::SchemaRef {
-        let fields: Vec<Field> = parameters::flatten(names, std::iter::empty()).into_iter().map(|(f, _)| f).collect();
+        let fields: Vec<Field> = parameters::flatten(names, &[]).into_iter().map(|(f, _)| f).collect();
         schema().arrow_with(fields)
     }
 
     /// The rows with the columns of these parameters.
     pub(crate) fn into_batch(mut self, names: &BTreeSet<&str>) -> Result<RecordBatch> {
-        let columns = parameters::flatten(names, self.parameters.iter().map(Option::as_ref));
+        let columns = parameters::flatten(names, &self.parameters.iter().map(Option::as_ref).collect::<Vec<_>>());
         self.arrays.extend(columns.into_iter().map(|(_, array)| array));
         RecordBatch::try_new(Self::schema_with(names), self.arrays)
             .map_err(|error| Error::invalid("scenarios", error.to_string()))
