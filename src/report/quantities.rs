@@ -13,26 +13,48 @@ const DISTANCE_STRIDE: usize = 5;
 /// Below this speed a heading says little, metres per second.
 const MOVING_MPS: f64 = 1.0;
 
-/// Distributions of motion over the futures of each group's scenes; the first group is the reference.
+/// A quantity with its unit, how it is measured, and the values that one scene adds.
+type Quantity = (&'static str, &'static str, &'static str, fn(&Scene) -> Vec<f64>);
+
+const QUANTITIES: [Quantity; 4] = [
+    ("speed", "m/s", "from one position to the next", |scene| over_tracks(scene, speeds)),
+    ("acceleration", "m/s²", "change of speed from one timestep to the next", |scene| {
+        over_tracks(scene, accelerations)
+    }),
+    ("yaw rate", "rad/s", "change of heading while faster than 1 m/s", |scene| over_tracks(scene, yaw_rates)),
+    ("distance to the nearest", "m", "between boxes, 0 when they overlap; every half second", nearest_distances),
+];
+
+/// Collects how road users move in the futures of scenes, group by group.
 ///
 /// Everything is derived from positions and headings in the same way for every group, because generated scenes have no
-/// measured velocities.
-pub fn motion_distributions(groups: &[(&str, &[&Scene])]) -> Vec<Distribution> {
-    let of = |title: &str, unit: &str, description: &str, values: fn(&Scene) -> Vec<f64>| {
-        let groups: Vec<(&str, Vec<f64>)> = groups
-            .iter()
-            .map(|(name, scenes)| (*name, scenes.iter().flat_map(|scene| values(scene)).collect()))
-            .collect();
-        Distribution::of(title, unit, description, N_BINS, &groups)
-    };
-    vec![
-        of("speed", "m/s", "from one position to the next", |scene| over_tracks(scene, speeds)),
-        of("acceleration", "m/s²", "change of speed from one timestep to the next", |scene| {
-            over_tracks(scene, accelerations)
-        }),
-        of("yaw rate", "rad/s", "change of heading while faster than 1 m/s", |scene| over_tracks(scene, yaw_rates)),
-        of("distance to the nearest", "m", "between boxes, 0 when they overlap; every half second", nearest_distances),
-    ]
+/// measured velocities. Scenes may be dropped once added.
+#[derive(Debug, Clone, Default)]
+pub struct MotionDistributions {
+    groups: Vec<(String, [Vec<f64>; QUANTITIES.len()])>,
+}
+
+impl MotionDistributions {
+    /// Adds a scene to a group. The first group that is added to is the reference.
+    pub fn add(&mut self, group: &str, scene: &Scene) {
+        let at = self.groups.iter().position(|(name, _)| name == group).unwrap_or_else(|| {
+            self.groups.push((group.to_owned(), Default::default()));
+            self.groups.len() - 1
+        });
+        for (collected, (_, _, _, values)) in self.groups[at].1.iter_mut().zip(QUANTITIES) {
+            collected.extend(values(scene));
+        }
+    }
+
+    /// One distribution for each quantity.
+    pub fn finish(&self) -> Vec<Distribution> {
+        let one = |(i, (title, unit, description, _)): (usize, Quantity)| {
+            let groups: Vec<(&str, &[f64])> =
+                self.groups.iter().map(|(name, values)| (name.as_str(), values[i].as_slice())).collect();
+            Distribution::of(title, unit, description, N_BINS, &groups)
+        };
+        QUANTITIES.into_iter().enumerate().map(one).collect()
+    }
 }
 
 /// Distributions of the parameters of events, one for each parameter that any event has; the first group is the reference.
@@ -42,12 +64,12 @@ pub fn event_distributions(groups: &[(&str, &[&BehaviorEvent])]) -> Vec<Distribu
     names
         .into_iter()
         .map(|name| {
-            let groups: Vec<(&str, Vec<f64>)> = groups
+            let values: Vec<Vec<f64>> = groups
                 .iter()
-                .map(|(group, events)| {
-                    (*group, events.iter().filter_map(|e| e.parameters.get(name).copied()).collect())
-                })
+                .map(|(_, events)| events.iter().filter_map(|event| event.parameters.get(name).copied()).collect())
                 .collect();
+            let groups: Vec<(&str, &[f64])> =
+                groups.iter().zip(&values).map(|((group, _), values)| (*group, values.as_slice())).collect();
             let (title, unit) = title_and_unit(name);
             Distribution::of(&title, unit, "of the events", N_BINS / 2, &groups)
         })
@@ -55,7 +77,7 @@ pub fn event_distributions(groups: &[(&str, &[&BehaviorEvent])]) -> Vec<Distribu
 }
 
 /// `relative_speed_mps` is the relative speed in m/s.
-fn title_and_unit(parameter: &str) -> (String, &'static str) {
+pub(super) fn title_and_unit(parameter: &str) -> (String, &'static str) {
     for (suffix, unit) in
         [("_mps2", "m/s²"), ("_mps", "m/s"), ("_m", "m"), ("_s", "s"), ("_radps", "rad/s"), ("_rad", "rad")]
     {
@@ -113,50 +135,22 @@ fn nearest_distances(scene: &Scene) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Transform2, Vec2};
-    use crate::scene::{
-        AgentClass, Dataset, Extent, LaneGraph, SceneId, SceneSource, Split, State, TrackId, TrackRole, Trajectory,
-    };
+    use crate::geometry::Vec2;
+    use crate::scene::testing::{self, Drive};
+    use crate::scene::{SceneId, State, Trajectory};
     use std::collections::BTreeMap;
-    use std::sync::Arc;
 
-    /// Two cars of 4 m by 2 m side by side, 6 m apart between centers, at 10 m/s; the first gains 2 m/s each second.
+    /// Two cars at 10 m/s side by side, 6 m apart between centers; the first gains 2 m/s each second.
     fn scene() -> Scene {
-        let track = |id: &str, y: f64, acceleration: f64| Track {
-            id: TrackId::from(id),
-            class: AgentClass::Vehicle,
-            role: TrackRole::Context,
-            extent: Some(Extent { length_m: 4.0, width_m: 2.0 }),
-            trajectory: Trajectory::new(
-                (0..8)
-                    .map(|timestep| f64::from(timestep) * 0.1)
-                    .map(|t| {
-                        let position = Vec2::new(10.0 * t + 0.5 * acceleration * t * t, y);
-                        Some(State { position, heading_rad: 0.05 * t, velocity: Vec2::new(99.0, 0.0) })
-                    })
-                    .collect(),
-            ),
-        };
-        Scene {
-            id: SceneId::from("interaction/val/X/1"),
-            source: SceneSource {
-                dataset: Dataset::Interaction,
-                version: String::new(),
-                split: Split::Val,
-                place: "X".into(),
-                file: String::new(),
-                case_id: "1".into(),
-                first_frame: "1".into(),
-            },
-            dt_s: 0.1,
-            n_timesteps: 8,
-            n_history: 3,
-            world_from_scene: Transform2::from_pose(Vec2::new(0.0, 0.0), 0.0),
-            ego_idx: 0,
-            tracks: vec![track("1", 0.0, 2.0), track("2", 6.0, 0.0)],
-            map_id: None,
-            lanes: Arc::new(LaneGraph::default()),
-        }
+        let mut scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 6.0, 0.0, 10.0)]);
+        let states = (0..scene.n_timesteps).map(|timestep| {
+            let t = timestep as f64 * scene.dt_s;
+            // The recorded velocity is wrong on purpose: it must not be used.
+            let velocity = Vec2::new(99.0, 0.0);
+            Some(State { position: Vec2::new(10.0 * t + t * t, 0.0), heading_rad: 0.05 * t, velocity })
+        });
+        scene.tracks[0].trajectory = Trajectory::new(states.collect());
+        scene
     }
 
     fn all_near(values: &[f64], n: usize, expected: f64) -> bool {
@@ -167,12 +161,26 @@ mod tests {
     fn motion_follows_from_positions_in_the_future_only() {
         let scene = scene();
         let [first, second] = [&scene.tracks[0], &scene.tracks[1]];
-        assert!(all_near(&accelerations(&scene, first), 5, 2.0));
-        assert!(all_near(&speeds(&scene, second), 5, 10.0));
-        assert!(all_near(&yaw_rates(&scene, second), 5, 0.05));
-        let at_start = nearest_distances(&scene);
-        assert_eq!(at_start.len(), 2);
-        assert!((at_start[0] - 4.0).abs() < 0.1, "{at_start:?}");
+        let n_future = scene.n_timesteps - scene.n_history;
+        assert!(all_near(&accelerations(&scene, first), n_future, 2.0));
+        assert!(all_near(&yaw_rates(&scene, first), n_future, 0.05));
+        assert!(all_near(&speeds(&scene, second), n_future, 10.0));
+        let distances = nearest_distances(&scene);
+        // Half of each width of 1.8 m lies between the centers.
+        assert!(distances.len() == 4 && (distances[0] - 4.2).abs() < 0.1, "{distances:?}");
+    }
+
+    #[test]
+    fn groups_keep_the_order_in_which_they_came() {
+        let mut collected = MotionDistributions::default();
+        for group in ["recorded", "generated", "recorded"] {
+            collected.add(group, &scene());
+        }
+        let distributions = collected.finish();
+        let series: Vec<(&str, u64)> = distributions[0].series.iter().map(|s| (s.name.as_str(), s.n)).collect();
+        let n = 2 * (scene().n_timesteps - scene().n_history) as u64;
+        assert_eq!(series, [("recorded", 2 * n), ("generated", n)]);
+        assert!(distributions[0].series[1].distance.unwrap() < 1e-9);
     }
 
     #[test]

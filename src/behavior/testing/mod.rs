@@ -7,3 +7,4 @@ mod random;
 
 pub(crate) use case::{Case, LaneSpec, SceneSpec, cases_in};
 pub(crate) use random::{random_scene, transformed};
+
