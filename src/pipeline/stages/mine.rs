@@ -92,6 +92,10 @@ impl Stage for Mine<'_> {
         1
     }
 
+    fn check(&self) -> Result<()> {
+        self.config.build().map(drop)
+    }
+
     fn config(&self) -> anyhow::Result<Value> {
         Ok(serde_json::to_value(self.config)?)
     }

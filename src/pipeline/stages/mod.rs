@@ -68,7 +68,12 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
         StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
         StageId::TrainDenoiser => Box::new(TrainDenoiser { config: train.denoiser.as_ref()?, seed: run.seed, layout }),
         StageId::TrainClassifier => Box::new(TrainClassifier { config: train.classifier.as_ref()?, layout }),
-        StageId::Generate => Box::new(Generate { config: generate.as_ref()?, mine: definitions(), layout }),
+        StageId::Generate => Box::new(Generate {
+            config: generate.as_ref()?,
+            mine: definitions(),
+            classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
+            layout,
+        }),
         StageId::Evaluate => {
             Box::new(Evaluate { config: evaluate.as_ref()?, mine: definitions(), pipeline: &run.name, layout })
         }

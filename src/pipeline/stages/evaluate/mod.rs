@@ -70,6 +70,10 @@ impl Stage for Evaluate<'_> {
         1
     }
 
+    fn check(&self) -> Result<()> {
+        self.config.validate()
+    }
+
     fn config(&self) -> anyhow::Result<Value> {
         let mut config = serde_json::to_value(self.config)?;
         config["behaviors"] = serde_json::to_value(&self.mine.behaviors)?;

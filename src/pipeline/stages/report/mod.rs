@@ -62,6 +62,10 @@ impl Stage for Report<'_> {
         1
     }
 
+    fn check(&self) -> Result<()> {
+        Ok(())
+    }
+
     fn config(&self) -> anyhow::Result<Value> {
         let mut config = serde_json::to_value(self.config)?;
         config["about"] = serde_json::to_value(&self.about)?;
