@@ -1,5 +1,6 @@
 //! The single integration-test binary: one link instead of one per file.
 
 mod architecture;
+mod documents;
 mod report;
 mod schema;
