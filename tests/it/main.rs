@@ -4,6 +4,7 @@ mod architecture;
 mod cli;
 mod config;
 mod determinism;
+mod documents;
 mod report;
 mod schema;
 mod stages;
