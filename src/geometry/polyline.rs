@@ -47,32 +47,31 @@ impl Polyline {
 
     /// The closest point of the polyline to `point`. `None` with fewer than two distinct points.
     pub fn project(&self, point: Vec2) -> Option<Projection> {
-        let mut best: Option<(f64, Projection)> = None;
-        let mut station_m = 0.0;
-        for pair in self.0.windows(2) {
-            let along = pair[1] - pair[0];
-            let length = along.norm();
-            if length == 0.0 {
+        // Roots and angles are taken of the closest segment alone: this runs for every agent, timestep and lane.
+        let squared = |v: Vec2| v.x * v.x + v.y * v.y;
+        let mut best: Option<(f64, usize, f64)> = None;
+        for (i, pair) in self.0.windows(2).enumerate() {
+            let (along, from_start) = (pair[1] - pair[0], point - pair[0]);
+            let length_squared = squared(along);
+            if length_squared == 0.0 {
                 continue;
             }
-            let direction = along * (1.0 / length);
-            let from_start = point - pair[0];
-            let s = from_start.dot(direction).clamp(0.0, length);
-            let closest = pair[0] + direction * s;
-            let distance = point.distance(closest);
-            if best.as_ref().is_none_or(|(shortest, _)| distance < *shortest) {
-                let side = direction.cross(from_start);
-                let projection = Projection {
-                    station_m: station_m + s,
-                    offset_m: if side < 0.0 { -distance } else { distance },
-                    heading_rad: direction.angle(),
-                    point: closest,
-                };
-                best = Some((distance, projection));
+            let share = ((along.x * from_start.x + along.y * from_start.y) / length_squared).clamp(0.0, 1.0);
+            let distance_squared = squared(from_start - along * share);
+            if best.is_none_or(|(least, _, _)| distance_squared < least) {
+                best = Some((distance_squared, i, share));
             }
-            station_m += length;
         }
-        best.map(|(_, projection)| projection)
+        let (distance_squared, i, share) = best?;
+        let (start, along) = (self.0[i], self.0[i + 1] - self.0[i]);
+        let before_m: f64 = self.0[..=i].windows(2).map(|pair| pair[0].distance(pair[1])).sum();
+        let offset_m = distance_squared.sqrt();
+        Some(Projection {
+            station_m: before_m + along.norm() * share,
+            offset_m: if along.cross(point - start) < 0.0 { -offset_m } else { offset_m },
+            heading_rad: along.angle(),
+            point: start + along * share,
+        })
     }
 }
 
