@@ -22,11 +22,13 @@ pub struct HardBrakeConfig {
     pub min_deceleration_mps2: f64,
     /// Braking that stays below that, but reaches this, is a hard negative, m/s². Default 2.5.
     pub negative_deceleration_mps2: f64,
+    /// Runs with a deceleration beyond this are errors of the tracker, not braking, m/s². Default 12.
+    pub max_deceleration_mps2: f64,
     /// How long the deceleration must last, from its first to its last timestep, seconds. Default 0.3.
     pub min_duration_s: f64,
     /// Least speed at the start, m/s. Default 3.
     pub min_speed_mps: f64,
-    /// Time over which speeds are smoothed, seconds. Default 0.4.
+    /// Time over which speeds are smoothed, seconds. Default 0.4; the positions of Argoverse 1 need three times that.
     pub smoothing_s: f64,
 }
 
@@ -36,6 +38,7 @@ impl Default for HardBrakeConfig {
             agents: AgentFilter::Motorized,
             min_deceleration_mps2: 4.0,
             negative_deceleration_mps2: 2.5,
+            max_deceleration_mps2: 12.0,
             min_duration_s: 0.3,
             min_speed_mps: 3.0,
             smoothing_s: 0.4,
@@ -50,7 +53,7 @@ impl Default for HardBrakeConfig {
 /// speeds in the 0.4 s around it, so it is not known within 0.2 s of the ends of a track and of its gaps.
 ///
 /// - The event *starts* at the first timestep with that deceleration and is *complete* at the last one.
-/// - *What does not count*: single noisy speeds; the last moments of a stop from walking speed; braking that lies
+/// - *What does not count*: single noisy speeds; decelerations beyond 12 m/s², which no tire gives; the last moments of a stop from walking speed; braking that lies
 ///   within a gap of the track.
 ///
 /// **Negative**: a deceleration of at least 2.5 m/s² over at least 0.3 s during which no hard braking happens, be it
@@ -74,15 +77,18 @@ impl HardBrake {
         let accelerations = smoothed_accelerations_mps2(&track.trajectory, scene.dt_s, config.smoothing_s);
         let lasts =
             |run: &RangeInclusive<usize>| (run.end() - run.start()) as f64 * scene.dt_s >= config.min_duration_s - 1e-9;
+        let is_plausible = |run: &RangeInclusive<usize>| {
+            accelerations[run.clone()].iter().flatten().all(|a| -a <= config.max_deceleration_mps2)
+        };
         let starts_fast =
             |run: &RangeInclusive<usize>| speed_at(track, *run.start()).is_some_and(|v| v >= config.min_speed_mps);
         let hard: Vec<_> = runs_at_or_below(&accelerations, -config.min_deceleration_mps2)
             .into_iter()
-            .filter(|run| lasts(run) && starts_fast(run))
+            .filter(|run| lasts(run) && is_plausible(run) && starts_fast(run))
             .collect();
         let near: Vec<_> = runs_at_or_below(&accelerations, -config.negative_deceleration_mps2)
             .into_iter()
-            .filter(|run| lasts(run) && !hard.iter().any(|h| run.contains(h.start())))
+            .filter(|run| lasts(run) && is_plausible(run) && !hard.iter().any(|h| run.contains(h.start())))
             .collect();
         let labelled = |runs: Vec<_>, label: EventLabel| runs.into_iter().map(move |run| (run, label));
         labelled(hard, EventLabel::Positive)

@@ -72,7 +72,7 @@ impl LaneChange {
         Self { config }
     }
 
-    fn detect_agent(&self, scene: &Scene, lanes: &LaneIndex<'_>, agent_idx: usize) -> Vec<BehaviorEvent> {
+    fn detect_agent<'a>(&self, scene: &Scene, lanes: &'a LaneIndex<'a>, agent_idx: usize) -> Vec<BehaviorEvent> {
         let config = &self.config;
         let trajectory = &scene.tracks[agent_idx].trajectory;
         let stay = (config.min_stay_s / scene.dt_s - 1e-9).ceil().max(1.0) as usize;
@@ -117,11 +117,11 @@ impl LaneChange {
     }
 
     /// The hard negative of an agent that nears a lane beside its own without crossing.
-    fn drift(
+    fn drift<'a>(
         &self,
         scene: &Scene,
-        lanes: &LaneIndex<'_>,
-        trace: &LaneTrace<'_>,
+        lanes: &'a LaneIndex<'a>,
+        trace: &LaneTrace<'a>,
         agent_idx: usize,
     ) -> Option<BehaviorEvent> {
         let drifts: Vec<_> = trace.drifts(lanes, self.config.negative_margin_m).collect();

@@ -25,25 +25,42 @@ pub(crate) struct LanePlace {
     pub(crate) heading_rad: f64,
 }
 
-impl LanePlace {
-    /// Where `point` is on `lane`. `None` before its start and past its end.
-    pub(crate) fn on(lane: &Lane, point: Vec2) -> Option<Self> {
-        let projection = lane.centerline.project(point)?;
+/// A lane with what is asked of it again and again.
+#[derive(Debug)]
+pub(crate) struct IndexedLane<'a> {
+    pub(crate) lane: &'a Lane,
+    bounds: Bounds,
+    outline: Option<Vec<Vec2>>,
+    length_m: f64,
+}
+
+impl<'a> IndexedLane<'a> {
+    /// `None` for a lane without points.
+    fn new(lane: &'a Lane) -> Option<Self> {
+        let points = lane.centerline.0.iter().chain(&lane.left.0).chain(&lane.right.0);
+        let bounds = Bounds::around(points.copied())?;
+        Some(Self { lane, bounds, outline: lane.outline(), length_m: lane.centerline.length_m() })
+    }
+
+    /// Where `point` is on the lane. `None` before its start and past its end.
+    pub(crate) fn place(&self, point: Vec2) -> Option<LanePlace> {
+        let projection = self.lane.centerline.project(point)?;
+        let is_at_end = projection.station_m <= 0.0 || projection.station_m >= self.length_m - 1e-9;
         let beyond_m = (point - projection.point).dot(Vec2::from_angle(projection.heading_rad)).abs();
-        let is_at_end = projection.station_m <= 0.0 || projection.station_m >= lane.centerline.length_m() - 1e-9;
         let is_beyond = is_at_end && beyond_m > END_TOLERANCE_M;
-        let place =
-            |margin_m: f64| Self { offset_m: projection.offset_m, margin_m, heading_rad: projection.heading_rad };
-        let Some(outline) = lane.outline() else {
-            return (!is_beyond).then(|| place(HALF_NOMINAL_WIDTH_M - projection.offset_m.abs()));
-        };
-        let is_inside = is_in_polygon(&outline, point);
+        let is_inside = self.outline.as_ref().is_some_and(|outline| is_in_polygon(outline, point));
         if is_beyond && !is_inside {
             return None;
         }
         let to_side_m = |side: &Polyline| side.project(point).map_or(f64::INFINITY, |p| p.offset_m.abs());
-        let nearer_m = to_side_m(&lane.left).min(to_side_m(&lane.right));
-        Some(place(if is_inside { nearer_m } else { -nearer_m }))
+        let margin_m = match &self.outline {
+            None => HALF_NOMINAL_WIDTH_M - projection.offset_m.abs(),
+            Some(_) => {
+                let nearer_m = to_side_m(&self.lane.left).min(to_side_m(&self.lane.right));
+                if is_inside { nearer_m } else { -nearer_m }
+            }
+        };
+        Some(LanePlace { offset_m: projection.offset_m, margin_m, heading_rad: projection.heading_rad })
     }
 }
 
@@ -70,48 +87,49 @@ pub(crate) enum LaneRelation {
 /// The lanes of a scene, with rectangles that say quickly which of them a point cannot be on.
 pub(crate) struct LaneIndex<'a> {
     graph: &'a LaneGraph,
-    bounds: Vec<Option<Bounds>>,
+    lanes: Vec<IndexedLane<'a>>,
 }
 
 impl<'a> LaneIndex<'a> {
     /// An index of all lanes of `graph`.
     pub(crate) fn new(graph: &'a LaneGraph) -> Self {
-        let bounds_of =
-            |lane: &Lane| Bounds::around(lane.centerline.0.iter().chain(&lane.left.0).chain(&lane.right.0).copied());
-        Self { graph, bounds: graph.lanes().iter().map(bounds_of).collect() }
+        Self { graph, lanes: graph.lanes().iter().filter_map(IndexedLane::new).collect() }
     }
 
     /// The lanes that `point` is on, with its place there, by ascending lane id.
-    pub(crate) fn lanes_at(&self, point: Vec2) -> impl Iterator<Item = (&'a Lane, LanePlace)> + '_ {
-        let could_be = move |bounds: &Option<Bounds>| bounds.is_some_and(|b| b.contains(point, HALF_NOMINAL_WIDTH_M));
-        let candidates = self.graph.lanes().iter().zip(&self.bounds).filter(move |(_, bounds)| could_be(bounds));
-        candidates
-            .filter_map(move |(lane, _)| Some((lane, LanePlace::on(lane, point)?)))
+    pub(crate) fn lanes_at(&self, point: Vec2) -> impl Iterator<Item = (&IndexedLane<'a>, LanePlace)> {
+        self.lanes
+            .iter()
+            .filter(move |lane| lane.bounds.contains(point, HALF_NOMINAL_WIDTH_M))
+            .filter_map(move |lane| Some((lane, lane.place(point)?)))
             .filter(|(_, place)| place.margin_m >= 0.0)
     }
 
     /// How `to` lies to `from` at `point`, a point on `to` and next to `from`.
-    pub(crate) fn relation(&self, from: &Lane, to: &Lane, point: Vec2) -> LaneRelation {
+    pub(crate) fn relation(&self, from: &IndexedLane<'_>, to: &IndexedLane<'_>, point: Vec2) -> LaneRelation {
+        self.connection(from.lane, to.lane).unwrap_or_else(|| {
+            let is_beside = from.place(point).zip(to.place(point)).is_some_and(|(old, new)| {
+                old.offset_m * new.offset_m < 0.0
+                    && angle_difference(old.heading_rad, new.heading_rad).abs() < PARALLEL_RAD
+                    && (old.offset_m - new.offset_m).abs() > HALF_NOMINAL_WIDTH_M
+            });
+            if is_beside { LaneRelation::Beside } else { LaneRelation::Elsewhere }
+        })
+    }
+
+    /// What the map says of two lanes. `None` if nothing.
+    fn connection(&self, from: &Lane, to: &Lane) -> Option<LaneRelation> {
         let (ahead, behind) = (self.reachable(from, |l| &l.successors), self.reachable(from, |l| &l.predecessors));
-        let family = || ahead.union(&behind).filter_map(|id| self.graph.get(*id));
         let names = |lane: &Lane, id: LaneId| lane.left_neighbor == Some(id) || lane.right_neighbor == Some(id);
+        let mut family = ahead.union(&behind).filter_map(|id| self.graph.get(*id));
         // A declared neighbor counts as one even where both lanes come from the same one.
-        if family().any(|lane| names(lane, to.id) || names(to, lane.id)) {
-            return LaneRelation::Beside;
+        if family.any(|lane| names(lane, to.id) || names(to, lane.id)) {
+            return Some(LaneRelation::Beside);
         }
         let follows = ahead.contains(&to.id) || behind.contains(&to.id);
         let forks = self.reachable(to, |l| &l.predecessors).intersection(&behind).next().is_some();
         let merges = self.reachable(to, |l| &l.successors).intersection(&ahead).next().is_some();
-        if follows || forks || merges {
-            return LaneRelation::Along;
-        }
-        let places = LanePlace::on(from, point).zip(LanePlace::on(to, point));
-        let is_between = places.is_some_and(|(old, new)| {
-            old.offset_m * new.offset_m < 0.0
-                && angle_difference(old.heading_rad, new.heading_rad).abs() < PARALLEL_RAD
-                && (old.offset_m - new.offset_m).abs() > HALF_NOMINAL_WIDTH_M
-        });
-        if is_between { LaneRelation::Beside } else { LaneRelation::Elsewhere }
+        (follows || forks || merges).then_some(LaneRelation::Along)
     }
 
     /// The lanes at most [`MAX_HOPS`] connections from `start`, itself included.
@@ -123,5 +141,69 @@ impl<'a> LaneIndex<'a> {
             frontier = next.filter(|id| reached.insert(*id)).collect();
         }
         reached
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::testing::LaneSpec;
+    use serde::Deserialize;
+
+    #[derive(Deserialize)]
+    struct Lanes {
+        lanes: Vec<LaneSpec>,
+    }
+
+    fn graph(text: &str) -> LaneGraph {
+        let lanes: Lanes = toml::from_str(text).expect("lanes");
+        LaneGraph::new(lanes.lanes.iter().map(LaneSpec::build).collect())
+    }
+
+    #[test]
+    fn places_have_a_margin_with_and_without_boundaries() {
+        let graph = graph(
+            "lanes = [{ id = 1, centerline = [[0, 0], [50, 0]], width_m = 3.0 }, { id = 2, centerline = [[0, 0], [50, 0]] }]",
+        );
+        let index = LaneIndex::new(&graph);
+        let margins = |x: f64, y: f64| {
+            index.lanes.iter().map(|lane| lane.place(Vec2::new(x, y)).map(|place| place.margin_m)).collect::<Vec<_>>()
+        };
+        let close = |found: Vec<Option<f64>>, expected: [f64; 2]| {
+            found.iter().zip(expected).all(|(f, e)| f.is_some_and(|f| (f - e).abs() < 1e-9))
+        };
+        assert!(close(margins(20.0, 1.0), [0.5, 0.9]));
+        assert!(close(margins(20.0, -1.7), [-0.2, 0.2]));
+        // A small gap at the end is bridged, a larger distance is not on the lane any more.
+        assert!(close(margins(50.4, 0.0), [-(0.4f64.hypot(1.5)), 1.5]));
+        assert_eq!(margins(50.6, 0.0), [None, None]);
+        assert_eq!(index.lanes_at(Vec2::new(20.0, -1.7)).map(|(lane, _)| lane.lane.id.0).collect::<Vec<_>>(), [2]);
+    }
+
+    #[test]
+    fn lanes_follow_fork_merge_or_lie_side_by_side() {
+        // 1 forks into 2 and 3; 4 runs beside 2 and is named by nobody; 5 is named by 1; 6 crosses.
+        let graph = graph(
+            "lanes = [
+                { id = 1, centerline = [[0, 0], [20, 0]], successors = [2, 3], left_neighbor = 5 },
+                { id = 2, centerline = [[20, 0], [60, 0]], predecessors = [1] },
+                { id = 3, centerline = [[20, 0], [60, 4]], predecessors = [1] },
+                { id = 4, centerline = [[20, -3.6], [60, -3.6]] },
+                { id = 5, centerline = [[0, 3.6], [20, 3.6]] },
+                { id = 6, centerline = [[40, -20], [40, 20]] },
+            ]",
+        );
+        let index = LaneIndex::new(&graph);
+        let relation = |from: i64, to: i64, x: f64, y: f64| {
+            let lane = |id: i64| index.lanes.iter().find(|lane| lane.lane.id == LaneId(id)).expect("a lane");
+            index.relation(lane(from), lane(to), Vec2::new(x, y))
+        };
+        assert_eq!(relation(1, 2, 20.0, 0.0), LaneRelation::Along);
+        assert_eq!(relation(2, 3, 40.0, 2.0), LaneRelation::Along);
+        assert_eq!(relation(2, 4, 40.0, -1.9), LaneRelation::Beside);
+        assert_eq!(relation(1, 5, 10.0, 1.9), LaneRelation::Beside);
+        assert_eq!(relation(5, 1, 10.0, 1.7), LaneRelation::Beside);
+        assert_eq!(relation(2, 5, 20.0, 1.9), LaneRelation::Beside);
+        assert_eq!(relation(2, 6, 40.0, 1.0), LaneRelation::Elsewhere);
     }
 }

@@ -1,8 +1,8 @@
 //! Which lane is an agent in over time, and when does it cross to one beside it?
 
-use super::lane_relation::{LaneIndex, LanePlace, LaneRelation};
+use super::lane_relation::{IndexedLane, LaneIndex, LanePlace, LaneRelation};
 use crate::geometry::{Vec2, angle_difference};
-use crate::scene::{Lane, State, Trajectory};
+use crate::scene::{State, Trajectory};
 use std::f64::consts::FRAC_PI_4;
 
 /// An agent is only in lanes whose direction differs from its heading by less than this, radians.
@@ -21,7 +21,7 @@ pub(crate) struct Crossing<'a> {
     pub(crate) heading_rad: f64,
     /// The last timestep up to which the agent is followed on without losing it.
     pub(crate) last_followed: usize,
-    lane: &'a Lane,
+    lane: &'a IndexedLane<'a>,
 }
 
 /// A timestep at which an agent is close to a lane beside its own.
@@ -45,23 +45,23 @@ pub(crate) struct LaneTrace<'a> {
 struct LaneStep<'a> {
     timestep: usize,
     position: Vec2,
-    lane: &'a Lane,
+    lane: &'a IndexedLane<'a>,
     place: LanePlace,
 }
 
 impl<'a> LaneTrace<'a> {
     /// Follows an agent. It stays in its lane until its centre is more than `hysteresis_m` beyond a side or the lane
     /// ends, and is lost where more than `max_gap` timesteps are not tracked.
-    pub(crate) fn follow(lanes: &LaneIndex<'a>, trajectory: &Trajectory, hysteresis_m: f64, max_gap: usize) -> Self {
+    pub(crate) fn follow(lanes: &'a LaneIndex<'a>, trajectory: &Trajectory, hysteresis_m: f64, max_gap: usize) -> Self {
         let mut trace = Self { steps: Vec::new(), crossings: Vec::new() };
-        let mut current: Option<(usize, &'a Lane)> = None;
+        let mut current: Option<(usize, &'a IndexedLane<'a>)> = None;
         let mut first_crossing_followed = 0;
         for (timestep, state) in trajectory.valid().filter(|(_, state)| state.is_finite()) {
             if current.is_some_and(|(last, _)| timestep - last > max_gap) {
                 current = None;
                 first_crossing_followed = trace.crossings.len();
             }
-            let own = current.and_then(|(_, lane)| Some((lane, LanePlace::on(lane, state.position)?)));
+            let own = current.and_then(|(_, lane)| Some((lane, lane.place(state.position)?)));
             let step = match (current, own) {
                 (_, Some((lane, place))) if place.margin_m >= -hysteresis_m => Some((lane, place)),
                 (Some((_, from)), _) => trace.leave(lanes, from, timestep, state),
@@ -84,11 +84,11 @@ impl<'a> LaneTrace<'a> {
     /// The lane in which an agent goes on that has left `from`; notes a crossing if that lane is beside `from`.
     fn leave(
         &mut self,
-        lanes: &LaneIndex<'a>,
-        from: &'a Lane,
+        lanes: &'a LaneIndex<'a>,
+        from: &'a IndexedLane<'a>,
         timestep: usize,
         state: &State,
-    ) -> Option<(&'a Lane, LanePlace)> {
+    ) -> Option<(&'a IndexedLane<'a>, LanePlace)> {
         let mut found: Vec<_> = candidates(lanes, state)
             .map(|(lane, place)| (lanes.relation(from, lane, state.position), lane, place))
             .collect();
@@ -100,7 +100,7 @@ impl<'a> LaneTrace<'a> {
             .or_else(|| found.first())
             .copied()?;
         if relation == LaneRelation::Beside {
-            let side = from.centerline.project(state.position).map_or(1.0, |p| p.offset_m.signum());
+            let side = from.lane.centerline.project(state.position).map_or(1.0, |p| p.offset_m.signum());
             let crossing = Crossing { timestep, side, heading_rad: place.heading_rad, last_followed: timestep, lane };
             self.crossings.push(crossing);
         }
@@ -112,13 +112,15 @@ impl<'a> LaneTrace<'a> {
     pub(crate) fn departure(&self, crossing: &Crossing<'_>, offset_m: f64) -> usize {
         let before = self.steps.iter().rev().skip_while(|step| step.timestep >= crossing.timestep);
         before
-            .take_while(|step| step.lane.id != crossing.lane.id && step.place.offset_m * crossing.side > offset_m)
+            .take_while(|step| {
+                step.lane.lane.id != crossing.lane.lane.id && step.place.offset_m * crossing.side > offset_m
+            })
             .last()
             .map_or(crossing.timestep, |step| step.timestep)
     }
 
     /// The timesteps at which the agent is less than `margin_m` from a lane beside its own.
-    pub(crate) fn drifts(&self, lanes: &LaneIndex<'a>, margin_m: f64) -> impl Iterator<Item = Drift> {
+    pub(crate) fn drifts(&self, lanes: &'a LaneIndex<'a>, margin_m: f64) -> impl Iterator<Item = Drift> {
         self.steps.iter().filter(move |step| step.place.margin_m < margin_m).filter_map(|step| {
             let side = step.place.offset_m.signum();
             let to_side = Vec2::from_angle(step.place.heading_rad + side * std::f64::consts::FRAC_PI_2);
@@ -134,7 +136,7 @@ impl<'a> LaneTrace<'a> {
 }
 
 /// The lanes that an agent in `state` may be driving in.
-fn candidates<'a>(lanes: &LaneIndex<'a>, state: &State) -> impl Iterator<Item = (&'a Lane, LanePlace)> {
+fn candidates<'a>(lanes: &'a LaneIndex<'a>, state: &State) -> impl Iterator<Item = (&'a IndexedLane<'a>, LanePlace)> {
     lanes.lanes_at(state.position).filter(|(_, place)| runs_along(place, state.heading_rad))
 }
 

@@ -12,6 +12,9 @@ pub(super) const ID: &str = "near_miss";
 /// The two road users, in the order of tracks.
 pub(super) const ROLES: &[&str] = &["first", "second"];
 
+/// Times to collision beyond this say nothing: nobody keeps course and speed for so long, seconds.
+const MAX_TTC_S: f64 = 10.0;
+
 /// Options of [`NearMiss`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -54,7 +57,7 @@ impl Default for NearMissConfig {
 ///
 /// **Negative**: the same with 2 m and 3 s, where no timestep meets the stricter limits.
 ///
-/// Parameters over the whole scene: `min_distance_m`, `min_ttc_s` (absent where the courses never meet), `pet_s` (post-encroachment
+/// Parameters over the whole scene: `min_distance_m`, `min_ttc_s` (absent where the courses do not meet within 10 s), `pet_s` (post-encroachment
 /// time: the least time between the two being on the same place; absent where they never are). At the closest timestep:
 /// `relative_speed_mps`, `first_speed_mps`, `second_speed_mps`.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -119,7 +122,7 @@ impl NearMiss {
                 return None;
             }
             if a.speed_mps().max(b.speed_mps()) >= config.min_speed_mps {
-                let ttc_s = time_to_collision_s(one, a.velocity, other, b.velocity);
+                let ttc_s = time_to_collision_s(one, a.velocity, other, b.velocity).filter(|ttc| *ttc <= MAX_TTC_S);
                 encounters.push(Encounter { timestep, distance_m: one.distance_m(other), ttc_s });
             }
         }

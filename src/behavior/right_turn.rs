@@ -15,7 +15,8 @@ pub(super) const ID: &str = "right_turn";
 /// - The event *starts* when the heading has changed by 10 % of that for good, and is *complete* when it has changed
 ///   by 90 % for the first time.
 /// - *What does not count*: changes that the agent undoes within the scene, since the net change decides; headings
-///   that jump while the agent creeps or stands (less than 3 m of path between start and end).
+///   that jump while the agent creeps or stands (less than 3 m of path between start and end) or that no vehicle can
+///   steer (a mean radius below 3 m). Driving around a roundabout does count.
 ///
 /// **Negative**: a net change between 30 and 60 degrees to the right, or a larger one on a wider radius, as where
 /// the road itself bends.

@@ -9,7 +9,7 @@ pub(crate) fn smoothed_accelerations_mps2(trajectory: &Trajectory, dt_s: f64, wi
     let speeds: Vec<Option<f64>> = trajectory
         .entries()
         .iter()
-        .map(|state| state.as_ref().map(crate::scene::State::speed_mps).filter(|speed| speed.is_finite()))
+        .map(|state| state.as_ref().filter(|s| s.is_finite()).map(crate::scene::State::speed_mps))
         .collect();
     let half = half_window(dt_s, window_s);
     // Σ i² over the offsets -half..=half.

@@ -26,6 +26,8 @@ pub struct TurnConfig {
     pub negative_heading_change_rad: f64,
     /// Largest mean radius of a turn, metres; a wider one is a bend of the road and a hard negative. Default 50.
     pub max_radius_m: f64,
+    /// Smallest mean radius of a turn, metres; less is more than a vehicle can steer, so the heading is noise. Default 3.
+    pub min_radius_m: f64,
     /// Shortest path between start and end, metres; less is a noisy heading while creeping. Default 3.
     pub min_path_m: f64,
 }
@@ -37,6 +39,7 @@ impl Default for TurnConfig {
             min_heading_change_rad: FRAC_PI_3,
             negative_heading_change_rad: FRAC_PI_6,
             max_radius_m: 50.0,
+            min_radius_m: 3.0,
             min_path_m: 3.0,
         }
     }
@@ -82,10 +85,10 @@ fn turn(
     let start = poses[..end].iter().rposition(|pose| pose.turned_rad < START_SHARE * turned_rad).map_or(0, |i| i + 1);
     let (first, last) = (&poses[start], &poses[end]);
     let path_m: f64 = poses[start..=end].windows(2).map(|pair| pair[0].position.distance(pair[1].position)).sum();
-    if path_m < config.min_path_m {
+    let radius_m = path_m / (last.turned_rad - first.turned_rad);
+    if path_m < config.min_path_m || radius_m < config.min_radius_m {
         return None;
     }
-    let radius_m = path_m / (last.turned_rad - first.turned_rad);
     let is_turn = turned_rad >= config.min_heading_change_rad && radius_m <= config.max_radius_m;
     let label = if is_turn { EventLabel::Positive } else { EventLabel::Negative };
     let duration_s = (last.timestep - first.timestep) as f64 * scene.dt_s;

@@ -149,8 +149,6 @@ pub(super) struct GenerateArgs {
     #[command(flatten)]
     pub(super) scenes: ScenesArg,
     #[command(flatten)]
-    pub(super) events: EventsArg,
-    #[command(flatten)]
     pub(super) denoiser: DenoiserArg,
     /// The folder of a trained classifier [default: classifier in the output folder]
     #[arg(long, value_name = "DIR")]
@@ -163,8 +161,6 @@ pub(super) struct GenerateArgs {
 pub(super) struct EvaluateArgs {
     #[command(flatten)]
     pub(super) scenes: ScenesArg,
-    #[command(flatten)]
-    pub(super) events: EventsArg,
     /// The folder of generated scenarios [default: samples in the output folder]
     #[arg(long, value_name = "DIR")]
     pub(super) samples: Option<PathBuf>,

@@ -107,6 +107,9 @@ impl Phase {
     fn closing_line(&self) -> String {
         let seconds = self.began.elapsed().as_secs_f64();
         let Self { name, unit, n_done, .. } = self;
+        if *n_done == 0 {
+            return format!("{name}: done in {seconds:.1} s");
+        }
         let rate = if seconds > 0.0 { *n_done as f64 / seconds } else { 0.0 };
         let note = if self.note.is_empty() { String::new() } else { format!(", {}", self.note) };
         format!("{name}: {n_done} {unit} in {seconds:.1} s ({rate:.1}/s){note}")

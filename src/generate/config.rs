@@ -160,7 +160,7 @@ impl SweepConfig {
             ("strengths (their number)", self.strengths.len() as f64),
             ("pairs.per_scene", self.pairs.per_scene as f64),
             ("pairs.max_distance_m", self.pairs.max_distance_m),
-            ("guidance.max_shift", self.guidance.max_shift.unwrap_or(1.0)),
+            ("guidance.max_shift", self.guidance.max_shift),
             ("guidance.sigma_hi", self.guidance.sigma_hi),
         ];
         if let Some((key, value)) = positive.iter().find(|(_, value)| value.is_nan() || *value <= 0.0) {

@@ -151,7 +151,7 @@ impl Generator<'_> {
     ) -> Result<Tensor, Error> {
         let features = classifier.spec.features(tensors, &slots(tensors, agents)?)?;
         let guidance = ClassifierGuidance { classifier: &classifier.classifier, pairs: &features };
-        let config = batch.sweep.guidance.clone();
+        let config = batch.sweep.guidance;
         let guided = GuidedDenoiser { inner, guidance: &guidance, strength: batch.strength, config };
         self.denoise(batch, tensors, &guided, progress)
     }

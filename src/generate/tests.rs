@@ -13,7 +13,7 @@ use crate::nn::Params;
 use crate::progress::Silent;
 use crate::scene::{Dataset, Scene, Split};
 use crate::seed::Seed;
-use crate::store::{ScenarioRecord, SceneIndexEntry};
+use crate::store::{ScenarioRecord, SceneIndexEntry, as_stored};
 use crate::tensor::StateParametrization;
 use candle_core::Device;
 use std::collections::BTreeMap;
@@ -186,7 +186,7 @@ fn histories_are_kept_and_samples_differ() {
     for record in generate(&config(SWEEPS)) {
         let Scene { tracks, .. } = &record.scenario.scene;
         let idx: usize = record.scenario.scene.source.case_id.parse().unwrap();
-        for (track, recorded) in tracks.iter().zip(&scene(idx).tracks) {
+        for (track, recorded) in tracks.iter().zip(&as_stored(&scene(idx)).tracks) {
             assert_eq!(track.trajectory.entries()[..N_HISTORY], recorded.trajectory.entries()[..N_HISTORY]);
             assert_ne!(track.trajectory.entries()[N_HISTORY..], recorded.trajectory.entries()[N_HISTORY..]);
         }

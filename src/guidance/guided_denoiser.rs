@@ -7,22 +7,29 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// When guidance acts and how far it may go.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceConfig {
     /// The lowest noise level at which guidance acts.
     pub sigma_lo: f64,
-    /// The highest noise level at which guidance acts. Near `sigma_max` the noisy states say nothing of the behavior yet.
+    /// The highest noise level at which guidance acts. Classifiers see little noise above 3 in training, and are not to be
+    /// trusted there: on merging cases, gradients from up there lowered the rate of cut-ins.
     pub sigma_hi: f64,
     /// The largest Euclidean norm of the shift α σ² ∇ ln p of one scene's clean estimate, in diffused units (the data has
-    /// standard deviation σ_data = 0.5 in each entry); longer shifts are shortened to it. Without it there is no limit.
-    pub max_shift: Option<f64>,
+    /// standard deviation σ_data = 0.5 in each entry); longer shifts are shortened to it, which keeps trajectories smooth at
+    /// large strengths. A very large number, such as 1e9, means no limit.
+    pub max_shift: f64,
 }
 
 impl Default for GuidanceConfig {
     fn default() -> Self {
-        Self { sigma_lo: 0.0, sigma_hi: 80.0, max_shift: None }
+        Self { sigma_lo: 0.0, sigma_hi: 3.0, max_shift: 6.0 }
     }
+}
+
+impl GuidanceConfig {
+    /// Guidance as the paper's equation 3 has it: at every noise level, however far it shifts.
+    pub const UNRESTRICTED: Self = Self { sigma_lo: 0.0, sigma_hi: f64::MAX, max_shift: f64::MAX };
 }
 
 /// D'(x; σ) = D(x; σ) + α σ² ∇ₓ ln p(y | x; σ).
@@ -49,10 +56,7 @@ impl GuidedDenoiser<'_> {
             return Ok(None);
         }
         let shift = log_potential_gradient(self.guidance, x, sigma)?.broadcast_mul(&rows_like(factors, x)?)?;
-        match self.config.max_shift {
-            Some(max_shift) => limit_norm(&shift, max_shift).map(Some),
-            None => Ok(Some(shift)),
-        }
+        limit_norm(&shift, self.config.max_shift).map(Some)
     }
 
     /// α σ² where guidance acts, else 0.

@@ -75,7 +75,7 @@ fn tensors(x: [f64; 2], sigma: f64) -> (Tensor, Tensor) {
 fn at_strength_one_samples_follow_the_tilted_distribution() {
     let tilt = LinearTilt::new([2.0, -1.5]);
     let expected = tilt.tilted();
-    let x = sample(&guided(&tilt, 1.0, GuidanceConfig::default()), 6000);
+    let x = sample(&guided(&tilt, 1.0, GuidanceConfig::UNRESTRICTED), 6000);
     let mean = mean(&x);
     for i in 0..2 {
         assert!((mean[i] - expected.mean()[i]).abs() < 0.02, "mean {mean:?}, expected {:?}", expected.mean());
@@ -91,10 +91,10 @@ fn at_strength_one_samples_follow_the_tilted_distribution() {
 #[test]
 fn more_strength_moves_further_and_none_changes_nothing() {
     let tilt = LinearTilt::new([1.0, 0.0]);
-    let first = |strength: f64| mean(&sample(&guided(&tilt, strength, GuidanceConfig::default()), 1000))[0];
+    let first = |strength: f64| mean(&sample(&guided(&tilt, strength, GuidanceConfig::UNRESTRICTED), 1000))[0];
     assert!(first(0.5) < first(1.0) && first(1.0) < first(3.0));
     assert!(first(-1.0) < first(0.0));
-    assert_eq!(sample(&guided(&tilt, 0.0, GuidanceConfig::default()), 4), sample(&tilt.denoiser, 4));
+    assert_eq!(sample(&guided(&tilt, 0.0, GuidanceConfig::UNRESTRICTED), 4), sample(&tilt.denoiser, 4));
 }
 
 #[test]
@@ -125,15 +125,15 @@ fn the_gate_closes_and_the_limit_holds() {
         let shift = (guided(&tilt, 1.0, config).denoise(&x, &sigma).unwrap() - unguided).unwrap();
         shift.to_vec2::<f64>().unwrap()[0].clone()
     };
-    let gate = GuidanceConfig { sigma_lo: 0.1, sigma_hi: 2.0, ..GuidanceConfig::default() };
-    assert_eq!(shift(0.05, gate.clone()), [0.0, 0.0]);
-    assert_eq!(shift(3.0, gate.clone()), [0.0, 0.0]);
-    let free = shift(0.7, gate.clone());
+    let gate = GuidanceConfig { sigma_lo: 0.1, sigma_hi: 2.0, ..GuidanceConfig::UNRESTRICTED };
+    assert_eq!(shift(0.05, gate), [0.0, 0.0]);
+    assert_eq!(shift(3.0, gate), [0.0, 0.0]);
+    let free = shift(0.7, gate);
     assert!(free[0] > 0.0 && free[1] < 0.0);
     let length = free[0].hypot(free[1]);
-    let limited = shift(0.7, GuidanceConfig { max_shift: Some(length / 2.0), ..gate.clone() });
+    let limited = shift(0.7, GuidanceConfig { max_shift: length / 2.0, ..gate });
     assert!((limited[0] - free[0] / 2.0).abs() < 1e-12 && (limited[1] - free[1] / 2.0).abs() < 1e-12);
-    assert_eq!(shift(0.7, GuidanceConfig { max_shift: Some(length * 2.0), ..gate }), free);
+    assert_eq!(shift(0.7, GuidanceConfig { max_shift: length * 2.0, ..gate }), free);
 }
 
 #[test]
@@ -150,7 +150,8 @@ fn the_denoiser_is_not_differentiated_through() {
     let tilt = LinearTilt::new([2.0, -1.5]);
     let inner = Opaque(&tilt.denoiser, Cell::new(0));
     let (x, sigma) = tensors([0.3, -0.2], 0.7);
-    let denoiser = GuidedDenoiser { inner: &inner, guidance: &tilt, strength: 1.0, config: GuidanceConfig::default() };
+    let denoiser =
+        GuidedDenoiser { inner: &inner, guidance: &tilt, strength: 1.0, config: GuidanceConfig::UNRESTRICTED };
     assert!(!denoiser.denoise(&x, &sigma).unwrap().track_op());
     assert_eq!(inner.1.get(), 1);
 }
@@ -165,7 +166,11 @@ fn a_potential_that_ignores_the_sample_is_an_error() {
     }
     let tilt = LinearTilt::new([1.0, 1.0]);
     let (x, sigma) = tensors([0.3, -0.2], 0.7);
-    let denoiser =
-        GuidedDenoiser { inner: &tilt.denoiser, guidance: &Constant, strength: 1.0, config: GuidanceConfig::default() };
+    let denoiser = GuidedDenoiser {
+        inner: &tilt.denoiser,
+        guidance: &Constant,
+        strength: 1.0,
+        config: GuidanceConfig::UNRESTRICTED,
+    };
     assert!(denoiser.denoise(&x, &sigma).unwrap_err().to_string().contains("cuts its gradient"));
 }

@@ -11,7 +11,7 @@ pub(super) type Batch = Vec<Result<RawUnit, Reject>>;
 /// A batch is cut after this many units …
 const MAX_UNITS: usize = 64;
 
-/// … or when it holds this many bytes. A few batches are in memory at a time: one being filled, one waiting, one parsed.
+/// … or when it takes this many bytes. A few batches are in memory at a time: one being filled, one waiting, one parsed.
 const MAX_BYTES: u64 = 32 << 20;
 
 /// Collects units into batches and sends them. Cuts depend on the units since the last cut only, so that batches are the
@@ -29,13 +29,13 @@ impl BatchSender {
         Self { sender, n_to_skip, batch: Vec::new(), n_bytes: 0 }
     }
 
-    /// Takes a unit; `Break` when nobody listens any more.
-    pub(super) fn push(&mut self, unit: Result<RawUnit, Reject>) -> ControlFlow<()> {
+    /// Takes a unit that will take about `n_bytes` when parsed; `Break` when nobody listens any more.
+    pub(super) fn push(&mut self, unit: Result<RawUnit, Reject>, n_bytes: u64) -> ControlFlow<()> {
         if self.n_to_skip > 0 {
             self.n_to_skip -= 1;
             return ControlFlow::Continue(());
         }
-        self.n_bytes += unit.as_ref().map_or(0, RawUnit::n_bytes);
+        self.n_bytes += n_bytes;
         self.batch.push(unit);
         if self.batch.len() < MAX_UNITS && self.n_bytes < MAX_BYTES {
             return ControlFlow::Continue(());
@@ -68,11 +68,11 @@ mod tests {
     use std::sync::mpsc::sync_channel;
 
     /// Sizes of the batches that units of these sizes come in.
-    fn batch_sizes(n_to_skip: u64, unit_bytes: &[usize]) -> Vec<usize> {
+    fn batch_sizes(n_to_skip: u64, unit_bytes: &[u64]) -> Vec<usize> {
         let (sender, receiver) = sync_channel(unit_bytes.len() + 1);
         let mut batches = BatchSender::new(sender, n_to_skip);
         for n_bytes in unit_bytes {
-            assert!(batches.push(Ok(RawUnit { bytes: vec![0; *n_bytes], ..RawUnit::default() })).is_continue());
+            assert!(batches.push(Ok(RawUnit::default()), *n_bytes).is_continue());
         }
         batches.finish(Ok(()));
         receiver.into_iter().map(|batch| batch.expect("no error was sent").len()).collect()
@@ -98,7 +98,7 @@ mod tests {
         let (sender, receiver) = sync_channel(1);
         drop(receiver);
         let mut batches = BatchSender::new(sender, 0);
-        let flows: Vec<bool> = (0..64).map(|_| batches.push(Ok(RawUnit::default())).is_break()).collect();
+        let flows: Vec<bool> = (0..64).map(|_| batches.push(Ok(RawUnit::default()), 1).is_break()).collect();
         assert!(!flows[62] && flows[63]);
     }
 }

@@ -129,6 +129,9 @@ impl IngestConfig {
         if self.inputs.is_empty() {
             return refuse("inputs", "is empty; name at least one folder, archive or file");
         }
+        if (1..self.inputs.len()).any(|i| self.inputs[..i].contains(&self.inputs[i])) {
+            return refuse("inputs", "names an input twice; its scenes would not be unique");
+        }
         if self.n_history == Some(0) {
             return refuse("n_history", "is 0; a scene needs at least one observed timestep");
         }
@@ -188,6 +191,8 @@ mod tests {
     fn unknown_keys_and_impossible_values_are_refused() {
         let error = toml::from_str::<IngestConfig>("dataset = \"argoverse1\"\ninputs = []\nradius = 3").unwrap_err();
         assert!(error.to_string().contains("radius"), "{error}");
+        let twice = IngestConfig::new(Dataset::Argoverse1, vec!["x".into(), "x".into()]);
+        assert!(twice.validate().unwrap_err().to_string().contains("twice"));
         let config = IngestConfig { max_agents: 0, ..IngestConfig::new(Dataset::Argoverse1, vec!["x".into()]) };
         assert!(config.validate().unwrap_err().to_string().starts_with("ingest.max_agents"));
     }

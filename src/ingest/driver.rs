@@ -126,10 +126,12 @@ fn read_batches(config: &IngestConfig, source: &dyn RecordingSource, mut sender:
         is_recording
     };
     let mut units = source.unit_reader();
-    let result = visit_entries(&config.inputs, &is_wanted, &mut |entry, reader| {
-        units.read(entry, reader, &mut |unit| sender.push(unit))
-    })
-    .and_then(|()| units.finish(&mut |unit| sender.push(unit)).map(drop));
+    let mut emit = |unit: Result<RawUnit, Reject>| {
+        let n_bytes = unit.as_ref().map_or(0, |unit| source.n_bytes_parsed(unit));
+        sender.push(unit, n_bytes)
+    };
+    let result = visit_entries(&config.inputs, &is_wanted, &mut |entry, reader| units.read(entry, reader, &mut emit))
+        .and_then(|()| units.finish(&mut emit).map(drop));
     sender.finish(result);
     seen.into_inner()
 }
@@ -207,7 +209,7 @@ impl UnitParser<'_> {
             return (unit.n_bytes(), vec![Outcome::Unwanted(OTHER_PLACES)]);
         }
         let scenes = self.source.parse(&unit);
-        (unit.n_bytes(), scenes.into_iter().map(|scene| self.finish_scene(scene)).collect())
+        (unit.n_bytes(), scenes.into_par_iter().map(|scene| self.finish_scene(scene)).collect())
     }
 
     fn finish_scene(&self, scene: Result<RawScene, Reject>) -> Outcome {

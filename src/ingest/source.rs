@@ -20,6 +20,12 @@ pub trait RecordingSource: Sync {
     /// The scenes of a unit, in a fixed order; each is either complete or a reject.
     fn parse(&self, unit: &RawUnit) -> Vec<Result<RawScene, Reject>>;
 
+    /// About how many bytes a unit and its scenes take in memory; batches are cut by it. Only the sources whose units hold
+    /// overlapping scenes need to say more than the size of the unit.
+    fn n_bytes_parsed(&self, unit: &RawUnit) -> u64 {
+        unit.n_bytes()
+    }
+
     /// Whether scenes bring their own maps, so that none are read beforehand.
     fn has_own_maps(&self) -> bool {
         false

@@ -38,8 +38,12 @@ impl Road {
 
     /// Whether `point` is on the road, or off it by no more than the slack.
     pub(super) fn holds(&self, point: Vec2) -> bool {
-        let could_hold = |bounds: &Bounds| bounds.contains(point, HALF_NOMINAL_WIDTH_M);
-        self.pieces.iter().any(|(bounds, piece)| could_hold(bounds) && piece.holds(point))
+        let candidates = || {
+            let could_hold = |bounds: &Bounds| bounds.contains(point, HALF_NOMINAL_WIDTH_M);
+            self.pieces.iter().filter(move |(bounds, _)| could_hold(bounds)).map(|(_, piece)| piece)
+        };
+        // Most points are inside of some outline, which is the quicker question.
+        candidates().any(|piece| piece.contains(point)) || candidates().any(|piece| piece.is_near(point))
     }
 }
 
@@ -49,12 +53,17 @@ impl Piece {
         Bounds::around(line.0.iter().copied())
     }
 
-    fn holds(&self, point: Vec2) -> bool {
-        let is_near = |line: &Polyline, limit_m: f64| line.project(point).is_some_and(|p| p.offset_m.abs() <= limit_m);
-        match self {
-            Self::Outline(outline, closed) => is_in_polygon(outline, point) || is_near(closed, SLACK_M),
-            Self::Strip(line) => is_near(line, HALF_NOMINAL_WIDTH_M),
-        }
+    fn contains(&self, point: Vec2) -> bool {
+        matches!(self, Self::Outline(outline, _) if is_in_polygon(outline, point))
+    }
+
+    /// Whether `point` is within the slack of an outline, or on a strip.
+    fn is_near(&self, point: Vec2) -> bool {
+        let (line, limit_m) = match self {
+            Self::Outline(_, closed) => (closed, SLACK_M),
+            Self::Strip(line) => (line, HALF_NOMINAL_WIDTH_M),
+        };
+        line.project(point).is_some_and(|projection| projection.offset_m.abs() <= limit_m)
     }
 }
 

@@ -70,3 +70,71 @@ pub fn read_checkpoint<M: DeserializeOwned>(path: &Path, device: &Device) -> Res
     let fingerprint = blake3::hash(&bytes).to_hex().to_string();
     Ok(Checkpoint { tensors: tensors.into_iter().collect(), metadata, fingerprint })
 }
+
+#[cfg(test)]
+mod tests {
+    use serde::Deserialize;
+
+    use super::*;
+
+    #[derive(Debug, Serialize, Deserialize, PartialEq)]
+    struct Metadata {
+        step: u64,
+        scale: f64,
+    }
+
+    fn tensors() -> BTreeMap<String, Tensor> {
+        let matrix = Tensor::new(&[[1f32, -2.5], [3.0, f32::MIN_POSITIVE]], &Device::Cpu).unwrap();
+        let steps = Tensor::new(7i64, &Device::Cpu).unwrap();
+        // A view, which is not contiguous.
+        BTreeMap::from([
+            ("b.weight".to_owned(), matrix.t().unwrap()),
+            ("a".to_owned(), matrix),
+            ("n".to_owned(), steps),
+        ])
+    }
+
+    #[test]
+    fn what_was_written_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.safetensors");
+        let metadata = Metadata { step: 3, scale: 0.1 };
+        let fingerprint = write_checkpoint(&path, &tensors(), &metadata).unwrap();
+        let read: Checkpoint<Metadata> = read_checkpoint(&path, &Device::Cpu).unwrap();
+        assert_eq!((&read.metadata, &read.fingerprint), (&metadata, &fingerprint));
+        assert_eq!(read.tensors.keys().collect::<Vec<_>>(), ["a", "b.weight", "n"]);
+        assert_eq!(read.tensors["b.weight"].to_vec2::<f32>().unwrap(), [[1.0, 3.0], [-2.5, f32::MIN_POSITIVE]]);
+        assert_eq!(read.tensors["n"].to_scalar::<i64>().unwrap(), 7);
+        // Nothing else is left in the folder.
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn bytes_depend_on_content_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, scale: f64| {
+            write_checkpoint(&folder.path().join(name), &tensors(), &Metadata { step: 3, scale }).unwrap()
+        };
+        assert_eq!(write("one", 0.1), write("two", 0.1));
+        assert_ne!(write("one", 0.1), write("three", 0.2));
+    }
+
+    #[test]
+    fn broken_files_are_errors_that_name_the_path() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.safetensors");
+        let read = || read_checkpoint::<Metadata>(&path, &Device::Cpu).unwrap_err();
+        assert!(matches!(read(), Error::Io(error) if error.to_string().contains("model.safetensors")));
+
+        write_checkpoint(&path, &tensors(), &"another kind of model").unwrap();
+        assert!(matches!(read(), Error::Metadata { .. }));
+
+        let whole = fs_err::read(&path).unwrap();
+        fs_err::write(&path, &whole[..whole.len() - 1]).unwrap();
+        assert!(matches!(read(), Error::Format { .. }));
+        assert!(read().to_string().contains("model.safetensors"));
+
+        fs_err::write(&path, safetensors::serialize(tensors(), None).unwrap()).unwrap();
+        assert!(matches!(read(), Error::NoMetadata { .. }));
+    }
+}

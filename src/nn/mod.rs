@@ -26,3 +26,6 @@ pub use layer_norm::LayerNorm;
 pub use linear::Linear;
 pub use mlp::Mlp;
 pub use params::{Init, Params, Scope};
+
+#[cfg(test)]
+mod tests;

@@ -4,6 +4,7 @@ use super::failure::{Failure, Result};
 use super::fingerprint::fingerprint_path;
 use super::record::{InputRecord, StageRecord, discard};
 use super::stage::{Stage, StageContext, StageId, StageInput};
+use crate::progress::Progress;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -44,6 +45,8 @@ impl fmt::Display for Action {
 /// Decides about every stage, in order. `root` is the folder in which they write. Reads recordings to fingerprint them,
 /// and writes nothing.
 pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>) -> Result<Vec<PlannedStage<'a>>> {
+    // All sections are looked at before recordings are: their mistakes are found at once.
+    stages.iter().try_for_each(|stage| stage.check())?;
     let mut planned: Vec<PlannedStage<'a>> = Vec::new();
     for stage in stages {
         let mut inputs = BTreeMap::new();
@@ -72,7 +75,9 @@ pub fn execute(
             StageRecord::done(context.root, stage.id()).unwrap_or(expected)
         } else {
             around(stage.id(), Moment::Start)?;
-            let record = run_stage(stage.as_ref(), expected, &action, context)
+            let named = Named { stage: stage.id(), inner: context.progress };
+            let context = StageContext { progress: &named, ..*context };
+            let record = run_stage(stage.as_ref(), expected, &action, &context)
                 .map_err(|failure| failure.context(format!("stage {} failed", stage.id())))?;
             around(stage.id(), Moment::End)?;
             record
@@ -90,6 +95,37 @@ pub enum Moment {
     Start,
     /// After its outputs are whole.
     End,
+}
+
+/// Puts the stage before the names of its phases.
+struct Named<'a> {
+    stage: StageId,
+    inner: &'a dyn Progress,
+}
+
+impl Progress for Named<'_> {
+    fn start(&self, phase: &str, total: u64, unit: &str) {
+        let stage = self.stage.command();
+        let is_whole = stage.split(' ').any(|word| word == phase);
+        let name = if is_whole { stage.to_owned() } else { format!("{stage}: {phase}") };
+        self.inner.start(&name, total, unit);
+    }
+
+    fn advance(&self, n: u64) {
+        self.inner.advance(n);
+    }
+
+    fn note(&self, message: &str) {
+        self.inner.note(message);
+    }
+
+    fn warn(&self, message: &str) {
+        self.inner.warn(message);
+    }
+
+    fn finish(&self) {
+        self.inner.finish();
+    }
 }
 
 fn run_stage(

@@ -8,6 +8,9 @@ pub mod config;
 mod failure;
 mod fingerprint;
 pub mod graph;
+#[cfg(test)]
+mod graph_tests;
+pub mod inspect;
 pub mod layout;
 mod log;
 mod record;

@@ -108,6 +108,11 @@ pub trait Stage {
     fn id(&self) -> StageId;
     /// Raised whenever the code changes what the stage writes, so that old outputs are redone.
     fn version(&self) -> u32;
+    /// Refuses a section that cannot work, before anything runs.
+    ///
+    /// # Errors
+    /// When a value makes no sense, naming it.
+    fn check(&self) -> Result<()>;
     /// Its section, as JSON.
     fn config(&self) -> anyhow::Result<serde_json::Value>;
     /// What it reads.

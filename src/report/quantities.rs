@@ -1,6 +1,8 @@
 //! What is compared between recorded and generated scenes: how road users move, and how close they come.
 
 use super::distribution::Distribution;
+use super::model::Fact;
+use super::number::value;
 use crate::behavior::BehaviorEvent;
 use crate::geometry::wrap_angle;
 use crate::scene::{Scene, Track};
@@ -52,6 +54,14 @@ pub fn event_distributions(groups: &[(&str, &[&BehaviorEvent])]) -> Vec<Distribu
             Distribution::of(&title, unit, "of the events", N_BINS / 2, &groups)
         })
         .collect()
+}
+
+impl Fact {
+    /// A parameter of an event in words: `gap_m` becomes “gap” with its value in metres.
+    pub fn of_parameter(name: &str, parameter: f64) -> Self {
+        let (title, unit) = title_and_unit(name);
+        Self::new(title, format!("{} {unit}", value(parameter)).trim_end())
+    }
 }
 
 /// `relative_speed_mps` is the relative speed in m/s.
@@ -113,50 +123,22 @@ fn nearest_distances(scene: &Scene) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Transform2, Vec2};
-    use crate::scene::{
-        AgentClass, Dataset, Extent, LaneGraph, SceneId, SceneSource, Split, State, TrackId, TrackRole, Trajectory,
-    };
+    use crate::geometry::Vec2;
+    use crate::scene::testing::{self, Drive};
+    use crate::scene::{SceneId, State, Trajectory};
     use std::collections::BTreeMap;
-    use std::sync::Arc;
 
-    /// Two cars of 4 m by 2 m side by side, 6 m apart between centers, at 10 m/s; the first gains 2 m/s each second.
+    /// Two cars at 10 m/s side by side, 6 m apart between centers; the first gains 2 m/s each second.
     fn scene() -> Scene {
-        let track = |id: &str, y: f64, acceleration: f64| Track {
-            id: TrackId::from(id),
-            class: AgentClass::Vehicle,
-            role: TrackRole::Context,
-            extent: Some(Extent { length_m: 4.0, width_m: 2.0 }),
-            trajectory: Trajectory::new(
-                (0..8)
-                    .map(|timestep| f64::from(timestep) * 0.1)
-                    .map(|t| {
-                        let position = Vec2::new(10.0 * t + 0.5 * acceleration * t * t, y);
-                        Some(State { position, heading_rad: 0.05 * t, velocity: Vec2::new(99.0, 0.0) })
-                    })
-                    .collect(),
-            ),
-        };
-        Scene {
-            id: SceneId::from("interaction/val/X/1"),
-            source: SceneSource {
-                dataset: Dataset::Interaction,
-                version: String::new(),
-                split: Split::Val,
-                place: "X".into(),
-                file: String::new(),
-                case_id: "1".into(),
-                first_frame: "1".into(),
-            },
-            dt_s: 0.1,
-            n_timesteps: 8,
-            n_history: 3,
-            world_from_scene: Transform2::from_pose(Vec2::new(0.0, 0.0), 0.0),
-            ego_idx: 0,
-            tracks: vec![track("1", 0.0, 2.0), track("2", 6.0, 0.0)],
-            map_id: None,
-            lanes: Arc::new(LaneGraph::default()),
-        }
+        let mut scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 6.0, 0.0, 10.0)]);
+        let states = (0..scene.n_timesteps).map(|timestep| {
+            let t = timestep as f64 * scene.dt_s;
+            // The recorded velocity is wrong on purpose: it must not be used.
+            let velocity = Vec2::new(99.0, 0.0);
+            Some(State { position: Vec2::new(10.0 * t + t * t, 0.0), heading_rad: 0.05 * t, velocity })
+        });
+        scene.tracks[0].trajectory = Trajectory::new(states.collect());
+        scene
     }
 
     fn all_near(values: &[f64], n: usize, expected: f64) -> bool {
@@ -167,12 +149,13 @@ mod tests {
     fn motion_follows_from_positions_in_the_future_only() {
         let scene = scene();
         let [first, second] = [&scene.tracks[0], &scene.tracks[1]];
-        assert!(all_near(&accelerations(&scene, first), 5, 2.0));
-        assert!(all_near(&speeds(&scene, second), 5, 10.0));
-        assert!(all_near(&yaw_rates(&scene, second), 5, 0.05));
-        let at_start = nearest_distances(&scene);
-        assert_eq!(at_start.len(), 2);
-        assert!((at_start[0] - 4.0).abs() < 0.1, "{at_start:?}");
+        let n_future = scene.n_timesteps - scene.n_history;
+        assert!(all_near(&accelerations(&scene, first), n_future, 2.0));
+        assert!(all_near(&yaw_rates(&scene, first), n_future, 0.05));
+        assert!(all_near(&speeds(&scene, second), n_future, 10.0));
+        let distances = nearest_distances(&scene);
+        // Half of each width of 1.8 m lies between the centers.
+        assert!(distances.len() == 4 && (distances[0] - 4.2).abs() < 0.1, "{distances:?}");
     }
 
     #[test]
@@ -192,5 +175,7 @@ mod tests {
         assert_eq!(titles, [("gap", "m"), ("relative speed", "m/s")]);
         assert_eq!(distributions[0].series[1].mean, Some(5.0));
         assert_eq!(distributions[0].series[1].distance, Some(1.0));
+        assert_eq!(Fact::of_parameter("relative_speed_mps", -1.23456), Fact::new("relative speed", "−1.23 m/s"));
+        assert_eq!(Fact::of_parameter("side", 1.0), Fact::new("side", "1.00"));
     }
 }

@@ -1,8 +1,9 @@
 //! Checks every behavior against its example scenes in `tests/fixtures/behavior/<id>/`.
 
-use super::{Case, cases_in, transformed};
+use super::{Case, cases_in, random_scene, transformed};
 use crate::behavior::{ALL, BehaviorConfig, BehaviorEvent, EventLabel};
 use crate::geometry::{Transform2, Vec2};
+use crate::scene::{Scene, State, Track, Trajectory};
 use std::collections::{BTreeMap, BTreeSet};
 
 fn case(id: &str, name: &str, text: &str) -> Case {
@@ -96,4 +97,29 @@ fn configs_are_read_by_kind_and_refuse_unknown_options() {
     assert!(read("kind = \"teleport\"").is_err());
     let json = serde_json::to_string(&schemars::schema_for!(BehaviorConfig)).expect("a schema");
     assert!(ALL.iter().all(|entry| json.contains(entry.id)) && json.contains("additionalProperties"));
+}
+
+/// The scene with `replace` in place of every seventh state.
+fn with_holes(scene: &Scene, replace: Option<State>) -> Scene {
+    let track = |(agent_idx, track): (usize, &Track)| {
+        let state =
+            |(t, state): (usize, &Option<State>)| if (t + agent_idx).is_multiple_of(7) { replace } else { *state };
+        let states = track.trajectory.entries().iter().enumerate().map(state);
+        Track { trajectory: Trajectory::new(states.collect()), ..track.clone() }
+    };
+    Scene { tracks: scene.tracks.iter().enumerate().map(track).collect(), ..scene.clone() }
+}
+
+#[test]
+fn states_that_are_no_numbers_are_as_good_as_none() {
+    let broken =
+        State { position: Vec2::new(f64::NAN, 0.0), heading_rad: f64::INFINITY, velocity: Vec2::new(1.0, 0.0) };
+    for entry in ALL {
+        let behavior = (entry.default_config)().build();
+        for seed in 0..10 {
+            let scene = random_scene(seed, 9, 20.0);
+            let [missing, broken] = [None, Some(broken)].map(|state| behavior.detect(&with_holes(&scene, state)));
+            assert_eq!(missing, broken, "{}", entry.id);
+        }
+    }
 }

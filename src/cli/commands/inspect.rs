@@ -2,9 +2,15 @@
 
 use crate::cli::args::InspectArgs;
 use crate::cli::printer::Printer;
-use crate::pipeline::{Failure, Result};
+use crate::pipeline::Result;
+use crate::pipeline::inspect::inspect as describe;
 
 pub(in crate::cli) fn inspect(args: &InspectArgs, printer: &Printer) -> Result<()> {
-    let _ = printer;
-    Err(Failure::input_message(format_args!("{} is nothing that djinn writes", args.path.display())))
+    let description = describe(&args.path)?;
+    if args.json {
+        let text = serde_json::to_string_pretty(&description.json()).map_err(anyhow::Error::from)?;
+        printer.data(&format!("{text}\n"))
+    } else {
+        printer.data(&description.text())
+    }
 }

@@ -16,7 +16,7 @@ pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Pr
     };
     let Request { id, args, layout, overrides } = request;
     let overrides = [overrides, args.set.clone()].concat();
-    let config = PipelineConfig::load(args.config.as_deref(), &overrides)?;
+    let config = PipelineConfig::load(args.config.as_deref(), &overrides)?.with_section(id);
     use_threads(output, &config)?;
     let root = args.output.as_path();
     if args.dry_run {
@@ -67,14 +67,12 @@ impl<'a> Request<'a> {
             Command::Generate(args) => {
                 let mut request = Self::new(StageId::Generate, &args.stage)
                     .scenes(&args.scenes.scenes)
-                    .events(&args.events.events)
                     .denoiser(&args.denoiser.denoiser);
                 replace(&mut request.layout.classifier, &args.classifier);
                 request
             }
             Command::Evaluate(args) => {
-                let mut request =
-                    Self::new(StageId::Evaluate, &args.stage).scenes(&args.scenes.scenes).events(&args.events.events);
+                let mut request = Self::new(StageId::Evaluate, &args.stage).scenes(&args.scenes.scenes);
                 replace(&mut request.layout.samples, &args.samples);
                 request
             }

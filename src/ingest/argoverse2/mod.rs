@@ -15,6 +15,9 @@ use crate::scene::{LaneGraph, MapId};
 use std::io::BufRead;
 use std::sync::Arc;
 
+#[cfg(test)]
+pub(super) use tracks::tests::scenario_bytes;
+
 /// What the dataset records: 5 s of past and 6 s of future at 10 Hz.
 const RECORDED: Horizon = Horizon { n_history: 50, n_future: 60 };
 

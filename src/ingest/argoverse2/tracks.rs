@@ -179,4 +179,4 @@ fn class_of(object_type: &str) -> AgentClass {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

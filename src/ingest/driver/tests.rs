@@ -1,5 +1,6 @@
 use super::*;
 use crate::ingest::argoverse1::csv_text;
+use crate::ingest::argoverse2::scenario_bytes;
 use crate::ingest::{MapsConfig, test_data};
 use crate::progress::Silent;
 use crate::scene::Dataset;
@@ -149,6 +150,32 @@ fn faults_of_the_whole_input_end_the_ingest() {
     let cut = IngestConfig { maps: MapsConfig::None, ..config(&archive) };
     let text = run(&cut, None).expect_err("cut short").to_string();
     assert!(text.contains("all.tar.gz"), "{text}");
+}
+
+#[test]
+fn argoverse_2_scenarios_need_their_maps() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let lane = r#"{"id": 1, "lane_type": "VEHICLE", "is_intersection": false,
+        "left_lane_boundary": [{"x": 0, "y": 0}, {"x": 0, "y": 90}],
+        "right_lane_boundary": [{"x": 4, "y": 0}, {"x": 4, "y": 90}]}"#;
+    let map = format!(r#"{{"lane_segments": {{"1": {lane}}}}}"#);
+    for (id, map) in [("a", Some(map.as_str())), ("b", Some(&map[..80])), ("c", None)] {
+        let scenario = folder.path().join("val").join(id);
+        fs_err::create_dir_all(&scenario).expect("writable");
+        fs_err::write(scenario.join(format!("scenario_{id}.parquet")), scenario_bytes()).expect("writable");
+        if let Some(map) = map {
+            fs_err::write(scenario.join(format!("log_map_archive_{id}.json")), map).expect("writable");
+        }
+    }
+    let config = IngestConfig::new(Dataset::Argoverse2, vec![folder.path().to_owned()]);
+    let (batches, report) = run(&config, None).expect("one scenario is whole");
+    assert_eq!((report.n_scenes, batches[0].maps.len()), (1, 1));
+    let lanes = batches[0].scenes[0].lanes.lanes();
+    assert!(lanes[0].centerline.0[0].distance(crate::geometry::Vec2::new(-49.0, 3.0)) < 1e-9, "in the ego's frame");
+    assert!(report.rejects["bad_map"].examples[0].starts_with("val/b/log_map_archive_b.json: "));
+    assert!(report.rejects["no_map"].examples[0].starts_with("val/c/scenario_c.parquet: "));
+    let without = IngestConfig { maps: MapsConfig::None, ..config };
+    assert_eq!(run(&without, None).expect("maps are not needed").1.n_scenes, 3);
 }
 
 #[test]

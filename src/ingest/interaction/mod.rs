@@ -83,6 +83,14 @@ impl RecordingSource for Interaction<'_> {
         }
     }
 
+    fn n_bytes_parsed(&self, unit: &RawUnit) -> u64 {
+        let is_recording = unit.header.is_empty();
+        // Each row of a recording is in as many windows as overlap there.
+        let n_overlapping =
+            if is_recording { self.horizon.n_timesteps().div_ceil(self.config.window_stride) } else { 1 };
+        unit.n_bytes() * n_overlapping.max(1) as u64
+    }
+
     fn is_map(&self, path: &str) -> bool {
         path::place_of_map(path).is_some_and(|place| self.config.wants_place(place))
     }

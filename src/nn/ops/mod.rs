@@ -3,6 +3,7 @@
 //! Every operation has a plain implementation in differentiable candle operations. On the CPU in `f32` a fused one with its
 //! own backward pass takes its place; the choice is made here and nowhere else.
 
+mod adam;
 mod attention;
 mod cross_attention;
 mod gemm;
@@ -16,6 +17,7 @@ mod sinusoidal;
 
 use candle_core::{D, DType, Device, Result, Tensor, bail};
 
+pub(super) use self::adam::{AdamStep, Moments};
 use super::attention::Axis;
 
 /// What follows an affine map.
@@ -146,6 +148,46 @@ pub fn rows_with_keys(valid: &Tensor, lane_valid: &Tensor) -> Result<Tensor> {
 /// When the device fails.
 pub fn sinusoidal(x: &Tensor, frequencies: &[f64]) -> Result<Tensor> {
     if is_fused(x) { sinusoidal::fused(x, frequencies) } else { sinusoidal::reference(x, frequencies) }
+}
+
+/// Moves a parameter and its moments by one step of Adam, in place.
+///
+/// # Errors
+/// When shapes do not fit.
+pub(super) fn adam_step(parameter: &Tensor, moments: &mut Moments, grad: &Tensor, step: AdamStep) -> Result<()> {
+    if parameter.dims() != grad.dims() || parameter.dims() != moments.first.dims() {
+        bail!("adam: a gradient {:?} does not fit a parameter {:?}", grad.dims(), parameter.dims());
+    }
+    if is_fused(parameter) && is_fused(grad) && parameter.is_contiguous() {
+        adam::fused(parameter, moments, grad, step)
+    } else {
+        adam::reference(parameter, moments, grad, step)
+    }
+}
+
+/// The sum of the squares of all entries, in double precision and a fixed order.
+///
+/// # Errors
+/// When the device fails.
+pub(super) fn sum_of_squares(x: &Tensor) -> Result<f64> {
+    if is_fused(x) {
+        adam::fused_sum_of_squares(x)
+    } else {
+        x.detach().to_dtype(DType::F64)?.sqr()?.sum_all()?.to_scalar()
+    }
+}
+
+/// Moves `average` by the share 1 - `decay` towards `value`, in place.
+///
+/// # Errors
+/// When shapes do not fit.
+pub(super) fn average_step(average: &mut Tensor, value: &Tensor, decay: f64) -> Result<()> {
+    if is_fused(average) && is_fused(value) && average.dims() == value.dims() && average.is_contiguous() {
+        adam::fused_average_step(average, value, decay)
+    } else {
+        *average = ((&*average * decay)? + (value.detach() * (1.0 - decay))?)?;
+        Ok(())
+    }
 }
 
 /// `valid` as a mask of the rows of `x`, in its type and outside every gradient.

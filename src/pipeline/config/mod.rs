@@ -12,8 +12,9 @@ pub use overrides::Override;
 
 use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
+use crate::pipeline::StageId;
 use crate::pipeline::failure::{Failure, Result};
-use crate::pipeline::stages::{EvaluateConfig, MineConfig};
+use crate::pipeline::stages::{EvaluateConfig, MineConfig, ReportConfig};
 use crate::train::{ClassifierTrainingConfig, DenoiserTrainingConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -35,6 +36,8 @@ pub struct PipelineConfig {
     pub generate: Option<GenerateConfig>,
     /// What is measured, what is kept and what must hold.
     pub evaluate: Option<EvaluateConfig>,
+    /// What the report shows.
+    pub report: Option<ReportConfig>,
 }
 
 /// The models: a section each.
@@ -83,6 +86,22 @@ impl PipelineConfig {
             config.run.name = stem.into_owned();
         }
         Ok(config)
+    }
+
+    /// The configuration with the section of `stage`: its defaults where it is missing and has some.
+    #[must_use]
+    pub fn with_section(mut self, stage: StageId) -> Self {
+        match stage {
+            // What to read cannot be guessed.
+            StageId::Ingest => {}
+            StageId::Mine => _ = self.mine.get_or_insert_default(),
+            StageId::TrainDenoiser => _ = self.train.denoiser.get_or_insert_default(),
+            StageId::TrainClassifier => _ = self.train.classifier.get_or_insert_default(),
+            StageId::Generate => _ = self.generate.get_or_insert_default(),
+            StageId::Evaluate => _ = self.evaluate.get_or_insert_default(),
+            StageId::Report => _ = self.report.get_or_insert_default(),
+        }
+        self
     }
 
     /// The configuration as TOML, every default spelled out.

@@ -1,9 +1,9 @@
 //! Recorded histories and models to generated scenarios, shard by shard; finished shards are kept when interrupted.
 
 use super::mine::MineConfig;
-use super::sample_folder::{SampleFolder, SampleSidecar};
+use super::sample_folder::{SampleFolder, SampleSidecar, SampledWith};
 use super::train_denoiser::checkpoint_file;
-use crate::generate::{GenerateConfig, Generator, Models, Plan, Shortfall};
+use crate::generate::{self, GenerateConfig, Generator, Models, Plan, Shortfall};
 use crate::model::{TrainedClassifier, TrainedDenoiser};
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
@@ -17,6 +17,8 @@ pub struct Generate<'a> {
     pub config: &'a GenerateConfig,
     /// The definitions of the behaviors that scenarios are checked for.
     pub mine: MineConfig,
+    /// The behavior that the pipeline's classifier is trained for, where the pipeline trains one.
+    pub classified_behavior: Option<&'a str>,
     /// Where the scenes and models are.
     pub layout: &'a Layout,
 }
@@ -28,6 +30,25 @@ impl Stage for Generate<'_> {
 
     fn version(&self) -> u32 {
         1
+    }
+
+    fn check(&self) -> Result<()> {
+        self.config.validate()?;
+        let mined = self.mine.build()?;
+        for sweep in &self.config.sweeps {
+            let Some(behavior) = sweep.behavior.as_deref() else { continue };
+            let is_guided = sweep.strengths.iter().any(|strength| *strength != 0.0);
+            if !mined.iter().any(|known| known.id() == behavior) {
+                let known: Vec<&str> = mined.iter().map(|known| known.id()).collect();
+                let (sweep, behavior, known) = (sweep.name.clone(), behavior.to_owned(), known.join(", "));
+                return Err(generate::Error::UnknownBehavior { sweep, behavior, known }.into());
+            }
+            if is_guided && self.classified_behavior.is_some_and(|classified| classified != behavior) {
+                let (sweep, behavior) = (sweep.name.clone(), behavior.to_owned());
+                return Err(generate::Error::NoClassifier { sweep, behavior }.into());
+            }
+        }
+        Ok(())
     }
 
     fn config(&self) -> anyhow::Result<Value> {
@@ -73,8 +94,16 @@ impl Stage for Generate<'_> {
             context.progress.warn(&format!("sweep {sweep}: {n_wanted} scenes were asked for, {n_found} fit"));
         }
         let shards = self.generate_shards(&generator, &plan, &folder, context)?;
-        let classifier = classifiers.first().map(|classifier| classifier.fingerprint.clone());
-        let manifest = folder.write_manifest(shards, denoiser.fingerprint, classifier)?;
+        let manifest = folder.write_manifest(
+            shards,
+            SampledWith {
+                denoiser: denoiser.fingerprint.clone(),
+                classifier: classifiers.first().map(|classifier| classifier.fingerprint.clone()),
+                sampler: self.config.sampler.name(),
+                n_evaluations: self.config.sampler.n_evaluations() as u64,
+                shortfalls: plan.shortfalls,
+            },
+        )?;
         if manifest.n_rejected > 0 {
             let message = format!("{} samples were no finite numbers and were rejected", manifest.n_rejected);
             context.progress.warn(&message);

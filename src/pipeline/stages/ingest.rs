@@ -21,6 +21,10 @@ impl Stage for Ingest<'_> {
         1
     }
 
+    fn check(&self) -> Result<()> {
+        Ok(self.config.validate()?)
+    }
+
     fn config(&self) -> anyhow::Result<Value> {
         Ok(serde_json::to_value(self.config)?)
     }

@@ -56,21 +56,23 @@ pub struct MineSummary {
 /// How often a behavior was found.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BehaviorCounts {
-    /// Events in all places.
-    pub events: LabelCounts,
-    /// Scenes with at least one positive event.
-    pub n_scenes_with_positive: u64,
-    /// Events by `split/place`.
-    pub by_place: BTreeMap<String, LabelCounts>,
+    /// In all scenes.
+    pub total: EventCounts,
+    /// By split, then by place.
+    pub by_place: BTreeMap<Split, BTreeMap<String, EventCounts>>,
 }
 
-/// Events by label.
+/// Counts over some scenes.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LabelCounts {
+pub struct EventCounts {
+    /// Scenes that were looked at.
+    pub n_scenes: u64,
+    /// Scenes with at least one positive event.
+    pub n_scenes_with_positive: u64,
     /// Examples of the behavior.
-    pub positive: u64,
+    pub n_positive: u64,
     /// Hard negatives.
-    pub negative: u64,
+    pub n_negative: u64,
 }
 
 /// The stage.
@@ -88,6 +90,10 @@ impl Stage for Mine<'_> {
 
     fn version(&self) -> u32 {
         1
+    }
+
+    fn check(&self) -> Result<()> {
+        self.config.build().map(drop)
     }
 
     fn config(&self) -> anyhow::Result<Value> {
@@ -130,7 +136,7 @@ impl Stage for Mine<'_> {
         context.progress.finish();
         write_events(&context.root.join(EVENTS), &events)?;
         write_json_atomically(&context.root.join(MINE_SUMMARY), &summary)?;
-        Ok(serde_json::to_value(&summary.events_by_behavior()).map_err(anyhow::Error::from)?)
+        Ok(serde_json::to_value(&summary.totals()).map_err(anyhow::Error::from)?)
     }
 }
 
@@ -142,28 +148,27 @@ fn detect_all(store: &SceneStore, idx: usize, behaviors: &[Box<dyn Behavior>]) -
 impl MineSummary {
     fn add(&mut self, entry: &SceneIndexEntry, found: &[BehaviorEvent]) {
         self.n_scenes += 1;
-        let place = format!("{}/{}", entry.split.name(), entry.place);
         for (behavior, counts) in &mut self.behaviors {
-            let mut has_positive = false;
-            for event in found.iter().filter(|event| event.behavior == *behavior) {
-                counts.events.add(event.label);
-                counts.by_place.entry(place.clone()).or_default().add(event.label);
-                has_positive |= event.label == EventLabel::Positive;
-            }
-            counts.n_scenes_with_positive += u64::from(has_positive);
+            let labels: Vec<EventLabel> =
+                found.iter().filter(|event| event.behavior == *behavior).map(|event| event.label).collect();
+            let in_split = counts.by_place.entry(entry.split).or_default();
+            in_split.entry(entry.place.clone()).or_default().add(&labels);
+            counts.total.add(&labels);
         }
     }
 
-    fn events_by_behavior(&self) -> BTreeMap<&str, &LabelCounts> {
-        self.behaviors.iter().map(|(behavior, counts)| (behavior.as_str(), &counts.events)).collect()
+    fn totals(&self) -> BTreeMap<&str, &EventCounts> {
+        self.behaviors.iter().map(|(behavior, counts)| (behavior.as_str(), &counts.total)).collect()
     }
 }
 
-impl LabelCounts {
-    fn add(&mut self, label: EventLabel) {
-        match label {
-            EventLabel::Positive => self.positive += 1,
-            EventLabel::Negative => self.negative += 1,
-        }
+impl EventCounts {
+    /// Counts a scene with events of these labels.
+    fn add(&mut self, labels: &[EventLabel]) {
+        let n_positive = labels.iter().filter(|label| **label == EventLabel::Positive).count() as u64;
+        self.n_scenes += 1;
+        self.n_scenes_with_positive += u64::from(n_positive > 0);
+        self.n_positive += n_positive;
+        self.n_negative += labels.len() as u64 - n_positive;
     }
 }

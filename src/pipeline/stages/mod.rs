@@ -5,6 +5,7 @@ mod evaluate;
 mod generate;
 mod ingest;
 mod mine;
+mod report;
 mod sample_folder;
 mod selection;
 mod train_classifier;
@@ -13,8 +14,9 @@ mod train_denoiser;
 pub use evaluate::{Evaluate, EvaluateConfig, EvaluationSummary, GateResult, GatesConfig, Keep};
 pub use generate::Generate;
 pub use ingest::Ingest;
-pub use mine::{BehaviorCounts, LabelCounts, Mine, MineConfig, MineSummary};
-pub use sample_folder::{SampleFolder, SampleManifest, SampleSidecar};
+pub use mine::{BehaviorCounts, EventCounts, Mine, MineConfig, MineSummary};
+pub use report::{About, Report, ReportConfig};
+pub use sample_folder::{SampleFolder, SampleManifest, SampleSidecar, SampledWith};
 pub use train_classifier::TrainClassifier;
 pub use train_denoiser::TrainDenoiser;
 
@@ -59,21 +61,57 @@ pub fn check_gates(records: &[StageRecord]) -> Result<()> {
 }
 
 fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Option<Box<dyn Stage + 'a>> {
-    let PipelineConfig { run, ingest, mine, train, generate, evaluate } = config;
+    let PipelineConfig { run, ingest, mine, train, generate, evaluate, report } = config;
     let definitions = || mine.clone().unwrap_or_default();
     Some(match id {
         StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()? }),
         StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
         StageId::TrainDenoiser => Box::new(TrainDenoiser { config: train.denoiser.as_ref()?, seed: run.seed, layout }),
         StageId::TrainClassifier => Box::new(TrainClassifier { config: train.classifier.as_ref()?, layout }),
-        StageId::Generate => Box::new(Generate { config: generate.as_ref()?, mine: definitions(), layout }),
-        StageId::Evaluate => Box::new(Evaluate {
-            config: evaluate.as_ref()?,
+        StageId::Generate => Box::new(Generate {
+            config: generate.as_ref()?,
             mine: definitions(),
-            generate: generate.as_ref(),
-            pipeline: &run.name,
+            classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
             layout,
         }),
-        _ => return None,
+        StageId::Evaluate => {
+            Box::new(Evaluate { config: evaluate.as_ref()?, mine: definitions(), pipeline: &run.name, layout })
+        }
+        StageId::Report => Box::new(Report {
+            config: report.as_ref()?,
+            parts: reported_stages(config, layout),
+            about: About {
+                pipeline: run.name.clone(),
+                seed: run.seed,
+                // A configuration that cannot be written has failed before: it is saved in the run folder.
+                config: config.portable().to_toml().unwrap_or_default(),
+            },
+            layout,
+        }),
     })
+}
+
+/// The stages to report on: those of the pipeline, or where the configuration has no other section, those whose outputs
+/// are there.
+fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
+    let has_section = |id: StageId| match id {
+        StageId::Ingest => config.ingest.is_some(),
+        StageId::Mine => config.mine.is_some(),
+        StageId::TrainDenoiser => config.train.denoiser.is_some(),
+        StageId::TrainClassifier => config.train.classifier.is_some(),
+        StageId::Generate => config.generate.is_some(),
+        StageId::Evaluate => config.evaluate.is_some(),
+        StageId::Report => false,
+    };
+    let is_there = |id: StageId| match id {
+        StageId::Ingest => layout.scenes.exists(),
+        StageId::Mine => layout.events.exists(),
+        StageId::TrainDenoiser => layout.denoiser.exists(),
+        StageId::TrainClassifier => layout.classifier.exists(),
+        StageId::Generate => layout.samples.exists(),
+        StageId::Evaluate => layout.metrics.exists(),
+        StageId::Report => false,
+    };
+    let in_pipeline: Vec<StageId> = StageId::ALL.into_iter().filter(|id| has_section(*id)).collect();
+    if in_pipeline.is_empty() { StageId::ALL.into_iter().filter(|id| is_there(*id)).collect() } else { in_pipeline }
 }

@@ -1,6 +1,6 @@
 //! What does the folder of generated scenarios hold? Shards with what is known of each, the plan, and a manifest last.
 
-use crate::generate::{Plan, RejectedSample};
+use crate::generate::{Plan, RejectedSample, Shortfall};
 use crate::pipeline::{Classify, Result};
 use crate::store::{
     FileStamp, MapSource, ScenarioRecord, read_json, read_samples, remove_partials, write_json_atomically,
@@ -37,10 +37,23 @@ pub struct SampleManifest {
     pub n_verified: u64,
     /// Number of samples that came to nothing.
     pub n_rejected: u64,
+    /// How they were sampled.
+    pub sampled_with: SampledWith,
+}
+
+/// How scenarios were sampled.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct SampledWith {
     /// Fingerprint of the denoiser.
     pub denoiser: String,
     /// Fingerprint of the classifier, where there was one.
     pub classifier: Option<String>,
+    /// Name of the sampler and its number of steps.
+    pub sampler: String,
+    /// Calls of the denoiser for one sample.
+    pub n_evaluations: u64,
+    /// Sweeps for which fewer scenes fit than were asked for.
+    pub shortfalls: Vec<Shortfall>,
 }
 
 /// A folder of generated scenarios.
@@ -97,16 +110,14 @@ impl SampleFolder {
     pub(super) fn write_manifest(
         &self,
         shards: Vec<SampleSidecar>,
-        denoiser: String,
-        classifier: Option<String>,
+        sampled_with: SampledWith,
     ) -> Result<SampleManifest> {
         let manifest = SampleManifest {
             n_scenarios: shards.iter().map(|shard| shard.n_scenarios).sum(),
             n_verified: shards.iter().map(|shard| shard.n_verified).sum(),
             n_rejected: shards.iter().map(|shard| shard.rejected.len() as u64).sum(),
             shards,
-            denoiser,
-            classifier,
+            sampled_with,
         };
         write_json_atomically(&self.dir.join(MANIFEST_FILE), &manifest)?;
         Ok(manifest)

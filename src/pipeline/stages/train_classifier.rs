@@ -30,6 +30,11 @@ impl Stage for TrainClassifier<'_> {
         1
     }
 
+    fn check(&self) -> Result<()> {
+        self.config.resolve()?;
+        Ok(())
+    }
+
     fn config(&self) -> anyhow::Result<Value> {
         Ok(serde_json::to_value(self.config)?)
     }

@@ -35,6 +35,11 @@ impl Stage for TrainDenoiser<'_> {
         1
     }
 
+    fn check(&self) -> Result<()> {
+        self.config.resolve()?;
+        Ok(())
+    }
+
     fn config(&self) -> anyhow::Result<Value> {
         let mut config = serde_json::to_value(self.config)?;
         config["seed"] = json!(self.seed);

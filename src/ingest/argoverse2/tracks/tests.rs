@@ -34,6 +34,11 @@ fn columns(n_timesteps: usize) -> Vec<(&'static str, ArrayRef)> {
     ]
 }
 
+/// A whole scenario file.
+pub(in crate::ingest) fn scenario_bytes() -> Vec<u8> {
+    parquet_bytes(columns(110))
+}
+
 fn parquet_bytes(columns: Vec<(&'static str, ArrayRef)>) -> Vec<u8> {
     let batch = RecordBatch::try_from_iter(columns).expect("columns of one length");
     let mut bytes = Vec::new();

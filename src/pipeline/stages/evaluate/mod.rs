@@ -12,7 +12,6 @@ pub use gates::GateResult;
 
 use super::mine::MineConfig;
 use super::sample_folder::SampleManifest;
-use crate::generate::GenerateConfig;
 use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::report::{MetricDoc, SamplingRow};
@@ -56,8 +55,6 @@ pub struct Evaluate<'a> {
     pub config: &'a EvaluateConfig,
     /// The definitions of the behaviors that are counted.
     pub mine: MineConfig,
-    /// What was generated, where it is known.
-    pub generate: Option<&'a GenerateConfig>,
     /// Name of the pipeline, for the corpus.
     pub pipeline: &'a str,
     /// Where the scenes and samples are.
@@ -71,6 +68,10 @@ impl Stage for Evaluate<'_> {
 
     fn version(&self) -> u32 {
         1
+    }
+
+    fn check(&self) -> Result<()> {
+        self.config.validate()
     }
 
     fn config(&self) -> anyhow::Result<Value> {
@@ -97,9 +98,8 @@ impl Stage for Evaluate<'_> {
         let measures = Measures::new(self.config, &behaviors);
         let store = SceneStore::open(&self.layout.scenes)?;
         let samples = SampleManifest::read(&self.layout.samples)?;
-        let n_evaluations = self.generate.map_or(0, |config| config.sampler.n_evaluations() as u64);
         let mut table = MetricTable::new(measures.docs());
-        let mut sampling = SamplingTable::new(&measures.docs(), n_evaluations);
+        let mut sampling = SamplingTable::new(&measures.docs(), samples.sampled_with.n_evaluations);
         let mut corpus = CorpusWriter::create(&context.root.join(CORPUS), &store)?;
         let mut kept_ids = BTreeSet::new();
         context.progress.start("evaluate", samples.n_scenarios, "scenarios");

@@ -1,10 +1,14 @@
 //! Cut-in: does one vehicle move into the path of another shortly before that one gets there?
 
-use super::driven_path::DrivenPath;
+mod intrusion;
+#[cfg(test)]
+mod tests;
+
 use super::sweep::Sweep;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
-use crate::geometry::{Vec2, angle_difference};
+use crate::geometry::angle_difference;
 use crate::scene::Scene;
+use intrusion::Intrusion;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -12,9 +16,6 @@ use serde::{Deserialize, Serialize};
 pub(super) const ID: &str = "cut_in";
 /// `ego` is cut off, `other` cuts in.
 pub(super) const ROLES: &[&str] = &["ego", "other"];
-
-/// Speeds below this count as standing where a quotient by the speed would lose its meaning.
-const STANDING_MPS: f64 = 0.1;
 
 /// Options of [`CutIn`]. The defaults are the definition of the DJINN paper, to the letter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -29,6 +30,10 @@ pub struct CutInConfig {
     /// If given, the two headings at the overlap must differ by less than this, radians. It keeps out crossing and
     /// oncoming traffic; π/4 is a good value. Default none.
     pub max_heading_difference_rad: Option<f64>,
+    /// If given, the other must move sideways toward the ego's path by at least this within the future, metres across
+    /// its own heading at present. It keeps out egos that move in behind the other themselves, and boxes that graze
+    /// while both keep their lanes; 1 is a good value. On a bend any motion along the road is sideways too. Default none.
+    pub min_shift_m: Option<f64>,
     /// Whether the distance for hard negatives is between states at the same time. Default false: at any two times.
     pub same_time: bool,
     /// Whether lane following and the distance for hard negatives are judged from the present on. Default false: over
@@ -45,6 +50,7 @@ impl Default for CutInConfig {
             max_delay_s: 3.0,
             negative_distance_m: 5.0,
             max_heading_difference_rad: None,
+            min_shift_m: None,
             same_time: false,
             future_only: false,
             collision_free: false,
@@ -62,7 +68,8 @@ impl Default for CutInConfig {
 /// - It is *complete* at the first such t_ego: the ego stands where the other was.
 /// - *What does not count*: pairs in which the box of `other` at present overlaps any box of the ego's trajectory,
 ///   since there the ego merely follows; agents not tracked at present, since they have no initial state.
-///   Crossing and oncoming traffic does count, unless `max_heading_difference_rad` is given; so does driving into
+/// - *What does count*, by the letter: crossing and oncoming traffic, unless `max_heading_difference_rad` is given; an ego
+///   that moves in behind the other itself, and boxes that only graze, unless `min_shift_m` is given; driving into
 ///   the ego, unless `collision_free` is set.
 ///
 /// **Negative**: any other ordered pair whose boxes come closer than 5 m, by default at any two timesteps of the
@@ -81,6 +88,7 @@ impl Default for CutInConfig {
 /// | `ttc_s` | gap / relative speed; absent when not closing or alongside |
 /// | `time_headway_s` | gap / ego's speed; absent when the ego stands or is alongside |
 /// | `lateral_speed_mps` | the other's speed across the path, positive toward it |
+/// | `shift_m` | how far the other moves sideways toward the path within the future, across its heading at present |
 /// | `side` | the side the other comes from: +1 left, -1 right |
 /// | `min_distance_m` | smallest distance of the boxes at the same time, from the present on; also for negatives |
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -118,7 +126,13 @@ impl CutIn {
         let is_following = ego.overlaps_any(initial, self.judged_timesteps(scene));
         let collides = self.config.collision_free
             && ego.both_at(other, present..scene.n_timesteps).any(|(_, own, theirs)| own.overlaps(theirs));
-        (!is_following && !collides).then_some(overlap)
+        let moves_over = || {
+            self.config.min_shift_m.is_none_or(|least_m| {
+                let intrusion = Intrusion::at(scene, [ego_idx, other_idx], overlap.0);
+                intrusion.and_then(|i| i.shift_m).is_some_and(|shift_m| shift_m >= least_m)
+            })
+        };
+        (!is_following && !collides && moves_over()).then_some(overlap)
     }
 
     /// The largest number of timesteps that is strictly less than the longest delay.
@@ -146,7 +160,10 @@ impl CutIn {
             .with("intrusion_timestep", t_other as f64)
             .with("t_other_s", t_other as f64 * scene.dt_s)
             .with("t_ego_s", t_ego as f64 * scene.dt_s);
-        with_intrusion_parameters(event, scene, pair, t_other)
+        match Intrusion::at(scene, pair, t_other) {
+            Some(intrusion) => intrusion.describe(event),
+            None => event,
+        }
     }
 
     fn negative(&self, scene: &Scene, pair: [usize; 2]) -> BehaviorEvent {
@@ -204,141 +221,5 @@ impl Behavior for CutIn {
             }
         }
         events
-    }
-}
-
-/// Adds what is known of the two agents at `timestep`: nothing where the ego is not tracked then.
-fn with_intrusion_parameters(
-    event: BehaviorEvent,
-    scene: &Scene,
-    [ego_idx, other_idx]: [usize; 2],
-    timestep: usize,
-) -> BehaviorEvent {
-    let (ego, other) = (&scene.tracks[ego_idx], &scene.tracks[other_idx]);
-    let (Some(ego_state), Some(other_state)) = (ego.trajectory.get(timestep), other.trajectory.get(timestep)) else {
-        return event;
-    };
-    let event = event.with("ego_speed_mps", ego_state.speed_mps()).with("other_speed_mps", other_state.speed_mps());
-    let Some(path) = DrivenPath::from(ego, timestep) else { return event };
-    let Some((gap_m, place)) = path.gap_m(&other.footprint(other_state)).zip(path.project(other_state.position)) else {
-        return event;
-    };
-    let along = Vec2::from_angle(place.heading_rad);
-    let relative_speed_mps = ego_state.speed_mps() - other_state.velocity.dot(along);
-    let side = if place.offset_m < 0.0 { -1.0 } else { 1.0 };
-    let is_ahead = gap_m >= 0.0;
-    event
-        .with("gap_m", gap_m)
-        .with("relative_speed_mps", relative_speed_mps)
-        .with("ttc_s", (is_ahead && relative_speed_mps > STANDING_MPS).then(|| gap_m / relative_speed_mps))
-        .with(
-            "time_headway_s",
-            (is_ahead && ego_state.speed_mps() > STANDING_MPS).then(|| gap_m / ego_state.speed_mps()),
-        )
-        .with("lateral_speed_mps", -side * along.cross(other_state.velocity))
-        .with("side", side)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::behavior::testing::random_scene;
-    use crate::geometry::OrientedBox;
-
-    /// The definition without any pruning: every pair of states of every ordered pair of agents.
-    fn plain_labels(config: &CutInConfig, scene: &Scene) -> Vec<(usize, usize, EventLabel, Option<(usize, usize)>)> {
-        let footprint = |agent_idx: usize, t: usize| -> Option<OrientedBox> { scene.tracks[agent_idx].footprint_at(t) };
-        let present = scene.current_timestep();
-        let n_agents = scene.tracks.len();
-        let mut labels = Vec::new();
-        let ordered = (0..n_agents).flat_map(|i| (i + 1..n_agents).flat_map(move |j| [(i, j), (j, i)]));
-        for (ego, other) in ordered {
-            let Some(initial) = footprint(other, present).filter(|_| footprint(ego, present).is_some()) else {
-                continue;
-            };
-            let judged = if config.future_only { present } else { 0 }..scene.n_timesteps;
-            let mut first = None;
-            for t_other in scene.n_history..scene.n_timesteps {
-                for t_ego in scene.n_history..scene.n_timesteps {
-                    let delay_s = (t_ego as f64 - t_other as f64) * scene.dt_s;
-                    let (Some(own), Some(theirs)) = (footprint(ego, t_ego), footprint(other, t_other)) else {
-                        continue;
-                    };
-                    let turned = angle_difference(own.heading_rad, theirs.heading_rad).abs();
-                    let is_overlap = delay_s > 0.0
-                        && delay_s < config.max_delay_s - 1e-6
-                        && own.overlaps(&theirs)
-                        && config.max_heading_difference_rad.is_none_or(|limit| turned < limit);
-                    if is_overlap && first.is_none() {
-                        first = Some((t_other, t_ego));
-                    }
-                }
-            }
-            let overlaps =
-                |a: Option<OrientedBox>, b: Option<OrientedBox>| a.zip(b).is_some_and(|(a, b)| a.overlaps(&b));
-            let follows = judged.clone().any(|t| overlaps(footprint(ego, t), Some(initial)));
-            let collides = config.collision_free
-                && (present..scene.n_timesteps).any(|t| overlaps(footprint(ego, t), footprint(other, t)));
-            let first = first.filter(|_| !follows && !collides);
-            let mut distances_m =
-                judged.clone().flat_map(|t| judged.clone().map(move |u| (t, u))).filter_map(|(t, u)| {
-                    let pair = footprint(ego, t).zip(footprint(other, u)).filter(|_| t == u || !config.same_time);
-                    pair.map(|(a, b)| a.distance(&b))
-                });
-            if first.is_some() {
-                labels.push((ego, other, EventLabel::Positive, first));
-            } else if distances_m.any(|distance_m| distance_m < config.negative_distance_m) {
-                labels.push((ego, other, EventLabel::Negative, None));
-            }
-        }
-        labels
-    }
-
-    fn labels(config: &CutInConfig, scene: &Scene) -> Vec<(usize, usize, EventLabel, Option<(usize, usize)>)> {
-        let idx = |event: &BehaviorEvent, role: &str| scene.track_idx(event.track(role).expect("role")).expect("track");
-        let times = |event: &BehaviorEvent| {
-            (event.label == EventLabel::Positive).then_some((event.start_timestep, event.end_timestep))
-        };
-        let events = CutIn::new(config.clone()).detect(scene);
-        events.iter().map(|e| (idx(e, "ego"), idx(e, "other"), e.label, times(e))).collect()
-    }
-
-    #[test]
-    fn the_quick_search_agrees_with_the_plain_definition() {
-        let paper = CutInConfig::default();
-        let configs = [
-            CutInConfig { max_heading_difference_rad: Some(std::f64::consts::FRAC_PI_4), ..paper.clone() },
-            CutInConfig { same_time: true, future_only: true, ..paper.clone() },
-            CutInConfig { max_delay_s: 1.0, negative_distance_m: 2.0, collision_free: true, ..paper.clone() },
-            paper,
-        ];
-        let (mut n_positive, mut n_negative, mut n_far) = (0, 0, 0);
-        for seed in 0..16 {
-            let scene = random_scene(seed, 9, 28.0);
-            for config in &configs {
-                let found = labels(config, &scene);
-                assert_eq!(found, plain_labels(config, &scene), "seed {seed}, {config:?}");
-                let positive = found.iter().filter(|label| label.2 == EventLabel::Positive).count();
-                n_positive += positive;
-                n_negative += found.len() - positive;
-                n_far += 9 * 8 - found.len();
-            }
-        }
-        // The scenes are of no use to this test unless all outcomes are frequent.
-        assert!(n_positive > 50 && n_negative > 500 && n_far > 500, "{n_positive} {n_negative} {n_far}");
-    }
-
-    #[test]
-    fn a_delay_of_exactly_the_limit_is_too_long() {
-        let longest =
-            |max_delay_s: f64, dt_s: f64| CutIn::new(CutInConfig { max_delay_s, ..Default::default() }).max_delay(dt_s);
-        assert_eq!([longest(3.0, 0.1), longest(0.3, 0.1), longest(0.25, 0.1), longest(0.05, 0.1)], [29, 2, 2, 0]);
-    }
-
-    #[test]
-    fn scenes_without_a_future_have_no_events() {
-        let scene = random_scene(1, 9, 20.0);
-        assert!(!CutIn::default().detect(&scene).is_empty());
-        assert!(CutIn::default().detect(&Scene { n_timesteps: scene.n_history, ..scene }).is_empty());
     }
 }

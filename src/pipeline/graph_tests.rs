@@ -1,0 +1,214 @@
+//! Which stages run again after which changes? On stages that write a line of text.
+
+use super::graph::{Action, execute, plan};
+use super::run_lock::RunLock;
+use super::{Blame, Failure, Result, Stage, StageContext, StageId, StageInput};
+use crate::progress::Silent;
+use serde_json::{Value, json};
+use std::cell::RefCell;
+use std::path::Path;
+
+/// A stage that writes its text and what it reads into a file.
+struct Toy<'a> {
+    id: StageId,
+    text: &'a str,
+    version: u32,
+    inputs: Vec<StageInput>,
+    output: &'static [&'static str],
+    ran: &'a RefCell<Vec<StageId>>,
+    fails: bool,
+}
+
+impl Stage for Toy<'_> {
+    fn id(&self) -> StageId {
+        self.id
+    }
+
+    fn version(&self) -> u32 {
+        self.version
+    }
+
+    fn check(&self) -> Result<()> {
+        if self.text == "impossible" { Err(Failure::input_message("impossible")) } else { Ok(()) }
+    }
+
+    fn config(&self) -> anyhow::Result<Value> {
+        Ok(json!({ "text": self.text }))
+    }
+
+    fn inputs(&self) -> Vec<StageInput> {
+        self.inputs.clone()
+    }
+
+    fn outputs(&self) -> &'static [&'static str] {
+        self.output
+    }
+
+    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
+        self.ran.borrow_mut().push(self.id);
+        let path = context.root.join(self.output[0]);
+        let mut content = fs_err::read_to_string(&path).unwrap_or_default();
+        content.push_str(self.text);
+        fs_err::write(&path, &content)?;
+        if self.fails {
+            return Err(Failure::input_message("broken off"));
+        }
+        for input in &self.inputs {
+            content.push_str(&fs_err::read_to_string(&input.path)?);
+        }
+        fs_err::write(&path, content)?;
+        Ok(json!({ "ran": true }))
+    }
+}
+
+/// Two stages, the second of which reads what the first wrote; `recording` is read by the first.
+struct Pipeline<'a> {
+    root: &'a Path,
+    first: &'a str,
+    second: &'a str,
+    version: u32,
+    fails: bool,
+}
+
+impl Pipeline<'_> {
+    /// Runs it; says what was planned and what ran.
+    fn run(&self) -> (Vec<Action>, Vec<StageId>, Result<()>) {
+        let ran = RefCell::new(Vec::new());
+        let recording = self.root.parent().unwrap().join("recording.csv");
+        let stages: Vec<Box<dyn Stage + '_>> = vec![
+            Box::new(Toy {
+                id: StageId::Ingest,
+                text: self.first,
+                version: self.version,
+                inputs: vec![StageInput::external("recording", &recording)],
+                output: &["scenes"],
+                ran: &ran,
+                fails: false,
+            }),
+            Box::new(Toy {
+                id: StageId::Mine,
+                text: self.second,
+                version: 1,
+                inputs: vec![StageInput::made_by(StageId::Ingest, "scenes", &self.root.join("scenes"))],
+                output: &["events"],
+                ran: &ran,
+                fails: self.fails,
+            }),
+        ];
+        let planned = match plan(self.root, stages) {
+            Ok(planned) => planned,
+            Err(failure) => return (Vec::new(), Vec::new(), Err(failure)),
+        };
+        let actions = planned.iter().map(|stage| stage.action.clone()).collect();
+        let context = StageContext { root: self.root, progress: &Silent };
+        let outcome = execute(planned, &context, &mut |_| Ok(()), &mut |_, _| Ok(())).map(drop);
+        (actions, ran.into_inner(), outcome)
+    }
+}
+
+fn why(action: &Action) -> &str {
+    match action {
+        Action::Run(why) => why,
+        Action::Reuse => "reuse",
+        Action::Resume => "resume",
+    }
+}
+
+fn in_folder(test: impl FnOnce(Pipeline<'_>)) {
+    let folder = tempfile::tempdir().unwrap();
+    fs_err::write(folder.path().join("recording.csv"), "1,2").unwrap();
+    let root = folder.path().join("run");
+    fs_err::create_dir(&root).unwrap();
+    test(Pipeline { root: &root, first: "a", second: "b", version: 1, fails: false });
+}
+
+#[test]
+fn what_is_done_is_not_done_again() {
+    in_folder(|pipeline| {
+        let (actions, ran, outcome) = pipeline.run();
+        outcome.unwrap();
+        assert_eq!((why(&actions[0]), ran.len()), ("not done yet", 2));
+        let (actions, ran, outcome) = pipeline.run();
+        outcome.unwrap();
+        assert_eq!((actions, ran.len()), (vec![Action::Reuse, Action::Reuse], 0));
+        assert_eq!(fs_err::read_to_string(pipeline.root.join("events")).unwrap(), "ba1,2");
+    });
+}
+
+#[test]
+fn a_change_reaches_everything_after_it_and_nothing_before_it() {
+    in_folder(|pipeline| {
+        pipeline.run().2.unwrap();
+        let changed_second = Pipeline { second: "c", ..pipeline };
+        let (actions, ran, _) = changed_second.run();
+        assert_eq!(ran, [StageId::Mine]);
+        assert_eq!(why(&actions[1]), "changed: mine.text \"b\" -> \"c\"");
+        let changed_first = Pipeline { first: "z", ..changed_second };
+        let (actions, ran, _) = changed_first.run();
+        assert_eq!(ran, [StageId::Ingest, StageId::Mine]);
+        assert_eq!(why(&actions[1]), "changed: input scenes");
+        // Old outputs are gone before the stage begins: nothing was appended to them.
+        assert_eq!(fs_err::read_to_string(changed_first.root.join("events")).unwrap(), "cz1,2");
+        let (actions, ran, _) = Pipeline { version: 2, ..changed_first }.run();
+        assert_eq!(ran.len(), 2);
+        assert_eq!(why(&actions[0]), "changed: stage version 1 -> 2");
+    });
+}
+
+#[test]
+fn changed_recordings_and_damaged_outputs_are_noticed() {
+    in_folder(|pipeline| {
+        pipeline.run().2.unwrap();
+        fs_err::write(pipeline.root.join("scenes"), "tampered").unwrap();
+        let (actions, ran, _) = pipeline.run();
+        assert_eq!(why(&actions[0]), "scenes is missing or was changed");
+        assert_eq!(ran, [StageId::Ingest], "the same bytes again: what follows stays as it is");
+        fs_err::write(pipeline.root.parent().unwrap().join("recording.csv"), "3,4").unwrap();
+        let (actions, ran, _) = pipeline.run();
+        assert_eq!(why(&actions[0]), "changed: input recording");
+        assert_eq!(ran.len(), 2);
+    });
+}
+
+#[test]
+fn unfinished_work_is_taken_up_if_nothing_changed_and_dropped_otherwise() {
+    in_folder(|pipeline| {
+        let broken = Pipeline { fails: true, ..pipeline };
+        assert_eq!(broken.run().2.unwrap_err().blame, Blame::Input);
+        let whole = Pipeline { fails: false, ..broken };
+        let (actions, ran, outcome) = whole.run();
+        outcome.unwrap();
+        assert_eq!((actions, ran), (vec![Action::Reuse, Action::Resume], vec![StageId::Mine]));
+        assert_eq!(fs_err::read_to_string(whole.root.join("events")).unwrap(), "bba1,2", "the first b was kept");
+    });
+    in_folder(|pipeline| {
+        let broken = Pipeline { fails: true, ..pipeline };
+        broken.run().2.unwrap_err();
+        let other = Pipeline { fails: false, second: "c", ..broken };
+        other.run().2.unwrap();
+        assert_eq!(fs_err::read_to_string(other.root.join("events")).unwrap(), "ca1,2");
+    });
+}
+
+#[test]
+fn mistakes_are_found_before_anything_runs() {
+    in_folder(|pipeline| {
+        let (_, ran, outcome) = Pipeline { second: "impossible", ..pipeline }.run();
+        assert_eq!((ran.len(), outcome.unwrap_err().blame), (0, Blame::Input));
+    });
+    in_folder(|pipeline| {
+        fs_err::remove_file(pipeline.root.parent().unwrap().join("recording.csv")).unwrap();
+        let failure = pipeline.run().2.unwrap_err();
+        assert!(format!("{failure:?}").contains("recording.csv"), "{failure:?}");
+    });
+}
+
+#[test]
+fn a_folder_has_one_writer() {
+    let folder = tempfile::tempdir().unwrap();
+    let lock = RunLock::acquire(folder.path()).unwrap();
+    let failure = RunLock::acquire(folder.path()).unwrap_err();
+    assert!(format!("{failure:?}").contains(&format!("process {}", std::process::id())), "{failure:?}");
+    drop(lock);
+    RunLock::acquire(folder.path()).unwrap();
+}

@@ -1,0 +1,142 @@
+//! What does a file or folder of ours hold?
+//!
+//! Each kind of thing has a describer; the first that recognizes the path speaks. Descriptions are ordered names and
+//! values, from which the command line makes text or JSON.
+
+mod checkpoint;
+mod folders;
+mod tables;
+
+use super::failure::{Failure, Result};
+use serde_json::{Map, Value};
+use std::path::Path;
+
+/// A description.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Description {
+    /// What the path is, such as `scene store`.
+    pub kind: &'static str,
+    /// Names and values, the most asked for first.
+    pub entries: Vec<(String, Value)>,
+}
+
+/// Describes `path` if it is of its kind.
+type Describer = fn(&Path) -> Result<Option<Description>>;
+
+/// Every describer, in the order in which they are asked.
+const DESCRIBERS: [Describer; 10] = [
+    folders::run,
+    folders::scenes,
+    folders::samples,
+    folders::corpus,
+    folders::model,
+    checkpoint::describe,
+    tables::events,
+    tables::metrics,
+    tables::part_of_folder,
+    tables::report_or_json,
+];
+
+/// Says what the file or folder at `path` holds.
+///
+/// # Errors
+/// When there is nothing, when it is none of ours, or when it is damaged.
+pub fn inspect(path: &Path) -> Result<Description> {
+    fs_err::metadata(path).map_err(Failure::input)?;
+    for describe in DESCRIBERS {
+        if let Some(description) = describe(path)? {
+            return Ok(description);
+        }
+    }
+    Err(Failure::input_message(format_args!("{} is nothing that djinn writes", path.display()))
+        .with_hint("known: run folders, scene stores, event tables, checkpoints, samples, corpora, metrics, reports"))
+}
+
+impl Description {
+    fn new(kind: &'static str) -> Self {
+        Self { kind, entries: Vec::new() }
+    }
+
+    fn with(mut self, name: &str, value: impl Into<Value>) -> Self {
+        self.entries.push((name.to_owned(), value.into()));
+        self
+    }
+
+    /// Adds a value of any type that can be written as JSON.
+    fn with_json(self, name: &str, value: &impl serde::Serialize) -> Result<Self> {
+        Ok(self.with(name, serde_json::to_value(value).map_err(anyhow::Error::from)?))
+    }
+
+    /// As one JSON object.
+    pub fn json(&self) -> Value {
+        let kind = ("kind".to_owned(), Value::from(self.kind));
+        Value::Object(std::iter::once(kind).chain(self.entries.iter().cloned()).collect::<Map<_, _>>())
+    }
+
+    /// As indented text.
+    pub fn text(&self) -> String {
+        let mut text = format!("{}\n", self.kind);
+        for (name, value) in &self.entries {
+            write_value(&mut text, 1, name, value);
+        }
+        text
+    }
+}
+
+fn write_value(text: &mut String, depth: usize, name: &str, value: &Value) {
+    let indent = "  ".repeat(depth);
+    let name = name.replace('_', " ");
+    match value {
+        Value::Null => {}
+        Value::Object(object) => {
+            text.push_str(&format!("{indent}{name}\n"));
+            object.iter().for_each(|(name, value)| write_value(text, depth + 1, name, value));
+        }
+        Value::Array(items) if items.iter().any(|item| item.is_object() || item.is_array()) => {
+            text.push_str(&format!("{indent}{name}\n"));
+            for (idx, item) in items.iter().enumerate() {
+                write_value(text, depth + 1, &format!("{}", idx + 1), item);
+            }
+        }
+        Value::Array(items) => {
+            let items: Vec<String> = items.iter().map(plain).collect();
+            text.push_str(&format!("{indent}{name}: {}\n", items.join(", ")));
+        }
+        value => text.push_str(&format!("{indent}{name}: {}\n", plain(value))),
+    }
+}
+
+fn plain(value: &Value) -> String {
+    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn text_is_indented_and_leaves_out_what_is_unknown() {
+        let description = Description::new("thing")
+            .with("n_scenes", 3)
+            .with("name", "a b")
+            .with("unknown", Value::Null)
+            .with("counts", json!({ "train": 2, "val": 1 }))
+            .with("list", json!([1, 2]))
+            .with("stages", json!([{ "id": "x" }]));
+        assert_eq!(
+            description.text(),
+            "thing\n  n scenes: 3\n  name: a b\n  counts\n    train: 2\n    val: 1\n  list: 1, 2\n  stages\n    1\n      id: x\n"
+        );
+        assert_eq!(description.json()["kind"], "thing");
+    }
+
+    #[test]
+    fn foreign_files_are_the_users_mistake() {
+        let folder = tempfile::tempdir().unwrap();
+        fs_err::write(folder.path().join("x.txt"), "hello").unwrap();
+        for path in [folder.path().to_owned(), folder.path().join("x.txt"), folder.path().join("missing")] {
+            assert_eq!(inspect(&path).unwrap_err().blame, crate::pipeline::Blame::Input);
+        }
+    }
+}

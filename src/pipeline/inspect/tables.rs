@@ -1,0 +1,97 @@
+//! Single files: event tables, metric tables, parts of folders, reports.
+
+use super::{Description, inspect};
+use crate::behavior::EventLabel;
+use crate::pipeline::Result;
+use crate::store::{Error, MetricRow, read_events, read_json, read_metrics};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+fn has_extension(path: &Path, extension: &str) -> bool {
+    path.is_file() && path.extension().is_some_and(|found| found == extension)
+}
+
+/// What was read, unless the file is a table of another kind.
+fn of_this_schema<T>(read: Result<T, Error>) -> Result<Option<T>> {
+    match read {
+        Ok(rows) => Ok(Some(rows)),
+        Err(Error::SchemaVersion { .. }) => Ok(None),
+        Err(error) => Err(error.into()),
+    }
+}
+
+pub(super) fn events(path: &Path) -> Result<Option<Description>> {
+    if !has_extension(path, "parquet") {
+        return Ok(None);
+    }
+    let Some(events) = of_this_schema(read_events(path))? else { return Ok(None) };
+    let mut counts = BTreeMap::<&str, BTreeMap<&str, u64>>::new();
+    let mut scenes = BTreeMap::<&str, std::collections::BTreeSet<&str>>::new();
+    for event in &events {
+        *counts.entry(&event.behavior).or_default().entry(event.label.name()).or_default() += 1;
+        if event.label == EventLabel::Positive {
+            scenes.entry(&event.behavior).or_default().insert(&event.scene_id.0);
+        }
+    }
+    let scenes: BTreeMap<&str, usize> = scenes.into_iter().map(|(behavior, ids)| (behavior, ids.len())).collect();
+    let description = Description::new("event table")
+        .with("n_events", events.len())
+        .with_json("events_by_behavior", &counts)?
+        .with_json("scenes_with_positive_events", &scenes)?;
+    Ok(Some(description))
+}
+
+pub(super) fn metrics(path: &Path) -> Result<Option<Description>> {
+    if !has_extension(path, "parquet") {
+        return Ok(None);
+    }
+    let Some(rows) = of_this_schema(read_metrics(path))? else { return Ok(None) };
+    let is_overall = |row: &&MetricRow| row.place.is_empty() && row.scene_id.is_none() && row.scenario_id.is_none();
+    let mut overall = BTreeMap::<String, BTreeMap<&str, Value>>::new();
+    for row in rows.iter().filter(is_overall) {
+        let group = match row.group.as_str() {
+            "recorded" | "constant_velocity" => format!("{} of {}", row.group, row.sweep),
+            _ => format!("{} at strength {}", row.sweep, row.strength),
+        };
+        overall.entry(group).or_default().insert(&row.metric, json!(row.value));
+    }
+    let description =
+        Description::new("metric table").with("n_rows", rows.len()).with_json("means_over_scenes", &overall)?;
+    Ok(Some(description))
+}
+
+/// Shards and other tables are described by the folder that they belong to and the note beside them.
+pub(super) fn part_of_folder(path: &Path) -> Result<Option<Description>> {
+    if !has_extension(path, "parquet") && !has_extension(path, "arrow") {
+        return Ok(None);
+    }
+    let Some(folder) = path.parent().filter(|folder| folder.join("manifest.json").exists()) else { return Ok(None) };
+    let whole = inspect(folder)?;
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let mut description = Description::new("part of a folder")
+        .with("file", name.as_str())
+        .with("n_bytes", fs_err::metadata(path)?.len())
+        .with("folder", whole.kind);
+    if let Ok(beside) = read_json::<Value>(&path.with_extension("json")) {
+        description = description.with("shard", beside);
+    }
+    if let Some(table) = whole.json().get("tables").and_then(|tables| tables.get(&name)) {
+        description = description.with("table", table.clone());
+    }
+    Ok(Some(description))
+}
+
+pub(super) fn report_or_json(path: &Path) -> Result<Option<Description>> {
+    if has_extension(path, "html") {
+        let text = fs_err::read_to_string(path)?;
+        let title =
+            text.split_once("<title>").and_then(|(_, rest)| rest.split_once("</title>")).map(|(title, _)| title);
+        return Ok(Some(Description::new("report").with("title", title).with("n_bytes", text.len())));
+    }
+    if has_extension(path, "json") {
+        let content: Value = read_json(path)?;
+        return Ok(Some(Description::new("json").with("content", content)));
+    }
+    Ok(None)
+}

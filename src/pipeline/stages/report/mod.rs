@@ -1,0 +1,108 @@
+//! What the stages left to the page that people read.
+
+mod drawings;
+mod gather;
+
+use crate::pipeline::layout::{Layout, REPORT};
+use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
+use crate::report::render;
+use crate::store::write_atomically;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use std::io::Write;
+
+/// What the report shows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ReportConfig {
+    /// Title of the page; empty: the pipeline's name.
+    pub title: String,
+    /// Verified scenarios that are drawn beside their recording.
+    pub n_drawn: usize,
+    /// Recorded scenes, and scenarios of each kind, whose motion is compared.
+    pub n_compared: usize,
+}
+
+impl Default for ReportConfig {
+    fn default() -> Self {
+        Self { title: String::new(), n_drawn: 12, n_compared: 300 }
+    }
+}
+
+/// The stage.
+pub struct Report<'a> {
+    /// Its section.
+    pub config: &'a ReportConfig,
+    /// The stages that are reported on.
+    pub parts: Vec<StageId>,
+    /// Name and seed of the pipeline, and its configuration as TOML.
+    pub about: About,
+    /// Where the outputs of the other stages are.
+    pub layout: &'a Layout,
+}
+
+/// What the report says of the pipeline as a whole.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct About {
+    /// Name of the pipeline.
+    pub pipeline: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// The resolved configuration, as TOML.
+    pub config: String,
+}
+
+impl Stage for Report<'_> {
+    fn id(&self) -> StageId {
+        StageId::Report
+    }
+
+    fn version(&self) -> u32 {
+        1
+    }
+
+    fn check(&self) -> Result<()> {
+        Ok(())
+    }
+
+    fn config(&self) -> anyhow::Result<Value> {
+        let mut config = serde_json::to_value(self.config)?;
+        config["about"] = serde_json::to_value(&self.about)?;
+        Ok(config)
+    }
+
+    fn inputs(&self) -> Vec<StageInput> {
+        let path = |stage: StageId| match stage {
+            StageId::Ingest => Some(("scenes", &self.layout.scenes)),
+            StageId::Mine => Some(("events", &self.layout.events)),
+            StageId::TrainDenoiser => Some(("denoiser", &self.layout.denoiser)),
+            StageId::TrainClassifier => Some(("classifier", &self.layout.classifier)),
+            StageId::Generate => Some(("samples", &self.layout.samples)),
+            StageId::Evaluate => Some(("metrics", &self.layout.metrics)),
+            StageId::Report => None,
+        };
+        let inputs = self.parts.iter().filter_map(|stage| path(*stage).map(|(name, path)| (*stage, name, path)));
+        inputs.map(|(stage, name, path)| StageInput::made_by(stage, name, path)).collect()
+    }
+
+    fn outputs(&self) -> &'static [&'static str] {
+        &[REPORT]
+    }
+
+    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
+        context.progress.start("report", 0, "parts");
+        let model = gather::model(self)?;
+        let page = render(&model);
+        write_atomically::<std::io::Error>(&context.root.join(REPORT), |file| file.write_all(page.as_bytes()))?;
+        context.progress.finish();
+        Ok(json!({ "n_bytes": page.len(), "n_drawn": model.scenes.len(), "n_warnings": model.warnings.len() }))
+    }
+}
+
+impl Report<'_> {
+    /// Whether the report is on this stage.
+    fn has(&self, stage: StageId) -> bool {
+        self.parts.contains(&stage)
+    }
+}

@@ -1,0 +1,77 @@
+//! What do people and scripts see of the program: help, exit codes, streams?
+
+use crate::support::{Workspace, command, djinn};
+use std::io::Read;
+use std::process::Stdio;
+
+#[test]
+fn help_teaches_every_command() {
+    let top = djinn(&["--help"]).expect(0).stdout;
+    for part in ["Examples:", "Exit codes:", "a quality gate of the configuration was not met", "quickstart.toml"] {
+        assert!(top.contains(part), "`{part}` is missing in\n{top}");
+    }
+    for command in
+        ["run", "ingest", "mine", "train denoiser", "train classifier", "generate", "evaluate", "report", "inspect"]
+    {
+        let first_word = command.split(' ').next().unwrap();
+        assert!(top.contains(&format!("\n  {first_word}")), "{first_word}");
+        let args: Vec<&str> = command.split(' ').chain(["--help"]).collect();
+        let help = djinn(&args).expect(0).stdout;
+        assert!(help.contains("Example"), "{command} has no example");
+    }
+    assert!(djinn(&["--version"]).expect(0).stdout.starts_with("djinn "));
+}
+
+#[test]
+fn exit_codes_tell_whose_fault_it_is() {
+    djinn(&["frobnicate"]).expect(1);
+    djinn(&["run"]).expect(1);
+    djinn(&["run", "missing.toml"]).expect(1);
+    djinn(&["inspect", "Cargo.toml"]).expect(1);
+    djinn(&["mine", "--quiet", "--verbose", "--output", "x"]).expect(1);
+
+    // A damaged file of ours is a fault of ours or of the machine.
+    let workspace = Workspace::new();
+    let output = workspace.arg("out");
+    let recordings = "tests/fixtures/recordings/argoverse1";
+    djinn(&["ingest", recordings, "--dataset", "argoverse1", "--output", &output]).expect(0);
+    fs_err::write(workspace.path("out/scenes/scenes-00000.arrow"), "damaged").unwrap();
+    let outcome = djinn(&["inspect", &workspace.arg("out/scenes")]).expect(2);
+    assert!(outcome.stderr.contains("scenes-00000.arrow"), "{}", outcome.stderr);
+}
+
+#[test]
+fn data_goes_to_stdout_and_everything_else_to_stderr() {
+    let workspace = Workspace::new();
+    let output = workspace.arg("out");
+    let args = ["ingest", "tests/fixtures/recordings/argoverse1", "--dataset", "argoverse1", "--output", &output];
+    let outcome = djinn(&args).expect(0);
+    assert_eq!(outcome.stdout, "");
+    assert!(outcome.stderr.contains("ingest: 8 scenes in "), "{}", outcome.stderr);
+    assert!(!outcome.stderr.contains('\u{1b}'), "no colors without a terminal");
+    let text = djinn(&["inspect", &workspace.arg("out/scenes")]).expect(0);
+    assert!(text.stdout.contains("n scenes: 8") && text.stderr.is_empty(), "{}", text.stdout);
+}
+
+#[test]
+fn a_reader_that_has_seen_enough_is_no_error() {
+    let mut child = command(&["run", "pipelines/quickstart.toml", "--dry-run"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let mut stderr = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut stderr).unwrap();
+    assert_eq!((child.wait().unwrap().code(), stderr.as_str()), (Some(0), ""));
+}
+
+#[test]
+fn two_processes_do_not_write_into_one_folder() {
+    let workspace = Workspace::new();
+    fs_err::create_dir_all(workspace.run_folder("out")).unwrap();
+    let lock = fs_err::File::create(workspace.run_folder("out").join(".lock")).unwrap();
+    lock.try_lock().unwrap();
+    let outcome = workspace.run("out", &[]).expect(1);
+    assert!(outcome.stderr.contains("is in use by"), "{}", outcome.stderr);
+}

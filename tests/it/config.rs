@@ -1,0 +1,97 @@
+//! Are pipeline files read as they should be, and are those that the project carries in order?
+
+use crate::support::{Workspace, djinn};
+use djinn::pipeline::config::PipelineConfig;
+use std::path::{Path, PathBuf};
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The TOML files in a folder of the project and those below it.
+fn toml_files(folder: &str) -> Vec<PathBuf> {
+    let (mut files, mut folders) = (Vec::new(), vec![root().join(folder)]);
+    while let Some(folder) = folders.pop() {
+        for entry in fs_err::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "toml") {
+                files.push(path);
+            }
+        }
+    }
+    files.sort();
+    files
+}
+
+#[test]
+fn the_carried_pipelines_and_configs_are_in_order() {
+    let files = [toml_files("pipelines"), toml_files("configs")].concat();
+    assert!(files.len() >= 3);
+    for path in files {
+        let config = PipelineConfig::load(Some(&path), &[]).unwrap_or_else(|error| panic!("{error:?}"));
+        let text = config.to_toml().unwrap();
+        let again = djinn::pipeline::config::parse(None, &text, &[]).unwrap();
+        assert_eq!(again.to_toml().unwrap(), text, "{}: the resolved configuration reads as itself", path.display());
+    }
+}
+
+#[test]
+fn the_published_schema_is_that_of_the_code() {
+    let schema = schemars::schema_for!(PipelineConfig);
+    let text = format!("{}\n", serde_json::to_string_pretty(&schema).unwrap());
+    let path = root().join("schemas/config.schema.json");
+    if std::env::var_os("DJINN_UPDATE_SCHEMAS").is_some() {
+        fs_err::write(&path, &text).unwrap();
+    }
+    let published = fs_err::read_to_string(&path).unwrap_or_default();
+    assert!(published == text, "schemas/config.schema.json is out of date; run the tests with DJINN_UPDATE_SCHEMAS=1");
+}
+
+#[test]
+fn a_dry_run_prints_the_resolved_configuration_and_the_plan_and_writes_nothing() {
+    let workspace = Workspace::new();
+    let more = ["--dry-run", "--set", "run.seed=9", "--set", "generate.sweeps.1.strengths=[0.0, 4.0]"];
+    let outcome = workspace.run("out", &more).expect(0);
+    let printed: toml::Table = outcome.stdout.parse().unwrap();
+    assert_eq!(printed["run"]["seed"].as_integer(), Some(9));
+    assert_eq!(printed["ingest"]["seed"].as_integer(), Some(9), "sections inherit the seed");
+    assert_eq!(printed["ingest"]["map_radius_m"].as_float(), Some(100.0), "defaults are spelled out");
+    assert_eq!(printed["generate"]["sweeps"][1]["strengths"][1].as_float(), Some(4.0));
+    assert!(outcome.stdout.contains("#   report            fresh (not done yet)"), "{}", outcome.stdout);
+    assert_eq!(outcome.stderr, "");
+    assert!(!workspace.path("out").exists());
+}
+
+#[test]
+fn mistakes_name_the_place_and_the_nearest_name() {
+    let workspace = Workspace::new();
+    let cases: [(&[&str], &[&str]); 9] = [
+        (
+            &["--set", "ingest.max_agent=3"],
+            &["--set ingest.max_agent=3", "unknown key `max_agent`", "did you mean `max_agents`"],
+        ),
+        (&["--set", "train.denoiser.preset=smal"], &["unknown value `smal`", "did you mean `small`"]),
+        (&["--set", "mine.behaviors=[{ kind = \"cutin\" }]"], &["did you mean `cut_in`"]),
+        (&["--set", "generate.sweeps.7.n_scenes=3"], &["index 7 is outside an array of 2"]),
+        (&["--set", "generate.sweeps.1.behavior=left_turn"], &["left_turn", "mine.behaviors"]),
+        (&["--set", "evaluate.metrics=[\"min_ade\"]"], &["there is no metric min_ade", "did you mean `min_ade_m`"]),
+        (&["--set", "ingest.inputs=[\"nowhere.zip\"]"], &["nowhere.zip", "relative to the current directory"]),
+        (&["--set", "run.name=a/b"], &["a/b", "cannot name a folder"]),
+        (&["--set", "train.denoiser.steps=0"], &["train.denoiser.steps"]),
+    ];
+    for (more, expected) in cases {
+        let outcome = workspace.run("out", &[more, &["--dry-run"]].concat()).expect(1);
+        assert!(outcome.stderr.starts_with("error: "), "{}", outcome.stderr);
+        for text in expected {
+            assert!(outcome.stderr.contains(text), "{more:?}: `{text}` is missing in\n{}", outcome.stderr);
+        }
+        assert_eq!(outcome.stdout, "");
+    }
+    fs_err::write(workspace.path("small.toml"), "[run]\nseed = 1\n[inject]\n").unwrap();
+    let outcome = workspace.run("out", &["--dry-run"]).expect(1);
+    assert!(outcome.stderr.contains("small.toml:3:2"), "{}", outcome.stderr);
+    let outcome = djinn(&["mine", "--output", &workspace.arg("empty")]).expect(1);
+    assert!(outcome.stderr.contains("`djinn ingest` makes it"), "{}", outcome.stderr);
+}

@@ -1,0 +1,66 @@
+//! Do the documents speak of what exists? Configurations in them are parsed, files and options they name must be there.
+
+use djinn::pipeline::config::parse;
+use djinn::store::TableSchema;
+use std::path::{Path, PathBuf};
+
+fn read(name: &str) -> String {
+    fs_err::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap()
+}
+
+/// The fenced blocks of `language` in a document.
+fn blocks(document: &str, language: &str) -> Vec<String> {
+    let fence = format!("```{language}\n");
+    document.split(&fence).skip(1).map(|rest| rest.split("```").next().unwrap_or_default().to_owned()).collect()
+}
+
+#[test]
+fn configurations_in_the_readme_are_valid() {
+    let blocks = blocks(&read("README.md"), "toml");
+    assert!(!blocks.is_empty());
+    for block in blocks {
+        if let Err(error) = parse(None, &block, &[]) {
+            panic!("{error}\n{block}");
+        }
+    }
+}
+
+#[test]
+fn pipelines_and_configs_are_valid_and_begin_with_what_they_are_for() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut n_files = 0;
+    for folder in ["pipelines", "configs"].map(|name| root.join(name)) {
+        let Ok(entries) = fs_err::read_dir(&folder) else { continue };
+        let files: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+        for path in files.into_iter().filter(|path| path.extension().is_some_and(|e| e == "toml")) {
+            let text = fs_err::read_to_string(&path).unwrap();
+            assert!(text.starts_with("# "), "{} does not say what it is for", path.display());
+            if let Err(error) = parse(Some(&path), &text, &[]) {
+                panic!("{error}");
+            }
+            n_files += 1;
+        }
+    }
+    assert!(n_files > 0);
+}
+
+#[test]
+fn columns_in_the_example_queries_exist() {
+    let schemas = TableSchema::all();
+    let columns = |table: &str| -> Vec<String> {
+        let schema = schemas.iter().find(|schema| schema.name == table).unwrap();
+        schema.fields.iter().map(|field| field.name().clone()).collect()
+    };
+    // Parameters of events are columns too, where events have them.
+    let parameters = ["gap_m", "ttc_s", "relative_speed_mps"].map(str::to_owned);
+    let known: Vec<String> = [columns("scenario"), columns("track"), parameters.to_vec()].concat();
+    let keywords = ["duckdb", "the", "speed_mps"];
+    for query in blocks(&read("README.md"), "sql") {
+        let code: String = query.lines().filter(|line| !line.starts_with("--")).collect::<Vec<_>>().join("\n");
+        let unquoted: String = code.split('\'').step_by(2).collect::<Vec<_>>().join(" ");
+        for word in unquoted.split(|c: char| !(c.is_alphanumeric() || c == '_')) {
+            let is_name = word.contains('_') && word.chars().all(|c| c.is_lowercase() || c.is_numeric() || c == '_');
+            assert!(!is_name || keywords.contains(&word) || known.contains(&word.to_owned()), "no column {word}");
+        }
+    }
+}

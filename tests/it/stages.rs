@@ -1,0 +1,77 @@
+//! Do the stages work alone and together, and are they redone when, and only when, they must be?
+
+use crate::support::{Workspace, assert_same, djinn, files};
+
+/// One run for several questions: it is the slowest part of these tests.
+#[test]
+fn a_run_its_stages_alone_and_what_is_said_of_them() {
+    let workspace = Workspace::new();
+    workspace.run("out", &[]).expect(0);
+    let root = workspace.run_folder("out");
+    let before = files(&root);
+
+    // The same command again does nothing.
+    let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
+    assert_eq!(plan.matches("  cached").count(), 7, "{plan}");
+    workspace.run("out", &[]).expect(0);
+    assert_same(&before, &files(&root));
+
+    // A changed section redoes its stage and those that depend on it.
+    let plan = workspace.run("out", &["--dry-run", "--set", "generate.sweeps.1.n_samples=3"]).expect(0).stdout;
+    assert_eq!(plan.matches("  cached").count(), 4, "{plan}");
+    assert!(plan.contains("#   generate          fresh (changed: generate.sweeps"), "{plan}");
+    assert!(plan.contains("#   evaluate          fresh (changed: input samples)"), "{plan}");
+
+    // The stages one by one, into one folder, write the same files as the run.
+    let (config, alone) = (workspace.arg("small.toml"), workspace.arg("alone"));
+    for stage in ["ingest", "mine", "train denoiser", "train classifier", "generate", "evaluate", "report"] {
+        let args: Vec<&str> = stage.split(' ').chain(["--config", &config, "--output", &alone, "-q"]).collect();
+        let outcome = djinn(&args).expect(0);
+        assert_eq!((outcome.stdout.as_str(), outcome.stderr.as_str()), ("", ""), "quiet");
+    }
+    let mut whole = before.clone();
+    whole.retain(|name, _| !["config.toml", "run.json"].contains(&name.as_str()));
+    assert_same(&whole, &files(&workspace.path("alone")));
+
+    // Everything can be inspected, as text and as JSON.
+    for (name, kind) in [
+        ("", "run folder"),
+        ("scenes", "scene store"),
+        ("scenes/scenes-00000.arrow", "part of a folder"),
+        ("events.parquet", "event table"),
+        ("denoiser", "denoiser checkpoint"),
+        ("classifier/model.safetensors", "behavior classifier checkpoint"),
+        ("denoiser/state.safetensors", "training state"),
+        ("samples", "generated scenarios"),
+        ("samples/samples-00000.parquet", "part of a folder"),
+        ("corpus", "corpus"),
+        ("corpus/tracks.parquet", "part of a folder"),
+        ("metrics.parquet", "metric table"),
+        ("report.html", "report"),
+        ("mine.json", "json"),
+    ] {
+        let path = root.join(name);
+        let path = path.to_str().unwrap();
+        let json = djinn(&["inspect", path, "--json"]).expect(0).stdout;
+        let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+        assert_eq!(json["kind"], kind, "{name}");
+        assert!(djinn(&["inspect", path]).expect(0).stdout.starts_with(kind), "{name}");
+    }
+
+    // A gate that is not met ends with code 3, with all results written, and again when nothing is left to do.
+    for _ in 0..2 {
+        let outcome = workspace.run("out", &["--set", "evaluate.gates.min_verified=1000"]).expect(3);
+        assert!(outcome.stderr.contains("min_verified: at least 1000 required"), "{}", outcome.stderr);
+    }
+    assert!(fs_err::read_to_string(root.join("report.html")).unwrap().contains("min_verified"));
+
+    // A model that was trained elsewhere is taken over, and damaged outputs are made again.
+    let checkpoint = format!("train.denoiser.checkpoint={}", workspace.arg("alone/denoiser"));
+    let plan = workspace.run("taken", &["--dry-run", "--set", &checkpoint]).expect(0).stdout;
+    assert!(plan.contains("checkpoint = "), "{plan}");
+    fs_err::remove_file(root.join("samples/samples-00001.parquet")).unwrap();
+    let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
+    assert!(plan.contains("#   generate          fresh (samples is missing or was changed)"), "{plan}");
+    workspace.run("out", &[]).expect(0);
+    assert_same(&before, &files(&root));
+}

@@ -1,0 +1,173 @@
+//! What the tests of the program share: a way to run it, a small pipeline, and folders compared byte by byte.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+/// What a finished program said.
+#[derive(Debug)]
+pub struct Outcome {
+    pub code: i32,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+impl Outcome {
+    /// Checks the exit code; a difference shows what the program said.
+    #[track_caller]
+    pub fn expect(self, code: i32) -> Self {
+        assert_eq!(self.code, code, "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
+        self
+    }
+}
+
+/// The program in the root of the repository, where the paths of the carried pipelines lead.
+pub fn command(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_djinn"));
+    command.args(args).current_dir(env!("CARGO_MANIFEST_DIR")).env("NO_COLOR", "1");
+    command
+}
+
+/// Runs the program to its end.
+pub fn djinn(args: &[&str]) -> Outcome {
+    let output = command(args).output().unwrap();
+    Outcome {
+        code: output.status.code().unwrap_or(-1),
+        stdout: String::from_utf8(output.stdout).unwrap(),
+        stderr: String::from_utf8(output.stderr).unwrap(),
+    }
+}
+
+/// Starts the program without waiting for it.
+pub fn start(args: &[&str]) -> Child {
+    command(args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+}
+
+/// A whole pipeline that takes seconds; its models learn next to nothing.
+pub const SMALL_PIPELINE: &str = r#"
+[run]
+seed = 3
+
+[ingest]
+dataset = "interaction"
+inputs = ["tests/fixtures/recordings/interaction/FIX-multi-v1_2.zip"]
+splits = ["train", "val"]
+limit = 125
+
+[mine]
+behaviors = [{ kind = "cut_in" }]
+
+[train.denoiser]
+preset = "tiny"
+network = { layers = "TAM", width = 16, n_heads = 2, feed_forward = 16, encoding = 8 }
+steps = 12
+batch_size = 2
+warmup_steps = 2
+evaluate_every = 6
+save_every = 3
+n_eval_scenes = 2
+max_agents = 6
+max_lanes = 8
+
+[train.classifier]
+behavior = "cut_in"
+network = { width = 16, n_hidden = 1, encoding = 4 }
+max_examples = 200
+max_held_out = 50
+steps = 20
+batch_size = 16
+warmup_steps = 2
+evaluate_every = 10
+save_every = 5
+
+[generate]
+sampler = { kind = "heun", n_steps = 2 }
+scenes_per_shard = 2
+batch_size = 4
+
+[[generate.sweeps]]
+name = "as_recorded"
+n_scenes = 3
+n_samples = 2
+
+[[generate.sweeps]]
+name = "cut_ins"
+behavior = "cut_in"
+n_scenes = 4
+n_samples = 2
+strengths = [0.0, 2.0]
+
+[evaluate]
+keep = "all"
+
+[report]
+n_drawn = 2
+n_compared = 4
+"#;
+
+/// A folder for a test, with the small pipeline in it.
+pub struct Workspace {
+    folder: tempfile::TempDir,
+}
+
+impl Workspace {
+    pub fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        fs_err::write(folder.path().join("small.toml"), SMALL_PIPELINE).unwrap();
+        Self { folder }
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// The path as an argument.
+    pub fn arg(&self, name: &str) -> String {
+        self.path(name).to_str().unwrap().to_owned()
+    }
+
+    /// Runs the small pipeline into `output`.
+    pub fn run(&self, output: &str, more: &[&str]) -> Outcome {
+        djinn(&self.run_args(output, more).iter().map(String::as_str).collect::<Vec<_>>())
+    }
+
+    /// The arguments of such a run.
+    pub fn run_args(&self, output: &str, more: &[&str]) -> Vec<String> {
+        let mut args = vec!["run".to_owned(), self.arg("small.toml"), "--output".to_owned(), self.arg(output)];
+        args.extend(more.iter().map(|arg| (*arg).to_owned()));
+        args
+    }
+
+    /// The folder of the run in `output`.
+    pub fn run_folder(&self, output: &str) -> PathBuf {
+        self.path(output).join("small/main")
+    }
+}
+
+/// Every file below `root` by its name, except those that may differ between equal runs.
+pub fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![root.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs_err::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(root).unwrap().to_str().unwrap().to_owned();
+                if !["timings.json", "log.txt", ".lock"].contains(&name.as_str()) {
+                    found.insert(name, fs_err::read(&path).unwrap());
+                }
+            }
+        }
+    }
+    found
+}
+
+/// Demands the same files with the same bytes.
+#[track_caller]
+pub fn assert_same(a: &BTreeMap<String, Vec<u8>>, b: &BTreeMap<String, Vec<u8>>) {
+    assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
+    let different: Vec<&String> = a.iter().filter(|(name, bytes)| b[*name] != **bytes).map(|(name, _)| name).collect();
+    assert!(different.is_empty(), "different bytes: {different:?}");
+}
