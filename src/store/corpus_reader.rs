@@ -11,7 +11,7 @@ use crate::scene::{LaneGraph, LaneId, MapId, Track};
 use arrow::array::{RecordBatch, StringArray, UInt64Array};
 use arrow::compute::concat_batches;
 use arrow::datatypes::UInt32Type;
-use fs_err as fs;
+use rayon::prelude::*;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -28,17 +28,14 @@ pub struct CorpusReader {
 }
 
 impl CorpusReader {
-    /// Opens a finished corpus; its tables must be as long as they were written.
+    /// Opens a finished corpus and verifies the checksums of all of its tables.
     ///
     /// # Errors
     /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when another version wrote it, [`Error::Corrupt`]
     /// when a table is not what was written.
     pub fn open(dir: &Path) -> Result<Self> {
         let manifest = CorpusManifest::read(dir)?;
-        for (file, table) in &manifest.tables {
-            let path = dir.join(file);
-            table.stamp.verify_length(&path, fs::metadata(&path)?.len())?;
-        }
+        manifest.tables.par_iter().try_for_each(|(file, table)| table.stamp.verify_file(&dir.join(file)))?;
         let path = dir.join(SCENARIOS_FILE);
         let table = scenario::schema();
         let scenarios = concatenated(&path, &table, &parquet_file::read(&path, &table)?)?;
@@ -54,17 +51,6 @@ impl CorpusReader {
             maps.push(&lanes_path, batch)?;
         }
         Ok(Self { dir: dir.to_owned(), manifest, scenarios_path: path, scenarios, track_ends, maps })
-    }
-
-    /// Verifies the checksums of all tables, which reads them whole.
-    ///
-    /// # Errors
-    /// [`Error::Corrupt`] when a table is not what was written.
-    pub fn verify(&self) -> Result<()> {
-        for (file, table) in &self.manifest.tables {
-            table.stamp.verify_file(&self.dir.join(file))?;
-        }
-        Ok(())
     }
 
     /// The manifest.

@@ -13,6 +13,7 @@ use parquet::file::metadata::{KeyValue, PageIndexPolicy};
 use parquet::file::properties::WriterProperties;
 use parquet::file::reader::ChunkReader;
 use std::ops::Range;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 /// Rows of a row group: what a writer holds in memory, and what a reader can skip.
@@ -77,15 +78,22 @@ pub(crate) fn write_batch(path: &Path, table: &TableSchema, batch: &RecordBatch)
 
 /// Reads all rows of a table.
 pub(crate) fn read(path: &Path, table: &TableSchema) -> Result<Vec<RecordBatch>> {
-    collect(path, open(path, table, ArrowReaderOptions::new())?)
+    contained(path, || collect(path, open(path, table, ArrowReaderOptions::new())?))
 }
 
 /// Reads a range of the rows of a table, and only the pages that hold them.
 pub(crate) fn read_rows(path: &Path, table: &TableSchema, rows: Range<usize>) -> Result<Vec<RecordBatch>> {
     let selection = RowSelection::from(vec![RowSelector::skip(rows.start), RowSelector::select(rows.len())]);
     let options = ArrowReaderOptions::new().with_offset_index_policy(PageIndexPolicy::Optional);
-    let reader = open(path, table, options)?.with_row_selection(selection).with_batch_size(rows.len().max(1));
-    collect(path, reader)
+    contained(path, || {
+        let reader = open(path, table, options)?.with_row_selection(selection).with_batch_size(rows.len().max(1));
+        collect(path, reader)
+    })
+}
+
+/// The reader asserts some of what a damaged file breaks; such a file is an error like any other.
+fn contained<T>(path: &Path, read: impl FnOnce() -> Result<T>) -> Result<T> {
+    catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(|_| Err(Error::corrupt(path, "it cannot be decoded")))
 }
 
 fn open(
