@@ -7,4 +7,3 @@ mod random;
 
 pub(crate) use case::{Case, LaneSpec, SceneSpec, cases_in};
 pub(crate) use random::{random_scene, transformed};
-
