@@ -188,7 +188,7 @@ impl Run {
         if config.ema_decay > 0.0 {
             run.ema = Some(match averages.is_empty() {
                 true => Ema::new(config.ema_decay, params)?,
-                false => Ema::resume(config.ema_decay, run.position.ema_updates, averages),
+                false => Ema::resume(config.ema_decay, run.position.ema_updates, &averages)?,
             });
         }
         run.read_statistics()?;

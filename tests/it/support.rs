@@ -6,30 +6,30 @@ use std::process::{Child, Command, Stdio};
 
 /// What a finished program said.
 #[derive(Debug)]
-pub struct Outcome {
-    pub code: i32,
-    pub stdout: String,
-    pub stderr: String,
+pub(crate) struct Outcome {
+    pub(crate) code: i32,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
 }
 
 impl Outcome {
     /// Checks the exit code; a difference shows what the program said.
     #[track_caller]
-    pub fn expect(self, code: i32) -> Self {
+    pub(crate) fn expect(self, code: i32) -> Self {
         assert_eq!(self.code, code, "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
         self
     }
 }
 
 /// The program in the root of the repository, where the paths of the carried pipelines lead.
-pub fn command(args: &[&str]) -> Command {
+pub(crate) fn command(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_djinn"));
     command.args(args).current_dir(env!("CARGO_MANIFEST_DIR")).env("NO_COLOR", "1");
     command
 }
 
 /// Runs the program to its end.
-pub fn djinn(args: &[&str]) -> Outcome {
+pub(crate) fn djinn(args: &[&str]) -> Outcome {
     let output = command(args).output().unwrap();
     Outcome {
         code: output.status.code().unwrap_or(-1),
@@ -39,12 +39,12 @@ pub fn djinn(args: &[&str]) -> Outcome {
 }
 
 /// Starts the program without waiting for it.
-pub fn start(args: &[&str]) -> Child {
+pub(crate) fn start(args: &[&str]) -> Child {
     command(args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
 /// A whole pipeline that takes seconds; its models learn next to nothing.
-pub const SMALL_PIPELINE: &str = r#"
+pub(crate) const SMALL_PIPELINE: &str = r#"
 [run]
 seed = 3
 
@@ -106,46 +106,46 @@ n_compared = 4
 "#;
 
 /// A folder for a test, with the small pipeline in it.
-pub struct Workspace {
+pub(crate) struct Workspace {
     folder: tempfile::TempDir,
 }
 
 impl Workspace {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         fs_err::write(folder.path().join("small.toml"), SMALL_PIPELINE).unwrap();
         Self { folder }
     }
 
-    pub fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
     /// The path as an argument.
-    pub fn arg(&self, name: &str) -> String {
+    pub(crate) fn arg(&self, name: &str) -> String {
         self.path(name).to_str().unwrap().to_owned()
     }
 
     /// Runs the small pipeline into `output`.
-    pub fn run(&self, output: &str, more: &[&str]) -> Outcome {
+    pub(crate) fn run(&self, output: &str, more: &[&str]) -> Outcome {
         djinn(&self.run_args(output, more).iter().map(String::as_str).collect::<Vec<_>>())
     }
 
     /// The arguments of such a run.
-    pub fn run_args(&self, output: &str, more: &[&str]) -> Vec<String> {
+    pub(crate) fn run_args(&self, output: &str, more: &[&str]) -> Vec<String> {
         let mut args = vec!["run".to_owned(), self.arg("small.toml"), "--output".to_owned(), self.arg(output)];
         args.extend(more.iter().map(|arg| (*arg).to_owned()));
         args
     }
 
     /// The folder of the run in `output`.
-    pub fn run_folder(&self, output: &str) -> PathBuf {
+    pub(crate) fn run_folder(&self, output: &str) -> PathBuf {
         self.path(output).join("small/main")
     }
 }
 
 /// Every file below `root` by its name, except those that may differ between equal runs.
-pub fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
+pub(crate) fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![root.to_owned()];
     while let Some(folder) = folders.pop() {
@@ -166,7 +166,7 @@ pub fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
 
 /// Demands the same files with the same bytes.
 #[track_caller]
-pub fn assert_same(a: &BTreeMap<String, Vec<u8>>, b: &BTreeMap<String, Vec<u8>>) {
+pub(crate) fn assert_same(a: &BTreeMap<String, Vec<u8>>, b: &BTreeMap<String, Vec<u8>>) {
     assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
     let different: Vec<&String> = a.iter().filter(|(name, bytes)| b[*name] != **bytes).map(|(name, _)| name).collect();
     assert!(different.is_empty(), "different bytes: {different:?}");

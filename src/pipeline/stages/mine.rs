@@ -1,14 +1,15 @@
 //! Scenes to an event table: the detectors run on every scene, in parallel, and their events are kept in order.
 
-use crate::behavior::{self, Behavior, BehaviorConfig, BehaviorEvent, EventLabel};
+use crate::behavior::{self, Behavior, BehaviorConfig, BehaviorEvent};
 use crate::pipeline::layout::{EVENTS, Layout, MINE_SUMMARY};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
+use crate::report::MiningSummary;
 use crate::scene::Split;
 use crate::store::{SceneIndexEntry, SceneStore, write_events, write_json_atomically};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
 /// Scenes that are mined together: enough for every thread, few enough to show progress.
@@ -42,37 +43,6 @@ impl MineConfig {
         }
         Ok(configs.iter().map(BehaviorConfig::build).collect())
     }
-}
-
-/// What was mined: the content of `mine.json`.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct MineSummary {
-    /// Number of scenes that were looked at.
-    pub n_scenes: u64,
-    /// Counts by behavior.
-    pub behaviors: BTreeMap<String, BehaviorCounts>,
-}
-
-/// How often a behavior was found.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct BehaviorCounts {
-    /// In all scenes.
-    pub total: EventCounts,
-    /// By split, then by place.
-    pub by_place: BTreeMap<Split, BTreeMap<String, EventCounts>>,
-}
-
-/// Counts over some scenes.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct EventCounts {
-    /// Scenes that were looked at.
-    pub n_scenes: u64,
-    /// Scenes with at least one positive event.
-    pub n_scenes_with_positive: u64,
-    /// Examples of the behavior.
-    pub n_positive: u64,
-    /// Hard negatives.
-    pub n_negative: u64,
 }
 
 /// The stage.
@@ -117,58 +87,30 @@ impl Stage for Mine<'_> {
         if scenes.is_empty() {
             return Err(Failure::input_message("no scene is of the splits of mine.splits"));
         }
-        let mut summary = MineSummary::default();
-        for behavior in &behaviors {
-            summary.behaviors.insert(behavior.id().to_owned(), BehaviorCounts::default());
-        }
         let mut events = Vec::new();
         context.progress.start("mine", scenes.len() as u64, "scenes");
         for chunk in scenes.chunks(SCENES_PER_CHUNK) {
             let found: Vec<Vec<BehaviorEvent>> =
                 chunk.par_iter().map(|idx| detect_all(&store, *idx, &behaviors)).collect::<Result<_>>()?;
-            for (idx, found) in chunk.iter().zip(found) {
-                summary.add(&store.index()[*idx], &found);
-                events.extend(found);
-            }
+            events.extend(found.into_iter().flatten());
             context.progress.advance(chunk.len() as u64);
             context.progress.note(&format!("{} events", events.len()));
         }
         context.progress.finish();
         write_events(&context.root.join(EVENTS), &events)?;
+        let ids: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();
+        let searched: Vec<&SceneIndexEntry> = scenes.iter().map(|idx| &store.index()[*idx]).collect();
+        let summary = MiningSummary::of(&ids, &searched, &events);
         write_json_atomically(&context.root.join(MINE_SUMMARY), &summary)?;
-        Ok(serde_json::to_value(&summary.totals()).map_err(anyhow::Error::from)?)
+        let n_positive = |id: &str| -> u64 {
+            summary.counts.iter().filter(|count| count.behavior == id).map(|count| count.n_positive).sum()
+        };
+        let n_positive: BTreeMap<&str, u64> = ids.iter().map(|id| (*id, n_positive(id))).collect();
+        Ok(json!({ "n_scenes": scenes.len(), "n_events": events.len(), "n_positive": n_positive }))
     }
 }
 
 fn detect_all(store: &SceneStore, idx: usize, behaviors: &[Box<dyn Behavior>]) -> Result<Vec<BehaviorEvent>> {
     let scene = store.scene(idx)?;
     Ok(behaviors.iter().flat_map(|behavior| behavior.detect(&scene)).collect())
-}
-
-impl MineSummary {
-    fn add(&mut self, entry: &SceneIndexEntry, found: &[BehaviorEvent]) {
-        self.n_scenes += 1;
-        for (behavior, counts) in &mut self.behaviors {
-            let labels: Vec<EventLabel> =
-                found.iter().filter(|event| event.behavior == *behavior).map(|event| event.label).collect();
-            let in_split = counts.by_place.entry(entry.split).or_default();
-            in_split.entry(entry.place.clone()).or_default().add(&labels);
-            counts.total.add(&labels);
-        }
-    }
-
-    fn totals(&self) -> BTreeMap<&str, &EventCounts> {
-        self.behaviors.iter().map(|(behavior, counts)| (behavior.as_str(), &counts.total)).collect()
-    }
-}
-
-impl EventCounts {
-    /// Counts a scene with events of these labels.
-    fn add(&mut self, labels: &[EventLabel]) {
-        let n_positive = labels.iter().filter(|label| **label == EventLabel::Positive).count() as u64;
-        self.n_scenes += 1;
-        self.n_scenes_with_positive += u64::from(n_positive > 0);
-        self.n_positive += n_positive;
-        self.n_negative += labels.len() as u64 - n_positive;
-    }
 }

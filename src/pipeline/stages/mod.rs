@@ -14,7 +14,7 @@ mod train_denoiser;
 pub use evaluate::{Evaluate, EvaluateConfig, EvaluationSummary, GateResult, GatesConfig, Keep};
 pub use generate::Generate;
 pub use ingest::Ingest;
-pub use mine::{BehaviorCounts, EventCounts, Mine, MineConfig, MineSummary};
+pub use mine::{Mine, MineConfig};
 pub use report::{About, Report, ReportConfig};
 pub use sample_folder::{SampleFolder, SampleManifest, SampleSidecar, SampledWith};
 pub use train_classifier::TrainClassifier;

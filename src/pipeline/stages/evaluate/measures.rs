@@ -37,24 +37,15 @@ impl<'a> Measures<'a> {
 
     /// What is measured, for reading the tables.
     pub(super) fn docs(&self) -> Vec<MetricDoc> {
-        let metrics = self.metrics.iter().map(|metric| {
-            let spec = metric.spec();
-            let better = match spec.direction {
-                Direction::HigherIsBetter => "higher",
-                Direction::LowerIsBetter => "lower",
-                Direction::Neither => "",
-            };
-            doc(spec.id, if spec.unit == "1" { "" } else { spec.unit }, better, spec.description)
-        });
-        let requested = doc(
-            BEHAVIOR_RATE,
-            "",
-            "",
-            "share of samples in which the miner finds the behavior that was asked for, with the agents that were asked",
+        let metrics = self.metrics.iter().map(|metric| MetricDoc::from(metric.spec()));
+        let requested = rate(
+            BEHAVIOR_RATE.to_owned(),
+            "share of samples in which the miner finds the behavior that was asked for, with the agents that were asked"
+                .to_owned(),
         );
         let of_anybody = self.behaviors.iter().map(|behavior| {
             let id = behavior.id();
-            doc(&anybody(id), "", "", &format!("share of samples in which the miner finds {id}, whoever takes part"))
+            rate(format!("{id}_rate"), format!("share of samples in which the miner finds {id}, whoever takes part"))
         });
         metrics.chain([requested]).chain(of_anybody).collect()
     }
@@ -84,16 +75,6 @@ impl<'a> Measures<'a> {
     }
 }
 
-/// The name of the rate of a behavior among whoever is there.
-fn anybody(behavior: &str) -> String {
-    format!("{behavior}_rate")
-}
-
-fn doc(metric: &str, unit: &str, better: &str, description: &str) -> MetricDoc {
-    MetricDoc {
-        metric: metric.to_owned(),
-        unit: unit.to_owned(),
-        better: better.to_owned(),
-        description: description.to_owned(),
-    }
+fn rate(metric: String, description: String) -> MetricDoc {
+    MetricDoc { metric, unit: "1".to_owned(), direction: Direction::Neither, description }
 }

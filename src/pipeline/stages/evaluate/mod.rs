@@ -4,7 +4,6 @@ mod cells;
 mod config;
 mod gates;
 mod measures;
-mod sampling;
 mod table;
 
 pub use config::{EvaluateConfig, GatesConfig, Keep};
@@ -14,7 +13,7 @@ use super::mine::MineConfig;
 use super::sample_folder::SampleManifest;
 use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
-use crate::report::{MetricDoc, SamplingRow};
+use crate::report::{MetricDoc, SamplingRow, SamplingTally};
 use crate::scene::Scene;
 use crate::store::{
     CorpusNotes, CorpusWriter, MetricRow, ScenarioRecord, SceneStore, write_json_atomically, write_metrics,
@@ -22,7 +21,6 @@ use crate::store::{
 use cells::{CellFigures, into_cells};
 use measures::Measures;
 use rayon::prelude::*;
-use sampling::SamplingTable;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -99,14 +97,14 @@ impl Stage for Evaluate<'_> {
         let store = SceneStore::open(&self.layout.scenes)?;
         let samples = SampleManifest::read(&self.layout.samples)?;
         let mut table = MetricTable::new(measures.docs());
-        let mut sampling = SamplingTable::new(&measures.docs(), samples.sampled_with.n_evaluations);
+        let mut sampling = SamplingTally::new(samples.sampled_with.n_evaluations);
         let mut corpus = CorpusWriter::create(&context.root.join(CORPUS), &store)?;
         let mut kept_ids = BTreeSet::new();
         context.progress.start("evaluate", samples.n_scenarios, "scenarios");
         for shard in &samples.shards {
             let records = SampleManifest::read_shard(&self.layout.samples, shard, &store)?;
             for (cell, recorded, figures) in evaluate_shard(&records, &store, &measures)? {
-                sampling.add(&shard.sweep, &cell, &recorded, &figures);
+                cell.records.iter().for_each(|record| sampling.add(record, &recorded));
                 table.add(&shard.sweep, &cell, &recorded, figures);
             }
             let keeps = |record: &ScenarioRecord| self.config.keep == Keep::All || record.verified;

@@ -2,20 +2,16 @@
 
 use super::Report;
 use super::drawings::{self, Gallery};
-use crate::behavior;
 use crate::ingest::IngestReport;
 use crate::model::TrainedDenoiser;
 use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use crate::pipeline::stages::train_denoiser::checkpoint_file;
-use crate::pipeline::stages::{EvaluationSummary, MineSummary, SampleManifest};
+use crate::pipeline::stages::{EvaluationSummary, SampleManifest};
 use crate::pipeline::{Classify, Result, StageId};
-use crate::report::{
-    BehaviorCount, BehaviorDoc, Chart, Curve, Fact, MetricTable, MiningSummary, ReportModel, TrainingSummary, Warning,
-};
+use crate::report::{Fact, MetricTable, ReportModel, TrainingSummary, Warning};
 use crate::store::{SceneManifest, read_json};
 use crate::train::{ClassifierReport, FitStatistics};
 use candle_core::Device;
-use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Everything that the report shows.
@@ -37,8 +33,7 @@ pub(super) fn model(stage: &Report<'_>) -> Result<ReportModel> {
         add_ingest(&mut model, &stage.layout.scenes)?;
     }
     if stage.has(StageId::Mine) {
-        let summary: MineSummary = read_json(&stage.layout.events.with_file_name(MINE_SUMMARY)).blame_input()?;
-        model.mining = Some(mining(&summary));
+        model.mining = Some(read_json(&stage.layout.events.with_file_name(MINE_SUMMARY)).blame_input()?);
     }
     if stage.has(StageId::TrainDenoiser) {
         model.training.push(denoiser(&stage.layout.denoiser)?);
@@ -68,27 +63,6 @@ fn add_ingest(model: &mut ReportModel, scenes: &Path) -> Result<()> {
     Ok(())
 }
 
-fn mining(summary: &MineSummary) -> MiningSummary {
-    let definition = |id: &str| behavior::ALL.iter().find(|entry| entry.id == id).map_or("", |entry| entry.description);
-    let mut mining = MiningSummary::default();
-    for (behavior, counts) in &summary.behaviors {
-        let (behavior, definition) = (behavior.clone(), definition(behavior).to_owned());
-        mining.definitions.push(BehaviorDoc { behavior: behavior.clone(), definition });
-        for (split, places) in &counts.by_place {
-            mining.counts.extend(places.iter().map(|(place, counts)| BehaviorCount {
-                behavior: behavior.clone(),
-                split: split.name().to_owned(),
-                place: place.clone(),
-                n_scenes: counts.n_scenes,
-                n_scenes_with: counts.n_scenes_with_positive,
-                n_positive: counts.n_positive,
-                n_negative: counts.n_negative,
-            }));
-        }
-    }
-    mining
-}
-
 fn denoiser(dir: &Path) -> Result<TrainingSummary> {
     let TrainedDenoiser { spec, fingerprint, .. } = TrainedDenoiser::read(&checkpoint_file(dir), &Device::Cpu)?;
     let path = dir.join("statistics.jsonl");
@@ -99,18 +73,15 @@ fn denoiser(dir: &Path) -> Result<TrainingSummary> {
         .map(serde_json::from_str::<FitStatistics>)
         .collect::<std::result::Result<Vec<_>, _>>()
         .map_err(anyhow::Error::from)?;
-    Ok(TrainingSummary {
-        name: "denoiser".to_owned(),
-        facts: vec![
-            Fact::new("Layers", &spec.network.layers),
-            Fact::new("Width", spec.network.width),
-            Fact::new("State", format!("{:?}", spec.normalizer.parametrization).to_lowercase()),
-            Fact::new("Timesteps", format!("{} + {}", spec.n_history, spec.n_timesteps - spec.n_history)),
-            Fact::new("Steps", spec.steps),
-            Fact::new("Fingerprint", &fingerprint[..16]),
-        ],
-        charts: charts(&statistics),
-    })
+    let facts = vec![
+        Fact::new("Layers", &spec.network.layers),
+        Fact::new("Width", spec.network.width),
+        Fact::new("State", format!("{:?}", spec.normalizer.parametrization).to_lowercase()),
+        Fact::new("Timesteps", format!("{} + {}", spec.n_history, spec.n_timesteps - spec.n_history)),
+        Fact::new("Steps", spec.steps),
+        Fact::new("Fingerprint", fingerprint),
+    ];
+    Ok(TrainingSummary::of_fit("denoiser", facts, &statistics))
 }
 
 fn add_classifier(model: &mut ReportModel, dir: &Path) -> Result<()> {
@@ -120,47 +91,17 @@ fn add_classifier(model: &mut ReportModel, dir: &Path) -> Result<()> {
         return Ok(());
     }
     let report: ClassifierReport = read_json(&path).blame_input()?;
-    model.training.push(TrainingSummary {
-        name: format!("classifier of {}", report.spec.behavior),
-        facts: vec![
-            Fact::new("Parameters", report.n_parameters),
-            Fact::new("Positive pairs", report.spec.n_positive),
-            Fact::new("Hard negative pairs", report.spec.n_negative),
-            Fact::new("Steps", report.spec.steps),
-            Fact::new("Fingerprint", &report.fingerprint[..16]),
-        ],
-        charts: charts(&report.statistics),
-    });
+    let name = format!("classifier of {}", report.spec.behavior);
+    let facts = vec![
+        Fact::new("Parameters", report.n_parameters),
+        Fact::new("Positive pairs", report.spec.n_positive),
+        Fact::new("Hard negative pairs", report.spec.n_negative),
+        Fact::new("Steps", report.spec.steps),
+        Fact::new("Fingerprint", &report.fingerprint),
+    ];
+    model.training.push(TrainingSummary::of_fit(name, facts, &report.statistics));
     model.classifier_quality = report.by_noise_level;
     Ok(())
-}
-
-/// The training loss, and the held-out figures if there are any.
-fn charts(statistics: &[FitStatistics]) -> Vec<Chart> {
-    let chart = |title: &str, curves: Vec<Curve>| Chart {
-        title: title.to_owned(),
-        x_label: "steps".to_owned(),
-        y_label: "loss".to_owned(),
-        log_x: false,
-        curves,
-    };
-    let loss = statistics.iter().filter_map(|line| Some([line.step as f64, line.loss?])).collect::<Vec<_>>();
-    let names: BTreeSet<&String> = statistics.iter().flat_map(|line| line.evaluation.keys()).collect();
-    let held_out: Vec<Curve> = names
-        .into_iter()
-        .map(|name| {
-            let point = |line: &FitStatistics| Some([line.step as f64, *line.evaluation.get(name)?]);
-            Curve { name: name.clone(), points: statistics.iter().filter_map(point).collect() }
-        })
-        .collect();
-    let mut charts = Vec::new();
-    if !loss.is_empty() {
-        charts.push(chart("Training loss", vec![Curve { name: "loss".to_owned(), points: loss }]));
-    }
-    if !held_out.is_empty() {
-        charts.push(chart("Held-out figures", held_out));
-    }
-    charts
 }
 
 fn add_evaluation(model: &mut ReportModel, summary: EvaluationSummary) {
