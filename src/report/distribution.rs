@@ -41,7 +41,7 @@ impl Distribution {
     /// Bins the finite values of each group; the first group is the reference.
     ///
     /// The bins span the middle 99 % of all values, so that single outliers do not squeeze everything else into one bin.
-    pub fn of(title: &str, unit: &str, description: &str, n_bins: usize, groups: &[(&str, Vec<f64>)]) -> Self {
+    pub fn of(title: &str, unit: &str, description: &str, n_bins: usize, groups: &[(&str, &[f64])]) -> Self {
         let sorted: Vec<Vec<f64>> = groups.iter().map(|(_, values)| sorted_finite(values)).collect();
         let edges = bin_edges(&sorted_finite(&sorted.concat()), n_bins.max(1));
         let series = groups
@@ -131,7 +131,7 @@ mod tests {
     fn every_finite_value_is_counted_once() {
         let recorded: Vec<f64> = (0..1000).map(|i| f64::from(i) / 100.0).chain([1e9]).collect();
         let generated = vec![-5.0, 2.0, f64::NAN, f64::INFINITY];
-        let both = Distribution::of("speed", "m/s", "", 10, &[("recorded", recorded), ("generated", generated)]);
+        let both = Distribution::of("speed", "m/s", "", 10, &[("recorded", &recorded), ("generated", &generated)]);
         assert_eq!(both.edges.len(), 11);
         assert!(both.edges[10] < 11.0, "one outlier must not stretch the bins: {:?}", both.edges);
         let totals: Vec<u64> = both.series.iter().map(|s| s.counts.iter().sum()).collect();
@@ -141,9 +141,9 @@ mod tests {
 
     #[test]
     fn nothing_and_constants_have_bins_too() {
-        assert_eq!(Distribution::of("x", "", "", 4, &[("recorded", vec![])]).series[0].counts, [0; 4]);
+        assert_eq!(Distribution::of("x", "", "", 4, &[("recorded", &[])]).series[0].counts, [0; 4]);
         assert_eq!(
-            Distribution::of("x", "", "", 4, &[("recorded", vec![3.0; 5])]).series[0].counts.iter().sum::<u64>(),
+            Distribution::of("x", "", "", 4, &[("recorded", &[3.0; 5])]).series[0].counts.iter().sum::<u64>(),
             5
         );
     }

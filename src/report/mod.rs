@@ -9,7 +9,9 @@ mod model;
 mod number;
 mod quantities;
 mod scene_card;
+mod summaries;
 mod svg;
+mod tally;
 mod wilson;
 
 pub use distribution::{Distribution, DistributionSeries};
@@ -18,6 +20,7 @@ pub use model::{
     BehaviorCount, BehaviorDoc, Chart, Curve, Fact, MetricDoc, MetricTable, MiningSummary, ReportModel, SamplingRow,
     TrainingSummary, Warning,
 };
-pub use quantities::{event_distributions, motion_distributions};
+pub use quantities::{MotionDistributions, event_distributions};
 pub use scene_card::{DrawnAgent, DrawnLane, SceneCard, ScenePanel, ViewRect};
+pub use tally::SamplingTally;
 pub use wilson::{Interval, wilson_interval};

@@ -2,7 +2,9 @@
 
 use super::distribution::Distribution;
 use super::scene_card::SceneCard;
+use crate::behavior::BehaviorEntry;
 use crate::ingest::IngestReport;
+use crate::metrics::{Direction, MetricSpec};
 use crate::store::MetricRow;
 use crate::train::NoiseLevelReport;
 use serde::{Deserialize, Serialize};
@@ -81,6 +83,12 @@ pub struct BehaviorDoc {
     pub definition: String,
 }
 
+impl From<&BehaviorEntry> for BehaviorDoc {
+    fn from(entry: &BehaviorEntry) -> Self {
+        Self { behavior: entry.id.to_owned(), definition: entry.description.to_owned() }
+    }
+}
+
 /// How often a behavior was found in one part of the recordings.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BehaviorCount {
@@ -156,12 +164,12 @@ pub struct SamplingRow {
     pub n_verified: u64,
     /// Verified scenarios whose recording does not hold the behavior for the same roles.
     pub n_new: u64,
-    /// Scenarios with a collision that the recorded present does not hold.
+    /// Scenarios in which agents collide, as the metric `collision_rate` defines it.
     pub n_collision: u64,
-    /// Share of agents that leave the road; `None` where it was not measured.
+    /// Share of vehicles that leave the road, as the metric `offroad_rate` defines it; `None` without lanes.
     pub offroad_rate: Option<f64>,
-    /// Denoiser evaluations spent; `None` where they were not counted.
-    pub n_evaluations: Option<u64>,
+    /// Denoiser evaluations of one scenario; the classifier is evaluated as often where it guides.
+    pub n_evaluations: u64,
 }
 
 /// Metric values with what is needed to read them.
@@ -178,10 +186,21 @@ pub struct MetricTable {
 pub struct MetricDoc {
     /// Its name in the tables.
     pub metric: String,
-    /// Its unit; empty for shares and counts.
+    /// Its unit; `1` for shares and counts.
     pub unit: String,
-    /// `lower`, `higher` or empty: which way is better.
-    pub better: String,
+    /// Which way is better.
+    pub direction: Direction,
     /// Its definition.
     pub description: String,
+}
+
+impl From<MetricSpec> for MetricDoc {
+    fn from(spec: MetricSpec) -> Self {
+        Self {
+            metric: spec.id.to_owned(),
+            unit: spec.unit.to_owned(),
+            direction: spec.direction,
+            description: spec.description.to_owned(),
+        }
+    }
 }

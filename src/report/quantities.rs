@@ -1,8 +1,6 @@
 //! What is compared between recorded and generated scenes: how road users move, and how close they come.
 
 use super::distribution::Distribution;
-use super::model::Fact;
-use super::number::value;
 use crate::behavior::BehaviorEvent;
 use crate::geometry::wrap_angle;
 use crate::scene::{Scene, Track};
@@ -15,26 +13,48 @@ const DISTANCE_STRIDE: usize = 5;
 /// Below this speed a heading says little, metres per second.
 const MOVING_MPS: f64 = 1.0;
 
-/// Distributions of motion over the futures of each group's scenes; the first group is the reference.
+/// A quantity with its unit, how it is measured, and the values that one scene adds.
+type Quantity = (&'static str, &'static str, &'static str, fn(&Scene) -> Vec<f64>);
+
+const QUANTITIES: [Quantity; 4] = [
+    ("speed", "m/s", "from one position to the next", |scene| over_tracks(scene, speeds)),
+    ("acceleration", "m/s²", "change of speed from one timestep to the next", |scene| {
+        over_tracks(scene, accelerations)
+    }),
+    ("yaw rate", "rad/s", "change of heading while faster than 1 m/s", |scene| over_tracks(scene, yaw_rates)),
+    ("distance to the nearest", "m", "between boxes, 0 when they overlap; every half second", nearest_distances),
+];
+
+/// Collects how road users move in the futures of scenes, group by group.
 ///
 /// Everything is derived from positions and headings in the same way for every group, because generated scenes have no
-/// measured velocities.
-pub fn motion_distributions(groups: &[(&str, &[&Scene])]) -> Vec<Distribution> {
-    let of = |title: &str, unit: &str, description: &str, values: fn(&Scene) -> Vec<f64>| {
-        let groups: Vec<(&str, Vec<f64>)> = groups
-            .iter()
-            .map(|(name, scenes)| (*name, scenes.iter().flat_map(|scene| values(scene)).collect()))
-            .collect();
-        Distribution::of(title, unit, description, N_BINS, &groups)
-    };
-    vec![
-        of("speed", "m/s", "from one position to the next", |scene| over_tracks(scene, speeds)),
-        of("acceleration", "m/s²", "change of speed from one timestep to the next", |scene| {
-            over_tracks(scene, accelerations)
-        }),
-        of("yaw rate", "rad/s", "change of heading while faster than 1 m/s", |scene| over_tracks(scene, yaw_rates)),
-        of("distance to the nearest", "m", "between boxes, 0 when they overlap; every half second", nearest_distances),
-    ]
+/// measured velocities. Scenes may be dropped once added.
+#[derive(Debug, Clone, Default)]
+pub struct MotionDistributions {
+    groups: Vec<(String, [Vec<f64>; QUANTITIES.len()])>,
+}
+
+impl MotionDistributions {
+    /// Adds a scene to a group. The first group that is added to is the reference.
+    pub fn add(&mut self, group: &str, scene: &Scene) {
+        let at = self.groups.iter().position(|(name, _)| name == group).unwrap_or_else(|| {
+            self.groups.push((group.to_owned(), Default::default()));
+            self.groups.len() - 1
+        });
+        for (collected, (_, _, _, values)) in self.groups[at].1.iter_mut().zip(QUANTITIES) {
+            collected.extend(values(scene));
+        }
+    }
+
+    /// One distribution for each quantity.
+    pub fn finish(&self) -> Vec<Distribution> {
+        let one = |(i, (title, unit, description, _)): (usize, Quantity)| {
+            let groups: Vec<(&str, &[f64])> =
+                self.groups.iter().map(|(name, values)| (name.as_str(), values[i].as_slice())).collect();
+            Distribution::of(title, unit, description, N_BINS, &groups)
+        };
+        QUANTITIES.into_iter().enumerate().map(one).collect()
+    }
 }
 
 /// Distributions of the parameters of events, one for each parameter that any event has; the first group is the reference.
@@ -44,28 +64,20 @@ pub fn event_distributions(groups: &[(&str, &[&BehaviorEvent])]) -> Vec<Distribu
     names
         .into_iter()
         .map(|name| {
-            let groups: Vec<(&str, Vec<f64>)> = groups
+            let values: Vec<Vec<f64>> = groups
                 .iter()
-                .map(|(group, events)| {
-                    (*group, events.iter().filter_map(|e| e.parameters.get(name).copied()).collect())
-                })
+                .map(|(_, events)| events.iter().filter_map(|event| event.parameters.get(name).copied()).collect())
                 .collect();
+            let groups: Vec<(&str, &[f64])> =
+                groups.iter().zip(&values).map(|((group, _), values)| (*group, values.as_slice())).collect();
             let (title, unit) = title_and_unit(name);
             Distribution::of(&title, unit, "of the events", N_BINS / 2, &groups)
         })
         .collect()
 }
 
-impl Fact {
-    /// A parameter of an event in words: `gap_m` becomes “gap” with its value in metres.
-    pub fn of_parameter(name: &str, parameter: f64) -> Self {
-        let (title, unit) = title_and_unit(name);
-        Self::new(title, format!("{} {unit}", value(parameter)).trim_end())
-    }
-}
-
 /// `relative_speed_mps` is the relative speed in m/s.
-fn title_and_unit(parameter: &str) -> (String, &'static str) {
+pub(super) fn title_and_unit(parameter: &str) -> (String, &'static str) {
     for (suffix, unit) in
         [("_mps2", "m/s²"), ("_mps", "m/s"), ("_m", "m"), ("_s", "s"), ("_radps", "rad/s"), ("_rad", "rad")]
     {
@@ -159,6 +171,19 @@ mod tests {
     }
 
     #[test]
+    fn groups_keep_the_order_in_which_they_came() {
+        let mut collected = MotionDistributions::default();
+        for group in ["recorded", "generated", "recorded"] {
+            collected.add(group, &scene());
+        }
+        let distributions = collected.finish();
+        let series: Vec<(&str, u64)> = distributions[0].series.iter().map(|s| (s.name.as_str(), s.n)).collect();
+        let n = 2 * (scene().n_timesteps - scene().n_history) as u64;
+        assert_eq!(series, [("recorded", 2 * n), ("generated", n)]);
+        assert!(distributions[0].series[1].distance.unwrap() < 1e-9);
+    }
+
+    #[test]
     fn event_parameters_get_titles_and_units() {
         let event = |gap_m: f64| BehaviorEvent {
             behavior: "cut_in".into(),
@@ -175,7 +200,5 @@ mod tests {
         assert_eq!(titles, [("gap", "m"), ("relative speed", "m/s")]);
         assert_eq!(distributions[0].series[1].mean, Some(5.0));
         assert_eq!(distributions[0].series[1].distance, Some(1.0));
-        assert_eq!(Fact::of_parameter("relative_speed_mps", -1.23456), Fact::new("relative speed", "−1.23 m/s"));
-        assert_eq!(Fact::of_parameter("side", 1.0), Fact::new("side", "1.00"));
     }
 }

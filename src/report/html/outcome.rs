@@ -2,7 +2,7 @@
 
 use super::{Section, table};
 use crate::report::model::{ReportModel, SamplingRow};
-use crate::report::number::{ABSENT, count, percent, setting, share};
+use crate::report::number::{ABSENT, count, percent, setting, share, value};
 use crate::report::svg::{Bar, bar_chart};
 use crate::report::wilson::wilson_interval;
 use maud::{Markup, html};
@@ -93,11 +93,12 @@ fn rate(row: &SamplingRow) -> Markup {
     }
 }
 
+/// What a verified scenario cost, failures included.
 fn cost(row: &SamplingRow) -> String {
-    match row.n_evaluations {
-        Some(n) if row.n_verified > 0 => count((n as f64 / row.n_verified as f64).round() as u64),
-        _ => ABSENT.to_owned(),
+    if row.n_verified == 0 {
+        return ABSENT.to_owned();
     }
+    value((row.n_evaluations * row.n_scenarios) as f64 / row.n_verified as f64)
 }
 
 /// Verified rates as bars, so that guided and unguided sampling can be compared at a glance.

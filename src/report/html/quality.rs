@@ -1,6 +1,7 @@
 //! How do generated scenes compare with the recording and with a simple baseline?
 
 use super::{Section, table};
+use crate::metrics::Direction;
 use crate::report::distribution::Distribution;
 use crate::report::model::{MetricDoc, MetricTable, ReportModel};
 use crate::report::number::{ABSENT, count, optional, setting, uncertainty};
@@ -24,7 +25,7 @@ pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
         details open {
             summary { "What the metrics mean" }
             dl class="definitions" {
-                @for doc in docs { dt { (heading(doc)) } dd { (doc.description) (better(doc)) } }
+                @for doc in docs { dt { (heading(doc)) } dd { (doc.description) "." (better(doc)) } }
             }
         }
     };
@@ -64,14 +65,14 @@ fn cell(row: Option<&MetricRow>) -> Markup {
 }
 
 fn heading(doc: &MetricDoc) -> Markup {
-    html! { (doc.metric) @if !doc.unit.is_empty() { small { " (" (doc.unit) ")" } } }
+    html! { (doc.metric) @if doc.unit != "1" { small { " (" (doc.unit) ")" } } }
 }
 
 fn better(doc: &MetricDoc) -> &'static str {
-    match doc.better.as_str() {
-        "lower" => " Lower is better.",
-        "higher" => " Higher is better.",
-        _ => "",
+    match doc.direction {
+        Direction::LowerIsBetter => " Lower is better.",
+        Direction::HigherIsBetter => " Higher is better.",
+        Direction::Neither => "",
     }
 }
 

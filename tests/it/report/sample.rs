@@ -2,6 +2,7 @@
 
 use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::ingest::{IngestReport, RejectCount};
+use djinn::metrics::Direction;
 use djinn::report::{
     BehaviorCount, BehaviorDoc, Chart, Curve, Distribution, Fact, MetricDoc, MetricTable, MiningSummary, ReportModel,
     SamplingRow, SceneCard, TrainingSummary, Warning,
@@ -144,16 +145,16 @@ fn sampling(name: &str) -> Vec<SamplingRow> {
         n_new: n_verified / 2,
         n_collision,
         offroad_rate: Some(0.012),
-        n_evaluations: Some(180 * 39),
+        n_evaluations: 39,
     };
     vec![row("unguided", 0.0, 9, 4), row("cut_in", 1.0, 21, 5), row("cut_in", 2.0, 47, 9), row("cut_in", 4.0, 61, 31)]
 }
 
 fn metrics(name: &str) -> MetricTable {
-    let doc = |metric: &str, unit: &str, better: &str, description: &str| MetricDoc {
+    let doc = |metric: &str, unit: &str, direction: Direction, description: &str| MetricDoc {
         metric: metric.into(),
         unit: unit.into(),
-        better: better.into(),
+        direction,
         description: description.into(),
     };
     let mut rows = Vec::new();
@@ -185,17 +186,22 @@ fn metrics(name: &str) -> MetricTable {
         doc(
             "min_scene_ade_m",
             "m",
-            "lower",
+            Direction::LowerIsBetter,
             "Mean distance to the recorded positions over all agents and future timesteps, of the best of 6 samples.",
         ),
-        doc("min_scene_fde_m", "m", "lower", "The same at the last timestep."),
+        doc("min_scene_fde_m", "m", Direction::LowerIsBetter, "The same at the last timestep."),
         doc(
             "collision_rate",
-            "",
-            "lower",
+            "1",
+            Direction::LowerIsBetter,
             "Share of agents whose box overlaps another's in the future though it did not at the present.",
         ),
-        doc("mfd_m", "m", "", "Largest distance between the final positions of two samples, mean over agents."),
+        doc(
+            "mfd_m",
+            "m",
+            Direction::Neither,
+            "Largest distance between the final positions of two samples, mean over agents.",
+        ),
     ];
     MetricTable { docs, rows }
 }
@@ -206,8 +212,8 @@ fn distributions() -> Vec<Distribution> {
     [("speed", "m/s", 11.9, 1.9), ("longitudinal acceleration", "m/s²", 0.0, 0.8), ("gap at intrusion", "m", 9.0, 4.0)]
         .into_iter()
         .map(|(title, unit, mean, std)| {
-            let groups =
-                [("recorded", draw(mean, std, 4000)), ("generated, α = 2", draw(mean - 0.3 * std, 1.2 * std, 2500))];
+            let (recorded, generated) = (draw(mean, std, 4000), draw(mean - 0.3 * std, 1.2 * std, 2500));
+            let groups = [("recorded", recorded.as_slice()), ("generated, α = 2", generated.as_slice())];
             Distribution::of(title, unit, "every agent at every future timestep", 40, &groups)
         })
         .collect()

@@ -1,0 +1,132 @@
+//! How do the results of the stages become parts of the report?
+
+use super::model::{BehaviorCount, BehaviorDoc, Chart, Curve, Fact, MiningSummary, TrainingSummary};
+use crate::behavior::{ALL, BehaviorEvent, EventLabel};
+use crate::scene::SceneId;
+use crate::store::SceneIndexEntry;
+use crate::train::FitStatistics;
+use std::collections::{BTreeMap, BTreeSet};
+
+impl MiningSummary {
+    /// Counts the `events` of each of `behaviors` by split and place of the `scenes` that were searched.
+    pub fn of(behaviors: &[&str], scenes: &[&SceneIndexEntry], events: &[BehaviorEvent]) -> Self {
+        let mut parts: BTreeMap<(&str, &str), BTreeSet<&SceneId>> = BTreeMap::new();
+        let mut part_of: BTreeMap<&SceneId, (&str, &str)> = BTreeMap::new();
+        for scene in scenes {
+            let part = (scene.split.name(), scene.place.as_str());
+            parts.entry(part).or_default().insert(&scene.id);
+            part_of.insert(&scene.id, part);
+        }
+        let mut counts = Vec::new();
+        for behavior in behaviors {
+            let mut with: BTreeMap<(&str, &str), BTreeSet<&SceneId>> = BTreeMap::new();
+            let mut labels: BTreeMap<(&str, &str), [u64; 2]> = BTreeMap::new();
+            for event in events.iter().filter(|event| event.behavior == *behavior) {
+                let Some(part) = part_of.get(&event.scene_id).copied() else { continue };
+                let is_positive = event.label == EventLabel::Positive;
+                labels.entry(part).or_default()[usize::from(!is_positive)] += 1;
+                if is_positive {
+                    with.entry(part).or_default().insert(&event.scene_id);
+                }
+            }
+            counts.extend(parts.iter().map(|(part, scenes)| {
+                let [n_positive, n_negative] = labels.get(part).copied().unwrap_or_default();
+                BehaviorCount {
+                    behavior: (*behavior).to_owned(),
+                    split: part.0.to_owned(),
+                    place: part.1.to_owned(),
+                    n_scenes: scenes.len() as u64,
+                    n_scenes_with: with.get(part).map_or(0, BTreeSet::len) as u64,
+                    n_positive,
+                    n_negative,
+                }
+            }));
+        }
+        let known = ALL.iter().filter(|entry| behaviors.contains(&entry.id));
+        Self { definitions: known.map(BehaviorDoc::from).collect(), counts }
+    }
+}
+
+impl TrainingSummary {
+    /// The curves of the training loop: the loss, and one chart for each figure of the evaluations.
+    pub fn of_fit(name: impl Into<String>, facts: Vec<Fact>, statistics: &[FitStatistics]) -> Self {
+        let chart = |title: &str, points: Vec<[f64; 2]>| Chart {
+            title: title.replace('_', " "),
+            x_label: "training step".to_owned(),
+            y_label: title.to_owned(),
+            log_x: false,
+            curves: vec![Curve { name: title.to_owned(), points }],
+        };
+        let loss: Vec<[f64; 2]> = statistics.iter().filter_map(|line| Some([line.step as f64, line.loss?])).collect();
+        let figures: BTreeSet<&String> = statistics.iter().flat_map(|line| line.evaluation.keys()).collect();
+        let of_figure = |figure: &String| -> Vec<[f64; 2]> {
+            let value = |line: &FitStatistics| Some([line.step as f64, *line.evaluation.get(figure)?]);
+            statistics.iter().filter_map(value).collect()
+        };
+        let mut charts = vec![chart("loss", loss)];
+        charts.extend(figures.into_iter().map(|figure| chart(figure, of_figure(figure))));
+        Self { name: name.into(), facts, charts }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Dataset, Split};
+
+    fn entry(case: &str, split: Split) -> SceneIndexEntry {
+        SceneIndexEntry {
+            id: SceneId::from(case),
+            dataset: Dataset::Interaction,
+            split,
+            place: "X".to_owned(),
+            n_agents: 2,
+            n_timesteps: 40,
+        }
+    }
+
+    fn event(case: &str, label: EventLabel) -> BehaviorEvent {
+        BehaviorEvent {
+            behavior: "cut_in".to_owned(),
+            scene_id: SceneId::from(case),
+            label,
+            roles: Vec::new(),
+            start_timestep: 0,
+            end_timestep: 0,
+            parameters: BTreeMap::new(),
+        }
+    }
+
+    #[test]
+    fn events_are_counted_by_part_and_parts_without_any_are_listed() {
+        let scenes = [entry("a", Split::Train), entry("b", Split::Train), entry("c", Split::Val)];
+        let events = [
+            event("a", EventLabel::Positive),
+            event("a", EventLabel::Positive),
+            event("b", EventLabel::Negative),
+            event("elsewhere", EventLabel::Positive),
+        ];
+        let summary = MiningSummary::of(&["cut_in"], &scenes.iter().collect::<Vec<_>>(), &events);
+        let rows: Vec<_> = summary
+            .counts
+            .iter()
+            .map(|c| (c.split.as_str(), c.n_scenes, c.n_scenes_with, c.n_positive, c.n_negative))
+            .collect();
+        assert_eq!(rows, [("train", 2, 1, 2, 1), ("val", 1, 0, 0, 0)]);
+        assert_eq!(summary.definitions.len(), 1);
+    }
+
+    #[test]
+    fn every_figure_of_the_evaluations_has_a_chart() {
+        let line = |step, loss, ade: Option<f64>| FitStatistics {
+            step,
+            loss,
+            gradient_norm: None,
+            evaluation: ade.map(|ade| ("min_scene_ade_m".to_owned(), ade)).into_iter().collect(),
+        };
+        let summary =
+            TrainingSummary::of_fit("denoiser", vec![], &[line(10, Some(2.0), None), line(10, None, Some(0.5))]);
+        let points: Vec<_> = summary.charts.iter().map(|c| (c.y_label.as_str(), c.curves[0].points.clone())).collect();
+        assert_eq!(points, [("loss", vec![[10.0, 2.0]]), ("min_scene_ade_m", vec![[10.0, 0.5]])]);
+    }
+}
