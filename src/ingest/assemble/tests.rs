@@ -1,3 +1,5 @@
+//! Assembling scenes: ego, frame, caps and the crop of the map.
+
 use super::*;
 use crate::ingest::lane_topology::tests::lane;
 use crate::ingest::raw::map_id;

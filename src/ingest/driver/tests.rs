@@ -1,3 +1,5 @@
+//! The driver end to end: order, resuming, limits, threads, and real recordings where they are at hand.
+
 use super::*;
 use crate::ingest::argoverse1::csv_text;
 use crate::ingest::argoverse2::scenario_bytes;

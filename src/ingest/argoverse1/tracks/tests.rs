@@ -1,3 +1,5 @@
+//! Argoverse 1 tracks: what is read, and what is rejected by which reason?
+
 use super::*;
 use crate::ingest::source::Horizon;
 use std::fmt::Write;

@@ -1,3 +1,5 @@
+//! Argoverse 2 tracks: what is read, and what is rejected by which reason?
+
 use super::*;
 use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
 use arrow::compute::cast;
