@@ -5,6 +5,7 @@ use fs_err::File;
 use std::fs::TryLockError;
 use std::io::{Read, Write};
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 /// The right to write into a folder, until dropped. It is an advisory lock that the system takes back when the process
 /// ends, however it ends; so there are no stale locks. The file itself stays, empty.
@@ -21,7 +22,7 @@ impl RunLock {
     pub(super) fn acquire(folder: &Path) -> Result<Self> {
         let path = folder.join(LOCK_FILE);
         let mut file = File::options().read(true).write(true).create(true).truncate(false).open(path)?;
-        match file.try_lock() {
+        match try_lock_for(&file, PATIENCE) {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
                 let mut holder = String::new();
@@ -37,6 +38,19 @@ impl RunLock {
         file.set_len(0)?;
         write!(file, "{}", std::process::id())?;
         Ok(Self { file })
+    }
+}
+
+/// A killed process may take a moment to be gone.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+fn try_lock_for(file: &File, patience: Duration) -> std::result::Result<(), TryLockError> {
+    let began = Instant::now();
+    loop {
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) if began.elapsed() < patience => std::thread::sleep(patience / 40),
+            outcome => return outcome,
+        }
     }
 }
 
