@@ -141,7 +141,7 @@ mod tests {
         let covariance = mixture.covariance();
         // Between the means: (2, -0.5) and w(1 - w) = 3/16.
         assert!((covariance[0][0] - (0.25 * 0.04 + 0.75 * 0.25 + 3.0 / 16.0 * 4.0)).abs() < 1e-12);
-        assert!((covariance[0][1] - (3.0 / 16.0 * -1.0)).abs() < 1e-12);
+        assert!((covariance[0][1] - -(3.0 / 16.0)).abs() < 1e-12);
     }
 
     #[test]

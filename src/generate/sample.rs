@@ -78,7 +78,7 @@ impl Generator<'_> {
             for (strength, sample_idx, result) in sampled {
                 match result {
                     Ok(generated) => {
-                        output.records.push(self.record(sweep, cell, scene, generated, (strength, sample_idx)));
+                        output.records.push(self.record(sweep, cell, scene, &generated, (strength, sample_idx)));
                     }
                     Err(reason) => output.rejected.push(RejectedSample {
                         scene_id: cell.scene_id.clone(),
@@ -180,7 +180,7 @@ impl Generator<'_> {
         sweep: &SweepConfig,
         cell: &Cell,
         recorded: &Scene,
-        generated: Scene,
+        generated: &Scene,
         (strength, sample_idx): (f64, usize),
     ) -> ScenarioRecord {
         let classifier = self.classifier(sweep).filter(|_| strength != 0.0);
@@ -195,7 +195,7 @@ impl Generator<'_> {
             sampler: self.config.sampler.name(),
         };
         // What is verified must be what is written.
-        let scene = as_stored(&generated);
+        let scene = as_stored(generated);
         let verdict = match self.behavior(sweep) {
             Some(behavior) => verify(behavior, &cell.roles, recorded, &scene),
             None => Verdict::default(),

@@ -1,5 +1,7 @@
 //! The single integration-test binary: one link instead of one per file.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails, and says where")]
+
 mod architecture;
 mod cli;
 mod config;

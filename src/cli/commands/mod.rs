@@ -18,7 +18,7 @@ use std::fmt::Write;
 /// Sets up the worker threads: what the command line says, else the configuration.
 fn use_threads(output: &OutputArgs, config: &PipelineConfig) -> Result<()> {
     let n_threads = output.threads.unwrap_or(config.run.threads);
-    rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(|error| Failure::fault(error))
+    rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(Failure::fault)
 }
 
 /// Prints the configuration as TOML and the plan as comments, so that the whole is a pipeline file again.
