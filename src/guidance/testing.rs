@@ -63,7 +63,7 @@ pub(crate) fn scene(idx: usize) -> Scene {
 
 /// One positive scene among four.
 pub(crate) const fn is_positive(idx: usize) -> bool {
-    idx % 4 == 0
+    idx.is_multiple_of(4)
 }
 
 /// What a small denoiser of these scenes is.
