@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub enum Preset {
     /// 4 layers, 32 wide: trains in a minute, for tests and first looks.
     Tiny,
-    /// 9 layers, 128 wide: for a laptop.
+    /// 7 layers, 96 wide, residual parametrization: for a laptop.
     #[default]
     Small,
     /// The paper's 15 layers, 256 wide, with its parametrization, batch size and learning rate.
@@ -200,13 +200,13 @@ impl Preset {
                 fit(400, 2e-3, 20, LearningRateDecay::Cosine, 0.99, 200),
             ),
             Self::Small => common(
-                network("TATM TATM T", 128, 4, 32),
+                network("TATM TAT", 96, 4, 32),
                 StateParametrization::Residual,
+                8,
                 16,
-                16,
-                64,
                 48,
-                fit(6_000, 1e-3, 200, LearningRateDecay::Cosine, 0.995, 500),
+                48,
+                fit(8_000, 1e-3, 200, LearningRateDecay::Cosine, 0.99, 500),
             ),
             Self::Paper => common(
                 NetworkConfig::default(),
