@@ -1,6 +1,7 @@
 //! From the files of each stage to what the report says of it.
 
 use super::Report;
+use super::cautions::cautions;
 use super::drawings::{self, Gallery};
 use crate::ingest::IngestReport;
 use crate::model::TrainedDenoiser;
@@ -109,6 +110,7 @@ fn add_evaluation(model: &mut ReportModel, summary: EvaluationSummary) {
     model.warnings.extend(
         missed.map(|gate| warning(StageId::Evaluate, format!("Gate not met: {} ({}).", gate.gate, gate.detail))),
     );
+    model.warnings.extend(cautions(&summary.aggregates).into_iter().map(|message| warning(StageId::Evaluate, message)));
     model.sampling = summary.sampling;
     model.metrics = MetricTable { docs: summary.docs, rows: summary.aggregates };
 }

@@ -1,5 +1,6 @@
 //! What the stages left to the page that people read.
 
+mod cautions;
 mod drawings;
 mod gather;
 

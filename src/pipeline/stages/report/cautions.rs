@@ -1,0 +1,118 @@
+//! Which figures should a reviewer see before any other? Generated traffic that is clearly worse than it ought to be.
+
+use crate::store::MetricRow;
+
+/// How far a rate of generated traffic may lie above that of the recording before it is pointed out.
+const RATE_MARGIN: f64 = 0.1;
+
+/// Sentences about the aggregates over all places, sweep by sweep in the order of the rows.
+pub(super) fn cautions(aggregates: &[MetricRow]) -> Vec<String> {
+    let rows: Vec<&MetricRow> = aggregates.iter().filter(|row| row.place.is_empty()).collect();
+    let mut sweeps: Vec<&str> = Vec::new();
+    for row in &rows {
+        if !sweeps.contains(&row.sweep.as_str()) {
+            sweeps.push(&row.sweep);
+        }
+    }
+    sweeps.into_iter().flat_map(|sweep| of_sweep(sweep, &rows)).collect()
+}
+
+fn of_sweep(sweep: &str, rows: &[&MetricRow]) -> Vec<String> {
+    let of = |metric: &str| -> Vec<&MetricRow> {
+        rows.iter().filter(|row| row.sweep == sweep && row.metric == metric).copied().collect()
+    };
+    let group = |rows: &[&MetricRow], name: &str| rows.iter().find(|row| row.group == name).map(|row| row.value);
+    let mut found = Vec::new();
+
+    let errors = of("min_scene_ade_m");
+    if let (Some(own), Some(baseline)) = (group(&errors, "unguided"), group(&errors, "constant_velocity"))
+        && own >= baseline
+    {
+        found.push(format!(
+            "Sweep {sweep}: unguided samples are no closer to the recording than a constant velocity (minSceneADE {own:.3} m \
+             against {baseline:.3} m). Train the denoiser longer, or on more scenes like these."
+        ));
+    }
+    for (metric, what) in [
+        ("collision_rate", "of samples hold a collision"),
+        ("offroad_rate", "of vehicles leave the road"),
+        ("acceleration_violation_rate", "of vehicles break the acceleration limit"),
+    ] {
+        let rates = of(metric);
+        let Some(recorded) = group(&rates, "recorded") else { continue };
+        let generated = rates.iter().filter(|row| !matches!(row.group.as_str(), "recorded" | "constant_velocity"));
+        let worst = generated.max_by(|a, b| a.value.total_cmp(&b.value));
+        if let Some(worst) = worst.filter(|row| row.value > recorded + RATE_MARGIN) {
+            found.push(format!(
+                "Sweep {sweep}: at strength {}, {:.0} % {what}; in the recording {:.0} %.",
+                worst.strength,
+                100.0 * worst.value,
+                100.0 * recorded
+            ));
+        }
+    }
+    let rates = of("behavior_rate");
+    if let Some(unguided) = group(&rates, "unguided") {
+        let guided = rates.iter().filter(|row| row.group == sweep);
+        for row in guided.filter(|row| row.value <= unguided) {
+            found.push(format!(
+                "Sweep {sweep}: guidance at strength {} does not raise the rate of the behavior ({:.1} % against {:.1} % unguided).",
+                row.strength,
+                100.0 * row.value,
+                100.0 * unguided
+            ));
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(group: &str, strength: f64, metric: &str, value: f64) -> MetricRow {
+        MetricRow {
+            group: group.to_owned(),
+            sweep: "cut_ins".to_owned(),
+            strength,
+            place: String::new(),
+            scene_id: None,
+            scenario_id: None,
+            metric: metric.to_owned(),
+            value,
+            n: 16,
+            std_error: None,
+        }
+    }
+
+    #[test]
+    fn good_figures_need_no_words_and_bad_ones_name_sweep_and_values() {
+        let figures = |ade: f64, collisions: f64, guided: f64| {
+            [
+                row("recorded", 0.0, "collision_rate", 0.02),
+                row("constant_velocity", 0.0, "collision_rate", 0.9),
+                row("unguided", 0.0, "collision_rate", 0.05),
+                row("cut_ins", 30.0, "collision_rate", collisions),
+                row("constant_velocity", 0.0, "min_scene_ade_m", 0.5),
+                row("unguided", 0.0, "min_scene_ade_m", ade),
+                row("unguided", 0.0, "behavior_rate", 0.1),
+                row("cut_ins", 30.0, "behavior_rate", guided),
+            ]
+        };
+        assert!(cautions(&figures(0.4, 0.1, 0.3)).is_empty());
+        let found = cautions(&figures(0.6, 0.4, 0.1));
+        assert_eq!(found.len(), 3, "{found:?}");
+        assert!(found[0].contains("0.600 m against 0.500 m"));
+        assert!(found[1].contains("at strength 30, 40 %") && found[1].contains("in the recording 2 %"));
+        assert!(found[2].contains("10.0 % against 10.0 %"));
+    }
+
+    #[test]
+    fn single_places_are_left_to_the_tables() {
+        let mut of_a_place = row("unguided", 0.0, "min_scene_ade_m", 9.0);
+        let mut baseline = row("constant_velocity", 0.0, "min_scene_ade_m", 1.0);
+        of_a_place.place = "A".to_owned();
+        baseline.place = "A".to_owned();
+        assert!(cautions(&[of_a_place, baseline]).is_empty());
+    }
+}
