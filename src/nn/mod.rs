@@ -12,6 +12,7 @@ mod error;
 mod fourier;
 mod layer_norm;
 mod linear;
+mod memory;
 mod mlp;
 pub mod ops;
 mod params;
@@ -24,6 +25,7 @@ pub use error::Error;
 pub use fourier::sinusoidal;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
+pub use memory::keep_freed_memory;
 pub use mlp::Mlp;
 pub use params::{Init, Params, Scope};
 

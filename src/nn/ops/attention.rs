@@ -115,8 +115,8 @@ impl FusedSelfAttention {
         let head_dim = dim / self.n_heads;
         for (i, weights) in weights.chunks_exact_mut(rows.len() * rows.len()).enumerate() {
             let head = self.head(qkv, dim, i);
-            let (query, key_t) = (head.query.gather(rows), head.key.gather_transposed(rows));
-            scatter(mixed, i * head_dim, &attend(weights, &query, &key_t, &head.value.gather(rows), head_dim));
+            let (query, key) = (head.query.gather(rows), head.key.gather(rows));
+            scatter(mixed, i * head_dim, &attend(weights, &query, &key, &head.value.gather(rows), head_dim));
         }
     }
 
@@ -128,7 +128,7 @@ impl FusedSelfAttention {
         for (i, weights) in weights.chunks_exact(rows.len() * rows.len()).enumerate() {
             let head = self.head(qkv, dim, i);
             let grad = Columns { data: grad, width: dim, first: i * head_dim, n: head_dim }.gather(rows);
-            attend_backward(&mut grad_scores, weights, &head.value.gather_transposed(rows), &grad, head_dim);
+            attend_backward(&mut grad_scores, weights, &head.value.gather(rows), &grad, head_dim);
             scatter(dqkv, head.query.first, &mix(&grad_scores, &head.key.gather(rows), head_dim));
             let (mut dkey, mut dvalue) = (vec![0.0; rows.len() * head_dim], vec![0.0; rows.len() * head_dim]);
             add_mixed_back(&mut dkey, &grad_scores, &head.query.gather(rows), head_dim);

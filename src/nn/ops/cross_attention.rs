@@ -126,17 +126,11 @@ impl FusedCrossAttention {
         Columns { data, width: dim, first: head * n, n }
     }
 
-    /// Keys (`part` 0) or values (`part` 1) of the valid lanes, made dense by `gather`.
-    fn pack(
-        &self,
-        keys: &[f32],
-        dim: usize,
-        part: usize,
-        gather: impl Fn(Columns<'_>, &[u32]) -> Vec<f32> + Sync,
-    ) -> Packed {
+    /// Keys (`part` 0) or values (`part` 1) of the valid lanes.
+    fn pack(&self, keys: &[f32], dim: usize, part: usize) -> Packed {
         let n = dim / self.n_heads;
         let columns = |head: usize| Columns { data: keys, width: 2 * dim, first: part * dim + head * n, n };
-        let of_map = |map: &Map| (0..self.n_heads).map(|head| gather(columns(head), &map.lanes)).collect();
+        let of_map = |map: &Map| (0..self.n_heads).map(|head| columns(head).gather(&map.lanes)).collect();
         self.maps.par_iter().map(of_map).collect()
     }
 
@@ -150,8 +144,8 @@ impl FusedCrossAttention {
         grad_scores: &mut [f32],
     ) -> Vec<f32> {
         let n = dim / self.n_heads;
-        let key = self.pack(keys, dim, 0, |columns, rows| columns.gather(rows));
-        let value_t = self.pack(keys, dim, 1, |columns, rows| columns.gather_transposed(rows));
+        let key = self.pack(keys, dim, 0);
+        let value = self.pack(keys, dim, 1);
         let tasks = self.tasks();
         let n_weights = self.n_weights(&tasks);
         let mut dquery = vec![0.0; grad.len()];
@@ -164,7 +158,7 @@ impl FusedCrossAttention {
             let heads = weights.chunks_exact(n_weights).zip(grad_scores.chunks_exact_mut(n_weights));
             for (head, (weights, grad_scores)) in heads.enumerate() {
                 let grad = self.head(grad, dim, head).gather(task.states);
-                attend_backward(grad_scores, weights, &value_t[task.map][head], &grad, n);
+                attend_backward(grad_scores, weights, &value[task.map][head], &grad, n);
                 scatter(dquery, head * n, &mix(grad_scores, &key[task.map][head], n));
             }
         });
@@ -226,8 +220,8 @@ impl CustomOp2 for FusedCrossAttention {
         let (query, keys) = (slice(query, query_layout)?, slice(keys, keys_layout)?);
         let dim = query_layout.shape().dims4()?.3;
         let n = dim / self.n_heads;
-        let key_t = self.pack(keys, dim, 0, |columns, rows| columns.gather_transposed(rows));
-        let value = self.pack(keys, dim, 1, |columns, rows| columns.gather(rows));
+        let key = self.pack(keys, dim, 0);
+        let value = self.pack(keys, dim, 1);
         let tasks = self.tasks();
         let n_weights = self.n_weights(&tasks);
         let (mut mixed, mut weights) = (vec![0.0; query.len()], vec![0.0; n_weights.iter().sum()]);
@@ -239,8 +233,8 @@ impl CustomOp2 for FusedCrossAttention {
             let n_weights = weights.len() / self.n_heads;
             for (head, weights) in weights.chunks_exact_mut(n_weights).enumerate() {
                 let query = self.head(query, dim, head).gather(task.states);
-                let (key_t, value) = (&key_t[task.map][head], &value[task.map][head]);
-                scatter(mixed, head * n, &attend(weights, &query, key_t, value, n));
+                let (key, value) = (&key[task.map][head], &value[task.map][head]);
+                scatter(mixed, head * n, &attend(weights, &query, key, value, n));
             }
         });
         if self.is_tracked && self.weights.set(weights).is_err() {

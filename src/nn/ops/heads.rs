@@ -27,18 +27,6 @@ impl Columns<'_> {
         }
         dense
     }
-
-    /// The same, transposed: (n, rows). Products with a transposed right-hand side are up to twice as slow.
-    pub(super) fn gather_transposed(self, rows: &[u32]) -> Vec<f32> {
-        let mut dense = vec![0.0; rows.len() * self.n];
-        for (i, row) in rows.iter().enumerate() {
-            let values = &self.data[*row as usize * self.width + self.first..][..self.n];
-            for (j, value) in values.iter().enumerate() {
-                dense[j * rows.len() + i] = *value;
-            }
-        }
-        dense
-    }
 }
 
 /// Scores are divided by √d.
@@ -46,28 +34,22 @@ fn scale(head_dim: usize) -> f32 {
     1.0 / (head_dim as f32).sqrt()
 }
 
-/// softmax(Q Kᵀ / √d) V for queries (n, d), transposed keys (d, m) and values (m, d). Fills `weights` (n, m) and returns
+/// softmax(Q Kᵀ / √d) V for queries (n, d), keys (m, d) and values (m, d). Fills `weights` (n, m) and returns
 /// (n, d).
-pub(super) fn attend(weights: &mut [f32], query: &[f32], key_t: &[f32], value: &[f32], head_dim: usize) -> Vec<f32> {
+pub(super) fn attend(weights: &mut [f32], query: &[f32], key: &[f32], value: &[f32], head_dim: usize) -> Vec<f32> {
     let n_keys = value.len() / head_dim;
-    matmul(weights, Into::Replace, scale(head_dim), Matrix::new(query, head_dim), Matrix::new(key_t, n_keys));
+    matmul(weights, Into::Replace, scale(head_dim), Matrix::new(query, head_dim), Matrix::new(key, head_dim).t());
     softmax_rows(weights, n_keys);
     let mut mixed = vec![0.0; query.len()];
     matmul(&mut mixed, Into::Replace, 1.0, Matrix::new(weights, n_keys), Matrix::new(value, head_dim));
     mixed
 }
 
-/// The gradient at the scores, before their scaling, of [`attend`] with these `weights` (n, m) and transposed values (d, m)
+/// The gradient at the scores, before their scaling, of [`attend`] with these `weights` (n, m) and values (m, d)
 /// where its result has the gradient `grad` (n, d). Fills `grad_scores` (n, m).
-pub(super) fn attend_backward(
-    grad_scores: &mut [f32],
-    weights: &[f32],
-    value_t: &[f32],
-    grad: &[f32],
-    head_dim: usize,
-) {
-    let n_keys = value_t.len() / head_dim;
-    matmul(grad_scores, Into::Replace, 1.0, Matrix::new(grad, head_dim), Matrix::new(value_t, n_keys));
+pub(super) fn attend_backward(grad_scores: &mut [f32], weights: &[f32], value: &[f32], grad: &[f32], head_dim: usize) {
+    let n_keys = value.len() / head_dim;
+    matmul(grad_scores, Into::Replace, 1.0, Matrix::new(grad, head_dim), Matrix::new(value, head_dim).t());
     softmax_rows_backward(grad_scores, weights, n_keys, scale(head_dim));
 }
 
