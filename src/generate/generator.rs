@@ -3,6 +3,7 @@
 use super::{Error, GenerateConfig, SweepConfig};
 use crate::behavior::Behavior;
 use crate::model::{DenoiserSpec, TrainedClassifier, TrainedDenoiser};
+use crate::nn::keep_freed_memory;
 use crate::scene::{Scene, SceneId};
 use crate::seed::Seed;
 use crate::tensor::Normalizer;
@@ -42,6 +43,7 @@ impl<'a> Generator<'a> {
         device: &'a Device,
     ) -> Result<Self, Error> {
         config.validate()?;
+        keep_freed_memory();
         let generator = Self { config, models, behaviors, scenes, device };
         for sweep in &config.sweeps {
             generator.check(sweep)?;

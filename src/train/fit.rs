@@ -1,7 +1,7 @@
 //! One training loop for every model: steps, warm-up, clipping, averages, evaluation, and a state to resume from.
 
 use super::Error;
-use crate::nn::{Adam, Ema, Params, read_checkpoint, write_checkpoint};
+use crate::nn::{Adam, Ema, Params, keep_freed_memory, read_checkpoint, write_checkpoint};
 use crate::progress::Progress;
 use candle_core::Tensor;
 use fs_err as fs;
@@ -123,6 +123,7 @@ pub fn fit(
     dir: &Path,
     progress: &dyn Progress,
 ) -> Result<FitOutcome, Error> {
+    keep_freed_memory();
     fs::create_dir_all(dir)?;
     let mut run = Run::open(config, params, dir)?;
     let first_step = run.position.step;
@@ -188,7 +189,7 @@ impl Run {
         if config.ema_decay > 0.0 {
             run.ema = Some(match averages.is_empty() {
                 true => Ema::new(config.ema_decay, params)?,
-                false => Ema::resume(config.ema_decay, run.position.ema_updates, &averages)?,
+                false => Ema::resume(config.ema_decay, run.position.ema_updates, averages),
             });
         }
         run.read_statistics()?;
