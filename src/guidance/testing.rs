@@ -72,7 +72,14 @@ pub(crate) fn denoiser_spec(parametrization: StateParametrization) -> DenoiserSp
     (0..100).for_each(|idx| normalizer.add(&scene(idx)));
     DenoiserSpec {
         kind: DenoiserKind::SceneDenoiser,
-        network: NetworkConfig { layers: "TAM".to_owned(), width: 16, n_heads: 2, feed_forward: 32, encoding: 8 },
+        network: NetworkConfig {
+            layers: "TAM".to_owned(),
+            width: 16,
+            n_heads: 2,
+            feed_forward: 32,
+            encoding: 8,
+            ..NetworkConfig::default()
+        },
         edm: Edm::default(),
         normalizer: normalizer.finish(parametrization, 3),
         n_history: N_HISTORY,

@@ -4,7 +4,7 @@ use super::archive::{Entry, visit_entries};
 use super::config::IngestConfig;
 use super::error::Error;
 use super::lane_index::LaneIndex;
-use super::source::RecordingSource;
+use super::source::{MapFile, RecordingSource};
 use crate::progress::Progress;
 use crate::scene::MapId;
 use std::collections::btree_map::Entry as MapEntry;
@@ -15,7 +15,16 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// The maps of places and cities by id. Empty when maps are not asked for, or when scenes bring their own.
 #[derive(Debug, Default)]
-pub(super) struct MapCatalog(BTreeMap<MapId, LaneIndex>);
+pub(super) struct MapCatalog(BTreeMap<MapId, Listed>);
+
+/// A map and the file it is from.
+#[derive(Debug)]
+struct Listed {
+    lanes: LaneIndex,
+    rank: u8,
+    path: String,
+    warnings: String,
+}
 
 impl MapCatalog {
     /// Reads the maps among `map_inputs`, or else among the inputs themselves.
@@ -49,6 +58,9 @@ impl MapCatalog {
         }
         let needed = needed.into_inner().unwrap_or_else(PoisonError::into_inner);
         catalog.require(needed.into_iter().filter(|id| !catalog.0.contains_key(id)))?;
+        for listed in catalog.0.values().filter(|listed| !listed.warnings.is_empty()) {
+            progress.warn(&format!("{}: {}", listed.path, listed.warnings));
+        }
         Ok(catalog)
     }
 
@@ -59,22 +71,27 @@ impl MapCatalog {
         source: &dyn RecordingSource,
         progress: &dyn Progress,
     ) -> Result<(), Error> {
-        for (id, graph) in source.read_map(entry, reader)? {
-            match self.0.entry(id) {
-                MapEntry::Vacant(place) => {
-                    place.insert(LaneIndex::new(Arc::new(graph)));
-                }
-                MapEntry::Occupied(known) => {
-                    progress.note(&format!("{} passed over: map {} is already read", entry.path, known.key()));
-                }
+        let Some(MapFile { id, graph, rank, warnings }) = source.read_map(entry, reader)? else { return Ok(()) };
+        let passed_over = |path: &str, id: &MapId, chosen: &str| {
+            progress.note(&format!("{path} passed over: {chosen} holds map {id} too"));
+        };
+        let listed = || Listed { lanes: LaneIndex::new(Arc::new(graph)), rank, path: entry.path.clone(), warnings };
+        match self.0.entry(id) {
+            MapEntry::Vacant(place) => {
+                place.insert(listed());
             }
+            MapEntry::Occupied(mut place) if rank < place.get().rank => {
+                passed_over(&place.get().path, place.key(), &entry.path);
+                place.insert(listed());
+            }
+            MapEntry::Occupied(place) => passed_over(&entry.path, place.key(), &place.get().path),
         }
         Ok(())
     }
 
     /// The map of this id.
     pub(super) fn get(&self, id: &MapId) -> Option<&LaneIndex> {
-        self.0.get(id)
+        self.0.get(id).map(|listed| &listed.lanes)
     }
 
     /// Fails if any map is missing.

@@ -34,16 +34,29 @@ pub trait RecordingSource: Sync {
     /// Whether the entry at `path` is a map to be read before all recordings.
     fn is_map(&self, path: &str) -> bool;
 
-    /// Reads such a map. Where several files hold the map of one place, the first counts.
+    /// Reads such a map; `None` when the entry is none after all.
     ///
     /// # Errors
     /// [`Error::Map`] when the map is not whole.
-    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Vec<(MapId, LaneGraph)>, Error>;
+    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Option<MapFile>, Error>;
 
     /// The map that the recordings at `path` need, where the path tells: lets a missing map be reported before reading.
     fn map_of(&self, _path: &str) -> Option<MapId> {
         None
     }
+}
+
+/// A map as read from its file.
+#[derive(Debug)]
+pub struct MapFile {
+    /// Which map it is.
+    pub id: MapId,
+    /// Its lanes.
+    pub graph: LaneGraph,
+    /// Where several files hold one map, that of the lowest rank counts, and of equal ones the first.
+    pub rank: u8,
+    /// What is wrong with it, for people; empty when nothing is.
+    pub warnings: String,
 }
 
 /// Receives units, and rejects of what cannot be made a unit; each counts as one unit. `Break` means: no more are wanted.

@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Shape of the network.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct NetworkConfig {
     /// The trunk, one letter a layer: T attends over time, A over agents, M reads the map. Blanks are ignored.
@@ -20,16 +20,38 @@ pub struct NetworkConfig {
     pub feed_forward: usize,
     /// Features of each sinusoidal encoding (the paper's 256); even.
     pub encoding: usize,
+    /// Shortest and longest period of the encodings of diffused states, in units of c_in(σ) x (the paper's 0.01 and 10). Periods
+    /// far below 1 carry nothing but noise while σ is large.
+    pub latent_periods: [f64; 2],
+    /// Whether the network also sees the residuals that diffused motion adds up to (motion parametrization only).
+    pub path_input: bool,
 }
 
 impl Default for NetworkConfig {
     fn default() -> Self {
-        Self { layers: "TATM TATM TATM TAT".to_owned(), width: 256, n_heads: 4, feed_forward: 1024, encoding: 256 }
+        Self {
+            layers: "TATM TATM TATM TAT".to_owned(),
+            width: 256,
+            n_heads: 4,
+            feed_forward: 1024,
+            encoding: 256,
+            latent_periods: [0.01, 10.0],
+            path_input: false,
+        }
+    }
+}
+
+impl NetworkConfig {
+    /// The same network with the paper's encodings of diffused states, and without the input of paths.
+    #[must_use]
+    pub fn without_paths(self) -> Self {
+        let Self { latent_periods, path_input, .. } = Self::default();
+        Self { latent_periods, path_input, ..self }
     }
 }
 
 /// Shortest and longest encoding periods (paper, Appendix A, table "periods").
-const STATE_PERIODS: (f64, f64) = (0.01, 10.0);
+const STATE_PERIODS: [f64; 2] = [0.01, 10.0];
 const TIMESTEP_PERIODS: (f64, f64) = (1.0, 100.0);
 const NOISE_PERIODS: (f64, f64) = (0.1, 10_000.0);
 
@@ -56,6 +78,7 @@ struct Layer {
 #[derive(Debug, Clone)]
 pub struct SceneNetwork {
     encoding: usize,
+    latent_periods: [f64; 2],
     input_latent: Linear,
     input_known: Linear,
     input_noise: Linear,
@@ -104,7 +127,8 @@ impl SceneNetwork {
         let NetworkConfig { width, n_heads, feed_forward, encoding, .. } = *config;
         let n_known = encoding * (state_dim + 1) + FeatureLayout::AGENT;
         let mut input = scope.enter("input");
-        let input_latent = Linear::new(&mut input, "latent", encoding * state_dim, width)?;
+        let n_latent = if config.path_input { 2 * state_dim } else { state_dim };
+        let input_latent = Linear::new(&mut input, "latent", encoding * n_latent, width)?;
         let input_known = Linear::new(&mut input, "known", n_known, width)?;
         let input_noise = Linear::new(&mut input, "noise", encoding, width)?;
         let input_out = Linear::new(&mut input, "out", width, width)?;
@@ -128,7 +152,19 @@ impl SceneNetwork {
         }
         let norm_out = LayerNorm::new(scope, "norm_out", width)?;
         let output = Mlp::new(scope, "output", &[width, width, state_dim])?;
-        Ok(Self { encoding, input_latent, input_known, input_noise, input_out, lane_encoder, layers, norm_out, output })
+        let latent_periods = config.latent_periods;
+        Ok(Self {
+            encoding,
+            latent_periods,
+            input_latent,
+            input_known,
+            input_noise,
+            input_out,
+            lane_encoder,
+            layers,
+            norm_out,
+            output,
+        })
     }
 
     /// Encodes what does not change between calls: known states `context` (B, A, T, D), agent features (B, A, T, C),
@@ -145,7 +181,7 @@ impl SceneNetwork {
         lane_valid: &Tensor,
     ) -> Result<Known> {
         let (n_rows, n_agents, n_timesteps, _) = context.dims4()?;
-        let states = self.encode_states(context)?;
+        let states = self.encode_states(context, STATE_PERIODS)?;
         let timesteps: Vec<f32> = (0..n_timesteps).map(|t| t as f32).collect();
         let timesteps = Tensor::from_vec(timesteps, n_timesteps, context.device())?;
         let timesteps = sinusoidal(&timesteps, self.encoding, TIMESTEP_PERIODS.0, TIMESTEP_PERIODS.1)?
@@ -171,7 +207,7 @@ impl SceneNetwork {
     /// Fails when shapes do not fit.
     pub fn forward(&self, x: &Tensor, known: &Known, c_noise: &Tensor) -> Result<Tensor> {
         let valid = &known.valid;
-        let latent = self.input_latent.forward_valid(&self.encode_states(x)?, valid)?;
+        let latent = self.input_latent.forward_valid(&self.encode_states(x, self.latent_periods)?, valid)?;
         let noise = sinusoidal(c_noise, self.encoding, NOISE_PERIODS.0, NOISE_PERIODS.1)?;
         let noise = self.input_noise.forward(&noise)?.unsqueeze(1)?.unsqueeze(1)?;
         let hidden = (latent + &known.input)?.broadcast_add(&noise)?.relu()?;
@@ -194,7 +230,7 @@ impl SceneNetwork {
     }
 
     /// Sinusoidal encodings of every scalar, concatenated: (B, A, T, D) to (B, A, T, D · encoding).
-    fn encode_states(&self, states: &Tensor) -> Result<Tensor> {
-        sinusoidal(states, self.encoding, STATE_PERIODS.0, STATE_PERIODS.1)?.flatten_from(3)
+    fn encode_states(&self, states: &Tensor, periods: [f64; 2]) -> Result<Tensor> {
+        sinusoidal(states, self.encoding, periods[0], periods[1])?.flatten_from(3)
     }
 }

@@ -12,6 +12,7 @@ use candle_core::{Result, Tensor};
 pub struct SceneDenoiser {
     network: SceneNetwork,
     edm: Edm,
+    path_input: bool,
 }
 
 impl SceneDenoiser {
@@ -20,7 +21,11 @@ impl SceneDenoiser {
     /// # Errors
     /// Fails when the configuration is no network.
     pub fn new(params: &mut Params, config: &NetworkConfig, state_dim: usize, edm: Edm, seed: Seed) -> Result<Self> {
-        Ok(Self { network: SceneNetwork::new(&mut Scope::root(params, seed), config, state_dim)?, edm })
+        Ok(Self {
+            network: SceneNetwork::new(&mut Scope::root(params, seed), config, state_dim)?,
+            edm,
+            path_input: config.path_input,
+        })
     }
 
     /// The constants of its diffusion.
@@ -43,11 +48,16 @@ impl SceneDenoiser {
             &batch.lane_valid,
         )?;
         let latent = batch.latent.unsqueeze(3)?;
+        let path = if self.path_input { batch.unit_path()? } else { None };
+        if self.path_input && path.is_none() {
+            candle_core::bail!("path_input needs the motion parametrization");
+        }
         if n_samples == 1 {
-            return Ok(BoundDenoiser { denoiser: self, known, latent });
+            return Ok(BoundDenoiser { denoiser: self, known, latent, path });
         }
         let repeated = batch.latent.unsqueeze(1)?.repeat((1, n_samples, 1, 1))?.flatten(0, 1)?.unsqueeze(3)?;
-        Ok(BoundDenoiser { denoiser: self, known: known.repeated(n_samples)?, latent: repeated })
+        let path = path.map(|path| path.unsqueeze(1)?.repeat((1, n_samples, 1, 1, 1))?.flatten(0, 1)).transpose()?;
+        Ok(BoundDenoiser { denoiser: self, known: known.repeated(n_samples)?, latent: repeated, path })
     }
 }
 
@@ -57,6 +67,8 @@ pub struct BoundDenoiser<'a> {
     denoiser: &'a SceneDenoiser,
     known: Known,
     latent: Tensor,
+    /// What makes residuals of unit variance out of white motion, (B, A, T, T), where the network sees them.
+    path: Option<Tensor>,
 }
 
 impl BoundDenoiser<'_> {
@@ -74,7 +86,11 @@ impl Denoiser for BoundDenoiser<'_> {
         let c_noise = rows(&|s| edm.c_noise(s))?.flatten_all()?;
         let x = x.broadcast_mul(&self.latent)?;
         let scaled = x.broadcast_mul(&rows(&|s| edm.c_in(s))?)?;
-        let f_x = self.denoiser.network.forward(&scaled, &self.known, &c_noise)?;
+        let seen = match &self.path {
+            Some(path) => Tensor::cat(&[&scaled, &path.matmul(&scaled)?], 3)?,
+            None => scaled,
+        };
+        let f_x = self.denoiser.network.forward(&seen, &self.known, &c_noise)?;
         let skipped = x.broadcast_mul(&rows(&|s| edm.c_skip(s))?)?;
         let estimate = (skipped + f_x.broadcast_mul(&rows(&|s| edm.c_out(s))?)?)?;
         estimate.broadcast_mul(&self.latent)

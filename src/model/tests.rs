@@ -10,7 +10,15 @@ use crate::tensor::{Collator, FutureValidity, NormalizerFit, SceneBatch, SceneVi
 use candle_core::{Device, Tensor};
 
 fn config() -> NetworkConfig {
-    NetworkConfig { layers: "TAM AT".to_owned(), width: 16, n_heads: 2, feed_forward: 32, encoding: 8 }
+    NetworkConfig {
+        layers: "TAM AT".to_owned(),
+        width: 16,
+        n_heads: 2,
+        feed_forward: 32,
+        encoding: 8,
+        latent_periods: [1.0, 100.0],
+        path_input: true,
+    }
 }
 
 fn cars(n: usize) -> Scene {
@@ -27,7 +35,7 @@ fn cars(n: usize) -> Scene {
 fn collate(scenes: &[&Scene]) -> SceneBatch {
     let mut fit = NormalizerFit::default();
     fit.add(&cars(3));
-    let normalizer = fit.finish(StateParametrization::Residual, 3);
+    let normalizer = fit.finish(StateParametrization::Motion, 3);
     let collator = Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 16 };
     let masks: Vec<_> = scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), 12, 4)).collect();
     let views: Vec<_> = scenes.iter().zip(&masks).map(|(scene, mask)| SceneView { scene, ego_idx: 0, mask }).collect();
@@ -143,7 +151,12 @@ fn the_papers_network_has_15_layers_and_12_million_parameters() {
 fn outputs_and_gradients_are_those_of_pytorch() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/scene_network.safetensors");
     let golden = candle_core::safetensors::load(path, &Device::Cpu).unwrap();
-    let config = NetworkConfig { layers: "TAMT".to_owned(), ..config() };
+    let config = NetworkConfig {
+        layers: "TAMT".to_owned(),
+        latent_periods: NetworkConfig::default().latent_periods,
+        path_input: false,
+        ..config()
+    };
     let mut params = Params::new(&Device::Cpu);
     let network = SceneNetwork::new(&mut Scope::root(&mut params, Seed(1)), &config, 3).unwrap();
     let weights = golden.iter().filter_map(|(name, t)| Some((name.strip_prefix("weight.")?.to_owned(), t.clone())));
@@ -168,4 +181,22 @@ fn outputs_and_gradients_are_those_of_pytorch() {
     for (name, var) in params.iter() {
         close(name, gradients.get(var.as_tensor()).unwrap(), &golden[&format!("gradient.{name}")]);
     }
+}
+
+#[test]
+fn residuals_that_motion_adds_up_to_are_seen_and_need_the_motion_parametrization() {
+    let mut params = Params::new(&Device::Cpu);
+    let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
+    let batch = collate(&[&cars(2)]);
+    let path = batch.unit_path().unwrap().unwrap();
+    let norms = values(&path.sqr().unwrap().sum(3).unwrap());
+    let latent = values(&batch.latent);
+    assert!(norms.iter().zip(&latent).all(|(norm, latent)| (norm - latent).abs() < 1e-5));
+    let x = noisy(&batch, 2);
+    let sigma = Tensor::new(&[0.4f32], &Device::Cpu).unwrap();
+    let run = |batch: &SceneBatch| denoiser.bind(batch, 1)?.denoise(&x, &sigma);
+    let other = SceneBatch { path: batch.path.as_ref().map(|path| path.zeros_like().unwrap()), ..batch.clone() };
+    assert!(worst(&run(&batch).unwrap(), &run(&other).unwrap()) > 1e-4);
+    let without = SceneBatch { path: None, ..batch.clone() };
+    assert!(run(&without).unwrap_err().to_string().contains("motion parametrization"));
 }

@@ -40,6 +40,12 @@ pub enum Error {
         /// Why not.
         detail: String,
     },
+    /// A scene that was given twice.
+    #[error("scene {id} came twice: do the inputs overlap, such as a folder and the archive it was unpacked from?")]
+    DuplicateScene {
+        /// The scene.
+        id: String,
+    },
     /// A map that no table holds.
     #[error("map {map_id} is not among the maps of {}", .path.display())]
     UnknownMap {

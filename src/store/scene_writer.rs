@@ -4,6 +4,7 @@ use super::atomic::{FileStamp, read_json, remove_if_present, remove_partials, wr
 use super::ipc_file::{self, IpcFile};
 use super::maps::MapTable;
 use super::scene_manifest::{MANIFEST_FILE, MapsEntry, SceneManifest, ShardEntry, ShardSidecar};
+use super::tables::columns::Columns;
 use super::tables::{lane, scene};
 use super::{Error, Result};
 use crate::scene::{LaneGraph, MapId, Scene};
@@ -36,6 +37,8 @@ pub struct SceneWriter {
     shards: Vec<ShardEntry>,
     current: Shard,
     known_maps: BTreeSet<String>,
+    /// Hashes of the ids of all scenes so far.
+    known_scenes: BTreeSet<u128>,
     units_done: u64,
     report: Value,
 }
@@ -65,6 +68,7 @@ impl SceneWriter {
             shards: Vec::new(),
             current: Shard::default(),
             known_maps: BTreeSet::new(),
+            known_scenes: BTreeSet::new(),
             units_done: 0,
             report: Value::Null,
         })
@@ -94,6 +98,16 @@ impl SceneWriter {
                 known_maps.push(&path, batch)?;
             }
         }
+        let mut known_scenes = BTreeSet::new();
+        for sidecar in &finished {
+            let path = dir.join(&sidecar.shard.file);
+            for batch in ipc_file::map(&path, &scene::schema(), &sidecar.shard.stamp)? {
+                let columns = Columns::of_batch(&batch, &path);
+                for row in 0..batch.num_rows() {
+                    known_scenes.insert(hash_of(columns.text("scene_id", row)?));
+                }
+            }
+        }
         let last = finished.last().cloned();
         let writer = Self {
             dir: dir.to_owned(),
@@ -103,6 +117,7 @@ impl SceneWriter {
             shards: finished.into_iter().map(|sidecar| sidecar.shard).collect(),
             current: Shard::default(),
             known_maps: known_maps.ids().map(str::to_owned).collect(),
+            known_scenes,
         };
         Ok((writer, last))
     }
@@ -111,8 +126,8 @@ impl SceneWriter {
     /// `units_done` and `report` are cumulative since the start of the job, and describe it once this batch is in.
     ///
     /// # Errors
-    /// [`Error::Invalid`] when a scene cannot be stored, for instance because its map was never given; those of the file
-    /// system. The writer is of no use afterwards, but what it finished remains for [`resume`](Self::resume).
+    /// [`Error::Invalid`] when a scene cannot be stored, for instance because its map was never given;
+    /// [`Error::DuplicateScene`] when its id was given before; those of the file system. The writer is of no use afterwards, but what it finished remains for [`resume`](Self::resume).
     pub fn write_batch(
         &mut self,
         scenes: &[Scene],
@@ -123,6 +138,9 @@ impl SceneWriter {
         self.write_maps(maps)?;
         if let Some(scene) = scenes.iter().find(|scene| !self.has_map_of(scene)) {
             return Err(Error::invalid(&scene.id, "its map was not given before it"));
+        }
+        if let Some(scene) = scenes.iter().find(|scene| !self.known_scenes.insert(hash_of(&scene.id.0))) {
+            return Err(Error::DuplicateScene { id: scene.id.to_string() });
         }
         if !scenes.is_empty() {
             let path = self.path_of("scenes", "arrow");
@@ -212,6 +230,13 @@ fn open_or_create(file: &mut Option<IpcFile>, create: impl FnOnce() -> Result<Ip
         Some(file) => Ok(file),
         None => Ok(file.insert(create()?)),
     }
+}
+
+/// Enough of a hash to tell any number of scenes apart.
+fn hash_of(scene_id: &str) -> u128 {
+    let mut start = [0; 16];
+    start.copy_from_slice(&blake3::hash(scene_id.as_bytes()).as_bytes()[..16]);
+    u128::from_le_bytes(start)
 }
 
 fn shard_name(kind: &str, shard_idx: usize, extension: &str) -> String {
@@ -376,6 +401,20 @@ mod tests {
         let writer = SceneWriter::create(dir.path(), OPTIONS).unwrap();
         drop(writer);
         assert_eq!(folder_bytes(dir.path()).into_keys().collect::<Vec<_>>(), ["scenes-of-mine.txt"]);
+    }
+
+    #[test]
+    fn a_scene_that_comes_twice_is_refused_even_after_an_interruption() {
+        let dir = tempfile::tempdir().unwrap();
+        let batches = batches();
+        let options = SceneWriterOptions { scenes_per_shard: 3 };
+        let mut writer = SceneWriter::create(dir.path(), options).unwrap();
+        let (scenes, maps, units) = &batches[0];
+        writer.write_batch(scenes, maps, *units, &json!({})).unwrap();
+        for mut writer in [writer, SceneWriter::resume(dir.path(), options).unwrap().0] {
+            let error = writer.write_batch(&scenes[1..2], &[], units + 1, &json!({})).unwrap_err();
+            assert!(matches!(&error, Error::DuplicateScene { id } if *id == scenes[1].id.0), "{error}");
+        }
     }
 
     #[test]

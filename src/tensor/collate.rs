@@ -1,6 +1,7 @@
 //! Builds batches: chooses agents, centers each scene on its ego agent, and writes states, masks and features.
 
 use super::features::lane_polylines;
+use super::motion::MotionChain;
 use super::reference::Reference;
 use super::{FeatureLayout, Normalizer, SceneBatch, StateParametrization};
 use crate::geometry::{Transform2, Vec2, angle_difference, unwrap_angles};
@@ -79,7 +80,7 @@ impl Collator {
             .collect();
         let n_agents = frames.iter().map(|frame| frame.agents.len()).max().unwrap_or(0).max(1);
         let n_lanes = lanes.iter().map(Vec::len).max().unwrap_or(0).max(1);
-        let mut rows = Buffers::new(views.len(), n_agents, self.n_timesteps, n_lanes, self.normalizer.state_dim);
+        let mut rows = Buffers::new([views.len(), n_agents, self.n_timesteps, n_lanes], &self.normalizer);
         for (row, (view, frame)) in views.iter().zip(&frames).enumerate() {
             for (slot, agent_idx) in frame.agents.iter().enumerate() {
                 self.write_agent(&mut rows, row * n_agents + slot, view, frame, *agent_idx, validity);
@@ -123,11 +124,11 @@ impl Collator {
         let observed = |timestep: usize| frame.observed(agent_idx, timestep) && track.trajectory.is_valid(timestep);
         let reference = Reference::new(track, view.scene.dt_s, observed);
         let is_observed_at_all = reference.at(0).is_some();
-        let residual = normalizer.parametrization == StateParametrization::Residual;
+        let residual = normalizer.parametrization != StateParametrization::Scene;
         let ego_heading = frame.ego_from_scene.rotation_rad;
         // An agent never observed has no frame of its own: it is diffused in the ego frame, in scene units.
         let (frame_heading, unit) = if residual && is_observed_at_all {
-            (reference.frame_heading_rad() + ego_heading, normalizer.residual_units())
+            (reference.frame_heading_rad() + ego_heading, normalizer.agent_units())
         } else {
             (0.0, normalizer.scene_units())
         };
@@ -166,6 +167,7 @@ impl Collator {
         }
 
         let extent = track.extent;
+        let mut residuals: Vec<Option<[f64; 3]>> = vec![None; self.n_timesteps];
         for (i, (timestep, is_observed)) in entries.iter().enumerate() {
             let (entry, position, heading) = (at * self.n_timesteps + timestep, base_positions[i], base_headings[i]);
             rows.write_base(entry, position, heading, normalizer, *is_observed || (residual && is_observed_at_all));
@@ -190,12 +192,19 @@ impl Collator {
                 } else {
                     recorded_headings[i]
                 };
-                let x = [offset.x / unit[0], offset.y / unit[1], turn / unit[2]];
-                for (slot, value) in rows.x0[entry * normalizer.state_dim..].iter_mut().zip(&x[..normalizer.state_dim])
-                {
-                    *slot = *value as f32;
-                }
+                residuals[*timestep] = Some([offset.x, offset.y, turn]);
             }
+        }
+        if normalizer.parametrization == StateParametrization::Motion {
+            let timesteps = |wanted: bool| -> Vec<usize> {
+                entries.iter().filter(|(_, is_observed)| *is_observed == wanted).map(|(t, _)| *t).collect()
+            };
+            let chain = MotionChain::new(&timesteps(true), &timesteps(false));
+            let motion = chain.encode(|timestep| residuals[timestep]);
+            rows.write_x0(at, motion, &unit);
+            rows.write_path(at, &chain.matrix(self.n_timesteps));
+        } else {
+            rows.write_x0(at, residuals.into_iter().enumerate().filter_map(|(t, r)| Some((t, r?))), &unit);
         }
     }
 
@@ -236,10 +245,12 @@ struct Buffers {
     base: Vec<f32>,
     rotation: Vec<f32>,
     unit: Vec<f32>,
+    path: Option<Vec<f32>>,
 }
 
 impl Buffers {
-    fn new(n_rows: usize, n_agents: usize, n_timesteps: usize, n_lanes: usize, state_dim: usize) -> Self {
+    fn new([n_rows, n_agents, n_timesteps, n_lanes]: [usize; 4], normalizer: &Normalizer) -> Self {
+        let state_dim = normalizer.state_dim;
         let n_entries = n_rows * n_agents * n_timesteps;
         // Padded agents keep rotation 0: whatever they hold decodes to zero.
         Self {
@@ -254,6 +265,26 @@ impl Buffers {
             base: vec![0.0; n_entries * 3],
             rotation: vec![0.0; n_rows * n_agents * 2],
             unit: vec![0.0; n_rows * n_agents * 3],
+            path: (normalizer.parametrization == StateParametrization::Motion)
+                .then(|| vec![0.0; n_entries * n_timesteps]),
+        }
+    }
+
+    /// Writes the clean diffused states of the agent at `at` in (B, A), given by timestep in metres and radians.
+    fn write_x0(&mut self, at: usize, values: impl IntoIterator<Item = (usize, [f64; 3])>, unit: &[f64; 3]) {
+        let [_, _, n_timesteps, _, state_dim] = self.shape;
+        for (timestep, value) in values {
+            let entry = at * n_timesteps + timestep;
+            let slots = &mut self.x0[entry * state_dim..(entry + 1) * state_dim];
+            for ((slot, value), unit) in slots.iter_mut().zip(value).zip(unit) {
+                *slot = (value / unit) as f32;
+            }
+        }
+    }
+
+    fn write_path(&mut self, at: usize, matrix: &[f32]) {
+        if let Some(path) = &mut self.path {
+            path[at * matrix.len()..(at + 1) * matrix.len()].copy_from_slice(matrix);
         }
     }
 
@@ -293,6 +324,7 @@ impl Buffers {
             base: Tensor::from_vec(self.base, (b, a, t, 3), device)?,
             rotation: Tensor::from_vec(self.rotation, (b, a, 2), device)?,
             unit: Tensor::from_vec(self.unit, (b, a, 3), device)?,
+            path: self.path.map(|path| Tensor::from_vec(path, (b, a, t, t), device)).transpose()?,
             frames: frames.into_iter().map(Arc::new).collect(),
         })
     }

@@ -3,6 +3,7 @@
 mod collate;
 mod features;
 mod mask_sampler;
+mod motion;
 mod normalizer;
 mod pair_features;
 mod reference;

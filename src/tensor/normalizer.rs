@@ -1,5 +1,6 @@
 //! Training-set constants that bring what is diffused to a standard deviation of σ_data = 0.5.
 
+use super::motion::MotionChain;
 use super::reference::Reference;
 use crate::geometry::{angle_difference, unwrap_angles};
 use crate::scene::{ObservationMask, Scene};
@@ -17,8 +18,10 @@ pub enum StateParametrization {
     Scene,
     /// Each agent's residual to a kinematic reference that follows from the observed states, in the agent's own
     /// frame: an invertible change of variables, which a network learns about five times closer in the same time.
-    #[default]
     Residual,
+    /// The residual's motion from timestep to timestep: its paths are smooth whatever the network's small errors.
+    #[default]
+    Motion,
 }
 
 /// Scales from normalized units to metres and radians. Constants of the training set, so that nothing of a
@@ -40,6 +43,12 @@ pub struct Normalizer {
     pub lateral_unit_m: f64,
     /// Radians per unit of residual heading.
     pub residual_heading_unit_rad: f64,
+    /// Metres per timestep per unit of residual motion along the agent's heading.
+    pub motion_longitudinal_unit_m: f64,
+    /// Metres per timestep per unit of residual motion across the agent's heading.
+    pub motion_lateral_unit_m: f64,
+    /// Radians per timestep per unit of residual turning.
+    pub motion_heading_unit_rad: f64,
     /// Metres per second per unit of observed velocity.
     pub velocity_unit_mps: f64,
     /// Metres per unit of an agent's size.
@@ -55,6 +64,20 @@ impl Normalizer {
     /// Units of (longitudinal, lateral, heading) residuals in an agent's frame.
     pub const fn residual_units(&self) -> [f64; 3] {
         [self.longitudinal_unit_m, self.lateral_unit_m, self.residual_heading_unit_rad]
+    }
+
+    /// Units of (longitudinal, lateral, heading) residual motion in an agent's frame.
+    pub const fn motion_units(&self) -> [f64; 3] {
+        [self.motion_longitudinal_unit_m, self.motion_lateral_unit_m, self.motion_heading_unit_rad]
+    }
+
+    /// Units of what is diffused of an agent that is observed at some time.
+    pub(super) const fn agent_units(&self) -> [f64; 3] {
+        match self.parametrization {
+            StateParametrization::Scene => self.scene_units(),
+            StateParametrization::Residual => self.residual_units(),
+            StateParametrization::Motion => self.motion_units(),
+        }
     }
 }
 
@@ -83,9 +106,8 @@ impl RootMeanSquare {
 pub struct NormalizerFit {
     position: RootMeanSquare,
     heading: RootMeanSquare,
-    longitudinal: RootMeanSquare,
-    lateral: RootMeanSquare,
-    residual_heading: RootMeanSquare,
+    residual: [RootMeanSquare; 3],
+    motion: [RootMeanSquare; 3],
     velocity: RootMeanSquare,
     extent: RootMeanSquare,
 }
@@ -103,6 +125,7 @@ impl NormalizerFit {
                 self.extent.add(extent.length_m);
                 self.extent.add(extent.width_m);
             }
+            let mut residuals: Vec<(usize, [f64; 3])> = Vec::new();
             for ((timestep, state), heading) in states.into_iter().zip(headings) {
                 self.position.add(state.position.x);
                 self.position.add(state.position.y);
@@ -111,11 +134,17 @@ impl NormalizerFit {
                 self.velocity.add(state.velocity.y);
                 if let Some(expected) = reference.at(timestep).filter(|_| timestep >= scene.n_history) {
                     let residual = (state.position - expected.position).rotated(-reference.frame_heading_rad());
-                    self.longitudinal.add(residual.x);
-                    self.lateral.add(residual.y);
-                    self.residual_heading.add(angle_difference(state.heading_rad, expected.heading_rad));
+                    let turn = angle_difference(state.heading_rad, expected.heading_rad);
+                    residuals.push((timestep, [residual.x, residual.y, turn]));
                 }
             }
+            let observed: Vec<usize> =
+                track.trajectory.valid().map(|(timestep, _)| timestep).filter(|t| *t < scene.n_history).collect();
+            let latent: Vec<usize> = residuals.iter().map(|(timestep, _)| *timestep).collect();
+            let mut values = residuals.iter().map(|(_, residual)| *residual);
+            let motion = MotionChain::new(&observed, &latent).encode(|_| values.next());
+            add_all(&mut self.residual, residuals.iter().map(|(_, residual)| residual));
+            add_all(&mut self.motion, motion.iter().map(|(_, motion)| motion));
         }
     }
 
@@ -126,11 +155,22 @@ impl NormalizerFit {
             state_dim,
             position_unit_m: self.position.unit(),
             heading_unit_rad: self.heading.unit(),
-            longitudinal_unit_m: self.longitudinal.unit(),
-            lateral_unit_m: self.lateral.unit(),
-            residual_heading_unit_rad: self.residual_heading.unit(),
+            longitudinal_unit_m: self.residual[0].unit(),
+            lateral_unit_m: self.residual[1].unit(),
+            residual_heading_unit_rad: self.residual[2].unit(),
+            motion_longitudinal_unit_m: self.motion[0].unit(),
+            motion_lateral_unit_m: self.motion[1].unit(),
+            motion_heading_unit_rad: self.motion[2].unit(),
             velocity_unit_mps: self.velocity.unit(),
             extent_unit_m: self.extent.unit(),
+        }
+    }
+}
+
+fn add_all<'a>(moments: &mut [RootMeanSquare; 3], values: impl Iterator<Item = &'a [f64; 3]>) {
+    for value in values {
+        for (moment, value) in moments.iter_mut().zip(value) {
+            moment.add(*value);
         }
     }
 }

@@ -82,7 +82,7 @@ impl PairFeatures {
             }
         }
         let rotation = match parametrization {
-            StateParametrization::Residual => None,
+            StateParametrization::Residual | StateParametrization::Motion => None,
             StateParametrization::Scene => {
                 let angles = Tensor::from_vec(headings, (n_rows * 2, 1, 1), device)?;
                 Some((angles.cos()?, angles.sin()?))

@@ -10,13 +10,13 @@ use std::sync::Arc;
 ///
 /// An entry is *latent* when it is to be generated, *observed* when it is given, *valid* when it is either.
 /// Everything else is padding, and zero. Diffused values x are related to metres and radians in the row's ego
-/// frame by `decode`: base + rotation · (unit · x) on latent entries; observed entries are the base itself.
+/// frame by `decode`: base + rotation · (unit · path · x) on latent entries; observed entries are the base itself.
 #[derive(Debug, Clone)]
 pub struct SceneBatch {
     /// Clean diffused states, (B, A, T, D): zero except on latent entries.
     pub x0: Tensor,
     /// What the network sees of known states, (B, A, T, D), in scene units: observed states; on latent entries
-    /// zero (scene parametrization) or the kinematic reference (residual parametrization).
+    /// zero (scene parametrization) or the kinematic reference (the others).
     pub context: Tensor,
     /// 1 where the state is given, (B, A, T).
     pub observed: Tensor,
@@ -36,6 +36,9 @@ pub struct SceneBatch {
     pub rotation: Tensor,
     /// Decoding: metres and radians per unit of x, (B, A, 3).
     pub unit: Tensor,
+    /// Decoding: the matrix of each agent by which residuals along time follow from x, (B, A, T, T), in the motion
+    /// parametrization; in the others x is the residual itself.
+    pub path: Option<Tensor>,
     /// Which agents and frame each row has.
     pub frames: Vec<Arc<AgentFrame>>,
 }
@@ -66,6 +69,7 @@ impl SceneBatch {
             base: repeat(&self.base)?,
             rotation: repeat(&self.rotation)?,
             unit: repeat(&self.unit)?,
+            path: self.path.as_ref().map(repeat).transpose()?,
             frames: self.frames.iter().flat_map(|frame| std::iter::repeat_n(frame, n)).cloned().collect(),
         })
     }
@@ -78,6 +82,7 @@ impl SceneBatch {
     pub fn decode(&self, x: &Tensor) -> Result<Tensor> {
         let state_dim = x.dim(D::Minus1)?;
         let x = x.broadcast_mul(&self.latent.unsqueeze(3)?)?;
+        let x = self.path.as_ref().map_or(Ok(x.clone()), |path| path.matmul(&x))?;
         let scaled = x.broadcast_mul(&self.unit.narrow(2, 0, state_dim)?.unsqueeze(2)?)?;
         let (along, across) = (scaled.narrow(3, 0, 1)?, scaled.narrow(3, 1, 1)?);
         let cos = self.rotation.narrow(2, 0, 1)?.unsqueeze(2)?;
@@ -86,6 +91,15 @@ impl SceneBatch {
         let dy = (along.broadcast_mul(&sin)? + across.broadcast_mul(&cos)?)?;
         let turn = if state_dim > 2 { scaled.narrow(3, 2, 1)? } else { dx.zeros_like()? };
         Tensor::cat(&[dx, dy, turn], 3)? + &self.base
+    }
+
+    /// `path` with rows of norm 1 (or 0), so that what white x adds up to has unit variance; `None` without a path.
+    ///
+    /// # Errors
+    /// Fails when the device runs out of memory.
+    pub fn unit_path(&self) -> Result<Option<Tensor>> {
+        let unit = |path: &Tensor| path.broadcast_div(&path.sqr()?.sum_keepdim(D::Minus1)?.sqrt()?.maximum(1e-6)?);
+        self.path.as_ref().map(unit).transpose()
     }
 
     /// The scenes that samples `x` (B, A, T, D) stand for. `sources[b]` is the scene that row b was made of.

@@ -38,7 +38,7 @@ const TASKS: [MaskTask; 7] = [
 #[test]
 fn clean_states_decode_to_the_recording_under_every_task_and_parametrization() {
     let scene = three_cars();
-    for parametrization in [StateParametrization::Scene, StateParametrization::Residual] {
+    for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
         for (i, task) in TASKS.into_iter().enumerate() {
             let mask = task.sample(&scene, 1, &mut Seed(i as u64).rng());
             let batch = collate(&collator(&scene, parametrization), &scene, 1, &mask);
@@ -59,24 +59,28 @@ fn clean_states_decode_to_the_recording_under_every_task_and_parametrization() {
 fn a_zero_residual_is_constant_velocity() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
-    let batch = collate(&collator(&scene, StateParametrization::Residual), &scene, 0, &mask);
-    let decoded = &batch.decode_scenes(&batch.x0.zeros_like().unwrap(), &[&scene]).unwrap()[0];
-    let (last, found) = (scene.state(1, 3).unwrap(), decoded.state(1, 11).unwrap());
-    assert!(found.position.distance(last.position + last.velocity * 0.8) < 1e-4);
-    // The car that drives straight on has no residual at all.
-    let x0 = batch.x0.get(0).unwrap().get(0).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
-    assert!(x0.iter().all(|x| x.abs() < 1e-5), "{x0:?}");
+    for parametrization in [StateParametrization::Residual, StateParametrization::Motion] {
+        let batch = collate(&collator(&scene, parametrization), &scene, 0, &mask);
+        let decoded = &batch.decode_scenes(&batch.x0.zeros_like().unwrap(), &[&scene]).unwrap()[0];
+        let (last, found) = (scene.state(1, 3).unwrap(), decoded.state(1, 11).unwrap());
+        assert!(found.position.distance(last.position + last.velocity * 0.8) < 1e-4);
+        // The car that drives straight on has no residual at all.
+        let x0 = batch.x0.get(0).unwrap().get(0).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        assert!(x0.iter().all(|x| x.abs() < 1e-5), "{x0:?}");
+    }
 }
 
 #[test]
 fn diffused_states_have_the_standard_deviation_sigma_data() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
-    let batch = collate(&collator(&scene, StateParametrization::Residual), &scene, 0, &mask);
-    let x0 = batch.x0.flatten_to(2).unwrap();
-    let latent = batch.latent.sum_all().unwrap().to_scalar::<f32>().unwrap();
-    let mean_square = (x0.sqr().unwrap().sum(0).unwrap() / f64::from(latent)).unwrap().to_vec1::<f32>().unwrap();
-    assert!(mean_square.iter().all(|m| (m - 0.25).abs() < 1e-3), "{mean_square:?}");
+    for parametrization in [StateParametrization::Residual, StateParametrization::Motion] {
+        let batch = collate(&collator(&scene, parametrization), &scene, 0, &mask);
+        let x0 = batch.x0.flatten_to(2).unwrap();
+        let latent = batch.latent.sum_all().unwrap().to_scalar::<f32>().unwrap();
+        let mean_square = (x0.sqr().unwrap().sum(0).unwrap() / f64::from(latent)).unwrap().to_vec1::<f32>().unwrap();
+        assert!(mean_square.iter().all(|m| (m - 0.25).abs() < 1e-3), "{mean_square:?}");
+    }
 }
 
 #[test]
@@ -97,7 +101,7 @@ fn what_is_to_be_generated_never_shows_in_what_the_network_is_given() {
         track.trajectory = crate::scene::Trajectory::new(shifted.collect());
     }
     let mask = ObservationMask::predictive(3, 12, 4);
-    for parametrization in [StateParametrization::Scene, StateParametrization::Residual] {
+    for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
         let collator = collator(&scene, parametrization);
         let (a, b) = (collate(&collator, &scene, 0, &mask), collate(&collator, &altered, 0, &mask));
         let same = |x: &Tensor, y: &Tensor| {
@@ -160,7 +164,7 @@ fn pair_features_do_not_change_when_the_scene_is_seen_from_another_agent() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
     let sigma = Tensor::new(&[0.3f32], &Device::Cpu).unwrap();
-    for parametrization in [StateParametrization::Scene, StateParametrization::Residual] {
+    for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
         let collator = collator(&scene, parametrization);
         let features = |ego_idx: usize| {
             let batch = collate(&collator, &scene, ego_idx, &mask);
@@ -169,7 +173,7 @@ fn pair_features_do_not_change_when_the_scene_is_seen_from_another_agent() {
             assert_eq!(all.dims(), &[1, PairFeatures::n_features(12, 3)]);
             all.flatten_all().unwrap().to_vec1::<f32>().unwrap()
         };
-        if parametrization == StateParametrization::Residual {
+        if parametrization != StateParametrization::Scene {
             let worst = features(0).iter().zip(features(2)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             assert!(worst < 1e-4, "{worst}");
         }

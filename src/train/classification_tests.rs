@@ -67,7 +67,7 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
 
 #[test]
 fn it_separates_the_better_the_less_noise_there_is() {
-    for parametrization in [StateParametrization::Residual, StateParametrization::Scene] {
+    for parametrization in [StateParametrization::Residual, StateParametrization::Scene, StateParametrization::Motion] {
         let dir = tempfile::tempdir().unwrap();
         let report = train(&denoiser_spec(parametrization), 150, dir.path(), &Silent).unwrap();
         assert_eq!((report.spec.n_positive, report.spec.n_negative, report.spec.pos_weight), (60, 180, 3.0));
@@ -123,7 +123,7 @@ fn batch(denoiser: &DenoiserSpec, scenes: &[Scene]) -> SceneBatch {
 
 #[test]
 fn its_gradient_pushes_the_second_agent_toward_the_first() {
-    for parametrization in [StateParametrization::Residual, StateParametrization::Scene] {
+    for parametrization in [StateParametrization::Residual, StateParametrization::Scene, StateParametrization::Motion] {
         let denoiser = denoiser_spec(parametrization);
         let dir = tempfile::tempdir().unwrap();
         train(&denoiser, 150, dir.path(), &Silent).unwrap();

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub enum Preset {
     /// 4 layers, 32 wide: trains in a minute, for tests and first looks.
     Tiny,
-    /// 7 layers, 96 wide, residual parametrization: for a laptop.
+    /// 7 layers, 96 wide, motion parametrization: for a laptop.
     #[default]
     Small,
     /// The paper's 15 layers, 256 wide, with its parametrization, batch size and learning rate.
@@ -29,14 +29,17 @@ pub struct DenoiserTrainingConfig {
     pub preset: Preset,
     /// The network, where the preset's does not fit.
     pub network: Option<NetworkConfig>,
-    /// What is diffused: `scene` (the paper's) or `residual`.
+    /// What is diffused: `scene` (the paper's), `residual` or `motion`.
     pub state_parametrization: Option<StateParametrization>,
     /// Constants of the diffusion.
     pub diffusion: Edm,
     /// Distribution of the training noise levels.
-    pub noise: NoiseDistribution,
+    pub noise: Option<NoiseDistribution>,
     /// Weight of the noise levels in the loss: `edm` or `unit`.
     pub loss_weight: LossWeight,
+    /// Weight of the squared error of what diffused motion adds up to, beside that of the motion itself (motion
+    /// parametrization only). The best denoiser is the same at any weight; it decides what a network learns first.
+    pub path_loss: Option<f64>,
     /// How often each observation task is drawn.
     pub tasks: TaskWeights,
     /// Splits to train on; empty means `train`, or everything unsplit where there is no such split.
@@ -86,6 +89,8 @@ pub struct DenoiserTraining {
     pub noise: NoiseDistribution,
     /// Weight of the noise levels in the loss.
     pub loss_weight: LossWeight,
+    /// Weight of the error of paths in the loss.
+    pub path_loss: f64,
     /// How often each observation task is drawn.
     pub tasks: TaskWeights,
     /// Scenes a step.
@@ -139,12 +144,34 @@ impl DenoiserTrainingConfig {
             let message = "train.denoiser.tasks are no weights: give numbers of at least 0, one of them positive";
             return Err(Error::Config(message.to_owned()));
         }
+        let parametrization = self.state_parametrization.unwrap_or(base.parametrization);
+        // What suits diffused motion only is not carried over from the preset to another parametrization.
+        let fits = parametrization == base.parametrization;
+        let base_network = if fits { base.network } else { base.network.without_paths() };
+        let network = self.network.clone().unwrap_or(base_network);
+        let path_loss = self.path_loss.unwrap_or(if fits { base.path_loss } else { 0.0 });
+        if parametrization != StateParametrization::Motion && (network.path_input || path_loss != 0.0) {
+            let message = "train.denoiser.network.path_input and train.denoiser.path_loss need \
+                           state_parametrization = \"motion\"";
+            return Err(Error::Config(message.to_owned()));
+        }
+        let [shortest, longest] = network.latent_periods;
+        if !(shortest > 0.0 && longest >= shortest && longest.is_finite()) {
+            let message = format!(
+                "train.denoiser.network.latent_periods are {shortest} and {longest}, expected 0 < shortest <= longest"
+            );
+            return Err(Error::Config(message));
+        }
+        if !(path_loss >= 0.0 && path_loss.is_finite()) {
+            return Err(Error::Config(format!("train.denoiser.path_loss is {path_loss}, expected 0 or more")));
+        }
         Ok(DenoiserTraining {
-            network: self.network.clone().unwrap_or(base.network),
-            parametrization: self.state_parametrization.unwrap_or(base.parametrization),
+            network,
+            parametrization,
             edm: self.diffusion,
-            noise: self.noise,
+            noise: self.noise.unwrap_or(base.noise),
             loss_weight: self.loss_weight,
+            path_loss,
             tasks: self.tasks,
             batch_size: self.batch_size.unwrap_or(base.batch_size),
             max_agents: self.max_agents.unwrap_or(base.max_agents),
@@ -157,13 +184,18 @@ impl DenoiserTrainingConfig {
 
 impl Preset {
     fn settings(self) -> DenoiserTraining {
+        // Diffused motion is of unit size: encodings with periods below 1 would show the network noise and little else.
         let network = |layers: &str, width, n_heads, encoding| NetworkConfig {
             layers: layers.to_owned(),
             width,
             n_heads,
             feed_forward: 4 * width,
             encoding,
+            latent_periods: [1.0, 100.0],
+            path_input: true,
         };
+        // What a network has to say of a path as a whole, it says at higher noise levels than of its details.
+        let noise = NoiseDistribution { p_mean: -0.5, p_std: 1.4 };
         let fit = |steps, learning_rate, warmup_steps, decay, ema_decay, every| FitConfig {
             steps,
             learning_rate,
@@ -176,12 +208,13 @@ impl Preset {
             log_every: 20,
         };
         let common =
-            |network, parametrization, batch_size, max_agents, max_lanes, n_eval_scenes, fit| DenoiserTraining {
+            |network, noise, parametrization, batch_size, max_agents, max_lanes, n_eval_scenes, fit| DenoiserTraining {
                 network,
                 parametrization,
                 edm: Edm::default(),
-                noise: NoiseDistribution::default(),
+                noise,
                 loss_weight: LossWeight::default(),
+                path_loss: if parametrization == StateParametrization::Motion { 0.1 } else { 0.0 },
                 tasks: TaskWeights::default(),
                 batch_size,
                 max_agents,
@@ -192,7 +225,8 @@ impl Preset {
         match self {
             Self::Tiny => common(
                 network("TATM", 32, 2, 16),
-                StateParametrization::Residual,
+                noise,
+                StateParametrization::Motion,
                 8,
                 12,
                 32,
@@ -201,7 +235,8 @@ impl Preset {
             ),
             Self::Small => common(
                 network("TATM TAT", 96, 4, 32),
-                StateParametrization::Residual,
+                noise,
+                StateParametrization::Motion,
                 8,
                 16,
                 48,
@@ -210,6 +245,7 @@ impl Preset {
             ),
             Self::Paper => common(
                 NetworkConfig::default(),
+                NoiseDistribution::default(),
                 StateParametrization::Scene,
                 32,
                 64,

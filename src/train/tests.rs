@@ -39,7 +39,14 @@ impl SceneDataset for Arcs {
 }
 
 fn training(steps: u64) -> DenoiserTraining {
-    let network = NetworkConfig { layers: "TA".to_owned(), width: 16, n_heads: 2, feed_forward: 32, encoding: 8 };
+    let network = NetworkConfig {
+        layers: "TA".to_owned(),
+        width: 16,
+        n_heads: 2,
+        feed_forward: 32,
+        encoding: 8,
+        ..NetworkConfig::default()
+    };
     let config = DenoiserTrainingConfig {
         preset: Preset::Tiny,
         network: Some(network),

@@ -9,8 +9,8 @@ use super::config::IngestConfig;
 use super::error::Error;
 use super::files::{file_name, file_stem, read_whole, split_of_entry, split_of_path};
 use super::raw::{RawScene, RawUnit, Reject, UnitSplit, map_id};
-use super::source::{EmitUnit, Horizon, RecordingSource, UnitReader};
-use crate::scene::{Dataset, LaneGraph, MapId};
+use super::source::{EmitUnit, Horizon, MapFile, RecordingSource, UnitReader};
+use crate::scene::Dataset;
 use std::io::BufRead;
 use std::ops::ControlFlow;
 
@@ -49,10 +49,10 @@ impl RecordingSource for Argoverse1<'_> {
         vector_map::city_of(file_name(path)).is_some()
     }
 
-    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Vec<(MapId, LaneGraph)>, Error> {
-        let Some(city) = vector_map::city_of(file_name(&entry.path)) else { return Ok(Vec::new()) };
+    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Option<MapFile>, Error> {
+        let Some(city) = vector_map::city_of(file_name(&entry.path)) else { return Ok(None) };
         let graph = vector_map::read(&entry.path, reader)?;
-        Ok(vec![(map_id(Dataset::Argoverse1, city), graph)])
+        Ok(Some(MapFile { id: map_id(Dataset::Argoverse1, city), graph, rank: 0, warnings: String::new() }))
     }
 }
 

@@ -10,8 +10,7 @@ use super::config::IngestConfig;
 use super::error::Error;
 use super::files::split_of_path;
 use super::raw::{RawScene, RawUnit, Reject};
-use super::source::{Horizon, RecordingSource, UnitReader};
-use crate::scene::{LaneGraph, MapId};
+use super::source::{Horizon, MapFile, RecordingSource, UnitReader};
 use std::io::BufRead;
 use std::sync::Arc;
 
@@ -63,8 +62,8 @@ impl RecordingSource for Argoverse2<'_> {
         false
     }
 
-    fn read_map(&self, _entry: &Entry, _reader: &mut dyn BufRead) -> Result<Vec<(MapId, LaneGraph)>, Error> {
-        Ok(Vec::new())
+    fn read_map(&self, _entry: &Entry, _reader: &mut dyn BufRead) -> Result<Option<MapFile>, Error> {
+        Ok(None)
     }
 }
 

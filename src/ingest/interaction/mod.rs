@@ -35,8 +35,8 @@ mod units;
 
 use super::archive::Entry;
 use super::lanelet2;
-use super::{Error, Horizon, IngestConfig, RawScene, RawUnit, RecordingSource, Reject, UnitReader, map_id};
-use crate::scene::{Dataset, LaneGraph, MapId};
+use super::{Error, Horizon, IngestConfig, MapFile, RawScene, RawUnit, RecordingSource, Reject, UnitReader, map_id};
+use crate::scene::{Dataset, MapId};
 use path::TrackFile;
 use std::io::BufRead;
 
@@ -95,10 +95,12 @@ impl RecordingSource for Interaction<'_> {
         path::place_of_map(path).is_some_and(|place| self.config.wants_place(place))
     }
 
-    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Vec<(MapId, LaneGraph)>, Error> {
-        let Some(place) = path::place_of_map(&entry.path) else { return Ok(Vec::new()) };
-        let (graph, _) = lanelet2::read_map(reader, &entry.path)?;
-        Ok(vec![(map_id(Dataset::Interaction, place), graph)])
+    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Option<MapFile>, Error> {
+        let Some(place) = path::place_of_map(&entry.path) else { return Ok(None) };
+        let (graph, report) = lanelet2::read_map(reader, &entry.path)?;
+        // v1.2 has each map in both forms; `.osm` is the one that Lanelet2 itself reads.
+        let rank = u8::from(!entry.path.to_ascii_lowercase().ends_with(".osm"));
+        Ok(Some(MapFile { id: map_id(Dataset::Interaction, place), graph, rank, warnings: report.summary() }))
     }
 
     fn map_of(&self, path: &str) -> Option<MapId> {

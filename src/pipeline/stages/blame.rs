@@ -25,6 +25,7 @@ impl From<store::Error> for Failure {
             error @ (store::Error::Unfinished { .. }
             | store::Error::SchemaVersion { .. }
             | store::Error::NotFound { .. }
+            | store::Error::DuplicateScene { .. }
             | store::Error::UnknownMap { .. }) => Self::input(error),
             error => Self::fault(error),
         }
