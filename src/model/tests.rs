@@ -146,7 +146,14 @@ fn the_papers_network_has_15_layers_and_12_million_parameters() {
     assert_eq!(params.n_parameters(), 12_712_707);
 }
 
-/// Values and gradients of `scripts/golden_network.py`, an implementation in PyTorch that shares no code with ours.
+/// Fails unless two tensors agree to a ten-thousandth of the largest entry.
+fn assert_close(name: &str, found: &Tensor, expected: &Tensor) {
+    let scale = values(expected).iter().fold(0f32, |m, v| m.max(v.abs()));
+    let error = worst(found, expected) / scale;
+    assert!(error < 1e-4, "{name}: relative difference {error}");
+}
+
+/// Values and gradients of `scripts/torch_reference.py`, an implementation in PyTorch that shares no code with ours.
 #[test]
 fn outputs_and_gradients_are_those_of_pytorch() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/scene_network.safetensors");
@@ -168,19 +175,40 @@ fn outputs_and_gradients_are_those_of_pytorch() {
         .unwrap();
     let x = candle_core::Var::from_tensor(input("x")).unwrap();
     let output = network.forward(x.as_tensor(), &known, input("c_noise")).unwrap();
-    let close = |name: &str, found: &Tensor, expected: &Tensor| {
-        let scale = values(expected).iter().fold(0f32, |m, v| m.max(v.abs()));
-        let error = worst(found, expected) / scale;
-        assert!(error < 1e-4, "{name}: relative difference {error}");
-    };
-    close("output", &output, &golden["output"]);
+    assert_close("output", &output, &golden["output"]);
     let gradients = (output * &golden["probe"]).unwrap().sum_all().unwrap().backward().unwrap();
     let valid = input("valid").unsqueeze(3).unwrap();
     let gradient_x = gradients.get(x.as_tensor()).unwrap().broadcast_mul(&valid).unwrap();
-    close("x", &gradient_x, &golden["gradient_x"]);
+    assert_close("x", &gradient_x, &golden["gradient_x"]);
     for (name, var) in params.iter() {
-        close(name, gradients.get(var.as_tensor()).unwrap(), &golden[&format!("gradient.{name}")]);
+        assert_close(name, gradients.get(var.as_tensor()).unwrap(), &golden[&format!("gradient.{name}")]);
     }
+}
+
+#[test]
+fn the_carried_checkpoint_gives_what_it_gives_in_pytorch() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let checkpoint = root.join("pipelines/models/simulated_places.safetensors");
+    let trained = TrainedDenoiser::read(&checkpoint, &Device::Cpu).unwrap();
+    let golden =
+        candle_core::safetensors::load(root.join("tests/golden/carried_denoiser.safetensors"), &Device::Cpu).unwrap();
+    let input = |name: &str| golden[&format!("input.{name}")].clone();
+    let batch = SceneBatch {
+        context: input("context"),
+        features: input("features"),
+        valid: input("valid"),
+        latent: input("latent"),
+        lanes: input("lanes"),
+        lane_valid: input("lane_valid"),
+        path: Some(input("path")),
+        ..collate(&[&cars(2)])
+    };
+    let x = candle_core::Var::from_tensor(&input("x")).unwrap();
+    let bound = trained.denoiser.bind(&batch, 1).unwrap();
+    let x0_hat = bound.denoise(x.as_tensor(), &input("sigma")).unwrap();
+    assert_close("x0_hat", &x0_hat, &golden["output"]);
+    let gradients = (x0_hat * &golden["probe"]).unwrap().sum_all().unwrap().backward().unwrap();
+    assert_close("gradient", gradients.get(x.as_tensor()).unwrap(), &golden["gradient_x"]);
 }
 
 #[test]

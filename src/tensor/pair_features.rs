@@ -14,12 +14,14 @@ const FIXED: usize = 6;
 /// Everything is expressed in the pair's frame: that of the first agent at its last observed state. What is known
 /// (observed states, kinematic reference) is fixed; the diffused states enter scaled by c_in(σ), so that their
 /// magnitude does not depend on the noise level. In the scene parametrization they are turned into the pair's
-/// frame; in the residual one they already are in each agent's own.
+/// frame; in the residual one they already are in each agent's own; in the motion one what is seen is what the motion
+/// adds up to, with rows of equal noise, so that gradients push whole paths and not single timesteps.
 #[derive(Debug, Clone)]
 pub struct PairFeatures {
     rows: Tensor,
     latent: Tensor,
     rotation: Option<(Tensor, Tensor)>,
+    path: Option<Tensor>,
     fixed: Tensor,
     n_pairs: usize,
     sigma_data: f64,
@@ -88,8 +90,10 @@ impl PairFeatures {
                 Some((angles.cos()?, angles.sin()?))
             }
         };
+        let path = batch.unit_path()?;
+        let path = path.map(|path| select(&path, &[n_rows * n_agents, n_timesteps, n_timesteps])).transpose()?;
         let fixed = Tensor::from_vec(fixed, (n_rows, 2 * n_timesteps * FIXED), device)?;
-        Ok(Self { rows, latent: latent.unsqueeze(2)?, rotation, fixed, n_pairs: n_rows, sigma_data })
+        Ok(Self { rows, latent: latent.unsqueeze(2)?, rotation, path, fixed, n_pairs: n_rows, sigma_data })
     }
 
     /// The features (B, F) for diffused states `x` (B, A, T, D) at noise levels `sigma` (B).
@@ -100,6 +104,7 @@ impl PairFeatures {
         let (n_rows, n_agents, n_timesteps, state_dim) = x.dims4()?;
         let x = x.reshape((n_rows * n_agents, n_timesteps, state_dim))?.index_select(&self.rows, 0)?;
         let x = x.broadcast_mul(&self.latent)?;
+        let x = self.path.as_ref().map_or(Ok(x.clone()), |path| path.matmul(&x))?;
         let x = match &self.rotation {
             None => x,
             Some((cos, sin)) => {

@@ -2,7 +2,7 @@
 
 use super::{DenoiserTraining, DenoisingTask, Error, FitStatistics, SceneDataset, fit};
 use crate::model::{DenoiserKind, DenoiserSpec, SceneDenoiser};
-use crate::nn::Params;
+use crate::nn::{Checkpoint, Params};
 use crate::progress::Progress;
 use crate::seed::Seed;
 use crate::tensor::{MaskSampler, NormalizerFit};
@@ -39,13 +39,15 @@ pub struct DenoiserOutcome {
     pub statistics: Vec<FitStatistics>,
 }
 
-/// Trains a denoiser in `dir` (resuming what is there) and writes it to `dir/model.safetensors`.
+/// Trains a denoiser in `dir` (resuming what is there) and writes it to `dir/model.safetensors`. With `start`, training
+/// begins at the weights of that checkpoint, and keeps its scales.
 ///
 /// # Errors
-/// When there is no scene to train on, scenes differ in their timesteps, or training fails.
+/// When there is no scene to train on, scenes differ in their timesteps, `start` is of another kind, or training fails.
 pub fn train_denoiser(
     training: &DenoiserTraining,
     data: &TrainingData<'_>,
+    start: Option<&Checkpoint<DenoiserSpec>>,
     seed: Seed,
     dir: &Path,
     device: &Device,
@@ -54,10 +56,17 @@ pub fn train_denoiser(
     let Some(masks) = MaskSampler::new(&training.tasks) else {
         return Err(Error::Config("train.denoiser.tasks are no weights".to_owned()));
     };
-    let spec = describe(training, data, seed, progress)?;
+    let mut spec = describe(training, data, seed, progress)?;
+    if let Some(start) = start {
+        check_start(&start.metadata, &spec)?;
+        spec.normalizer = start.metadata.normalizer.clone();
+    }
     let mut params = Params::new(device);
     let (network, state_dim) = (&spec.network, data.state_dim);
     let denoiser = SceneDenoiser::new(&mut params, network, state_dim, spec.edm, seed.derive("weights", &[]))?;
+    if let Some(start) = start {
+        params.load(&start.tensors)?;
+    }
     let frozen = SceneDenoiser::new(&mut params.frozen(), network, state_dim, spec.edm, seed)?;
     let mut held_out = data.held_out.clone();
     seed.derive("held-out", &[]).rng().shuffle(&mut held_out);
@@ -77,6 +86,24 @@ pub fn train_denoiser(
     let outcome = fit(&training.fit, &mut params, &task, dir, progress)?;
     let fingerprint = spec.write(&params, &dir.join("model.safetensors"))?;
     Ok(DenoiserOutcome { fingerprint, n_parameters: params.n_parameters(), spec, statistics: outcome.statistics })
+}
+
+/// Fails where weights of `start` would mean something else in `wanted`.
+fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error> {
+    let kind = |spec: &DenoiserSpec| (spec.normalizer.parametrization, spec.normalizer.state_dim);
+    let shape = |spec: &DenoiserSpec| (spec.n_history, spec.n_timesteps, spec.dt_s.to_bits());
+    let differs = [
+        (start.network != wanted.network, "network"),
+        (kind(start) != kind(wanted), "state parametrization"),
+        (start.edm != wanted.edm, "constants of the diffusion"),
+        (shape(start) != shape(wanted), "number or length of timesteps"),
+    ];
+    match differs.iter().find(|(differs, _)| *differs) {
+        Some((_, what)) => Err(Error::Config(format!(
+            "the checkpoint of train.denoiser.start_from has another {what}: compare `djinn inspect` with the settings"
+        ))),
+        None => Ok(()),
+    }
 }
 
 /// Gathers the constants of the training set.

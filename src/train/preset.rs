@@ -72,6 +72,8 @@ pub struct DenoiserTrainingConfig {
     pub evaluate_every: Option<u64>,
     /// Steps between saved states.
     pub save_every: Option<u64>,
+    /// A trained checkpoint to start from, of the same network: to train it further, or on other scenes.
+    pub start_from: Option<std::path::PathBuf>,
     /// A trained checkpoint to use instead of training.
     pub checkpoint: Option<std::path::PathBuf>,
 }

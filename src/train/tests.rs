@@ -1,8 +1,8 @@
 //! Training learns, resumes to the same weights, and says what is wrong with its input.
 
 use super::*;
-use crate::model::NetworkConfig;
-use crate::model::TrainedDenoiser;
+use crate::model::{DenoiserSpec, NetworkConfig, TrainedDenoiser};
+use crate::nn::{Checkpoint, read_checkpoint};
 use crate::progress::Silent;
 use crate::scene::Scene;
 use crate::scene::testing::{Drive, scene};
@@ -62,6 +62,15 @@ fn training(steps: u64) -> DenoiserTraining {
 }
 
 fn train(dataset: &dyn SceneDataset, training: &DenoiserTraining, dir: &Path) -> Result<DenoiserOutcome, Error> {
+    train_from(None, dataset, training, dir)
+}
+
+fn train_from(
+    start: Option<&Checkpoint<DenoiserSpec>>,
+    dataset: &dyn SceneDataset,
+    training: &DenoiserTraining,
+    dir: &Path,
+) -> Result<DenoiserOutcome, Error> {
     let n = dataset.len();
     let data = TrainingData {
         dataset,
@@ -70,7 +79,7 @@ fn train(dataset: &dyn SceneDataset, training: &DenoiserTraining, dir: &Path) ->
         state_dim: 3,
         fingerprint: "scenes".to_owned(),
     };
-    train_denoiser(training, &data, Seed(3), dir, &Device::Cpu, &Silent)
+    train_denoiser(training, &data, start, Seed(3), dir, &Device::Cpu, &Silent)
 }
 
 #[test]
@@ -108,6 +117,25 @@ fn the_same_seed_gives_the_same_checkpoint_and_an_interruption_changes_nothing()
     let resumed = train(&dataset, &training(25), killed.path()).unwrap();
     assert_eq!(resumed.fingerprint, expected.fingerprint);
     assert_eq!(resumed.statistics, expected.statistics);
+}
+
+#[test]
+fn training_can_start_from_a_checkpoint() {
+    let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let early = |outcome: &DenoiserOutcome| {
+        let mut losses = outcome.statistics.iter().filter_map(|line| line.evaluation.get("held_out_loss_at_sigma_0.8"));
+        *losses.next().unwrap()
+    };
+    let cold = train(&Arcs::new(40), &training(100), first.path()).unwrap();
+    let path = first.path().join("model.safetensors");
+    let start = read_checkpoint::<DenoiserSpec>(&path, &Device::Cpu).unwrap();
+    let warm = train_from(Some(&start), &Arcs::new(48), &training(20), second.path()).unwrap();
+    assert!(early(&warm) < 0.8 * early(&cold), "{} after {}", early(&warm), early(&cold));
+    assert_eq!(warm.spec.normalizer, cold.spec.normalizer);
+    let mut other = training(20);
+    other.network.layers = "TAT".to_owned();
+    let error = train_from(Some(&start), &Arcs::new(40), &other, second.path()).unwrap_err().to_string();
+    assert!(error.contains("another network"), "{error}");
 }
 
 #[test]

@@ -1,7 +1,8 @@
 //! Scenes to a denoiser; or a denoiser that was trained elsewhere, taken over.
 
 use super::selection::Selection;
-use crate::model::TrainedDenoiser;
+use crate::model::{DenoiserSpec, TrainedDenoiser};
+use crate::nn::read_checkpoint;
 use crate::pipeline::layout::{DENOISER, Layout};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::scene::Dataset;
@@ -32,7 +33,7 @@ impl Stage for TrainDenoiser<'_> {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn check(&self) -> Result<()> {
@@ -43,13 +44,20 @@ impl Stage for TrainDenoiser<'_> {
     fn config(&self) -> anyhow::Result<Value> {
         let mut config = serde_json::to_value(self.config)?;
         config["seed"] = json!(self.seed);
+        // Presets change from version to version: what they come to counts.
+        config["resolved"] = serde_json::to_value(self.config.resolve()?)?;
         Ok(config)
     }
 
     fn inputs(&self) -> Vec<StageInput> {
         match &self.config.checkpoint {
             Some(path) => vec![StageInput::external("checkpoint", &checkpoint_file(path))],
-            None => vec![StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes)],
+            None => {
+                let scenes = StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes);
+                let start = self.config.start_from.as_deref();
+                let start = start.map(|path| StageInput::external("start_from", &checkpoint_file(path)));
+                [scenes].into_iter().chain(start).collect()
+            }
         }
     }
 
@@ -80,7 +88,10 @@ impl Stage for TrainDenoiser<'_> {
             state_dim: self.config.state_dim.unwrap_or(default_state_dim),
             fingerprint: store.fingerprint().to_owned(),
         };
-        let outcome = train_denoiser(&training, &data, Seed(self.seed), &dir, &Device::Cpu, context.progress)?;
+        let start = self.config.start_from.as_deref().map(checkpoint_file);
+        let start = start.map(|path| read_checkpoint::<DenoiserSpec>(&path, &Device::Cpu)).transpose()?;
+        let seed = Seed(self.seed);
+        let outcome = train_denoiser(&training, &data, start.as_ref(), seed, &dir, &Device::Cpu, context.progress)?;
         Ok(json!({
             "fingerprint": outcome.fingerprint,
             "steps": training.fit.steps,
