@@ -2,15 +2,25 @@
 //!
 //! One objective a file. All share one sign convention: potentials are maximized.
 
+mod agent_selector;
 mod classifier;
 mod guided_denoiser;
+mod objectives;
+mod road_corridors;
+mod scene_context;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 
+pub use agent_selector::AgentSelector;
 pub use classifier::ClassifierGuidance;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
+pub use objectives::{
+    AccelerationLimit, AdversarialTtc, Goal, GoalFrame, KeepDistance, NoCollision, ObjectiveConfig, RoadPoints,
+    SceneObjective, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,
+};
+pub use scene_context::{ContextRow, SceneContext};
 
 use candle_core::{Result, Tensor};
 
