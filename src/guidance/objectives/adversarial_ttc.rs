@@ -78,11 +78,7 @@ impl SceneObjective for AdversarialTtc {
     }
 
     fn validate(&self) -> std::result::Result<(), String> {
-        positive(&[
-            ("ttc_s", self.ttc_s),
-            ("tolerance_per_s", self.tolerance_per_s),
-            ("tolerance_m", self.tolerance_m),
-        ])
+        positive(&[("ttc_s", self.ttc_s), ("tolerance_per_s", self.tolerance_per_s), ("tolerance_m", self.tolerance_m)])
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
@@ -96,8 +92,7 @@ impl SceneObjective for AdversarialTtc {
         let between = (positions(&pairs.second)? - positions(&pairs.first)?)?;
         let offset = later(&between)?;
         let relative = ((&offset - between.narrow(1, 0, n_steps)?)? * (1.0 / context.dt_s))?;
-        // The rounded norm may be 0: quotients need it a little larger.
-        let (distance_m, speed_mps) = ((norm(&offset)? + SMALL)?, (norm(&relative)? + SMALL)?);
+        let (distance_m, speed_mps) = (norm(&offset)?, norm(&relative)?);
         let closing_mps = (&offset * &relative)?.sum(D::Minus1)?.neg()?.div(&distance_m)?;
         let gap_m = (later(&separation_m(&pairs)?)?.relu()? + LEAST_GAP_M)?;
         let component = |tensor: &Tensor, dim: usize| tensor.narrow(2, dim, 1)?.squeeze(2);
@@ -117,7 +112,7 @@ impl SceneObjective for AdversarialTtc {
     }
 }
 
-/// What keeps quotients by a distance (metres) or a speed (m/s) finite.
+/// Rounding of the distance of passing at zero, in metres times m/s.
 const SMALL: f64 = 0.05;
 
 #[cfg(test)]

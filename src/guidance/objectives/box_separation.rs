@@ -25,9 +25,10 @@ pub(super) fn separation_m(pairs: &Pairs) -> Result<Tensor> {
         let (heading_cos, heading_sin) = (of(states, 2)?.cos()?, of(states, 2)?.sin()?);
         let along = ((&dx * &heading_cos)? + (&dy * &heading_sin)?)?;
         let across = ((&dy * &heading_cos)? - (&dx * &heading_sin)?)?;
-        for (offset, own_m, with_cos, with_sin) in
-            [(along, &own.length_m, &other.length_m, &other.width_m), (across, &own.width_m, &other.width_m, &other.length_m)]
-        {
+        for (offset, own_m, with_cos, with_sin) in [
+            (along, &own.length_m, &other.length_m, &other.width_m),
+            (across, &own.width_m, &other.width_m, &other.length_m),
+        ] {
             let reach_m = (cos.broadcast_mul(with_cos)? + sin.broadcast_mul(with_sin)?)?.broadcast_add(own_m)?;
             gaps_m.push((magnitude(&offset, ROUNDING_M)? - reach_m)?);
         }
@@ -56,9 +57,9 @@ impl Half {
 
 #[cfg(test)]
 mod tests {
+    use super::super::AgentSelector;
     use super::super::pairs::PairQuery;
     use super::super::testing::Traffic;
-    use super::super::AgentSelector;
     use super::*;
     use crate::geometry::{OrientedBox, Vec2};
     use crate::seed::Seed;

@@ -3,7 +3,7 @@
 //! One objective a file: its struct is its configuration, its docstring its definition. A new one needs its file and a variant
 //! of [`ObjectiveConfig`].
 //!
-//! Common to all: a log potential J is at most 0, and 0 where nothing is left to wish for. It is once continuously
+//! Common to all: a log potential J is at most 0, and 0, up to rounding, where nothing is left to wish for. It is once continuously
 //! differentiable in the states unless its docstring says otherwise. It is summed over agents (or pairs) and integrated over
 //! time in seconds, so that neither the number of bystanders nor the time step changes how hard an agent is pushed. A term
 //! counts if all the states it reads are valid and at least one of them is generated: padding never contributes, and what is

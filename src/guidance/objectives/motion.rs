@@ -2,7 +2,7 @@
 
 use candle_core::{D, Result, Tensor};
 
-/// Half-width of the rounding of a norm at zero: ‖v‖ has no gradient there.
+/// Least value of a rounded norm: ‖v‖ has no gradient at zero.
 const ROUNDING: f64 = 0.05;
 
 /// The positions (B, A, T, 2) of `states` (B, A, T, 3).
@@ -21,9 +21,9 @@ pub(super) fn rate(x: &Tensor, dt_s: f64) -> Result<Tensor> {
     (x.narrow(2, 1, n)? - x.narrow(2, 0, n)?)? * (1.0 / dt_s)
 }
 
-/// √(‖v‖² + r²) - r over the last dimension, with r = 0.05: the norm, rounded at zero so that it has a gradient there.
+/// √(‖v‖² + r²) over the last dimension, with r = 0.05: the norm, rounded at zero so that it has a gradient there. Never 0.
 pub(super) fn norm(v: &Tensor) -> Result<Tensor> {
-    (v.sqr()?.sum(D::Minus1)? + ROUNDING * ROUNDING)?.sqrt()? - ROUNDING
+    (v.sqr()?.sum(D::Minus1)? + ROUNDING * ROUNDING)?.sqrt()
 }
 
 /// -(x / tolerance)² / 2, the log density of a normal distribution up to a constant.

@@ -50,9 +50,9 @@ impl Pairs {
         let is_asked = |i: usize, j: usize| one[i] * other[j] > 0.0 || one[j] * other[i] > 0.0;
         let radius_m = |i: usize| extent_m[2 * i].hypot(extent_m[2 * i + 1]) / 2.0;
         let is_near = |i: usize, j: usize| {
-            let limit_m = query.reach.map_or(f64::INFINITY, |reach| {
-                reach.per_radius * (radius_m(i) + radius_m(j)) + reach.beyond_m
-            });
+            let limit_m = query
+                .reach
+                .map_or(f64::INFINITY, |reach| reach.per_radius * (radius_m(i) + radius_m(j)) + reach.beyond_m);
             (0..n_timesteps).any(|t| {
                 let (a, b) = (i * n_timesteps + t, j * n_timesteps + t);
                 let counts = valid[a] * valid[b] > 0.0 && latent[a] + latent[b] > 0.0;

@@ -95,7 +95,11 @@ pub(super) fn assert_gradients_match(objective: &dyn SceneObjective, traffic: &T
 
 /// The states after `n_steps` steps along the gradient, each as long as would bring a quadratic potential to zero; only
 /// generated states move.
-pub(super) fn after_ascent(objective: &dyn SceneObjective, traffic: &Traffic, n_steps: usize) -> Vec<Vec<Vec<Vec<f64>>>> {
+pub(super) fn after_ascent(
+    objective: &dyn SceneObjective,
+    traffic: &Traffic,
+    n_steps: usize,
+) -> Vec<Vec<Vec<Vec<f64>>>> {
     let mut moved = Traffic {
         states: Var::from_tensor(&traffic.states.as_detached_tensor().copy().unwrap()).unwrap(),
         context: traffic.context.clone(),
