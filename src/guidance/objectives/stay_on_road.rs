@@ -170,10 +170,8 @@ mod tests {
             assert_gradients_match(&on_road(points), &traffic);
         }
         let states = after_ascent(&on_road(RoadPoints::Center), &traffic, 200);
-        for agent in 0..3 {
-            for t in traffic.generated() {
-                assert!(states[0][agent][t][1].abs() < 1.85, "agent {agent} at {t}: {:?}", states[0][agent][t]);
-            }
+        for (agent, own) in states[0].iter().enumerate() {
+            assert!(own[traffic.generated()].iter().all(|state| state[1].abs() < 1.85), "agent {agent}: {own:?}");
         }
         // Who is on the road already is left alone.
         assert_eq!(states[0][0][4], traffic.states_vec()[0][0][4]);
