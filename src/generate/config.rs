@@ -1,9 +1,9 @@
 //! The `[generate]` section: how many scenarios of what kind, from which scenes.
 
-use super::Error;
+use super::{ClassifierScope, Error};
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
-use crate::guidance::GuidanceConfig;
+use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
 use crate::scene::Split;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -57,12 +57,22 @@ pub struct SweepConfig {
     /// Name of the mined behavior to ask for. Left out: scenes are continued as they may go on.
     #[serde(default)]
     pub behavior: Option<String>,
-    /// Strengths α of classifier guidance; 0 is unguided sampling of the same scenes, pairs and noise, for comparison.
+    /// Strengths α of guidance, which multiply classifier and objectives alike; 0 is unguided sampling of the same scenes, pairs
+    /// and noise, for comparison.
     #[serde(default = "default_strengths")]
     pub strengths: Vec<f64>,
     /// When guidance acts and how far it may go.
     #[serde(default)]
     pub guidance: GuidanceConfig,
+    /// Whom the classifier of the behavior looks at.
+    #[serde(default)]
+    pub classifier_scope: ClassifierScope,
+    /// What is wished of trajectories beside the behavior, or instead of one.
+    #[serde(default)]
+    pub objectives: Vec<ObjectiveConfig>,
+    /// How objectives become shifts of the clean estimate.
+    #[serde(default)]
+    pub objective_guidance: ObjectiveGuidanceConfig,
     /// Which agents are asked for the behavior.
     #[serde(default)]
     pub pairs: PairSelectionConfig,
@@ -169,9 +179,6 @@ impl SweepConfig {
         if let Some(strength) = self.strengths.iter().find(|strength| !strength.is_finite()) {
             return Err(format!("({}): a strength is {strength}, expected a number", self.name));
         }
-        if self.behavior.is_none() && self.strengths.iter().any(|strength| *strength != 0.0) {
-            return Err(format!("({}): guided strengths need a behavior, such as behavior = \"cut_in\"", self.name));
-        }
-        Ok(())
+        self.check_guidance().map_err(|why| format!("({}): {why}", self.name))
     }
 }

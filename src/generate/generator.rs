@@ -99,18 +99,20 @@ impl<'a> Generator<'a> {
 
     fn check(&self, sweep: &SweepConfig) -> Result<(), Error> {
         let Some(behavior) = &sweep.behavior else { return Ok(()) };
-        if self.behavior(sweep).is_none() {
+        let Some(mined) = self.behavior(sweep) else {
             let known: Vec<&str> = self.behaviors.iter().map(|behavior| behavior.id()).collect();
             return Err(Error::UnknownBehavior {
                 sweep: sweep.name.clone(),
                 behavior: behavior.clone(),
                 known: known.join(", "),
             });
-        }
+        };
+        let in_sweep = |why| Error::Config(format!("generate.sweeps ({}): {why}", sweep.name));
+        sweep.check_objectives(mined.roles()).map_err(in_sweep)?;
         let Some(classifier) = self.classifier(sweep) else {
-            return match sweep.strengths.iter().all(|strength| *strength == 0.0) {
-                true => Ok(()),
-                false => Err(Error::NoClassifier { sweep: sweep.name.clone(), behavior: behavior.clone() }),
+            return match sweep.needs_classifier() {
+                false => Ok(()),
+                true => Err(Error::NoClassifier { sweep: sweep.name.clone(), behavior: behavior.clone() }),
             };
         };
         let (own, denoiser) = (&classifier.spec, self.spec());

@@ -7,9 +7,11 @@
 mod config;
 mod error;
 mod generator;
+mod guide;
 mod pairs;
 mod plan;
 mod sample;
+mod sweep_guidance;
 #[cfg(test)]
 mod tests;
 mod verify;
@@ -19,4 +21,5 @@ pub use error::Error;
 pub use generator::{Generator, Models, SceneLoader};
 pub use plan::{Cell, Plan, ShardPlan, Shortfall};
 pub use sample::{RejectedSample, ShardOutput};
+pub use sweep_guidance::ClassifierScope;
 pub use verify::{Verdict, verify};

@@ -86,7 +86,7 @@ impl Generator<'_> {
 
 /// Motorized agents tracked over the whole history, near each other, who do not perform the behavior in the recording.
 /// Scored by their distance.
-fn possible_pairs(sweep: &SweepConfig, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
+pub(super) fn possible_pairs(sweep: &SweepConfig, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
     let eligible: Vec<usize> = (0..scene.tracks.len())
         .filter(|agent_idx| {
             let track = &scene.tracks[*agent_idx];

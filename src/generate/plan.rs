@@ -1,7 +1,7 @@
 //! What will be generated, decided before anything is sampled: scenes, pairs, shards.
 
 use super::pairs::{CandidatePair, order_seed};
-use super::{Error, GenerateConfig, Generator, SweepConfig};
+use super::{ClassifierScope, Error, GenerateConfig, Generator, SweepConfig};
 use crate::behavior::Behavior;
 use crate::scene::{SceneId, Split, TrackId};
 use crate::store::SceneIndexEntry;
@@ -36,7 +36,7 @@ pub struct Cell {
     pub scene_idx: usize,
     /// The scene.
     pub scene_id: SceneId,
-    /// Roles and their tracks; none when no behavior is asked for. They are the same at strength 0.
+    /// Roles and their tracks; none when no behavior is asked for, or nobody in particular. They are the same at strength 0.
     pub roles: Vec<(String, TrackId)>,
 }
 
@@ -163,6 +163,9 @@ impl Generator<'_> {
         let candidates = self.candidates(sweep, behavior, &scene)?;
         let Some(CandidatePair { score, .. }) = candidates.first() else { return Ok(None) };
         let score = *score;
+        if sweep.classifier_scope == ClassifierScope::AnyPair {
+            return Ok(Some(RankedScene { score, cells: vec![listed.cell(Vec::new())] }));
+        }
         let cells = candidates.into_iter().take(sweep.pairs.per_scene).map(|pair| listed.cell(pair.roles)).collect();
         Ok(Some(RankedScene { score, cells }))
     }

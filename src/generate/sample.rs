@@ -1,10 +1,8 @@
 //! How does a shard of the plan become scenarios? Batches of like scenes, denoised, decoded, checked.
 
-use super::pairs::slots;
+use super::guide::Guided;
 use super::{Cell, Error, Generator, ShardPlan, SweepConfig, Verdict, verify};
 use crate::diffusion::{Denoiser, NoiseSource, Step};
-use crate::guidance::{ClassifierGuidance, GuidedDenoiser};
-use crate::model::TrainedClassifier;
 use crate::progress::Progress;
 use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, SceneId};
 use crate::seed::Seed;
@@ -124,36 +122,22 @@ impl Generator<'_> {
         let tensors = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
         let n_samples = batch.samples.len();
         let bound = self.models.denoiser.denoiser.bind(&tensors, n_samples)?;
-        let tensors = tensors.repeated(n_samples)?;
-        let x = match self.classifier(batch.sweep).filter(|_| batch.strength != 0.0) {
-            Some(classifier) => {
-                let agents: Vec<(usize, usize)> =
-                    agents.iter().flat_map(|pair| std::iter::repeat_n(*pair, n_samples)).collect();
-                self.denoise_guided(batch, &tensors, &bound, classifier, &agents, progress)?
-            }
-            None => self.denoise(batch, &tensors, &bound, progress)?,
+        let (own, tensors) = (&tensors, tensors.repeated(n_samples)?);
+        let guided = Guided {
+            sweep: batch.sweep,
+            strength: batch.strength,
+            cells: &batch.cells,
+            agents: &agents,
+            batch: own,
+            repeated: &tensors,
+            n_samples,
         };
+        let x = self.guided(&guided, &bound, |denoiser| self.denoise(batch, &tensors, denoiser, progress))?;
         let sources: Vec<&Scene> =
             batch.cells.iter().flat_map(|(_, scene)| std::iter::repeat_n(*scene, n_samples)).collect();
         let scenes = tensors.decode_scenes(&x, &sources)?;
         progress.advance(scenes.len() as u64);
         Ok(scenes.into_iter().map(checked).collect())
-    }
-
-    fn denoise_guided(
-        &self,
-        batch: &Batch<'_>,
-        tensors: &SceneBatch,
-        inner: &dyn Denoiser,
-        classifier: &TrainedClassifier,
-        agents: &[(usize, usize)],
-        progress: &dyn Progress,
-    ) -> Result<Tensor, Error> {
-        let features = classifier.spec.features(tensors, &slots(tensors, agents)?)?;
-        let guidance = ClassifierGuidance { classifier: &classifier.classifier, pairs: &features };
-        let config = batch.sweep.guidance;
-        let guided = GuidedDenoiser { inner, guidance: &guidance, strength: batch.strength, config };
-        self.denoise(batch, tensors, &guided, progress)
     }
 
     /// Diffused states (B, A, T, D) of all samples of a batch.
@@ -183,8 +167,8 @@ impl Generator<'_> {
         generated: &Scene,
         (strength, sample_idx): (f64, usize),
     ) -> ScenarioRecord {
-        let classifier = self.classifier(sweep).filter(|_| strength != 0.0);
-        let kind = classifier.map_or_else(|| "none".to_owned(), |c| format!("classifier:{}", c.spec.behavior));
+        let classifier = self.guiding_classifier(sweep, strength);
+        let kind = self.guidance_kind(sweep, strength);
         let provenance = Provenance {
             scene_id: cell.scene_id.clone(),
             checkpoint: self.models.denoiser.fingerprint.clone(),

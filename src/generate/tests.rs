@@ -1,5 +1,7 @@
 //! Is what is generated independent of how it is generated, paired across strengths, and guarded against nonsense?
 
+mod guidance;
+
 use super::*;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
 use crate::diffusion::SamplerConfig;

@@ -89,7 +89,7 @@ pub fn log_potential_gradient(guidance: &dyn Guidance, x: &Tensor, sigma: &Tenso
 }
 
 /// Shortens each row of `x` (B, …) to a Euclidean norm of at most `max_norm`.
-fn limit_norm(x: &Tensor, max_norm: f64) -> Result<Tensor> {
+pub(super) fn limit_norm(x: &Tensor, max_norm: f64) -> Result<Tensor> {
     let norms = x.flatten_from(1)?.sqr()?.sum(1)?.sqrt()?;
     let scales = sigma_rows(&norms)?.into_iter().map(|norm| if norm > max_norm { max_norm / norm } else { 1.0 });
     x.broadcast_mul(&rows_like(scales.collect(), x)?)

@@ -2,15 +2,33 @@
 //!
 //! One objective a file. All share one sign convention: potentials are maximized.
 
+mod agent_selector;
+mod any_pair;
 mod classifier;
+mod clean_guided_denoiser;
 mod guided_denoiser;
+mod objectives;
+mod road_corridors;
+mod scene_context;
+#[cfg(test)]
+mod scene_tests;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 
+pub use agent_selector::AgentSelector;
+pub use any_pair::AnyPairGuidance;
 pub use classifier::ClassifierGuidance;
+pub use clean_guided_denoiser::{
+    CleanGradient, CleanGuidedDenoiser, CleanPotential, ObjectiveGuidanceConfig, ObjectiveSum,
+};
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
+pub use objectives::{
+    AccelerationLimit, AdversarialTtc, Goal, GoalFrame, KeepDistance, NoCollision, ObjectiveConfig, RoadPoints,
+    SceneObjective, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,
+};
+pub use scene_context::{ContextRow, SceneContext};
 
 use candle_core::{Result, Tensor};
 

@@ -132,7 +132,7 @@ fn its_gradient_pushes_the_second_agent_toward_the_first() {
         let scenes: Vec<Scene> = [401, 402, 403].into_iter().map(scene).collect();
         let batch = batch(&denoiser, &scenes);
         let pairs = trained.spec.features(&batch, &[(1, 2); 3]).unwrap();
-        let guidance = ClassifierGuidance { classifier: &trained.classifier, pairs: &pairs };
+        let guidance = ClassifierGuidance { classifier: &trained.classifier, pairs };
         let sigma = Tensor::new(&[0.1f32; 3], &Device::Cpu).unwrap();
         let gradient = log_potential_gradient(&guidance, &batch.x0, &sigma).unwrap();
 

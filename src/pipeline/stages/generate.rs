@@ -37,13 +37,12 @@ impl Stage for Generate<'_> {
         let mined = self.mine.build()?;
         for sweep in &self.config.sweeps {
             let Some(behavior) = sweep.behavior.as_deref() else { continue };
-            let is_guided = sweep.strengths.iter().any(|strength| *strength != 0.0);
             if !mined.iter().any(|known| known.id() == behavior) {
                 let known: Vec<&str> = mined.iter().map(|known| known.id()).collect();
                 let (sweep, behavior, known) = (sweep.name.clone(), behavior.to_owned(), known.join(", "));
                 return Err(generate::Error::UnknownBehavior { sweep, behavior, known }.into());
             }
-            if is_guided && self.classified_behavior.is_some_and(|classified| classified != behavior) {
+            if sweep.needs_classifier() && self.classified_behavior.is_some_and(|classified| classified != behavior) {
                 let (sweep, behavior) = (sweep.name.clone(), behavior.to_owned());
                 return Err(generate::Error::NoClassifier { sweep, behavior }.into());
             }
@@ -119,7 +118,7 @@ impl Stage for Generate<'_> {
 impl Generate<'_> {
     /// Unguided sampling needs no classifier, except to rank pairs: there it is used if some sweep is guided.
     fn needs_classifier(&self) -> bool {
-        self.config.sweeps.iter().any(|sweep| sweep.strengths.iter().any(|strength| *strength != 0.0))
+        self.config.sweeps.iter().any(generate::SweepConfig::needs_classifier)
     }
 
     fn generate_shards(

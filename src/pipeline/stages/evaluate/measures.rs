@@ -60,7 +60,8 @@ impl<'a> Measures<'a> {
             is_defined.then(|| n_holding as f64 / events.len() as f64)
         };
         let requested = requested.and_then(|Requested { behavior, roles }| {
-            share(&|events| events.iter().any(|event| event.behavior == behavior && event.roles == roles))
+            let is_asked = |event: &BehaviorEvent| roles.is_empty() || event.roles == roles;
+            share(&|events| events.iter().any(|event| event.behavior == behavior && is_asked(event)))
         });
         let of_anybody = self
             .behaviors

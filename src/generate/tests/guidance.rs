@@ -1,0 +1,144 @@
+//! Do classifier and objectives act as the sweep says, alone and together, and does the provenance tell?
+
+use super::*;
+
+const OBJECTIVES: &str = "
+    splits = ['train']
+    [[sweeps]]
+    name = 'slow'
+    n_scenes = 3
+    n_samples = 2
+    strengths = [0.0, 1.0]
+    objectives = [{ kind = 'target_speed', speed_mps = 2.0 }]
+";
+
+fn kinds(records: &[ScenarioRecord]) -> Vec<&str> {
+    let mut kinds: Vec<&str> = records.iter().map(|r| r.scenario.provenance.guidance.kind.as_str()).collect();
+    kinds.sort_unstable();
+    kinds.dedup();
+    kinds
+}
+
+/// The mean deviation of generated speeds from 2 m/s, over records of a strength.
+fn deviation_mps(records: &[ScenarioRecord], strength: f64) -> f64 {
+    let own = records.iter().filter(|record| record.scenario.provenance.guidance.strength == strength);
+    let tracks = own.flat_map(|record| &record.scenario.scene.tracks);
+    let states = tracks.flat_map(|track| track.trajectory.valid().filter(|(t, _)| *t >= N_HISTORY));
+    let deviations: Vec<f64> = states.map(|(_, state)| (state.speed_mps() - 2.0).abs()).collect();
+    deviations.iter().sum::<f64>() / deviations.len() as f64
+}
+
+#[test]
+fn objectives_guide_without_a_behavior() {
+    let options =
+        ["", "objective_guidance = { inner_steps = 3 }", "objective_guidance = { gradient = 'through_network' }"];
+    for options in options {
+        let sampler = SamplerConfig::Heun(HeunConfig::with_steps(12));
+        let records = generate(&GenerateConfig { sampler, ..config(&format!("{OBJECTIVES}{options}")) });
+        assert_eq!(records.len(), 3 * 2 * 2);
+        assert_eq!(kinds(&records), ["none", "target_speed"]);
+        assert!(records.iter().all(|r| r.scenario.provenance.classifier.is_none() && r.requested_behavior.is_none()));
+        let (before, after) = (deviation_mps(&records, 0.0), deviation_mps(&records, 1.0));
+        // An untrained network is no denoiser, and its slopes are no covariance: that way need not lead to the wish.
+        let is_led = if options.contains("network") { after != before } else { after < 0.97 * before };
+        assert!(is_led, "{options}: {before} m/s before, {after} m/s after");
+    }
+}
+
+#[test]
+fn classifier_and_objectives_act_together() {
+    let together = config(&format!("{SWEEPS}    objectives = [{{ kind = 'no_collision', margin_m = 2.0 }}]"));
+    let (records, classified) = (generate(&together), generate(&config(SWEEPS)));
+    let guided = |records: &[ScenarioRecord]| -> Vec<ScenarioRecord> {
+        records[15..].iter().filter(|r| r.scenario.provenance.guidance.strength == 3.0).cloned().collect()
+    };
+    let (guided, classified) = (guided(&records), guided(&classified));
+    assert_eq!(kinds(&guided), ["classifier:drift+no_collision"]);
+    for (a, b) in guided.iter().zip(&classified) {
+        assert_eq!(a.scenario.provenance.classifier.as_deref(), Some("classifier"));
+        assert_eq!(a.scenario.provenance.guidance.roles, b.scenario.provenance.guidance.roles);
+        assert_ne!(a.scenario.id, b.scenario.id);
+    }
+    assert!(guided.iter().zip(&classified).any(|(a, b)| difference_m(&a.scenario.scene, &b.scenario.scene) > 1e-3));
+}
+
+#[test]
+fn objectives_alone_may_serve_a_behavior() {
+    let toml = format!(
+        "{SWEEPS}    classifier_scope = 'none'\n    objectives = [{{ kind = 'goal', agents = 'other', x_m = 9.0, y_m = -4.0 }}]"
+    );
+    let (denoiser, config) = (denoiser(0), config(&toml));
+    let models = Models { denoiser: &denoiser, classifiers: &[] };
+    let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
+    let generator = Generator::new(&config, models, &behaviors, &load, &Device::Cpu).unwrap();
+    let plan = generator.plan(&index(12)).unwrap();
+    let records = generator.generate(plan.shards.last().unwrap(), &Silent).unwrap().records;
+    assert_eq!(kinds(&records), ["goal", "none"]);
+    let rate = |strength: f64| {
+        let own = records.iter().filter(|r| r.scenario.provenance.guidance.strength == strength);
+        own.filter(|record| record.verified).count()
+    };
+    // The goal lies 4 m to the right: what the behavior asks for.
+    assert!(rate(3.0) == 8 && rate(0.0) < 8, "{} of 8 guided, {} unguided", rate(3.0), rate(0.0));
+}
+
+#[test]
+fn anybody_may_perform_the_behavior() {
+    let toml = SWEEPS.replace("behavior = 'drift'", "behavior = 'drift'\n    classifier_scope = 'any_pair'");
+    let records = generate(&config(&toml));
+    let (records, asked) = (&records[15..], generate(&config(SWEEPS)));
+    assert_eq!(records.len(), 4 * 2 * 2);
+    assert_eq!(kinds(records), ["classifier_any_pair:drift", "none"]);
+    for record in records {
+        assert!(record.scenario.provenance.guidance.roles.is_empty());
+        assert_eq!(record.verified, !Drift.detect(&record.scenario.scene).is_empty());
+    }
+    let pairs = records.chunks(4);
+    assert!(pairs.flat_map(|own| own[..2].iter().zip(&own[2..])).all(|(unguided, guided)| {
+        assert_eq!(unguided.scenario.provenance.sample_idx, guided.scenario.provenance.sample_idx);
+        difference_m(&unguided.scenario.scene, &guided.scenario.scene) > 1e-3
+    }));
+    assert!(asked[15..].iter().all(|record| record.scenario.provenance.guidance.roles.len() == 2));
+}
+
+#[test]
+fn guidance_that_makes_no_sense_is_refused() {
+    let refusal = |toml: &str| match toml::from_str::<GenerateConfig>(toml) {
+        Ok(config) => config.validate().unwrap_err().to_string(),
+        Err(error) => error.to_string(),
+    };
+    let sweep = |rest: &str| format!("[[sweeps]]\nname = 'a'\nn_scenes = 2\n{rest}");
+    let speed = |rest: &str| format!("objectives = [{{ kind = 'target_speed', speed_mps = 5.0{rest} }}]");
+    let guided = |rest: &str| sweep(&format!("strengths = [1.0]\n{rest}"));
+    let cut_in = |rest: &str| guided(&format!("behavior = 'cut_in'\n{rest}"));
+    for (toml, part) in [
+        (
+            guided(&speed(", weight = -1.0")),
+            "(a): objectives.0 (target_speed): weight is -1, expected a positive number",
+        ),
+        (guided(&speed(", agents = 'other'")), "nobody has the role \"other\", expected one of all, ego"),
+        (cut_in(&speed(", agents = 'third'")), "nobody has the role \"third\", expected one of all, ego, other"),
+        (
+            cut_in(&format!("classifier_scope = 'any_pair'\n{}", speed(", agents = 'other'"))),
+            "nobody has the role \"other\"",
+        ),
+        (cut_in("classifier_scope = 'none'"), "need objectives"),
+        (guided("classifier_scope = 'any_pair'"), "needs a behavior"),
+        (sweep(&speed("")), "objectives act at strengths other than 0"),
+        (guided(&format!("objective_guidance = {{ inner_steps = 0 }}\n{}", speed(""))), "inner_steps is 0"),
+        (guided("objectives = [{ kind = 'target_sped', speed_mps = 5.0 }]"), "target_sped"),
+    ] {
+        let message = refusal(&toml);
+        assert!(message.contains(part), "{message}");
+    }
+    // Roles of behaviors that are not built in are known to the generator alone.
+    let models = (denoiser(0), [classifier()]);
+    let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
+    let check = |agents: &str| {
+        let config = config(&guided(&format!("behavior = 'drift'\n{}", speed(&format!(", agents = '{agents}'")))));
+        let models = Models { denoiser: &models.0, classifiers: &models.1 };
+        Generator::new(&config, models, &behaviors, &load, &Device::Cpu).err().map(|error| error.to_string())
+    };
+    assert_eq!(check("other"), None);
+    assert!(check("others").unwrap().contains("nobody has the role"));
+}

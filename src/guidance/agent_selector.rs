@@ -1,0 +1,39 @@
+//! Whose motion does an objective judge?
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Agents by name: `all`; a role of the behavior that the sweep asks for, such as `other`; or `ego`. Where the behavior has
+/// no role of that name, `ego` is the agent around whom the scene is seen: the first role's, or the scene's ego agent where
+/// no behavior is asked for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(transparent)]
+pub struct AgentSelector(String);
+
+impl AgentSelector {
+    /// Everybody.
+    pub const ALL: &'static str = "all";
+    /// The agent around whom the scene is seen, unless a role has this name.
+    pub const EGO: &'static str = "ego";
+
+    /// The agents of this name.
+    pub fn new(name: &str) -> Self {
+        Self(name.to_owned())
+    }
+
+    /// The name.
+    pub fn name(&self) -> &str {
+        &self.0
+    }
+
+    /// Whether the name means somebody in a sweep with these roles.
+    pub fn is_known(&self, roles: &[&str]) -> bool {
+        [Self::ALL, Self::EGO].contains(&self.name()) || roles.contains(&self.name())
+    }
+}
+
+impl Default for AgentSelector {
+    fn default() -> Self {
+        Self::new(Self::ALL)
+    }
+}

@@ -1,0 +1,429 @@
+//! A denoiser whose clean estimates lean toward what is wished of clean samples, such as of decoded trajectories.
+
+use super::guided_denoiser::limit_norm;
+use super::{GuidanceConfig, ObjectiveConfig, SceneContext};
+use crate::diffusion::{Denoiser, rows_like, sigma_rows};
+use crate::tensor::SceneBatch;
+use candle_core::{Error, Result, Tensor, Var};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Something to be wished of clean samples.
+pub trait CleanPotential {
+    /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`, row by row.
+    ///
+    /// # Errors
+    /// When shapes do not fit.
+    fn log_potential(&self, x0: &Tensor) -> Result<Tensor>;
+}
+
+/// The weighted sum of objectives on the trajectories that diffused states stand for: Σ weight · J(decode(x₀)).
+#[derive(Clone, Copy)]
+pub struct ObjectiveSum<'a> {
+    /// The objectives.
+    pub objectives: &'a [ObjectiveConfig],
+    /// The batch that is sampled, one row a sample.
+    pub batch: &'a SceneBatch,
+    /// The same batch as objectives see it.
+    pub context: &'a SceneContext,
+}
+
+impl CleanPotential for ObjectiveSum<'_> {
+    fn log_potential(&self, x0: &Tensor) -> Result<Tensor> {
+        let states = self.batch.decode(x0)?;
+        let mut total = (states.flatten_from(1)?.sum(1)? * 0.0)?;
+        for objective in self.objectives.iter().map(ObjectiveConfig::objective) {
+            total = (total + (objective.log_potential(&states, self.context)? * objective.weight())?)?;
+        }
+        Ok(total)
+    }
+}
+
+/// How objectives on clean estimates become a shift.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ObjectiveGuidanceConfig {
+    /// What stands for the covariance of the clean sample given the noisy one.
+    pub gradient: CleanGradient,
+    /// Whether steps are shortened where the potential is strongly curved. Without, a strong wish overshoots: steps are then
+    /// limited by `guidance.max_shift` alone.
+    pub damped: bool,
+    /// Gradient steps at each evaluation of the denoiser; more of them follow wishes that bend, such as that of boxes not to
+    /// overlap, more closely.
+    pub inner_steps: usize,
+}
+
+/// What stands for the covariance of the clean sample given the noisy one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CleanGradient {
+    /// σ² σ_data² / (σ² + σ_data²), that of independent Gaussian data: needs no gradient of the denoiser.
+    #[default]
+    Clean,
+    /// σ² ∂D/∂x, the exact one for an exact denoiser: each step goes back through the network, at about three times the cost
+    /// of an evaluation without guidance.
+    ThroughNetwork,
+}
+
+impl Default for ObjectiveGuidanceConfig {
+    fn default() -> Self {
+        Self { gradient: CleanGradient::default(), damped: true, inner_steps: 1 }
+    }
+}
+
+/// D'(x; σ) = D(x; σ) + α C(σ) ∇J(x₀) at x₀ = D(x; σ), with C the covariance of x₀ given x.
+///
+/// The wish is a likelihood p(y | x₀) ∝ exp(J(x₀)) of the *clean* sample. What sampling needs is the noisy one,
+/// p(y | x) = E[exp(J(x₀)) | x]. To first order around the posterior mean, J(x₀) ≈ J(D) + ∇J · (x₀ - D), and x₀ is about
+/// normal given x, so ln p(y | x) ≈ J(D(x)) + ½ ∇J · C ∇J; the tilted posterior exp(∇J · x₀) p(x₀ | x) has the mean
+/// D + C ∇J, which is what the guided denoiser must return. The same follows from the chain rule: D' = D + σ² ∇ₓ ln p(y | x)
+/// and ∇ₓ J(D(x)) = (∂D/∂x)ᵀ ∇J, with σ² ∂D/∂x = C exactly (Tweedie's formula, second order). For Gaussian data of
+/// standard deviation σ_data, C = w(σ) = σ² σ_data² / (σ² + σ_data²) and nothing is approximate if J is linear.
+///
+/// Where J is curved, the full step overshoots: near D, J ≈ -½ k (c · x₀ - b)² has the exact answer
+/// D + α C ∇J / (1 + α k c · C c). Such a J obeys ∇J · C ∇J = 2 |J| k c · C c, the factor
+/// 1 / (1 + α ∇J · C ∇J / (2 |J|)) gives it without knowing k and c (`damped`); it supposes J ≤ 0 with 0 as the best.
+/// Further steps (`inner_steps`) go on from the shifted estimate u toward the fixed point u = D + α C ∇J(u), the mode of the
+/// tilted posterior; they are damped by the largest curvature met so far, which they also learn from how the gradient changed
+/// (the secant condition, as in Barzilai and Borwein 1988).
+pub struct CleanGuidedDenoiser<'a> {
+    /// The denoiser that is guided; it may be guided otherwise already.
+    pub inner: &'a dyn Denoiser,
+    /// What is wished.
+    pub potential: &'a dyn CleanPotential,
+    /// Strength α; 0 changes nothing.
+    pub strength: f64,
+    /// When guidance acts and how far it may go.
+    pub gate: GuidanceConfig,
+    /// How potentials become shifts.
+    pub config: ObjectiveGuidanceConfig,
+    /// Standard deviation σ_data of the diffused data.
+    pub sigma_data: f64,
+}
+
+/// The estimate of the inner denoiser, and what multiplies gradients by its covariance.
+enum Estimate {
+    /// The estimate, and w(σ) of each row.
+    Clean(Tensor, Tensor),
+    /// The noisy tensor, the estimate with the graph that leads there, and σ² of each row.
+    ThroughNetwork(Var, Tensor, Tensor),
+}
+
+impl Estimate {
+    /// The estimate without a graph behind it.
+    fn x0_hat(&self) -> Tensor {
+        let (Self::Clean(x0_hat, _) | Self::ThroughNetwork(_, x0_hat, _)) = self;
+        x0_hat.detach()
+    }
+
+    /// C g.
+    fn times_covariance(&self, gradient: &Tensor) -> Result<Tensor> {
+        match self {
+            Self::Clean(_, weight) => gradient.broadcast_mul(weight),
+            Self::ThroughNetwork(x, x0_hat, weight) => {
+                let gradients = (x0_hat * gradient)?.sum_all()?.backward()?;
+                let Some(gradient) = gradients.get(x.as_tensor()) else {
+                    return Err(Error::Msg("the denoiser's estimate has no gradient; use gradient = \"clean\"".into()));
+                };
+                gradient.detach().broadcast_mul(weight)
+            }
+        }
+    }
+}
+
+impl CleanGuidedDenoiser<'_> {
+    fn estimate(&self, x: &Tensor, sigma: &Tensor) -> Result<Estimate> {
+        let rows = |value: &dyn Fn(f64) -> f64| rows_like(sigma_rows(sigma)?.into_iter().map(value).collect(), x);
+        match self.config.gradient {
+            CleanGradient::Clean => {
+                let data = self.sigma_data.powi(2);
+                let weight = rows(&|sigma| sigma.powi(2) * data / (sigma.powi(2) + data))?;
+                Ok(Estimate::Clean(self.inner.denoise(x, sigma)?, weight))
+            }
+            CleanGradient::ThroughNetwork => {
+                let x = Var::from_tensor(&x.detach())?;
+                let x0_hat = self.inner.denoise(x.as_tensor(), sigma)?;
+                Ok(Estimate::ThroughNetwork(x, x0_hat, rows(&|sigma| sigma.powi(2))?))
+            }
+        }
+    }
+
+    /// J of each row at `x0`, and its gradient.
+    fn gradient(&self, x0: &Tensor) -> Result<(Vec<f64>, Tensor)> {
+        let x0 = Var::from_tensor(&x0.detach())?;
+        let potential = self.potential.log_potential(x0.as_tensor())?;
+        let gradients = potential.sum_all()?.backward()?;
+        let gradient = gradients.get(x0.as_tensor()).map(Tensor::detach).ok_or_else(|| {
+            Error::Msg("the objective does not depend on the clean estimate; some operation cuts its gradient".into())
+        })?;
+        Ok((sigma_rows(&potential.detach())?, gradient))
+    }
+}
+
+/// How strongly the potential bends, row by row: α C (-∂²J) along the steps that were taken, the largest so far.
+struct Bends {
+    strengths: Vec<f64>,
+    largest: Vec<f64>,
+    /// Shift and C ∇J of the last step.
+    last: Option<(Tensor, Tensor)>,
+}
+
+impl Bends {
+    fn new(strengths: Vec<f64>) -> Self {
+        Self { largest: vec![0.0; strengths.len()], strengths, last: None }
+    }
+
+    fn update(&mut self, potential: &[f64], gradient: &Tensor, push: &Tensor, shift: &Tensor) -> Result<()> {
+        let along_gradient = row_products(gradient, push)?;
+        for (row, product) in along_gradient.iter().enumerate() {
+            self.raise(row, self.strengths[row] * product / (2.0 * potential[row].abs()));
+        }
+        if let Some((last_shift, last_push)) = &self.last {
+            let (moved, slowed) = ((shift - last_shift)?, (last_push - push)?);
+            let (squares, products) = (row_products(&slowed, &slowed)?, row_products(&slowed, &moved)?);
+            for (row, (square, product)) in squares.iter().zip(products).enumerate() {
+                self.raise(row, self.strengths[row] * square / product);
+            }
+        }
+        self.last = Some((shift.clone(), push.clone()));
+        Ok(())
+    }
+
+    /// Bends that are none, such as 0 / 0 where nothing is left to wish for, or that have the wrong sign change nothing.
+    fn raise(&mut self, row: usize, bend: f64) {
+        if bend.is_finite() && bend > self.largest[row] {
+            self.largest[row] = bend;
+        }
+    }
+}
+
+/// The scalar product of each row of `a` (B, …) with that of `b`.
+fn row_products(a: &Tensor, b: &Tensor) -> Result<Vec<f64>> {
+    sigma_rows(&(a * b)?.flatten_from(1)?.sum(1)?)
+}
+
+impl Denoiser for CleanGuidedDenoiser<'_> {
+    fn denoise(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {
+        let acts = |sigma: f64| (self.gate.sigma_lo..=self.gate.sigma_hi).contains(&sigma);
+        let strengths: Vec<f64> =
+            sigma_rows(sigma)?.into_iter().map(|sigma| if acts(sigma) { self.strength } else { 0.0 }).collect();
+        if strengths.iter().all(|strength| *strength == 0.0) {
+            return self.inner.denoise(x, sigma);
+        }
+        let estimate = self.estimate(x, sigma)?;
+        let x0_hat = estimate.x0_hat();
+        let strength_rows = rows_like(strengths.clone(), x)?;
+        let mut shift = x0_hat.zeros_like()?;
+        let mut bends = Bends::new(strengths);
+        for _ in 0..self.config.inner_steps {
+            let (potential, gradient) = self.gradient(&(&x0_hat + &shift)?)?;
+            let push = estimate.times_covariance(&gradient)?;
+            let mut step = (push.broadcast_mul(&strength_rows)? - &shift)?;
+            if self.config.damped {
+                bends.update(&potential, &gradient, &push, &shift)?;
+                let factors = bends.largest.iter().map(|bend| 1.0 / (1.0 + bend));
+                step = step.broadcast_mul(&rows_like(factors.collect(), x)?)?;
+            }
+            shift = (shift + step)?;
+        }
+        x0_hat + limit_norm(&shift, self.gate.max_shift)?
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diffusion::analytic::{Component, GaussianMixture, MixtureDenoiser};
+    use crate::diffusion::sampler::HeunConfig;
+    use crate::diffusion::{Edm, NoiseSource, SamplerConfig};
+    use crate::seed::Seed;
+    use candle_core::{DType, Device};
+
+    const SIGMA: f64 = 0.8;
+    const AT: [f64; 2] = [0.7, -0.4];
+
+    fn gaussian(variance: [f64; 2]) -> GaussianMixture {
+        let component = Component { weight: 1.0, mean: vec![0.3, -0.2], variance: variance.to_vec() };
+        GaussianMixture { components: vec![component] }
+    }
+
+    /// J = c · x₀.
+    struct Linear([f64; 2]);
+    impl CleanPotential for Linear {
+        fn log_potential(&self, x0: &Tensor) -> Result<Tensor> {
+            x0.broadcast_mul(&Tensor::new(&self.0, x0.device())?)?.sum(1)
+        }
+    }
+
+    /// J = -½ k (c · x₀ - b)².
+    struct Squared([f64; 2], f64, f64);
+    impl CleanPotential for Squared {
+        fn log_potential(&self, x0: &Tensor) -> Result<Tensor> {
+            (Linear(self.0).log_potential(x0)? - self.1)?.sqr()? * (-0.5 * self.2)
+        }
+    }
+
+    /// J = -½ Σ k (x₀ - b)².
+    struct Bowl([f64; 2], [f64; 2]);
+    impl CleanPotential for Bowl {
+        fn log_potential(&self, x0: &Tensor) -> Result<Tensor> {
+            let offset = x0.broadcast_sub(&Tensor::new(&self.1, x0.device())?)?;
+            offset.sqr()?.broadcast_mul(&Tensor::new(&self.0, x0.device())?)?.sum(1)? * -0.5
+        }
+    }
+
+    fn guided<'a>(
+        inner: &'a dyn Denoiser,
+        potential: &'a dyn CleanPotential,
+        gradient: CleanGradient,
+        damped: bool,
+        inner_steps: usize,
+    ) -> CleanGuidedDenoiser<'a> {
+        let config = ObjectiveGuidanceConfig { gradient, damped, inner_steps };
+        CleanGuidedDenoiser {
+            inner,
+            potential,
+            strength: 1.5,
+            gate: GuidanceConfig::UNRESTRICTED,
+            config,
+            sigma_data: 0.5,
+        }
+    }
+
+    fn estimate(denoiser: &dyn Denoiser, sigma: f64) -> [f64; 2] {
+        let (x, sigma) = (Tensor::new(&[AT], &Device::Cpu).unwrap(), Tensor::new(&[sigma], &Device::Cpu).unwrap());
+        denoiser.denoise(&x, &sigma).unwrap().get(0).unwrap().to_vec1::<f64>().unwrap().try_into().unwrap()
+    }
+
+    fn assert_close(found: [f64; 2], expected: [f64; 2], tolerance: f64) {
+        assert!((0..2).all(|i| (found[i] - expected[i]).abs() < tolerance), "{found:?}, expected {expected:?}");
+    }
+
+    /// Mean and variance of the clean point given the noisy one, by Bayes' rule.
+    fn posterior(variance: f64, mean: f64, at: f64, sigma: f64) -> (f64, f64) {
+        let precision = 1.0 / variance + 1.0 / (sigma * sigma);
+        ((mean / variance + at / (sigma * sigma)) / precision, 1.0 / precision)
+    }
+
+    #[test]
+    fn linear_wishes_of_gaussian_data_are_met_exactly_both_ways() {
+        let c = [2.0, -0.7];
+        for (variance, gradients) in [
+            ([0.25, 0.25], vec![CleanGradient::Clean, CleanGradient::ThroughNetwork]),
+            // Other variances than σ_data² are known to the network alone.
+            ([0.04, 0.6], vec![CleanGradient::ThroughNetwork]),
+        ] {
+            let denoiser = MixtureDenoiser::new(&gaussian(variance), DType::F64).unwrap();
+            for gradient in gradients {
+                let found = estimate(&guided(&denoiser, &Linear(c), gradient, false, 1), SIGMA);
+                // The posterior under the tilt exp(1.5 c · x₀): its mean moves by 1.5 times its covariance times c.
+                let expected = [0, 1].map(|i| {
+                    let (mean, variance) = posterior(variance[i], [0.3, -0.2][i], AT[i], SIGMA);
+                    mean + 1.5 * variance * c[i]
+                });
+                assert_close(found, expected, 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn the_covariance_of_a_mixture_comes_from_its_denoiser() {
+        let components = vec![
+            Component { weight: 0.6, mean: vec![-0.6, 0.2], variance: vec![0.04, 0.02] },
+            Component { weight: 0.4, mean: vec![0.4, -0.1], variance: vec![0.03, 0.09] },
+        ];
+        let denoiser = MixtureDenoiser::new(&GaussianMixture { components }, DType::F64).unwrap();
+        let (x, sigma) = (Tensor::new(&[AT], &Device::Cpu).unwrap(), Tensor::new(&[SIGMA], &Device::Cpu).unwrap());
+        let posterior = denoiser.posterior(&x, &sigma).unwrap();
+        let share = posterior.log_responsibility.exp().unwrap().to_vec2::<f64>().unwrap()[0].clone();
+        let mean = posterior.mean.to_vec3::<f64>().unwrap()[0].clone();
+        let within = posterior.variance.to_vec3::<f64>().unwrap()[0].clone();
+        let middle = [0, 1].map(|i| share[0] * mean[0][i] + share[1] * mean[1][i]);
+        // The law of total covariance.
+        let covariance = |i: usize, j: usize| {
+            let own = |k: usize| {
+                let spread = (mean[k][i] - middle[i]) * (mean[k][j] - middle[j]);
+                share[k] * (spread + if i == j { within[k][i] } else { 0.0 })
+            };
+            own(0) + own(1)
+        };
+        let c = [2.0, -0.7];
+        let expected = [0, 1].map(|i| middle[i] + 1.5 * (covariance(i, 0) * c[0] + covariance(i, 1) * c[1]));
+        let found = estimate(&guided(&denoiser, &Linear(c), CleanGradient::ThroughNetwork, false, 1), SIGMA);
+        assert_close(found, expected, 1e-10);
+    }
+
+    #[test]
+    fn damping_is_exact_for_the_square_of_one_linear_wish() {
+        let (c, b, k) = ([2.0, -0.7], 3.0, 40.0);
+        let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();
+        let (mean, variance) = {
+            let both = [0, 1].map(|i| posterior(0.25, [0.3, -0.2][i], AT[i], SIGMA));
+            ([both[0].0, both[1].0], both[0].1)
+        };
+        // A normal observation b of c · x₀ with precision 1.5 k.
+        let residual = b - c[0] * mean[0] - c[1] * mean[1];
+        let gain = 1.5 * k * variance / (1.0 + 1.5 * k * variance * (c[0] * c[0] + c[1] * c[1]));
+        let expected = [0, 1].map(|i| mean[i] + gain * c[i] * residual);
+        for gradient in [CleanGradient::Clean, CleanGradient::ThroughNetwork] {
+            for inner_steps in [1, 3] {
+                let found = estimate(&guided(&denoiser, &Squared(c, b, k), gradient, true, inner_steps), SIGMA);
+                assert_close(found, expected, 1e-10);
+            }
+            // Without damping the step is as long as the curvature is large.
+            let wild = estimate(&guided(&denoiser, &Squared(c, b, k), gradient, false, 1), SIGMA);
+            assert!((wild[0] - mean[0]).abs() > 20.0 * (expected[0] - mean[0]).abs());
+        }
+    }
+
+    #[test]
+    fn inner_steps_converge_to_the_tilted_posterior() {
+        let (k, b) = ([30.0, 3.0], [1.0, 2.0]);
+        let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();
+        let expected = [0, 1].map(|i| {
+            let (mean, variance) = posterior(0.25, [0.3, -0.2][i], AT[i], SIGMA);
+            (mean / variance + 1.5 * k[i] * b[i]) / (1.0 / variance + 1.5 * k[i])
+        });
+        let error = |inner_steps: usize| {
+            let found = estimate(&guided(&denoiser, &Bowl(k, b), CleanGradient::Clean, true, inner_steps), SIGMA);
+            (found[0] - expected[0]).hypot(found[1] - expected[1])
+        };
+        assert!(
+            error(5) < error(1) && error(20) < error(1) / 2.0 && error(200) < 1e-3,
+            "{} {} {}",
+            error(1),
+            error(5),
+            error(200)
+        );
+    }
+
+    #[test]
+    fn samples_of_gaussian_data_follow_the_tilted_distribution() {
+        let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();
+        let (c, linear) = ([0.8, -0.4], Linear([0.8, -0.4]));
+        let guided = guided(&denoiser, &linear, CleanGradient::Clean, false, 1);
+        let mut noise = NoiseSource::new((0..3000).map(|row| Seed(11).derive("row", &[row])).collect());
+        let like = Tensor::zeros(1, DType::F64, &Device::Cpu).unwrap();
+        let sampler = SamplerConfig::Heun(HeunConfig::with_steps(20));
+        let x = sampler.sample(&Edm::default(), &guided, &[2], &like, &mut noise, &mut |_| {}).unwrap();
+        let mean: [f64; 2] = x.mean(0).unwrap().to_vec1::<f64>().unwrap().try_into().unwrap();
+        // exp(1.5 c · x₀) moves the mean by 1.5 · 0.25 c; the mean of 3000 has a standard error of 0.01.
+        assert_close(mean, [0.3 + 0.375 * c[0], -0.2 + 0.375 * c[1]], 0.03);
+    }
+
+    #[test]
+    fn the_gate_and_the_limit_hold_and_no_strength_is_no_guidance() {
+        let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();
+        let (linear, plain) = (Linear([2.0, 1.0]), |sigma: f64| estimate(&denoiser, sigma));
+        for gradient in [CleanGradient::Clean, CleanGradient::ThroughNetwork] {
+            let mut guided = guided(&denoiser, &linear, gradient, true, 2);
+            guided.gate = GuidanceConfig { sigma_lo: 0.1, sigma_hi: 2.0, max_shift: 0.05 };
+            assert_eq!(estimate(&guided, 0.05), plain(0.05));
+            assert_eq!(estimate(&guided, 3.0), plain(3.0));
+            let (shifted, own) = (estimate(&guided, 0.8), plain(0.8));
+            assert!(((shifted[0] - own[0]).hypot(shifted[1] - own[1]) - 0.05).abs() < 1e-9);
+            guided.strength = 0.0;
+            assert_eq!(estimate(&guided, 0.8), plain(0.8));
+        }
+    }
+}

@@ -1,0 +1,60 @@
+//! Accelerate, brake and turn no harder than a given limit.
+
+use super::motion::{integral, norm, penalty, positions, positive, rate};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use candle_core::{Result, Tensor};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Accelerate, brake and turn no harder than a limit: J = -½ Σ ∫ (max(‖a(t)‖ - a_max, 0) / τ)² dt over the chosen agents.
+///
+/// a is the second difference quotient of positions, in all directions, its norm rounded by 0.05 m/s² at zero.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AccelerationLimit {
+    /// How much this objective counts beside others.
+    #[serde(default = "default_weight")]
+    pub weight: f64,
+    /// Whose acceleration: `all`, `ego` or a role.
+    #[serde(default)]
+    pub agents: AgentSelector,
+    /// The limit a_max, m/s².
+    #[serde(default = "default_limit_mps2")]
+    pub limit_mps2: f64,
+    /// The excess τ that costs ½ a second, m/s².
+    #[serde(default = "default_tolerance_mps2")]
+    pub tolerance_mps2: f64,
+}
+
+const fn default_limit_mps2() -> f64 {
+    4.0
+}
+
+const fn default_tolerance_mps2() -> f64 {
+    1.0
+}
+
+impl SceneObjective for AccelerationLimit {
+    fn kind(&self) -> &'static str {
+        "acceleration_limit"
+    }
+
+    fn weight(&self) -> f64 {
+        self.weight
+    }
+
+    fn agents(&self) -> Vec<&AgentSelector> {
+        vec![&self.agents]
+    }
+
+    fn validate(&self) -> std::result::Result<(), String> {
+        positive(&[("limit_mps2", self.limit_mps2), ("tolerance_mps2", self.tolerance_mps2)])
+    }
+
+    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let velocity_mps = rate(&positions(states)?, context.dt_s)?;
+        let acceleration_mps2 = norm(&rate(&velocity_mps, context.dt_s)?)?;
+        let values = penalty(&(acceleration_mps2 - self.limit_mps2)?.relu()?, self.tolerance_mps2)?;
+        integral(&values, &context.terms(2)?, &context.selected(&self.agents)?, context.dt_s)
+    }
+}

@@ -1,0 +1,110 @@
+//! Keep a distance that is neither too small nor too large.
+
+use super::motion::{norm, not_negative, nothing, penalty, positions, positive};
+use super::pairs::{PairQuery, Pairs, Reach};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use candle_core::{Result, Tensor};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Keep a distance: J = -½ Σ ∫ { (max(d_min - d(t), 0) / τ)² + (max(d(t) - d_max, 0) / τ)² } dt over the pairs of one agent
+/// of `agents` and another of `to`.
+///
+/// d is the distance of the centers, rounded by 0.05 m at zero. Without `max_m` there is no upper bound.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct KeepDistance {
+    /// How much this objective counts beside others.
+    #[serde(default = "default_weight")]
+    pub weight: f64,
+    /// Who keeps a distance: `all`, `ego` or a role.
+    #[serde(default)]
+    pub agents: AgentSelector,
+    /// To whom: `all`, `ego` or a role.
+    #[serde(default)]
+    pub to: AgentSelector,
+    /// The least distance d_min of the centers, metres.
+    pub min_m: f64,
+    /// The largest distance d_max of the centers, metres. Left out: any.
+    #[serde(default)]
+    pub max_m: Option<f64>,
+    /// The deviation τ that costs ½ a second, metres.
+    #[serde(default = "default_tolerance_m")]
+    pub tolerance_m: f64,
+}
+
+const fn default_tolerance_m() -> f64 {
+    1.0
+}
+
+impl SceneObjective for KeepDistance {
+    fn kind(&self) -> &'static str {
+        "keep_distance"
+    }
+
+    fn weight(&self) -> f64 {
+        self.weight
+    }
+
+    fn agents(&self) -> Vec<&AgentSelector> {
+        vec![&self.agents, &self.to]
+    }
+
+    fn validate(&self) -> std::result::Result<(), String> {
+        positive(&[("tolerance_m", self.tolerance_m)])?;
+        not_negative(&[("min_m", self.min_m), ("max_m", self.max_m.unwrap_or(0.0))])?;
+        match self.max_m.filter(|max_m| *max_m < self.min_m) {
+            Some(max_m) => Err(format!("max_m is {max_m}, expected at least min_m, which is {}", self.min_m)),
+            None => Ok(()),
+        }
+    }
+
+    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let reach = Reach { per_radius: 0.0, beyond_m: self.min_m + 1.0 };
+        let reach = self.max_m.is_none().then_some(reach);
+        let query = PairQuery { one: &self.agents, other: &self.to, reach };
+        let Some(pairs) = Pairs::gather(states, context, &query)? else { return nothing(states) };
+        let distance_m = norm(&(positions(&pairs.second)? - positions(&pairs.first)?)?)?;
+        let mut values = penalty(&(self.min_m - &distance_m)?.relu()?, self.tolerance_m)?;
+        if let Some(max_m) = self.max_m {
+            values = (values + penalty(&(distance_m - max_m)?.relu()?, self.tolerance_m)?)?;
+        }
+        pairs.sum_over_rows(&((values * &pairs.counts)?.sum(1)? * context.dt_s)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Traffic, after_ascent, assert_gradients_match};
+    use super::*;
+
+    fn objective() -> KeepDistance {
+        let (agents, to) = (AgentSelector::new("other"), AgentSelector::new("ego"));
+        KeepDistance { weight: 1.0, agents, to, min_m: 8.0, max_m: Some(12.0), tolerance_m: 1.0 }
+    }
+
+    #[test]
+    fn gradients_match_and_distances_come_into_range() {
+        for x in [3.0, 20.0] {
+            let traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (x, 1.0, 0.1, 8.0), (1.0, 5.0, 0.0, 8.0)]);
+            assert_gradients_match(&objective(), &traffic);
+            let before = traffic.states_vec();
+            let states = after_ascent(&objective(), &traffic, 200);
+            for t in traffic.generated() {
+                let (a, b) = (&states[0][0][t], &states[0][1][t]);
+                let distance_m = (a[0] - b[0]).hypot(a[1] - b[1]);
+                assert!((7.8..12.2).contains(&distance_m), "{distance_m} at {t}, beginning with {x} m");
+            }
+            assert_eq!(states[0][2], before[0][2], "the third agent was not asked");
+        }
+    }
+
+    #[test]
+    fn the_cost_of_a_known_distance() {
+        // 3 m too near over all generated timesteps.
+        let traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (5.0, 0.0, 0.0, 8.0)]);
+        let expected = -0.5 * 9.0 * traffic.n_generated() as f64 * traffic.context.dt_s;
+        let value = traffic.potential(&objective())[0];
+        assert!((value / expected - 1.0).abs() < 0.05, "{value}, expected {expected}");
+    }
+}

@@ -1,0 +1,125 @@
+//! Objectives on trajectories: what can be wished of positions and headings without a classifier?
+//!
+//! One objective a file: its struct is its configuration, its docstring its definition. A new one needs its file and a variant
+//! of [`ObjectiveConfig`].
+//!
+//! Common to all: a log potential J is at most 0, and 0, up to rounding, where nothing is left to wish for. It is once continuously
+//! differentiable in the states unless its docstring says otherwise. It is summed over agents (or pairs) and integrated over
+//! time in seconds, so that neither the number of bystanders nor the time step changes how hard an agent is pushed. A term
+//! counts if all the states it reads are valid and at least one of them is generated: padding never contributes, and what is
+//! observed only as far as generated states are compared with it.
+
+mod acceleration_limit;
+mod adversarial_ttc;
+mod box_separation;
+mod goal;
+mod keep_distance;
+mod motion;
+mod no_collision;
+mod pairs;
+mod speed_limit;
+mod stay_on_road;
+mod stop_at_line;
+mod target_speed;
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
+
+pub use acceleration_limit::AccelerationLimit;
+pub use adversarial_ttc::AdversarialTtc;
+pub use goal::{Goal, GoalFrame};
+pub use keep_distance::KeepDistance;
+pub use no_collision::NoCollision;
+pub use speed_limit::SpeedLimit;
+pub use stay_on_road::{RoadPoints, StayOnRoad};
+pub use stop_at_line::StopAtLine;
+pub use target_speed::TargetSpeed;
+
+use super::{AgentSelector, SceneContext};
+use candle_core::{Result, Tensor};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Something to be wished of the trajectories of a scene.
+pub trait SceneObjective {
+    /// Its name in configs and provenance.
+    fn kind(&self) -> &'static str;
+    /// How much it counts beside others.
+    fn weight(&self) -> f64;
+    /// Whose motion it judges.
+    fn agents(&self) -> Vec<&AgentSelector>;
+    /// Says which parameter makes no sense.
+    ///
+    /// # Errors
+    /// When there is one.
+    fn validate(&self) -> std::result::Result<(), String>;
+    /// The log potential J ≤ 0 of each row, (B), higher is better, without the weight. `states` (B, A, T, 3) are positions
+    /// and headings in metres and radians of each row's ego frame. Differentiable in them, row by row.
+    ///
+    /// # Errors
+    /// When shapes do not fit, or nobody has a role.
+    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor>;
+}
+
+/// An objective with its options: `{ kind = "target_speed", agents = "other", speed_mps = 5.0 }`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum ObjectiveConfig {
+    /// Drive at a given speed.
+    TargetSpeed(TargetSpeed),
+    /// Drive no faster than a given speed.
+    SpeedLimit(SpeedLimit),
+    /// Be at a given place at a given time.
+    Goal(Goal),
+    /// Accelerate, brake and turn no harder than a limit.
+    AccelerationLimit(AccelerationLimit),
+    /// Stay on the road.
+    StayOnRoad(StayOnRoad),
+    /// Do not drive into each other.
+    NoCollision(NoCollision),
+    /// Keep a distance.
+    KeepDistance(KeepDistance),
+    /// Come to a halt before a line.
+    StopAtLine(StopAtLine),
+    /// Let two agents come shortly before a collision.
+    AdversarialTtc(AdversarialTtc),
+}
+
+impl ObjectiveConfig {
+    /// The objective.
+    pub fn objective(&self) -> &dyn SceneObjective {
+        match self {
+            Self::TargetSpeed(objective) => objective,
+            Self::SpeedLimit(objective) => objective,
+            Self::Goal(objective) => objective,
+            Self::AccelerationLimit(objective) => objective,
+            Self::StayOnRoad(objective) => objective,
+            Self::NoCollision(objective) => objective,
+            Self::KeepDistance(objective) => objective,
+            Self::StopAtLine(objective) => objective,
+            Self::AdversarialTtc(objective) => objective,
+        }
+    }
+
+    /// Says what makes no sense in a sweep that asks a behavior of `roles`.
+    ///
+    /// # Errors
+    /// When something does.
+    pub fn validate(&self, roles: &[&str]) -> std::result::Result<(), String> {
+        let objective = self.objective();
+        motion::positive(&[("weight", objective.weight())])?;
+        match objective.agents().into_iter().find(|agents| !agents.is_known(roles)) {
+            Some(agents) => {
+                let others = roles.iter().copied().filter(|role| *role != AgentSelector::EGO);
+                let known: Vec<&str> = [AgentSelector::ALL, AgentSelector::EGO].into_iter().chain(others).collect();
+                Err(format!("nobody has the role {:?}, expected one of {}", agents.name(), known.join(", ")))
+            }
+            None => objective.validate(),
+        }
+    }
+}
+
+const fn default_weight() -> f64 {
+    1.0
+}

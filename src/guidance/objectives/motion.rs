@@ -1,0 +1,59 @@
+//! The pieces that objectives are made of: differentiable speeds, smooth norms, penalties, sums over rows.
+
+use candle_core::{D, Result, Tensor};
+
+/// Least value of a rounded norm: ‖v‖ has no gradient at zero.
+const ROUNDING: f64 = 0.05;
+
+/// The positions (B, A, T, 2) of `states` (B, A, T, 3).
+pub(super) fn positions(states: &Tensor) -> Result<Tensor> {
+    states.narrow(D::Minus1, 0, 2)
+}
+
+/// The headings (B, A, T, 1) of `states` (B, A, T, 3).
+pub(super) fn headings(states: &Tensor) -> Result<Tensor> {
+    states.narrow(D::Minus1, 2, 1)
+}
+
+/// Forward differences of `x` (B, A, T, ..) along time, per second: (B, A, T - 1, ..).
+pub(super) fn rate(x: &Tensor, dt_s: f64) -> Result<Tensor> {
+    let n = x.dim(2)?.saturating_sub(1);
+    (x.narrow(2, 1, n)? - x.narrow(2, 0, n)?)? * (1.0 / dt_s)
+}
+
+/// √(‖v‖² + r²) over the last dimension, with r = 0.05: the norm, rounded at zero so that it has a gradient there. Never 0.
+pub(super) fn norm(v: &Tensor) -> Result<Tensor> {
+    (v.sqr()?.sum(D::Minus1)? + ROUNDING * ROUNDING)?.sqrt()
+}
+
+/// -(x / tolerance)² / 2, the log density of a normal distribution up to a constant.
+pub(super) fn penalty(x: &Tensor, tolerance: f64) -> Result<Tensor> {
+    x.sqr()? * (-0.5 / (tolerance * tolerance))
+}
+
+/// Σ over agents of ∫ `values` dt over the terms that count: `values` and `terms` (B, A, N), `agents` (B, A), to (B).
+pub(super) fn integral(values: &Tensor, terms: &Tensor, agents: &Tensor, dt_s: f64) -> Result<Tensor> {
+    let counted = (values * terms)?.sum(2)?;
+    (counted * agents)?.sum(1)? * dt_s
+}
+
+/// 0 in each row, (B), that depends on `states` as gradients need it.
+pub(super) fn nothing(states: &Tensor) -> Result<Tensor> {
+    states.flatten_from(1)?.sum(1)? * 0.0
+}
+
+/// Says which of these parameters is no positive number.
+pub(super) fn positive(parameters: &[(&str, f64)]) -> std::result::Result<(), String> {
+    match parameters.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+        Some((key, value)) => Err(format!("{key} is {value}, expected a positive number")),
+        None => Ok(()),
+    }
+}
+
+/// Says which of these parameters is no number from 0 on.
+pub(super) fn not_negative(parameters: &[(&str, f64)]) -> std::result::Result<(), String> {
+    match parameters.iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0)) {
+        Some((key, value)) => Err(format!("{key} is {value}, expected a number from 0 on")),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,136 @@
+//! Do not drive into each other.
+
+use super::box_separation::separation_m;
+use super::motion::{not_negative, nothing, penalty, positive};
+use super::pairs::{PairQuery, Pairs, Reach};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use candle_core::{Result, Tensor};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Do not drive into each other: J = -½ Σ ∫ (max(m - s(t), 0) / τ)² dt over pairs of a chosen agent and any other.
+///
+/// s is the separation of the two boxes by the separating-axis theorem, made smooth: positive where they are apart, negative
+/// where they overlap. Pairs that overlap at present already do not count: recordings hold such pairs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NoCollision {
+    /// How much this objective counts beside others.
+    #[serde(default = "default_weight")]
+    pub weight: f64,
+    /// Who shall not collide with anybody: `all`, `ego` or a role.
+    #[serde(default)]
+    pub agents: AgentSelector,
+    /// The separation m below which a pair costs something, metres.
+    #[serde(default = "default_margin_m")]
+    pub margin_m: f64,
+    /// The lack of separation τ that costs ½ a second, metres.
+    #[serde(default = "default_tolerance_m")]
+    pub tolerance_m: f64,
+}
+
+const fn default_margin_m() -> f64 {
+    0.5
+}
+
+const fn default_tolerance_m() -> f64 {
+    0.5
+}
+
+impl SceneObjective for NoCollision {
+    fn kind(&self) -> &'static str {
+        "no_collision"
+    }
+
+    fn weight(&self) -> f64 {
+        self.weight
+    }
+
+    fn agents(&self) -> Vec<&AgentSelector> {
+        vec![&self.agents]
+    }
+
+    fn validate(&self) -> std::result::Result<(), String> {
+        positive(&[("tolerance_m", self.tolerance_m)])?;
+        not_negative(&[("margin_m", self.margin_m)])
+    }
+
+    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        // Two of the axes are perpendicular: the separation is at least d / √2 less the radii of both boxes and the
+        // smoothing, for centers d apart. Pairs beyond that cost nothing.
+        let reach = Reach { per_radius: 2f64.sqrt(), beyond_m: 2f64.sqrt() * (self.margin_m + SMOOTHING_M) };
+        let query = PairQuery { one: &self.agents, other: &AgentSelector::default(), reach: Some(reach) };
+        let Some(pairs) = Pairs::gather(states, context, &query)? else { return nothing(states) };
+        let separation_m = separation_m(&pairs)?;
+        let present = context.n_history.saturating_sub(1);
+        let at_present = |tensor: &Tensor| tensor.detach().narrow(1, present, 1);
+        let overlaps = at_present(&separation_m)?.lt(-SMOOTHING_M)?.to_dtype(states.dtype())?;
+        let overlaps = (overlaps * at_present(&pairs.both_valid)?)?;
+        let counts = pairs.counts.broadcast_mul(&(1.0 - overlaps)?)?;
+        let values = penalty(&(self.margin_m - separation_m)?.relu()?, self.tolerance_m)?;
+        pairs.sum_over_rows(&((values * counts)?.sum(1)? * context.dt_s)?)
+    }
+}
+
+/// More than smoothing takes off a separation, metres.
+const SMOOTHING_M: f64 = 0.25;
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Traffic, after_ascent, assert_gradients_match};
+    use super::*;
+    use crate::geometry::{OrientedBox, Vec2};
+
+    fn objective() -> NoCollision {
+        NoCollision { weight: 1.0, agents: AgentSelector::default(), margin_m: 0.5, tolerance_m: 0.5 }
+    }
+
+    /// A fast car behind a slow one, and another that crosses.
+    fn traffic() -> Traffic {
+        Traffic::straight(&[(0.0, 0.0, 0.0, 10.0), (8.0, 0.3, 0.05, 2.0), (9.0, -9.0, 1.6, 6.0)])
+    }
+
+    fn n_overlaps(states: &[Vec<Vec<f64>>]) -> usize {
+        let footprint = |agent: usize, t: usize| {
+            let [x, y, heading_rad] = states[agent][t][..] else { unreachable!() };
+            OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.5, width_m: 1.8 }
+        };
+        let pairs = [(0, 1), (0, 2), (1, 2)];
+        let overlaps = |t: usize| pairs.iter().filter(|(a, b)| footprint(*a, t).overlaps(&footprint(*b, t))).count();
+        (0..states[0].len()).map(overlaps).sum()
+    }
+
+    #[test]
+    fn gradients_match_and_keep_boxes_apart() {
+        let traffic = traffic();
+        assert_gradients_match(&objective(), &traffic);
+        assert!(n_overlaps(&traffic.states_vec()[0]) > 2);
+        assert_eq!(n_overlaps(&after_ascent(&objective(), &traffic, 200)[0]), 0);
+    }
+
+    #[test]
+    fn pairs_far_apart_or_overlapping_at_present_cost_nothing() {
+        assert_eq!(Traffic::straight(&[(0.0, 0.0, 0.0, 10.0), (60.0, 0.0, 0.0, 10.0)]).potential(&objective()), [0.0]);
+        let parked = Traffic::straight(&[(0.0, 0.0, 0.0, 0.0), (1.0, 0.5, 0.0, 0.0)]);
+        assert_eq!(parked.potential(&objective()), [0.0]);
+    }
+
+    #[test]
+    fn the_filter_by_distance_changes_nothing() {
+        // With a vast tolerance for the filter, the potential is the same.
+        let objective = objective();
+        for x in [4.0, 6.0, 7.0, 8.0] {
+            let traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 0.0), (x, 4.0, 0.7, 0.0)]);
+            let pairs = Pairs::gather(
+                traffic.states.as_tensor(),
+                &traffic.context,
+                &PairQuery { one: &objective.agents, other: &objective.agents, reach: None },
+            );
+            let pairs = pairs.unwrap().unwrap();
+            let lack_m = (objective.margin_m - separation_m(&pairs).unwrap()).unwrap().relu().unwrap();
+            let cost = (penalty(&lack_m, objective.tolerance_m).unwrap() * &pairs.counts).unwrap();
+            let all = cost.sum_all().unwrap().to_scalar::<f64>().unwrap() * traffic.context.dt_s;
+            assert!((traffic.potential(&objective)[0] - all).abs() < 1e-12);
+        }
+    }
+}

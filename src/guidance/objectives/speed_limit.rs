@@ -1,0 +1,55 @@
+//! Drive no faster than a given speed.
+
+use super::motion::{integral, norm, not_negative, penalty, positions, positive, rate};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use candle_core::{Result, Tensor};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Drive no faster than a given speed: J = -½ Σ ∫ (max(v(t) - v_max, 0) / τ)² dt over the chosen agents.
+///
+/// v is the norm of the difference quotient of positions, rounded by 0.05 m/s at zero.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SpeedLimit {
+    /// How much this objective counts beside others.
+    #[serde(default = "default_weight")]
+    pub weight: f64,
+    /// Whose speed: `all`, `ego` or a role.
+    #[serde(default)]
+    pub agents: AgentSelector,
+    /// The limit v_max, m/s.
+    pub limit_mps: f64,
+    /// The excess τ that costs ½ a second, m/s.
+    #[serde(default = "default_tolerance_mps")]
+    pub tolerance_mps: f64,
+}
+
+const fn default_tolerance_mps() -> f64 {
+    1.0
+}
+
+impl SceneObjective for SpeedLimit {
+    fn kind(&self) -> &'static str {
+        "speed_limit"
+    }
+
+    fn weight(&self) -> f64 {
+        self.weight
+    }
+
+    fn agents(&self) -> Vec<&AgentSelector> {
+        vec![&self.agents]
+    }
+
+    fn validate(&self) -> std::result::Result<(), String> {
+        positive(&[("tolerance_mps", self.tolerance_mps)])?;
+        not_negative(&[("limit_mps", self.limit_mps)])
+    }
+
+    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let speed_mps = norm(&rate(&positions(states)?, context.dt_s)?)?;
+        let values = penalty(&(speed_mps - self.limit_mps)?.relu()?, self.tolerance_mps)?;
+        integral(&values, &context.terms(1)?, &context.selected(&self.agents)?, context.dt_s)
+    }
+}

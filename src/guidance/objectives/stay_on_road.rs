@@ -1,0 +1,186 @@
+//! Stay on the road.
+
+use super::motion::{headings, integral, norm, not_negative, penalty, positions, positive};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use crate::geometry::Vec2;
+use candle_core::{DType, Result, Tensor};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Stay on the road: J = -½ Σ ∫ (max(d(p(t)) + m, 0) / τ)² dt over the chosen motorized agents, and over their corners with
+/// `points = "corners"` (each counts a quarter).
+///
+/// d(p) is how far p lies outside of the nearest lane corridor: its distance to the center line of the lane less half the
+/// lane's width (that of the map's boundaries, 3.5 m where it has none), negative inside. Beyond ends that no lane continues,
+/// lanes are carried straight on by 100 m. The nearest corridor is found on the host; by the envelope theorem the gradient
+/// of the distance to its nearest point, held fixed, is that of d, except where two corridors are equally near.
+/// The potential is 0 in scenes without lanes, and agents that are not motorized do not count.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct StayOnRoad {
+    /// How much this objective counts beside others.
+    #[serde(default = "default_weight")]
+    pub weight: f64,
+    /// Who shall stay on the road: `all`, `ego` or a role.
+    #[serde(default)]
+    pub agents: AgentSelector,
+    /// Which points of an agent shall be on the road.
+    #[serde(default)]
+    pub points: RoadPoints,
+    /// How far inside of the edge points shall stay at least, the margin m, metres.
+    #[serde(default)]
+    pub margin_m: f64,
+    /// The distance τ off the road that costs ½ a second, metres.
+    #[serde(default = "default_tolerance_m")]
+    pub tolerance_m: f64,
+}
+
+/// Points of an agent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum RoadPoints {
+    /// Its center.
+    #[default]
+    Center,
+    /// The corners of its box.
+    Corners,
+}
+
+const fn default_tolerance_m() -> f64 {
+    0.5
+}
+
+impl SceneObjective for StayOnRoad {
+    fn kind(&self) -> &'static str {
+        "stay_on_road"
+    }
+
+    fn weight(&self) -> f64 {
+        self.weight
+    }
+
+    fn agents(&self) -> Vec<&AgentSelector> {
+        vec![&self.agents]
+    }
+
+    fn validate(&self) -> std::result::Result<(), String> {
+        positive(&[("tolerance_m", self.tolerance_m)])?;
+        not_negative(&[("margin_m", self.margin_m)])
+    }
+
+    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let agents = (context.selected(&self.agents)? * &context.motorized)?;
+        let terms = context.terms(0)?;
+        let counts = terms.broadcast_mul(&agents.unsqueeze(2)?)?;
+        let mut total: Option<Tensor> = None;
+        let places = self.places(states, context)?;
+        let share = 1.0 / places.len() as f64;
+        for points in places {
+            let outside_m = outside_m(&points, &counts, context)?;
+            let values = (penalty(&(outside_m + self.margin_m)?.relu()?, self.tolerance_m)? * share)?;
+            let own = integral(&values, &terms, &agents, context.dt_s)?;
+            total = Some(total.map_or(Ok(own.clone()), |total| total + own)?);
+        }
+        total.map_or_else(|| super::motion::nothing(states), Ok)
+    }
+}
+
+impl StayOnRoad {
+    /// The points that shall be on the road, each (B, A, T, 2).
+    fn places(&self, states: &Tensor, context: &SceneContext) -> Result<Vec<Tensor>> {
+        let center = positions(states)?;
+        if self.points == RoadPoints::Center {
+            return Ok(vec![center]);
+        }
+        let (cos, sin) = (headings(states)?.cos()?, headings(states)?.sin()?);
+        let forward = Tensor::cat(&[&cos, &sin], 3)?;
+        let left = Tensor::cat(&[&sin.neg()?, &cos], 3)?;
+        let half = |dim: usize| (context.extent_m.narrow(2, dim, 1)?.unsqueeze(3)? * 0.5)?.to_dtype(states.dtype());
+        let (forward, left) = (forward.broadcast_mul(&half(0)?)?, left.broadcast_mul(&half(1)?)?);
+        let corner = |ahead: f64, aside: f64| (&center + (&forward * ahead)?)? + (&left * aside)?;
+        [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)].into_iter().map(|(a, b)| corner(a, b)).collect()
+    }
+}
+
+/// How far `points` (B, A, T, 2) lie outside of the nearest corridor, (B, A, T); far inside where they do not count
+/// (`counts` (B, A, T) is 0) or there are no lanes.
+fn outside_m(points: &Tensor, counts: &Tensor, context: &SceneContext) -> Result<Tensor> {
+    let (n_rows, n_agents, n_timesteps, _) = points.dims4()?;
+    let host = |tensor: &Tensor| tensor.detach().to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>();
+    let (at, counted) = (host(points)?, host(counts)?);
+    let n_entries = counted.len();
+    let (mut nearest, mut half_width_m) = (at.clone(), vec![INSIDE_M; n_entries]);
+    for (entry, point) in at.chunks_exact(2).enumerate().filter(|(entry, _)| counted[*entry] > 0.0) {
+        let road = &context.roads[entry / (n_agents * n_timesteps)];
+        if let Some(near) = road.nearest(Vec2::new(point[0], point[1])) {
+            nearest[entry * 2..entry * 2 + 2].copy_from_slice(&[near.point.x, near.point.y]);
+            half_width_m[entry] = near.half_width_m;
+        }
+    }
+    let nearest = Tensor::from_vec(nearest, points.shape(), points.device())?.to_dtype(points.dtype())?;
+    let half_width_m = Tensor::from_vec(half_width_m, (n_rows, n_agents, n_timesteps), points.device())?;
+    norm(&(points - nearest)?)? - half_width_m.to_dtype(points.dtype())?
+}
+
+/// Half the width of a road that is everywhere, metres.
+const INSIDE_M: f64 = 1e6;
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Traffic, after_ascent, assert_gradients_match};
+    use super::*;
+    use crate::geometry::Transform2;
+    use crate::scene::testing::{Drive, scene};
+    use std::sync::Arc;
+
+    fn on_road(points: RoadPoints) -> StayOnRoad {
+        StayOnRoad { weight: 1.0, agents: AgentSelector::default(), points, margin_m: 0.0, tolerance_m: 0.5 }
+    }
+
+    /// Cars at y = 1, 3 and -5 m, beside a lane along y = 0 whose edges are at ±1.75 m.
+    fn traffic() -> Traffic {
+        let mut traffic = Traffic::straight(&[(0.0, 1.0, 0.1, 8.0), (10.0, 3.0, 0.0, 6.0), (20.0, -5.0, 0.2, 5.0)]);
+        let lanes = scene(&[Drive::straight(0.0, 0.0, 0.0, 1.0)]).lanes;
+        let road = crate::guidance::road_corridors::RoadCorridors::new(&lanes, &Transform2::IDENTITY);
+        traffic.context.roads = vec![Arc::new(road)];
+        traffic
+    }
+
+    #[test]
+    fn the_cost_is_that_of_the_distance_outside() {
+        let mut traffic = Traffic::straight(&[(0.0, 3.75, 0.0, 5.0)]);
+        traffic.context.roads = self::traffic().context.roads;
+        // 2 m outside, 4 tolerances, over the generated timesteps; the norm's rounding is below 1 mm here.
+        let seconds = traffic.n_generated() as f64 * traffic.context.dt_s;
+        let value = traffic.potential(&on_road(RoadPoints::Center))[0];
+        assert!((value + 0.5 * 16.0 * seconds).abs() < 0.4, "{value}");
+        // The corners lie 0.9 m (half the width) nearer to and farther from the road.
+        let cost = |outside_m: f64| 0.5 * (outside_m / 0.5).powi(2);
+        let expected = -0.5 * (cost(2.0 - 0.9) + cost(2.0 + 0.9)) * seconds;
+        let value = traffic.potential(&on_road(RoadPoints::Corners))[0];
+        assert!((value / expected - 1.0).abs() < 0.06, "{value}, expected {expected}");
+        traffic.context.roads = vec![Arc::default()];
+        assert_eq!(traffic.potential(&on_road(RoadPoints::Center)), [0.0]);
+    }
+
+    #[test]
+    fn gradients_match_and_bring_vehicles_back() {
+        let traffic = traffic();
+        for points in [RoadPoints::Center, RoadPoints::Corners] {
+            assert_gradients_match(&on_road(points), &traffic);
+        }
+        let states = after_ascent(&on_road(RoadPoints::Center), &traffic, 200);
+        for (agent, own) in states[0].iter().enumerate() {
+            assert!(own[traffic.generated()].iter().all(|state| state[1].abs() < 1.85), "agent {agent}: {own:?}");
+        }
+        // Who is on the road already is left alone.
+        assert_eq!(states[0][0][4], traffic.states_vec()[0][0][4]);
+    }
+
+    #[test]
+    fn agents_that_do_not_drive_are_free() {
+        let mut traffic = traffic();
+        traffic.context.motorized = traffic.context.motorized.zeros_like().unwrap();
+        assert_eq!(traffic.potential(&on_road(RoadPoints::Corners)), [0.0]);
+    }
+}

@@ -1,0 +1,88 @@
+//! Come to a halt before a line.
+
+use super::motion::{headings, integral, norm, penalty, positions, positive, rate};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use candle_core::{D, Result, Tensor};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Come to a halt with the front at a line across the way, `distance_m` ahead of where its front is at present.
+///
+/// With s(t) the way of an agent's front beyond the line, measured along its heading at present,
+///
+/// J = -½ Σ { ∫ (max(s(t), 0) / τ_s)² dt + (s(T) / τ_s)² + (v(T) / τ_v)² }
+///
+/// over the chosen agents: never beyond the line, at it in the end, and standing then. Agents without a state at present do
+/// not count.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct StopAtLine {
+    /// How much this objective counts beside others.
+    #[serde(default = "default_weight")]
+    pub weight: f64,
+    /// Who shall stop: `all`, `ego` or a role.
+    #[serde(default = "ego")]
+    pub agents: AgentSelector,
+    /// How far ahead of the agent's front the line lies at present, metres.
+    pub distance_m: f64,
+    /// The way τ_s beyond or before the line that costs ½, metres.
+    #[serde(default = "default_tolerance_m")]
+    pub tolerance_m: f64,
+    /// The final speed τ_v that costs ½, m/s.
+    #[serde(default = "default_tolerance_mps")]
+    pub tolerance_mps: f64,
+}
+
+const fn default_tolerance_m() -> f64 {
+    1.0
+}
+
+const fn default_tolerance_mps() -> f64 {
+    0.5
+}
+
+fn ego() -> AgentSelector {
+    AgentSelector::new(AgentSelector::EGO)
+}
+
+impl SceneObjective for StopAtLine {
+    fn kind(&self) -> &'static str {
+        "stop_at_line"
+    }
+
+    fn weight(&self) -> f64 {
+        self.weight
+    }
+
+    fn agents(&self) -> Vec<&AgentSelector> {
+        vec![&self.agents]
+    }
+
+    fn validate(&self) -> std::result::Result<(), String> {
+        positive(&[
+            ("distance_m", self.distance_m),
+            ("tolerance_m", self.tolerance_m),
+            ("tolerance_mps", self.tolerance_mps),
+        ])
+    }
+
+    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let (present, dt_s) = (context.n_history.saturating_sub(1), context.dt_s);
+        let start = states.narrow(2, present, 1)?;
+        let along = Tensor::cat(&[headings(&start)?.cos()?, headings(&start)?.sin()?], 3)?;
+        let way_m = positions(states)?.broadcast_sub(&positions(&start)?)?.broadcast_mul(&along)?.sum(D::Minus1)?;
+        let beyond_m = (way_m - self.distance_m)?;
+        let was_there = context.valid.narrow(2, present, 1)?.squeeze(2)?;
+        let agents = (context.selected(&self.agents)? * was_there)?;
+        let last = |values: &Tensor, terms: &Tensor| {
+            let at = values.dim(2)? - 1;
+            integral(&values.narrow(2, at, 1)?, &terms.narrow(2, at, 1)?, &agents, 1.0)
+        };
+        let speed_mps = norm(&rate(&positions(states)?, dt_s)?)?;
+        let (terms, steps) = (context.terms(0)?, context.terms(1)?);
+        let crossing = integral(&penalty(&beyond_m.relu()?, self.tolerance_m)?, &terms, &agents, dt_s)?;
+        let place = last(&penalty(&beyond_m, self.tolerance_m)?, &terms)?;
+        let halt = last(&penalty(&speed_mps, self.tolerance_mps)?, &steps)?;
+        (crossing + place)? + halt
+    }
+}

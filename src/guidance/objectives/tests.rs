@@ -1,0 +1,219 @@
+//! What all objectives have in common, and what single ones do to trajectories.
+
+use super::testing::{Traffic, after_ascent, assert_gradients_match, nested};
+use super::*;
+use crate::geometry::Transform2;
+use crate::guidance::road_corridors::RoadCorridors;
+use crate::scene::testing::{Drive, scene};
+use candle_core::{Device, Var};
+use std::sync::Arc;
+
+/// One of each kind, all of which cost something in [`busy`].
+fn all() -> Vec<ObjectiveConfig> {
+    let text = "
+        objectives = [
+            { kind = 'target_speed', speed_mps = 3.0 },
+            { kind = 'speed_limit', limit_mps = 4.0 },
+            { kind = 'goal', agents = 'all', x_m = 30.0, y_m = 2.0, time_s = 1.0 },
+            { kind = 'acceleration_limit', limit_mps2 = 0.5 },
+            { kind = 'stay_on_road' },
+            { kind = 'no_collision', margin_m = 1.0 },
+            { kind = 'keep_distance', min_m = 9.0 },
+            { kind = 'stop_at_line', agents = 'all', distance_m = 5.0 },
+            { kind = 'adversarial_ttc', agents = 'all', to = 'all' },
+        ]";
+    let table: toml::Table = toml::from_str(text).unwrap();
+    table["objectives"].clone().try_into().unwrap()
+}
+
+/// Cars close to each other and beside the road, that accelerate.
+fn busy() -> Traffic {
+    let mut traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 9.0), (6.0, 2.2, 0.0, 5.0), (3.0, -5.0, 0.2, 6.0)]);
+    let mut states: Vec<f64> = traffic.states.flatten_all().unwrap().to_vec1().unwrap();
+    for (at, state) in states.iter_mut().enumerate() {
+        *state += 0.02 * ((at % 36) / 3).pow(2) as f64 * if at % 3 == 0 { 1.0 } else { 0.1 };
+    }
+    let states = Tensor::from_vec(states, traffic.states.shape(), &Device::Cpu).unwrap();
+    traffic.states = Var::from_tensor(&states).unwrap();
+    let lanes = scene(&[Drive::straight(0.0, 0.0, 0.0, 1.0)]).lanes;
+    traffic.context.roads = vec![Arc::new(RoadCorridors::new(&lanes, &Transform2::IDENTITY))];
+    traffic
+}
+
+fn speeds(agent: &[Vec<f64>], dt_s: f64) -> Vec<f64> {
+    agent.windows(2).map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]) / dt_s).collect()
+}
+
+#[test]
+fn every_gradient_agrees_with_finite_differences_and_every_potential_is_negative() {
+    let traffic = busy();
+    for config in all() {
+        assert_gradients_match(config.objective(), &traffic);
+        assert!(traffic.potential(config.objective())[0] < -1e-3, "{}", config.objective().kind());
+    }
+}
+
+#[test]
+fn invalid_entries_never_contribute() {
+    for config in all() {
+        let objective = config.objective();
+        let mut traffic = busy();
+        // The third agent is padding, the second is gone at timestep 7: whatever stands there must not matter.
+        let gone = |at: usize| at / 12 == 2 || at == 12 + 7;
+        let valid: Vec<f64> = (0..36).map(|at| f64::from(u8::from(!gone(at)))).collect();
+        let valid = Tensor::from_vec(valid, (1, 3, 12), &Device::Cpu).unwrap();
+        traffic.context.latent = (&traffic.context.latent * &valid).unwrap();
+        traffic.context.valid = valid;
+        let (before, gradient) = (traffic.potential(objective), traffic.gradient(objective));
+        assert!(before[0] < 0.0, "{}", objective.kind());
+        let mut states: Vec<f64> = traffic.states.flatten_all().unwrap().to_vec1().unwrap();
+        for (at, state) in states.iter_mut().enumerate().filter(|(at, _)| gone(at / 3)) {
+            assert_eq!(gradient[at], 0.0, "{} pulls at padding", objective.kind());
+            *state = 1.7 * (at % 5) as f64 - 3.0;
+        }
+        let states = Tensor::from_vec(states, traffic.states.shape(), &Device::Cpu).unwrap();
+        traffic.states = Var::from_tensor(&states).unwrap();
+        assert!((traffic.potential(objective)[0] - before[0]).abs() < 1e-12, "{} sees padding", objective.kind());
+    }
+}
+
+#[test]
+fn what_is_observed_alone_costs_nothing() {
+    let mut traffic = busy();
+    traffic.context.latent = traffic.context.latent.zeros_like().unwrap();
+    for config in all() {
+        assert_eq!(traffic.potential(config.objective()), [0.0], "{}", config.objective().kind());
+    }
+}
+
+#[test]
+fn rows_are_independent() {
+    let (one, two) = (busy(), Traffic::straight(&[(0.0, 0.0, 0.0, 9.0), (9.0, 0.5, 0.1, 3.0), (3.0, 5.0, 0.2, 6.0)]));
+    let mut both = busy();
+    both.context = both.context.repeated(2).unwrap();
+    let states = Tensor::cat(&[one.states.as_tensor(), two.states.as_tensor()], 0).unwrap();
+    both.states = Var::from_tensor(&states).unwrap();
+    for config in all() {
+        let mut second = Traffic { context: one.context.clone(), states: two.states.clone() };
+        let expected = [one.potential(config.objective())[0], second.potential(config.objective())[0]];
+        let found = both.potential(config.objective());
+        assert!((0..2).all(|row| (found[row] - expected[row]).abs() < 1e-9), "{}", config.objective().kind());
+        // Swapping the role changes who is meant.
+        second.context.roles.insert("other".to_owned(), vec![2]);
+        let selected = second.context.selected(&AgentSelector::new("other")).unwrap();
+        assert_eq!(selected.to_vec2::<f64>().unwrap(), [[0.0, 0.0, 1.0]]);
+    }
+}
+
+#[test]
+fn target_speed_is_reached_by_the_chosen_agent() {
+    let traffic = Traffic::straight(&[(0.0, 0.0, 0.3, 9.0), (20.0, 0.0, 0.0, 8.0)]);
+    let agents = AgentSelector::new("other");
+    let objective = TargetSpeed { weight: 1.0, agents, speed_mps: 5.0, tolerance_mps: 1.0, from_s: 1.0 };
+    // 3 m/s too fast from 1 s after the present on: steps 7, 8, 9 and 10 of 0.2 s each.
+    let expected = -0.5 * 9.0 * 4.0 * 0.2;
+    assert!((traffic.potential(&objective)[0] / expected - 1.0).abs() < 0.05, "{}", traffic.potential(&objective)[0]);
+    let states = after_ascent(&objective, &traffic, 100);
+    assert!(speeds(&states[0][1], 0.2)[7..].iter().all(|speed| (speed - 5.0).abs() < 0.2));
+    assert_eq!(states[0][0], traffic.states_vec()[0][0]);
+    let at_once = TargetSpeed { from_s: 0.0, ..objective };
+    assert_gradients_match(&at_once, &traffic);
+    let states = after_ascent(&at_once, &traffic, 1000);
+    assert!(speeds(&states[0][1], 0.2)[2..].iter().all(|speed| (speed - 5.0).abs() < 0.3));
+}
+
+#[test]
+fn limits_bind_those_beyond_them_only() {
+    let traffic = Traffic::straight(&[(0.0, 0.0, 0.3, 9.0), (20.0, 0.0, 0.0, 5.0)]);
+    let limit = SpeedLimit { weight: 1.0, agents: AgentSelector::default(), limit_mps: 6.0, tolerance_mps: 1.0 };
+    assert_gradients_match(&limit, &traffic);
+    let states = after_ascent(&limit, &traffic, 200);
+    assert!(speeds(&states[0][0], 0.2)[2..].iter().all(|speed| *speed < 6.2));
+    assert_eq!(states[0][1], traffic.states_vec()[0][1]);
+
+    // A jolt: one state 1 m off, which means 1 / 0.2² = 25 m/s² before and after, and 50 in the middle.
+    let mut jolted = traffic.states_vec();
+    jolted[0][0][6][1] += 1.0;
+    let flat: Vec<f64> = jolted.concat().concat().concat();
+    let states = Tensor::from_vec(flat, traffic.states.shape(), &Device::Cpu).unwrap();
+    let jolted = Traffic { states: Var::from_tensor(&states).unwrap(), context: traffic.context };
+    let agents = AgentSelector::default();
+    let limit = AccelerationLimit { weight: 1.0, agents, limit_mps2: 4.0, tolerance_mps2: 1.0 };
+    let expected = -0.5 * 0.2 * (21f64.powi(2) * 2.0 + 46f64.powi(2));
+    assert!((jolted.potential(&limit)[0] / expected - 1.0).abs() < 0.01, "{}", jolted.potential(&limit)[0]);
+    assert_gradients_match(&limit, &jolted);
+    let calm = after_ascent(&limit, &jolted, 300);
+    for t in 1..11 {
+        let second = |dim: usize| calm[0][0][t - 1][dim] - 2.0 * calm[0][0][t][dim] + calm[0][0][t + 1][dim];
+        assert!(second(0).hypot(second(1)) / 0.04 < 4.5);
+    }
+}
+
+#[test]
+fn goals_are_reached_in_their_frame_and_time() {
+    let traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 9.0), (20.0, 5.0, std::f64::consts::FRAC_PI_2, 5.0)]);
+    let goal = |agents: &str, frame: GoalFrame, time_s: Option<f64>| Goal {
+        weight: 1.0,
+        agents: AgentSelector::new(agents),
+        frame,
+        x_m: 12.0,
+        y_m: 1.0,
+        time_s,
+        tolerance_m: 1.0,
+    };
+    // The other drives along y and is at (20, 7) at present, timestep 2: 12 m ahead and 1 m to the left is (19, 19).
+    for (objective, timestep, expected) in [
+        (goal("other", GoalFrame::Agent, Some(1.0)), 7, [19.0, 19.0]),
+        (goal("other", GoalFrame::Ego, Some(1.2)), 8, [12.0, 1.0]),
+        (goal("other", GoalFrame::Agent, None), 11, [19.0, 19.0]),
+    ] {
+        let now = &traffic.states_vec()[0][1][timestep];
+        let miss = (now[0] - expected[0]).powi(2) + (now[1] - expected[1]).powi(2);
+        assert!((traffic.potential(&objective)[0] + 0.5 * miss).abs() < 1e-9);
+        assert_gradients_match(&objective, &traffic);
+        let there = &after_ascent(&objective, &traffic, 10)[0][1][timestep];
+        assert!((there[0] - expected[0]).abs() + (there[1] - expected[1]).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn the_front_stops_at_the_line() {
+    // At present, timestep 2, the car is 2 m along its way; the line lies 6 m ahead of that.
+    let traffic = Traffic::straight(&[(0.0, 0.0, std::f64::consts::FRAC_PI_2, 5.0)]);
+    let objective = StopAtLine {
+        weight: 1.0,
+        agents: AgentSelector::new("ego"),
+        distance_m: 6.0,
+        tolerance_m: 0.5,
+        tolerance_mps: 0.5,
+    };
+    assert_gradients_match(&objective, &traffic);
+    let states = &after_ascent(&objective, &traffic, 500)[0][0];
+    assert!(states.iter().all(|state| state[1] < 8.0 + 0.1));
+    assert!((states[11][1] - 8.0).abs() < 0.2, "{:?}", states[11]);
+    assert!(speeds(states, 0.2)[10] < 0.2);
+}
+
+#[test]
+fn options_that_make_no_sense_are_refused() {
+    let refusal = |text: &str| match toml::from_str::<ObjectiveConfig>(text) {
+        Ok(config) => config.validate(&["ego", "other"]).unwrap_err(),
+        Err(error) => error.to_string(),
+    };
+    for (text, part) in [
+        ("kind = 'target_speed'\nspeed_mps = -1.0", "speed_mps is -1"),
+        ("kind = 'target_speed'\nspeed_mps = 5.0\nweight = -2.0", "weight is -2"),
+        ("kind = 'target_speed'\nspeed_mps = 5.0\nagents = 'third'", "expected one of all, ego, other"),
+        ("kind = 'target_speed'\nspeed = 5.0", "speed"),
+        ("kind = 'keep_distance'\nmin_m = 5.0\nmax_m = 3.0", "expected at least min_m"),
+        ("kind = 'stop_at_line'\ndistance_m = nan", "distance_m is NaN"),
+        ("kind = 'goal'\nx_m = inf\ny_m = 0.0", "x_m is inf"),
+        ("kind = 'adversarial_ttc'\nto = 'all'\nttc_s = 0.0", "ttc_s is 0"),
+        ("kind = 'stay_on_road'\nmargin_m = -0.5", "margin_m is -0.5"),
+    ] {
+        let message = refusal(text);
+        assert!(message.contains(part), "{message}");
+    }
+    assert!(all().iter().all(|config| config.validate(&[]).is_ok()));
+    assert_eq!(nested(busy().states.as_tensor()).len(), 1);
+}

@@ -1,0 +1,156 @@
+//! Where is the road? Lanes as strips around their center lines, and the strip that is nearest to a point.
+
+use crate::geometry::{Polyline, Transform2, Vec2};
+use crate::scene::{Lane, LaneGraph};
+
+/// Half the width of a lane whose boundaries the map does not give, metres.
+const HALF_NOMINAL_WIDTH_M: f64 = 1.75;
+/// How far lanes are carried straight on where the map ends, metres: nothing is known of the road there.
+const EXTENSION_M: f64 = 100.0;
+
+/// The road of a scene: each lane as a chain of straight strips.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct RoadCorridors {
+    lanes: Vec<Corridor>,
+}
+
+/// The strips of a lane, with a circle around them.
+#[derive(Debug, Clone, PartialEq)]
+struct Corridor {
+    center: Vec2,
+    radius_m: f64,
+    strips: Vec<Strip>,
+}
+
+/// All points at most `half_width_m` from a line of `length_m` that leads from `start` in the direction of `along`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Strip {
+    start: Vec2,
+    along: Vec2,
+    length_m: f64,
+    half_width_m: f64,
+}
+
+/// Where the road is nearest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct NearestRoad {
+    /// The nearest point of the center line of the nearest strip.
+    pub(super) point: Vec2,
+    /// Half the width of that strip, metres.
+    pub(super) half_width_m: f64,
+}
+
+impl RoadCorridors {
+    /// The road of these lanes, in the frame that `to_from_here` leads to.
+    pub(super) fn new(lanes: &LaneGraph, to_from_here: &Transform2) -> Self {
+        let lanes = lanes.lanes().iter().filter_map(|lane| Corridor::new(strips(lane, to_from_here)));
+        Self { lanes: lanes.collect() }
+    }
+
+    /// The center line of the strip that `point` is the fewest metres outside of (or, if it is on the road, one that it is
+    /// inside of). `None` without lanes.
+    pub(super) fn nearest(&self, point: Vec2) -> Option<NearestRoad> {
+        let mut best: Option<(f64, NearestRoad)> = None;
+        for lane in &self.lanes {
+            let least_m = best.map_or(f64::INFINITY, |(excess_m, _)| excess_m);
+            if least_m <= 0.0 {
+                break;
+            }
+            if lane.center.distance(point) - lane.radius_m >= least_m {
+                continue;
+            }
+            for strip in &lane.strips {
+                let nearest = strip.nearest(point);
+                let excess_m = nearest.point.distance(point) - nearest.half_width_m;
+                if best.is_none_or(|(least_m, _)| excess_m < least_m) {
+                    best = Some((excess_m, nearest));
+                }
+            }
+        }
+        best.map(|(_, nearest)| nearest)
+    }
+}
+
+impl Corridor {
+    fn new(strips: Vec<Strip>) -> Option<Self> {
+        let ends = || strips.iter().flat_map(|strip| [strip.start, strip.end()]);
+        let center = ends().fold(Vec2::ZERO, |sum, end| sum + end) * (1.0 / ends().count().max(1) as f64);
+        let width_m = strips.iter().map(|strip| strip.half_width_m).reduce(f64::max)?;
+        let radius_m = ends().map(|end| end.distance(center)).fold(0.0, f64::max) + width_m;
+        Some(Self { center, radius_m, strips })
+    }
+}
+
+impl Strip {
+    fn new(start: Vec2, end: Vec2, half_width_m: f64) -> Option<Self> {
+        let length_m = start.distance(end);
+        (length_m > 0.0).then(|| Self { start, along: (end - start) * (1.0 / length_m), length_m, half_width_m })
+    }
+
+    fn end(&self) -> Vec2 {
+        self.start + self.along * self.length_m
+    }
+
+    fn nearest(&self, point: Vec2) -> NearestRoad {
+        let station_m = (point - self.start).dot(self.along).clamp(0.0, self.length_m);
+        NearestRoad { point: self.start + self.along * station_m, half_width_m: self.half_width_m }
+    }
+}
+
+/// The strips of a lane, with extensions beyond ends that no other lane continues.
+fn strips(lane: &Lane, to_from_here: &Transform2) -> Vec<Strip> {
+    let points: Vec<Vec2> = lane.centerline.0.iter().map(|point| to_from_here.point(*point)).collect();
+    let middles = lane.centerline.0.windows(2).map(|pair| half_width_m(lane, pair[0].lerp(pair[1], 0.5)));
+    let mut strips: Vec<Strip> = points
+        .windows(2)
+        .zip(middles)
+        .filter_map(|(pair, half_width_m)| Strip::new(pair[0], pair[1], half_width_m))
+        .collect();
+    if let (true, Some(first)) = (lane.predecessors.is_empty(), strips.first().copied()) {
+        let start = first.start - first.along * EXTENSION_M;
+        strips.extend(Strip::new(start, first.start, first.half_width_m));
+        strips.rotate_right(1);
+    }
+    if let (true, Some(last)) = (lane.successors.is_empty(), strips.last().copied()) {
+        strips.extend(Strip::new(last.end(), last.end() + last.along * EXTENSION_M, last.half_width_m));
+    }
+    strips
+}
+
+/// Half the width of a lane at a point of its center line: the mean distance of its boundaries.
+fn half_width_m(lane: &Lane, point: Vec2) -> f64 {
+    let distance_m = |line: &Polyline| line.project(point).map(|projection| projection.offset_m.abs());
+    let both = distance_m(&lane.left).zip(distance_m(&lane.right));
+    both.map_or(HALF_NOMINAL_WIDTH_M, |(left, right)| (left + right) / 2.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::testing::{Drive, scene};
+
+    #[test]
+    fn the_nearest_strip_is_the_one_by_excess() {
+        // One lane along y = 0 from x = -40 to 80, boundaries at ±1.75 m.
+        let lanes = scene(&[Drive::straight(0.0, 0.0, 0.0, 1.0)]).lanes;
+        let road = RoadCorridors::new(&lanes, &Transform2::IDENTITY);
+        let near = road.nearest(Vec2::new(7.0, 4.0)).expect("a lane");
+        assert!(near.point.distance(Vec2::new(7.0, 0.0)) < 1e-9 && (near.half_width_m - 1.75).abs() < 1e-9);
+        // Carried on by 100 m at both ends, and no further.
+        assert!(road.nearest(Vec2::new(150.0, 1.0)).expect("a lane").point.distance(Vec2::new(150.0, 0.0)) < 1e-9);
+        assert!(road.nearest(Vec2::new(-150.0, 1.0)).expect("a lane").point.distance(Vec2::new(-140.0, 0.0)) < 1e-9);
+        // In another frame: the lane turned by 90 degrees and moved.
+        let moved = Transform2::from_pose(Vec2::new(3.0, 0.0), std::f64::consts::FRAC_PI_2);
+        let near = RoadCorridors::new(&lanes, &moved).nearest(Vec2::new(0.0, 7.0)).expect("a lane");
+        assert!(near.point.distance(Vec2::new(3.0, 7.0)) < 1e-9);
+    }
+
+    #[test]
+    fn lanes_without_boundaries_have_a_nominal_width_and_no_lanes_are_nowhere() {
+        let graph = scene(&[Drive::straight(0.0, 0.0, 0.0, 1.0)]).lanes;
+        let bare = graph.lanes().iter().map(|lane| Lane { left: Polyline::default(), ..lane.clone() }).collect();
+        let road = RoadCorridors::new(&LaneGraph::new(bare), &Transform2::IDENTITY);
+        assert_eq!(road.nearest(Vec2::ZERO).map(|near| near.half_width_m), Some(HALF_NOMINAL_WIDTH_M));
+        assert_eq!(RoadCorridors::default().nearest(Vec2::ZERO), None);
+    }
+}

@@ -1,0 +1,92 @@
+//! Do objectives and networks meet? Contexts of real batches, gradients through a real denoiser.
+
+use super::testing::{N_HISTORY, N_TIMESTEPS, denoiser_spec, scene};
+use super::*;
+use crate::diffusion::{Denoiser, NoiseSource};
+use crate::model::SceneDenoiser;
+use crate::nn::Params;
+use crate::scene::{ObservationMask, Scene, TrackId};
+use crate::seed::Seed;
+use crate::tensor::{FutureValidity, SceneBatch, SceneView, StateParametrization};
+use candle_core::{Device, Tensor};
+
+fn batch(scenes: &[Scene], ego_idx: usize) -> SceneBatch {
+    let mask = ObservationMask::predictive(3, N_TIMESTEPS, N_HISTORY);
+    let views: Vec<SceneView<'_>> = scenes.iter().map(|scene| SceneView { scene, ego_idx, mask: &mask }).collect();
+    let spec = denoiser_spec(StateParametrization::Residual);
+    spec.collator().collate(&views, FutureValidity::Everything, &Device::Cpu).unwrap()
+}
+
+fn roles() -> Vec<(String, TrackId)> {
+    vec![("ego".to_owned(), "behind".into()), ("other".to_owned(), "ahead".into())]
+}
+
+#[test]
+fn contexts_know_who_is_who() {
+    let (mut scenes, roles) = ([scene(0), scene(1)], roles());
+    // In the second scene the one behind comes first.
+    scenes[1].tracks.rotate_left(1);
+    let egos = [1, 0];
+    let mask = ObservationMask::predictive(3, N_TIMESTEPS, N_HISTORY);
+    let views: Vec<SceneView<'_>> =
+        scenes.iter().zip(egos).map(|(scene, ego_idx)| SceneView { scene, ego_idx, mask: &mask }).collect();
+    let collator = denoiser_spec(StateParametrization::Residual).collator();
+    let batch = collator.collate(&views, FutureValidity::Everything, &Device::Cpu).unwrap();
+    let rows: Vec<ContextRow<'_>> =
+        scenes.iter().zip(egos).map(|(scene, ego_idx)| ContextRow { scene, ego_idx, roles: &roles }).collect();
+    let context = SceneContext::new(&batch, &rows).unwrap().repeated(2).unwrap();
+    let selected = |name: &str| context.selected(&AgentSelector::new(name)).unwrap().to_vec2::<f32>().unwrap();
+    let (behind, ahead) = (([0.0, 1.0, 0.0], [1.0, 0.0, 0.0]), ([0.0, 0.0, 1.0], [0.0, 1.0, 0.0]));
+    assert_eq!(selected("ego"), [behind.0, behind.0, behind.1, behind.1]);
+    assert_eq!(selected("other"), [ahead.0, ahead.0, ahead.1, ahead.1]);
+    assert!(selected("all").concat().iter().all(|one| *one == 1.0));
+    assert!(
+        context.selected(&AgentSelector::new("third")).unwrap_err().to_string().contains("no agent has the role third")
+    );
+    // Nominal vehicles, and the future to be generated.
+    assert_eq!(context.extent_m.get(3).unwrap().to_vec2::<f32>().unwrap()[2], [4.6, 1.9]);
+    assert_eq!(context.latent.to_vec3::<f32>().unwrap()[1][2][N_HISTORY - 1..=N_HISTORY], [0.0, 1.0]);
+    let stranger = [("ego".to_owned(), TrackId("nobody".to_owned()))];
+    let row = ContextRow { scene: &scenes[0], ego_idx: 1, roles: &stranger };
+    assert!(SceneContext::new(&batch, &[row, row]).unwrap_err().to_string().contains("track nobody"));
+}
+
+/// Projection on a fixed direction.
+struct Along(Tensor);
+
+impl CleanPotential for Along {
+    fn log_potential(&self, x0: &Tensor) -> candle_core::Result<Tensor> {
+        x0.broadcast_mul(&self.0)?.flatten_from(1)?.sum(1)
+    }
+}
+
+#[test]
+fn gradients_go_through_the_network() {
+    let spec = denoiser_spec(StateParametrization::Residual);
+    let mut params = Params::new(&Device::Cpu).frozen();
+    let network = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, Seed(1)).unwrap();
+    let batch = batch(&[scene(3)], 1);
+    let bound = network.bind(&batch, 1).unwrap();
+    let draw = |seed: u64| NoiseSource::new(vec![Seed(seed)]).draw_like(&batch.x0).unwrap();
+    let (x, along, sigma) = ((draw(1) * 2.0).unwrap(), draw(2), Tensor::new(&[2.0f32], &Device::Cpu).unwrap());
+    let potential = Along(along.clone());
+    let guided = CleanGuidedDenoiser {
+        inner: &bound,
+        potential: &potential,
+        strength: 0.25,
+        gate: GuidanceConfig::UNRESTRICTED,
+        config: ObjectiveGuidanceConfig { gradient: CleanGradient::ThroughNetwork, damped: false, inner_steps: 1 },
+        sigma_data: 0.5,
+    };
+    // α σ² = 1: the shift is the gradient of the projection itself.
+    let estimate = guided.denoise(&x, &sigma).unwrap();
+    assert!(!estimate.track_op());
+    let shift = (estimate - bound.denoise(&x, &sigma).unwrap()).unwrap();
+    let dot = |a: &Tensor, b: &Tensor| (a * b).unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap();
+    let length = dot(&shift, &shift).sqrt();
+    let direction = (&shift / f64::from(length)).unwrap();
+    let h = 5e-4;
+    let at = |h: f64| dot(&bound.denoise(&(&x + (&direction * h).unwrap()).unwrap(), &sigma).unwrap(), &along);
+    let slope = (at(h) - at(-h)) / (2.0 * h as f32);
+    assert!(length > 0.1 && (slope / length - 1.0).abs() < 0.03, "slope {slope}, gradient {length}");
+}
