@@ -61,7 +61,8 @@ impl Cell<'_> {
             .requested_behavior
             .as_deref()
             .map(|behavior| Requested { behavior, roles: &first.scenario.provenance.guidance.roles });
-        let figures = |samples: &[Scene]| measures.evaluate(&SampleGroup { recorded: &recorded, samples }, requested);
+        let figures =
+            |samples: &[Scene]| measures.evaluate(&SampleGroup::equally_likely(&recorded, samples), requested);
         let reference = |scene: Scene| self.with_references.then(|| figures(&[scene]));
         CellFigures {
             recorded: reference(recorded.clone()),
