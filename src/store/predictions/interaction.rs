@@ -52,11 +52,12 @@ impl InteractionPredictions {
             };
             let is_ego = u8::from(agent_idx == recorded.ego_idx);
             let track_id = &recorded.tracks[agent_idx].id;
-            for step in 0..modes[0].len() {
-                let frame = first_frame + (recorded.n_history + step) as i64;
+            let paths: Vec<&Vec<State>> = (0..N_MODES).map(|k| &modes[k.min(modes.len() - 1)]).collect();
+            let frames = (first_frame + recorded.n_history as i64..).take(paths[0].len());
+            for (step, frame) in frames.enumerate() {
                 text.push_str(&format!("{},{track_id},{frame},{},1,{is_ego}", source.case_id, 100 * frame));
-                for k in 0..N_MODES {
-                    let State { position, heading_rad, .. } = modes[k.min(modes.len() - 1)][step];
+                for path in &paths {
+                    let State { position, heading_rad, .. } = path[step];
                     text.push_str(&format!(",{:.4},{:.4},{heading_rad:.4}", position.x, position.y));
                 }
                 text.push('\n');
