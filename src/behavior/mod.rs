@@ -19,7 +19,7 @@ pub(crate) mod speed_profile;
 pub(crate) mod sweep;
 #[cfg(test)]
 pub(crate) mod testing;
-mod time_to_collision;
+pub(crate) mod time_to_collision;
 mod turn;
 
 pub use agent_filter::AgentFilter;

@@ -1,24 +1,36 @@
 //! How far is a sampled agent from where it was recorded?
 
 use super::sample_group::{future, present_agents};
-use crate::scene::Scene;
+use crate::scene::{AgentClass, Dataset, Scene};
 
-/// Which agents a joint metric scores: of those tracked at present, all or all but the ego.
-///
-/// The multi-agent INTERACTION benchmark leaves the ego out; most papers, DJINN among them, count it.
+/// Which agents a joint metric scores, of those tracked at present. Most papers, DJINN among them, count all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ScoredAgents {
     /// Every agent.
     All,
     /// Every agent but the scene's ego.
     Others,
+    /// The agents to predict of INTERACTION's benchmark of many agents: the vehicles that are recorded throughout, history and
+    /// future, without the ego, which plays the benchmark's `interesting_agent`. None in other datasets.
+    Targets,
 }
 
 impl ScoredAgents {
     /// The indices of the agents.
     pub(super) fn of(self, recorded: &Scene) -> impl Iterator<Item = usize> + '_ {
-        present_agents(recorded).filter(move |agent_idx| self == Self::All || *agent_idx != recorded.ego_idx)
+        present_agents(recorded).filter(move |agent_idx| match self {
+            Self::All => true,
+            Self::Others => *agent_idx != recorded.ego_idx,
+            Self::Targets => *agent_idx != recorded.ego_idx && is_target(recorded, *agent_idx),
+        })
     }
+}
+
+fn is_target(recorded: &Scene, agent_idx: usize) -> bool {
+    let track = &recorded.tracks[agent_idx];
+    recorded.source.dataset == Dataset::Interaction
+        && track.class == AgentClass::Vehicle
+        && (0..recorded.n_timesteps).all(|timestep| track.trajectory.is_valid(timestep))
 }
 
 /// The distances of an agent to its recorded positions at the future timesteps at which it is recorded, metres.

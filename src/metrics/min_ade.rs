@@ -1,11 +1,11 @@
 //! How far is the ego from its recording on average over time, in the best sample?
 
 use super::displacement::{displacements_m, final_displacement_m, mean};
-use super::{Direction, Metric, MetricSpec, SampleGroup};
+use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 use crate::scene::Scene;
 
-/// minADE of the ego: the least average displacement of all samples (INTERACTION's rule: the sample is chosen
-/// independently of the one for minFDE).
+/// minADE of the ego: the least average displacement of all samples, chosen independently of the one for minFDE. It is the
+/// minADE of INTERACTION's benchmark of single agents where the ego is the agent to predict.
 #[derive(Debug, Clone, Copy)]
 pub struct MinAde;
 
@@ -21,6 +21,10 @@ impl Metric for MinAde {
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
         group.min_over_samples(|sample| ego_ade_m(group.recorded, sample))
+    }
+
+    fn modes(&self) -> Option<ModesOf> {
+        Some(ModesOf::Ego)
     }
 }
 
@@ -40,16 +44,21 @@ impl Metric for MinAdeOfMinFde {
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
-        let ends: Option<Vec<f64>> = group
-            .samples
-            .iter()
-            .map(|sample| final_displacement_m(group.recorded, sample, group.recorded.ego_idx))
-            .collect();
-        let (best, _) = ends?.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
+        let (best, _) = group.best_sample(|sample| ego_fde_m(group.recorded, sample))?;
         ego_ade_m(group.recorded, &group.samples[best])
+    }
+
+    fn modes(&self) -> Option<ModesOf> {
+        Some(ModesOf::Ego)
     }
 }
 
-fn ego_ade_m(recorded: &Scene, sample: &Scene) -> Option<f64> {
+/// The mean displacement of the ego over the future, metres.
+pub(super) fn ego_ade_m(recorded: &Scene, sample: &Scene) -> Option<f64> {
     mean(&displacements_m(recorded, sample, recorded.ego_idx)?)
+}
+
+/// The displacement of the ego at the last timestep, metres.
+pub(super) fn ego_fde_m(recorded: &Scene, sample: &Scene) -> Option<f64> {
+    final_displacement_m(recorded, sample, recorded.ego_idx)
 }

@@ -1,10 +1,10 @@
 //! How far is the ego from its recording at the end, in the best sample?
 
-use super::displacement::final_displacement_m;
-use super::{Direction, Metric, MetricSpec, SampleGroup};
+use super::min_ade::ego_fde_m;
+use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 
 /// minFDE of the ego: the least displacement at the last timestep of all samples. Not defined where the ego is not
-/// recorded then.
+/// recorded then. The minFDE of Argoverse 1 and 2 and of INTERACTION's benchmark of single agents.
 #[derive(Debug, Clone, Copy)]
 pub struct MinFde;
 
@@ -19,6 +19,10 @@ impl Metric for MinFde {
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
-        group.min_over_samples(|sample| final_displacement_m(group.recorded, sample, group.recorded.ego_idx))
+        group.min_over_samples(|sample| ego_fde_m(group.recorded, sample))
+    }
+
+    fn modes(&self) -> Option<ModesOf> {
+        Some(ModesOf::Ego)
     }
 }

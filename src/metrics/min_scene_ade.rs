@@ -1,11 +1,11 @@
 //! How far are all agents together from the recording on average over time, in the best joint sample?
 
 use super::displacement::{ScoredAgents, displacements_m, mean};
-use super::{Direction, Metric, MetricSpec, SampleGroup};
+use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 
 /// minSceneADE: the least of all samples of the mean displacement over all pairs (agent, timestep) at which the agent is
-/// recorded. Agents that are recorded for longer weigh more (as in FJMP); for agents recorded throughout this is the
-/// INTERACTION benchmark's minJointADE, which counts no others and leaves the ego out.
+/// recorded. Agents that are recorded for longer weigh more (as in FJMP). For [`ScoredAgents::Targets`] this is the
+/// minJointADE of INTERACTION's benchmark of many agents.
 #[derive(Debug, Clone, Copy)]
 pub struct MinSceneAde(
     /// The agents that count.
@@ -19,6 +19,10 @@ impl Metric for MinSceneAde {
                 ("min_scene_ade_m", "mean distance to the recording over agents and future, in the best joint sample")
             }
             ScoredAgents::Others => ("min_scene_ade_without_ego_m", "the same without the ego"),
+            ScoredAgents::Targets => (
+                "min_joint_ade_m",
+                "INTERACTION's minJointADE: the same over vehicles other than the ego that are recorded throughout",
+            ),
         };
         MetricSpec { id, unit: "m", direction: Direction::LowerIsBetter, description }
     }
@@ -30,5 +34,9 @@ impl Metric for MinSceneAde {
                 agents.map(|agent_idx| displacements_m(group.recorded, sample, agent_idx)).collect();
             mean(&distances?.concat())
         })
+    }
+
+    fn modes(&self) -> Option<ModesOf> {
+        Some(ModesOf::Scene)
     }
 }

@@ -1,7 +1,7 @@
 //! How far are all agents together from the recording at the end, in the best joint sample?
 
 use super::displacement::{ScoredAgents, final_displacement_m, mean};
-use super::{Direction, Metric, MetricSpec, SampleGroup};
+use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 
 /// minSceneFDE: the least of all samples of the mean displacement at the last timestep, over the agents recorded then.
 #[derive(Debug, Clone, Copy)]
@@ -18,6 +18,10 @@ impl Metric for MinSceneFde {
                 "mean distance to the recording at the last timestep over agents, in the best joint sample",
             ),
             ScoredAgents::Others => ("min_scene_fde_without_ego_m", "the same without the ego"),
+            ScoredAgents::Targets => (
+                "min_joint_fde_m",
+                "INTERACTION's minJointFDE: the same over vehicles other than the ego that are recorded throughout",
+            ),
         };
         MetricSpec { id, unit: "m", direction: Direction::LowerIsBetter, description }
     }
@@ -30,5 +34,9 @@ impl Metric for MinSceneFde {
                 agents.map(|agent_idx| final_displacement_m(group.recorded, sample, agent_idx)).collect();
             mean(&distances?)
         })
+    }
+
+    fn modes(&self) -> Option<ModesOf> {
+        Some(ModesOf::Scene)
     }
 }

@@ -1,6 +1,6 @@
 //! Does no sample end where the ego went?
 
-use super::{Direction, Metric, MetricSpec, SampleGroup};
+use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 use crate::scene::{Dataset, State};
 
 /// Farthest miss along the motion of a slow and of a fast vehicle, metres, and the speeds these are, m/s (INTERACTION).
@@ -15,7 +15,8 @@ const RADIAL_M: f64 = 2.0;
 ///
 /// By INTERACTION's rule a sample misses if, along the axes of the recorded heading at the last timestep, it is off by
 /// more than 1 m sideways or by more than a threshold lengthwise: 1 m below 1.4 m/s, 2 m from 11 m/s, linear between, for
-/// the recorded speed at the last timestep. For Argoverse it misses if it is off by more than 2 m.
+/// the recorded speed at the last timestep. For Argoverse it misses if it is off by more than 2 m. This is the miss rate of
+/// INTERACTION's benchmark of single agents, and the MR of Argoverse.
 #[derive(Debug, Clone, Copy)]
 pub struct MissRate;
 
@@ -38,9 +39,14 @@ impl Metric for MissRate {
             Some(if is_miss(recorded.source.dataset, truth, sampled) { 1.0 } else { 0.0 })
         })
     }
+
+    fn modes(&self) -> Option<ModesOf> {
+        Some(ModesOf::Ego)
+    }
 }
 
-fn is_miss(dataset: Dataset, truth: &State, sampled: &State) -> bool {
+/// Whether a sampled last state misses the recorded one, by the rule of the dataset.
+pub(super) fn is_miss(dataset: Dataset, truth: &State, sampled: &State) -> bool {
     let error = (sampled.position - truth.position).rotated(-truth.heading_rad);
     match dataset {
         Dataset::Interaction => error.y.abs() > LATERAL_M || error.x.abs() > longitudinal_limit_m(truth.speed_mps()),

@@ -5,11 +5,28 @@
 //! Common to all: the future is every timestep from `n_history` on. Agents that count are those tracked at present,
 //! t_obs - 1; nothing is generated for others. Where the recording is the yardstick, only timesteps at which it holds
 //! the agent count. A group for which a metric is not defined has no value and does not enter the mean.
+//!
+//! The benchmarks' figures, by their names there. Where two define the same number there is one metric:
+//!
+//! | Benchmark | Its figures |
+//! |---|---|
+//! | Argoverse 1 | minADE `min_ade_of_min_fde_m`, minFDE `min_fde_m`, MR `miss_rate`, p-minADE `p_min_ade_m`, p-minFDE `p_min_fde_m`, brier-minADE `brier_min_ade_m`, brier-minFDE `brier_min_fde_m`, DAC `drivable_area_compliance` |
+//! | Argoverse 2, one agent | minADE `min_ade_of_min_fde_m`, minFDE `min_fde_m`, MR `miss_rate`, brier-minFDE `brier_min_fde_m` |
+//! | Argoverse 2, worlds | avgMinADE `avg_min_ade_m`, avgMinFDE `avg_min_fde_m`, avgBrierMinFDE `avg_brier_min_fde_m`, actorMR `actor_miss_rate`, actorCR `actor_collision_rate` |
+//! | INTERACTION, one agent | minADE `min_ade_m`, minFDE `min_fde_m`, MR `miss_rate` |
+//! | INTERACTION, many agents | minJointADE `min_joint_ade_m`, minJointFDE `min_joint_fde_m`, minJointMR `min_joint_miss_rate`, Consistent-minJointMR `consistent_min_joint_miss_rate`, CrossCollisionRate `cross_collision_rate`, EgoCollisionRate `ego_collision_rate` |
+//!
+//! They take six guesses: of more samples the figures over six [`Modes`] are the ones to compare.
 
+mod actor_world;
 mod aggregate;
+mod circles;
 mod collision_rate;
 mod constant_velocity;
 mod displacement;
+mod drivable_area;
+mod histogram;
+mod joint_consistency;
 mod kinematics;
 mod mfd;
 mod min_ade;
@@ -17,15 +34,23 @@ mod min_fde;
 mod min_scene_ade;
 mod min_scene_fde;
 mod miss_rate;
+mod mixture;
+mod modes;
+mod motion;
 mod offroad_rate;
+mod probability_penalty;
 mod road;
 mod sample_group;
 mod spec;
 
+pub use actor_world::ActorWorld;
 pub use aggregate::Aggregate;
 pub use collision_rate::{AgentCollisionRate, CollisionRate};
 pub use constant_velocity::constant_velocity;
 pub use displacement::ScoredAgents;
+pub use drivable_area::DrivableAreaCompliance;
+pub use histogram::Histogram;
+pub use joint_consistency::JointConsistency;
 pub use kinematics::{AccelerationViolationRate, JerkViolationRate};
 pub use mfd::Mfd;
 pub use min_ade::{MinAde, MinAdeOfMinFde};
@@ -33,7 +58,11 @@ pub use min_fde::MinFde;
 pub use min_scene_ade::MinSceneAde;
 pub use min_scene_fde::MinSceneFde;
 pub use miss_rate::MissRate;
+pub use mixture::{Component, Mixture, MixtureOptions};
+pub use modes::{ModeFit, Modes, ModesConfig, ModesOf, Representative};
+pub use motion::{MOTION, MotionHistograms, MotionQuantity};
 pub use offroad_rate::OffroadRate;
+pub use probability_penalty::{Displacement, PenalizedMinimum, Penalty};
 pub use sample_group::SampleGroup;
 pub use spec::{Direction, MetricSpec};
 
@@ -43,6 +72,11 @@ pub trait Metric: Send + Sync {
     fn spec(&self) -> MetricSpec;
     /// The figure. `None` where it is not defined, such as a distance to a recording without a future.
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64>;
+    /// Whose modes may stand for the samples: those of figures that a benchmark takes over a few guesses. `None` for what is
+    /// about the samples themselves, such as their variety, or how often they collide.
+    fn modes(&self) -> Option<ModesOf> {
+        None
+    }
 }
 
 /// Every metric, in the order of tables.
@@ -55,6 +89,22 @@ pub static ALL: &[&dyn Metric] = &[
     &MinSceneFde(ScoredAgents::All),
     &MinSceneAde(ScoredAgents::Others),
     &MinSceneFde(ScoredAgents::Others),
+    &PenalizedMinimum(Displacement::Ade, Penalty::Logarithm),
+    &PenalizedMinimum(Displacement::Fde, Penalty::Logarithm),
+    &PenalizedMinimum(Displacement::Ade, Penalty::Brier),
+    &PenalizedMinimum(Displacement::Fde, Penalty::Brier),
+    &DrivableAreaCompliance,
+    &MinSceneAde(ScoredAgents::Targets),
+    &MinSceneFde(ScoredAgents::Targets),
+    &JointConsistency::MinMissRate,
+    &JointConsistency::ConsistentMinMissRate,
+    &JointConsistency::CrossCollisionRate,
+    &JointConsistency::EgoCollisionRate,
+    &ActorWorld::AvgMinAde,
+    &ActorWorld::AvgMinFde,
+    &ActorWorld::AvgBrierMinFde,
+    &ActorWorld::MissRate,
+    &ActorWorld::CollisionRate,
     &Mfd,
     &CollisionRate,
     &AgentCollisionRate,

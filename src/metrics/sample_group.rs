@@ -14,9 +14,30 @@ pub struct SampleGroup<'a> {
     pub recorded: &'a Scene,
     /// What could have happened.
     pub samples: &'a [Scene],
+    /// How likely each sample is, up to a common factor; `None` where they are equally likely, as plain draws are.
+    pub probabilities: Option<&'a [f64]>,
 }
 
-impl SampleGroup<'_> {
+impl<'a> SampleGroup<'a> {
+    /// A recorded scene and equally likely samples.
+    pub const fn equally_likely(recorded: &'a Scene, samples: &'a [Scene]) -> Self {
+        Self { recorded, samples, probabilities: None }
+    }
+
+    /// The probability of a sample; those of all samples sum to 1. `None` where there is no such sample or no sum.
+    pub(super) fn probability(&self, sample_idx: usize) -> Option<f64> {
+        let Some(probabilities) = self.probabilities else { return Some(1.0 / self.samples.len() as f64) };
+        let sum: f64 = probabilities.iter().sum();
+        Some(probabilities.get(sample_idx)? / sum).filter(|probability| probability.is_finite())
+    }
+
+    /// The sample with the least `figure` and that figure; of equal ones the first. `None` without samples, or where the
+    /// figure is not defined for one of them.
+    pub(super) fn best_sample(&self, figure: impl Fn(&Scene) -> Option<f64>) -> Option<(usize, f64)> {
+        let figures: Option<Vec<f64>> = self.samples.iter().map(figure).collect();
+        figures?.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
     /// The least `figure` of all samples. `None` without samples, or where it is not defined for one of them.
     pub(super) fn min_over_samples(&self, figure: impl Fn(&Scene) -> Option<f64>) -> Option<f64> {
         let figures: Option<Vec<f64>> = self.samples.iter().map(figure).collect();

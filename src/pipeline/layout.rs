@@ -55,5 +55,7 @@ pub const CORPUS: &str = "corpus";
 pub const METRICS: &str = "metrics.parquet";
 /// The metrics that a person asks for first, and the gates.
 pub const METRICS_SUMMARY: &str = "metrics.json";
+/// Predictions in the formats of benchmarks.
+pub const PREDICTIONS: &str = "predictions";
 /// The report.
 pub const REPORT: &str = "report.html";

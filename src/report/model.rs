@@ -32,6 +32,8 @@ pub struct ReportModel {
     pub sampling: Vec<SamplingRow>,
     /// Metrics of generated scenes with those of the recording and of the baseline beside them.
     pub metrics: MetricTable,
+    /// How far the motion of whole sweeps is from that of the recording.
+    pub realism: Vec<RealismRow>,
     /// Distributions of quantities, recorded and generated.
     pub distributions: Vec<Distribution>,
     /// Generated scenes beside their source recording.
@@ -170,6 +172,33 @@ pub struct SamplingRow {
     pub offroad_rate: Option<f64>,
     /// Denoiser evaluations of one scenario; the classifier is evaluated as often where it guides.
     pub n_evaluations: u64,
+}
+
+/// How far the distribution of a quantity of motion over a sweep is from that over its recordings.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RealismRow {
+    /// What is compared with the recording: `constant_velocity`, `unguided`, or the sweep.
+    pub group: String,
+    /// The sweep.
+    pub sweep: String,
+    /// Guidance strength α; 0 is unguided.
+    pub strength: f64,
+    /// The quantity, such as `yaw rate`.
+    pub quantity: String,
+    /// Its unit.
+    pub unit: String,
+    /// Number of recorded values.
+    pub n_recorded: u64,
+    /// Number of values of the group.
+    pub n: u64,
+    /// Mean of the recorded values.
+    pub recorded_mean: Option<f64>,
+    /// Mean of the group's values.
+    pub mean: Option<f64>,
+    /// Wasserstein-1 distance in the quantity's unit.
+    pub wasserstein: Option<f64>,
+    /// Jensen-Shannon divergence in bits, 0 to 1.
+    pub jensen_shannon: Option<f64>,
 }
 
 /// Metric values with what is needed to read them.

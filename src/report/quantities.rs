@@ -2,36 +2,19 @@
 
 use super::distribution::Distribution;
 use crate::behavior::BehaviorEvent;
-use crate::geometry::wrap_angle;
-use crate::scene::{Scene, Track};
+use crate::metrics::{MOTION, MotionQuantity};
+use crate::scene::Scene;
 use std::collections::BTreeSet;
 
 /// Bins of each histogram.
 const N_BINS: usize = 40;
-/// Timesteps between those at which distances are measured: neighboring ones say the same.
-const DISTANCE_STRIDE: usize = 5;
-/// Below this speed a heading says little, metres per second.
-const MOVING_MPS: f64 = 1.0;
-
-/// A quantity with its unit, how it is measured, and the values that one scene adds.
-type Quantity = (&'static str, &'static str, &'static str, fn(&Scene) -> Vec<f64>);
-
-const QUANTITIES: [Quantity; 4] = [
-    ("speed", "m/s", "from one position to the next", |scene| over_tracks(scene, speeds)),
-    ("acceleration", "m/s²", "change of speed from one timestep to the next", |scene| {
-        over_tracks(scene, accelerations)
-    }),
-    ("yaw rate", "rad/s", "change of heading while faster than 1 m/s", |scene| over_tracks(scene, yaw_rates)),
-    ("distance to the nearest", "m", "between boxes, 0 when they overlap; every half second", nearest_distances),
-];
-
 /// Collects how road users move in the futures of scenes, group by group.
 ///
-/// Everything is derived from positions and headings in the same way for every group, because generated scenes have no
-/// measured velocities. Scenes may be dropped once added.
+/// The values themselves are kept, for their median and for bins that fit them; [`MotionHistograms`](crate::metrics::MotionHistograms)
+/// serve for whole sweeps. Scenes may be dropped once added.
 #[derive(Debug, Clone, Default)]
 pub struct MotionDistributions {
-    groups: Vec<(String, [Vec<f64>; QUANTITIES.len()])>,
+    groups: Vec<(String, [Vec<f64>; MOTION.len()])>,
 }
 
 impl MotionDistributions {
@@ -41,19 +24,19 @@ impl MotionDistributions {
             self.groups.push((group.to_owned(), Default::default()));
             self.groups.len() - 1
         });
-        for (collected, (_, _, _, values)) in self.groups[at].1.iter_mut().zip(QUANTITIES) {
-            collected.extend(values(scene));
+        for (collected, quantity) in self.groups[at].1.iter_mut().zip(&MOTION) {
+            collected.extend(quantity.values(scene));
         }
     }
 
     /// One distribution for each quantity.
     pub fn finish(&self) -> Vec<Distribution> {
-        let one = |(i, (title, unit, description, _)): (usize, Quantity)| {
+        let one = |(i, MotionQuantity { title, unit, description, .. }): (usize, &MotionQuantity)| {
             let groups: Vec<(&str, &[f64])> =
                 self.groups.iter().map(|(name, values)| (name.as_str(), values[i].as_slice())).collect();
             Distribution::of(title, unit, description, N_BINS, &groups)
         };
-        QUANTITIES.into_iter().enumerate().map(one).collect()
+        MOTION.iter().enumerate().map(one).collect()
     }
 }
 
@@ -88,86 +71,15 @@ pub(super) fn title_and_unit(parameter: &str) -> (String, &'static str) {
     (parameter.replace('_', " "), "")
 }
 
-fn over_tracks(scene: &Scene, values: fn(&Scene, &Track) -> Vec<f64>) -> Vec<f64> {
-    scene.tracks.iter().flat_map(|track| values(scene, track)).collect()
-}
-
-/// The speed over the step that ends at `timestep`.
-fn speed(scene: &Scene, track: &Track, timestep: usize) -> Option<f64> {
-    let before = track.trajectory.get(timestep.checked_sub(1)?)?;
-    Some(track.trajectory.get(timestep)?.position.distance(before.position) / scene.dt_s)
-}
-
-fn speeds(scene: &Scene, track: &Track) -> Vec<f64> {
-    (scene.n_history..scene.n_timesteps).filter_map(|timestep| speed(scene, track, timestep)).collect()
-}
-
-fn accelerations(scene: &Scene, track: &Track) -> Vec<f64> {
-    (scene.n_history..scene.n_timesteps)
-        .filter_map(|timestep| {
-            Some((speed(scene, track, timestep)? - speed(scene, track, timestep.checked_sub(1)?)?) / scene.dt_s)
-        })
-        .collect()
-}
-
-fn yaw_rates(scene: &Scene, track: &Track) -> Vec<f64> {
-    (scene.n_history..scene.n_timesteps)
-        .filter(|timestep| speed(scene, track, *timestep).is_some_and(|v| v > MOVING_MPS))
-        .filter_map(|timestep| {
-            let (before, now) = (track.trajectory.get(timestep.checked_sub(1)?)?, track.trajectory.get(timestep)?);
-            Some(wrap_angle(now.heading_rad - before.heading_rad) / scene.dt_s)
-        })
-        .collect()
-}
-
-fn nearest_distances(scene: &Scene) -> Vec<f64> {
-    let mut distances = Vec::new();
-    for timestep in (scene.n_history..scene.n_timesteps).step_by(DISTANCE_STRIDE) {
-        let boxes: Vec<_> = scene.tracks.iter().filter_map(|track| track.footprint_at(timestep)).collect();
-        for (i, a) in boxes.iter().enumerate() {
-            let others = boxes.iter().enumerate().filter(|(j, _)| *j != i);
-            distances.extend(others.map(|(_, b)| a.distance(b)).min_by(f64::total_cmp));
-        }
-    }
-    distances
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Vec2;
+    use crate::scene::SceneId;
     use crate::scene::testing::{self, Drive};
-    use crate::scene::{SceneId, State, Trajectory};
     use std::collections::BTreeMap;
 
-    /// Two cars at 10 m/s side by side, 6 m apart between centers; the first gains 2 m/s each second.
     fn scene() -> Scene {
-        let mut scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 6.0, 0.0, 10.0)]);
-        let states = (0..scene.n_timesteps).map(|timestep| {
-            let t = timestep as f64 * scene.dt_s;
-            // The recorded velocity is wrong on purpose: it must not be used.
-            let velocity = Vec2::new(99.0, 0.0);
-            Some(State { position: Vec2::new(10.0 * t + t * t, 0.0), heading_rad: 0.05 * t, velocity })
-        });
-        scene.tracks[0].trajectory = Trajectory::new(states.collect());
-        scene
-    }
-
-    fn all_near(values: &[f64], n: usize, expected: f64) -> bool {
-        values.len() == n && values.iter().all(|value| (value - expected).abs() < 1e-6)
-    }
-
-    #[test]
-    fn motion_follows_from_positions_in_the_future_only() {
-        let scene = scene();
-        let [first, second] = [&scene.tracks[0], &scene.tracks[1]];
-        let n_future = scene.n_timesteps - scene.n_history;
-        assert!(all_near(&accelerations(&scene, first), n_future, 2.0));
-        assert!(all_near(&yaw_rates(&scene, first), n_future, 0.05));
-        assert!(all_near(&speeds(&scene, second), n_future, 10.0));
-        let distances = nearest_distances(&scene);
-        // Half of each width of 1.8 m lies between the centers.
-        assert!(distances.len() == 4 && (distances[0] - 4.2).abs() < 0.1, "{distances:?}");
+        testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 6.0, 0.0, 10.0)])
     }
 
     #[test]

@@ -58,7 +58,7 @@ impl SamplingTally {
             self.rows.len() - 1
         });
         let counted = &mut self.rows[at];
-        let group = SampleGroup { recorded, samples: std::slice::from_ref(&record.scenario.scene) };
+        let group = SampleGroup::equally_likely(recorded, std::slice::from_ref(&record.scenario.scene));
         counted.scenes.insert(provenance.scene_id.clone());
         counted.row.n_scenarios += 1;
         counted.row.n_verified += u64::from(record.verified);

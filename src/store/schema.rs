@@ -53,6 +53,7 @@ impl TableSchema {
             tables::scenario::schema(),
             tables::track::schema(),
             tables::metric::schema(),
+            tables::prediction::schema(),
         ]
     }
 

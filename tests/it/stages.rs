@@ -10,6 +10,20 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     let root = workspace.run_folder("out");
     let before = files(&root);
 
+    // Figures over modes and distances of motion are among the metrics, and predictions lie beside them.
+    let metrics = fs_err::read_to_string(root.join("metrics.json")).unwrap();
+    let metrics: serde_json::Value = serde_json::from_str(&metrics).unwrap();
+    let has = |list: &str, key: &str, value: &str| {
+        metrics[list].as_array().unwrap().iter().any(|row| row[key] == value && row["group"] == "unguided")
+    };
+    assert!(has("aggregates", "metric", "modes1_min_scene_ade_m") && has("aggregates", "metric", "medoids1_min_fde_m"));
+    assert!(has("realism", "quantity", "time to collision") && has("realism", "quantity", "jerk"));
+    let names: Vec<String> = before.keys().filter(|name| name.starts_with("predictions/")).cloned().collect();
+    assert!(names.contains(&"predictions/argoverse2.parquet".to_owned()), "{names:?}");
+    let table = names.iter().find(|name| name.ends_with("_sub.csv")).unwrap();
+    let rows = fs_err::read_to_string(root.join(table)).unwrap();
+    assert!(rows.lines().count() > 30 && rows.lines().all(|row| row.split(',').count() == 24), "{rows}");
+
     // The same command again does nothing.
     let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
     assert_eq!(plan.matches("  cached").count(), 7, "{plan}");

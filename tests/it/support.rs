@@ -99,6 +99,8 @@ strengths = [0.0, 2.0]
 
 [evaluate]
 keep = "all"
+modes = { n_modes = 1, by = ["mean", "medoid"] }
+predictions = ["interaction", "argoverse2"]
 
 [report]
 n_drawn = 2

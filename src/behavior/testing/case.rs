@@ -83,6 +83,8 @@ struct AgentSpec {
     id: String,
     #[serde(default = "default_class")]
     class: AgentClass,
+    #[serde(default = "default_role")]
+    role: TrackRole,
     /// [length, width]; 4.5 by 1.8 m if not given.
     size_m: Option<[f64; 2]>,
     start: Start,
@@ -91,6 +93,10 @@ struct AgentSpec {
     /// Ranges of timesteps, first and last, at which the agent is not tracked.
     #[serde(default)]
     untracked: Vec<[usize; 2]>,
+}
+
+const fn default_role() -> TrackRole {
+    TrackRole::Context
 }
 
 const fn default_class() -> AgentClass {
@@ -147,7 +153,7 @@ impl AgentSpec {
         Track {
             id: TrackId(self.id.clone()),
             class: self.class,
-            role: TrackRole::Context,
+            role: self.role,
             extent: Some(Extent { length_m, width_m }),
             trajectory: Trajectory::new(
                 states.into_iter().enumerate().map(|(t, state)| is_tracked(t).then_some(state)).collect(),

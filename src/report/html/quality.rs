@@ -3,7 +3,7 @@
 use super::{Section, table};
 use crate::metrics::Direction;
 use crate::report::distribution::Distribution;
-use crate::report::model::{MetricDoc, MetricTable, ReportModel};
+use crate::report::model::{MetricDoc, MetricTable, RealismRow, ReportModel};
 use crate::report::number::{ABSENT, count, optional, setting, uncertainty};
 use crate::report::svg::histogram;
 use crate::store::MetricRow;
@@ -16,23 +16,25 @@ pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
     if rows.is_empty() {
         return None;
     }
+    // What is defined nowhere, such as the figures of another dataset, needs no column.
+    let docs: Vec<&MetricDoc> = docs.iter().filter(|doc| rows.iter().any(|row| row.metric == doc.metric)).collect();
     let body = html! {
         @for place in distinct(rows.iter().map(|row| row.place.clone())) {
-            (place_table(&place, docs, &rows.iter().copied().filter(|row| row.place == place).collect::<Vec<_>>()))
+            (place_table(&place, &docs, &rows.iter().copied().filter(|row| row.place == place).collect::<Vec<_>>()))
         }
         p class="note" { "Means with their standard error. Recorded futures are the reference: their own row shows what the metric says of real traffic. "
             "The constant-velocity baseline carries every agent on as it moved at the present." }
         details open {
             summary { "What the metrics mean" }
             dl class="definitions" {
-                @for doc in docs { dt { (heading(doc)) } dd { (doc.description) "." (better(doc)) } }
+                @for doc in &docs { dt { (heading(doc)) } dd { (doc.description) "." (better(doc)) } }
             }
         }
     };
     Some(Section::new("metrics", "Metrics beside recording and baseline", body))
 }
 
-fn place_table(place: &str, docs: &[MetricDoc], rows: &[&MetricRow]) -> Markup {
+fn place_table(place: &str, docs: &[&MetricDoc], rows: &[&MetricRow]) -> Markup {
     let head = html! {
         tr {
             th scope="col" { "Group" } th scope="col" class="n" { "Strength α" } th scope="col" class="n" { "n" }
@@ -87,19 +89,60 @@ fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
     seen
 }
 
-/// Histograms with their distances.
+/// Distances of whole sweeps, and histograms with their own.
 pub(super) fn distributions(model: &ReportModel) -> Option<Section> {
-    (!model.distributions.is_empty()).then(|| {
-        let reference = model.distributions[0].series.first().map_or("the reference", |series| &series.name);
+    let ReportModel { realism, distributions, .. } = model;
+    let reference = distributions.first().and_then(|d| d.series.first()).map(|series| &series.name);
+    (!realism.is_empty() || !distributions.is_empty()).then(|| {
         let body = html! {
-            p class="note" {
-                "Values beyond the ends of an axis are counted in its first and last bins. The distance is Wasserstein-1 to “" (reference) "”: "
-                "how far, on average, a value must be moved to turn one distribution into the other."
+            @if !realism.is_empty() { (realism_table(realism)) }
+            @if let Some(reference) = reference {
+                p class="note" {
+                    "Values beyond the ends of an axis are counted in its first and last bins. The distance is Wasserstein-1 to “" (reference) "”: "
+                    "how far, on average, a value must be moved to turn one distribution into the other."
+                }
+                div class="grid" { @for distribution in distributions { (distribution_figure(distribution)) } }
             }
-            div class="grid" { @for distribution in &model.distributions { (distribution_figure(distribution)) } }
         };
         Section::new("distributions", "Distributions, recorded and generated", body)
     })
+}
+
+/// A row for each group, a column for each quantity.
+fn realism_table(rows: &[RealismRow]) -> Markup {
+    let quantities = distinct(rows.iter().map(|row| (&row.quantity, &row.unit)));
+    let groups = distinct(rows.iter().map(|row| (&row.group, &row.sweep, row.strength.to_bits())));
+    let head = html! {
+        tr {
+            th scope="col" { "Group" } th scope="col" class="n" { "Strength α" }
+            @for (quantity, unit) in &quantities { th scope="col" class="n" { (quantity) small { " (" (unit) ")" } } }
+        }
+    };
+    let body = html! {
+        @for (group, sweep, strength) in &groups {
+            @let find = |quantity: &String| rows.iter()
+                .find(|row| row.group == **group && row.sweep == **sweep && row.strength.to_bits() == *strength && row.quantity == *quantity);
+            @let generated = group.as_str() != "constant_velocity";
+            tr class=[(!generated).then_some("reference")] {
+                th scope="row" { (group.replace('_', " ")) @if sweep != group { " (" (sweep) ")" } }
+                td class="n" { (if generated { setting(f64::from_bits(*strength)) } else { ABSENT.to_owned() }) }
+                @for (quantity, _) in &quantities {
+                    td class="n" {
+                        @let row = find(quantity);
+                        (optional(row.and_then(|row| row.wasserstein)))
+                        small { " JS " (optional(row.and_then(|row| row.jensen_shannon))) }
+                    }
+                }
+            }
+        }
+    };
+    html! {
+        (table("Distance of motion from the recording, whole sweeps", &head, &body))
+        p class="note" {
+            "Over all scenarios of a sweep and the recordings they continue: Wasserstein-1 distance in the quantity's unit, and (JS) Jensen-Shannon "
+            "divergence in bits, 0 for equal distributions and 1 for those that share nothing. Lower is better. Of guided scenarios some distance is asked for."
+        }
+    }
 }
 
 fn distribution_figure(distribution: &Distribution) -> Markup {

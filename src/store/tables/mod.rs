@@ -6,6 +6,7 @@ mod event_list;
 pub(crate) mod lane;
 pub(crate) mod metric;
 mod parameters;
+pub(crate) mod prediction;
 mod provenance;
 mod roles;
 pub(crate) mod sample;

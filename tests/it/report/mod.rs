@@ -31,9 +31,15 @@ fn every_part_of_the_model_is_on_the_page() {
         assert!(page.contains(&format!(r##"<a href="#{id}">"##)), "no entry for {id}");
         assert!(page.contains(&format!(r#"<section id="{id}""#)), "no section {id}");
     }
-    for text in
-        ["min_scene_ade_m", "constant velocity", "Wilson", "bad_rows.csv:17", "α = 2", "other cuts in ahead of ego"]
-    {
+    for text in [
+        "min_scene_ade_m",
+        "constant velocity",
+        "Wilson",
+        "bad_rows.csv:17",
+        "α = 2",
+        "other cuts in ahead of ego",
+        "JS 0.0173",
+    ] {
         assert!(page.contains(text), "“{text}” is missing");
     }
     assert!(!page.contains("NaN") && !page.contains("inf "), "numbers that are not finite are written as a dash");

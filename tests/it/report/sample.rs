@@ -4,8 +4,8 @@ use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::ingest::{IngestReport, RejectCount};
 use djinn::metrics::Direction;
 use djinn::report::{
-    BehaviorCount, BehaviorDoc, Chart, Curve, Distribution, Fact, MetricDoc, MetricTable, MiningSummary, ReportModel,
-    SamplingRow, SceneCard, TrainingSummary, Warning,
+    BehaviorCount, BehaviorDoc, Chart, Curve, Distribution, Fact, MetricDoc, MetricTable, MiningSummary, RealismRow,
+    ReportModel, SamplingRow, SceneCard, TrainingSummary, Warning,
 };
 use djinn::scene::{
     AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, Scene, SceneId, SceneSource, Split, State,
@@ -50,6 +50,7 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
         classifier_quality: (0..12).map(quality).collect(),
         sampling: sampling(name),
         metrics: metrics(name),
+        realism: realism(name),
         distributions: distributions(),
         scenes: vec![
             card("cut_in-0", name, 1.0, 0.0),
@@ -148,6 +149,28 @@ fn sampling(name: &str) -> Vec<SamplingRow> {
         n_evaluations: 39,
     };
     vec![row("unguided", 0.0, 9, 4), row("cut_in", 1.0, 21, 5), row("cut_in", 2.0, 47, 9), row("cut_in", 4.0, 61, 31)]
+}
+
+fn realism(name: &str) -> Vec<RealismRow> {
+    let row = |group: &str, strength: f64, (quantity, unit): (&str, &str), distance: Option<f64>| RealismRow {
+        group: group.into(),
+        sweep: name.into(),
+        strength,
+        quantity: quantity.into(),
+        unit: unit.into(),
+        n_recorded: 9_000,
+        n: 54_000,
+        recorded_mean: Some(8.0),
+        mean: distance.map(|d| 8.0 + d),
+        wasserstein: distance,
+        jensen_shannon: distance.map(|d| d / 10.0),
+    };
+    let quantities = [("speed", "m/s"), ("yaw rate", "rad/s")];
+    let groups = [("constant_velocity", 0.0, Some(0.71)), ("unguided", 0.0, Some(0.173)), (name, 2.0, None)];
+    groups
+        .iter()
+        .flat_map(|(group, strength, distance)| quantities.map(|quantity| row(group, *strength, quantity, *distance)))
+        .collect()
 }
 
 fn metrics(name: &str) -> MetricTable {

@@ -1,8 +1,11 @@
 //! Samples of one scene, beside the recording and the baseline: what are their figures?
 
+use super::config::EvaluateConfig;
 use super::measures::{Measures, Requested};
-use crate::metrics::{SampleGroup, constant_velocity};
+use super::predictions;
+use crate::metrics::{Modes, MotionHistograms, SampleGroup, constant_velocity};
 use crate::scene::{Scene, Track, Trajectory};
+use crate::seed::Seed;
 use crate::store::ScenarioRecord;
 
 /// The samples of one scene, asked of the same agents at the same strength.
@@ -23,6 +26,18 @@ pub(super) struct CellFigures {
     pub(super) together: Vec<Option<f64>>,
     /// Each sample alone.
     pub(super) alone: Vec<Vec<Option<f64>>>,
+    /// How everybody moves.
+    pub(super) motion: CellMotion,
+    /// What a benchmark is given, where that is asked for.
+    pub(super) prediction: Option<Modes>,
+}
+
+/// How everybody moves in the futures of a cell.
+pub(super) struct CellMotion {
+    /// In the recording and the baseline, where they are measured.
+    pub(super) references: Option<[MotionHistograms; 2]>,
+    /// In all samples together.
+    pub(super) together: MotionHistograms,
 }
 
 /// Puts the records of a shard into cells, in order of first appearance.
@@ -53,7 +68,7 @@ fn strength(record: &ScenarioRecord) -> u64 {
 
 impl Cell<'_> {
     /// Measures the cell against the scene it continues.
-    pub(super) fn evaluate(&self, recorded: &Scene, measures: &Measures<'_>) -> CellFigures {
+    pub(super) fn evaluate(&self, recorded: &Scene, measures: &Measures<'_>, config: &EvaluateConfig) -> CellFigures {
         let samples: Vec<Scene> = self.records.iter().map(|record| record.scenario.scene.clone()).collect();
         let recorded = as_far_as_generated(recorded, &samples[0]);
         let first = self.records[0];
@@ -61,13 +76,24 @@ impl Cell<'_> {
             .requested_behavior
             .as_deref()
             .map(|behavior| Requested { behavior, roles: &first.scenario.provenance.guidance.roles });
-        let figures = |samples: &[Scene]| measures.evaluate(&SampleGroup { recorded: &recorded, samples }, requested);
-        let reference = |scene: Scene| self.with_references.then(|| figures(&[scene]));
+        let evaluate = |samples: &[Scene], mode_seed: Option<Seed>| {
+            measures.evaluate(&SampleGroup::equally_likely(&recorded, samples), requested, mode_seed)
+        };
+        let figures = |samples: &[Scene]| evaluate(samples, None);
+        let baseline = constant_velocity(&recorded);
+        let reference = |scene: &Scene| self.with_references.then(|| figures(std::slice::from_ref(scene)));
+        let mode_seed = Seed(first.scenario.provenance.seed).derive_named("modes", &recorded.id.0);
+        let motion_of_references = || [&recorded, &baseline].map(|scene| MotionHistograms::of([scene]));
         CellFigures {
-            recorded: reference(recorded.clone()),
-            constant_velocity: reference(constant_velocity(&recorded)),
-            together: figures(&samples),
+            recorded: reference(&recorded),
+            constant_velocity: reference(&baseline),
+            together: evaluate(&samples, Some(mode_seed)),
             alone: samples.chunks(1).map(figures).collect(),
+            motion: CellMotion {
+                references: self.with_references.then(motion_of_references),
+                together: MotionHistograms::of(&samples),
+            },
+            prediction: predictions::of_cell(self, &samples, config, mode_seed),
         }
     }
 }

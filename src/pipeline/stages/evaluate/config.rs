@@ -1,7 +1,9 @@
 //! The `[evaluate]` section: what is measured, what is kept, what must hold.
 
 use super::measures::known_ids;
+use crate::metrics::ModesConfig;
 use crate::pipeline::{Failure, Result};
+use crate::scene::Dataset;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -11,6 +13,13 @@ use serde::{Deserialize, Serialize};
 pub struct EvaluateConfig {
     /// The metrics, by name; empty: all.
     pub metrics: Vec<String>,
+    /// Reduces many samples to a few modes, as benchmarks take them, and reports their figures beside those of all samples, under
+    /// names that begin with `modes6_` (or whatever their number is). Left out: no reduction.
+    pub modes: Option<ModesConfig>,
+    /// The datasets for which predictions are written into `predictions/`, in the format of their benchmark: INTERACTION's CSVs,
+    /// Argoverse's Parquet. Of each scene the first unguided samples count, reduced to modes where there are more (as
+    /// `modes` says, or to six means).
+    pub predictions: Vec<Dataset>,
     /// Which scenarios become the corpus.
     pub keep: Keep,
     /// What must hold; the program ends with exit code 3 where it does not.
@@ -47,8 +56,22 @@ pub struct GatesConfig {
 }
 
 impl EvaluateConfig {
-    /// Refuses metrics that there are not.
+    /// Refuses metrics that there are not, and modes that cannot be.
     pub(super) fn validate(&self) -> Result<()> {
+        if let Some(modes) = &self.modes {
+            for (key, is_wrong) in [
+                ("n_modes", modes.n_modes == 0),
+                ("by", modes.by.is_empty()),
+                ("max_iterations", modes.max_iterations == 0),
+                ("n_starts", modes.n_starts == 0),
+                ("min_std_m", modes.min_std_m.is_nan() || modes.min_std_m <= 0.0),
+            ] {
+                if is_wrong {
+                    let message = format_args!("evaluate.modes.{key} is empty, zero or less");
+                    return Err(Failure::input_message(message).with_hint("leave it out for its default"));
+                }
+            }
+        }
         let known = known_ids();
         let Some(unknown) = self.metrics.iter().find(|name| !known.contains(&name.as_str())) else { return Ok(()) };
         let message = format!("evaluate.metrics: there is no metric {unknown}; known: {}", known.join(", "));
@@ -58,5 +81,21 @@ impl EvaluateConfig {
             Some(nearest) => failure.with_hint(format!("did you mean `{nearest}`?")),
             None => failure,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn modes_must_be_possible() {
+        let check = |text: &str| toml::from_str::<EvaluateConfig>(text).expect("readable").validate();
+        assert!(check("").is_ok() && check("[modes]").is_ok());
+        for wrong in
+            ["n_modes = 0", "by = []", "max_iterations = 0", "n_starts = 0", "min_std_m = 0.0", "min_std_m = nan"]
+        {
+            assert!(check(&format!("[modes]\n{wrong}")).is_err(), "{wrong}");
+        }
     }
 }

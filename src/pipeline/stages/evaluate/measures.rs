@@ -2,9 +2,10 @@
 
 use super::config::EvaluateConfig;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
-use crate::metrics::{ALL, Direction, Metric, SampleGroup};
+use crate::metrics::{ALL, Direction, Metric, ModeFit, Modes, ModesConfig, ModesOf, SampleGroup};
 use crate::report::MetricDoc;
 use crate::scene::{Scene, TrackId};
+use crate::seed::Seed;
 
 /// Share of samples that hold the behavior that was asked for, with the roles that were asked for.
 pub(super) const BEHAVIOR_RATE: &str = "behavior_rate";
@@ -12,6 +13,7 @@ pub(super) const BEHAVIOR_RATE: &str = "behavior_rate";
 /// Everything that is measured, in the order of tables.
 pub(super) struct Measures<'a> {
     metrics: Vec<&'static dyn Metric>,
+    modes: Option<&'a ModesConfig>,
     behaviors: &'a [Box<dyn Behavior>],
 }
 
@@ -30,9 +32,10 @@ pub(super) fn known_ids() -> Vec<&'static str> {
 }
 
 impl<'a> Measures<'a> {
-    pub(super) fn new(config: &EvaluateConfig, behaviors: &'a [Box<dyn Behavior>]) -> Self {
+    pub(super) fn new(config: &'a EvaluateConfig, behaviors: &'a [Box<dyn Behavior>]) -> Self {
         let chosen = |id: &str| config.metrics.is_empty() || config.metrics.iter().any(|name| name == id);
-        Self { metrics: ALL.iter().copied().filter(|metric| chosen(metric.spec().id)).collect(), behaviors }
+        let metrics = ALL.iter().copied().filter(|metric| chosen(metric.spec().id)).collect();
+        Self { metrics, modes: config.modes.as_ref(), behaviors }
     }
 
     /// What is measured, for reading the tables.
@@ -47,11 +50,17 @@ impl<'a> Measures<'a> {
             let id = behavior.id();
             rate(format!("{id}_rate"), format!("share of samples in which the miner finds {id}, whoever takes part"))
         });
-        metrics.chain([requested]).chain(of_anybody).collect()
+        metrics.chain([requested]).chain(of_anybody).chain(self.docs_of_modes()).collect()
     }
 
-    /// The values of a group, in the order of [`Measures::docs`]. `None` where one is not defined.
-    pub(super) fn evaluate(&self, group: &SampleGroup<'_>, requested: Option<Requested<'_>>) -> Vec<Option<f64>> {
+    /// The values of a group, in the order of [`Measures::docs`]. `None` where one is not defined. Figures over modes are only
+    /// taken with `mode_seed`, from which the reduction starts, and where there are more samples than modes.
+    pub(super) fn evaluate(
+        &self,
+        group: &SampleGroup<'_>,
+        requested: Option<Requested<'_>>,
+        mode_seed: Option<Seed>,
+    ) -> Vec<Option<f64>> {
         let metrics = self.metrics.iter().map(|metric| metric.evaluate(group));
         let events: Vec<Vec<BehaviorEvent>> = group.samples.iter().map(|sample| self.positive_events(sample)).collect();
         let share = |holds: &dyn Fn(&[BehaviorEvent]) -> bool| {
@@ -67,7 +76,55 @@ impl<'a> Measures<'a> {
             .behaviors
             .iter()
             .map(|behavior| share(&|events| events.iter().any(|event| event.behavior == behavior.id())));
-        metrics.chain([requested]).chain(of_anybody).collect()
+        metrics.chain([requested]).chain(of_anybody).chain(self.over_modes(group, mode_seed)).collect()
+    }
+
+    /// The metrics that are also taken over modes.
+    fn of_modes(&self) -> impl Iterator<Item = (&'static dyn Metric, ModesOf)> + '_ {
+        self.metrics.iter().filter_map(|metric| Some((*metric, metric.modes()?)))
+    }
+
+    fn docs_of_modes(&self) -> Vec<MetricDoc> {
+        let Some(ModesConfig { n_modes, by, .. }) = self.modes else { return Vec::new() };
+        let docs = by.iter().flat_map(|by| {
+            self.of_modes().map(|(metric, of)| {
+                let doc = MetricDoc::from(metric.spec());
+                let whose = match of {
+                    ModesOf::Ego => "the ego's futures",
+                    ModesOf::Scene => "the joint futures of all agents",
+                };
+                let description = format!("{} over {n_modes} modes of {whose} in place of the samples", doc.metric);
+                MetricDoc { metric: format!("{}{}", by.prefix(*n_modes), doc.metric), description, ..doc }
+            })
+        });
+        docs.collect()
+    }
+
+    /// The figures over modes, in the order of their docs.
+    fn over_modes(&self, group: &SampleGroup<'_>, seed: Option<Seed>) -> Vec<Option<f64>> {
+        let Some(config) = self.modes else { return Vec::new() };
+        let seed = seed.filter(|_| group.samples.len() > config.n_modes);
+        let fit = |of: ModesOf| {
+            let is_wanted = self.of_modes().any(|(_, wanted)| wanted == of);
+            ModeFit::new(group.samples, &of.agents(group.recorded), config, seed.filter(|_| is_wanted)?)
+        };
+        let fits = [(ModesOf::Ego, fit(ModesOf::Ego)), (ModesOf::Scene, fit(ModesOf::Scene))];
+        let mut values = Vec::new();
+        for by in &config.by {
+            let modes: Vec<(ModesOf, Option<Modes>)> =
+                fits.iter().map(|(of, fit)| (*of, fit.as_ref().map(|fit| fit.modes(*by)))).collect();
+            for (metric, of) in self.of_modes() {
+                let modes = modes.iter().find(|(found, _)| *found == of).and_then(|(_, modes)| modes.as_ref());
+                values.push(modes.and_then(|Modes { samples, probabilities }| {
+                    metric.evaluate(&SampleGroup {
+                        recorded: group.recorded,
+                        samples,
+                        probabilities: Some(probabilities),
+                    })
+                }));
+            }
+        }
+        values
     }
 
     fn positive_events(&self, scene: &Scene) -> Vec<BehaviorEvent> {
@@ -78,4 +135,59 @@ impl<'a> Measures<'a> {
 
 fn rate(metric: String, description: String) -> MetricDoc {
     MetricDoc { metric, unit: "1".to_owned(), direction: Direction::Neither, description }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::testing::{self, Drive};
+
+    fn scene(offset_m: f64) -> Scene {
+        let mut scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 9.0, 0.0, 10.0)]);
+        let history = scene.tracks[0].trajectory.entries()[..scene.n_history].to_vec();
+        let moved = testing::scene(&[Drive::straight(0.0, offset_m, 0.0, 10.0)]).tracks.remove(0).trajectory;
+        let states = history.into_iter().chain(moved.entries()[scene.n_history..].iter().copied());
+        scene.tracks[0].trajectory = crate::scene::Trajectory::new(states.collect());
+        scene
+    }
+
+    /// Four samples around 3 m and two around -1 m; the recording is at 0.
+    #[test]
+    fn figures_over_modes_stand_beside_those_over_samples() {
+        let samples = [2.9, 3.0, 3.0, 3.1, -0.9, -1.1].map(scene);
+        let config: EvaluateConfig = toml::from_str(
+            r#"metrics = ["min_fde_m", "brier_min_fde_m", "min_scene_fde_m", "mfd_m"]
+            modes = { n_modes = 2, by = ["mean", "medoid"] }"#,
+        )
+        .expect("readable");
+        let measures = Measures::new(&config, &[]);
+        let recorded = scene(0.0);
+        let group = SampleGroup::equally_likely(&recorded, &samples);
+        let of = |seed: Option<Seed>| -> Vec<(String, Option<f64>)> {
+            let values = measures.evaluate(&group, None, seed);
+            let docs = measures.docs();
+            assert_eq!(docs.len(), values.len());
+            docs.into_iter().map(|doc| doc.metric).zip(values).collect()
+        };
+        let found = of(Some(Seed(1)));
+        let near = |id: &str, expected: f64| {
+            let value = found.iter().find(|(metric, _)| metric == id).and_then(|(_, value)| *value);
+            assert!(value.is_some_and(|value| (value - expected).abs() < 1e-6), "{id}: {value:?}");
+        };
+        near("min_fde_m", 0.9);
+        near("modes2_min_fde_m", 1.0);
+        // A third of the samples is in that mode: 1 + (2/3)².
+        near("modes2_brier_min_fde_m", 1.0 + 4.0 / 9.0);
+        near("brier_min_fde_m", 0.9 + 25.0 / 36.0);
+        // The other agent goes as recorded in all samples, so half of the ego's.
+        near("modes2_min_scene_fde_m", 0.5);
+        near("medoids2_min_fde_m", 0.9);
+        assert!(!found.iter().any(|(metric, _)| metric.ends_with("2_mfd_m")), "variety is not for modes");
+        assert!(
+            of(None).iter().all(|(metric, value)| value.is_none() == metric.contains("s2_") || metric == BEHAVIOR_RATE)
+        );
+        let few = SampleGroup::equally_likely(&recorded, &samples[..2]);
+        let values = measures.evaluate(&few, None, Some(Seed(1)));
+        assert!(values[5..].iter().all(Option::is_none), "no more samples than modes: {values:?}");
+    }
 }

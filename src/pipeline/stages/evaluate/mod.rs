@@ -4,6 +4,8 @@ mod cells;
 mod config;
 mod gates;
 mod measures;
+mod predictions;
+mod realism;
 mod table;
 
 pub use config::{EvaluateConfig, GatesConfig, Keep};
@@ -11,16 +13,18 @@ pub use gates::GateResult;
 
 use super::mine::MineConfig;
 use super::sample_folder::SampleManifest;
-use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY};
+use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
-use crate::report::{MetricDoc, SamplingRow, SamplingTally};
+use crate::report::{MetricDoc, RealismRow, SamplingRow, SamplingTally};
 use crate::scene::Scene;
 use crate::store::{
     CorpusNotes, CorpusWriter, MetricRow, ScenarioRecord, SceneStore, write_json_atomically, write_metrics,
 };
 use cells::{CellFigures, into_cells};
 use measures::Measures;
+use predictions::Predictions;
 use rayon::prelude::*;
+use realism::RealismTable;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -45,6 +49,8 @@ pub struct EvaluationSummary {
     pub docs: Vec<MetricDoc>,
     /// Means over scenes: of all places together, then of each.
     pub aggregates: Vec<MetricRow>,
+    /// How far the motion of whole sweeps is from that of the recording.
+    pub realism: Vec<RealismRow>,
 }
 
 /// The stage.
@@ -65,7 +71,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn check(&self) -> Result<()> {
@@ -87,7 +93,10 @@ impl Stage for Evaluate<'_> {
     }
 
     fn outputs(&self) -> &'static [&'static str] {
-        &[CORPUS, METRICS, METRICS_SUMMARY]
+        match self.config.predictions.is_empty() {
+            true => &[CORPUS, METRICS, METRICS_SUMMARY],
+            false => &[CORPUS, METRICS, METRICS_SUMMARY, PREDICTIONS],
+        }
     }
 
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
@@ -97,14 +106,18 @@ impl Stage for Evaluate<'_> {
         let store = SceneStore::open(&self.layout.scenes)?;
         let samples = SampleManifest::read(&self.layout.samples)?;
         let mut table = MetricTable::new(measures.docs());
+        let mut realism = RealismTable::default();
+        let mut predictions = Predictions::create(&context.root.join(PREDICTIONS), &self.config.predictions)?;
         let mut sampling = SamplingTally::new(samples.sampled_with.n_evaluations);
         let mut corpus = CorpusWriter::create(&context.root.join(CORPUS), &store)?;
         let mut kept_ids = BTreeSet::new();
         context.progress.start("evaluate", samples.n_scenarios, "scenarios");
         for shard in &samples.shards {
             let records = SampleManifest::read_shard(&self.layout.samples, shard, &store)?;
-            for (cell, recorded, figures) in evaluate_shard(&records, &store, &measures)? {
+            for (cell, recorded, figures) in evaluate_shard(&records, &store, &measures, self.config)? {
                 cell.records.iter().for_each(|record| sampling.add(record, &recorded));
+                realism.add(&shard.sweep, &cell, &figures.motion);
+                figures.prediction.iter().try_for_each(|modes| predictions.add(&recorded, modes))?;
                 table.add(&shard.sweep, &cell, &recorded, figures);
             }
             let keeps = |record: &ScenarioRecord| self.config.keep == Keep::All || record.verified;
@@ -116,6 +129,7 @@ impl Stage for Evaluate<'_> {
         }
         context.progress.finish();
         let (aggregates, sampling) = (table.aggregates(), sampling.finish());
+        let (n_predicted_scenes, n_tracks_left_out) = predictions.finish()?;
         self.write_tables(context, corpus, &table, &aggregates, &kept_ids)?;
         let summary = EvaluationSummary {
             n_scenarios: samples.n_scenarios,
@@ -126,6 +140,7 @@ impl Stage for Evaluate<'_> {
             sampling,
             docs: measures.docs(),
             aggregates,
+            realism: realism.finish(),
         };
         write_json_atomically(&context.root.join(METRICS_SUMMARY), &summary)?;
         Ok(json!({
@@ -133,6 +148,7 @@ impl Stage for Evaluate<'_> {
             "n_verified": summary.n_verified,
             "n_new": summary.n_new,
             "n_kept": summary.n_kept,
+            "predictions": { "n_scenes": n_predicted_scenes, "n_tracks_left_out": n_tracks_left_out },
             "gates": summary.gates,
         }))
     }
@@ -167,6 +183,7 @@ fn evaluate_shard<'r>(
     records: &'r [ScenarioRecord],
     store: &SceneStore,
     measures: &Measures<'_>,
+    config: &EvaluateConfig,
 ) -> Result<Vec<(cells::Cell<'r>, Scene, CellFigures)>> {
     into_cells(records)
         .into_par_iter()
@@ -177,7 +194,7 @@ fn evaluate_shard<'r>(
                     .with_hint("give the scenes that the samples were generated from")
             })?;
             let recorded = store.scene(idx)?;
-            let figures = cell.evaluate(&recorded, measures);
+            let figures = cell.evaluate(&recorded, measures, config);
             Ok((cell, recorded, figures))
         })
         .collect()

@@ -112,6 +112,7 @@ fn add_evaluation(model: &mut ReportModel, summary: EvaluationSummary) {
     );
     model.warnings.extend(cautions(&summary.aggregates).into_iter().map(|message| warning(StageId::Evaluate, message)));
     model.sampling = summary.sampling;
+    model.realism = summary.realism;
     model.metrics = MetricTable { docs: summary.docs, rows: summary.aggregates };
 }
 

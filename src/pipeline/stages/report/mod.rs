@@ -60,7 +60,7 @@ impl Stage for Report<'_> {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn check(&self) -> Result<()> {

@@ -1,0 +1,42 @@
+//! In how many samples does the ego stay on the road?
+
+use super::road::Road;
+use super::sample_group::future;
+use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
+use crate::scene::Scene;
+
+/// Drivable-area compliance (DAC) of Argoverse 1: the share of samples in which the ego is on the road at every future
+/// timestep. Unlike [`OffroadRate`](super::OffroadRate) it is about the ego alone, wherever that is at present.
+///
+/// The benchmark looks the area up in a raster of the city. Here the road is what the lanes make up, with the same tolerance and
+/// continuation beyond the map's end as for the off-road rate, so figures need not agree to the last digit. Not defined for scenes without lanes.
+#[derive(Debug, Clone, Copy)]
+pub struct DrivableAreaCompliance;
+
+impl Metric for DrivableAreaCompliance {
+    fn spec(&self) -> MetricSpec {
+        MetricSpec {
+            id: "drivable_area_compliance",
+            unit: "1",
+            direction: Direction::HigherIsBetter,
+            description: "Argoverse's DAC, from lanes: share of samples in which the ego never leaves the road",
+        }
+    }
+
+    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
+        let recorded = group.recorded;
+        if recorded.lanes.is_empty() || !recorded.has_future() {
+            return None;
+        }
+        let road = Road::new(&recorded.lanes);
+        let stays = |sample: &Scene| {
+            let mut states = future(recorded).filter_map(|timestep| sample.state(recorded.ego_idx, timestep));
+            states.all(|state| state.position.is_finite() && road.holds(state.position))
+        };
+        group.share_over_samples(|sample| vec![stays(sample)])
+    }
+
+    fn modes(&self) -> Option<ModesOf> {
+        Some(ModesOf::Ego)
+    }
+}

@@ -1,0 +1,91 @@
+//! Which samples become the predictions that a benchmark is sent?
+
+use super::cells::Cell;
+use super::config::EvaluateConfig;
+use crate::metrics::{ModeFit, Modes, ModesConfig, ModesOf, Representative};
+use crate::pipeline::Result;
+use crate::scene::{Dataset, Scene, SceneId};
+use crate::seed::Seed;
+use crate::store::{ArgoversePredictions, InteractionPredictions};
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// The predictions of each dataset asked for. Of a scene the first unguided samples count, in the order of sweeps: a benchmark
+/// takes one answer.
+pub(super) struct Predictions {
+    interaction: Option<InteractionPredictions>,
+    argoverse: Vec<(Dataset, ArgoversePredictions)>,
+    scenes: BTreeSet<SceneId>,
+    n_tracks_left_out: usize,
+}
+
+/// The modes that a cell offers as its scene's prediction: those of the ego in Argoverse 1, of everybody jointly else. Where
+/// there are no more samples than modes, the samples themselves. `None` for guided cells and datasets that were not asked for.
+pub(super) fn of_cell(cell: &Cell<'_>, samples: &[Scene], config: &EvaluateConfig, seed: Seed) -> Option<Modes> {
+    let first = samples.first()?;
+    let dataset = first.source.dataset;
+    let is_guided = cell.records[0].scenario.provenance.guidance.strength != 0.0;
+    if is_guided || !config.predictions.contains(&dataset) {
+        return None;
+    }
+    let defaults = ModesConfig::default();
+    let modes = config.modes.as_ref().unwrap_or(&defaults);
+    if samples.len() <= modes.n_modes {
+        let probability = 1.0 / samples.len() as f64;
+        return Some(Modes { samples: samples.to_vec(), probabilities: vec![probability; samples.len()] });
+    }
+    let of = if dataset == Dataset::Argoverse1 { ModesOf::Ego } else { ModesOf::Scene };
+    let by = modes.by.first().copied().unwrap_or(Representative::Mean);
+    Some(ModeFit::new(samples, &of.agents(first), modes, seed)?.modes(by))
+}
+
+impl Predictions {
+    /// Begins the files in `dir`, which is emptied first. Nothing is written where no dataset is asked for.
+    pub(super) fn create(dir: &Path, datasets: &[Dataset]) -> Result<Self> {
+        if dir.exists() {
+            fs_err::remove_dir_all(dir)?;
+        }
+        if !datasets.is_empty() {
+            fs_err::create_dir_all(dir)?;
+        }
+        let mut predictions =
+            Self { interaction: None, argoverse: Vec::new(), scenes: BTreeSet::new(), n_tracks_left_out: 0 };
+        for dataset in datasets {
+            match dataset {
+                Dataset::Interaction => predictions.interaction = Some(InteractionPredictions::new(dir)),
+                Dataset::Argoverse1 | Dataset::Argoverse2 => {
+                    let path = dir.join(format!("{}.parquet", dataset.name()));
+                    predictions.argoverse.push((*dataset, ArgoversePredictions::create(&path, *dataset)?));
+                }
+            }
+        }
+        Ok(predictions)
+    }
+
+    /// Adds the modes of a scene, if it has none yet.
+    pub(super) fn add(&mut self, recorded: &Scene, modes: &Modes) -> Result<()> {
+        if !self.scenes.insert(recorded.id.clone()) {
+            return Ok(());
+        }
+        let dataset = recorded.source.dataset;
+        self.n_tracks_left_out += match (dataset, &mut self.interaction) {
+            (Dataset::Interaction, Some(interaction)) => interaction.add(recorded, modes)?,
+            _ => match self.argoverse.iter_mut().find(|(of, _)| *of == dataset) {
+                Some((_, argoverse)) => argoverse.add(recorded, modes)?,
+                None => 0,
+            },
+        };
+        Ok(())
+    }
+
+    /// Gives the files their names. Returns the number of scenes, and of tracks to predict that had to be left out.
+    pub(super) fn finish(self) -> Result<(usize, usize)> {
+        if let Some(interaction) = self.interaction {
+            interaction.finish()?;
+        }
+        for (_, argoverse) in self.argoverse {
+            argoverse.finish()?;
+        }
+        Ok((self.scenes.len(), self.n_tracks_left_out))
+    }
+}

@@ -1,0 +1,23 @@
+//! Predictions in the formats that benchmarks take: which scenes, tracks and numbers go where?
+//!
+//! Like the other formats of other people these are not ours to read again.
+
+mod argoverse;
+mod interaction;
+
+pub use argoverse::ArgoversePredictions;
+pub use interaction::InteractionPredictions;
+
+use crate::metrics::Modes;
+use crate::scene::{Scene, State};
+
+/// The future states of a track in each mode, in the recording's frame. `None` where there are none or any mode lacks one.
+fn predicted(recorded: &Scene, modes: &Modes, agent_idx: usize) -> Option<Vec<Vec<State>>> {
+    let of_mode = |sample: &Scene| -> Option<Vec<State>> {
+        let states = (sample.n_history..sample.n_timesteps).map(|timestep| {
+            sample.state(agent_idx, timestep).map(|state| state.transformed(&recorded.world_from_scene))
+        });
+        states.collect::<Option<Vec<State>>>().filter(|states| !states.is_empty())
+    };
+    modes.samples.iter().map(of_mode).collect::<Option<Vec<_>>>().filter(|modes| !modes.is_empty())
+}
