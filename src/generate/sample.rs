@@ -1,9 +1,10 @@
 //! How does a shard of the plan become scenarios? Batches of like scenes, denoised, decoded, checked.
 
+use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_velocities};
 use super::pairs::slots;
-use super::{Cell, Error, Generator, ShardPlan, SweepConfig, Verdict, verify};
+use super::{Cell, ClassifierFreeConfig, Error, Generator, ShardPlan, SweepConfig, Verdict, verify};
 use crate::diffusion::{Denoiser, NoiseSource, Step};
-use crate::guidance::{ClassifierGuidance, GuidedDenoiser};
+use crate::guidance::{ClassifierFreeDenoiser, ClassifierGuidance, GuidedDenoiser, MaskChange};
 use crate::model::TrainedClassifier;
 use crate::progress::Progress;
 use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, SceneId};
@@ -40,10 +41,10 @@ pub struct RejectedSample {
     pub reason: String,
 }
 
-/// Cells of one batch, with their scenes, the samples wanted of each, and the strength.
+/// Cells of one batch with what they are conditioned on, the samples wanted of each, and the strength or weight.
 struct Batch<'a> {
     sweep: &'a SweepConfig,
-    cells: Vec<(&'a Cell, &'a Scene)>,
+    cells: Vec<(&'a Cell, &'a Conditioned)>,
     samples: Range<usize>,
     strength: f64,
 }
@@ -61,11 +62,14 @@ impl Generator<'_> {
         let sweep = &self.config.sweeps[shard.sweep_idx];
         let scenes: Vec<Scene> =
             shard.cells.iter().map(|cell| self.load(cell.scene_idx, &cell.scene_id)).collect::<Result<_, _>>()?;
+        let conditioned: Vec<Conditioned> = (shard.cells.iter().zip(&scenes))
+            .map(|(cell, scene)| self.condition(sweep, cell, scene, agents(cell, scene)?))
+            .collect::<Result<_, Error>>()?;
         let mut output = ShardOutput::default();
         let mut sampled: Vec<Vec<(f64, usize, Sampled)>> = vec![Vec::new(); shard.cells.len()];
-        for &strength in &sweep.strengths {
+        for &strength in sweep.levels() {
             for (members, samples) in self.batches(sweep, &scenes) {
-                let cells = members.iter().map(|at| (&shard.cells[*at], &scenes[*at])).collect();
+                let cells = members.iter().map(|at| (&shard.cells[*at], &conditioned[*at])).collect();
                 let batch = Batch { sweep, cells, samples: samples.clone(), strength };
                 let mut results = self.sample(&batch, progress)?.into_iter();
                 for at in members {
@@ -74,11 +78,12 @@ impl Generator<'_> {
                 }
             }
         }
-        for ((cell, scene), sampled) in shard.cells.iter().zip(&scenes).zip(sampled) {
+        for (((cell, scene), given), sampled) in shard.cells.iter().zip(&scenes).zip(&conditioned).zip(sampled) {
             for (strength, sample_idx, result) in sampled {
                 match result {
                     Ok(generated) => {
-                        output.records.push(self.record(sweep, cell, scene, &generated, (strength, sample_idx)));
+                        let scenario = (&generated, given.observed(&generated));
+                        output.records.push(self.record(sweep, cell, scene, scenario, (strength, sample_idx)));
                     }
                     Err(reason) => output.rejected.push(RejectedSample {
                         scene_id: cell.scene_id.clone(),
@@ -111,33 +116,68 @@ impl Generator<'_> {
 
     /// The samples of a batch: all of its first cell, then all of the next.
     fn sample(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Sampled>, Error> {
-        let masks: Vec<ObservationMask> = batch
-            .cells
-            .iter()
-            .map(|(_, scene)| ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history))
-            .collect();
-        let agents: Vec<(usize, usize)> =
-            batch.cells.iter().map(|(cell, scene)| agents(cell, scene)).collect::<Result<_, _>>()?;
-        let views: Vec<SceneView<'_>> = (batch.cells.iter().zip(&masks).zip(&agents))
-            .map(|(((_, scene), mask), agents)| SceneView { scene, ego_idx: agents.0, mask })
-            .collect();
+        let agents: Vec<(usize, usize)> = batch.cells.iter().map(|(_, given)| given.agents).collect();
+        let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
         let tensors = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
         let n_samples = batch.samples.len();
         let bound = self.models.denoiser.denoiser.bind(&tensors, n_samples)?;
+        let wanted = match batch.sweep.classifier_free.as_ref().filter(|_| batch.strength != 0.0) {
+            Some(config) => Some(self.wanted_states(config, batch, &tensors)?),
+            None => None,
+        };
         let tensors = tensors.repeated(n_samples)?;
-        let x = match self.classifier(batch.sweep).filter(|_| batch.strength != 0.0) {
-            Some(classifier) => {
+        let x = match (wanted, self.guiding_classifier(batch.sweep, batch.strength)) {
+            (Some(extended), _) => {
+                let change = MaskChange::new(&tensors, &extended)?;
+                let conditional = self.models.denoiser.denoiser.bind(&extended, 1)?;
+                let denoiser = ClassifierFreeDenoiser {
+                    unconditional: &bound,
+                    conditional: &conditional,
+                    change: &change,
+                    weight: batch.strength,
+                };
+                self.denoise(batch, &tensors, &denoiser, progress)?
+            }
+            (None, Some(classifier)) => {
                 let agents: Vec<(usize, usize)> =
                     agents.iter().flat_map(|pair| std::iter::repeat_n(*pair, n_samples)).collect();
                 self.denoise_guided(batch, &tensors, &bound, classifier, &agents, progress)?
             }
-            None => self.denoise(batch, &tensors, &bound, progress)?,
+            (None, None) => self.denoise(batch, &tensors, &bound, progress)?,
         };
         let sources: Vec<&Scene> =
-            batch.cells.iter().flat_map(|(_, scene)| std::iter::repeat_n(*scene, n_samples)).collect();
+            batch.cells.iter().flat_map(|(_, given)| std::iter::repeat_n(&given.scene, n_samples)).collect();
         let scenes = tensors.decode_scenes(&x, &sources)?;
         progress.advance(scenes.len() as u64);
         Ok(scenes.into_iter().map(checked).collect())
+    }
+
+    /// The samples of a batch, one a row, with their wanted states observed as well.
+    fn wanted_states(
+        &self,
+        config: &ClassifierFreeConfig,
+        batch: &Batch<'_>,
+        base: &SceneBatch,
+    ) -> Result<SceneBatch, Error> {
+        let mut wanted = Vec::new();
+        for (row, (cell, given)) in batch.cells.iter().enumerate() {
+            let of_cell = self.wanted(config, (*cell, *given), batch.samples.clone(), (base, row))?;
+            wanted.extend(of_cell.into_iter().map(|wanted| (wanted, given.agents.0)));
+        }
+        let views: Vec<SceneView<'_>> = wanted
+            .iter()
+            .map(|(Wanted { scene, mask }, ego_idx)| SceneView { scene, ego_idx: *ego_idx, mask })
+            .collect();
+        let extended = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
+        match config.mask_velocity {
+            true => without_wanted_velocities(extended, &base.repeated(batch.samples.len())?),
+            false => Ok(extended),
+        }
+    }
+
+    /// The classifier that samples of this strength are guided by.
+    fn guiding_classifier(&self, sweep: &SweepConfig, strength: f64) -> Option<&TrainedClassifier> {
+        self.classifier(sweep).filter(|_| strength != 0.0 && sweep.classifier_free.is_none())
     }
 
     fn denoise_guided(
@@ -172,6 +212,11 @@ impl Generator<'_> {
         let row_dims = &tensors.x0.dims()[1..];
         let mut observer = |step: &Step<'_>| progress.note(&format!("step {} of {}", step.step_idx + 1, step.n_steps));
         let edm = self.models.denoiser.denoiser.edm();
+        if let Some(edit) = batch.sweep.edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
+            let x = noisy_guide(edit, &tensors.x0, &mut noise)?;
+            let sigmas = edit.schedule(edm, self.config.sampler.n_steps());
+            return Ok(self.config.sampler.integrate(&sigmas, denoiser, x, &mut noise, &mut observer)?);
+        }
         Ok(self.config.sampler.sample(edm, denoiser, row_dims, &tensors.x0, &mut noise, &mut observer)?)
     }
 
@@ -180,13 +225,19 @@ impl Generator<'_> {
         sweep: &SweepConfig,
         cell: &Cell,
         recorded: &Scene,
-        generated: &Scene,
+        (generated, observed): (&Scene, ObservationMask),
         (strength, sample_idx): (f64, usize),
     ) -> ScenarioRecord {
-        let classifier = self.classifier(sweep).filter(|_| strength != 0.0);
-        let kind = classifier.map_or_else(|| "none".to_owned(), |c| format!("classifier:{}", c.spec.behavior));
+        let classifier = self.guiding_classifier(sweep, strength);
+        let kind = match classifier {
+            Some(classifier) => format!("classifier:{}", classifier.spec.behavior),
+            None if sweep.classifier_free.is_some() && strength != 0.0 => "classifier_free".to_owned(),
+            None => "none".to_owned(),
+        };
         let provenance = Provenance {
             scene_id: cell.scene_id.clone(),
+            observation: sweep.observe.name().to_owned(),
+            edit_tau: sweep.edit.as_ref().map(|edit| edit.tau),
             checkpoint: self.models.denoiser.fingerprint.clone(),
             classifier: classifier.map(|classifier| classifier.fingerprint.clone()),
             seed: self.config.seed,
@@ -201,7 +252,7 @@ impl Generator<'_> {
             None => Verdict::default(),
         };
         ScenarioRecord {
-            scenario: Scenario { id: scenario_id(&sweep.name, &provenance), scene, provenance },
+            scenario: Scenario { id: scenario_id(&sweep.name, &provenance), scene, observed, provenance },
             sweep: sweep.name.clone(),
             requested_behavior: sweep.behavior.clone(),
             verified: verdict.verified,
@@ -245,20 +296,23 @@ fn checked(scene: Scene) -> Sampled {
 
 /// 16 hexadecimal digits that belong to this sweep and provenance.
 fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
-    let Provenance { scene_id, checkpoint, classifier, seed, sample_idx, guidance, sampler } = provenance;
+    let Provenance { scene_id, observation, edit_tau, checkpoint, classifier, seed, sample_idx, guidance, sampler } =
+        provenance;
     let mut hasher = blake3::Hasher::new();
     // Every part ends in a zero byte, which no name holds: different parts cannot make the same text.
     let mut add = |part: &str| {
         hasher.update(part.as_bytes());
         hasher.update(&[0]);
     };
-    for part in [sweep, &scene_id.0, checkpoint, classifier.as_deref().unwrap_or(""), &guidance.kind, sampler] {
+    for part in
+        [sweep, &scene_id.0, observation, checkpoint, classifier.as_deref().unwrap_or(""), &guidance.kind, sampler]
+    {
         add(part);
     }
     for (role, track) in &guidance.roles {
         add(role);
         add(&track.0);
     }
-    add(&format!("{seed} {sample_idx} {}", guidance.strength));
+    add(&format!("{seed} {sample_idx} {} {edit_tau:?}", guidance.strength));
     hasher.finalize().to_hex()[..16].to_owned()
 }

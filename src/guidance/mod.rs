@@ -3,14 +3,18 @@
 //! One objective a file. All share one sign convention: potentials are maximized.
 
 mod classifier;
+mod classifier_free;
 mod guided_denoiser;
+mod mask_change;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 
 pub use classifier::ClassifierGuidance;
+pub use classifier_free::{BranchChange, ClassifierFreeDenoiser};
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
+pub use mask_change::MaskChange;
 
 use candle_core::{Result, Tensor};
 
