@@ -190,8 +190,10 @@ pub(super) fn validate_rules(rules: &[MaskRule], roles: &[&str]) -> Result<(), S
             (_, TimeChoice::Timesteps(range)) if range.every == 0 => {
                 return Err(format!(".{i}.times.timesteps.every is 0, expected at least 1"));
             }
-            (_, TimeChoice::Seconds(range)) if !(range.from_s <= range.to_s) => {
-                return Err(format!(".{i}.times.seconds ends before it begins"));
+            (_, TimeChoice::Seconds(range))
+                if range.from_s.is_nan() || range.to_s.is_nan() || range.from_s > range.to_s =>
+            {
+                return Err(format!(".{i}.times.seconds ends before it begins, or holds no numbers"));
             }
             _ => {}
         }

@@ -29,7 +29,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn check(&self) -> Result<()> {
@@ -38,11 +38,13 @@ impl Stage for Generate<'_> {
         for sweep in &self.config.sweeps {
             let Some(behavior) = sweep.behavior.as_deref() else { continue };
             let is_guided = sweep.strengths.iter().any(|strength| *strength != 0.0);
-            if !mined.iter().any(|known| known.id() == behavior) {
+            let Some(found) = mined.iter().find(|known| known.id() == behavior) else {
                 let known: Vec<&str> = mined.iter().map(|known| known.id()).collect();
                 let (sweep, behavior, known) = (sweep.name.clone(), behavior.to_owned(), known.join(", "));
                 return Err(generate::Error::UnknownBehavior { sweep, behavior, known }.into());
-            }
+            };
+            let refuse = |why| generate::Error::Config(format!("sweep {}: {why}", sweep.name));
+            sweep.validate_conditioning(found.roles()).map_err(refuse)?;
             if is_guided && self.classified_behavior.is_some_and(|classified| classified != behavior) {
                 let (sweep, behavior) = (sweep.name.clone(), behavior.to_owned());
                 return Err(generate::Error::NoClassifier { sweep, behavior }.into());
