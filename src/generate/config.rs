@@ -1,6 +1,6 @@
 //! The `[generate]` section: how many scenarios of what kind, from which scenes.
 
-use super::{ClassifierScope, Error};
+use super::{ClassifierFreeConfig, ClassifierScope, EditConfig, Error, ObserveConfig};
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
 use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
@@ -76,6 +76,16 @@ pub struct SweepConfig {
     /// Which agents are asked for the behavior.
     #[serde(default)]
     pub pairs: PairSelectionConfig,
+    /// Which states are observed: the name of a training task (`predictive`, `goal_conditioned`, `agent_conditioned`,
+    /// `ego_conditioned`, `windowed`, `upsampling`, `imputation`), or a list of rules. The rest is generated.
+    #[serde(default)]
+    pub observe: ObserveConfig,
+    /// States that samples lean toward, by classifier-free guidance.
+    #[serde(default)]
+    pub classifier_free: Option<ClassifierFreeConfig>,
+    /// Changes of the recording that samples start from.
+    #[serde(default)]
+    pub edit: Option<EditConfig>,
     /// No further shard of this sweep is begun once so many of its scenarios are verified. Left out: all are generated.
     #[serde(default)]
     pub stop_after_verified: Option<usize>,
@@ -179,6 +189,11 @@ impl SweepConfig {
         if let Some(strength) = self.strengths.iter().find(|strength| !strength.is_finite()) {
             return Err(format!("({}): a strength is {strength}, expected a number", self.name));
         }
-        self.check_guidance().map_err(|why| format!("({}): {why}", self.name))
+        self.check_guidance().map_err(|why| format!("({}): {why}", self.name))?;
+        // The roles of the behavior are known only beside the list of behaviors; without one there are none.
+        match self.behavior {
+            None => self.validate_conditioning(&[]).map_err(|why| format!("({}): {why}", self.name)),
+            Some(_) => Ok(()),
+        }
     }
 }

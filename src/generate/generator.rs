@@ -1,6 +1,6 @@
 //! Everything generation needs, checked before it begins.
 
-use super::{Error, GenerateConfig, SweepConfig};
+use super::{Error, GenerateConfig, ObserveConfig, SweepConfig};
 use crate::behavior::Behavior;
 use crate::model::{DenoiserSpec, TrainedClassifier, TrainedDenoiser};
 use crate::nn::keep_freed_memory;
@@ -98,6 +98,12 @@ impl<'a> Generator<'a> {
     }
 
     fn check(&self, sweep: &SweepConfig) -> Result<(), Error> {
+        let sigma_max = self.spec().edm.sigma_max;
+        if let Some(edit) = sweep.edit.as_ref().filter(|edit| edit.tau > sigma_max) {
+            let tau = edit.tau;
+            let why = format!("edit.tau is {tau}, expected at most the denoiser's largest noise level {sigma_max}");
+            return Err(Error::Config(format!("sweep {}: {why}", sweep.name)));
+        }
         let Some(behavior) = &sweep.behavior else { return Ok(()) };
         let Some(mined) = self.behavior(sweep) else {
             let known: Vec<&str> = self.behaviors.iter().map(|behavior| behavior.id()).collect();
@@ -107,14 +113,22 @@ impl<'a> Generator<'a> {
                 known: known.join(", "),
             });
         };
-        let in_sweep = |why| Error::Config(format!("generate.sweeps ({}): {why}", sweep.name));
-        sweep.check_objectives(mined.roles()).map_err(in_sweep)?;
+        let refuse = |why| Error::Config(format!("generate.sweeps ({}): {why}", sweep.name));
+        sweep.check_objectives(mined.roles()).map_err(refuse)?;
+        sweep.validate_conditioning(mined.roles()).map_err(refuse)?;
         let Some(classifier) = self.classifier(sweep) else {
             return match sweep.needs_classifier() {
                 false => Ok(()),
                 true => Err(Error::NoClassifier { sweep: sweep.name.clone(), behavior: behavior.clone() }),
             };
         };
+        let is_guided = sweep.strengths.iter().any(|strength| *strength != 0.0);
+        if is_guided && sweep.observe != ObserveConfig::default() {
+            // Its features are residuals to what follows from the history.
+            return Err(refuse(
+                "guidance by a classifier, which knows histories alone, needs observe = \"predictive\"".into(),
+            ));
+        }
         let (own, denoiser) = (&classifier.spec, self.spec());
         let differs = |what| Err(Error::Mismatch { behavior: behavior.clone(), what });
         if own.edm != denoiser.edm {

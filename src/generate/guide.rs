@@ -35,13 +35,17 @@ pub(super) struct Guided<'a> {
 impl<'g> Generator<'g> {
     /// The classifier that guides samples of this strength, if one does.
     pub(super) fn guiding_classifier(&self, sweep: &SweepConfig, strength: f64) -> Option<&'g TrainedClassifier> {
-        let guides = strength != 0.0 && sweep.classifier_scope != ClassifierScope::None;
+        let guides =
+            strength != 0.0 && sweep.classifier_scope != ClassifierScope::None && sweep.classifier_free.is_none();
         self.classifier(sweep).filter(|_| guides)
     }
 
     /// What guides samples of this strength: `none`, or the classifier and the objectives in order, such as
-    /// `classifier:cut_in+no_collision`; `classifier_any_pair:cut_in` where nobody in particular is asked.
+    /// `classifier:cut_in+no_collision`; `classifier_any_pair:cut_in` where nobody in particular is asked; `classifier_free` where samples lean toward states.
     pub(super) fn guidance_kind(&self, sweep: &SweepConfig, strength: f64) -> String {
+        if sweep.classifier_free.is_some() && strength != 0.0 {
+            return "classifier_free".to_owned();
+        }
         let scope =
             if sweep.classifier_scope == ClassifierScope::AnyPair { "classifier_any_pair" } else { "classifier" };
         let classifier = self.guiding_classifier(sweep, strength);

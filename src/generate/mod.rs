@@ -4,21 +4,29 @@
 //! shards. A shard depends on the plan, the models and the seed alone, so that shards can be generated in any order, by any
 //! number of threads and in any number of attempts, to the same bytes.
 
+mod conditioning;
+#[cfg(test)]
+mod conditioning_tests;
 mod config;
 mod error;
 mod generator;
 mod guide;
+mod observe;
 mod pairs;
 mod plan;
 mod sample;
 mod sweep_guidance;
 #[cfg(test)]
+mod testing;
+#[cfg(test)]
 mod tests;
 mod verify;
 
+pub use conditioning::{ClassifierFreeConfig, EditConfig, EditNoise};
 pub use config::{GenerateConfig, PairRanking, PairSelectionConfig, SweepConfig};
 pub use error::Error;
 pub use generator::{Generator, Models, SceneLoader};
+pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice, TimestepRange};
 pub use plan::{Cell, Plan, ShardPlan, Shortfall};
 pub use sample::{RejectedSample, ShardOutput};
 pub use sweep_guidance::ClassifierScope;

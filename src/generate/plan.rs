@@ -24,7 +24,7 @@ pub struct ShardPlan {
     pub idx: usize,
     /// Index of its sweep in the configuration.
     pub sweep_idx: usize,
-    /// What is sampled: each cell at every strength of the sweep, as often as the sweep says. A scene's strengths stay in one
+    /// What is sampled: each cell at every strength (or weight) of the sweep, as often as the sweep says. A scene's strengths stay in one
     /// shard, so that they can be compared even if the sweep is stopped early.
     pub cells: Vec<Cell>,
 }
@@ -62,7 +62,7 @@ impl ShardPlan {
     /// Number of samples.
     pub fn n_samples(&self, config: &GenerateConfig) -> usize {
         let sweep = &config.sweeps[self.sweep_idx];
-        self.cells.len() * sweep.strengths.len() * sweep.n_samples
+        self.cells.len() * sweep.levels().len() * sweep.n_samples
     }
 
     /// Whether the shard is to be generated when the sweep's earlier shards hold `n_verified` verified scenarios.

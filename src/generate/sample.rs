@@ -1,8 +1,10 @@
 //! How does a shard of the plan become scenarios? Batches of like scenes, denoised, decoded, checked.
 
+use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_velocities};
 use super::guide::Guided;
-use super::{Cell, Error, Generator, ShardPlan, SweepConfig, Verdict, verify};
+use super::{Cell, ClassifierFreeConfig, Error, Generator, ShardPlan, SweepConfig, Verdict, verify};
 use crate::diffusion::{Denoiser, NoiseSource, Step};
+use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::progress::Progress;
 use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, SceneId};
 use crate::seed::Seed;
@@ -38,10 +40,10 @@ pub struct RejectedSample {
     pub reason: String,
 }
 
-/// Cells of one batch, with their scenes, the samples wanted of each, and the strength.
+/// Cells of one batch with what they are conditioned on, the samples wanted of each, and the strength or weight.
 struct Batch<'a> {
     sweep: &'a SweepConfig,
-    cells: Vec<(&'a Cell, &'a Scene)>,
+    cells: Vec<(&'a Cell, &'a Conditioned)>,
     samples: Range<usize>,
     strength: f64,
 }
@@ -59,11 +61,14 @@ impl Generator<'_> {
         let sweep = &self.config.sweeps[shard.sweep_idx];
         let scenes: Vec<Scene> =
             shard.cells.iter().map(|cell| self.load(cell.scene_idx, &cell.scene_id)).collect::<Result<_, _>>()?;
+        let conditioned: Vec<Conditioned> = (shard.cells.iter().zip(&scenes))
+            .map(|(cell, scene)| self.condition(sweep, cell, scene, agents(cell, scene)?))
+            .collect::<Result<_, Error>>()?;
         let mut output = ShardOutput::default();
         let mut sampled: Vec<Vec<(f64, usize, Sampled)>> = vec![Vec::new(); shard.cells.len()];
-        for &strength in &sweep.strengths {
+        for &strength in sweep.levels() {
             for (members, samples) in self.batches(sweep, &scenes) {
-                let cells = members.iter().map(|at| (&shard.cells[*at], &scenes[*at])).collect();
+                let cells = members.iter().map(|at| (&shard.cells[*at], &conditioned[*at])).collect();
                 let batch = Batch { sweep, cells, samples: samples.clone(), strength };
                 let mut results = self.sample(&batch, progress)?.into_iter();
                 for at in members {
@@ -72,11 +77,12 @@ impl Generator<'_> {
                 }
             }
         }
-        for ((cell, scene), sampled) in shard.cells.iter().zip(&scenes).zip(sampled) {
+        for (((cell, scene), given), sampled) in shard.cells.iter().zip(&scenes).zip(&conditioned).zip(sampled) {
             for (strength, sample_idx, result) in sampled {
                 match result {
                     Ok(generated) => {
-                        output.records.push(self.record(sweep, cell, scene, &generated, (strength, sample_idx)));
+                        let scenario = (&generated, given.observed(&generated));
+                        output.records.push(self.record(sweep, cell, scene, scenario, (strength, sample_idx)));
                     }
                     Err(reason) => output.rejected.push(RejectedSample {
                         scene_id: cell.scene_id.clone(),
@@ -109,35 +115,71 @@ impl Generator<'_> {
 
     /// The samples of a batch: all of its first cell, then all of the next.
     fn sample(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Sampled>, Error> {
-        let masks: Vec<ObservationMask> = batch
-            .cells
-            .iter()
-            .map(|(_, scene)| ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history))
-            .collect();
-        let agents: Vec<(usize, usize)> =
-            batch.cells.iter().map(|(cell, scene)| agents(cell, scene)).collect::<Result<_, _>>()?;
-        let views: Vec<SceneView<'_>> = (batch.cells.iter().zip(&masks).zip(&agents))
-            .map(|(((_, scene), mask), agents)| SceneView { scene, ego_idx: agents.0, mask })
-            .collect();
+        let agents: Vec<(usize, usize)> = batch.cells.iter().map(|(_, given)| given.agents).collect();
+        let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
         let tensors = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
         let n_samples = batch.samples.len();
         let bound = self.models.denoiser.denoiser.bind(&tensors, n_samples)?;
-        let (own, tensors) = (&tensors, tensors.repeated(n_samples)?);
-        let guided = Guided {
-            sweep: batch.sweep,
-            strength: batch.strength,
-            cells: &batch.cells,
-            agents: &agents,
-            batch: own,
-            repeated: &tensors,
-            n_samples,
+        let wanted = match batch.sweep.classifier_free.as_ref().filter(|_| batch.strength != 0.0) {
+            Some(config) => Some(self.wanted_states(config, batch, &tensors)?),
+            None => None,
         };
-        let x = self.guided(&guided, &bound, |denoiser| self.denoise(batch, &tensors, denoiser, progress))?;
+        let (own, tensors) = (&tensors, tensors.repeated(n_samples)?);
+        let x = match wanted {
+            Some(extended) => {
+                let change = MaskChange::new(&tensors, &extended)?;
+                let conditional = self.models.denoiser.denoiser.bind(&extended, 1)?;
+                let denoiser = ClassifierFreeDenoiser {
+                    unconditional: &bound,
+                    conditional: &conditional,
+                    change: &change,
+                    weight: batch.strength,
+                };
+                self.denoise(batch, &tensors, &denoiser, progress)?
+            }
+            None => {
+                let cells: Vec<(&Cell, &Scene)> =
+                    batch.cells.iter().map(|(cell, given)| (*cell, &given.scene)).collect();
+                let guided = Guided {
+                    sweep: batch.sweep,
+                    strength: batch.strength,
+                    cells: &cells,
+                    agents: &agents,
+                    batch: own,
+                    repeated: &tensors,
+                    n_samples,
+                };
+                self.guided(&guided, &bound, |denoiser| self.denoise(batch, &tensors, denoiser, progress))?
+            }
+        };
         let sources: Vec<&Scene> =
-            batch.cells.iter().flat_map(|(_, scene)| std::iter::repeat_n(*scene, n_samples)).collect();
+            batch.cells.iter().flat_map(|(_, given)| std::iter::repeat_n(&given.scene, n_samples)).collect();
         let scenes = tensors.decode_scenes(&x, &sources)?;
         progress.advance(scenes.len() as u64);
         Ok(scenes.into_iter().map(checked).collect())
+    }
+
+    /// The samples of a batch, one a row, with their wanted states observed as well.
+    fn wanted_states(
+        &self,
+        config: &ClassifierFreeConfig,
+        batch: &Batch<'_>,
+        base: &SceneBatch,
+    ) -> Result<SceneBatch, Error> {
+        let mut wanted = Vec::new();
+        for (row, (cell, given)) in batch.cells.iter().enumerate() {
+            let of_cell = self.wanted(config, (*cell, *given), batch.samples.clone(), (base, row))?;
+            wanted.extend(of_cell.into_iter().map(|wanted| (wanted, given.agents.0)));
+        }
+        let views: Vec<SceneView<'_>> = wanted
+            .iter()
+            .map(|(Wanted { scene, mask }, ego_idx)| SceneView { scene, ego_idx: *ego_idx, mask })
+            .collect();
+        let extended = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
+        match config.mask_velocity {
+            true => without_wanted_velocities(extended, &base.repeated(batch.samples.len())?),
+            false => Ok(extended),
+        }
     }
 
     /// Diffused states (B, A, T, D) of all samples of a batch.
@@ -156,6 +198,11 @@ impl Generator<'_> {
         let row_dims = &tensors.x0.dims()[1..];
         let mut observer = |step: &Step<'_>| progress.note(&format!("step {} of {}", step.step_idx + 1, step.n_steps));
         let edm = self.models.denoiser.denoiser.edm();
+        if let Some(edit) = batch.sweep.edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
+            let x = noisy_guide(edit, &tensors.x0, &mut noise)?;
+            let sigmas = edit.schedule(edm, self.config.sampler.n_steps());
+            return Ok(self.config.sampler.integrate(&sigmas, denoiser, x, &mut noise, &mut observer)?);
+        }
         Ok(self.config.sampler.sample(edm, denoiser, row_dims, &tensors.x0, &mut noise, &mut observer)?)
     }
 
@@ -164,13 +211,15 @@ impl Generator<'_> {
         sweep: &SweepConfig,
         cell: &Cell,
         recorded: &Scene,
-        generated: &Scene,
+        (generated, observed): (&Scene, ObservationMask),
         (strength, sample_idx): (f64, usize),
     ) -> ScenarioRecord {
         let classifier = self.guiding_classifier(sweep, strength);
         let kind = self.guidance_kind(sweep, strength);
         let provenance = Provenance {
             scene_id: cell.scene_id.clone(),
+            observation: sweep.observe.name().to_owned(),
+            edit_tau: sweep.edit.as_ref().map(|edit| edit.tau),
             checkpoint: self.models.denoiser.fingerprint.clone(),
             classifier: classifier.map(|classifier| classifier.fingerprint.clone()),
             seed: self.config.seed,
@@ -185,7 +234,7 @@ impl Generator<'_> {
             None => Verdict::default(),
         };
         ScenarioRecord {
-            scenario: Scenario { id: scenario_id(&sweep.name, &provenance), scene, provenance },
+            scenario: Scenario { id: scenario_id(&sweep.name, &provenance), scene, observed, provenance },
             sweep: sweep.name.clone(),
             requested_behavior: sweep.behavior.clone(),
             verified: verdict.verified,
@@ -229,20 +278,23 @@ fn checked(scene: Scene) -> Sampled {
 
 /// 16 hexadecimal digits that belong to this sweep and provenance.
 fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
-    let Provenance { scene_id, checkpoint, classifier, seed, sample_idx, guidance, sampler } = provenance;
+    let Provenance { scene_id, observation, edit_tau, checkpoint, classifier, seed, sample_idx, guidance, sampler } =
+        provenance;
     let mut hasher = blake3::Hasher::new();
     // Every part ends in a zero byte, which no name holds: different parts cannot make the same text.
     let mut add = |part: &str| {
         hasher.update(part.as_bytes());
         hasher.update(&[0]);
     };
-    for part in [sweep, &scene_id.0, checkpoint, classifier.as_deref().unwrap_or(""), &guidance.kind, sampler] {
+    for part in
+        [sweep, &scene_id.0, observation, checkpoint, classifier.as_deref().unwrap_or(""), &guidance.kind, sampler]
+    {
         add(part);
     }
     for (role, track) in &guidance.roles {
         add(role);
         add(&track.0);
     }
-    add(&format!("{seed} {sample_idx} {}", guidance.strength));
+    add(&format!("{seed} {sample_idx} {} {edit_tau:?}", guidance.strength));
     hasher.finalize().to_hex()[..16].to_owned()
 }

@@ -5,8 +5,10 @@
 mod agent_selector;
 mod any_pair;
 mod classifier;
+mod classifier_free;
 mod clean_guided_denoiser;
 mod guided_denoiser;
+mod mask_change;
 mod objectives;
 mod road_corridors;
 mod scene_context;
@@ -20,10 +22,12 @@ mod tests;
 pub use agent_selector::AgentSelector;
 pub use any_pair::AnyPairGuidance;
 pub use classifier::ClassifierGuidance;
+pub use classifier_free::{BranchChange, ClassifierFreeDenoiser};
 pub use clean_guided_denoiser::{
     CleanGradient, CleanGuidedDenoiser, CleanPotential, ObjectiveGuidanceConfig, ObjectiveSum,
 };
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
+pub use mask_change::MaskChange;
 pub use objectives::{
     AccelerationLimit, AdversarialTtc, Goal, GoalFrame, KeepDistance, NoCollision, ObjectiveConfig, RoadPoints,
     SceneObjective, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,

@@ -4,7 +4,9 @@
 //!
 //! Common to all: the future is every timestep from `n_history` on. Agents that count are those tracked at present,
 //! t_obs - 1; nothing is generated for others. Where the recording is the yardstick, only timesteps at which it holds
-//! the agent count. A group for which a metric is not defined has no value and does not enter the mean.
+//! the agent count. Observed states of the future (goals, other agents' plans, all but a window) are part of it as they were
+//! recorded: their distances are 0, so distances of sweeps with different masks do not compare. A group for which a metric
+//! is not defined has no value and does not enter the mean.
 //!
 //! The benchmarks' figures, by their names there. Where two define the same number there is one metric:
 //!

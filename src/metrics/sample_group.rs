@@ -5,7 +5,8 @@ use std::ops::Range;
 
 /// A recorded scene and samples of its future.
 ///
-/// The samples hold the same tracks in the same order, the same timesteps and the same history, and a future state
+/// The samples hold the same tracks in the same order, the same timesteps and the same observed states (the history, unless
+/// another mask was asked for), and a future state
 /// of every agent tracked at present wherever the recording has one; what lacks one there cannot be scored. The
 /// recording itself may serve as its only sample.
 #[derive(Debug, Clone, Copy)]

@@ -125,7 +125,7 @@ mod tests {
     use super::*;
     use crate::behavior::{BehaviorEvent, EventLabel};
     use crate::scene::testing::{self, Drive};
-    use crate::scene::{GuidanceTag, Provenance, Scenario};
+    use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario};
     use std::collections::BTreeMap;
 
     fn recorded() -> Scene {
@@ -145,6 +145,8 @@ mod tests {
         };
         let provenance = Provenance {
             scene_id: scene.id.clone(),
+            observation: "predictive".into(),
+            edit_tau: None,
             checkpoint: "d".into(),
             classifier: Some("c".into()),
             seed: 1,
@@ -153,7 +155,12 @@ mod tests {
             sampler: "heun-20".into(),
         };
         ScenarioRecord {
-            scenario: Scenario { id: "s-4".into(), scene, provenance },
+            scenario: Scenario {
+                id: "s-4".into(),
+                observed: ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history),
+                scene,
+                provenance,
+            },
             sweep: "guided".into(),
             requested_behavior: Some("cut_in".into()),
             verified,

@@ -1,8 +1,11 @@
 //! The nouns of traffic: what is a scene, a track, a lane, an observation mask, a generated scenario? No files, no tensors.
 
 mod agent;
+mod agent_ref;
+mod edit;
 mod ids;
 mod lane_graph;
+mod motion;
 mod observation_mask;
 mod scenario;
 #[expect(clippy::module_inception, reason = "the folder is named for its main type")]
@@ -13,6 +16,8 @@ mod track;
 mod trajectory;
 
 pub use agent::{AgentClass, Extent};
+pub use agent_ref::AgentRef;
+pub use edit::{Meet, ScaleSpeed, SceneEdit, SetPositions, Shift, ShiftTime, TimedPoint};
 pub use ids::{LaneId, MapId, SceneId, TrackId};
 pub use lane_graph::{Lane, LaneAttributes, LaneGraph, TurnDirection};
 pub use observation_mask::ObservationMask;

@@ -1,14 +1,14 @@
 //! A generated scenario: a scene whose future was sampled, and everything needed to sample it again.
 
-use super::{Scene, SceneId, TrackId};
+use super::{ObservationMask, Scene, SceneId, TrackId};
 use serde::{Deserialize, Serialize};
 
 /// The guidance a scenario was sampled with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GuidanceTag {
-    /// Name of the guidance, such as `none` or `classifier:cut_in`.
+    /// Name of the guidance, such as `none`, `classifier:cut_in` or `classifier_free`.
     pub kind: String,
-    /// Strength α; 0 without guidance.
+    /// Strength α, or weight λ of classifier-free guidance; 0 without guidance.
     pub strength: f64,
     /// The tracks the guidance acted on, as (role, track): empty without guidance.
     pub roles: Vec<(String, TrackId)>,
@@ -19,6 +19,11 @@ pub struct GuidanceTag {
 pub struct Provenance {
     /// The recorded scene whose observed states it continues.
     pub scene_id: SceneId,
+    /// Which states were observed, in a word: the name of a training task such as `predictive`, or `mask`. The states
+    /// themselves are in [`Scenario::observed`].
+    pub observation: String,
+    /// The noise level from which an edited recording was denoised again; `None` where nothing was edited.
+    pub edit_tau: Option<f64>,
     /// Fingerprint of the denoiser checkpoint.
     pub checkpoint: String,
     /// Fingerprint of the classifier checkpoint; `None` where no classifier was used.
@@ -38,8 +43,10 @@ pub struct Provenance {
 pub struct Scenario {
     /// Unique within a corpus; derived from the provenance.
     pub id: String,
-    /// Observed history as recorded and generated future; velocities of generated states follow from positions.
+    /// Observed states as recorded (or as edited), and generated ones, whose velocities follow from their positions.
     pub scene: Scene,
+    /// Which states of the scene were observed: one entry for each of its tracks and timesteps, false where it has no state.
+    pub observed: ObservationMask,
     /// What it came from.
     pub provenance: Provenance,
 }

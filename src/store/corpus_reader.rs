@@ -7,7 +7,7 @@ use super::schema::TableSchema;
 use super::tables::columns::Columns;
 use super::tables::{lane, scenario, track};
 use super::{Error, MetricRow, Result, ScenarioRecord, parquet_file, read_metrics};
-use crate::scene::{LaneGraph, LaneId, MapId, Track};
+use crate::scene::{LaneGraph, LaneId, MapId, ObservationMask, Track};
 use arrow::array::{RecordBatch, StringArray, UInt64Array};
 use arrow::compute::concat_batches;
 use arrow::datatypes::UInt32Type;
@@ -94,8 +94,8 @@ impl CorpusReader {
         let start = i.checked_sub(1).map_or(0, |before| self.track_ends[before]);
         let columns = self.columns();
         let n_timesteps = columns.number::<UInt32Type>("n_timesteps", i)? as usize;
-        let tracks = self.tracks(start..end, columns.text("scenario_id", i)?, n_timesteps)?;
-        scenario::decode(&columns, i, tracks, &self.maps)
+        let (tracks, observed) = self.tracks(start..end, columns.text("scenario_id", i)?, n_timesteps)?;
+        scenario::decode(&columns, i, tracks, observed, &self.maps)
     }
 
     /// All metric values.
@@ -110,7 +110,12 @@ impl CorpusReader {
         Columns::of_batch(&self.scenarios, &self.scenarios_path)
     }
 
-    fn tracks(&self, rows: Range<usize>, scenario_id: &str, n_timesteps: usize) -> Result<Vec<Track>> {
+    fn tracks(
+        &self,
+        rows: Range<usize>,
+        scenario_id: &str,
+        n_timesteps: usize,
+    ) -> Result<(Vec<Track>, ObservationMask)> {
         let path = self.dir.join(TRACKS_FILE);
         let table = track::schema();
         let batch = concatenated(&path, &table, &parquet_file::read_rows(&path, &table, rows)?)?;

@@ -4,8 +4,9 @@ use super::{ScenarioRecord, as_stored};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::scene::{
-    AgentClass, Dataset, Extent, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, MapId, Provenance, Scenario,
-    Scene, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole, Trajectory, TurnDirection,
+    AgentClass, Dataset, Extent, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, MapId, ObservationMask,
+    Provenance, Scenario, Scene, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole, Trajectory,
+    TurnDirection,
 };
 use crate::seed::{Seed, SeededRng};
 use std::sync::Arc;
@@ -110,8 +111,13 @@ pub(crate) fn record(scene: &Scene, sample_idx: usize) -> ScenarioRecord {
         scenario: Scenario {
             id: format!("{}#{sample_idx}", scene.id),
             scene: as_stored(scene),
+            observed: ObservationMask::from_fn(scene.tracks.len(), scene.n_timesteps, |agent_idx, timestep| {
+                timestep < scene.n_history + sample_idx && scene.state(agent_idx, timestep).is_some()
+            }),
             provenance: Provenance {
                 scene_id: scene.id.clone(),
+                observation: if verified { "windowed" } else { "predictive" }.to_owned(),
+                edit_tau: verified.then_some(0.8),
                 checkpoint: "c0ffee".to_owned(),
                 classifier: verified.then(|| "beef".to_owned()),
                 seed: u64::MAX,

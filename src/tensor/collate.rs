@@ -1,6 +1,7 @@
 //! Builds batches: chooses agents, centers each scene on its ego agent, and writes states, masks and features.
 
 use super::features::lane_polylines;
+use super::hidden_states::generated_timesteps;
 use super::motion::MotionChain;
 use super::reference::Reference;
 use super::{FeatureLayout, Normalizer, SceneBatch, StateParametrization};
@@ -9,12 +10,13 @@ use crate::scene::{ObservationMask, Scene};
 use candle_core::{Device, Result, Tensor};
 use std::sync::Arc;
 
-/// Which states after the observed ones are to be generated.
+/// Which of the states that are not observed are to be generated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FutureValidity {
     /// Those that were recorded: for training and for losses.
     Recorded,
-    /// Every unobserved state of an agent that is observed at all: for sampling.
+    /// Every stretch of hidden states that follows or precedes an observed state of the agent, whatever was recorded in it:
+    /// for sampling. Where the mask shows that the agent was not tracked, it stays absent.
     Everything,
 }
 
@@ -135,16 +137,14 @@ impl Collator {
         rows.rotation[at * 2..at * 2 + 2].copy_from_slice(&[frame_heading.cos() as f32, frame_heading.sin() as f32]);
         rows.unit[at * 3..at * 3 + 3].copy_from_slice(&unit.map(|u| u as f32));
 
-        let is_latent = |timestep: usize| {
-            let recorded = track.trajectory.is_valid(timestep);
-            !observed(timestep)
-                && match validity {
-                    FutureValidity::Recorded => recorded,
-                    FutureValidity::Everything => is_observed_at_all,
-                }
+        let shown = |timestep: usize| frame.observed(agent_idx, timestep);
+        let recorded = |timestep: usize| track.trajectory.is_valid(timestep);
+        let latent: Vec<bool> = match validity {
+            FutureValidity::Recorded => (0..self.n_timesteps).map(|t| recorded(t) && !shown(t)).collect(),
+            FutureValidity::Everything => generated_timesteps(self.n_timesteps, shown, recorded),
         };
         let entries: Vec<(usize, bool)> = (0..self.n_timesteps)
-            .filter_map(|t| if observed(t) { Some((t, true)) } else { is_latent(t).then_some((t, false)) })
+            .filter_map(|t| if observed(t) { Some((t, true)) } else { latent[t].then_some((t, false)) })
             .collect();
         let mut base_headings: Vec<f64> = Vec::with_capacity(entries.len());
         let mut base_positions: Vec<Vec2> = Vec::with_capacity(entries.len());

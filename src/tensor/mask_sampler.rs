@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A way of choosing which states are observed. Timesteps count from 0; t_obs is the length of the history.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum MaskTask {
     /// The history of all agents: `[0, t_obs)`.
@@ -108,6 +108,19 @@ impl MaskSampler {
 }
 
 impl MaskTask {
+    /// The name in configs and tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Predictive => "predictive",
+            Self::GoalConditioned => "goal_conditioned",
+            Self::AgentConditioned => "agent_conditioned",
+            Self::EgoConditioned => "ego_conditioned",
+            Self::Windowed => "windowed",
+            Self::Upsampling => "upsampling",
+            Self::Imputation => "imputation",
+        }
+    }
+
     /// Draws a mask of this task for `scene` with ego agent `ego_idx`.
     pub fn sample(self, scene: &Scene, ego_idx: usize, rng: &mut SeededRng) -> ObservationMask {
         let (n_agents, n_timesteps, n_history) = (scene.tracks.len(), scene.n_timesteps, scene.n_history);

@@ -2,6 +2,7 @@
 
 mod collate;
 mod features;
+mod hidden_states;
 mod mask_sampler;
 mod motion;
 mod normalizer;

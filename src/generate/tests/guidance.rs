@@ -1,6 +1,9 @@
 //! Do classifier and objectives act as the sweep says, alone and together, and does the provenance tell?
 
 use super::*;
+use crate::diffusion::SamplerConfig;
+use crate::diffusion::sampler::HeunConfig;
+use crate::store::ScenarioRecord;
 
 const OBJECTIVES: &str = "
     splits = ['train']

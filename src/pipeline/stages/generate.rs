@@ -29,7 +29,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn check(&self) -> Result<()> {
@@ -37,11 +37,13 @@ impl Stage for Generate<'_> {
         let mined = self.mine.build()?;
         for sweep in &self.config.sweeps {
             let Some(behavior) = sweep.behavior.as_deref() else { continue };
-            if !mined.iter().any(|known| known.id() == behavior) {
+            let Some(found) = mined.iter().find(|known| known.id() == behavior) else {
                 let known: Vec<&str> = mined.iter().map(|known| known.id()).collect();
                 let (sweep, behavior, known) = (sweep.name.clone(), behavior.to_owned(), known.join(", "));
                 return Err(generate::Error::UnknownBehavior { sweep, behavior, known }.into());
-            }
+            };
+            let refuse = |why| generate::Error::Config(format!("generate.sweeps ({}): {why}", sweep.name));
+            sweep.validate_conditioning(found.roles()).map_err(refuse)?;
             if sweep.needs_classifier() && self.classified_behavior.is_some_and(|classified| classified != behavior) {
                 let (sweep, behavior) = (sweep.name.clone(), behavior.to_owned());
                 return Err(generate::Error::NoClassifier { sweep, behavior }.into());

@@ -1,9 +1,9 @@
 //! The columns that say what a scenario is, what it came from and what was found in it; sample shards and scenario tables
 //! share them.
 
-use super::columns::{Columns, flags, numbers, optional_texts, small, texts};
+use super::columns::{Columns, flags, numbers, optional_numbers, optional_texts, small, texts};
 use super::{event_list, roles};
-use crate::scene::{GuidanceTag, Provenance, Scenario, Scene};
+use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
 use crate::store::schema::{ColumnExt, column};
 use crate::store::{Result, ScenarioRecord};
 use arrow::array::ArrayRef;
@@ -26,8 +26,24 @@ pub(crate) fn fields() -> Vec<Field> {
             DataType::Boolean,
             "Whether the recording held the requested behavior for these roles already.",
         ),
-        column("guidance_kind", DataType::Utf8, "The guidance it was sampled with, such as none or classifier:cut_in."),
-        column("guidance_strength", DataType::Float64, "Strength of the guidance; 0 without.").unit("1"),
+        column(
+            "observation",
+            DataType::Utf8,
+            "Which states were observed: the name of a training task, such as predictive, or mask.",
+        ),
+        column(
+            "edit_tau",
+            DataType::Float64,
+            "Noise level from which an edited recording was denoised again; missing where nothing was edited.",
+        )
+        .unit("1")
+        .optional(),
+        column(
+            "guidance_kind",
+            DataType::Utf8,
+            "The guidance it was sampled with, such as none, classifier:cut_in or classifier_free.",
+        ),
+        column("guidance_strength", DataType::Float64, "Strength or weight of the guidance; 0 without.").unit("1"),
         roles::field("guidance_roles", "The tracks that the guidance acted on; empty without guidance."),
         column("seed", DataType::UInt64, "Seed of the run."),
         column("sample_idx", DataType::UInt32, "Which sample of its scene and guidance it is."),
@@ -53,6 +69,8 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
         optional_texts(records.iter().map(|record| record.requested_behavior.as_deref())),
         flags(records.iter().map(|record| record.verified)),
         flags(records.iter().map(|record| record.recorded_event)),
+        texts(provenance().map(|p| p.observation.as_str())),
+        optional_numbers::<Float64Type>(provenance().map(|p| p.edit_tau)),
         texts(provenance().map(|p| p.guidance.kind.as_str())),
         numbers::<Float64Type>(provenance().map(|p| p.guidance.strength)),
         roles::encode(&provenance().map(|p| p.guidance.roles.as_slice()).collect::<Vec<_>>())?,
@@ -65,12 +83,19 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
     ])
 }
 
-/// The record in a row, with its scene, which bears the name of the recording.
-pub(crate) fn decode(columns: &Columns<'_>, row: usize, scene: Scene) -> Result<ScenarioRecord> {
+/// The record in a row, with its scene, which bears the name of the recording, and which of its states were observed.
+pub(crate) fn decode(
+    columns: &Columns<'_>,
+    row: usize,
+    scene: Scene,
+    observed: ObservationMask,
+) -> Result<ScenarioRecord> {
     let text = |name: &str| columns.text(name, row).map(str::to_owned);
     let optional_text = |name: &str| columns.optional_text(name, row).map(|text| text.map(str::to_owned));
     let provenance = Provenance {
         scene_id: scene.id.clone(),
+        observation: text("observation")?,
+        edit_tau: columns.optional_number::<Float64Type>("edit_tau", row)?,
         checkpoint: text("checkpoint")?,
         classifier: optional_text("classifier")?,
         seed: columns.number::<UInt64Type>("seed", row)?,
@@ -88,6 +113,6 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize, scene: Scene) -> Result<
         verified: columns.flag("verified", row)?,
         recorded_event: columns.flag("recorded_event", row)?,
         events: event_list::decode(columns, row, &scene.id)?,
-        scenario: Scenario { id: text("scenario_id")?, scene, provenance },
+        scenario: Scenario { id: text("scenario_id")?, scene, observed, provenance },
     })
 }

@@ -1,23 +1,29 @@
 //! The table of a sample shard: one row a generated scenario, with everything needed to read it back.
 
-use super::columns::Columns;
+use super::columns::{Columns, flags, lists};
 use super::{provenance, scene_header, scene_tracks};
 use crate::geometry::Transform2;
-use crate::scene::{LaneGraph, LaneId, MapId, Scene};
-use crate::store::schema::TableSchema;
+use crate::scene::{LaneGraph, LaneId, MapId, ObservationMask, Scene};
+use crate::store::schema::{TableSchema, column, list_of};
 use crate::store::{Error, MapSource, Result, ScenarioRecord, as_stored};
 use arrow::array::RecordBatch;
+use arrow::datatypes::DataType;
 use std::path::Path;
 use std::sync::Arc;
 
-/// `sample.v1`.
+/// `sample.v2`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = provenance::fields();
     fields.extend(scene_header::fields());
     fields.push(scene_tracks::field());
+    fields.push(column(
+        "observed",
+        list_of(DataType::Boolean),
+        "Whether a state was observed, track by track and in each one entry a timestep; false where there is no state.",
+    ));
     TableSchema {
         name: "sample",
-        version: 1,
+        version: 2,
         description: "One row a generated scenario, with its tracks nested; the form between generation and the corpus.",
         fields,
         open: Vec::new(),
@@ -31,6 +37,8 @@ pub(crate) fn encode(records: &[ScenarioRecord]) -> Result<RecordBatch> {
     let mut arrays = provenance::encode(&records.iter().collect::<Vec<_>>())?;
     arrays.extend(scene_header::encode(&scenes)?);
     arrays.push(scene_tracks::encode(&scenes)?);
+    let masks = || records.iter().map(|record| record.scenario.observed.entries());
+    arrays.push(lists(masks().map(<[bool]>::len), flags(masks().flatten().copied())));
     RecordBatch::try_new(schema().arrow(), arrays).map_err(|error| Error::invalid("samples", error.to_string()))
 }
 
@@ -40,6 +48,14 @@ pub(crate) fn check(record: &ScenarioRecord) -> Result<()> {
     let refuse = |detail: &str| Err(Error::invalid(&scenario.id, detail));
     if scenario.scene.id != scenario.provenance.scene_id {
         return refuse("its scene must bear the name of the recording that its provenance names");
+    }
+    let (scene, observed) = (&scenario.scene, &scenario.observed);
+    if (observed.n_agents(), observed.n_timesteps()) != (scene.tracks.len(), scene.n_timesteps) {
+        return refuse("its mask of observed states must have an entry for each of its tracks and timesteps");
+    }
+    let has_state = |i: usize| scene.state(i / scene.n_timesteps, i % scene.n_timesteps).is_some();
+    if observed.entries().iter().enumerate().any(|(i, is_observed)| *is_observed && !has_state(i)) {
+        return refuse("its mask must not call a state observed that there is not");
     }
     if record.events.iter().any(|event| event.scene_id != scenario.scene.id) {
         return refuse("its events must bear the name of its scene");
@@ -60,7 +76,16 @@ pub(crate) fn decode(batch: &RecordBatch, path: &Path, maps: &dyn MapSource) -> 
         let header = scene_header::decode(&columns, row)?;
         let tracks = scene_tracks::decode(&columns, row, header.scene.n_timesteps)?;
         let lanes = lanes.of(&header, maps, path)?;
-        provenance::decode(&columns, row, header.complete(path, tracks, lanes)?)
+        let scene = header.complete(path, tracks, lanes)?;
+        let flags = columns.flags("observed", row)?;
+        if flags.values().len() != scene.tracks.len() * scene.n_timesteps {
+            return Err(Error::corrupt(path, "a mask has another number of entries than its scene".to_owned()));
+        }
+        let n_timesteps = scene.n_timesteps;
+        let observed = ObservationMask::from_fn(scene.tracks.len(), n_timesteps, |agent_idx, timestep| {
+            flags.values().value(agent_idx * n_timesteps + timestep)
+        });
+        provenance::decode(&columns, row, scene, observed)
     };
     (0..batch.num_rows()).map(record).collect()
 }

@@ -4,7 +4,7 @@ use super::columns::{Columns, numbers, optional_numbers, small};
 use super::parameters::{self, Parameters};
 use super::{provenance, scene_header};
 use crate::behavior::BehaviorEvent;
-use crate::scene::{Scene, Track};
+use crate::scene::{ObservationMask, Scene, Track};
 use crate::store::schema::{ColumnExt, TableSchema, column};
 use crate::store::{Error, MapSource, Result, ScenarioRecord};
 use arrow::array::{ArrayRef, RecordBatch};
@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-/// `scenario.v1`.
+/// `scenario.v2`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = provenance::fields();
     fields.extend(scene_header::fields());
@@ -30,7 +30,7 @@ pub(crate) fn schema() -> TableSchema {
     ]);
     TableSchema {
         name: "scenario",
-        version: 1,
+        version: 2,
         description: "One row a generated scenario; parameters are those of the first requested event found in it.",
         fields,
         open: vec![parameters::open_columns()],
@@ -88,15 +88,16 @@ impl ScenarioRows {
     }
 }
 
-/// The record in a row, given its tracks.
+/// The record in a row, given its tracks and which of their states were observed.
 pub(crate) fn decode(
     columns: &Columns<'_>,
     row: usize,
     tracks: Vec<Track>,
+    observed: ObservationMask,
     maps: &dyn MapSource,
 ) -> Result<ScenarioRecord> {
     let path: &Path = columns.path;
     let header = scene_header::decode(columns, row)?;
     let lanes = Arc::new(header.lanes(maps, path)?);
-    provenance::decode(columns, row, header.complete(path, tracks, lanes)?)
+    provenance::decode(columns, row, header.complete(path, tracks, lanes)?, observed)
 }

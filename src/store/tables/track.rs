@@ -2,13 +2,14 @@
 
 use super::columns::{Columns, flags, numbers, optional_numbers, optional_texts, small, texts};
 use super::scene_tracks::{extent_of, single, state_of};
-use crate::scene::{AgentClass, State, Track, TrackId, TrackRole, Trajectory};
+use crate::scene::{AgentClass, ObservationMask, State, Track, TrackId, TrackRole, Trajectory};
 use crate::store::schema::{ColumnExt, SCENE_FRAME, TableSchema, WORLD_FRAME, column};
 use crate::store::{Error, Result, ScenarioRecord};
 use arrow::array::{RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Float32Type, Float64Type, UInt32Type};
+use std::collections::BTreeSet;
 
-/// `track.v1`.
+/// `track.v2`.
 pub(crate) fn schema() -> TableSchema {
     let scene = |name: &str, unit: &str, description: &str| {
         column(name, DataType::Float32, description).unit(unit).frame(SCENE_FRAME)
@@ -31,7 +32,7 @@ pub(crate) fn schema() -> TableSchema {
             .optional(),
         column("timestep", DataType::UInt32, "Timestep, from 0.").unit("1"),
         column("t_s", DataType::Float64, "Time since timestep 0.").unit("s"),
-        column("observed", DataType::Boolean, "true: recorded history; false: generated."),
+        column("observed", DataType::Boolean, "true: given to the denoiser, as recorded or edited; false: generated."),
         scene("x_m", "m", "Centre."),
         scene("y_m", "m", "Centre."),
         scene("heading_rad", "rad", "Direction in (-π, π]."),
@@ -45,7 +46,7 @@ pub(crate) fn schema() -> TableSchema {
     ];
     TableSchema {
         name: "track",
-        version: 1,
+        version: 2,
         description: "One row a state of a road user in a scenario; in the order of the scenario table, then by track, then by time.",
         fields,
         open: Vec::new(),
@@ -99,7 +100,7 @@ pub(crate) fn encode(records: &[ScenarioRecord]) -> Result<RecordBatch> {
         optional_texts(rows.iter().map(Row::event_role)),
         numbers::<UInt32Type>(timesteps?),
         numbers::<Float64Type>(rows.iter().map(|row| row.timestep as f64 * row.record.scenario.scene.dt_s)),
-        flags(rows.iter().map(|row| row.timestep < row.record.scenario.scene.n_history)),
+        flags(rows.iter().map(|row| row.record.scenario.observed.is_observed(row.agent_idx, row.timestep))),
         state(0),
         state(1),
         state(2),
@@ -114,10 +115,15 @@ pub(crate) fn encode(records: &[ScenarioRecord]) -> Result<RecordBatch> {
     RecordBatch::try_new(schema().arrow(), arrays).map_err(|error| Error::invalid("tracks", error.to_string()))
 }
 
-/// The tracks of one scenario, whose rows are the whole of `batch`.
-pub(crate) fn decode(columns: &Columns<'_>, n_rows: usize, n_timesteps: usize) -> Result<Vec<Track>> {
+/// The tracks of one scenario, whose rows are all of `columns`, and which of their states were observed.
+pub(crate) fn decode(
+    columns: &Columns<'_>,
+    n_rows: usize,
+    n_timesteps: usize,
+) -> Result<(Vec<Track>, ObservationMask)> {
     let ids: &StringArray = columns.get("track_id")?;
     let mut tracks: Vec<(TrackId, Vec<Option<State>>, usize)> = Vec::new();
+    let mut observed = BTreeSet::new();
     for row in 0..n_rows {
         let id = ids.value(row);
         if tracks.last().is_none_or(|(last, ..)| last.0 != id) {
@@ -129,7 +135,12 @@ pub(crate) fn decode(columns: &Columns<'_>, n_rows: usize, n_timesteps: usize) -
         let entry = tracks.last_mut().and_then(|(_, states, _)| states.get_mut(timestep));
         *entry.ok_or_else(|| Error::corrupt(columns.path, format!("track {id} has a state after the end")))? =
             Some(state_of(numbers));
+        if columns.flag("observed", row)? {
+            observed.insert((tracks.len() - 1, timestep));
+        }
     }
+    let is_observed = |agent_idx, timestep| observed.contains(&(agent_idx, timestep));
+    let mask = ObservationMask::from_fn(tracks.len(), n_timesteps, is_observed);
     let track = |(id, states, row): (TrackId, Vec<Option<State>>, usize)| {
         Ok(Track {
             id,
@@ -142,5 +153,5 @@ pub(crate) fn decode(columns: &Columns<'_>, n_rows: usize, n_timesteps: usize) -
             trajectory: Trajectory::new(states),
         })
     };
-    tracks.into_iter().map(track).collect()
+    Ok((tracks.into_iter().map(track).collect::<Result<_>>()?, mask))
 }

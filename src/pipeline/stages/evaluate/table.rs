@@ -37,8 +37,10 @@ impl MetricTable {
 
     /// Adds a cell of `sweep` with its figures.
     pub(super) fn add(&mut self, sweep: &str, cell: &Cell<'_>, recorded: &Scene, figures: CellFigures) {
-        let strength = cell.records[0].scenario.provenance.guidance.strength;
-        let generated = if strength == 0.0 { "unguided" } else { sweep };
+        let provenance = &cell.records[0].scenario.provenance;
+        let strength = provenance.guidance.strength;
+        // What starts from an edited recording is no forecast, be it guided or not.
+        let generated = if strength == 0.0 && provenance.edit_tau.is_none() { "unguided" } else { sweep };
         let place = &recorded.source.place;
         let (place, scene_id) = (place.clone(), recorded.id.clone());
         for (record, values) in cell.records.iter().zip(&figures.alone) {

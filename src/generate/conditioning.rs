@@ -1,0 +1,266 @@
+//! What is a sample conditioned on? The states it is shown, those it leans toward, and the edited recording it starts from.
+
+use super::observe::{MaskRule, Subject, rule_mask, validate_rules};
+use super::{Cell, Error, Generator, SweepConfig};
+use crate::diffusion::{Edm, NoiseSource};
+use crate::geometry::Vec2;
+use crate::scene::{AgentRef, ObservationMask, Scene, SceneEdit, State, Trajectory};
+use crate::seed::Seed;
+use crate::tensor::{FeatureLayout, SceneBatch, SceneView};
+use candle_core::Tensor;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// States that samples lean toward without being bound to them (paper, section 5.1).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ClassifierFreeConfig {
+    /// The wanted states, beyond those that are observed, as rules of a mask; such as the goal of every agent:
+    /// `[{ agents = "all", times = "goal" }]`. They are recorded (or edited) states; what is not generated anyway is left out.
+    pub extra: Vec<MaskRule>,
+    /// Weights λ, each of them sampled: 0 ignores the wanted states, 1 observes them, more exaggerates. The sampler has to
+    /// follow how wanted states are approached, the faster the larger λ is: with 20 steps up to about 1.5, with 50 up to 4.
+    #[serde(default = "one_weight")]
+    pub weights: Vec<f64>,
+    /// Standard deviation of what is added to the wanted positions, metres in each direction; drawn once for each agent and
+    /// sample.
+    #[serde(default = "one_metre")]
+    pub goal_std_m: f64,
+    /// Whether the denoiser is not told the velocity of wanted states.
+    #[serde(default = "yes")]
+    pub mask_velocity: bool,
+}
+
+fn one_weight() -> Vec<f64> {
+    vec![1.0]
+}
+
+const fn one_metre() -> f64 {
+    1.0
+}
+
+const fn yes() -> bool {
+    true
+}
+
+/// Recordings that are changed roughly and made realistic by the denoiser (paper, section 5.3): the edited future with noise
+/// of level `tau`, denoised from there.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EditConfig {
+    /// The noise level at which denoising begins: 0 leaves the edited recording as it is, the denoiser's largest noise level
+    /// forgets it but for edited states that are observed.
+    #[serde(default = "default_tau")]
+    pub tau: f64,
+    /// How much noise is added.
+    #[serde(default)]
+    pub noise: EditNoise,
+    /// The changes, in order. None: the recording itself is denoised again.
+    #[serde(default)]
+    pub edits: Vec<SceneEdit>,
+}
+
+const fn default_tau() -> f64 {
+    0.8
+}
+
+/// How much noise is added to an edited recording.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EditNoise {
+    /// Of standard deviation τ, as everywhere else at diffusion time τ.
+    #[default]
+    Tau,
+    /// Of variance τ, as the paper prints it.
+    SqrtTau,
+}
+
+impl SweepConfig {
+    /// What samples of a scene differ in beside their noise: strengths α of guidance, or weights λ of classifier-free
+    /// guidance.
+    pub fn levels(&self) -> &[f64] {
+        self.classifier_free.as_ref().map_or(&self.strengths, |config| &config.weights)
+    }
+
+    /// Says what makes no sense in how the sweep is conditioned; its behavior has these roles.
+    ///
+    /// # Errors
+    /// When something does not.
+    pub fn validate_conditioning(&self, roles: &[&str]) -> Result<(), String> {
+        self.observe.validate(roles).map_err(|why| format!("observe{why}"))?;
+        if let Some(config) = &self.classifier_free {
+            validate_rules(&config.extra, roles).map_err(|why| format!("classifier_free.extra{why}"))?;
+            if config.extra.iter().all(|rule| rule.hide) || config.weights.is_empty() {
+                return Err("classifier_free has no extra states or no weights".to_owned());
+            }
+            let is_number = |value: &f64| value.is_finite();
+            if !config.weights.iter().all(is_number) || !is_number(&config.goal_std_m) || config.goal_std_m < 0.0 {
+                return Err("classifier_free holds a value that is no number, or a negative goal_std_m".to_owned());
+            }
+            if self.strengths.iter().any(|strength| *strength != 0.0) {
+                return Err("classifier_free cannot be combined with guided strengths; use two sweeps".to_owned());
+            }
+        }
+        let Some(edit) = &self.edit else { return Ok(()) };
+        if !edit.tau.is_finite() || edit.tau < 0.0 {
+            return Err(format!("edit.tau is {}, expected 0 or more", edit.tau));
+        }
+        for (i, scene_edit) in edit.edits.iter().enumerate() {
+            scene_edit.validate().map_err(|why| format!("edit.edits.{i}: {why}"))?;
+            let is_unknown =
+                |agent: &&AgentRef| matches!(agent, AgentRef::Role(role) if !roles.contains(&role.as_str()));
+            if let Some(agent) = scene_edit.agents().into_iter().find(is_unknown) {
+                return Err(format!("edit.edits.{i} names {agent:?}, which the behavior does not have"));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl EditConfig {
+    /// Noise levels of `n_steps` steps from τ. At or below the smallest level of a schedule there is one step, to 0.
+    pub(super) fn schedule(&self, edm: &Edm, n_steps: usize) -> Vec<f64> {
+        match self.tau {
+            0.0 => vec![0.0],
+            tau if tau <= edm.sigma_min => vec![tau, 0.0],
+            tau => edm.schedule_from(tau, n_steps),
+        }
+    }
+
+    /// Standard deviation of the added noise.
+    pub(super) fn noise_std(&self) -> f64 {
+        match self.noise {
+            EditNoise::Tau => self.tau,
+            EditNoise::SqrtTau => self.tau.sqrt(),
+        }
+    }
+
+    /// Whether denoising begins below the denoiser's largest noise level, where the edited recording still shows.
+    pub(super) fn keeps_guide(&self, edm: &Edm) -> bool {
+        self.tau < edm.sigma_max
+    }
+}
+
+/// A cell's scene as the denoiser is given it.
+#[derive(Debug)]
+pub(super) struct Conditioned {
+    /// The recording, edited if the sweep says so.
+    pub(super) scene: Scene,
+    /// What of it is observed.
+    pub(super) mask: ObservationMask,
+    /// Who is asked; the first is at the center.
+    pub(super) agents: (usize, usize),
+}
+
+impl Conditioned {
+    pub(super) const fn view(&self) -> SceneView<'_> {
+        SceneView { scene: &self.scene, ego_idx: self.agents.0, mask: &self.mask }
+    }
+
+    /// Which states of a scenario that continues it were observed.
+    pub(super) fn observed(&self, generated: &Scene) -> ObservationMask {
+        ObservationMask::from_fn(generated.tracks.len(), generated.n_timesteps, |agent_idx, timestep| {
+            timestep < self.mask.n_timesteps()
+                && self.mask.is_observed(agent_idx, timestep)
+                && generated.state(agent_idx, timestep).is_some()
+        })
+    }
+}
+
+/// Wanted states of a sample: its scene with them moved, and the mask that observes them as well.
+pub(super) struct Wanted {
+    pub(super) scene: Scene,
+    pub(super) mask: ObservationMask,
+}
+
+impl Generator<'_> {
+    /// The scene of a cell as it is shown to the denoiser, where `agents` are asked.
+    pub(super) fn condition(
+        &self,
+        sweep: &SweepConfig,
+        cell: &Cell,
+        recorded: &Scene,
+        agents: (usize, usize),
+    ) -> Result<Conditioned, Error> {
+        let refuse = |why: String| Error::Config(format!("sweep {}: scene {} {why}", sweep.name, cell.scene_id));
+        let mut scene = recorded.clone();
+        if let Some(edit) = &sweep.edit {
+            let resolve = |agent: &AgentRef| agent.resolve(recorded, agents.0, &cell.roles);
+            for scene_edit in &edit.edits {
+                scene = scene_edit.apply(&scene, &resolve).map_err(refuse)?;
+            }
+        }
+        let subject = Subject { scene: &scene, ego_idx: agents.0, roles: &cell.roles };
+        let mask = sweep.observe.mask(&subject, self.mask_seed("observe", cell)).map_err(refuse)?;
+        if sweep.edit.is_some() {
+            // A guide has to say something of every state that is generated.
+            scene = scene.completed(|agent_idx, timestep| !mask.is_observed(agent_idx, timestep));
+        }
+        Ok(Conditioned { scene, mask, agents })
+    }
+
+    /// The wanted states of some samples of a cell, given which of its states `base` (row `row`) generates.
+    pub(super) fn wanted(
+        &self,
+        config: &ClassifierFreeConfig,
+        (cell, given): (&Cell, &Conditioned),
+        samples: std::ops::Range<usize>,
+        (base, row): (&SceneBatch, usize),
+    ) -> Result<Vec<Wanted>, Error> {
+        let Conditioned { scene, mask, agents } = given;
+        let subject = Subject { scene, ego_idx: agents.0, roles: &cell.roles };
+        let extra = rule_mask(&config.extra, &subject, self.mask_seed("extra", cell));
+        let latent = base.latent.get(row)?.to_vec2::<f32>()?;
+        let frame = &base.frames[row];
+        let is_wanted = |agent_idx: usize, timestep: usize| {
+            let is_generated = frame.slot(agent_idx).is_some_and(|slot| latent[slot][timestep] > 0.0);
+            is_generated && extra.is_observed(agent_idx, timestep) && scene.state(agent_idx, timestep).is_some()
+        };
+        let mask = ObservationMask::from_fn(mask.n_agents(), mask.n_timesteps(), |agent_idx, timestep| {
+            mask.is_observed(agent_idx, timestep) || is_wanted(agent_idx, timestep)
+        });
+        let seed = self.mask_seed("wanted", cell);
+        let moved = samples.map(|sample_idx| {
+            let seed = seed.derive("sample", &[sample_idx as u64]);
+            Wanted { scene: displaced(scene, config.goal_std_m, seed, &is_wanted), mask: mask.clone() }
+        });
+        Ok(moved.collect())
+    }
+
+    /// The seed of what is drawn for a scene and those who are asked in it.
+    fn mask_seed(&self, purpose: &str, cell: &Cell) -> Seed {
+        let scene = self.seed().derive_named(purpose, &cell.scene_id.0);
+        cell.roles.iter().fold(scene, |seed, (role, track)| seed.derive_named(role, &track.0))
+    }
+}
+
+/// The scene with the wanted states of each agent moved by the same normal offset. The present stays: it defines the frame
+/// that the denoiser sees.
+fn displaced(scene: &Scene, std_m: f64, seed: Seed, is_wanted: &dyn Fn(usize, usize) -> bool) -> Scene {
+    let mut displaced = scene.clone();
+    for (agent_idx, track) in displaced.tracks.iter_mut().enumerate() {
+        let mut rng = seed.derive("agent", &[agent_idx as u64]).rng();
+        let offset = Vec2::new(rng.normal(), rng.normal()) * std_m;
+        let states = track.trajectory.entries().iter().enumerate().map(|(timestep, state)| {
+            let is_moved = timestep != scene.current_timestep() && is_wanted(agent_idx, timestep);
+            state.map(|s| if is_moved { State { position: s.position + offset, ..s } } else { s })
+        });
+        track.trajectory = Trajectory::new(states.collect());
+    }
+    displaced
+}
+
+/// The batch without the velocities of states that it observes and `base` does not.
+pub(super) fn without_wanted_velocities(batch: SceneBatch, base: &SceneBatch) -> Result<SceneBatch, Error> {
+    let wanted = (&batch.observed * (1.0 - &base.observed)?)?.unsqueeze(3)?;
+    // The first two features are the velocity.
+    let is_velocity: Vec<f32> = (0..FeatureLayout::AGENT).map(|i| f32::from(u8::from(i < 2))).collect();
+    let is_velocity = Tensor::from_vec(is_velocity, (1, 1, 1, FeatureLayout::AGENT), batch.features.device())?;
+    let kept = (1.0 - wanted.broadcast_mul(&is_velocity)?)?;
+    Ok(SceneBatch { features: (&batch.features * kept)?, ..batch })
+}
+
+/// The state at which denoising of a guide begins.
+pub(super) fn noisy_guide(edit: &EditConfig, guide: &Tensor, noise: &mut NoiseSource) -> Result<Tensor, Error> {
+    Ok((guide + (noise.draw_like(guide)? * edit.noise_std())?)?)
+}

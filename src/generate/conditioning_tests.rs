@@ -1,0 +1,226 @@
+//! Do samples keep what they are shown, lean toward what is wanted, and start from what was edited?
+
+use super::testing::*;
+use super::*;
+use crate::diffusion::SamplerConfig;
+use crate::diffusion::sampler::HeunConfig;
+use crate::guidance::testing::{N_HISTORY, N_TIMESTEPS, scene};
+use crate::scene::{Scene, State};
+use crate::store::{ScenarioRecord, as_stored};
+
+/// A sweep of three scenes with two samples each.
+fn sweep(more: &str) -> GenerateConfig {
+    config(&format!("splits = ['train']\n[[sweeps]]\nname = 'a'\nn_scenes = 3\nn_samples = 2\n{more}"))
+}
+
+fn recorded(record: &ScenarioRecord) -> Scene {
+    as_stored(&scene(record.scenario.scene.source.case_id.parse().unwrap()))
+}
+
+/// Every state of a record beside the recorded one, and whether it was observed.
+fn states(record: &ScenarioRecord) -> Vec<(State, State, bool)> {
+    let recorded = recorded(record);
+    let (scene, observed) = (&record.scenario.scene, &record.scenario.observed);
+    (0..scene.tracks.len() * N_TIMESTEPS)
+        .map(|i| (i / N_TIMESTEPS, i % N_TIMESTEPS))
+        .map(|(a, t)| (*scene.state(a, t).unwrap(), *recorded.state(a, t).unwrap(), observed.is_observed(a, t)))
+        .collect()
+}
+
+#[test]
+fn under_every_mask_observed_states_are_kept_and_the_others_generated() {
+    let tasks = ["goal_conditioned", "agent_conditioned", "ego_conditioned", "windowed", "upsampling", "imputation"];
+    let rules = "[{ agents = 'all', times = 'history' }, { agents = { track = 'ahead' }, times = 'future' }]";
+    let configs = tasks.iter().map(|task| (format!("'{task}'"), *task)).chain([(rules.to_owned(), "mask")]);
+    for (observe, name) in configs {
+        let records = generate(&sweep(&format!("observe = {observe}")));
+        assert_eq!(records.len(), 6);
+        for record in &records {
+            assert_eq!(record.scenario.provenance.observation, name);
+            let states = states(record);
+            let n_observed = states.iter().filter(|(.., is_observed)| *is_observed).count();
+            // Three agents are fully tracked, and so many are shown by that task.
+            let is_whole = name == "agent_conditioned";
+            assert!(n_observed > 0 && (n_observed == states.len()) == is_whole, "{name}: {n_observed}");
+            for (generated, recorded, is_observed) in &states {
+                assert_eq!(generated == recorded, *is_observed, "{observe}");
+            }
+        }
+        // Samples of a scene share their mask.
+        for pair in records.chunks(2) {
+            assert_eq!(pair[0].scenario.observed, pair[1].scenario.observed);
+            assert_eq!(pair[0].scenario.scene == pair[1].scenario.scene, name == "agent_conditioned");
+        }
+    }
+}
+
+#[test]
+fn masks_do_not_depend_on_batches() {
+    let reference = generate(&sweep("observe = 'imputation'"));
+    let other = generate(&GenerateConfig { batch_size: 1, scenes_per_shard: 1, ..sweep("observe = 'imputation'") });
+    for (a, b) in reference.iter().zip(&other) {
+        assert_eq!((&a.scenario.id, &a.scenario.observed), (&b.scenario.id, &b.scenario.observed));
+    }
+    assert_ne!(reference[0].scenario.observed, reference[2].scenario.observed);
+}
+
+const GOALS: &str = "classifier_free = { extra = [{ agents = 'all', times = 'goal' }], goal_std_m = 0.0, weights =";
+
+/// The mean distance of all agents to their recorded place at the last timestep, metres.
+fn goal_distance_m(records: &[ScenarioRecord]) -> f64 {
+    let distances: Vec<f64> = records
+        .iter()
+        .flat_map(|record| states(record).into_iter().skip(N_TIMESTEPS - 1).step_by(N_TIMESTEPS).collect::<Vec<_>>())
+        .map(|(generated, recorded, _)| generated.position.distance(recorded.position))
+        .collect();
+    distances.iter().sum::<f64>() / distances.len() as f64
+}
+
+#[test]
+fn weights_lead_from_ignoring_goals_to_reaching_them() {
+    // Weights between 0 and 1 need small steps at low noise levels.
+    let finely = |more: &str| {
+        let sampler = SamplerConfig::Heun(HeunConfig::with_steps(20));
+        generate(&GenerateConfig { sampler, ..sweep(more) })
+    };
+    let records = finely(&format!("{GOALS} [0.0, 0.5, 1.0] }}"));
+    let unguided = finely("");
+    let of = |weight: f64| -> Vec<ScenarioRecord> {
+        records.iter().filter(|r| r.scenario.provenance.guidance.strength == weight).cloned().collect()
+    };
+    assert_eq!(records.len(), 18);
+    assert_eq!(of(0.0), unguided, "weight 0 is unguided sampling, to the bit");
+    let distances = [0.0, 0.5, 1.0].map(|weight| goal_distance_m(&of(weight)));
+    assert!(distances[0] > 1.5 * distances[1] && distances[1] > distances[2] && distances[2] < 1e-3, "{distances:?}");
+    for record in of(1.0) {
+        assert_eq!(record.scenario.provenance.guidance.kind, "classifier_free");
+        assert_eq!(record.scenario.provenance.observation, "predictive");
+        // Goals are wanted, not observed.
+        assert!(states(&record).iter().enumerate().all(|(i, (.., seen))| *seen == (i % N_TIMESTEPS < N_HISTORY)));
+    }
+}
+
+#[test]
+fn at_weight_one_samples_are_as_if_goals_were_observed() {
+    // The bystander drives straight on: noise is the same under both masks, and so is everything else. Both start from the
+    // recording plus noise, because pure noise has its origin in the coordinates of its mask.
+    let start = "edit = { tau = 2.0 }";
+    let observe =
+        "observe = [{ agents = 'all', times = 'history' }, { agents = { track = 'bystander' }, times = 'goal' }]";
+    let goal = GOALS.replace("'all'", "{ track = 'bystander' }");
+    let observed = generate(&sweep(&format!("{start}\n{observe}")));
+    let wanted = generate(&sweep(&format!("{start}\n{goal} [1.0], mask_velocity = false }}")));
+    let ignored = generate(&sweep(start));
+    for ((a, b), c) in observed.iter().zip(&wanted).zip(&ignored) {
+        assert!(difference_m(&a.scenario.scene, &b.scenario.scene) < ROUNDING_M);
+        assert!(difference_m(&a.scenario.scene, &c.scenario.scene) > 2.0 * ROUNDING_M, "the goal matters");
+    }
+}
+
+#[test]
+fn uncertain_goals_are_drawn_once_for_each_agent_and_sample() {
+    let uncertain = format!("{} [1.0] }}", GOALS.replace("goal_std_m = 0.0", "goal_std_m = 1.0"));
+    let records = generate(&sweep(&uncertain));
+    assert_eq!(records, generate(&sweep(&uncertain)));
+    let goals: Vec<_> = records
+        .iter()
+        .flat_map(|record| states(record).into_iter().skip(N_TIMESTEPS - 1).step_by(N_TIMESTEPS).collect::<Vec<_>>())
+        .map(|(generated, recorded, _)| generated.position - recorded.position)
+        .collect();
+    assert_eq!(goals.len(), 18);
+    let mean_square = goals.iter().map(|d| d.x * d.x + d.y * d.y).sum::<f64>() / 36.0;
+    // 36 squares of standard normal draws: mean 1, standard deviation √(2 / 36) = 0.24.
+    assert!((mean_square - 1.0).abs() < 0.75, "{mean_square}");
+    assert!(goals.windows(2).all(|pair| pair[0].distance(pair[1]) > 1e-3));
+}
+
+const SHIFT: &str = "edits = [{ kind = 'shift', agent = { track = 'ahead' }, left_m = -3.0, onset_s = 1.0 }] }";
+
+#[test]
+fn without_noise_the_edited_recording_comes_back() {
+    for tau in ["0.0", "1e-4"] {
+        for record in generate(&sweep(&format!("edit = {{ tau = {tau}, {SHIFT}"))) {
+            let recorded = recorded(&record);
+            assert_eq!(record.scenario.provenance.edit_tau, Some(tau.parse().unwrap()));
+            for agent_idx in 0..3 {
+                let last = N_TIMESTEPS - 1;
+                let moved = record.scenario.scene.state(agent_idx, last).unwrap().position
+                    - recorded.state(agent_idx, last).unwrap().position;
+                // The shift is to the left of the recorded heading.
+                let heading_rad = recorded.state(agent_idx, last).unwrap().heading_rad;
+                let expected =
+                    if agent_idx == 2 { crate::geometry::Vec2::new(0.0, -3.0) } else { crate::geometry::Vec2::ZERO };
+                let difference = moved.distance(expected.rotated(heading_rad));
+                assert!(difference < 0.02, "{tau}: agent {agent_idx}: {difference} m");
+            }
+        }
+    }
+}
+
+#[test]
+fn from_the_largest_noise_level_editing_is_ordinary_sampling() {
+    let ordinary = generate(&sweep(""));
+    let edited = generate(&sweep(&format!("edit = {{ tau = 80.0, {SHIFT}")));
+    for (a, b) in ordinary.iter().zip(&edited) {
+        assert_eq!(a.scenario.scene, b.scenario.scene);
+        assert_ne!(a.scenario.id, b.scenario.id);
+    }
+    // And more noise forgets more of the edit.
+    let far = |tau: &str| {
+        let records = generate(&sweep(&format!("edit = {{ tau = {tau}, {SHIFT}")));
+        let distances = records
+            .iter()
+            .zip(&generate(&sweep(&format!("edit = {{ tau = 0.0, {SHIFT}"))))
+            .map(|(a, b)| difference_m(&a.scenario.scene, &b.scenario.scene))
+            .collect::<Vec<_>>();
+        distances.iter().sum::<f64>()
+    };
+    assert!(far("0.01") < far("0.1") && far("0.1") < far("1.0"));
+}
+
+#[test]
+fn edited_states_can_be_observed() {
+    // A plan for one agent, written into the scene and shown; the others are sampled from scratch.
+    let plan = "observe = [{ agents = 'all', times = 'history' }, { agents = { track = 'ahead' }, times = 'all' }]";
+    for record in generate(&sweep(&format!("{plan}\nedit = {{ tau = 80.0, {SHIFT}"))) {
+        let recorded = recorded(&record);
+        let last = N_TIMESTEPS - 1;
+        let offset_m = |agent_idx: usize| {
+            let place = record.scenario.scene.state(agent_idx, last).unwrap().position;
+            place.distance(recorded.state(agent_idx, last).unwrap().position)
+        };
+        assert!((offset_m(2) - 3.0).abs() < 1e-4 && offset_m(0) > 1e-2);
+        assert!(record.scenario.observed.is_observed(2, last) && !record.scenario.observed.is_observed(0, last));
+    }
+}
+
+#[test]
+fn conditions_that_make_no_sense_are_refused() {
+    let refusal = |more: &str| {
+        let config = sweep(more);
+        let error = with_generator_result(&config, |generator| {
+            generator.plan(&index(12)).and_then(|plan| {
+                plan.shards.iter().try_for_each(|shard| generator.generate(shard, &crate::progress::Silent).map(|_| ()))
+            })
+        });
+        error.unwrap_err().to_string()
+    };
+    for (more, part) in [
+        ("observe = [{ agents = { role = 'other' }, times = 'all' }]", "names the role other"),
+        ("behavior = 'drift'\nobserve = [{ agents = { role = 'third' }, times = 'all' }]", "names the role third"),
+        ("observe = [{ agents = { track = 'nobody' }, times = 'all' }]", "has no state that the mask observes"),
+        ("behavior = 'drift'\nstrengths = [1.0]\nobserve = 'windowed'", "observe = \"predictive\""),
+        ("classifier_free = { extra = [], weights = [1.0] }", "no extra states"),
+        (
+            "classifier_free = { extra = [{ agents = 'all', times = 'goal' }], goal_std_m = -1.0 }",
+            "negative goal_std_m",
+        ),
+        ("edit = { tau = -1.0 }", "edit.tau is -1"),
+        ("edit = { tau = 100.0 }", "at most the denoiser's largest noise level 80"),
+        ("edit = { edits = [{ kind = 'scale_speed', agent = { role = 'other' }, factor = 1.0 }] }", "edit.edits.0"),
+        ("edit = { edits = [{ kind = 'scale_speed', agent = { track = 'x' }, factor = 1.0 }] }", "tracked at present"),
+    ] {
+        let message = refusal(more);
+        assert!(message.contains(part), "{more}: {message}");
+    }
+}
