@@ -11,7 +11,7 @@ To use a checkpoint from Python:
 
 with x (B, A, T, D) noisy states in units of the checkpoint's normalizer, zero where not latent, sigma (B,), and in batch:
 context (B, A, T, D), features (B, A, T, 7), valid and latent (B, A, T), lanes (B, L, 35), lane_valid (B, L), and for
-motion parametrization path (B, A, T, T). ARCHITECTURE.md, section `tensor`, says what these hold.
+motion parametrization observed_motion (B, A, T, D) and path (B, A, T, T). ARCHITECTURE.md, section `tensor`, says what these hold.
 
 The network is written from the paper (appendix A) with PyTorch's own functions where they exist.
 """
@@ -117,11 +117,13 @@ class Denoiser:
         total = s**2 + sigma_data**2
         latent = batch["latent"][..., None]
         x = x * latent
-        seen = x / total.sqrt()
+        scaled = x / total.sqrt()
+        is_motion = self.spec["normalizer"]["parametrization"] == "motion"
+        seen = scaled + batch["observed_motion"] if is_motion else scaled
         if self.spec["network"]["path_input"]:
             path = batch["path"]
             unit = path / path.square().sum(-1, keepdim=True).sqrt().clamp(min=1e-6)
-            seen = torch.cat([seen, unit @ seen], -1)
+            seen = torch.cat([seen, unit @ scaled], -1)
         inputs = {name: batch[name] for name in ("context", "features", "valid", "lanes", "lane_valid")}
         f = network(self.weights, self.spec["network"], seen, **inputs, c_noise=sigma.log() / 4)
         return (sigma_data**2 / total * x + s * sigma_data / total.sqrt() * f) * latent
@@ -215,6 +217,7 @@ def carried_denoiser():
     lane_valid = torch.ones(4, 5, dtype=torch.float64)
     lane_valid[2, 3:] = 0
     batch = scene_batch(rng, valid, lane_valid, 3) | {"latent": latent}
+    batch["observed_motion"] = torch.tensor(rng.normal(size=(4, 3, n_timesteps, 3))) * (valid - latent)[..., None]
     # Residuals that are running sums of what is latent.
     batch["path"] = torch.tril(torch.ones(n_timesteps, n_timesteps)) * latent[..., None] * latent[..., None, :]
     sigma = torch.tensor([0.02, 0.3, 2.0, 40.0], dtype=torch.float64)

@@ -52,12 +52,23 @@ impl SceneDenoiser {
         if self.path_input && path.is_none() {
             candle_core::bail!("path_input needs the motion parametrization");
         }
+        let observed_motion = batch.observed_motion.clone();
         if n_samples == 1 {
-            return Ok(BoundDenoiser { denoiser: self, known, latent, path });
+            return Ok(BoundDenoiser { denoiser: self, known, latent, observed_motion, path });
         }
         let repeated = batch.latent.unsqueeze(1)?.repeat((1, n_samples, 1, 1))?.flatten(0, 1)?.unsqueeze(3)?;
-        let path = path.map(|path| path.unsqueeze(1)?.repeat((1, n_samples, 1, 1, 1))?.flatten(0, 1)).transpose()?;
-        Ok(BoundDenoiser { denoiser: self, known: known.repeated(n_samples)?, latent: repeated, path })
+        let repeat = |tensor: Tensor| -> Result<Tensor> {
+            let (shape, inner) = (tensor.dims().to_vec(), tensor.unsqueeze(1)?);
+            let wide: Vec<usize> = [shape[0], n_samples].into_iter().chain(shape[1..].iter().copied()).collect();
+            inner.broadcast_as(wide)?.contiguous()?.flatten(0, 1)
+        };
+        Ok(BoundDenoiser {
+            denoiser: self,
+            known: known.repeated(n_samples)?,
+            latent: repeated,
+            observed_motion: observed_motion.map(repeat).transpose()?,
+            path: path.map(repeat).transpose()?,
+        })
     }
 }
 
@@ -67,6 +78,8 @@ pub struct BoundDenoiser<'a> {
     denoiser: &'a SceneDenoiser,
     known: Known,
     latent: Tensor,
+    /// What the network sees in the place of x where states are observed, (B, A, T, D).
+    observed_motion: Option<Tensor>,
     /// What makes residuals of unit variance out of white motion, (B, A, T, T), where the network sees them.
     path: Option<Tensor>,
 }
@@ -86,9 +99,13 @@ impl Denoiser for BoundDenoiser<'_> {
         let c_noise = rows(&|s| edm.c_noise(s))?.flatten_all()?;
         let x = x.broadcast_mul(&self.latent)?;
         let scaled = x.broadcast_mul(&rows(&|s| edm.c_in(s))?)?;
+        let moved = match &self.observed_motion {
+            Some(motion) => (&scaled + motion)?,
+            None => scaled.clone(),
+        };
         let seen = match &self.path {
-            Some(path) => Tensor::cat(&[&scaled, &path.matmul(&scaled)?], 3)?,
-            None => scaled,
+            Some(path) => Tensor::cat(&[&moved, &path.matmul(&scaled)?], 3)?,
+            None => moved,
         };
         let f_x = self.denoiser.network.forward(&seen, &self.known, &c_noise)?;
         let skipped = x.broadcast_mul(&rows(&|s| edm.c_skip(s))?)?;

@@ -201,6 +201,7 @@ fn the_carried_checkpoint_gives_what_it_gives_in_pytorch() {
         lanes: input("lanes"),
         lane_valid: input("lane_valid"),
         path: Some(input("path")),
+        observed_motion: Some(input("observed_motion")),
         ..collate(&[&cars(2)])
     };
     let x = candle_core::Var::from_tensor(&input("x")).unwrap();

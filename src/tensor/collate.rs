@@ -124,7 +124,7 @@ impl Collator {
         let normalizer = &self.normalizer;
         let track = &view.scene.tracks[agent_idx];
         let observed = |timestep: usize| frame.observed(agent_idx, timestep) && track.trajectory.is_valid(timestep);
-        let reference = Reference::new(track, view.scene.dt_s, observed);
+        let reference = Reference::new(track, view.scene.dt_s, view.scene.current_timestep(), observed);
         let is_observed_at_all = reference.at(0).is_some();
         let residual = normalizer.parametrization != StateParametrization::Scene;
         let ego_heading = frame.ego_from_scene.rotation_rad;
@@ -203,6 +203,7 @@ impl Collator {
             let motion = chain.encode(|timestep| residuals[timestep]);
             rows.write_x0(at, motion, &unit);
             rows.write_path(at, &chain.matrix(self.n_timesteps));
+            rows.write_observed_motion(at, reference.observed_motion(), &unit);
         } else {
             rows.write_x0(at, residuals.into_iter().enumerate().filter_map(|(t, r)| Some((t, r?))), &unit);
         }
@@ -246,11 +247,13 @@ struct Buffers {
     rotation: Vec<f32>,
     unit: Vec<f32>,
     path: Option<Vec<f32>>,
+    observed_motion: Option<Vec<f32>>,
 }
 
 impl Buffers {
     fn new([n_rows, n_agents, n_timesteps, n_lanes]: [usize; 4], normalizer: &Normalizer) -> Self {
         let state_dim = normalizer.state_dim;
+        let is_motion = normalizer.parametrization == StateParametrization::Motion;
         let n_entries = n_rows * n_agents * n_timesteps;
         // Padded agents keep rotation 0: whatever they hold decodes to zero.
         Self {
@@ -265,20 +268,24 @@ impl Buffers {
             base: vec![0.0; n_entries * 3],
             rotation: vec![0.0; n_rows * n_agents * 2],
             unit: vec![0.0; n_rows * n_agents * 3],
-            path: (normalizer.parametrization == StateParametrization::Motion)
-                .then(|| vec![0.0; n_entries * n_timesteps]),
+            path: is_motion.then(|| vec![0.0; n_entries * n_timesteps]),
+            observed_motion: is_motion.then(|| vec![0.0; n_entries * state_dim]),
         }
     }
 
     /// Writes the clean diffused states of the agent at `at` in (B, A), given by timestep in metres and radians.
     fn write_x0(&mut self, at: usize, values: impl IntoIterator<Item = (usize, [f64; 3])>, unit: &[f64; 3]) {
-        let [_, _, n_timesteps, _, state_dim] = self.shape;
-        for (timestep, value) in values {
-            let entry = at * n_timesteps + timestep;
-            let slots = &mut self.x0[entry * state_dim..(entry + 1) * state_dim];
-            for ((slot, value), unit) in slots.iter_mut().zip(value).zip(unit) {
-                *slot = (value / unit) as f32;
-            }
+        write_entries(&mut self.x0, at, &self.shape, values, unit);
+    }
+
+    fn write_observed_motion(
+        &mut self,
+        at: usize,
+        values: impl IntoIterator<Item = (usize, [f64; 3])>,
+        unit: &[f64; 3],
+    ) {
+        if let Some(motion) = &mut self.observed_motion {
+            write_entries(motion, at, &self.shape, values, unit);
         }
     }
 
@@ -324,8 +331,28 @@ impl Buffers {
             base: Tensor::from_vec(self.base, (b, a, t, 3), device)?,
             rotation: Tensor::from_vec(self.rotation, (b, a, 2), device)?,
             unit: Tensor::from_vec(self.unit, (b, a, 3), device)?,
+            observed_motion: (self.observed_motion)
+                .map(|motion| Tensor::from_vec(motion, (b, a, t, d), device))
+                .transpose()?,
             path: self.path.map(|path| Tensor::from_vec(path, (b, a, t, t), device)).transpose()?,
             frames: frames.into_iter().map(Arc::new).collect(),
         })
+    }
+}
+
+/// Writes values in metres and radians, by timestep, as those of the agent at `at` in (B, A) of a (B, A, T, D) buffer.
+fn write_entries(
+    buffer: &mut [f32],
+    at: usize,
+    [_, _, n_timesteps, _, state_dim]: &[usize; 5],
+    values: impl IntoIterator<Item = (usize, [f64; 3])>,
+    unit: &[f64; 3],
+) {
+    for (timestep, value) in values {
+        let entry = at * n_timesteps + timestep;
+        let slots = &mut buffer[entry * state_dim..(entry + 1) * state_dim];
+        for ((slot, value), unit) in slots.iter_mut().zip(value).zip(unit) {
+            *slot = (value / unit) as f32;
+        }
     }
 }

@@ -120,7 +120,9 @@ impl NormalizerFit {
             let states: Vec<_> = track.trajectory.valid().collect();
             let mut headings: Vec<f64> = states.iter().map(|(_, state)| state.heading_rad).collect();
             unwrap_angles(&mut headings);
-            let reference = Reference::new(track, scene.dt_s, |timestep| mask.is_observed(agent_idx, timestep));
+            let reference = Reference::new(track, scene.dt_s, scene.current_timestep(), |timestep| {
+                mask.is_observed(agent_idx, timestep)
+            });
             if let Some(extent) = track.extent {
                 self.extent.add(extent.length_m);
                 self.extent.add(extent.width_m);

@@ -14,19 +14,36 @@ pub(super) struct ReferencePose {
 /// velocity of the nearest observed state carried on outside of them.
 pub(super) struct Reference<'a> {
     observed: Vec<(usize, &'a State)>,
+    /// Place among the observed states of the last one up to the present, or of the first one after it.
+    anchor: usize,
     dt_s: f64,
 }
 
 impl<'a> Reference<'a> {
-    /// The reference of `track`, given which of its timesteps are observed.
-    pub(super) fn new(track: &'a Track, dt_s: f64, observed: impl Fn(usize) -> bool) -> Self {
-        let observed = track.trajectory.valid().filter(|(timestep, _)| observed(*timestep)).collect();
-        Self { observed, dt_s }
+    /// The reference of `track`, given which of its timesteps are observed and which one is the present.
+    pub(super) fn new(track: &'a Track, dt_s: f64, present: usize, observed: impl Fn(usize) -> bool) -> Self {
+        let observed: Vec<(usize, &State)> =
+            track.trajectory.valid().filter(|(timestep, _)| observed(*timestep)).collect();
+        let anchor = observed.partition_point(|(timestep, _)| *timestep <= present).saturating_sub(1);
+        Self { observed, anchor, dt_s }
     }
 
-    /// The heading of the agent's own frame: that of its last observed state; 0 for an agent never observed.
+    /// The heading of the agent's own frame: that of its last observed state up to the present, so that observing goals
+    /// beside a history does not turn it, or else of its first one; 0 for an agent never observed.
     pub(super) fn frame_heading_rad(&self) -> f64 {
-        self.observed.last().map_or(0.0, |(_, state)| state.heading_rad)
+        self.observed.get(self.anchor).map_or(0.0, |(_, state)| state.heading_rad)
+    }
+
+    /// What an agent was seen to do: for each observed timestep but the first, its motion from the observed state before,
+    /// per timestep, beyond that of constant velocity in its own frame: (longitudinal and lateral metres, radians).
+    pub(super) fn observed_motion(&self) -> impl Iterator<Item = (usize, [f64; 3])> + '_ {
+        let carried = self.observed.get(self.anchor).map_or(Vec2::ZERO, |(_, state)| state.velocity * self.dt_s);
+        self.observed.windows(2).map(move |pair| {
+            let [(t0, from), (t1, to)] = pair else { return (0, [0.0; 3]) };
+            let n = (t1 - t0) as f64;
+            let moved = ((to.position - from.position) * n.recip() - carried).rotated(-self.frame_heading_rad());
+            (*t1, [moved.x, moved.y, angle_difference(to.heading_rad, from.heading_rad) / n])
+        })
     }
 
     /// The reference at `timestep`; `None` for an agent never observed.
@@ -76,13 +93,28 @@ mod tests {
     #[test]
     fn carries_on_interpolates_and_passes_through() {
         let track = track();
-        let reference = Reference::new(&track, 0.1, |t| t == 2 || t == 4);
+        let reference = Reference::new(&track, 0.1, 3, |t| t == 2 || t == 4);
         let at = |t| reference.at(t).unwrap();
         assert!((at(4).position.x - (4.0 + 0.8)).abs() < 1e-12);
         assert!((at(3).position.x - (2.2 + 4.8) / 2.0).abs() < 1e-12 && (at(3).heading_rad - 0.3).abs() < 1e-12);
         assert!((at(6).position.x - (4.8 + 2.0 * 1.4)).abs() < 1e-12 && (at(6).heading_rad - 0.4).abs() < 1e-12);
         assert!((at(0).position.x - (2.2 - 2.0 * 1.2)).abs() < 1e-12);
-        assert!((reference.frame_heading_rad() - 0.4).abs() < 1e-12);
-        assert!(Reference::new(&track, 0.1, |_| false).at(3).is_none());
+        assert!((reference.frame_heading_rad() - 0.2).abs() < 1e-12);
+        assert!(Reference::new(&track, 0.1, 3, |_| false).at(3).is_none());
+    }
+
+    #[test]
+    fn observed_motion_is_what_constant_velocity_does_not_explain() {
+        let track = track();
+        let reference = Reference::new(&track, 0.1, 4, |t| t == 2 || t == 4 || t == 5);
+        let motion: Vec<_> = reference.observed_motion().collect();
+        // In the frame of timestep 4, which heads by 0.4 rad and moves by 1.4 m a timestep along the scene's x axis.
+        for ((timestep, found), (expected_timestep, along_x)) in motion.iter().zip([(4, 1.3 - 1.4), (5, 1.45 - 1.4)]) {
+            let expected = [along_x * 0.4f64.cos(), -along_x * 0.4f64.sin(), 0.1];
+            assert_eq!(*timestep, expected_timestep);
+            assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?}");
+        }
+        assert_eq!(motion.len(), 2);
+        assert_eq!(Reference::new(&track, 0.1, 3, |t| t == 7).observed_motion().count(), 0);
     }
 }

@@ -24,6 +24,9 @@ pub struct SceneBatch {
     pub latent: Tensor,
     /// 1 where the state is observed or latent, (B, A, T).
     pub valid: Tensor,
+    /// What observed agents were seen to do, in units of x, (B, A, T, D), zero except on observed entries: the network
+    /// sees it in the place of x, in the motion parametrization.
+    pub observed_motion: Option<Tensor>,
     /// Agent features c, (B, A, T, C).
     pub features: Tensor,
     /// Lane polylines in the ego frame, (B, L, F).
@@ -69,6 +72,7 @@ impl SceneBatch {
             base: repeat(&self.base)?,
             rotation: repeat(&self.rotation)?,
             unit: repeat(&self.unit)?,
+            observed_motion: self.observed_motion.as_ref().map(repeat).transpose()?,
             path: self.path.as_ref().map(repeat).transpose()?,
             frames: self.frames.iter().flat_map(|frame| std::iter::repeat_n(frame, n)).cloned().collect(),
         })
