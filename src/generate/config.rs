@@ -17,7 +17,7 @@ pub struct GenerateConfig {
     pub splits: Vec<Split>,
     /// Places whose scenes are continued; empty means all.
     pub places: Vec<String>,
-    /// How noise becomes a sample.
+    /// How noise becomes a sample, where a sweep does not say it itself.
     pub sampler: SamplerConfig,
     /// Samples that are denoised together. Memory grows with it; of the results only the last digits can change with it.
     pub batch_size: usize,
@@ -51,6 +51,9 @@ pub struct SweepConfig {
     pub name: String,
     /// Number of scenes to continue.
     pub n_scenes: usize,
+    /// How noise becomes a sample. Left out: as in the other sweeps.
+    #[serde(default)]
+    pub sampler: Option<SamplerConfig>,
     /// Number of samples of each scene at each strength.
     #[serde(default = "default_n_samples")]
     pub n_samples: usize,
@@ -173,8 +176,20 @@ impl GenerateConfig {
 }
 
 impl SweepConfig {
+    /// How noise becomes a sample of this sweep.
+    pub fn sampler<'a>(&'a self, config: &'a GenerateConfig) -> &'a SamplerConfig {
+        self.sampler.as_ref().unwrap_or(&config.sampler)
+    }
+
+    /// Calls of the denoiser for one sample of this sweep; classifier-free guidance asks it twice.
+    pub fn n_evaluations(&self, config: &GenerateConfig) -> u64 {
+        let n_calls = if self.classifier_free.is_some() { 2 } else { 1 };
+        self.sampler(config).n_evaluations() as u64 * n_calls
+    }
+
     fn validate(&self) -> Result<(), String> {
         let positive = [
+            ("sampler.n_steps", self.sampler.as_ref().map_or(1, SamplerConfig::n_steps) as f64),
             ("n_scenes", self.n_scenes as f64),
             ("n_samples", self.n_samples as f64),
             ("strengths (their number)", self.strengths.len() as f64),

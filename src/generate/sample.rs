@@ -198,12 +198,13 @@ impl Generator<'_> {
         let row_dims = &tensors.x0.dims()[1..];
         let mut observer = |step: &Step<'_>| progress.note(&format!("step {} of {}", step.step_idx + 1, step.n_steps));
         let edm = self.models.denoiser.denoiser.edm();
+        let sampler = batch.sweep.sampler(self.config);
         if let Some(edit) = batch.sweep.edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
             let x = noisy_guide(edit, &tensors.x0, &mut noise)?;
-            let sigmas = edit.schedule(edm, self.config.sampler.n_steps());
-            return Ok(self.config.sampler.integrate(&sigmas, denoiser, x, &mut noise, &mut observer)?);
+            let sigmas = edit.schedule(edm, sampler.n_steps());
+            return Ok(sampler.integrate(&sigmas, denoiser, x, &mut noise, &mut observer)?);
         }
-        Ok(self.config.sampler.sample(edm, denoiser, row_dims, &tensors.x0, &mut noise, &mut observer)?)
+        Ok(sampler.sample(edm, denoiser, row_dims, &tensors.x0, &mut noise, &mut observer)?)
     }
 
     fn record(
@@ -225,7 +226,7 @@ impl Generator<'_> {
             seed: self.config.seed,
             sample_idx,
             guidance: GuidanceTag { kind, strength, roles: cell.roles.clone() },
-            sampler: self.config.sampler.name(),
+            sampler: sweep.sampler(self.config).name(),
         };
         // What is verified must be what is written.
         let scene = as_stored(generated);

@@ -12,7 +12,6 @@ use std::collections::BTreeSet;
 /// Counts scenarios; rows come in the order in which their sweep, place and strength first appear.
 #[derive(Debug, Clone, Default)]
 pub struct SamplingTally {
-    n_evaluations: u64,
     rows: Vec<CountedRow>,
 }
 
@@ -25,13 +24,8 @@ struct CountedRow {
 }
 
 impl SamplingTally {
-    /// A tally of scenarios that took `n_evaluations` evaluations of the denoiser each.
-    pub const fn new(n_evaluations: u64) -> Self {
-        Self { n_evaluations, rows: Vec::new() }
-    }
-
-    /// Counts a scenario that continues `recorded`.
-    pub fn add(&mut self, record: &ScenarioRecord, recorded: &Scene) {
+    /// Counts a scenario that continues `recorded` and took `n_evaluations` evaluations of the denoiser.
+    pub fn add(&mut self, record: &ScenarioRecord, recorded: &Scene, n_evaluations: u64) {
         let provenance = &record.scenario.provenance;
         let place = &recorded.source.place;
         let same = |counted: &CountedRow| {
@@ -52,7 +46,7 @@ impl SamplingTally {
                 n_new: 0,
                 n_collision: 0,
                 offroad_rate: None,
-                n_evaluations: self.n_evaluations,
+                n_evaluations,
             };
             self.rows.push(CountedRow { row, scenes: BTreeSet::new(), offroad_sum: 0.0, n_offroad: 0 });
             self.rows.len() - 1
@@ -171,15 +165,15 @@ mod tests {
 
     #[test]
     fn scenarios_are_counted_by_strength() {
-        let mut tally = SamplingTally::new(39);
+        let mut tally = SamplingTally::default();
         // The second car drives into the first one, which is at (8, 0) after 0.8 s, from 45 degrees to its left.
         let mut crash = recorded();
         let veering = testing::scene(&[Drive::straight(-3.3, 11.3, -std::f64::consts::FRAC_PI_4, 20.0)]);
         crash.tracks[1].trajectory = veering.tracks[0].trajectory.clone();
-        tally.add(&record(2.0, true, false, recorded()), &recorded());
-        tally.add(&record(2.0, true, true, crash), &recorded());
-        tally.add(&record(2.0, false, false, recorded()), &recorded());
-        tally.add(&record(0.0, false, false, recorded()), &recorded());
+        tally.add(&record(2.0, true, false, recorded()), &recorded(), 39);
+        tally.add(&record(2.0, true, true, crash), &recorded(), 39);
+        tally.add(&record(2.0, false, false, recorded()), &recorded(), 39);
+        tally.add(&record(0.0, false, false, recorded()), &recorded(), 39);
         let rows = tally.finish();
         let counts: Vec<_> = rows
             .iter()

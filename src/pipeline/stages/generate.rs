@@ -29,7 +29,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        2
+        3
     }
 
     fn check(&self) -> Result<()> {
@@ -100,8 +100,6 @@ impl Stage for Generate<'_> {
             SampledWith {
                 denoiser: denoiser.fingerprint.clone(),
                 classifier: classifiers.first().map(|classifier| classifier.fingerprint.clone()),
-                sampler: self.config.sampler.name(),
-                n_evaluations: self.config.sampler.n_evaluations() as u64,
                 shortfalls: plan.shortfalls,
             },
         )?;
@@ -146,8 +144,9 @@ impl Generate<'_> {
                 }
                 None => {
                     let output = generator.generate(shard, context.progress)?;
-                    let sweep = &self.config.sweeps[shard.sweep_idx].name;
-                    folder.write_shard(shard.idx, sweep, &output.records, output.rejected)?
+                    let sweep = &self.config.sweeps[shard.sweep_idx];
+                    let n_evaluations = sweep.n_evaluations(self.config);
+                    folder.write_shard(shard.idx, (&sweep.name, n_evaluations), &output.records, output.rejected)?
                 }
             };
             n_verified[shard.sweep_idx] += sidecar.n_verified as usize;

@@ -18,6 +18,8 @@ pub struct SampleSidecar {
     pub stamp: FileStamp,
     /// Name of the sweep.
     pub sweep: String,
+    /// Calls of the denoiser for one sample.
+    pub n_evaluations: u64,
     /// Number of scenarios in it.
     pub n_scenarios: u64,
     /// How many of them are verified.
@@ -48,10 +50,6 @@ pub struct SampledWith {
     pub denoiser: String,
     /// Fingerprint of the classifier, where there was one.
     pub classifier: Option<String>,
-    /// Name of the sampler and its number of steps.
-    pub sampler: String,
-    /// Calls of the denoiser for one sample.
-    pub n_evaluations: u64,
     /// Sweeps for which fewer scenes fit than were asked for.
     pub shortfalls: Vec<Shortfall>,
 }
@@ -88,11 +86,11 @@ impl SampleFolder {
         (n_bytes == sidecar.stamp.n_bytes).then_some(sidecar)
     }
 
-    /// Writes shard `idx` of the plan.
+    /// Writes shard `idx` of the plan, of the sweep of this name and this many evaluations of the denoiser a sample.
     pub(super) fn write_shard(
         &self,
         idx: usize,
-        sweep: &str,
+        (sweep, n_evaluations): (&str, u64),
         records: &[ScenarioRecord],
         rejected: Vec<RejectedSample>,
     ) -> Result<SampleSidecar> {
@@ -101,7 +99,15 @@ impl SampleFolder {
         let stamp = write_samples(&self.dir.join(&file), records)?;
         let n_verified = records.iter().filter(|record| record.verified).count() as u64;
         let sweep = sweep.to_owned();
-        let sidecar = SampleSidecar { file, stamp, sweep, n_scenarios: records.len() as u64, n_verified, rejected };
+        let sidecar = SampleSidecar {
+            file,
+            stamp,
+            sweep,
+            n_evaluations,
+            n_scenarios: records.len() as u64,
+            n_verified,
+            rejected,
+        };
         write_json_atomically(&self.dir.join(format!("{name}.json")), &sidecar)?;
         Ok(sidecar)
     }

@@ -108,14 +108,14 @@ impl Stage for Evaluate<'_> {
         let mut table = MetricTable::new(measures.docs());
         let mut realism = RealismTable::default();
         let mut predictions = Predictions::create(&context.root.join(PREDICTIONS), &self.config.predictions)?;
-        let mut sampling = SamplingTally::new(samples.sampled_with.n_evaluations);
+        let mut sampling = SamplingTally::default();
         let mut corpus = CorpusWriter::create(&context.root.join(CORPUS), &store)?;
         let mut kept_ids = BTreeSet::new();
         context.progress.start("evaluate", samples.n_scenarios, "scenarios");
         for shard in &samples.shards {
             let records = SampleManifest::read_shard(&self.layout.samples, shard, &store)?;
             for (cell, recorded, figures) in evaluate_shard(&records, &store, &measures, self.config)? {
-                cell.records.iter().for_each(|record| sampling.add(record, &recorded));
+                cell.records.iter().for_each(|record| sampling.add(record, &recorded, shard.n_evaluations));
                 realism.add(&shard.sweep, &cell, &figures.motion);
                 figures.prediction.iter().try_for_each(|modes| predictions.add(&recorded, modes))?;
                 table.add(&shard.sweep, &cell, &recorded, figures);
