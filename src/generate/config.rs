@@ -1,6 +1,6 @@
 //! The `[generate]` section: how many scenarios of what kind, from which scenes.
 
-use super::{ClassifierFreeConfig, ClassifierScope, EditConfig, Error, ObserveConfig};
+use super::{ClassifierFreeConfig, ClassifierScope, EditConfig, Error, ObserveConfig, SelectConfig};
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
 use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
@@ -89,6 +89,9 @@ pub struct SweepConfig {
     /// Changes of the recording that samples start from.
     #[serde(default)]
     pub edit: Option<EditConfig>,
+    /// Which samples become scenarios. Left out: all.
+    #[serde(default)]
+    pub select: Option<SelectConfig>,
     /// No further shard of this sweep is begun once so many of its scenarios are verified. Left out: all are generated.
     #[serde(default)]
     pub stop_after_verified: Option<usize>,
@@ -205,6 +208,9 @@ impl SweepConfig {
             return Err(format!("({}): a strength is {strength}, expected a number", self.name));
         }
         self.check_guidance().map_err(|why| format!("({}): {why}", self.name))?;
+        if let Some(select) = &self.select {
+            select.validate().map_err(|why| format!("({}): select: {why}", self.name))?;
+        }
         // The roles of the behavior are known only beside the list of behaviors; without one there are none.
         match self.behavior {
             None => self.validate_conditioning(&[]).map_err(|why| format!("({}): {why}", self.name)),

@@ -15,6 +15,7 @@ mod observe;
 mod pairs;
 mod plan;
 mod sample;
+mod select;
 mod sweep_guidance;
 #[cfg(test)]
 mod testing;
@@ -29,5 +30,6 @@ pub use generator::{Generator, Models, SceneLoader};
 pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice, TimestepRange};
 pub use plan::{Cell, Plan, ShardPlan, Shortfall};
 pub use sample::{RejectedSample, ShardOutput};
+pub use select::SelectConfig;
 pub use sweep_guidance::ClassifierScope;
 pub use verify::{Verdict, verify};

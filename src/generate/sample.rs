@@ -12,6 +12,7 @@ use crate::store::{ScenarioRecord, as_stored};
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
 use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// What a shard came to.
@@ -21,6 +22,8 @@ pub struct ShardOutput {
     pub records: Vec<ScenarioRecord>,
     /// Samples that came to nothing.
     pub rejected: Vec<RejectedSample>,
+    /// Number of samples that the sweep's selection left out, by reason.
+    pub unselected: BTreeMap<String, u64>,
 }
 
 /// A sample that is not a scenario.
@@ -78,7 +81,7 @@ impl Generator<'_> {
             }
         }
         for (((cell, scene), given), sampled) in shard.cells.iter().zip(&scenes).zip(&conditioned).zip(sampled) {
-            for (strength, sample_idx, result) in sampled {
+            for (strength, sample_idx, result) in select(sweep, scene, sampled, &mut output.unselected) {
                 match result {
                     Ok(generated) => {
                         let scenario = (&generated, given.observed(&generated));
@@ -265,6 +268,34 @@ fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
         (Some(only), None) => Ok((only, only)),
         (Some(first), Some(second)) => Ok((first, second)),
     }
+}
+
+/// The samples of one cell without those that the sweep's selection leaves out, strength by strength.
+fn select(
+    sweep: &SweepConfig,
+    recorded: &Scene,
+    sampled: Vec<(f64, usize, Sampled)>,
+    unselected: &mut BTreeMap<String, u64>,
+) -> Vec<(f64, usize, Sampled)> {
+    let Some(select) = &sweep.select else { return sampled };
+    let mut left_out = vec![None; sampled.len()];
+    for strength in sweep.levels() {
+        let is_candidate = |(_, (of, _, result)): &(usize, &(f64, usize, Sampled))| of == strength && result.is_ok();
+        let (places, scenes): (Vec<usize>, Vec<Scene>) = (sampled.iter().enumerate().filter(is_candidate))
+            .filter_map(|(place, (_, _, result))| Some((place, result.as_ref().ok()?.clone())))
+            .unzip();
+        for (place, verdict) in places.into_iter().zip(select.verdicts(recorded, &scenes)) {
+            left_out[place] = verdict;
+        }
+    }
+    let kept = sampled.into_iter().zip(left_out).filter_map(|(sample, why)| match why {
+        Some(why) => {
+            *unselected.entry(why).or_default() += 1;
+            None
+        }
+        None => Some(sample),
+    });
+    kept.collect()
 }
 
 /// A scene whose every state is a number.

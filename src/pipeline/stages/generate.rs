@@ -146,7 +146,7 @@ impl Generate<'_> {
                     let output = generator.generate(shard, context.progress)?;
                     let sweep = &self.config.sweeps[shard.sweep_idx];
                     let n_evaluations = sweep.n_evaluations(self.config);
-                    folder.write_shard(shard.idx, (&sweep.name, n_evaluations), &output.records, output.rejected)?
+                    folder.write_shard(shard.idx, (&sweep.name, n_evaluations), output)?
                 }
             };
             n_verified[shard.sweep_idx] += sidecar.n_verified as usize;

@@ -1,12 +1,13 @@
 //! What does the folder of generated scenarios hold? Shards with what is known of each, the plan, and a manifest last.
 
-use crate::generate::{Plan, RejectedSample, Shortfall};
+use crate::generate::{Plan, RejectedSample, ShardOutput, Shortfall};
 use crate::pipeline::{Classify, Result};
 use crate::store::{
     FileStamp, MapSource, ScenarioRecord, read_json, read_samples, remove_partials, write_json_atomically,
     write_samples,
 };
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// What is known of a finished shard; written beside it, after it.
@@ -26,6 +27,8 @@ pub struct SampleSidecar {
     pub n_verified: u64,
     /// Samples that came to nothing.
     pub rejected: Vec<RejectedSample>,
+    /// Number of samples that the sweep's selection left out, by reason.
+    pub unselected: BTreeMap<String, u64>,
 }
 
 /// The last file written to the folder.
@@ -39,6 +42,8 @@ pub struct SampleManifest {
     pub n_verified: u64,
     /// Number of samples that came to nothing.
     pub n_rejected: u64,
+    /// Number of samples that selections left out, by sweep and reason.
+    pub unselected: BTreeMap<String, BTreeMap<String, u64>>,
     /// How they were sampled.
     pub sampled_with: SampledWith,
 }
@@ -91,12 +96,12 @@ impl SampleFolder {
         &self,
         idx: usize,
         (sweep, n_evaluations): (&str, u64),
-        records: &[ScenarioRecord],
-        rejected: Vec<RejectedSample>,
+        output: ShardOutput,
     ) -> Result<SampleSidecar> {
         let name = shard_name(idx);
         let file = format!("{name}.parquet");
-        let stamp = write_samples(&self.dir.join(&file), records)?;
+        let ShardOutput { records, rejected, unselected } = output;
+        let stamp = write_samples(&self.dir.join(&file), &records)?;
         let n_verified = records.iter().filter(|record| record.verified).count() as u64;
         let sweep = sweep.to_owned();
         let sidecar = SampleSidecar {
@@ -107,6 +112,7 @@ impl SampleFolder {
             n_scenarios: records.len() as u64,
             n_verified,
             rejected,
+            unselected,
         };
         write_json_atomically(&self.dir.join(format!("{name}.json")), &sidecar)?;
         Ok(sidecar)
@@ -118,7 +124,13 @@ impl SampleFolder {
         shards: Vec<SampleSidecar>,
         sampled_with: SampledWith,
     ) -> Result<SampleManifest> {
+        let mut unselected: BTreeMap<String, BTreeMap<String, u64>> = BTreeMap::new();
+        for shard in shards.iter().filter(|shard| !shard.unselected.is_empty()) {
+            let of_sweep = unselected.entry(shard.sweep.clone()).or_default();
+            shard.unselected.iter().for_each(|(reason, n)| *of_sweep.entry(reason.clone()).or_default() += n);
+        }
         let manifest = SampleManifest {
+            unselected,
             n_scenarios: shards.iter().map(|shard| shard.n_scenarios).sum(),
             n_verified: shards.iter().map(|shard| shard.n_verified).sum(),
             n_rejected: shards.iter().map(|shard| shard.rejected.len() as u64).sum(),

@@ -129,6 +129,11 @@ fn add_samples(model: &mut ReportModel, stage: &Report<'_>) -> Result<()> {
         let message = format!("{} samples were no finite numbers and were left out.", manifest.n_rejected);
         model.warnings.push(warning(StageId::Generate, message));
     }
+    for (sweep, reasons) in &manifest.unselected {
+        let reasons: Vec<String> = reasons.iter().map(|(reason, n)| format!("{n} ({reason})")).collect();
+        let message = format!("Sweep {sweep} left out samples by its selection: {}.", reasons.join(", "));
+        model.warnings.push(warning(StageId::Generate, message));
+    }
     let Gallery { scenes, distributions } = drawings::gallery(stage, &manifest)?;
     model.scenes = scenes;
     model.distributions = distributions;
