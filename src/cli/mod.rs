@@ -9,6 +9,7 @@ mod help;
 mod printer;
 mod progress;
 
+use crate::containment::is_contained;
 use args::{Args, Command};
 use clap::Parser;
 use printer::Printer;
@@ -21,6 +22,7 @@ pub fn main() -> ExitCode {
         Err(error) => return exit::of_usage(&error),
     };
     let printer = Printer::new(&args.output);
+    tell_of_panics_that_are_not_contained();
     let outcome = match &args.command {
         Command::Run(run) => commands::run(run, &args.output, &printer),
         Command::Inspect(inspect) => commands::inspect(inspect, &printer),
@@ -33,4 +35,14 @@ pub fn main() -> ExitCode {
             exit::of_failure(&failure)
         }
     }
+}
+
+/// Damaged files that make a decoder panic are told as errors; the panic itself would say nothing to the user.
+fn tell_of_panics_that_are_not_contained() {
+    let tell = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if !is_contained() {
+            tell(panic);
+        }
+    }));
 }

@@ -3,6 +3,7 @@
 use super::atomic::{AtomicFile, FileStamp};
 use super::schema::{SCHEMA_KEY, TableSchema};
 use super::{Error, Result};
+use crate::containment;
 use arrow::array::RecordBatch;
 use arrow::datatypes::{Schema, SchemaRef};
 use fs_err as fs;
@@ -13,7 +14,6 @@ use parquet::file::metadata::{KeyValue, PageIndexPolicy};
 use parquet::file::properties::WriterProperties;
 use parquet::file::reader::ChunkReader;
 use std::ops::Range;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 /// Rows of a row group: what a writer holds in memory, and what a reader can skip.
@@ -93,7 +93,7 @@ pub(crate) fn read_rows(path: &Path, table: &TableSchema, rows: Range<usize>) ->
 
 /// The reader asserts some of what a damaged file breaks; such a file is an error like any other.
 fn contained<T>(path: &Path, read: impl FnOnce() -> Result<T>) -> Result<T> {
-    catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(|_| Err(Error::corrupt(path, "it cannot be decoded")))
+    containment::contained(read).unwrap_or_else(|| Err(Error::corrupt(path, "it cannot be decoded")))
 }
 
 fn open(

@@ -1,5 +1,6 @@
 //! The columns of a scenario file, whatever encoding its writer chose.
 
+use crate::containment::contained;
 use arrow::array::{Array, ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
 use arrow::compute::{cast, concat_batches};
 use arrow::datatypes::DataType;
@@ -7,7 +8,6 @@ use parquet::DecodeResult;
 use parquet::arrow::push_decoder::ParquetPushDecoderBuilder;
 use parquet::errors::ParquetError;
 use parquet::file::metadata::ParquetMetaDataPushDecoder;
-use std::panic::catch_unwind;
 use std::sync::Arc;
 
 /// A scenario has some hundred tracks of at most 110 rows.
@@ -19,10 +19,7 @@ pub(super) struct Table(RecordBatch);
 impl Table {
     /// Decodes a parquet file. The error says what is wrong with it.
     pub(super) fn read(bytes: &[u8]) -> Result<Self, String> {
-        // The decoder asserts some of what a damaged file breaks: one such file must not end the ingest of all others.
-        catch_unwind(|| decode(bytes))
-            .unwrap_or_else(|_| Err("the file is damaged beyond decoding".to_owned()))
-            .map(Self)
+        contained(|| decode(bytes)).unwrap_or_else(|| Err("the file is damaged beyond decoding".to_owned())).map(Self)
     }
 
     /// Number of rows.

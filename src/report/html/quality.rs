@@ -18,8 +18,13 @@ pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
     }
     // What is defined nowhere, such as the figures of another dataset, needs no column.
     let docs: Vec<&MetricDoc> = docs.iter().filter(|doc| rows.iter().any(|row| row.metric == doc.metric)).collect();
+    let mut places = distinct(rows.iter().map(|row| row.place.clone()));
+    if let [_, _] = &places[..] {
+        // All places together are the one place there is.
+        places.retain(|place| !place.is_empty());
+    }
     let body = html! {
-        @for place in distinct(rows.iter().map(|row| row.place.clone())) {
+        @for place in places {
             (place_table(&place, &docs, &rows.iter().copied().filter(|row| row.place == place).collect::<Vec<_>>()))
         }
         p class="note" { "Means with their standard error. Recorded futures are the reference: their own row shows what the metric says of real traffic. "
