@@ -1,6 +1,6 @@
 //! The `[generate]` section: how many scenarios of what kind, from which scenes.
 
-use super::{ClassifierFreeConfig, ClassifierScope, EditConfig, Error, ObserveConfig};
+use super::{ClassifierFreeConfig, ClassifierScope, EditConfig, Error, ObserveConfig, SweepModel};
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
 use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
@@ -49,6 +49,10 @@ impl Default for GenerateConfig {
 pub struct SweepConfig {
     /// Name, unique among the sweeps.
     pub name: String,
+    /// Where samples come from: `denoiser`, or `baseline` to compare with. The baseline has as many samples as joint futures at
+    /// most, is not guided, and edits nothing.
+    #[serde(default)]
+    pub model: SweepModel,
     /// Number of scenes to continue.
     pub n_scenes: usize,
     /// Number of samples of each scene at each strength.
@@ -189,6 +193,7 @@ impl SweepConfig {
         if let Some(strength) = self.strengths.iter().find(|strength| !strength.is_finite()) {
             return Err(format!("({}): a strength is {strength}, expected a number", self.name));
         }
+        self.check_model().map_err(|why| format!("({}): {why}", self.name))?;
         self.check_guidance().map_err(|why| format!("({}): {why}", self.name))?;
         // The roles of the behavior are known only beside the list of behaviors; without one there are none.
         match self.behavior {

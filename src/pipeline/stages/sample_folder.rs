@@ -48,6 +48,9 @@ pub struct SampledWith {
     pub denoiser: String,
     /// Fingerprint of the classifier, where there was one.
     pub classifier: Option<String>,
+    /// Fingerprint of the baseline, where a sweep is of it.
+    #[serde(default)]
+    pub baseline: Option<String>,
     /// Name of the sampler and its number of steps.
     pub sampler: String,
     /// Calls of the denoiser for one sample.
