@@ -67,6 +67,9 @@ pub(super) enum TrainCommand {
     /// Train the classifier that guides generation toward a behavior
     #[command(after_help = help::TRAIN_CLASSIFIER)]
     Classifier(TrainClassifierArgs),
+    /// Train Scene Transformer, the baseline to compare the diffusion model with
+    #[command(after_help = help::TRAIN_BASELINE)]
+    Baseline(TrainBaselineArgs),
 }
 
 #[derive(Debug, clap::Args)]
@@ -145,6 +148,14 @@ pub(super) struct TrainClassifierArgs {
 }
 
 #[derive(Debug, clap::Args)]
+pub(super) struct TrainBaselineArgs {
+    #[command(flatten)]
+    pub(super) scenes: ScenesArg,
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+}
+
+#[derive(Debug, clap::Args)]
 pub(super) struct GenerateArgs {
     #[command(flatten)]
     pub(super) scenes: ScenesArg,
@@ -153,6 +164,9 @@ pub(super) struct GenerateArgs {
     /// The folder of a trained classifier [default: classifier in the output folder]
     #[arg(long, value_name = "DIR")]
     pub(super) classifier: Option<PathBuf>,
+    /// The folder of a trained baseline [default: baseline in the output folder]
+    #[arg(long, value_name = "DIR")]
+    pub(super) baseline: Option<PathBuf>,
     #[command(flatten)]
     pub(super) stage: StageArgs,
 }

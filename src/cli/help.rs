@@ -17,8 +17,8 @@ Exit codes:
 
 /// Of `run`.
 pub(super) const RUN: &str = "\
-A pipeline file has one section a stage: [ingest], [mine], [train.denoiser], [train.classifier], [generate],
-[evaluate], [report]. The stages whose sections are there run, in this order. Relative paths in it are relative to the
+A pipeline file has one section a stage: [ingest], [mine], [train.denoiser], [train.classifier],
+[train.baseline], [generate], [evaluate], [report]. The stages whose sections are there run, in this order. Relative paths in it are relative to the
 current directory. Results go to <output>/<pipeline>/<run>/; stages whose configuration and inputs did not change are
 not run again.
 
@@ -51,6 +51,12 @@ Examples:
 pub(super) const TRAIN_CLASSIFIER: &str = "\
 Example:
   djinn train classifier --config pipelines/cut_in_corpus.toml --output output/try";
+
+/// Of `train baseline`.
+pub(super) const TRAIN_BASELINE: &str = "\
+Examples:
+  djinn train baseline --config pipelines/scene_transformer.toml --output output/try
+  djinn train baseline --scenes output/argoverse1/scenes --set train.baseline.preset=tiny --output output/try";
 
 /// Of `generate`.
 pub(super) const GENERATE: &str = "\

@@ -1,6 +1,6 @@
 //! The `[generate]` section: how many scenarios of what kind, from which scenes.
 
-use super::{ClassifierFreeConfig, ClassifierScope, EditConfig, Error, ObserveConfig, SelectConfig};
+use super::{ClassifierFreeConfig, ClassifierScope, EditConfig, Error, ObserveConfig, SelectConfig, SweepModel};
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
 use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
@@ -49,6 +49,10 @@ impl Default for GenerateConfig {
 pub struct SweepConfig {
     /// Name, unique among the sweeps.
     pub name: String,
+    /// Where samples come from: `denoiser`, or `baseline` to compare with. The baseline has as many samples as joint futures at
+    /// most, is not guided, and edits nothing.
+    #[serde(default)]
+    pub model: SweepModel,
     /// Number of scenes to continue.
     pub n_scenes: usize,
     /// How noise becomes a sample. Left out: as in the other sweeps.
@@ -184,8 +188,11 @@ impl SweepConfig {
         self.sampler.as_ref().unwrap_or(&config.sampler)
     }
 
-    /// Calls of the denoiser for one sample of this sweep; classifier-free guidance asks it twice.
+    /// Calls of the network for one sample of this sweep; classifier-free guidance asks it twice, the baseline once.
     pub fn n_evaluations(&self, config: &GenerateConfig) -> u64 {
+        if self.model == SweepModel::Baseline {
+            return 1;
+        }
         let n_calls = if self.classifier_free.is_some() { 2 } else { 1 };
         self.sampler(config).n_evaluations() as u64 * n_calls
     }
@@ -207,6 +214,7 @@ impl SweepConfig {
         if let Some(strength) = self.strengths.iter().find(|strength| !strength.is_finite()) {
             return Err(format!("({}): a strength is {strength}, expected a number", self.name));
         }
+        self.check_model().map_err(|why| format!("({}): {why}", self.name))?;
         self.check_guidance().map_err(|why| format!("({}): {why}", self.name))?;
         if let Some(select) = &self.select {
             select.validate().map_err(|why| format!("({}): select: {why}", self.name))?;

@@ -2,7 +2,7 @@
 
 use super::{Error, GenerateConfig, ObserveConfig, SweepConfig};
 use crate::behavior::Behavior;
-use crate::model::{DenoiserSpec, TrainedClassifier, TrainedDenoiser};
+use crate::model::{DenoiserSpec, TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::keep_freed_memory;
 use crate::scene::{Scene, SceneId};
 use crate::seed::Seed;
@@ -19,6 +19,8 @@ pub struct Models<'a> {
     pub denoiser: &'a TrainedDenoiser,
     /// Classifiers, at most one for each behavior.
     pub classifiers: &'a [TrainedClassifier],
+    /// The baseline, for the sweeps that ask for it.
+    pub baseline: Option<&'a TrainedSceneTransformer>,
 }
 
 /// Plans and samples scenarios.
@@ -98,6 +100,7 @@ impl<'a> Generator<'a> {
     }
 
     fn check(&self, sweep: &SweepConfig) -> Result<(), Error> {
+        self.check_baseline(sweep)?;
         let sigma_max = self.spec().edm.sigma_max;
         if let Some(edit) = sweep.edit.as_ref().filter(|edit| edit.tau > sigma_max) {
             let tau = edit.tau;

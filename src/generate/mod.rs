@@ -4,6 +4,9 @@
 //! shards. A shard depends on the plan, the models and the seed alone, so that shards can be generated in any order, by any
 //! number of threads and in any number of attempts, to the same bytes.
 
+mod baseline;
+#[cfg(test)]
+mod baseline_tests;
 mod conditioning;
 #[cfg(test)]
 mod conditioning_tests;
@@ -23,6 +26,7 @@ mod testing;
 mod tests;
 mod verify;
 
+pub use baseline::SweepModel;
 pub use conditioning::{ClassifierFreeConfig, EditConfig, EditNoise};
 pub use config::{GenerateConfig, PairRanking, PairSelectionConfig, SweepConfig};
 pub use error::Error;

@@ -1,5 +1,6 @@
 //! How does a shard of the plan become scenarios? Batches of like scenes, denoised, decoded, checked.
 
+use super::baseline;
 use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_velocities};
 use super::guide::Guided;
 use super::{Cell, ClassifierFreeConfig, Error, Generator, ShardPlan, SweepConfig, Verdict, verify};
@@ -51,8 +52,8 @@ struct Batch<'a> {
     strength: f64,
 }
 
-/// One sample: its scene, or why there is none.
-type Sampled = Result<Scene, String>;
+/// One sample: its scene with its probability, where it has one; or why there is none.
+type Sampled = Result<(Scene, Option<f64>), String>;
 
 impl Generator<'_> {
     /// Generates a shard. Progress advances by one for each sample.
@@ -83,9 +84,10 @@ impl Generator<'_> {
         for (((cell, scene), given), sampled) in shard.cells.iter().zip(&scenes).zip(&conditioned).zip(sampled) {
             for (strength, sample_idx, result) in select(sweep, scene, sampled, &mut output.unselected) {
                 match result {
-                    Ok(generated) => {
+                    Ok((generated, probability)) => {
                         let scenario = (&generated, given.observed(&generated));
-                        output.records.push(self.record(sweep, cell, scene, scenario, (strength, sample_idx)));
+                        let sample = (strength, sample_idx, probability);
+                        output.records.push(self.record(sweep, cell, scene, scenario, sample)?);
                     }
                     Err(reason) => output.rejected.push(RejectedSample {
                         scene_id: cell.scene_id.clone(),
@@ -118,6 +120,12 @@ impl Generator<'_> {
 
     /// The samples of a batch: all of its first cell, then all of the next.
     fn sample(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Sampled>, Error> {
+        if let Some(baseline) = self.baseline(batch.sweep)? {
+            let given: Vec<&Conditioned> = batch.cells.iter().map(|(_, given)| *given).collect();
+            let predicted = self.predict(baseline, &given, batch.samples.clone())?;
+            progress.advance(predicted.len() as u64);
+            return Ok(predicted.into_iter().map(|(scene, p)| Ok((checked(scene)?, Some(p)))).collect());
+        }
         let agents: Vec<(usize, usize)> = batch.cells.iter().map(|(_, given)| given.agents).collect();
         let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
         let tensors = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
@@ -159,7 +167,7 @@ impl Generator<'_> {
             batch.cells.iter().flat_map(|(_, given)| std::iter::repeat_n(&given.scene, n_samples)).collect();
         let scenes = tensors.decode_scenes(&x, &sources)?;
         progress.advance(scenes.len() as u64);
-        Ok(scenes.into_iter().map(checked).collect())
+        Ok(scenes.into_iter().map(|scene| Ok((checked(scene)?, None))).collect())
     }
 
     /// The samples of a batch, one a row, with their wanted states observed as well.
@@ -216,20 +224,27 @@ impl Generator<'_> {
         cell: &Cell,
         recorded: &Scene,
         (generated, observed): (&Scene, ObservationMask),
-        (strength, sample_idx): (f64, usize),
-    ) -> ScenarioRecord {
+        (strength, sample_idx, probability): (f64, usize, Option<f64>),
+    ) -> Result<ScenarioRecord, Error> {
         let classifier = self.guiding_classifier(sweep, strength);
-        let kind = self.guidance_kind(sweep, strength);
+        let (checkpoint, kind, sampler) = match self.baseline(sweep)? {
+            Some(model) => (&model.fingerprint, baseline::GUIDANCE_KIND.to_owned(), baseline::SAMPLER.to_owned()),
+            None => {
+                let kind = self.guidance_kind(sweep, strength);
+                (&self.models.denoiser.fingerprint, kind, sweep.sampler(self.config).name())
+            }
+        };
         let provenance = Provenance {
             scene_id: cell.scene_id.clone(),
             observation: sweep.observe.name().to_owned(),
             edit_tau: sweep.edit.as_ref().map(|edit| edit.tau),
-            checkpoint: self.models.denoiser.fingerprint.clone(),
+            checkpoint: checkpoint.clone(),
             classifier: classifier.map(|classifier| classifier.fingerprint.clone()),
             seed: self.config.seed,
             sample_idx,
+            probability,
             guidance: GuidanceTag { kind, strength, roles: cell.roles.clone() },
-            sampler: sweep.sampler(self.config).name(),
+            sampler,
         };
         // What is verified must be what is written.
         let scene = as_stored(generated);
@@ -237,14 +252,14 @@ impl Generator<'_> {
             Some(behavior) => verify(behavior, &cell.roles, recorded, &scene),
             None => Verdict::default(),
         };
-        ScenarioRecord {
+        Ok(ScenarioRecord {
             scenario: Scenario { id: scenario_id(&sweep.name, &provenance), scene, observed, provenance },
             sweep: sweep.name.clone(),
             requested_behavior: sweep.behavior.clone(),
             verified: verdict.verified,
             events: verdict.events,
             recorded_event: verdict.recorded_event,
-        }
+        })
     }
 }
 
@@ -282,7 +297,7 @@ fn select(
     for strength in sweep.levels() {
         let is_candidate = |(_, (of, _, result)): &(usize, &(f64, usize, Sampled))| of == strength && result.is_ok();
         let (places, scenes): (Vec<usize>, Vec<Scene>) = (sampled.iter().enumerate().filter(is_candidate))
-            .filter_map(|(place, (_, _, result))| Some((place, result.as_ref().ok()?.clone())))
+            .filter_map(|(place, (_, _, result))| Some((place, result.as_ref().ok()?.0.clone())))
             .unzip();
         for (place, verdict) in places.into_iter().zip(select.verdicts(recorded, &scenes)) {
             left_out[place] = verdict;
@@ -299,7 +314,7 @@ fn select(
 }
 
 /// A scene whose every state is a number.
-fn checked(scene: Scene) -> Sampled {
+fn checked(scene: Scene) -> Result<Scene, String> {
     for track in &scene.tracks {
         if let Some((timestep, _)) = track.trajectory.valid().find(|(_, state)| !state.is_finite()) {
             return Err(format!("track {} is not finite at timestep {timestep}", track.id));
@@ -310,8 +325,19 @@ fn checked(scene: Scene) -> Sampled {
 
 /// 16 hexadecimal digits that belong to this sweep and provenance.
 fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
-    let Provenance { scene_id, observation, edit_tau, checkpoint, classifier, seed, sample_idx, guidance, sampler } =
-        provenance;
+    // The probability follows from the rest.
+    let Provenance {
+        scene_id,
+        observation,
+        edit_tau,
+        checkpoint,
+        classifier,
+        seed,
+        sample_idx,
+        probability: _,
+        guidance,
+        sampler,
+    } = provenance;
     let mut hasher = blake3::Hasher::new();
     // Every part ends in a zero byte, which no name holds: different parts cannot make the same text.
     let mut add = |part: &str| {

@@ -187,7 +187,7 @@ fn models_must_fit_each_other_and_the_sweeps() {
     let refusal = |toml: &str, classifiers: &[TrainedClassifier]| {
         let (denoiser, config) = (denoiser(0), config(toml));
         let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
-        let models = Models { denoiser: &denoiser, classifiers };
+        let models = Models { denoiser: &denoiser, classifiers, baseline: None };
         Generator::new(&config, models, &behaviors, &load, &Device::Cpu).err().map(|error| error.to_string())
     };
     assert_eq!(refusal(SWEEPS, &[classifier()]), None);

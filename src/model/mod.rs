@@ -1,15 +1,23 @@
-//! The networks: DJINN's scene denoiser and the behavior classifiers that guide it.
+//! The networks: DJINN's scene denoiser, the behavior classifiers that guide it, and the Scene Transformer to compare with.
 
 mod behavior_classifier;
 mod classifier_checkpoint;
 mod denoiser_checkpoint;
+mod known_input;
 mod network;
 mod scene_denoiser;
+mod scene_transformer;
+mod scene_transformer_checkpoint;
+#[cfg(test)]
+mod scene_transformer_tests;
 #[cfg(test)]
 mod tests;
+mod trunk;
 
 pub use behavior_classifier::{BehaviorClassifier, BehaviorClassifierConfig, log_sigmoid};
 pub use classifier_checkpoint::{ClassifierKind, ClassifierSpec, TrainedClassifier};
 pub use denoiser_checkpoint::{DenoiserKind, DenoiserSpec, TrainedDenoiser};
 pub use network::{NetworkConfig, SceneNetwork};
 pub use scene_denoiser::{BoundDenoiser, SceneDenoiser};
+pub use scene_transformer::{JointFutures, SceneTransformer, SceneTransformerConfig};
+pub use scene_transformer_checkpoint::{SceneTransformerKind, SceneTransformerSpec, TrainedSceneTransformer};

@@ -1,7 +1,8 @@
 //! F_θ, the raw network of DJINN: a transformer over the states of all agents at all timesteps (paper, Appendix A).
 
-use crate::nn::{Axis, CrossAttention, LayerNorm, Linear, Mlp, Scope, SelfAttention, sinusoidal};
-use crate::tensor::FeatureLayout;
+use super::known_input::{KnownInput, encode_states};
+use super::trunk::{LaneKeys, Trunk, TrunkConfig};
+use crate::nn::{LayerNorm, Linear, Mlp, Scope, sinusoidal};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -50,26 +51,8 @@ impl NetworkConfig {
     }
 }
 
-/// Shortest and longest encoding periods (paper, Appendix A, table "periods").
-const STATE_PERIODS: [f64; 2] = [0.01, 10.0];
-const TIMESTEP_PERIODS: (f64, f64) = (1.0, 100.0);
+/// Shortest and longest encoding periods of the noise level (paper, Appendix A, table "periods").
 const NOISE_PERIODS: (f64, f64) = (0.1, 10_000.0);
-
-/// How one layer of the trunk mixes states.
-#[derive(Debug, Clone)]
-enum Mixing {
-    Own(SelfAttention, Axis),
-    Map(CrossAttention),
-}
-
-/// A transformer layer in pre-layer-norm form (Xiong et al. 2020): x + Mix(LN x), then x + FFN(LN x).
-#[derive(Debug, Clone)]
-struct Layer {
-    norm_mix: LayerNorm,
-    mixing: Mixing,
-    norm_feed: LayerNorm,
-    feed_forward: Mlp,
-}
 
 /// F_θ(c_in x_lat, x_obs, M, c, c_noise).
 ///
@@ -80,11 +63,10 @@ pub struct SceneNetwork {
     encoding: usize,
     latent_periods: [f64; 2],
     input_latent: Linear,
-    input_known: Linear,
+    known: KnownInput,
     input_noise: Linear,
     input_out: Linear,
-    lane_encoder: Mlp,
-    layers: Vec<Layer>,
+    trunk: Trunk,
     norm_out: LayerNorm,
     output: Mlp,
 }
@@ -94,9 +76,7 @@ pub struct SceneNetwork {
 pub struct Known {
     /// The known part of the first input map, (B, A, T, width).
     input: Tensor,
-    /// Keys and values of each map layer, (M, L, 2 width).
-    lane_keys: Vec<Tensor>,
-    lane_valid: Tensor,
+    lanes: LaneKeys,
     valid: Tensor,
 }
 
@@ -111,8 +91,7 @@ impl Known {
         let rows = Tensor::from_vec(rows, n_rows * n, self.valid.device())?;
         Ok(Self {
             input: self.input.index_select(&rows, 0)?,
-            lane_keys: self.lane_keys.clone(),
-            lane_valid: self.lane_valid.clone(),
+            lanes: self.lanes.clone(),
             valid: self.valid.index_select(&rows, 0)?,
         })
     }
@@ -125,46 +104,17 @@ impl SceneNetwork {
     /// Fails when the layer string holds other letters than T, A and M, or sizes do not fit.
     pub fn new(scope: &mut Scope<'_>, config: &NetworkConfig, state_dim: usize) -> Result<Self> {
         let NetworkConfig { width, n_heads, feed_forward, encoding, .. } = *config;
-        let n_known = encoding * (state_dim + 1) + FeatureLayout::AGENT;
+        let known = KnownInput::new(scope, encoding, width, state_dim)?;
         let mut input = scope.enter("input");
         let n_latent = if config.path_input { 2 * state_dim } else { state_dim };
         let input_latent = Linear::new(&mut input, "latent", encoding * n_latent, width)?;
-        let input_known = Linear::new(&mut input, "known", n_known, width)?;
         let input_noise = Linear::new(&mut input, "noise", encoding, width)?;
         let input_out = Linear::new(&mut input, "out", width, width)?;
-        let lane_encoder = Mlp::new(scope, "lane_encoder", &[FeatureLayout::LANE, width, width, width, width])?;
-        let mut layers = Vec::new();
-        for (i, letter) in config.layers.chars().filter(|letter| !letter.is_whitespace()).enumerate() {
-            let mut trunk = scope.enter("trunk");
-            let mut scope = trunk.enter(&i.to_string());
-            let mixing = match letter {
-                'T' => Mixing::Own(SelfAttention::new(&mut scope, "time", width, n_heads)?, Axis::Time),
-                'A' => Mixing::Own(SelfAttention::new(&mut scope, "agent", width, n_heads)?, Axis::Agent),
-                'M' => Mixing::Map(CrossAttention::new(&mut scope, "map", width, n_heads)?),
-                other => candle_core::bail!("layer string {:?} holds {other:?}; use T, A and M", config.layers),
-            };
-            layers.push(Layer {
-                norm_mix: LayerNorm::new(&mut scope, "norm_mix", width)?,
-                mixing,
-                norm_feed: LayerNorm::new(&mut scope, "norm_feed", width)?,
-                feed_forward: Mlp::new(&mut scope, "feed_forward", &[width, feed_forward, width])?,
-            });
-        }
+        let trunk = Trunk::new(scope, "trunk", TrunkConfig { layers: &config.layers, width, n_heads, feed_forward })?;
         let norm_out = LayerNorm::new(scope, "norm_out", width)?;
         let output = Mlp::new(scope, "output", &[width, width, state_dim])?;
         let latent_periods = config.latent_periods;
-        Ok(Self {
-            encoding,
-            latent_periods,
-            input_latent,
-            input_known,
-            input_noise,
-            input_out,
-            lane_encoder,
-            layers,
-            norm_out,
-            output,
-        })
+        Ok(Self { encoding, latent_periods, input_latent, known, input_noise, input_out, trunk, norm_out, output })
     }
 
     /// Encodes what does not change between calls: known states `context` (B, A, T, D), agent features (B, A, T, C),
@@ -180,23 +130,10 @@ impl SceneNetwork {
         lanes: &Tensor,
         lane_valid: &Tensor,
     ) -> Result<Known> {
-        let (n_rows, n_agents, n_timesteps, _) = context.dims4()?;
-        let states = self.encode_states(context, STATE_PERIODS)?;
-        let timesteps: Vec<f32> = (0..n_timesteps).map(|t| t as f32).collect();
-        let timesteps = Tensor::from_vec(timesteps, n_timesteps, context.device())?;
-        let timesteps = sinusoidal(&timesteps, self.encoding, TIMESTEP_PERIODS.0, TIMESTEP_PERIODS.1)?
-            .reshape((1, 1, n_timesteps, self.encoding))?
-            .broadcast_as((n_rows, n_agents, n_timesteps, self.encoding))?;
-        let known = Tensor::cat(&[&states, &timesteps, features], 3)?;
-        let lanes = self.lane_encoder.forward_valid(lanes, lane_valid)?;
-        let map_layers = self.layers.iter().filter_map(|layer| match &layer.mixing {
-            Mixing::Map(attention) => Some(attention.project_keys(&lanes)),
-            Mixing::Own(..) => None,
-        });
+        let encoded = self.known.lanes(lanes, lane_valid)?;
         Ok(Known {
-            input: self.input_known.forward_valid(&known, valid)?,
-            lane_keys: map_layers.collect::<Result<_>>()?,
-            lane_valid: lane_valid.clone(),
+            input: self.known.states(context, features, valid)?,
+            lanes: self.trunk.project_keys(&encoded, lane_valid)?,
             valid: valid.clone(),
         })
     }
@@ -207,30 +144,11 @@ impl SceneNetwork {
     /// Fails when shapes do not fit.
     pub fn forward(&self, x: &Tensor, known: &Known, c_noise: &Tensor) -> Result<Tensor> {
         let valid = &known.valid;
-        let latent = self.input_latent.forward_valid(&self.encode_states(x, self.latent_periods)?, valid)?;
+        let latent = self.input_latent.forward_valid(&encode_states(x, self.encoding, self.latent_periods)?, valid)?;
         let noise = sinusoidal(c_noise, self.encoding, NOISE_PERIODS.0, NOISE_PERIODS.1)?;
         let noise = self.input_noise.forward(&noise)?.unsqueeze(1)?.unsqueeze(1)?;
         let hidden = (latent + &known.input)?.broadcast_add(&noise)?.relu()?;
-        let mut h = self.input_out.forward_valid(&hidden, valid)?;
-        let mut lane_keys = known.lane_keys.iter();
-        for layer in &self.layers {
-            let normed = layer.norm_mix.forward(&h)?;
-            let mixed = match (&layer.mixing, lane_keys.as_slice().first()) {
-                (Mixing::Own(attention, axis), _) => attention.forward(&normed, *axis, valid)?,
-                (Mixing::Map(attention), Some(keys)) => {
-                    lane_keys.next();
-                    attention.forward_with_keys(&normed, valid, keys, &known.lane_valid)?
-                }
-                (Mixing::Map(_), None) => candle_core::bail!("the known inputs were encoded by another network"),
-            };
-            h = (h + mixed)?;
-            h = (&h + layer.feed_forward.forward_valid(&layer.norm_feed.forward(&h)?, valid)?)?;
-        }
+        let h = self.trunk.forward(self.input_out.forward_valid(&hidden, valid)?, valid, &known.lanes)?;
         self.output.forward_valid(&self.norm_out.forward(&h)?, valid)
-    }
-
-    /// Sinusoidal encodings of every scalar, concatenated: (B, A, T, D) to (B, A, T, D · encoding).
-    fn encode_states(&self, states: &Tensor, periods: [f64; 2]) -> Result<Tensor> {
-        sinusoidal(states, self.encoding, periods[0], periods[1])?.flatten_from(3)
     }
 }

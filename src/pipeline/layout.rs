@@ -14,6 +14,8 @@ pub struct Layout {
     pub denoiser: PathBuf,
     /// The folder of the trained classifier.
     pub classifier: PathBuf,
+    /// The folder of the trained baseline.
+    pub baseline: PathBuf,
     /// The folder of sample shards.
     pub samples: PathBuf,
     /// The folder of the corpus.
@@ -30,6 +32,7 @@ impl Layout {
             events: root.join(EVENTS),
             denoiser: root.join(DENOISER),
             classifier: root.join(CLASSIFIER),
+            baseline: root.join(BASELINE),
             samples: root.join(SAMPLES),
             corpus: root.join(CORPUS),
             metrics: root.join(METRICS),
@@ -47,6 +50,8 @@ pub const MINE_SUMMARY: &str = "mine.json";
 pub const DENOISER: &str = "denoiser";
 /// The trained classifier.
 pub const CLASSIFIER: &str = "classifier";
+/// The trained baseline.
+pub const BASELINE: &str = "baseline";
 /// The generated scenarios, sharded.
 pub const SAMPLES: &str = "samples";
 /// The corpus.

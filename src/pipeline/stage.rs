@@ -18,6 +18,8 @@ pub enum StageId {
     TrainDenoiser,
     /// Scenes and events to a classifier of noised scenes.
     TrainClassifier,
+    /// Scenes to a Scene Transformer, to compare the denoiser with.
+    TrainBaseline,
     /// Scenes and models to generated scenarios.
     Generate,
     /// Generated scenarios to metrics and the corpus.
@@ -28,11 +30,12 @@ pub enum StageId {
 
 impl StageId {
     /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Ingest,
         Self::Mine,
         Self::TrainDenoiser,
         Self::TrainClassifier,
+        Self::TrainBaseline,
         Self::Generate,
         Self::Evaluate,
         Self::Report,
@@ -45,6 +48,7 @@ impl StageId {
             Self::Mine => "mine",
             Self::TrainDenoiser => "train_denoiser",
             Self::TrainClassifier => "train_classifier",
+            Self::TrainBaseline => "train_baseline",
             Self::Generate => "generate",
             Self::Evaluate => "evaluate",
             Self::Report => "report",
@@ -56,6 +60,7 @@ impl StageId {
         match self {
             Self::TrainDenoiser => "train denoiser",
             Self::TrainClassifier => "train classifier",
+            Self::TrainBaseline => "train baseline",
             other => other.name(),
         }
     }
@@ -65,6 +70,7 @@ impl StageId {
         match self {
             Self::TrainDenoiser => "train.denoiser",
             Self::TrainClassifier => "train.classifier",
+            Self::TrainBaseline => "train.baseline",
             other => other.name(),
         }
     }

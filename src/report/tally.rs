@@ -145,6 +145,7 @@ mod tests {
             classifier: Some("c".into()),
             seed: 1,
             sample_idx: 4,
+            probability: None,
             guidance: GuidanceTag { kind: "classifier:cut_in".into(), strength, roles },
             sampler: "heun-20".into(),
         };

@@ -24,7 +24,7 @@ pub struct Provenance {
     pub observation: String,
     /// The noise level from which an edited recording was denoised again; `None` where nothing was edited.
     pub edit_tau: Option<f64>,
-    /// Fingerprint of the denoiser checkpoint.
+    /// Fingerprint of the checkpoint of the model that made it: the denoiser, or the baseline.
     pub checkpoint: String,
     /// Fingerprint of the classifier checkpoint; `None` where no classifier was used.
     pub classifier: Option<String>,
@@ -32,6 +32,8 @@ pub struct Provenance {
     pub seed: u64,
     /// Which sample of its scene and guidance this is.
     pub sample_idx: usize,
+    /// How likely the model holds it to be; `None` for plain draws, which are equally likely.
+    pub probability: Option<f64>,
     /// The guidance.
     pub guidance: GuidanceTag,
     /// Name of the sampler and its number of steps, such as `heun-50`.

@@ -24,7 +24,7 @@ pub struct CorpusNotes {
 /// One table of a corpus.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TableEntry {
-    /// Its schema, such as `scenario.v2`.
+    /// Its schema, such as `scenario.v3`.
     pub schema: String,
     /// Number of rows.
     pub n_rows: u64,

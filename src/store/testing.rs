@@ -122,6 +122,7 @@ pub(crate) fn record(scene: &Scene, sample_idx: usize) -> ScenarioRecord {
                 classifier: verified.then(|| "beef".to_owned()),
                 seed: u64::MAX,
                 sample_idx,
+                probability: verified.then_some(0.625),
                 guidance: GuidanceTag {
                     kind: "classifier:cut_in".to_owned(),
                     strength: 2.0,

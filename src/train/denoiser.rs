@@ -1,30 +1,14 @@
 //! From scenes to a denoiser checkpoint: constants, network, training, file.
 
-use super::{DenoiserTraining, DenoisingTask, Error, FitStatistics, SceneDataset, fit};
+use super::training_data::{SceneConstants, TrainingData};
+use super::{DenoiserTraining, DenoisingTask, Error, FitStatistics, SceneDraws, fit};
 use crate::model::{DenoiserKind, DenoiserSpec, SceneDenoiser};
 use crate::nn::{Checkpoint, Params};
 use crate::progress::Progress;
 use crate::seed::Seed;
-use crate::tensor::{MaskSampler, NormalizerFit};
+use crate::tensor::MaskSampler;
 use candle_core::Device;
 use std::path::Path;
-
-/// Scenes to gather the normalization constants from: enough for three digits.
-const N_NORMALIZER_SCENES: usize = 2_000;
-
-/// The scenes of a training run.
-pub struct TrainingData<'a> {
-    /// The scenes.
-    pub dataset: &'a dyn SceneDataset,
-    /// Indices of the scenes to train on.
-    pub train: Vec<usize>,
-    /// Indices of held-out scenes; those evaluated on are chosen from them.
-    pub held_out: Vec<usize>,
-    /// Dimensions of a diffused state.
-    pub state_dim: usize,
-    /// Fingerprint of the scenes.
-    pub fingerprint: String,
-}
 
 /// What training a denoiser came to.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,21 +52,18 @@ pub fn train_denoiser(
         params.load(&start.tensors)?;
     }
     let frozen = SceneDenoiser::new(&mut params.frozen(), network, state_dim, spec.edm, seed)?;
-    let mut held_out = data.held_out.clone();
-    seed.derive("held-out", &[]).rng().shuffle(&mut held_out);
-    held_out.truncate(training.n_eval_scenes);
-    let task = DenoisingTask {
-        denoiser: &denoiser,
-        frozen: &frozen,
-        training,
+    let held_out = data.chosen_held_out(training.n_eval_scenes, seed);
+    let draws = SceneDraws {
         collator: &spec.collator(),
         dataset: data.dataset,
         train: &data.train,
         held_out: &held_out,
         masks: &masks,
+        batch_size: training.batch_size,
         seed,
         device,
     };
+    let task = DenoisingTask { denoiser: &denoiser, frozen: &frozen, training, draws };
     let outcome = fit(&training.fit, &mut params, &task, dir, progress)?;
     let fingerprint = spec.write(&params, &dir.join("model.safetensors"))?;
     Ok(DenoiserOutcome { fingerprint, n_parameters: params.n_parameters(), spec, statistics: outcome.statistics })
@@ -113,37 +94,13 @@ fn describe(
     seed: Seed,
     progress: &dyn Progress,
 ) -> Result<DenoiserSpec, Error> {
-    let mut sample = data.train.clone();
-    seed.derive("normalizer", &[]).rng().shuffle(&mut sample);
-    sample.truncate(N_NORMALIZER_SCENES);
-    progress.start("normalize", sample.len() as u64, "scenes");
-    let mut fit = NormalizerFit::default();
-    let mut shape: Option<(usize, usize, f64)> = None;
-    for idx in sample {
-        let scene = data.dataset.scene(idx).map_err(Error::Scene)?;
-        let this = (scene.n_history, scene.n_timesteps, scene.dt_s);
-        if *shape.get_or_insert(this) != this {
-            let message = format!(
-                "scene {} has {} + {} timesteps of {} s, others differ: train on scenes of one shape",
-                scene.id,
-                scene.n_history,
-                scene.n_timesteps - scene.n_history,
-                scene.dt_s
-            );
-            return Err(Error::Config(message));
-        }
-        fit.add(&scene);
-        progress.advance(1);
-    }
-    progress.finish();
-    let Some((n_history, n_timesteps, dt_s)) = shape else {
-        return Err(Error::NoScenes("choose other splits or places in train.denoiser".to_owned()));
-    };
+    let SceneConstants { normalizer, n_history, n_timesteps, dt_s } =
+        SceneConstants::gather(data, training.parametrization, seed, progress)?;
     Ok(DenoiserSpec {
         kind: DenoiserKind::SceneDenoiser,
         network: training.network.clone(),
         edm: training.edm,
-        normalizer: fit.finish(training.parametrization, data.state_dim),
+        normalizer,
         n_history,
         n_timesteps,
         dt_s,

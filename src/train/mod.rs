@@ -1,5 +1,9 @@
 //! Training: one resumable loop, and what it trains.
 
+mod baseline;
+mod baseline_config;
+#[cfg(test)]
+mod baseline_tests;
 mod classification;
 #[cfg(test)]
 mod classification_tests;
@@ -9,17 +13,25 @@ mod denoiser;
 mod denoising;
 mod error;
 mod fit;
+mod joint_futures;
 mod pair_examples;
 mod preset;
+mod scene_draws;
 #[cfg(test)]
 mod tests;
+mod training_data;
 
+pub use baseline::{BaselineOutcome, train_baseline};
+pub use baseline_config::{BaselineTraining, BaselineTrainingConfig};
 pub use classification::{ClassificationTask, REPORT_SIGMAS};
 pub use classifier::{ClassifierReport, ClassifierTrainingConfig, PairData, train_classifier};
 pub use classifier_report::NoiseLevelReport;
-pub use denoiser::{DenoiserOutcome, TrainingData, train_denoiser};
-pub use denoising::{DenoisingTask, SceneDataset};
+pub use denoiser::{DenoiserOutcome, train_denoiser};
+pub use denoising::DenoisingTask;
 pub use error::Error;
 pub use fit::{FitConfig, FitOutcome, FitStatistics, LearningRateDecay, TrainTask, fit};
+pub use joint_futures::{JointFuturesTask, JointLoss};
 pub use pair_examples::{MinedEvent, PairExample, PairExamples};
 pub use preset::{DenoiserTraining, DenoiserTrainingConfig, Preset};
+pub use scene_draws::{DrawnBatch, SceneDataset, SceneDraws};
+pub use training_data::TrainingData;

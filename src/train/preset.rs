@@ -185,7 +185,8 @@ impl DenoiserTrainingConfig {
 }
 
 impl Preset {
-    fn settings(self) -> DenoiserTraining {
+    /// Everything that it decides for the denoiser.
+    pub(super) fn settings(self) -> DenoiserTraining {
         // Diffused motion is of unit size: encodings with periods below 1 would show the network noise and little else.
         let network = |layers: &str, width, n_heads, encoding| NetworkConfig {
             layers: layers.to_owned(),

@@ -1,6 +1,6 @@
 //! Do the stages work alone and together, and are they redone when, and only when, they must be?
 
-use crate::support::{Workspace, assert_same, djinn, files};
+use crate::support::{SMALL_PIPELINE, Workspace, assert_same, djinn, files};
 
 /// One run for several questions: it is the slowest part of these tests.
 #[test]
@@ -88,4 +88,64 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     assert!(plan.contains("#   generate          fresh (samples is missing or was changed)"), "{plan}");
     workspace.run("out", &[]).expect(0);
     assert_same(&before, &files(&root));
+}
+
+/// The small pipeline with a baseline in place of the classifier, and a sweep of it in place of the guided one.
+fn with_baseline() -> String {
+    let (before, rest) = SMALL_PIPELINE.split_once("[train.classifier]").unwrap();
+    let (_, after) = rest.split_once("[generate]").unwrap();
+    let section = r#"
+[train.baseline]
+preset = "tiny"
+network = { encoder = "TAM", decoder = "T", width = 16, n_heads = 2, feed_forward = 16, encoding = 8 }
+steps = 6
+batch_size = 2
+warmup_steps = 2
+evaluate_every = 6
+save_every = 3
+n_eval_scenes = 2
+max_agents = 6
+max_lanes = 8
+
+[generate]"#;
+    let guided = "behavior = \"cut_in\"\nn_scenes = 4\nn_samples = 2\nstrengths = [0.0, 2.0]";
+    assert!(after.contains(guided));
+    let sweep = "model = \"baseline\"\nn_scenes = 3\nn_samples = 6";
+    format!("{before}{section}{}", after.replace(guided, sweep).replace("name = \"cut_ins\"", "name = \"futures\""))
+}
+
+#[test]
+fn the_baseline_is_trained_sampled_and_measured_like_the_denoiser() {
+    let workspace = Workspace::new();
+    fs_err::write(workspace.path("baseline.toml"), with_baseline()).unwrap();
+    let (config, output) = (workspace.arg("baseline.toml"), workspace.arg("out"));
+    let run = |more: &[&str]| djinn(&[&["run", &config, "--output", &output], more].concat());
+    run(&[]).expect(0);
+    let root = workspace.path("out").join("baseline/main");
+    let plan = run(&["--dry-run"]).expect(0).stdout;
+    assert!(plan.contains("#   train_baseline    cached") && plan.matches("  cached").count() == 7, "{plan}");
+
+    let metrics = fs_err::read_to_string(root.join("metrics.json")).unwrap();
+    let metrics: serde_json::Value = serde_json::from_str(&metrics).unwrap();
+    for sweep in ["as_recorded", "futures"] {
+        let is_own = |row: &&serde_json::Value| row["sweep"] == sweep && row["group"] == "unguided";
+        let mut own = metrics["aggregates"].as_array().unwrap().iter().filter(is_own);
+        let row = own.find(|row| row["metric"] == "min_scene_ade_m").unwrap();
+        assert!(row["value"].as_f64().unwrap() > 0.0, "{row}");
+    }
+    assert!(fs_err::read_to_string(root.join("report.html")).unwrap().contains("baseline (Scene Transformer)"));
+    let inspected = djinn(&["inspect", root.join("baseline").to_str().unwrap()]).expect(0).stdout;
+    assert!(inspected.starts_with("Scene Transformer checkpoint") && inspected.contains("n_modes"), "{inspected}");
+
+    // Trained alone, from the same scenes, it is the same.
+    let (alone, scenes) = (workspace.arg("alone"), root.join("scenes"));
+    let scenes = scenes.to_str().unwrap();
+    djinn(&["train", "baseline", "--config", &config, "--scenes", scenes, "--output", &alone, "-q"]).expect(0);
+    assert_same(&files(&root.join("baseline")), &files(&workspace.path("alone/baseline")));
+
+    // What it cannot do is refused before anything runs.
+    let guided = run(&["--dry-run", "--set", "generate.sweeps.1.strengths=[1.0]"]).expect(1);
+    assert!(guided.stderr.contains("cannot be combined with strengths other than 0"), "{}", guided.stderr);
+    let lonely = run(&["--dry-run", "--set", "generate.sweeps.1.n_samples=0"]).expect(1);
+    assert!(lonely.stderr.contains("n_samples is 0"), "{}", lonely.stderr);
 }

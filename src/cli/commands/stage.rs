@@ -64,11 +64,15 @@ impl<'a> Request<'a> {
                 .scenes(&args.scenes.scenes)
                 .events(&args.events.events)
                 .denoiser(&args.denoiser.denoiser),
+            Command::Train(TrainCommand::Baseline(args)) => {
+                Self::new(StageId::TrainBaseline, &args.stage).scenes(&args.scenes.scenes)
+            }
             Command::Generate(args) => {
                 let mut request = Self::new(StageId::Generate, &args.stage)
                     .scenes(&args.scenes.scenes)
                     .denoiser(&args.denoiser.denoiser);
                 replace(&mut request.layout.classifier, &args.classifier);
+                replace(&mut request.layout.baseline, &args.baseline);
                 request
             }
             Command::Evaluate(args) => {

@@ -15,7 +15,7 @@ use crate::ingest::IngestConfig;
 use crate::pipeline::StageId;
 use crate::pipeline::failure::{Failure, Result};
 use crate::pipeline::stages::{EvaluateConfig, MineConfig, ReportConfig};
-use crate::train::{ClassifierTrainingConfig, DenoiserTrainingConfig};
+use crate::train::{BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -48,6 +48,8 @@ pub struct TrainConfig {
     pub denoiser: Option<DenoiserTrainingConfig>,
     /// The classifier that guides it toward a behavior.
     pub classifier: Option<ClassifierTrainingConfig>,
+    /// Scene Transformer, the baseline that sweeps with `model = "baseline"` sample from.
+    pub baseline: Option<BaselineTrainingConfig>,
 }
 
 /// What concerns all stages.
@@ -97,6 +99,7 @@ impl PipelineConfig {
             StageId::Mine => _ = self.mine.get_or_insert_default(),
             StageId::TrainDenoiser => _ = self.train.denoiser.get_or_insert_default(),
             StageId::TrainClassifier => _ = self.train.classifier.get_or_insert_default(),
+            StageId::TrainBaseline => _ = self.train.baseline.get_or_insert_default(),
             StageId::Generate => _ = self.generate.get_or_insert_default(),
             StageId::Evaluate => _ = self.evaluate.get_or_insert_default(),
             StageId::Report => _ = self.report.get_or_insert_default(),

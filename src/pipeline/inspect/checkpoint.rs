@@ -15,6 +15,7 @@ pub(super) fn describe(path: &Path) -> Result<Option<Description>> {
     let kind = match checkpoint.metadata.get("kind").and_then(Value::as_str) {
         Some("scene_denoiser") => "denoiser checkpoint",
         Some("behavior_classifier") => "behavior classifier checkpoint",
+        Some("scene_transformer") => "Scene Transformer checkpoint",
         _ => "training state",
     };
     let n_values: usize = checkpoint.tensors.values().map(candle_core::Tensor::elem_count).sum();

@@ -4,7 +4,7 @@ use super::mine::MineConfig;
 use super::sample_folder::{SampleFolder, SampleSidecar, SampledWith};
 use super::train_denoiser::checkpoint_file;
 use crate::generate::{self, GenerateConfig, Generator, Models, Plan, Shortfall};
-use crate::model::{TrainedClassifier, TrainedDenoiser};
+use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::store::SceneStore;
@@ -66,6 +66,9 @@ impl Stage for Generate<'_> {
         if self.needs_classifier() {
             inputs.push(StageInput::made_by(StageId::TrainClassifier, "classifier", &self.layout.classifier));
         }
+        if self.needs_baseline() {
+            inputs.push(StageInput::made_by(StageId::TrainBaseline, "baseline", &self.layout.baseline));
+        }
         inputs
     }
 
@@ -81,8 +84,12 @@ impl Stage for Generate<'_> {
         if self.needs_classifier() {
             classifiers.push(TrainedClassifier::read(&checkpoint_file(&self.layout.classifier), &device)?);
         }
+        let baseline = match self.needs_baseline() {
+            true => Some(TrainedSceneTransformer::read(&checkpoint_file(&self.layout.baseline), &device)?),
+            false => None,
+        };
         let behaviors = self.mine.build()?;
-        let models = Models { denoiser: &denoiser, classifiers: &classifiers };
+        let models = Models { denoiser: &denoiser, classifiers: &classifiers, baseline: baseline.as_ref() };
         let load = |idx: usize| Ok(store.scene(idx)?);
         let generator = Generator::new(self.config, models, &behaviors, &load, &device)?;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
@@ -100,6 +107,7 @@ impl Stage for Generate<'_> {
             SampledWith {
                 denoiser: denoiser.fingerprint.clone(),
                 classifier: classifiers.first().map(|classifier| classifier.fingerprint.clone()),
+                baseline: baseline.as_ref().map(|baseline| baseline.fingerprint.clone()),
                 shortfalls: plan.shortfalls,
             },
         )?;
@@ -119,6 +127,10 @@ impl Generate<'_> {
     /// Unguided sampling needs no classifier, except to rank pairs: there it is used if some sweep is guided.
     fn needs_classifier(&self) -> bool {
         self.config.sweeps.iter().any(generate::SweepConfig::needs_classifier)
+    }
+
+    fn needs_baseline(&self) -> bool {
+        self.config.sweeps.iter().any(generate::SweepConfig::uses_baseline)
     }
 
     fn generate_shards(

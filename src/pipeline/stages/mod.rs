@@ -8,6 +8,7 @@ mod mine;
 mod report;
 mod sample_folder;
 mod selection;
+mod train_baseline;
 mod train_classifier;
 mod train_denoiser;
 
@@ -17,6 +18,7 @@ pub use ingest::Ingest;
 pub use mine::{Mine, MineConfig};
 pub use report::{About, Report, ReportConfig};
 pub use sample_folder::{SampleFolder, SampleManifest, SampleSidecar, SampledWith};
+pub use train_baseline::TrainBaseline;
 pub use train_classifier::TrainClassifier;
 pub use train_denoiser::TrainDenoiser;
 
@@ -68,6 +70,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
         StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
         StageId::TrainDenoiser => Box::new(TrainDenoiser { config: train.denoiser.as_ref()?, seed: run.seed, layout }),
         StageId::TrainClassifier => Box::new(TrainClassifier { config: train.classifier.as_ref()?, layout }),
+        StageId::TrainBaseline => Box::new(TrainBaseline { config: train.baseline.as_ref()?, seed: run.seed, layout }),
         StageId::Generate => Box::new(Generate {
             config: generate.as_ref()?,
             mine: definitions(),
@@ -99,6 +102,7 @@ fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
         StageId::Mine => config.mine.is_some(),
         StageId::TrainDenoiser => config.train.denoiser.is_some(),
         StageId::TrainClassifier => config.train.classifier.is_some(),
+        StageId::TrainBaseline => config.train.baseline.is_some(),
         StageId::Generate => config.generate.is_some(),
         StageId::Evaluate => config.evaluate.is_some(),
         StageId::Report => false,
@@ -108,6 +112,7 @@ fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
         StageId::Mine => layout.events.exists(),
         StageId::TrainDenoiser => layout.denoiser.exists(),
         StageId::TrainClassifier => layout.classifier.exists(),
+        StageId::TrainBaseline => layout.baseline.exists(),
         StageId::Generate => layout.samples.exists(),
         StageId::Evaluate => layout.metrics.exists(),
         StageId::Report => false,

@@ -55,6 +55,8 @@ pub struct SampledWith {
     pub denoiser: String,
     /// Fingerprint of the classifier, where there was one.
     pub classifier: Option<String>,
+    /// Fingerprint of the baseline, where a sweep is of it.
+    pub baseline: Option<String>,
     /// Sweeps for which fewer scenes fit than were asked for.
     pub shortfalls: Vec<Shortfall>,
 }

@@ -41,14 +41,21 @@ pub(crate) fn fields() -> Vec<Field> {
         column(
             "guidance_kind",
             DataType::Utf8,
-            "The guidance it was sampled with, such as none, classifier:cut_in or classifier_free.",
+            "The guidance it was sampled with, such as none, classifier:cut_in or classifier_free; scene_transformer for the baseline.",
         ),
         column("guidance_strength", DataType::Float64, "Strength or weight of the guidance; 0 without.").unit("1"),
         roles::field("guidance_roles", "The tracks that the guidance acted on; empty without guidance."),
         column("seed", DataType::UInt64, "Seed of the run."),
         column("sample_idx", DataType::UInt32, "Which sample of its scene and guidance it is."),
-        column("sampler", DataType::Utf8, "Sampler and number of steps, such as heun-50."),
-        column("checkpoint", DataType::Utf8, "Fingerprint of the denoiser checkpoint."),
+        column(
+            "probability",
+            DataType::Float64,
+            "How likely the model holds it to be among the futures of its scene; missing where samples are equally likely.",
+        )
+        .unit("1")
+        .optional(),
+        column("sampler", DataType::Utf8, "Sampler and number of steps, such as heun-50; forward-1 for the baseline."),
+        column("checkpoint", DataType::Utf8, "Fingerprint of the checkpoint of the denoiser or baseline."),
         column("classifier", DataType::Utf8, "Fingerprint of the classifier checkpoint; missing where none was used.")
             .optional(),
         event_list::field(),
@@ -76,6 +83,7 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
         roles::encode(&provenance().map(|p| p.guidance.roles.as_slice()).collect::<Vec<_>>())?,
         numbers::<UInt64Type>(provenance().map(|p| p.seed)),
         numbers::<UInt32Type>(sample_idx?),
+        optional_numbers::<Float64Type>(provenance().map(|p| p.probability)),
         texts(provenance().map(|p| p.sampler.as_str())),
         texts(provenance().map(|p| p.checkpoint.as_str())),
         optional_texts(provenance().map(|p| p.classifier.as_deref())),
@@ -100,6 +108,7 @@ pub(crate) fn decode(
         classifier: optional_text("classifier")?,
         seed: columns.number::<UInt64Type>("seed", row)?,
         sample_idx: columns.number::<UInt32Type>("sample_idx", row)? as usize,
+        probability: columns.optional_number::<Float64Type>("probability", row)?,
         guidance: GuidanceTag {
             kind: text("guidance_kind")?,
             strength: columns.number::<Float64Type>("guidance_strength", row)?,

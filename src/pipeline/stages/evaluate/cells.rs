@@ -67,6 +67,11 @@ fn strength(record: &ScenarioRecord) -> u64 {
 }
 
 impl Cell<'_> {
+    /// How likely each sample is, where their model says so.
+    pub(super) fn probabilities(&self) -> Option<Vec<f64>> {
+        self.records.iter().map(|record| record.scenario.provenance.probability).collect()
+    }
+
     /// Measures the cell against the scene it continues.
     pub(super) fn evaluate(&self, recorded: &Scene, measures: &Measures<'_>, config: &EvaluateConfig) -> CellFigures {
         let samples: Vec<Scene> = self.records.iter().map(|record| record.scenario.scene.clone()).collect();
@@ -76,10 +81,10 @@ impl Cell<'_> {
             .requested_behavior
             .as_deref()
             .map(|behavior| Requested { behavior, roles: &first.scenario.provenance.guidance.roles });
-        let evaluate = |samples: &[Scene], mode_seed: Option<Seed>| {
-            measures.evaluate(&SampleGroup::equally_likely(&recorded, samples), requested, mode_seed)
-        };
-        let figures = |samples: &[Scene]| evaluate(samples, None);
+        let evaluate = |group: &SampleGroup<'_>, mode_seed| measures.evaluate(group, requested, mode_seed);
+        let figures = |samples: &[Scene]| evaluate(&SampleGroup::equally_likely(&recorded, samples), None);
+        let probabilities = self.probabilities();
+        let together = SampleGroup { recorded: &recorded, samples: &samples, probabilities: probabilities.as_deref() };
         let baseline = constant_velocity(&recorded);
         let reference = |scene: &Scene| self.with_references.then(|| figures(std::slice::from_ref(scene)));
         let mode_seed = Seed(first.scenario.provenance.seed).derive_named("modes", &recorded.id.0);
@@ -87,7 +92,7 @@ impl Cell<'_> {
         CellFigures {
             recorded: reference(&recorded),
             constant_velocity: reference(&baseline),
-            together: evaluate(&samples, Some(mode_seed)),
+            together: evaluate(&together, Some(mode_seed)),
             alone: samples.chunks(1).map(figures).collect(),
             motion: CellMotion {
                 references: self.with_references.then(motion_of_references),

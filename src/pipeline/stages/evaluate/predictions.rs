@@ -31,8 +31,10 @@ pub(super) fn of_cell(cell: &Cell<'_>, samples: &[Scene], config: &EvaluateConfi
     let defaults = ModesConfig::default();
     let modes = config.modes.as_ref().unwrap_or(&defaults);
     if samples.len() <= modes.n_modes {
-        let probability = 1.0 / samples.len() as f64;
-        return Some(Modes { samples: samples.to_vec(), probabilities: vec![probability; samples.len()] });
+        let probabilities = cell.probabilities().unwrap_or_else(|| vec![1.0; samples.len()]);
+        let sum: f64 = probabilities.iter().sum();
+        let probabilities = probabilities.into_iter().map(|probability| probability / sum).collect();
+        return Some(Modes { samples: samples.to_vec(), probabilities });
     }
     let of = if dataset == Dataset::Argoverse1 { ModesOf::Ego } else { ModesOf::Scene };
     let by = modes.by.first().copied().unwrap_or(Representative::Mean);

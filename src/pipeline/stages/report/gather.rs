@@ -4,7 +4,7 @@ use super::Report;
 use super::cautions::cautions;
 use super::drawings::{self, Gallery};
 use crate::ingest::IngestReport;
-use crate::model::TrainedDenoiser;
+use crate::model::{TrainedDenoiser, TrainedSceneTransformer};
 use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use crate::pipeline::stages::train_denoiser::checkpoint_file;
 use crate::pipeline::stages::{EvaluationSummary, SampleManifest};
@@ -42,6 +42,9 @@ pub(super) fn model(stage: &Report<'_>) -> Result<ReportModel> {
     if stage.has(StageId::TrainClassifier) {
         add_classifier(&mut model, &stage.layout.classifier)?;
     }
+    if stage.has(StageId::TrainBaseline) {
+        model.training.push(baseline(&stage.layout.baseline)?);
+    }
     if stage.has(StageId::Evaluate) {
         let path = stage.layout.metrics.with_file_name(METRICS_SUMMARY);
         add_evaluation(&mut model, read_json(&path).blame_input()?);
@@ -66,14 +69,7 @@ fn add_ingest(model: &mut ReportModel, scenes: &Path) -> Result<()> {
 
 fn denoiser(dir: &Path) -> Result<TrainingSummary> {
     let TrainedDenoiser { spec, fingerprint, .. } = TrainedDenoiser::read(&checkpoint_file(dir), &Device::Cpu)?;
-    let path = dir.join("statistics.jsonl");
-    // A checkpoint that was taken over has no statistics.
-    let text = if path.exists() { fs_err::read_to_string(path)? } else { String::new() };
-    let statistics = text
-        .lines()
-        .map(serde_json::from_str::<FitStatistics>)
-        .collect::<std::result::Result<Vec<_>, _>>()
-        .map_err(anyhow::Error::from)?;
+    let statistics = fit_statistics(dir)?;
     let facts = vec![
         Fact::new("Layers", &spec.network.layers),
         Fact::new("Width", spec.network.width),
@@ -83,6 +79,29 @@ fn denoiser(dir: &Path) -> Result<TrainingSummary> {
         Fact::new("Fingerprint", fingerprint),
     ];
     Ok(TrainingSummary::of_fit("denoiser", facts, &statistics))
+}
+
+fn baseline(dir: &Path) -> Result<TrainingSummary> {
+    let TrainedSceneTransformer { spec, fingerprint, .. } =
+        TrainedSceneTransformer::read(&checkpoint_file(dir), &Device::Cpu)?;
+    let facts = vec![
+        Fact::new("Layers", format!("{} + {}", spec.network.encoder, spec.network.decoder)),
+        Fact::new("Width", spec.network.width),
+        Fact::new("Joint futures", spec.network.n_modes),
+        Fact::new("State", format!("{:?}", spec.normalizer.parametrization).to_lowercase()),
+        Fact::new("Timesteps", format!("{} + {}", spec.n_history, spec.n_timesteps - spec.n_history)),
+        Fact::new("Steps", spec.steps),
+        Fact::new("Fingerprint", fingerprint),
+    ];
+    Ok(TrainingSummary::of_fit("baseline (Scene Transformer)", facts, &fit_statistics(dir)?))
+}
+
+/// The statistics of a training run. A checkpoint that was taken over has none.
+fn fit_statistics(dir: &Path) -> Result<Vec<FitStatistics>> {
+    let path = dir.join("statistics.jsonl");
+    let text = if path.exists() { fs_err::read_to_string(path)? } else { String::new() };
+    let lines = text.lines().map(serde_json::from_str::<FitStatistics>);
+    Ok(lines.collect::<std::result::Result<Vec<_>, _>>().map_err(anyhow::Error::from)?)
 }
 
 fn add_classifier(model: &mut ReportModel, dir: &Path) -> Result<()> {

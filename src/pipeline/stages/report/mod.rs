@@ -79,6 +79,7 @@ impl Stage for Report<'_> {
             StageId::Mine => Some(("events", &self.layout.events)),
             StageId::TrainDenoiser => Some(("denoiser", &self.layout.denoiser)),
             StageId::TrainClassifier => Some(("classifier", &self.layout.classifier)),
+            StageId::TrainBaseline => Some(("baseline", &self.layout.baseline)),
             StageId::Generate => Some(("samples", &self.layout.samples)),
             StageId::Evaluate => Some(("metrics", &self.layout.metrics)),
             StageId::Report => None,

@@ -1,0 +1,113 @@
+//! Sweeps of the baseline: its joint futures as samples, the likeliest first.
+
+use super::conditioning::Conditioned;
+use super::{Error, Generator, SweepConfig};
+use crate::model::TrainedSceneTransformer;
+use crate::scene::Scene;
+use crate::tensor::{FutureValidity, SceneView};
+use candle_core::Tensor;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+
+/// Which model the samples of a sweep come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SweepModel {
+    /// The denoiser: samples are independent draws, as many as wanted.
+    #[default]
+    Denoiser,
+    /// Scene Transformer of `[train.baseline]`: samples are its joint futures, the likeliest first, with their probabilities.
+    Baseline,
+}
+
+/// What the provenance of the baseline's samples says in place of a guidance.
+pub(super) const GUIDANCE_KIND: &str = "scene_transformer";
+/// What it says in place of a sampler: one forward pass for all samples.
+pub(super) const SAMPLER: &str = "forward-1";
+
+impl SweepConfig {
+    /// Whether its samples are joint futures of the baseline.
+    pub fn uses_baseline(&self) -> bool {
+        self.model == SweepModel::Baseline
+    }
+
+    /// Says what the baseline cannot do.
+    pub(super) fn check_model(&self) -> Result<(), String> {
+        let beyond = [
+            (self.is_guided(), "strengths other than 0"),
+            (!self.objectives.is_empty(), "objectives"),
+            (self.classifier_free.is_some(), "classifier_free"),
+            (self.edit.is_some(), "edit"),
+        ];
+        match beyond.iter().find(|(is_asked, _)| self.uses_baseline() && *is_asked) {
+            Some((_, what)) => Err(format!(
+                "model = \"baseline\" cannot be combined with {what}: Scene Transformer predicts in one pass, in which nothing \
+                 can be guided; use a sweep of the denoiser"
+            )),
+            None => Ok(()),
+        }
+    }
+}
+
+impl<'g> Generator<'g> {
+    /// The model of a sweep of the baseline; `None` for sweeps of the denoiser.
+    ///
+    /// # Errors
+    /// When the baseline is asked for and there is none.
+    pub(super) fn baseline(&self, sweep: &SweepConfig) -> Result<Option<&'g TrainedSceneTransformer>, Error> {
+        match (sweep.uses_baseline(), self.models.baseline) {
+            (false, _) => Ok(None),
+            (true, Some(baseline)) => Ok(Some(baseline)),
+            (true, None) => Err(Error::Config(format!(
+                "sweep {}: model = \"baseline\" needs a trained one; add a section [train.baseline]",
+                sweep.name
+            ))),
+        }
+    }
+
+    /// Refuses a baseline that has too few futures, or was trained on scenes of another kind than the denoiser.
+    pub(super) fn check_baseline(&self, sweep: &SweepConfig) -> Result<(), Error> {
+        let Some(baseline) = self.baseline(sweep)? else { return Ok(()) };
+        let refuse = |why: String| Err(Error::Config(format!("sweep {}: {why}", sweep.name)));
+        let (own, denoiser) = (&baseline.spec, self.spec());
+        let n_modes = own.network.n_modes;
+        if sweep.n_samples > n_modes {
+            let n_samples = sweep.n_samples;
+            return refuse(format!("n_samples is {n_samples}, but the baseline has {n_modes} joint futures"));
+        }
+        let is_alike = (own.n_history, own.n_timesteps) == (denoiser.n_history, denoiser.n_timesteps)
+            && (own.dt_s - denoiser.dt_s).abs() < 1e-6;
+        if !is_alike {
+            return refuse("the baseline was trained on scenes of other timesteps than the denoiser".to_owned());
+        }
+        Ok(())
+    }
+
+    /// Futures `samples`, counted from the likeliest, of each of the given scenes, with their probabilities: all of the first
+    /// scene, then all of the next.
+    pub(super) fn predict(
+        &self,
+        baseline: &TrainedSceneTransformer,
+        given: &[&Conditioned],
+        samples: Range<usize>,
+    ) -> Result<Vec<(Scene, f64)>, Error> {
+        let views: Vec<SceneView<'_>> = given.iter().map(|given| given.view()).collect();
+        let batch = baseline.spec.collator().collate(&views, FutureValidity::Everything, self.device)?;
+        let futures = baseline.network.forward(&batch)?;
+        let (n_modes, n_samples) = (baseline.network.n_modes(), samples.len());
+        let mut rows = Vec::new();
+        let mut probabilities = Vec::new();
+        for (row, ranked) in futures.ranked()?.into_iter().enumerate() {
+            for (mode, probability) in ranked.into_iter().skip(samples.start).take(n_samples) {
+                rows.push((row * n_modes + mode) as u32);
+                probabilities.push(probability);
+            }
+        }
+        let x0 = futures.x0.index_select(&Tensor::new(rows, self.device)?, 0)?;
+        let sources: Vec<&Scene> =
+            given.iter().flat_map(|given| std::iter::repeat_n(&given.scene, n_samples)).collect();
+        let scenes = batch.repeated(n_samples)?.decode_scenes(&x0, &sources)?;
+        Ok(scenes.into_iter().zip(probabilities).collect())
+    }
+}

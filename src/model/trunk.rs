@@ -1,0 +1,112 @@
+//! The stack of transformer layers that all networks of scenes are made of: how do the states of a scene come to see each
+//! other?
+
+use crate::nn::{Axis, CrossAttention, LayerNorm, Mlp, Scope, SelfAttention};
+use candle_core::{Result, Tensor};
+
+/// Shape of a stack of layers.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct TrunkConfig<'a> {
+    /// One letter a layer: T attends over time, A over agents, M reads the map. Blanks are ignored.
+    pub(super) layers: &'a str,
+    /// Features per agent state.
+    pub(super) width: usize,
+    /// Attention heads.
+    pub(super) n_heads: usize,
+    /// Hidden features of the feed-forward part of each layer.
+    pub(super) feed_forward: usize,
+}
+
+/// How one layer mixes states.
+#[derive(Debug, Clone)]
+enum Mixing {
+    Own(SelfAttention, Axis),
+    Map(CrossAttention),
+}
+
+/// A transformer layer in pre-layer-norm form (Xiong et al. 2020): x + Mix(LN x), then x + FFN(LN x).
+#[derive(Debug, Clone)]
+struct Layer {
+    norm_mix: LayerNorm,
+    mixing: Mixing,
+    norm_feed: LayerNorm,
+    feed_forward: Mlp,
+}
+
+/// Layers that attend over time, over agents and to the map, one after the other.
+#[derive(Debug, Clone)]
+pub(super) struct Trunk {
+    layers: Vec<Layer>,
+}
+
+/// The map as the layers of a trunk read it.
+#[derive(Debug, Clone)]
+pub(super) struct LaneKeys {
+    /// Keys and values of each map layer, (M, L, 2 width).
+    keys: Vec<Tensor>,
+    /// 1 where a polyline is no padding, (M, L).
+    valid: Tensor,
+}
+
+impl Trunk {
+    /// Layers with parameters `{name}.{i}.…` below `scope`.
+    ///
+    /// # Errors
+    /// Fails when the layer string holds other letters than T, A and M, or sizes do not fit.
+    pub(super) fn new(scope: &mut Scope<'_>, name: &str, config: TrunkConfig<'_>) -> Result<Self> {
+        let TrunkConfig { layers, width, n_heads, feed_forward } = config;
+        let layer = |(i, letter): (usize, char)| {
+            let mut trunk = scope.enter(name);
+            let mut scope = trunk.enter(&i.to_string());
+            let mixing = match letter {
+                'T' => Mixing::Own(SelfAttention::new(&mut scope, "time", width, n_heads)?, Axis::Time),
+                'A' => Mixing::Own(SelfAttention::new(&mut scope, "agent", width, n_heads)?, Axis::Agent),
+                'M' => Mixing::Map(CrossAttention::new(&mut scope, "map", width, n_heads)?),
+                other => candle_core::bail!("layer string {layers:?} holds {other:?}; use T, A and M"),
+            };
+            Ok(Layer {
+                norm_mix: LayerNorm::new(&mut scope, "norm_mix", width)?,
+                mixing,
+                norm_feed: LayerNorm::new(&mut scope, "norm_feed", width)?,
+                feed_forward: Mlp::new(&mut scope, "feed_forward", &[width, feed_forward, width])?,
+            })
+        };
+        let letters = layers.chars().filter(|letter| !letter.is_whitespace()).enumerate();
+        Ok(Self { layers: letters.map(layer).collect::<Result<_>>()? })
+    }
+
+    /// What its map layers need of encoded polylines `lanes` (M, L, width) with `valid` (M, L).
+    ///
+    /// # Errors
+    /// Fails when shapes do not fit.
+    pub(super) fn project_keys(&self, lanes: &Tensor, valid: &Tensor) -> Result<LaneKeys> {
+        let map_layers = self.layers.iter().filter_map(|layer| match &layer.mixing {
+            Mixing::Map(attention) => Some(attention.project_keys(lanes)),
+            Mixing::Own(..) => None,
+        });
+        Ok(LaneKeys { keys: map_layers.collect::<Result<_>>()?, valid: valid.clone() })
+    }
+
+    /// Features (B, A, T, width) to features of the same shape, with `valid` (B, A, T). B is a multiple of the number of
+    /// maps M: each map belongs to B / M rows that follow each other.
+    ///
+    /// # Errors
+    /// Fails when shapes do not fit, or the map was projected by another trunk.
+    pub(super) fn forward(&self, mut h: Tensor, valid: &Tensor, lanes: &LaneKeys) -> Result<Tensor> {
+        let mut lane_keys = lanes.keys.iter();
+        for layer in &self.layers {
+            let normed = layer.norm_mix.forward(&h)?;
+            let mixed = match (&layer.mixing, lane_keys.as_slice().first()) {
+                (Mixing::Own(attention, axis), _) => attention.forward(&normed, *axis, valid)?,
+                (Mixing::Map(attention), Some(keys)) => {
+                    lane_keys.next();
+                    attention.forward_with_keys(&normed, valid, keys, &lanes.valid)?
+                }
+                (Mixing::Map(_), None) => candle_core::bail!("the known inputs were encoded by another network"),
+            };
+            h = (h + mixed)?;
+            h = (&h + layer.feed_forward.forward_valid(&layer.norm_feed.forward(&h)?, valid)?)?;
+        }
+        Ok(h)
+    }
+}

@@ -1,0 +1,177 @@
+//! The joint loss has the values that it should have by hand, reaches every parameter, and finds both ways of a fork.
+
+use super::*;
+use crate::model::{JointFutures, SceneTransformer, SceneTransformerConfig, TrainedSceneTransformer};
+use crate::nn::Params;
+use crate::progress::Silent;
+use crate::scene::testing::{Drive, scene};
+use crate::scene::{ObservationMask, Scene, Trajectory};
+use crate::seed::Seed;
+use crate::tensor::{
+    Collator, FutureValidity, NormalizerFit, SceneBatch, SceneView, StateParametrization, TaskWeights,
+};
+use candle_core::{Device, Tensor};
+
+/// Two cars: one drives on; the other bears left or right from the present on, which cannot be told before.
+fn fork(idx: usize) -> Scene {
+    let side = if idx.is_multiple_of(2) { 1.0 } else { -1.0 };
+    let mut forked = scene(&[Drive::straight(0.0, -6.0, 0.0, 10.0), Drive::straight(0.0, 0.0, 0.0, 15.0)]);
+    let present = Drive { curvature_1pm: 0.06 * side, ..Drive::straight(4.5, 0.0, 0.0, 15.0) };
+    let turning = scene(&[present]);
+    let track = &mut forked.tracks[1].trajectory;
+    let state = |t: usize| if t < 4 { track.get(t) } else { turning.tracks[0].trajectory.get(t - 3) };
+    *track = Trajectory::new((0..12).map(|t| state(t).copied()).collect());
+    forked
+}
+
+struct Forks(usize);
+
+impl SceneDataset for Forks {
+    fn len(&self) -> usize {
+        self.0
+    }
+
+    fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
+        Ok(fork(idx))
+    }
+}
+
+fn batch(parametrization: StateParametrization, n_rows: usize) -> SceneBatch {
+    let mut fit = NormalizerFit::default();
+    (0..4).for_each(|idx| fit.add(&fork(idx)));
+    let collator =
+        Collator { normalizer: fit.finish(parametrization, 3), n_timesteps: 12, max_agents: 8, max_lanes: 16 };
+    let scenes: Vec<Scene> = (0..n_rows).map(fork).collect();
+    let mask = ObservationMask::predictive(2, 12, 4);
+    let views: Vec<_> = scenes.iter().map(|scene| SceneView { scene, ego_idx: 0, mask: &mask }).collect();
+    collator.collate(&views, FutureValidity::Recorded, &Device::Cpu).unwrap()
+}
+
+fn scalar(tensor: &Tensor) -> f64 {
+    f64::from(tensor.to_scalar::<f32>().unwrap())
+}
+
+#[test]
+fn the_loss_is_that_of_the_best_future_by_hand() {
+    let batch = batch(StateParametrization::Residual, 2);
+    // Futures that are the recorded one, moved along the agent's axis by so many metres in every latent state.
+    let unit = batch.unit.narrow(2, 0, 1).unwrap().unsqueeze(2).unwrap();
+    let moved = |row: usize, metres: f64| {
+        let shift = (unit.recip().unwrap() * metres).unwrap();
+        let zero = shift.zeros_like().unwrap();
+        let shift = Tensor::cat(&[&shift, &zero, &zero], 3).unwrap();
+        let x0 = batch.x0.broadcast_add(&shift).unwrap();
+        x0.broadcast_mul(&batch.latent.unsqueeze(3).unwrap()).unwrap().narrow(0, row, 1).unwrap()
+    };
+    let x0 = Tensor::cat(&[moved(0, 1.0), moved(0, 2.0), moved(1, -3.0), moved(1, 0.0)], 0).unwrap();
+    let logits = Tensor::new(&[[0.0f32, 3f32.ln()], [0.0, 3f32.ln()]], &Device::Cpu).unwrap();
+    let loss = JointLoss::new(&JointFutures { x0, logits }, &batch).unwrap();
+    // Row 0: the first is best, √2 - 1, of probability 1/4. Row 1: the second, 0, of probability 3/4.
+    assert!((scalar(&loss.regression) - (2f64.sqrt() - 1.0) / 2.0).abs() < 1e-4, "{}", loss.regression);
+    assert!((scalar(&loss.mode) - (4f64.ln() + (4.0 / 3.0f64).ln()) / 2.0).abs() < 1e-5, "{}", loss.mode);
+}
+
+#[test]
+fn rows_without_hidden_states_do_not_count() {
+    let whole = batch(StateParametrization::Residual, 2);
+    let mut partly = whole.clone();
+    let keep = Tensor::new(&[1f32, 0.0], &Device::Cpu).unwrap().reshape((2, 1, 1)).unwrap();
+    partly.latent = whole.latent.broadcast_mul(&keep).unwrap();
+    let x0 = (Tensor::ones((4, 2, 12, 3), candle_core::DType::F32, &Device::Cpu).unwrap() * 0.3).unwrap();
+    let logits = Tensor::new(&[[0.5f32, 0.1], [9.0, -9.0]], &Device::Cpu).unwrap();
+    let found = JointLoss::new(&JointFutures { x0: x0.clone(), logits: logits.clone() }, &partly).unwrap();
+    let alone = JointFutures { x0: x0.narrow(0, 0, 2).unwrap(), logits: logits.narrow(0, 0, 1).unwrap() };
+    let expected = JointLoss::new(&alone, &batch(StateParametrization::Residual, 1)).unwrap();
+    assert!((scalar(&found.regression) - scalar(&expected.regression)).abs() < 1e-5);
+    assert!((scalar(&found.mode) - scalar(&expected.mode)).abs() < 1e-5);
+}
+
+fn network() -> SceneTransformerConfig {
+    SceneTransformerConfig {
+        encoder: "TAM".to_owned(),
+        decoder: "TA".to_owned(),
+        width: 16,
+        n_heads: 2,
+        feed_forward: 32,
+        encoding: 8,
+        n_modes: 2,
+    }
+}
+
+#[test]
+fn every_parameter_receives_a_gradient() {
+    let mut params = Params::new(&Device::Cpu);
+    let network = SceneTransformer::new(&mut params, &network(), 3, StateParametrization::Motion, Seed(1)).unwrap();
+    let batch = batch(StateParametrization::Motion, 2);
+    let JointLoss { regression, mode } = JointLoss::new(&network.forward(&batch).unwrap(), &batch).unwrap();
+    let gradients = (regression + mode).unwrap().backward().unwrap();
+    for (name, var) in params.iter() {
+        let gradient = gradients.get(var.as_tensor()).unwrap_or_else(|| panic!("{name} has no gradient"));
+        let values = gradient.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        assert!(values.iter().any(|g| *g != 0.0), "the gradient of {name} is zero");
+    }
+}
+
+/// The loss of driving straight on: the best that a single future can do about a fork.
+fn straight_error() -> f64 {
+    let (recorded, straight) = (fork(0), scene(&[Drive::straight(0.0, 0.0, 0.0, 15.0)]));
+    let error = |t: usize| {
+        let (a, b) = (recorded.tracks[1].trajectory.get(t).unwrap(), straight.tracks[0].trajectory.get(t).unwrap());
+        let (d, angle) = (a.position.distance(b.position), a.heading_rad - b.heading_rad);
+        (1.0 + d * d).sqrt() + (1.0 + angle * angle).sqrt() - 2.0
+    };
+    (4..12).map(error).sum::<f64>() / 16.0
+}
+
+#[test]
+fn both_ways_of_a_fork_are_found_with_even_odds_and_the_checkpoint_reads_back() {
+    let only_predictive = TaskWeights {
+        predictive: 1.0,
+        goal_conditioned: 0.0,
+        agent_conditioned: 0.0,
+        ego_conditioned: 0.0,
+        windowed: 0.0,
+        upsampling: 0.0,
+        imputation: 0.0,
+    };
+    let config = BaselineTrainingConfig {
+        preset: Preset::Tiny,
+        network: Some(network()),
+        tasks: only_predictive,
+        steps: Some(250),
+        learning_rate: Some(5e-3),
+        batch_size: Some(4),
+        n_eval_scenes: Some(8),
+        ..BaselineTrainingConfig::default()
+    };
+    let dataset = Forks(40);
+    let data = TrainingData {
+        dataset: &dataset,
+        train: (0..32).collect(),
+        held_out: (32..40).collect(),
+        state_dim: 3,
+        fingerprint: "scenes".to_owned(),
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let training = config.resolve().unwrap();
+    let outcome = train_baseline(&training, &data, Seed(3), dir.path(), &Device::Cpu, &Silent).unwrap();
+    let last = &outcome.statistics.last().unwrap().evaluation;
+    let (error, bound) = (last["held_out_error_of_best"], straight_error());
+    assert!(error < 0.4 * bound, "{error}, where driving on straight has {bound}");
+    let odds = last["held_out_mode_loss"];
+    assert!((odds - 2f64.ln()).abs() < 0.1, "{odds}");
+    let read = TrainedSceneTransformer::read(&dir.path().join("model.safetensors"), &Device::Cpu).unwrap();
+    assert_eq!((read.spec, read.fingerprint), (outcome.spec, outcome.fingerprint));
+}
+
+#[test]
+fn settings_that_make_no_sense_are_named() {
+    for (config, name) in [
+        (BaselineTrainingConfig { mode_loss: 0.0, ..Default::default() }, "mode_loss"),
+        (BaselineTrainingConfig { batch_size: Some(0), ..Default::default() }, "batch_size"),
+        (BaselineTrainingConfig { ema_decay: Some(1.0), ..Default::default() }, "ema_decay"),
+    ] {
+        let message = config.resolve().unwrap_err().to_string();
+        assert!(message.contains("train.baseline.") && message.contains(name), "{message}");
+    }
+}
