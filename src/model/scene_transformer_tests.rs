@@ -117,7 +117,7 @@ fn futures_are_ranked_by_probability() {
 fn the_published_network_has_12_layers_and_then_4() {
     let config = SceneTransformerConfig::default();
     let mut params = Params::new(&Device::Cpu);
-    SceneTransformer::new(&mut params, &config, 3, StateParametrization::Motion, Seed(1)).unwrap();
+    SceneTransformer::new(&mut params, &config, 3, StateParametrization::Scene, Seed(1)).unwrap();
     let count =
         |name: &str| params.iter().filter(|(n, _)| n.starts_with(name) && n.ends_with("norm_mix.weight")).count();
     assert_eq!((count("encoder."), count("decoder.")), (12, 4));
