@@ -29,7 +29,7 @@ pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
         }
         p class="note" { "Means with their standard error. Recorded futures are the reference: their own row shows what the metric says of real traffic. "
             "The constant-velocity baseline carries every agent on as it moved at the present." }
-        details open {
+        details {
             summary { "What the metrics mean" }
             dl class="definitions" {
                 @for doc in &docs { dt { (heading(doc)) } dd { (doc.description) "." (better(doc)) } }
