@@ -1,6 +1,7 @@
 //! A denoiser whose clean estimates lean toward what is wished of clean samples, such as of decoded trajectories.
 
 use super::guided_denoiser::limit_norm;
+use super::objectives::nothing;
 use super::{GuidanceConfig, ObjectiveConfig, SceneContext};
 use crate::diffusion::{Denoiser, rows_like, sigma_rows};
 use crate::tensor::SceneBatch;
@@ -31,7 +32,7 @@ pub struct ObjectiveSum<'a> {
 impl CleanPotential for ObjectiveSum<'_> {
     fn log_potential(&self, x0: &Tensor) -> Result<Tensor> {
         let states = self.batch.decode(x0)?;
-        let mut total = (states.flatten_from(1)?.sum(1)? * 0.0)?;
+        let mut total = nothing(&states)?;
         for objective in self.objectives.iter().map(ObjectiveConfig::objective) {
             total = (total + (objective.log_potential(&states, self.context)? * objective.weight())?)?;
         }

@@ -90,3 +90,31 @@ fn gradients_go_through_the_network() {
     let slope = (at(h) - at(-h)) / (2.0 * h as f32);
     assert!(length > 0.1 && (slope / length - 1.0).abs() < 0.03, "slope {slope}, gradient {length}");
 }
+
+#[test]
+fn objectives_with_nothing_to_say_change_nothing() {
+    let spec = denoiser_spec(StateParametrization::Residual);
+    let network =
+        SceneDenoiser::new(&mut Params::new(&Device::Cpu).frozen(), &spec.network, 3, spec.edm, Seed(1)).unwrap();
+    let (scene, roles) = (scene(3), roles());
+    let batch = batch(std::slice::from_ref(&scene), 1);
+    let bound = network.bind(&batch, 1).unwrap();
+    let context = SceneContext::new(&batch, &[ContextRow { scene: &scene, ego_idx: 1, roles: &roles }]).unwrap();
+    // The scene has no lanes to stay on.
+    let objectives: Vec<ObjectiveConfig> = serde_json::from_str(r#"[{ "kind": "stay_on_road" }]"#).unwrap();
+    let potential = ObjectiveSum { objectives: &objectives, batch: &batch, context: &context };
+    let guided = CleanGuidedDenoiser {
+        inner: &bound,
+        potential: &potential,
+        strength: 1.0,
+        gate: GuidanceConfig::UNRESTRICTED,
+        config: ObjectiveGuidanceConfig::default(),
+        sigma_data: 0.5,
+    };
+    let x = NoiseSource::new(vec![Seed(1)]).draw_like(&batch.x0).unwrap();
+    let sigma = Tensor::new(&[1.0f32], &Device::Cpu).unwrap();
+    let values = |denoiser: &dyn Denoiser| {
+        denoiser.denoise(&x, &sigma).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap()
+    };
+    assert_eq!(values(&guided), values(&bound));
+}

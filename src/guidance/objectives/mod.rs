@@ -30,6 +30,7 @@ pub use acceleration_limit::AccelerationLimit;
 pub use adversarial_ttc::AdversarialTtc;
 pub use goal::{Goal, GoalFrame};
 pub use keep_distance::KeepDistance;
+pub(super) use motion::nothing;
 pub use no_collision::NoCollision;
 pub use speed_limit::SpeedLimit;
 pub use stay_on_road::{RoadPoints, StayOnRoad};

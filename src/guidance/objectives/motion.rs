@@ -37,9 +37,11 @@ pub(super) fn integral(values: &Tensor, terms: &Tensor, agents: &Tensor, dt_s: f
     (counted * agents)?.sum(1)? * dt_s
 }
 
-/// 0 in each row, (B), that depends on `states` as gradients need it.
-pub(super) fn nothing(states: &Tensor) -> Result<Tensor> {
-    states.flatten_from(1)?.sum(1)? * 0.0
+/// 0 in each row, (B), that depends on `states` as gradients need it: backward passes do not follow a factor that is a plain
+/// 0, so the zeros are a tensor.
+pub(in crate::guidance) fn nothing(states: &Tensor) -> Result<Tensor> {
+    let sums = states.flatten_from(1)?.sum(1)?;
+    &sums * sums.zeros_like()?
 }
 
 /// Says which of these parameters is no positive number.
