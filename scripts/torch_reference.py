@@ -11,7 +11,7 @@ To use a checkpoint from Python:
 
 with x (B, A, T, D) noisy states in units of the checkpoint's normalizer, zero where not latent, sigma (B,), and in batch:
 context (B, A, T, D), features (B, A, T, 7), valid and latent (B, A, T), lanes (B, L, 35), lane_valid (B, L), and for
-motion parametrization observed_motion (B, A, T, D) and path (B, A, T, T). ARCHITECTURE.md, section `tensor`, says what these hold.
+motion parametrization observed_motion (B, A, T, D) and path (B, A, T, T). src/tensor/scene_batch.rs says what these hold.
 
 The network is written from the paper (appendix A) with PyTorch's own functions where they exist.
 """

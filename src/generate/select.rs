@@ -1,6 +1,6 @@
 //! Which samples become scenarios? Rejection by limits of metrics, and the best of many.
 
-use crate::metrics::{Direction, Metric, SampleGroup, by_id};
+use crate::metrics::{ALL, Direction, Metric, SampleGroup, by_id};
 use crate::scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -33,7 +33,8 @@ impl SelectConfig {
     pub(super) fn validate(&self) -> Result<(), String> {
         for id in self.limits.keys().chain(&self.by) {
             let Some(metric) = by_id(id) else {
-                return Err(format!("{id:?} is no metric; `djinn evaluate --help` names them"));
+                let known: Vec<&str> = ALL.iter().map(|metric| metric.spec().id).collect();
+                return Err(format!("{id:?} is no metric; known here: {}", known.join(", ")));
             };
             if metric.spec().direction == Direction::Neither {
                 return Err(format!("{id}: neither more nor less of it is better, so it cannot select"));
