@@ -109,6 +109,10 @@ fn what_is_to_be_generated_never_shows_in_what_the_network_is_given() {
         };
         assert!(same(&a.context, &b.context) && same(&a.features, &b.features) && same(&a.base, &b.base));
         assert!(!same(&a.x0, &b.x0));
+        for (x, y) in [(&a.observed_motion, &b.observed_motion), (&a.path, &b.path)] {
+            assert_eq!(x.is_some(), parametrization == StateParametrization::Motion);
+            assert!(x.as_ref().zip(y.as_ref()).is_none_or(|(x, y)| same(x, y)));
+        }
     }
 }
 

@@ -1,0 +1,189 @@
+//! Do wishes of clean samples shift estimates as the closed forms of Gaussian data and mixtures say?
+
+use super::*;
+use crate::diffusion::analytic::{Component, GaussianMixture, MixtureDenoiser};
+use crate::diffusion::sampler::HeunConfig;
+use crate::diffusion::{Edm, NoiseSource, SamplerConfig};
+use crate::seed::Seed;
+use candle_core::{DType, Device};
+
+const SIGMA: f64 = 0.8;
+const AT: [f64; 2] = [0.7, -0.4];
+
+fn gaussian(variance: [f64; 2]) -> GaussianMixture {
+    let component = Component { weight: 1.0, mean: vec![0.3, -0.2], variance: variance.to_vec() };
+    GaussianMixture { components: vec![component] }
+}
+
+/// J = c · x₀.
+struct Linear([f64; 2]);
+impl CleanPotential for Linear {
+    fn log_potential(&self, x0: &Tensor) -> Result<Tensor> {
+        x0.broadcast_mul(&Tensor::new(&self.0, x0.device())?)?.sum(1)
+    }
+}
+
+/// J = -½ k (c · x₀ - b)².
+struct Squared([f64; 2], f64, f64);
+impl CleanPotential for Squared {
+    fn log_potential(&self, x0: &Tensor) -> Result<Tensor> {
+        (Linear(self.0).log_potential(x0)? - self.1)?.sqr()? * (-0.5 * self.2)
+    }
+}
+
+/// J = -½ Σ k (x₀ - b)².
+struct Bowl([f64; 2], [f64; 2]);
+impl CleanPotential for Bowl {
+    fn log_potential(&self, x0: &Tensor) -> Result<Tensor> {
+        let offset = x0.broadcast_sub(&Tensor::new(&self.1, x0.device())?)?;
+        offset.sqr()?.broadcast_mul(&Tensor::new(&self.0, x0.device())?)?.sum(1)? * -0.5
+    }
+}
+
+fn guided<'a>(
+    inner: &'a dyn Denoiser,
+    potential: &'a dyn CleanPotential,
+    gradient: CleanGradient,
+    damped: bool,
+    inner_steps: usize,
+) -> CleanGuidedDenoiser<'a> {
+    let config = ObjectiveGuidanceConfig { gradient, damped, inner_steps };
+    CleanGuidedDenoiser { inner, potential, strength: 1.5, gate: GuidanceConfig::UNRESTRICTED, config, sigma_data: 0.5 }
+}
+
+fn estimate(denoiser: &dyn Denoiser, sigma: f64) -> [f64; 2] {
+    let (x, sigma) = (Tensor::new(&[AT], &Device::Cpu).unwrap(), Tensor::new(&[sigma], &Device::Cpu).unwrap());
+    denoiser.denoise(&x, &sigma).unwrap().get(0).unwrap().to_vec1::<f64>().unwrap().try_into().unwrap()
+}
+
+fn assert_close(found: [f64; 2], expected: [f64; 2], tolerance: f64) {
+    assert!((0..2).all(|i| (found[i] - expected[i]).abs() < tolerance), "{found:?}, expected {expected:?}");
+}
+
+/// Mean and variance of the clean point given the noisy one, by Bayes' rule.
+fn posterior(variance: f64, mean: f64, at: f64, sigma: f64) -> (f64, f64) {
+    let precision = 1.0 / variance + 1.0 / (sigma * sigma);
+    ((mean / variance + at / (sigma * sigma)) / precision, 1.0 / precision)
+}
+
+#[test]
+fn linear_wishes_of_gaussian_data_are_met_exactly_both_ways() {
+    let c = [2.0, -0.7];
+    for (variance, gradients) in [
+        ([0.25, 0.25], vec![CleanGradient::Clean, CleanGradient::ThroughNetwork]),
+        // Other variances than σ_data² are known to the network alone.
+        ([0.04, 0.6], vec![CleanGradient::ThroughNetwork]),
+    ] {
+        let denoiser = MixtureDenoiser::new(&gaussian(variance), DType::F64).unwrap();
+        for gradient in gradients {
+            let found = estimate(&guided(&denoiser, &Linear(c), gradient, false, 1), SIGMA);
+            // The posterior under the tilt exp(1.5 c · x₀): its mean moves by 1.5 times its covariance times c.
+            let expected = [0, 1].map(|i| {
+                let (mean, variance) = posterior(variance[i], [0.3, -0.2][i], AT[i], SIGMA);
+                mean + 1.5 * variance * c[i]
+            });
+            assert_close(found, expected, 1e-12);
+        }
+    }
+}
+
+#[test]
+fn the_covariance_of_a_mixture_comes_from_its_denoiser() {
+    let components = vec![
+        Component { weight: 0.6, mean: vec![-0.6, 0.2], variance: vec![0.04, 0.02] },
+        Component { weight: 0.4, mean: vec![0.4, -0.1], variance: vec![0.03, 0.09] },
+    ];
+    let denoiser = MixtureDenoiser::new(&GaussianMixture { components }, DType::F64).unwrap();
+    let (x, sigma) = (Tensor::new(&[AT], &Device::Cpu).unwrap(), Tensor::new(&[SIGMA], &Device::Cpu).unwrap());
+    let posterior = denoiser.posterior(&x, &sigma).unwrap();
+    let share = posterior.log_responsibility.exp().unwrap().to_vec2::<f64>().unwrap()[0].clone();
+    let mean = posterior.mean.to_vec3::<f64>().unwrap()[0].clone();
+    let within = posterior.variance.to_vec3::<f64>().unwrap()[0].clone();
+    let middle = [0, 1].map(|i| share[0] * mean[0][i] + share[1] * mean[1][i]);
+    // The law of total covariance.
+    let covariance = |i: usize, j: usize| {
+        let own = |k: usize| {
+            let spread = (mean[k][i] - middle[i]) * (mean[k][j] - middle[j]);
+            share[k] * (spread + if i == j { within[k][i] } else { 0.0 })
+        };
+        own(0) + own(1)
+    };
+    let c = [2.0, -0.7];
+    let expected = [0, 1].map(|i| middle[i] + 1.5 * (covariance(i, 0) * c[0] + covariance(i, 1) * c[1]));
+    let found = estimate(&guided(&denoiser, &Linear(c), CleanGradient::ThroughNetwork, false, 1), SIGMA);
+    assert_close(found, expected, 1e-10);
+}
+
+#[test]
+fn damping_is_exact_for_the_square_of_one_linear_wish() {
+    let (c, b, k) = ([2.0, -0.7], 3.0, 40.0);
+    let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();
+    let (mean, variance) = {
+        let both = [0, 1].map(|i| posterior(0.25, [0.3, -0.2][i], AT[i], SIGMA));
+        ([both[0].0, both[1].0], both[0].1)
+    };
+    // A normal observation b of c · x₀ with precision 1.5 k.
+    let residual = b - c[0] * mean[0] - c[1] * mean[1];
+    let gain = 1.5 * k * variance / (1.0 + 1.5 * k * variance * (c[0] * c[0] + c[1] * c[1]));
+    let expected = [0, 1].map(|i| mean[i] + gain * c[i] * residual);
+    for gradient in [CleanGradient::Clean, CleanGradient::ThroughNetwork] {
+        for inner_steps in [1, 3] {
+            let found = estimate(&guided(&denoiser, &Squared(c, b, k), gradient, true, inner_steps), SIGMA);
+            assert_close(found, expected, 1e-10);
+        }
+        // Without damping the step is as long as the curvature is large.
+        let wild = estimate(&guided(&denoiser, &Squared(c, b, k), gradient, false, 1), SIGMA);
+        assert!((wild[0] - mean[0]).abs() > 20.0 * (expected[0] - mean[0]).abs());
+    }
+}
+
+#[test]
+fn inner_steps_converge_to_the_tilted_posterior() {
+    let (k, b) = ([30.0, 3.0], [1.0, 2.0]);
+    let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();
+    let expected = [0, 1].map(|i| {
+        let (mean, variance) = posterior(0.25, [0.3, -0.2][i], AT[i], SIGMA);
+        (mean / variance + 1.5 * k[i] * b[i]) / (1.0 / variance + 1.5 * k[i])
+    });
+    let error = |inner_steps: usize| {
+        let found = estimate(&guided(&denoiser, &Bowl(k, b), CleanGradient::Clean, true, inner_steps), SIGMA);
+        (found[0] - expected[0]).hypot(found[1] - expected[1])
+    };
+    assert!(
+        error(5) < error(1) && error(20) < error(1) / 2.0 && error(200) < 1e-3,
+        "{} {} {}",
+        error(1),
+        error(5),
+        error(200)
+    );
+}
+
+#[test]
+fn samples_of_gaussian_data_follow_the_tilted_distribution() {
+    let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();
+    let (c, linear) = ([0.8, -0.4], Linear([0.8, -0.4]));
+    let guided = guided(&denoiser, &linear, CleanGradient::Clean, false, 1);
+    let mut noise = NoiseSource::new((0..3000).map(|row| Seed(11).derive("row", &[row])).collect());
+    let like = Tensor::zeros(1, DType::F64, &Device::Cpu).unwrap();
+    let sampler = SamplerConfig::Heun(HeunConfig::with_steps(20));
+    let x = sampler.sample(&Edm::default(), &guided, &[2], &like, &mut noise, &mut |_| {}).unwrap();
+    let mean: [f64; 2] = x.mean(0).unwrap().to_vec1::<f64>().unwrap().try_into().unwrap();
+    // exp(1.5 c · x₀) moves the mean by 1.5 · 0.25 c; the mean of 3000 has a standard error of 0.01.
+    assert_close(mean, [0.3 + 0.375 * c[0], -0.2 + 0.375 * c[1]], 0.03);
+}
+
+#[test]
+fn the_gate_and_the_limit_hold_and_no_strength_is_no_guidance() {
+    let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();
+    let (linear, plain) = (Linear([2.0, 1.0]), |sigma: f64| estimate(&denoiser, sigma));
+    for gradient in [CleanGradient::Clean, CleanGradient::ThroughNetwork] {
+        let mut guided = guided(&denoiser, &linear, gradient, true, 2);
+        guided.gate = GuidanceConfig { sigma_lo: 0.1, sigma_hi: 2.0, max_shift: 0.05 };
+        assert_eq!(estimate(&guided, 0.05), plain(0.05));
+        assert_eq!(estimate(&guided, 3.0), plain(3.0));
+        let (shifted, own) = (estimate(&guided, 0.8), plain(0.8));
+        assert!(((shifted[0] - own[0]).hypot(shifted[1] - own[1]) - 0.05).abs() < 1e-9);
+        guided.strength = 0.0;
+        assert_eq!(estimate(&guided, 0.8), plain(0.8));
+    }
+}

@@ -1,0 +1,151 @@
+//! Is a store whole or resumable whatever interrupts its writer, and what is refused?
+
+use super::*;
+use crate::store::testing::{folder_bytes, map, scene};
+use serde_json::json;
+
+/// The batches of a job: (scenes, maps first needed, units done).
+type Batch = (Vec<Scene>, Vec<(MapId, LaneGraph)>, u64);
+
+fn batches() -> Vec<Batch> {
+    let maps: Vec<(MapId, LaneGraph)> = (0..3).map(|i| (MapId(format!("map {i}")), map(i, 8))).collect();
+    let scenes = |range: std::ops::Range<u64>, map_idx: usize| -> Vec<Scene> {
+        let (id, graph) = &maps[map_idx];
+        range.map(|seed| scene(seed, Some((id, graph)))).collect()
+    };
+    vec![
+        (scenes(0..3, 0), vec![maps[0].clone()], 4),
+        (Vec::new(), Vec::new(), 6),
+        (scenes(3..6, 0), Vec::new(), 9),
+        (scenes(6..9, 1), vec![maps[1].clone()], 12),
+        (scenes(9..10, 0), Vec::new(), 13),
+        (scenes(10..12, 2), vec![maps[2].clone()], 15),
+        (Vec::new(), Vec::new(), 16),
+    ]
+}
+
+const OPTIONS: SceneWriterOptions = SceneWriterOptions { scenes_per_shard: 4 };
+
+/// Writes the batches that are not done yet. As an ingest does after an interruption, all maps that they need are given
+/// again when they come first since then.
+fn write_rest(writer: &mut SceneWriter, done: u64, n_batches: usize) {
+    let all = batches();
+    let mut given = BTreeSet::new();
+    for (scenes, _, units_done) in all.iter().take(n_batches).filter(|(.., units_done)| *units_done > done) {
+        let needed: BTreeSet<&MapId> = scenes.iter().filter_map(|scene| scene.map_id.as_ref()).collect();
+        let maps = all.iter().flat_map(|(_, maps, _)| maps).filter(|(id, _)| needed.contains(id));
+        let maps: Vec<_> = maps.filter(|(id, _)| given.insert(id.clone())).cloned().collect();
+        writer.write_batch(scenes, &maps, *units_done, &json!({ "units": units_done })).unwrap();
+    }
+}
+
+fn uninterrupted(dir: &Path) -> SceneManifest {
+    let mut writer = SceneWriter::create(dir, OPTIONS).unwrap();
+    write_rest(&mut writer, 0, usize::MAX);
+    writer.finish(&json!({ "units": 16 })).unwrap()
+}
+
+#[test]
+fn shards_end_with_the_batch_that_fills_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let manifest = uninterrupted(dir.path());
+    let n_scenes: Vec<u64> = manifest.shards.iter().map(|shard| shard.n_scenes).collect();
+    assert_eq!(n_scenes, [6, 4, 2]);
+    let n_maps: Vec<u64> = manifest.shards.iter().filter_map(|shard| shard.maps.as_ref()).map(|m| m.n_maps).collect();
+    assert_eq!(n_maps, [1, 1, 1]);
+    assert_eq!((manifest.n_scenes, manifest.n_maps), (12, 3));
+    assert_eq!(SceneManifest::read(dir.path()).unwrap(), manifest);
+}
+
+#[test]
+fn a_resumed_store_has_the_bytes_of_an_uninterrupted_one() {
+    let whole = tempfile::tempdir().unwrap();
+    uninterrupted(whole.path());
+    let expected = folder_bytes(whole.path());
+    for n_batches in 0..=batches().len() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut writer = SceneWriter::create(dir.path(), OPTIONS).unwrap();
+        write_rest(&mut writer, 0, n_batches);
+        // A killed process does not clean up.
+        std::mem::forget(writer);
+        let (mut writer, last) = SceneWriter::resume(dir.path(), OPTIONS).unwrap();
+        write_rest(&mut writer, last.as_ref().map_or(0, |sidecar| sidecar.units_done), usize::MAX);
+        writer.finish(&json!({ "units": 16 })).unwrap();
+        assert!(folder_bytes(dir.path()) == expected, "interrupted after {n_batches} batches");
+    }
+}
+
+#[test]
+fn a_kill_between_any_two_renames_is_survived() {
+    let whole = tempfile::tempdir().unwrap();
+    uninterrupted(whole.path());
+    let expected = folder_bytes(whole.path());
+    // Files get their names in this order; a kill leaves a prefix of it, and a half-written file after it.
+    let mut order: Vec<String> = Vec::new();
+    for shard_idx in 0..3 {
+        order.push(shard_name("maps", shard_idx, "arrow"));
+        order.push(shard_name("scenes", shard_idx, "arrow"));
+        order.push(sidecar_name(shard_idx));
+    }
+    order.push(MANIFEST_FILE.to_owned());
+    assert_eq!(order.len(), expected.len());
+    for n_named in 0..=order.len() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in &order[..n_named] {
+            fs::write(dir.path().join(name), &expected[name]).unwrap();
+        }
+        if let Some(name) = order.get(n_named) {
+            fs::write(dir.path().join(format!("{name}.partial")), &expected[name][..10]).unwrap();
+        }
+        let (mut writer, last) = SceneWriter::resume(dir.path(), OPTIONS).unwrap();
+        assert_eq!(last.is_some(), n_named >= 3);
+        write_rest(&mut writer, last.map_or(0, |sidecar| sidecar.units_done), usize::MAX);
+        writer.finish(&json!({ "units": 16 })).unwrap();
+        assert!(folder_bytes(dir.path()) == expected, "killed after {n_named} renames");
+    }
+}
+
+#[test]
+fn create_removes_an_earlier_store_and_nothing_else() {
+    let dir = tempfile::tempdir().unwrap();
+    uninterrupted(dir.path());
+    fs::write(dir.path().join("scenes-of-mine.txt"), "keep").unwrap();
+    let writer = SceneWriter::create(dir.path(), OPTIONS).unwrap();
+    drop(writer);
+    assert_eq!(folder_bytes(dir.path()).into_keys().collect::<Vec<_>>(), ["scenes-of-mine.txt"]);
+}
+
+#[test]
+fn a_scene_that_comes_twice_is_refused_even_after_an_interruption() {
+    let dir = tempfile::tempdir().unwrap();
+    let batches = batches();
+    let options = SceneWriterOptions { scenes_per_shard: 3 };
+    let mut writer = SceneWriter::create(dir.path(), options).unwrap();
+    let (scenes, maps, units) = &batches[0];
+    writer.write_batch(scenes, maps, *units, &json!({})).unwrap();
+    for mut writer in [writer, SceneWriter::resume(dir.path(), options).unwrap().0] {
+        let error = writer.write_batch(&scenes[1..2], &[], units + 1, &json!({})).unwrap_err();
+        assert!(matches!(&error, Error::DuplicateScene { id } if *id == scenes[1].id.0), "{error}");
+    }
+}
+
+#[test]
+fn a_scene_whose_map_was_never_given_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut writer = SceneWriter::create(dir.path(), OPTIONS).unwrap();
+    let scenes = [scene(1, Some((&MapId::from("PIT"), &map(1, 8))))];
+    let error = writer.write_batch(&scenes, &[], 1, &Value::Null).unwrap_err();
+    assert_eq!(error.to_string(), "cannot store argoverse1/train/PIT/1: its map was not given before it");
+}
+
+#[test]
+fn states_that_are_not_finite_are_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut writer = SceneWriter::create(dir.path(), OPTIONS).unwrap();
+    let mut scene = scene(1, None);
+    let mut states = scene.tracks[0].trajectory.entries().to_vec();
+    states[5].as_mut().unwrap().velocity.x = 1e300;
+    scene.tracks[0].trajectory = crate::scene::Trajectory::new(states);
+    let error = writer.write_batch(&[scene], &[], 1, &Value::Null).unwrap_err();
+    assert!(error.to_string().contains("track track-0 is not finite at timestep 5"), "{error}");
+}
