@@ -64,6 +64,9 @@ pub(super) enum TrainCommand {
     /// Train the diffusion model that generates scenarios
     #[command(after_help = help::TRAIN_DENOISER)]
     Denoiser(TrainDenoiserArgs),
+    /// Tune a trained diffusion model to need few evaluations
+    #[command(after_help = help::TRAIN_DISTILL)]
+    Distill(TrainDistillArgs),
     /// Train the classifier that guides generation toward a behavior
     #[command(after_help = help::TRAIN_CLASSIFIER)]
     Classifier(TrainClassifierArgs),
@@ -136,6 +139,16 @@ pub(super) struct TrainDenoiserArgs {
 }
 
 #[derive(Debug, clap::Args)]
+pub(super) struct TrainDistillArgs {
+    #[command(flatten)]
+    pub(super) scenes: ScenesArg,
+    #[command(flatten)]
+    pub(super) denoiser: DenoiserArg,
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+}
+
+#[derive(Debug, clap::Args)]
 pub(super) struct TrainClassifierArgs {
     #[command(flatten)]
     pub(super) scenes: ScenesArg,
@@ -161,6 +174,9 @@ pub(super) struct GenerateArgs {
     pub(super) scenes: ScenesArg,
     #[command(flatten)]
     pub(super) denoiser: DenoiserArg,
+    /// The folder of a distilled denoiser [default: distilled in the output folder]
+    #[arg(long, value_name = "DIR")]
+    pub(super) distilled: Option<PathBuf>,
     /// The folder of a trained classifier [default: classifier in the output folder]
     #[arg(long, value_name = "DIR")]
     pub(super) classifier: Option<PathBuf>,

@@ -17,8 +17,8 @@ Exit codes:
 
 /// Of `run`.
 pub(super) const RUN: &str = "\
-A pipeline file has one section a stage: [ingest], [mine], [train.denoiser], [train.classifier],
-[train.baseline], [generate], [evaluate], [report]. The stages whose sections are there run, in this order. Relative paths in it are relative to the
+A pipeline file has one section a stage: [ingest], [mine], [train.denoiser], [train.distill],
+[train.classifier], [train.baseline], [generate], [evaluate], [report]. The stages whose sections are there run, in this order. Relative paths in it are relative to the
 current directory. Results go to <output>/<pipeline>/<run>/; stages whose configuration and inputs did not change are
 not run again.
 
@@ -46,6 +46,15 @@ pub(super) const TRAIN_DENOISER: &str = "\
 Examples:
   djinn train denoiser --config pipelines/cut_in_corpus.toml --output output/try
   djinn train denoiser --scenes output/argoverse1/scenes --set train.denoiser.preset=tiny --output output/try";
+
+/// Of `train distill`.
+pub(super) const TRAIN_DISTILL: &str = "\
+The result has the same network, and samples in one to three evaluations:
+sweeps with model = \"distilled\" and sampler = { kind = \"consistency\", levels = [0.8] }.
+
+Examples:
+  djinn train distill --config pipelines/few_evaluations.toml --output output/try
+  djinn train distill --denoiser checkpoints/small --scenes output/argoverse1/scenes --output output/try";
 
 /// Of `train classifier`.
 pub(super) const TRAIN_CLASSIFIER: &str = "\

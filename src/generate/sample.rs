@@ -149,7 +149,8 @@ impl Generator<'_> {
         let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
         let tensors = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
         let n_samples = batch.samples.len();
-        let bound = self.models.denoiser.denoiser.bind(&tensors, n_samples)?;
+        let denoiser = self.denoiser(batch.sweep)?;
+        let bound = denoiser.denoiser.bind(&tensors, n_samples)?;
         let wanted = match batch.sweep.classifier_free.as_ref().filter(|_| batch.level.weight != 0.0) {
             Some(config) => Some(self.wanted_states(config, batch, &tensors)?),
             None => None,
@@ -169,7 +170,7 @@ impl Generator<'_> {
         let x = match wanted {
             Some(extended) => {
                 let change = MaskChange::new(&tensors, &extended)?;
-                let conditional = self.models.denoiser.denoiser.bind(&extended, 1)?;
+                let conditional = denoiser.denoiser.bind(&extended, 1)?;
                 let leaning = ClassifierFreeDenoiser {
                     unconditional: &bound,
                     conditional: &conditional,
@@ -226,11 +227,11 @@ impl Generator<'_> {
         let mut noise = NoiseSource::new(seeds.collect());
         let row_dims = &tensors.x0.dims()[1..];
         let mut observer = |step: &Step<'_>| progress.note(&format!("step {} of {}", step.step_idx + 1, step.n_steps));
-        let edm = self.models.denoiser.denoiser.edm();
+        let edm = &self.spec().edm;
         let sampler = batch.sweep.sampler(self.config);
         if let Some(edit) = batch.sweep.edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
             let x = noisy_guide(edit, &tensors.x0, &mut noise)?;
-            let sigmas = edit.schedule(edm, sampler.n_steps());
+            let sigmas = edit.schedule(edm, sampler);
             return Ok(sampler.integrate(&sigmas, denoiser, x, &mut noise, &mut observer)?);
         }
         Ok(sampler.sample(edm, denoiser, row_dims, &tensors.x0, &mut noise, &mut observer)?)
@@ -249,7 +250,7 @@ impl Generator<'_> {
             Some(model) => (&model.fingerprint, baseline::GUIDANCE_KIND.to_owned(), baseline::SAMPLER.to_owned()),
             None => {
                 let kind = self.guidance_kind(sweep, level);
-                (&self.models.denoiser.fingerprint, kind, sweep.sampler(self.config).name())
+                (&self.denoiser(sweep)?.fingerprint, kind, sweep.sampler(self.config).name())
             }
         };
         let provenance = Provenance {
