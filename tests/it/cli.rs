@@ -11,7 +11,7 @@ fn help_teaches_every_command() {
         assert!(top.contains(part), "`{part}` is missing in\n{top}");
     }
     for command in
-        ["run", "ingest", "mine", "train denoiser", "train classifier", "generate", "evaluate", "report", "inspect"]
+        ["run", "ingest", "mine", "train denoiser", "train classifier", "generate", "evaluate", "report", "export", "inspect"]
     {
         let first_word = command.split(' ').next().unwrap();
         assert!(top.contains(&format!("\n  {first_word}")), "{first_word}");
