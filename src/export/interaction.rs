@@ -245,7 +245,7 @@ mod tests {
                 let Some((ours, theirs)) = ours.zip(theirs) else { continue };
                 assert!(ours.position.distance(theirs.position) < 2e-6);
                 assert!(ours.velocity.distance(theirs.velocity) < 2e-6);
-                assert!((ours.heading_rad - theirs.heading_rad).abs() < 2e-6);
+                assert!(crate::geometry::wrap_angle(ours.heading_rad - theirs.heading_rad).abs() < 2e-6);
             }
         }
     }

@@ -120,7 +120,7 @@ pub(super) fn read(dir: &Path, name: &str) -> String {
 pub(super) struct Node {
     pub(super) name: String,
     pub(super) attributes: Vec<(String, String)>,
-    pub(super) children: Vec<Node>,
+    pub(super) children: Vec<Self>,
     pub(super) text: String,
 }
 

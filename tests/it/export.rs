@@ -41,10 +41,19 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
         let is_ego = |row: &&BTreeMap<String, String>| row["is_ego"] == "true" && row["left_out"].is_empty();
         assert_eq!(tracks.iter().filter(is_ego).count(), n_scenarios, "{format}");
         let notice = fs_err::read_to_string(folder.join("NOTICE.txt")).unwrap();
-        assert!(notice.contains("Sources and terms") && notice.contains("interaction: INTERACTION dataset"), "{notice}");
+        assert!(
+            notice.contains("Sources and terms") && notice.contains("interaction: INTERACTION dataset"),
+            "{notice}"
+        );
         let report = json(&folder.join("export.json"));
-        assert_eq!((report["format"].as_str(), report["n_scenarios"].as_u64()), (Some(format), Some(n_scenarios as u64)));
-        assert_eq!(report["n_tracks"].as_u64(), Some(tracks.iter().filter(|row| row["left_out"].is_empty()).count() as u64));
+        assert_eq!(
+            (report["format"].as_str(), report["n_scenarios"].as_u64()),
+            (Some(format), Some(n_scenarios as u64))
+        );
+        assert_eq!(
+            report["n_tracks"].as_u64(),
+            Some(tracks.iter().filter(|row| row["left_out"].is_empty()).count() as u64)
+        );
         // The same again, byte by byte.
         export(format, "again", &["-q"]).expect(0);
         assert_same(&files(&folder), &files(&workspace.path("again")));

@@ -18,7 +18,7 @@ fn written(scene: &Scene) -> (tempfile::TempDir, Written) {
 }
 
 fn table(path: &Path) -> RecordBatch {
-    let file = std::fs::File::open(path).unwrap();
+    let (file, _) = fs_err::File::open(path).unwrap().into_parts();
     let mut reader = ParquetRecordBatchReaderBuilder::try_new(file).unwrap().build().unwrap();
     reader.next().unwrap().unwrap()
 }
