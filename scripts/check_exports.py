@@ -42,7 +42,7 @@ def folder_of(package):
 
 def rows(path):
     with open(path, newline="") as file:
-        return list(csv.DictReader(file))
+        return list(csv.DictReader(file, delimiter="\t"))
 
 
 class Export:
@@ -51,12 +51,12 @@ class Export:
     def __init__(self, folder, corpus):
         self.folder = folder
         self.report = json.loads((folder / "export.json").read_text())
-        self.scenarios = rows(folder / "index.csv")
+        self.scenarios = rows(folder / "index.tsv")
         self.tracks = {}
-        for row in rows(folder / "tracks.csv"):
+        for row in rows(folder / "tracks.tsv"):
             self.tracks.setdefault(row["scenario_id"], []).append(row)
         self.corpus = corpus
-        assert len(self.scenarios) == self.report["n_scenarios"] > 0, "index.csv and export.json differ"
+        assert len(self.scenarios) == self.report["n_scenarios"] > 0, "index.tsv and export.json differ"
         assert (folder / "NOTICE.txt").read_text().count("Sources and terms") == 1, "NOTICE.txt names no terms"
 
     def compare(self, scenario, name, timestep, x, y):

@@ -77,7 +77,7 @@ Example:
 
 /// Of `export`.
 pub(super) const EXPORT: &str = "\
-Beside the files, index.csv and tracks.csv lead back to the corpus, and NOTICE.txt names the sources and their terms, which
+Beside the files, index.tsv and tracks.tsv lead back to the corpus, and NOTICE.txt names the sources and their terms, which
 hold for the export, too. What a format cannot hold is left out, counted by reason in export.json, and told.
 
 Examples:

@@ -1,10 +1,12 @@
-//! Which file holds which scenario, and which name has which track there? Two CSV tables that every export has.
+//! Which file holds which scenario, and which name has which track there? Two tables that every export has.
+//!
+//! Their cells are separated by tabs: readers of INTERACTION take every `.csv` for a table of tracks.
 
 use super::{Error, Item, Result, Written};
 use crate::store::AtomicFile;
 use std::path::Path;
 
-/// Writes `index.csv`, one row a scenario, and `tracks.csv`, one row a track.
+/// Writes `index.tsv`, one row a scenario, and `tracks.tsv`, one row a track.
 pub(super) struct Index {
     scenarios: Table,
     tracks: Table,
@@ -26,7 +28,7 @@ impl Index {
             "verified",
         ];
         let track = ["scenario_id", "track_id", "name", "class", "is_ego", "event_role", "left_out"];
-        Ok(Self { scenarios: Table::begin(index, &scenarios)?, tracks: Table::begin(tracks, &track)? })
+        Ok(Self { scenarios: Table::begin(index, b'\t', &scenarios)?, tracks: Table::begin(tracks, b'\t', &track)? })
     }
 
     pub(super) fn add(&mut self, item: &Item<'_>, written: &Written) -> Result<()> {
@@ -65,15 +67,16 @@ impl Index {
     }
 }
 
-/// A CSV file that is there when it is whole.
+/// A table of text that is there when it is whole.
 pub(super) struct Table {
     path: std::path::PathBuf,
     writer: csv::Writer<AtomicFile>,
 }
 
 impl Table {
-    pub(super) fn begin(path: &Path, header: &[&str]) -> Result<Self> {
-        let mut table = Self { path: path.to_owned(), writer: csv::Writer::from_writer(AtomicFile::create(path)?) };
+    pub(super) fn begin(path: &Path, delimiter: u8, header: &[&str]) -> Result<Self> {
+        let writer = csv::WriterBuilder::new().delimiter(delimiter).from_writer(AtomicFile::create(path)?);
+        let mut table = Self { path: path.to_owned(), writer };
         table.row(header)?;
         Ok(table)
     }

@@ -53,7 +53,7 @@ impl Interaction {
         let name = format!("{split}/{place}_{split}.csv");
         if !self.tables.contains_key(&name) {
             fs_err::create_dir_all(self.dir.join(split))?;
-            let table = Table::begin(&self.dir.join(&name), &HEADER)?;
+            let table = Table::begin(&self.dir.join(&name), b',', &HEADER)?;
             self.tables.insert(name.clone(), (table, 0));
         }
         match self.tables.get_mut(&name) {

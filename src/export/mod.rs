@@ -1,7 +1,7 @@
 //! Corpora in the formats that others work with: which formats are there, and what does each make of a scenario?
 //!
 //! Every format is an [`Exporter`], which gets one scenario after the other; [`export_corpus`] chooses scenarios, counts what a
-//! format cannot hold, and writes what all exports have in common: `index.csv` and `tracks.csv` (the way back to the
+//! format cannot hold, and writes what all exports have in common: `index.tsv` and `tracks.tsv` (the way back to the
 //! corpus), `NOTICE.txt` (sources and their terms) and, when all is there, `export.json`. All positions are in the
 //! recording's frame, where the maps of the sources lie, too.
 

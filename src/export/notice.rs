@@ -10,8 +10,8 @@ const WIDTH: usize = 100;
 pub(super) fn text(report: &ExportReport) -> String {
     let mut text = String::from("GENERATED TRAFFIC SCENARIOS\n===========================\n\n");
     let what = format!(
-        "{} scenarios with {} tracks, exported by djinn as {}: {}. Their pasts are recorded and their futures sampled by a \
-         model: nobody drove them.",
+        "{} scenarios with {} tracks, exported by djinn as {}: {}. What was not observed is sampled by a model: nobody \
+         drove these scenarios.",
         report.n_scenarios,
         report.n_tracks,
         report.format.name(),
@@ -27,10 +27,10 @@ pub(super) fn text(report: &ExportReport) -> String {
     paragraph(&mut text, report.format.notes());
     paragraph(
         &mut text,
-        "index.csv: which file holds which scenario, and under which name. first_timestep is the scenario's timestep that the \
+        "index.tsv: which file holds which scenario, and under which name. first_timestep is the scenario's timestep that the \
          file's first time stands for.",
     );
-    paragraph(&mut text, "tracks.csv: which name each track has in the file, who is the ego, and roles in the event.");
+    paragraph(&mut text, "tracks.tsv: which name each track has in the file, who is the ego, and roles in the event.");
     paragraph(&mut text, "export.json: what was asked for, and what was left out, by reason. Written last.");
     paragraph(&mut text, "Positions are those of the recording's frame, in metres; headings in radians.");
     if report.ego == EgoMotion::Free {

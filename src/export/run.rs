@@ -9,9 +9,9 @@ use std::io::Write;
 use std::path::Path;
 
 /// Which file holds which scenario.
-pub const INDEX_FILE: &str = "index.csv";
+pub const INDEX_FILE: &str = "index.tsv";
 /// Which track has which name.
-pub const TRACKS_FILE: &str = "tracks.csv";
+pub const TRACKS_FILE: &str = "tracks.tsv";
 /// Sources and their terms.
 pub const NOTICE_FILE: &str = "NOTICE.txt";
 /// What was exported; written last.

@@ -6,9 +6,9 @@ use std::path::Path;
 
 const FORMATS: [&str; 5] = ["interaction", "argoverse2", "commonroad", "openscenario", "openlabel"];
 
-/// The rows of a CSV table by the names of its columns.
+/// The rows of a table by the names of its columns.
 fn rows(path: &Path) -> Vec<BTreeMap<String, String>> {
-    let mut reader = csv::Reader::from_path(path).unwrap();
+    let mut reader = csv::ReaderBuilder::new().delimiter(b'\t').from_path(path).unwrap();
     reader.deserialize().map(Result::unwrap).collect()
 }
 
@@ -34,10 +34,10 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
         assert_eq!(outcome.stdout, "");
         assert!(outcome.stderr.contains("non-commercial use"), "{}", outcome.stderr);
         let folder = workspace.path(format);
-        let index = rows(&folder.join("index.csv"));
+        let index = rows(&folder.join("index.tsv"));
         assert_eq!(index.len(), n_scenarios, "{format}");
         assert!(index.iter().all(|row| folder.join(&row["file"]).exists()));
-        let tracks = rows(&folder.join("tracks.csv"));
+        let tracks = rows(&folder.join("tracks.tsv"));
         let is_ego = |row: &&BTreeMap<String, String>| row["is_ego"] == "true" && row["left_out"].is_empty();
         assert_eq!(tracks.iter().filter(is_ego).count(), n_scenarios, "{format}");
         let notice = fs_err::read_to_string(folder.join("NOTICE.txt")).unwrap();
@@ -67,9 +67,9 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
     assert!(outcome.stderr.contains(&format!("ingest: {n_scenarios} scenes")), "{}", outcome.stderr);
 
     // Selections.
-    let index = rows(&workspace.path("openlabel").join("index.csv"));
+    let index = rows(&workspace.path("openlabel").join("index.tsv"));
     let ids = |out: &str| -> Vec<String> {
-        rows(&workspace.path(out).join("index.csv")).iter().map(|row| row["scenario_id"].clone()).collect()
+        rows(&workspace.path(out).join("index.tsv")).iter().map(|row| row["scenario_id"].clone()).collect()
     };
     export("openlabel", "few", &["--limit", "2"]).expect(0);
     assert_eq!(ids("few"), [index[0]["scenario_id"].as_str(), &index[1]["scenario_id"]]);
@@ -90,7 +90,7 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
 
     // The ego can be left to a driving function.
     export("commonroad", "free", &["--free-ego", "--limit", "1"]).expect(0);
-    let ego = rows(&workspace.path("free").join("tracks.csv")).into_iter().find(|row| row["is_ego"] == "true").unwrap();
+    let ego = rows(&workspace.path("free").join("tracks.tsv")).into_iter().find(|row| row["is_ego"] == "true").unwrap();
     assert_eq!((ego["name"].as_str(), ego["left_out"].as_str()), ("", "ego_is_free"));
 
     // What cannot be done says why, and leaves nothing behind.

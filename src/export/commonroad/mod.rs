@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 pub(super) const NOTES: &str = "<benchmark id>.xml: CommonRoad 2020a, valid against its schema. Time step 0 is the present of the \
     scenario; what was observed before is not written. The planning problem begins where the ego is at present and ends \
-    where it is at the end. The ego is among the obstacles, too (tracks.csv says which one), unless the export was asked \
+    where it is at the end. The ego is among the obstacles, too (tracks.tsv says which one), unless the export was asked \
     to leave it free: take it out before you plan. Lanelets are numbered in ascending order of the map's lane ids. The \
     date in the files is a placeholder: equal corpora give equal files.";
 

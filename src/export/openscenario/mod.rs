@@ -18,8 +18,8 @@ use entities::Body;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-pub(super) const NOTES: &str = "<id>.xosc: OpenSCENARIO XML 1.2, valid against its schema. Every road user follows a trajectory; \
-    positions of vehicles are those of their rear axles, as the standard has it, and the bounding box says where the center \
+pub(super) const NOTES: &str = "<id>.xosc: OpenSCENARIO XML 1.2, valid against its schema. Every road user follows a trajectory, \
+    whose times count from the start of its action; positions of vehicles are those of their rear axles, as the standard has it, and the bounding box says where the center \
     is. Who enters later is added when it does, and who leaves is deleted. There is no road network: no faithful way leads \
     from the recordings' maps to OpenDRIVE, so players show an empty plane. Sizes along the vertical, axles and performance \
     are not recorded; usual ones are written. The date in the files is a placeholder: equal corpora give equal files.";
