@@ -24,6 +24,7 @@ pub mod guidance;
 pub mod generate;
 pub mod train;
 
+pub mod export;
 pub mod report;
 
 pub mod pipeline;

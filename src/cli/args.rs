@@ -1,6 +1,7 @@
 //! Which commands and options are there?
 
 use super::help;
+use crate::export::ExportFormat;
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -54,6 +55,9 @@ pub(super) enum Command {
     /// Write a page for people about what was generated
     #[command(after_help = help::REPORT)]
     Report(ReportArgs),
+    /// Write a corpus in a format that others read: recordings, simulation, scenario databases
+    #[command(after_help = help::EXPORT)]
+    Export(ExportArgs),
     /// Say what a file or folder of ours holds
     #[command(after_help = help::INSPECT)]
     Inspect(InspectArgs),
@@ -205,6 +209,62 @@ pub(super) struct ReportArgs {
     pub(super) from: Option<PathBuf>,
     #[command(flatten)]
     pub(super) stage: StageArgs,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct ExportArgs {
+    /// The format to write
+    #[arg(value_parser = FormatParser)]
+    pub(super) format: ExportFormat,
+    /// The corpus: the folder that `evaluate` wrote
+    #[arg(value_name = "CORPUS")]
+    pub(super) corpus: PathBuf,
+    /// The folder to write into: a new or an empty one
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+    /// Only scenarios in which the behavior that was asked for was found
+    #[arg(long)]
+    pub(super) only_verified: bool,
+    /// Only scenarios for which this behavior was asked for, such as cut_in
+    #[arg(long, value_name = "NAME")]
+    pub(super) behavior: Option<String>,
+    /// Only scenarios of this sweep
+    #[arg(long, value_name = "NAME")]
+    pub(super) sweep: Option<String>,
+    /// Only the scenario with this id (may be repeated)
+    #[arg(long = "scenario", value_name = "ID")]
+    pub(super) scenarios: Vec<String>,
+    /// At most this many scenarios, the first ones of the corpus
+    #[arg(long, value_name = "N", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
+    pub(super) limit: Option<usize>,
+    /// Leave the ego to your driving function: write its start alone (commonroad, openscenario)
+    #[arg(long)]
+    pub(super) free_ego: bool,
+}
+
+/// Reads the name of a format; help and errors list them all.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FormatParser;
+
+impl clap::builder::TypedValueParser for FormatParser {
+    type Value = ExportFormat;
+
+    fn parse_ref(
+        &self,
+        command: &clap::Command,
+        arg: Option<&clap::Arg>,
+        value: &std::ffi::OsStr,
+    ) -> Result<Self::Value, clap::Error> {
+        let names = clap::builder::PossibleValuesParser::new(ExportFormat::ALL.map(ExportFormat::name));
+        let name = names.parse_ref(command, arg, value)?;
+        let format = ExportFormat::ALL.into_iter().find(|format| format.name() == name);
+        format.ok_or_else(|| clap::Error::new(clap::error::ErrorKind::InvalidValue).with_cmd(command))
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = clap::builder::PossibleValue> + '_>> {
+        let value = |format: ExportFormat| clap::builder::PossibleValue::new(format.name()).help(format.description());
+        Some(Box::new(ExportFormat::ALL.into_iter().map(value)))
+    }
 }
 
 #[derive(Debug, clap::Args)]

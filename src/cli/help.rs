@@ -84,6 +84,16 @@ pub(super) const REPORT: &str = "\
 Example:
   djinn report --from output/cut_in_corpus/main --output output/try";
 
+/// Of `export`.
+pub(super) const EXPORT: &str = "\
+Beside the files, index.tsv and tracks.tsv lead back to the corpus, and NOTICE.txt names the sources and their terms, which
+hold for the export, too. What a format cannot hold is left out, counted by reason in export.json, and told.
+
+Examples:
+  djinn export openscenario output/quickstart/main/corpus --only-verified --out output/xosc
+  djinn export commonroad output/quickstart/main/corpus --limit 10 --free-ego --out output/commonroad
+  python scripts/check_exports.py output/xosc        reads an export with the readers of its format";
+
 /// Of `inspect`.
 pub(super) const INSPECT: &str = "\
 Examples:

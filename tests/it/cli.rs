@@ -10,9 +10,18 @@ fn help_teaches_every_command() {
     for part in ["Examples:", "Exit codes:", "a quality gate of the configuration was not met", "quickstart.toml"] {
         assert!(top.contains(part), "`{part}` is missing in\n{top}");
     }
-    for command in
-        ["run", "ingest", "mine", "train denoiser", "train classifier", "generate", "evaluate", "report", "inspect"]
-    {
+    for command in [
+        "run",
+        "ingest",
+        "mine",
+        "train denoiser",
+        "train classifier",
+        "generate",
+        "evaluate",
+        "report",
+        "export",
+        "inspect",
+    ] {
         let first_word = command.split(' ').next().unwrap();
         assert!(top.contains(&format!("\n  {first_word}")), "{first_word}");
         let args: Vec<&str> = command.split(' ').chain(["--help"]).collect();

@@ -7,6 +7,7 @@ mod cli;
 mod config;
 mod determinism;
 mod documents;
+mod export;
 mod report;
 mod schema;
 mod stages;

@@ -1,9 +1,11 @@
 //! The commands: what does each do with its arguments?
 
+mod export;
 mod inspect;
 mod run;
 mod stage;
 
+pub(super) use export::export;
 pub(super) use inspect::inspect;
 pub(super) use run::run;
 pub(super) use stage::stage;

@@ -1,7 +1,7 @@
 //! Whose failure is an error of each layer? Here, once, for all stages.
 
 use crate::pipeline::{Blame, Failure};
-use crate::{generate, ingest, nn, store, train};
+use crate::{export, generate, ingest, nn, store, train};
 use std::io::ErrorKind;
 
 impl From<ingest::Error> for Failure {
@@ -28,6 +28,17 @@ impl From<store::Error> for Failure {
             | store::Error::DuplicateScene { .. }
             | store::Error::UnknownMap { .. }) => Self::input(error),
             error => Self::fault(error),
+        }
+    }
+}
+
+impl From<export::Error> for Failure {
+    fn from(error: export::Error) -> Self {
+        match error {
+            export::Error::Store(error) => Self::from(error),
+            export::Error::Io(io) => of_input_file(io),
+            error @ export::Error::Encode { .. } => Self::fault(error),
+            error => Self::input(error),
         }
     }
 }
