@@ -1,10 +1,12 @@
 //! The commands: what does each do with its arguments?
 
 mod inspect;
+mod report;
 mod run;
 mod stage;
 
 pub(super) use inspect::inspect;
+pub(super) use report::report;
 pub(super) use run::run;
 pub(super) use stage::stage;
 
