@@ -54,7 +54,7 @@ fn metrics(comparison: &Comparison) -> Option<Section> {
                 "Means over scenes, all places together. A star marks differences of more than twice their standard error, "
                 "which holds for different scenes and is too large where both runs continue the same ones."
             }
-            div class="grid" { @for table in &tables { (plain_table(table)) } }
+            div class="grid broad" { @for table in &tables { (plain_table(table)) } }
             details {
                 summary { "What the metrics mean" }
                 dl class="definitions" {
