@@ -56,8 +56,13 @@ impl SceneCard {
             strength => format!(", strength {}", setting(strength)),
         };
         let observation = provenance.observation.replace('_', " ");
-        let title =
-            format!("{}, {}: {} samples, observed: {observation}{strength}", first.sweep, key.place, records.len());
+        let case = &recorded.source.case_id;
+        let title = format!(
+            "{}, {} {case}: {} samples, observed: {observation}{strength}",
+            first.sweep,
+            key.place,
+            records.len()
+        );
         let mut facts = facts_of_source(first, recorded);
         facts.push(Fact::new("Samples", records.len()));
         facts.extend(facts_of_values(&key.values));
