@@ -141,11 +141,16 @@ fn share_curves(sweeps: &[&Sweep<'_>], n_hits: fn(&Point) -> u64) -> Vec<Curve> 
 
 /// Level lines at what the metric says of the recordings that each sweep continues.
 fn recorded_levels(model: &ReportModel, sweeps: &[&Sweep<'_>], metric: &str) -> Vec<Curve> {
+    levels("recorded", sweeps, |sweep| Some(100.0 * recorded_value(model, sweep.name, metric)?))
+}
+
+/// A level line for each sweep that has the value.
+fn levels(name: &str, sweeps: &[&Sweep<'_>], value: impl Fn(&Sweep<'_>) -> Option<f64>) -> Vec<Curve> {
     let level = |sweep: &&Sweep<'_>| {
-        let value = recorded_value(model, sweep.name, metric)?;
+        let value = value(sweep)?;
         let ends = [sweep.points.first()?.strength, sweep.points.last()?.strength];
-        let name = if sweeps.len() == 1 { "recorded".to_owned() } else { format!("recorded ({})", sweep.name) };
-        Some(Curve::new(name, ends.map(|strength| [strength, 100.0 * value]).to_vec()))
+        let name = if sweeps.len() == 1 { name.to_owned() } else { format!("{name} ({})", sweep.name) };
+        Some(Curve::new(name, ends.map(|strength| [strength, value]).to_vec()))
     };
     sweeps.iter().filter_map(level).collect()
 }
@@ -181,10 +186,14 @@ fn distances(model: &ReportModel, sweeps: &[&Sweep<'_>]) -> Vec<Chart> {
             points.sort_by(|a, b| a[0].total_cmp(&b[0]));
             Curve::new(sweep.name, points)
         };
+        let constant_velocity = |sweep: &Sweep<'_>| {
+            let mut rows = model.realism.iter().filter(|row| row.sweep == sweep.name && row.quantity == quantity);
+            rows.find(|row| row.group == "constant_velocity")?.wasserstein
+        };
         over_strength(
             &format!("Distance from the recording: {quantity}"),
             &format!("Wasserstein-1 ({unit})"),
-            sweeps.iter().map(of_sweep).collect(),
+            sweeps.iter().map(of_sweep).chain(levels("constant velocity", sweeps, constant_velocity)).collect(),
         )
     };
     quantities.into_iter().map(chart).collect()

@@ -91,11 +91,15 @@ fn yield_is_shown_over_the_mean_distance() {
         jensen_shannon: Some(divergence),
     };
     let rows = [(0.0, "a", 0.1), (0.0, "b", 0.3), (30.0, "a", 0.2), (30.0, "b", 0.6)];
-    let model = ReportModel { realism: rows.map(|(s, q, d)| realism(s, q, d)).to_vec(), ..model() };
+    let mut rows = rows.map(|(s, q, d)| realism(s, q, d)).to_vec();
+    rows.insert(0, RealismRow { group: "constant_velocity".into(), ..realism(0.0, "b", 0.5) });
+    let model = ReportModel { realism: rows, ..model() };
     let charts = tradeoffs(&model);
     let find = |title: &str| charts.iter().find(|chart| chart.title.contains(title)).expect(title);
     let [near, far] = find("Yield against").curves[0].points[..] else { panic!("two strengths") };
     assert!((near[0] - 0.2).abs() < 1e-12 && (far[0] - 0.4).abs() < 1e-12 && near[1] == 7.5 && far[1] == 50.0);
     assert_eq!(find("Yield against").curves[0].labels, ["α = 0", "α = 30"]);
-    assert_eq!(find("recording: b").curves[0].points, [[0.0, 3.0], [30.0, 6.0]]);
+    let of_b = &find("recording: b").curves;
+    assert_eq!(of_b[0].points, [[0.0, 3.0], [30.0, 6.0]]);
+    assert_eq!((of_b[1].name.as_str(), &of_b[1].points[..]), ("constant velocity", &[[0.0, 5.0], [30.0, 5.0]][..]));
 }

@@ -71,10 +71,14 @@ struct Range<'a> {
     high: f64,
 }
 
-/// The figures that are not the same everywhere, in order of first appearance.
+/// The figures that are not the same everywhere: parameters of events, then metrics.
 fn ranges(cards: &[SceneCard]) -> Vec<Range<'_>> {
     let mut ranges: Vec<Range<'_>> = Vec::new();
-    for found in cards.iter().flat_map(|card| &card.key.values).filter(|found| found.value.is_finite()) {
+    // Scenes with an event name its parameters first.
+    let has_event = |card: &&SceneCard| matches!(card.key.verdict, Verdict::New | Verdict::Recorded);
+    let (with, without): (Vec<&SceneCard>, Vec<&SceneCard>) = cards.iter().partition(has_event);
+    let values = with.into_iter().chain(without).flat_map(|card| &card.key.values);
+    for found in values.filter(|found| found.value.is_finite()) {
         match ranges.iter_mut().find(|range| range.name == found.name) {
             Some(range) => (range.low, range.high) = (range.low.min(found.value), range.high.max(found.value)),
             None => ranges.push(Range { name: &found.name, low: found.value, high: found.value }),
