@@ -77,10 +77,10 @@ mod tests {
 
     #[test]
     fn the_view_follows_the_roles_and_is_never_too_small() {
-        // The ego drives 1.1 s at 90 m/s along x: 99 m; the other one stands 400 m away.
-        let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 90.0), Drive::straight(400.0, 0.0, 0.0, 0.0)]);
+        // The ego drives 1.1 s at 85 m/s along x: 93.5 m; the other one stands 400 m away.
+        let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 85.0), Drive::straight(400.0, 0.0, 0.0, 0.0)]);
         let view = ViewRect::around(&[&scene], &[("ego".to_owned(), TrackId::from("1"))]);
-        assert_eq!((view.min, view.max), ([-9.0, -10.0], [108.0, 10.0]));
+        assert_eq!((view.min, view.max), ([-9.0, -10.0], [103.0, 10.0]));
         assert!(view.contains(50.0, 5.0) && !view.contains(400.0, 0.0));
         assert!(view.touches(&[[-50.0, 0.0], [200.0, 0.0]]) && !view.touches(&[[-50.0, 11.0], [200.0, 12.0]]));
         let nobody = ViewRect::around(&[&scene], &[]);

@@ -21,7 +21,7 @@ fn scenes_play_and_filters_filter_without_an_error() {
     let Some(mut page) = Page::open(&render(&sample::model())) else { return };
 
     // The keyboard plays the first scene. The car of track 3 drives 12.5 m/s from the origin at step 9.
-    page.wait_until("document.querySelectorAll('#scene-0 .player').length === 1");
+    page.come_to("scene-0");
     page.value("document.querySelector('#scene-0 .panels').focus()");
     assert_eq!(page.value(STEP), json!(9));
     page.press("ArrowRight");
@@ -42,8 +42,7 @@ fn scenes_play_and_filters_filter_without_an_error() {
     );
 
     // Which states were given can be seen: of the third scene every fifth, and everything in its recording.
-    page.value("document.querySelector('#scene-2').scrollIntoView()");
-    page.wait_until("document.querySelectorAll('#scene-2 .player').length === 1");
+    page.come_to("scene-2");
     assert_eq!(page.value("document.querySelectorAll('#scene-2 .now').length"), json!(6 + 3 * 6));
     page.value("document.querySelector('#scene-2 .panels').focus()");
     assert_eq!(page.value(&drawn(2, 1, "3", "class")), json!("now"));
@@ -93,12 +92,12 @@ fn thousands_of_scenes_are_light() {
     assert!(per_scene < 6000, "{per_scene} bytes a scene");
     fs_err::write(std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("report-2000.html"), &page).unwrap();
     let Some(mut page) = Page::open(&page) else { return };
-    page.wait_until("document.querySelectorAll('#scene-0 .player').length === 1");
+    page.come_to("scene-0");
     let n_elements = page.value("document.querySelectorAll('*').length").as_u64().unwrap();
     assert!(n_elements < 30_000, "{n_elements} elements");
     // What comes into view is drawn, and what is far away is taken down again.
-    page.value("document.querySelector('#scene-1500').scrollIntoView()");
-    page.wait_until("document.querySelectorAll('#scene-1500 svg.scene').length === 2 && !document.querySelector('#scene-0 .player')");
+    page.come_to("scene-1500");
+    page.wait_until("document.querySelector('#scene-0 .player') === null");
     assert!(page.value("document.querySelectorAll('.player').length").as_u64().unwrap() < 30);
     page.value("location.hash = '#scenes&verdict=not_verified'");
     page.wait_until(&format!("{SHOWN} === 1000"));

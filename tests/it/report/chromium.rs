@@ -90,6 +90,13 @@ impl Page {
         }
     }
 
+    /// Scrolls to a scene and waits until it is drawn.
+    #[track_caller]
+    pub(crate) fn come_to(&mut self, scene: &str) {
+        let scroll = format!("document.querySelector('#{scene}').scrollIntoView()");
+        self.wait_until(&format!("({scroll}, document.querySelectorAll('#{scene} .player').length === 1)"));
+    }
+
     /// Presses a key, as a person would.
     pub(crate) fn press(&mut self, key: &str) {
         let text = if key == " " { " " } else { "" };
