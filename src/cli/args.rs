@@ -52,8 +52,8 @@ pub(super) enum Command {
     /// Measure generated scenarios, check the quality gates and write the corpus
     #[command(after_help = help::EVALUATE)]
     Evaluate(EvaluateArgs),
-    /// Write a page for people about what was generated
-    #[command(after_help = help::REPORT)]
+    /// Write a page for people about what was generated, or compare two runs
+    #[command(after_help = help::REPORT, mut_arg("output", not_for_comparisons))]
     Report(ReportArgs),
     /// Write a corpus in a format that others read: recordings, simulation, scenario databases
     #[command(after_help = help::EXPORT)]
@@ -207,8 +207,23 @@ pub(super) struct ReportArgs {
     /// The folder with the stages' outputs to report on, such as a run folder [default: the output folder]
     #[arg(long, value_name = "DIR")]
     pub(super) from: Option<PathBuf>,
+    /// Set two runs side by side instead, with their differences
+    #[arg(long, num_args = 2, value_names = ["RUN_A", "RUN_B"], conflicts_with_all = ["from", "config", "set", "dry_run"])]
+    pub(super) compare: Option<Vec<PathBuf>>,
+    /// The page of the comparison [default: comparison.html]
+    #[arg(long, value_name = "FILE", requires = "compare")]
+    pub(super) out: Option<PathBuf>,
     #[command(flatten)]
     pub(super) stage: StageArgs,
+}
+
+/// A comparison names its page itself and writes into no folder of stages.
+fn not_for_comparisons(output: clap::Arg) -> clap::Arg {
+    output.required(false).required_unless_present("compare").default_value_if(
+        "compare",
+        clap::builder::ArgPredicate::IsPresent,
+        ".",
+    )
 }
 
 #[derive(Debug, clap::Args)]

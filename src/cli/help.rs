@@ -81,8 +81,12 @@ Example:
 
 /// Of `report`.
 pub(super) const REPORT: &str = "\
-Example:
-  djinn report --from output/cut_in_corpus/main --output output/try";
+Writes report.html, one file that needs no network, and figures/ with its charts and scenes as SVG. A comparison needs two
+run folders: settings that differ, yield, metrics and realism side by side.
+
+Examples:
+  djinn report --from output/cut_in_corpus/main --output output/try
+  djinn report --compare output/cut_in_corpus/main output/cut_in_corpus/more --out comparison.html";
 
 /// Of `export`.
 pub(super) const EXPORT: &str = "\

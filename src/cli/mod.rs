@@ -26,6 +26,7 @@ pub fn main() -> ExitCode {
     let outcome = match &args.command {
         Command::Run(run) => commands::run(run, &args.output, &printer),
         Command::Export(export) => commands::export(export, &args.output, &printer),
+        Command::Report(report) => commands::report(report, &args.command, &args.output, &printer),
         Command::Inspect(inspect) => commands::inspect(inspect, &printer),
         stage => commands::stage(stage, &args.output, &printer),
     };

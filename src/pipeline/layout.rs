@@ -69,3 +69,5 @@ pub const METRICS_SUMMARY: &str = "metrics.json";
 pub const PREDICTIONS: &str = "predictions";
 /// The report.
 pub const REPORT: &str = "report.html";
+/// The figures of the report as files.
+pub const FIGURES: &str = "figures";

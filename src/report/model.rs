@@ -1,7 +1,8 @@
 //! What a report says, as plain data: the page is one rendering of it, JSON another.
 
+use super::card::SceneCard;
 use super::distribution::Distribution;
-use super::scene_card::SceneCard;
+use super::plain::PlainSection;
 use crate::behavior::BehaviorEntry;
 use crate::ingest::IngestReport;
 use crate::metrics::{Direction, MetricSpec};
@@ -38,6 +39,9 @@ pub struct ReportModel {
     pub distributions: Vec<Distribution>,
     /// Generated scenes beside their source recording.
     pub scenes: Vec<SceneCard>,
+    /// Further parts, which come after the scenes, as plain tables and charts.
+    #[serde(default)]
+    pub more: Vec<PlainSection>,
     /// The resolved configuration, as TOML.
     pub config: String,
 }
@@ -143,6 +147,19 @@ pub struct Curve {
     pub name: String,
     /// (x, y) in drawing order; points that are not finite are left out.
     pub points: Vec<[f64; 2]>,
+    /// How sure each of the points is: least and greatest y, drawn as whiskers. Empty where nothing is known of that.
+    #[serde(default)]
+    pub intervals: Vec<[f64; 2]>,
+    /// What is written beside each of the points; empty for nothing.
+    #[serde(default)]
+    pub labels: Vec<String>,
+}
+
+impl Curve {
+    /// A plain curve.
+    pub fn new(name: impl Into<String>, points: Vec<[f64; 2]>) -> Self {
+        Self { name: name.into(), points, intervals: Vec::new(), labels: Vec::new() }
+    }
 }
 
 /// What one sweep gave at one guidance strength.

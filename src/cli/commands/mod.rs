@@ -2,11 +2,13 @@
 
 mod export;
 mod inspect;
+mod report;
 mod run;
 mod stage;
 
 pub(super) use export::export;
 pub(super) use inspect::inspect;
+pub(super) use report::report;
 pub(super) use run::run;
 pub(super) use stage::stage;
 
