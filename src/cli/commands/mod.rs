@@ -1,9 +1,11 @@
 //! The commands: what does each do with its arguments?
 
+mod corpus;
 mod inspect;
 mod run;
 mod stage;
 
+pub(super) use corpus::corpus;
 pub(super) use inspect::inspect;
 pub(super) use run::run;
 pub(super) use stage::stage;

@@ -87,7 +87,7 @@ impl<'a> Request<'a> {
                 }
                 request
             }
-            Command::Run(_) | Command::Inspect(_) => return None,
+            Command::Run(_) | Command::Corpus(_) | Command::Inspect(_) => return None,
         };
         Some(request)
     }
