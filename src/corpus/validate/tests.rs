@@ -130,6 +130,58 @@ fn a_wrong_row_is_found_at_its_row() {
     }
 }
 
+/// Writes the scenarios of a corpus as another version of their table would have.
+fn rewrite_scenarios(corpus: &mut Corpus, version: u32, without: &str) {
+    let mut table = CorpusTable::Scenarios.schema();
+    table.version = version;
+    table.fields.retain(|field| field.name() != without);
+    let scan = CorpusScan::open_unverified(&corpus.path).unwrap();
+    let entry = corpus.manifest.tables.get_mut("scenarios").unwrap();
+    entry.schema = table.id();
+    for file in &mut entry.files {
+        let batches = scan.batches(CorpusTable::Scenarios, file, None).unwrap();
+        let batches: Vec<RecordBatch> = batches.map(|batch| batch.unwrap()).collect();
+        let batch = concat_batches(&batches[0].schema(), &batches).unwrap();
+        let schema = batch.schema();
+        let kept: Vec<usize> = (0..schema.fields().len()).filter(|i| schema.field(*i).name() != without).collect();
+        let mut batch = batch.project(&kept).unwrap();
+        batch.schema_metadata_mut().clone_from(table.arrow().metadata());
+        file.stamp = crate::store::testing::write_table(&corpus.path.join(&file.path), &table, &batch);
+    }
+    write_json_atomically(&corpus.path.join("manifest.json"), &corpus.manifest).unwrap();
+}
+
+#[test]
+fn older_versions_of_a_table_are_read_and_newer_ones_are_refused() {
+    use crate::store::{CorpusReader, Error};
+    let mut corpus = Corpus::new();
+    // scenario.v2 had no probability yet.
+    rewrite_scenarios(&mut corpus, 2, "probability");
+    assert_eq!(corpus.report().findings, []);
+    let reader = CorpusReader::open(&corpus.path).unwrap();
+    let mut expected = records(0..12);
+    expected.iter_mut().for_each(|record| record.scenario.provenance.probability = None);
+    for record in expected {
+        assert_eq!(reader.scenario(reader.position(&record.scenario.id).unwrap()).unwrap(), record);
+    }
+    // Beside scenarios of the present version, what they lack is missing.
+    let present = Corpus::new();
+    let report = crate::corpus::diff(&corpus.path, &present.path, &Silent).unwrap();
+    let columns: Vec<&String> = report.changed_by_column.keys().collect();
+    assert_eq!(columns, ["probability"]);
+
+    let next = CorpusTable::Scenarios.schema().version + 1;
+    rewrite_scenarios(&mut corpus, next, "nothing");
+    let error = CorpusReader::open(&corpus.path).err().unwrap();
+    assert!(matches!(&error, Error::SchemaVersion { found, .. } if *found == format!("scenario.v{next}")), "{error}");
+    assert!(corpus.report().by_check.contains_key("schema"));
+    // A column that no version lacked cannot be missing.
+    let mut corpus = Corpus::new();
+    rewrite_scenarios(&mut corpus, 2, "sweep");
+    let error = CorpusReader::open(&corpus.path).err().unwrap().to_string();
+    assert!(error.contains("column sweep is missing"), "{error}");
+}
+
 #[test]
 fn rows_that_are_missing_or_too_many_are_found() {
     let mut corpus = Corpus::new();
