@@ -46,7 +46,7 @@ pub struct Outcome {
 pub(super) fn copy(
     inputs: &[CorpusScan],
     out: &Path,
-    history: String,
+    history: &str,
     selection: &mut dyn Selection,
     progress: &dyn Progress,
 ) -> Result<Outcome> {
@@ -58,24 +58,27 @@ pub(super) fn copy(
         maps: BTreeMap::new(),
         recordings: BTreeMap::new(),
         compares_recordings: inputs.len() > 1,
-        datasets: BTreeSet::new(),
         n_differing_recordings: 0,
         n_aggregates_left_out: 0,
     };
     progress.start("copy", inputs.iter().map(|scan| scan.manifest().n_scenarios).sum(), "scenarios");
+    let mut needed = Needed::default();
     for (i, scan) in inputs.iter().enumerate() {
-        let kept = copier.scenarios(i, scan, selection, progress)?;
-        copier.maps(scan, &kept.maps)?;
-        copier.recordings(scan, &kept.scenes)?;
-        copier.metrics(scan, &kept.scenarios)?;
+        let kept = copier.scenarios(i, scan, selection, &mut needed, progress)?;
+        copier.metrics(scan, &kept)?;
+    }
+    // What a scenario needs may lie in another corpus than the one that it came from.
+    for scan in inputs {
+        copier.maps(scan, &needed.maps)?;
+        copier.recordings(scan, &needed.scenes)?;
     }
     progress.finish();
     let manifests: Vec<&CorpusManifest> = inputs.iter().map(CorpusScan::manifest).collect();
-    let about = notes(&manifests, &copier.datasets);
+    let about = notes(&manifests, &needed.datasets);
     let mut steps: Vec<String> = Vec::new();
-    for step in manifests.iter().flat_map(|manifest| &manifest.history).chain([&history]) {
-        if !steps.contains(step) {
-            steps.push(step.clone());
+    for step in manifests.iter().flat_map(|manifest| &manifest.history).map(String::as_str).chain([history]) {
+        if !steps.iter().any(|known| known == step) {
+            steps.push(step.to_owned());
         }
     }
     let outcome = Outcome {
@@ -96,28 +99,49 @@ struct Copier {
     /// The content of every recorded scene that came along, where several corpora may hold one.
     recordings: BTreeMap<Fingerprint, Fingerprint>,
     compares_recordings: bool,
-    datasets: BTreeSet<String>,
     n_differing_recordings: u64,
     n_aggregates_left_out: u64,
 }
 
-/// What came along from one corpus.
+/// What belongs to the scenarios that came along.
 #[derive(Default)]
-struct Kept {
-    scenarios: BTreeSet<Fingerprint>,
+struct Needed {
     scenes: BTreeSet<Fingerprint>,
     maps: BTreeSet<String>,
+    datasets: BTreeSet<String>,
+}
+
+impl Needed {
+    /// Remembers what the kept scenarios of a chunk need, and the scenarios themselves.
+    fn note(&mut self, chunk: &CorpusChunk, keep: &[bool], kept: &mut BTreeSet<Fingerprint>) -> Result<()> {
+        let column = |name: &str| texts(&chunk.scenarios, name, &chunk.path);
+        let (ids, scenes, maps, datasets) =
+            (column("scenario_id")?, column("scene_id")?, column("map_id")?, column("dataset")?);
+        for row in (0..chunk.len()).filter(|row| keep[*row]) {
+            kept.insert(fingerprint(ids.value(row).as_bytes()));
+            self.scenes.insert(fingerprint(scenes.value(row).as_bytes()));
+            if !maps.is_null(row) && !self.maps.contains(maps.value(row)) {
+                self.maps.insert(maps.value(row).to_owned());
+            }
+            if !self.datasets.contains(datasets.value(row)) {
+                self.datasets.insert(datasets.value(row).to_owned());
+            }
+        }
+        Ok(())
+    }
 }
 
 impl Copier {
+    /// Copies the scenarios of one corpus with their states, and gives back which came along.
     fn scenarios(
         &mut self,
         input: usize,
         scan: &CorpusScan,
         selection: &mut dyn Selection,
+        needed: &mut Needed,
         progress: &dyn Progress,
-    ) -> Result<Kept> {
-        let mut kept = Kept::default();
+    ) -> Result<BTreeSet<Fingerprint>> {
+        let mut kept = BTreeSet::new();
         for part in 0..scan.n_parts() {
             let (file, _) = scan.part(part)?;
             if !selection.wants_part(&file.partition) {
@@ -128,30 +152,12 @@ impl Copier {
                 let mut chunk = chunk?;
                 chunk.scenarios = widened(&chunk.scenarios, &self.schema, &chunk.path)?;
                 let keep = selection.keep(input, &chunk)?;
-                self.note(&chunk, &keep, &mut kept)?;
+                needed.note(&chunk, &keep, &mut kept)?;
                 self.write(&chunk, &keep)?;
                 progress.advance(chunk.len() as u64);
             }
         }
         Ok(kept)
-    }
-
-    /// Remembers what the kept scenarios need.
-    fn note(&mut self, chunk: &CorpusChunk, keep: &[bool], kept: &mut Kept) -> Result<()> {
-        let column = |name: &str| texts(&chunk.scenarios, name, &chunk.path);
-        let (ids, scenes, maps, datasets) =
-            (column("scenario_id")?, column("scene_id")?, column("map_id")?, column("dataset")?);
-        for row in (0..chunk.len()).filter(|row| keep[*row]) {
-            kept.scenarios.insert(fingerprint(ids.value(row).as_bytes()));
-            kept.scenes.insert(fingerprint(scenes.value(row).as_bytes()));
-            if !maps.is_null(row) && !kept.maps.contains(maps.value(row)) {
-                kept.maps.insert(maps.value(row).to_owned());
-            }
-            if !self.datasets.contains(datasets.value(row)) {
-                self.datasets.insert(datasets.value(row).to_owned());
-            }
-        }
-        Ok(())
     }
 
     fn write(&mut self, chunk: &CorpusChunk, keep: &[bool]) -> Result<()> {

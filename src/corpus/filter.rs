@@ -20,7 +20,7 @@ pub fn filter(dir: &Path, conditions: &[Condition], out: &Path, progress: &dyn P
     conditions.iter().try_for_each(|condition| condition.check(&schema))?;
     let texts: Vec<String> = conditions.iter().map(ToString::to_string).collect();
     let history = format!("filtered where {} from corpus {}", texts.join(" and "), scan.fingerprint()?);
-    copy(&[scan], out, history, &mut All(conditions), progress)
+    copy(&[scan], out, &history, &mut All(conditions), progress)
 }
 
 /// The scenarios for which all conditions hold.

@@ -21,7 +21,7 @@ pub fn merge(dirs: &[PathBuf], out: &Path, progress: &dyn Progress) -> Result<Ou
     let names = scans.iter().map(CorpusScan::fingerprint).collect::<Result<Vec<_>, _>>()?;
     let mut selection = Once { dirs, shared: shared(&scans)?, n_duplicates: 0 };
     let history = format!("merged from corpora {}", names.join(", "));
-    let outcome = copy(&scans, out, history, &mut selection, progress)?;
+    let outcome = copy(&scans, out, &history, &mut selection, progress)?;
     Ok(Outcome { n_duplicates: selection.n_duplicates, ..outcome })
 }
 

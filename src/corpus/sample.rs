@@ -52,7 +52,7 @@ pub fn sample(dir: &Path, options: &SampleOptions, out: &Path, progress: &dyn Pr
     }
     let by = by.as_ref().map_or(String::new(), |by| format!(" by {by}"));
     let history = format!("sampled {n}{by} with seed {seed} from corpus {}", scan.fingerprint()?);
-    copy(&[scan], out, history, &mut Chosen(chosen), progress)
+    copy(&[scan], out, &history, &mut Chosen(chosen), progress)
 }
 
 /// The column of the table, for the name that partitions give to one of them.

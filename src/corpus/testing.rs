@@ -2,7 +2,9 @@
 
 use crate::scene::{LaneGraph, LaneId, MapId, Scene};
 use crate::store::testing::{map, record, scene};
-use crate::store::{CorpusManifest, CorpusNotes, CorpusWriter, MapSource, MetricRow, Result, ScenarioRecord};
+use crate::store::{
+    CorpusManifest, CorpusNotes, CorpusWriter, MapSource, MetricRow, Result, ScenarioRecord, as_stored,
+};
 use std::path::Path;
 
 /// Any map, as seed 5 makes it.
@@ -22,8 +24,8 @@ impl MapSource for AnyMap {
 pub(super) fn recorded(i: u64) -> Scene {
     let graph = map(5, 9);
     let mut scene = scene(i, Some((&MapId::from("PIT"), &graph)));
-    scene.source.place = if i % 3 == 0 { "MIA" } else { "PIT" }.to_owned();
-    scene
+    scene.source.place = if i.is_multiple_of(3) { "MIA" } else { "PIT" }.to_owned();
+    as_stored(&scene)
 }
 
 /// Two scenarios of each recorded scene in `seeds`: one unverified cut-in, one verified; every fourth scene asks for nothing.
@@ -32,7 +34,7 @@ pub(super) fn records(seeds: impl IntoIterator<Item = u64>) -> Vec<ScenarioRecor
         let scene = recorded(i);
         [0, 1].map(|sample| {
             let mut record = record(&scene, sample);
-            if i % 4 == 0 {
+            if i.is_multiple_of(4) {
                 (record.requested_behavior, record.verified, record.events) = (None, false, Vec::new());
             }
             record

@@ -127,8 +127,8 @@ impl CorpusManifest {
     /// brought into the present form; what it does not say (partitions, recordings) is empty then.
     ///
     /// # Errors
-    /// [`Error::NoCorpus`] when the folder holds none of ours, [`Error::Unfinished`] when its writer did not finish,
-    /// [`Error::SchemaVersion`] when the manifest is of another version or of another kind of folder.
+    /// [`Error::NoCorpus`] when the folder is of another kind, [`Error::Unfinished`] when its writer did not finish,
+    /// [`Error::SchemaVersion`] when the manifest is of a version that is not read.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(MANIFEST_FILE);
         if !path.is_file() {
@@ -142,6 +142,7 @@ impl CorpusManifest {
         match value.get("schema").and_then(Value::as_str).unwrap_or_default() {
             CORPUS_SCHEMA => serde_json::from_value(value).map_err(Error::json(&path)),
             FLAT_SCHEMA => serde_json::from_value(value).map(FlatManifest::upgrade).map_err(Error::json(&path)),
+            "" => Err(Error::NoCorpus { dir: dir.to_owned() }),
             found => {
                 let (expected, found) = (CORPUS_SCHEMA.to_owned(), found.to_owned());
                 Err(Error::SchemaVersion { path, expected, found })

@@ -45,13 +45,13 @@ impl CorpusReader {
         for i in 0..scan.n_parts() {
             let (file, tracks_file) = scan.part(i)?;
             let (path, tracks_path) = (scan.path(file), scan.path(tracks_file));
-            let mut end = 0;
+            let mut end = 0usize;
             for batch in scan.batches(CorpusTable::Scenarios, file, None)? {
                 let batch = widened(&batch?, &schema, &path)?;
                 let n_states: &UInt64Array = Columns::of_batch(&batch, &path).get("n_states")?;
                 for n in n_states.values() {
                     let start = end;
-                    end += *n as usize;
+                    end = end.saturating_add(*n as usize);
                     tracks.push((tracks_path.clone(), start..end));
                 }
                 batches.push(batch);

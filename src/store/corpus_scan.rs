@@ -206,13 +206,14 @@ impl Chunks {
         };
         let columns = Columns::of_batch(&scenarios, &self.path);
         let n_states: &UInt64Array = columns.get("n_states")?;
-        let mut end = 0;
+        let mut end = 0usize;
         let track_rows: Vec<Range<usize>> = n_states
             .values()
             .iter()
             .map(|n| {
                 let start = end;
-                end += *n as usize;
+                // A damaged number must not end in an overflow; it is found when the rows are missing.
+                end = end.saturating_add(*n as usize);
                 start..end
             })
             .collect();

@@ -15,7 +15,7 @@ pub enum Error {
         dir: PathBuf,
     },
     /// A folder that is no corpus.
-    #[error("{} is no corpus: it has neither a manifest.json nor tables; name the folder that `djinn evaluate` wrote, such as output/quickstart/main/corpus", .dir.display())]
+    #[error("{} is no corpus: it has no manifest.json of one; name the folder that `djinn evaluate` wrote, such as output/quickstart/main/corpus", .dir.display())]
     NoCorpus {
         /// The folder.
         dir: PathBuf,

@@ -25,7 +25,8 @@ fn corpora_of_every_version_are_read() {
             let record = reader.scenario(i).unwrap();
             assert!(record.scenario.scene.tracks.len() >= 2 && !record.scenario.scene.lanes.is_empty());
             assert_eq!(record.main_event().is_some(), record.verified);
-            let recorded = reader.recorded_tracks(&record.scenario.scene.id, record.scenario.scene.n_timesteps).unwrap();
+            let recorded =
+                reader.recorded_tracks(&record.scenario.scene.id, record.scenario.scene.n_timesteps).unwrap();
             assert_eq!(recorded.is_some(), reader.manifest().n_recordings > 0);
         }
         assert!(reader.metrics().unwrap().iter().any(|row| row.scenario_id.is_some()));
@@ -42,9 +43,9 @@ fn corpora_of_every_version_are_read() {
 fn the_present_version_has_a_fixture() {
     let is_present = |folder: &PathBuf| {
         let manifest = CorpusManifest::read(folder).unwrap();
-        CorpusTable::ALL.iter().all(|table| {
-            manifest.tables.get(table.name()).is_some_and(|entry| entry.schema == table.schema().id())
-        })
+        CorpusTable::ALL
+            .iter()
+            .all(|table| manifest.tables.get(table.name()).is_some_and(|entry| entry.schema == table.schema().id()))
     };
     assert!(
         fixtures().iter().any(is_present),
@@ -79,7 +80,10 @@ fn the_tools_work_from_the_command_line() {
     let shown = djinn(&["corpus", "diff", &verified, &two]).expect(0).stdout;
     assert!(shown.contains("same: 2, changed: 0, only in A: 2, only in B: 0"), "{shown}");
     let card = fs_err::read_to_string(workspace.path("two/README.md")).unwrap();
-    assert!(card.contains("then filtered where verified from corpus") && card.contains("then sampled 2 with seed 3"), "{card}");
+    assert!(
+        card.contains("then filtered where verified from corpus") && card.contains("then sampled 2 with seed 3"),
+        "{card}"
+    );
     let part = fs_err::read_dir(workspace.path("two/tracks/behavior=cut_in")).unwrap().next().unwrap().unwrap().path();
     let part = djinn(&["inspect", part.join("part-00000.parquet").to_str().unwrap()]).expect(0).stdout;
     assert!(part.contains("table: tracks") && part.contains("behavior: cut_in"), "{part}");

@@ -148,7 +148,12 @@ fn check_totals(scan: &CorpusScan, known: &Known, report: &mut ValidationReport)
     match fs_err::read_to_string(scan.dir().join(CARD_FILE)) {
         Ok(text) if text == card(manifest) => {}
         Ok(_) => {
-            report.remark("card", CARD_FILE, None, "it is not the card of this manifest: edited, or of another version")
+            report.remark(
+                "card",
+                CARD_FILE,
+                None,
+                "it is not the card of this manifest: edited, or of another version",
+            );
         }
         Err(error) => report.remark("card", CARD_FILE, None, error.to_string()),
     }

@@ -5,7 +5,7 @@ use super::{Known, ValidationReport, states};
 use crate::corpus::Result;
 use crate::corpus::rows::fingerprint;
 use crate::progress::Progress;
-use crate::store::{Columns, CorpusChunk, CorpusScan, CorpusTable, FileEntry};
+use crate::store::{Columns, CorpusScan, CorpusTable, FileEntry};
 use arrow::datatypes::{Float64Type, Int64Type, UInt32Type};
 use std::collections::BTreeSet;
 
@@ -31,47 +31,50 @@ pub(super) fn check(
         if !readable.contains(&file.path) {
             continue;
         }
-        // Without states, the rows of scenarios can still be checked.
-        let with_tracks = readable.contains(&tracks_file.path);
-        let chunks = match scan.chunks(part, with_tracks) {
-            Ok(chunks) => chunks,
-            Err(error) => {
-                report.damage("unreadable", &file.path, None, error.to_string());
-                continue;
-            }
-        };
-        for chunk in chunks {
-            let checked = chunk.map_err(Into::into).and_then(|chunk| {
-                progress.advance(chunk.len() as u64);
-                check_chunk(&chunk, [file, tracks_file], with_tracks, known, report)
-            });
-            if let Err(error) = checked {
-                report.damage("unreadable", &file.path, None, error.to_string());
-                break;
-            }
+        // First the rows of scenarios alone: where states are damaged, they can still be checked.
+        let checked = check_rows(scan, part, file, known, report, progress);
+        let checked = checked.and_then(|()| match readable.contains(&tracks_file.path) {
+            true => check_states(scan, part, [file, tracks_file], report),
+            false => Ok(()),
+        });
+        if let Err(error) = checked {
+            report.damage("unreadable", &file.path, None, error.to_string());
         }
     }
 }
 
-fn check_chunk(
-    chunk: &CorpusChunk,
-    [file, tracks_file]: [&FileEntry; 2],
-    with_tracks: bool,
+fn check_rows(
+    scan: &CorpusScan,
+    part: usize,
+    file: &FileEntry,
     known: &mut Known,
     report: &mut ValidationReport,
+    progress: &dyn Progress,
 ) -> Result<()> {
-    report.n_scenarios += chunk.len() as u64;
-    non_finite(&chunk.scenarios, &file.path, chunk.first_row, report);
-    let columns = chunk.columns();
-    for i in 0..chunk.len() {
-        let row = chunk.first_row + i;
-        check_row(&columns, i, row, file, known, report)?;
+    for chunk in scan.chunks(part, false)? {
+        let chunk = chunk?;
+        report.n_scenarios += chunk.len() as u64;
+        non_finite(&chunk.scenarios, &file.path, chunk.first_row, report);
+        for i in 0..chunk.len() {
+            check_row(&chunk.columns(), i, chunk.first_row + i, file, known, report)?;
+        }
+        progress.advance(chunk.len() as u64);
     }
-    if with_tracks {
+    Ok(())
+}
+
+fn check_states(
+    scan: &CorpusScan,
+    part: usize,
+    [file, tracks_file]: [&FileEntry; 2],
+    report: &mut ValidationReport,
+) -> Result<()> {
+    for chunk in scan.chunks(part, true)? {
+        let chunk = chunk?;
         non_finite(&chunk.tracks, &tracks_file.path, chunk.first_track_row, report);
         report.n_states += chunk.tracks.num_rows() as u64;
         for i in 0..chunk.len() {
-            states::check_scenario(chunk, i, [file, tracks_file], report)?;
+            states::check_scenario(&chunk, i, [file, tracks_file], report)?;
         }
     }
     Ok(())

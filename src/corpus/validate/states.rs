@@ -156,7 +156,8 @@ fn check_state(states: &States<'_>, row: usize, place: &mut Place<'_>) {
         place.damage("range", row, format!("heading_rad is {heading_rad}, expected within half a turn"));
     }
     for (name, size) in ["length_m", "width_m"].iter().zip(states.sizes) {
-        if !size.is_null(row) && !(size.value(row) > 0.0 && size.value(row) <= MAX_SIZE_M) {
+        let is_possible = |size: f32| size > 0.0 && size <= MAX_SIZE_M;
+        if !size.is_null(row) && !is_possible(size.value(row)) {
             place.damage(
                 "range",
                 row,
@@ -242,7 +243,7 @@ fn check_recording_file(
             }
             match known.scenes.get(&hash) {
                 None if !is_same_scene => {
-                    place.damage("reference", row, format!("no scenario continues scene {scene}"))
+                    place.damage("reference", row, format!("no scenario continues scene {scene}"));
                 }
                 Some((n_timesteps, _)) if timestep >= *n_timesteps => {
                     place.damage("range", row, format!("timestep {timestep} of {n_timesteps}"));
