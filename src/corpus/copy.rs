@@ -4,7 +4,7 @@
 //! share come once. Aggregated metric values are over what a run sampled and hold for no other choice: they are left out.
 
 use super::out_folder::OutFolder;
-use super::rows::{Fingerprint, RowBytes, fingerprint, of_rows, texts};
+use super::rows::{Fingerprint, RowBytes, add_rows, fingerprint, texts};
 use super::{Error, Result};
 use crate::progress::Progress;
 use crate::scene::{LaneGraph, MapId};
@@ -213,7 +213,7 @@ impl Copier {
                     let scene = fingerprint(scenes.value(start).as_bytes());
                     if wanted.contains(&scene) {
                         if let Some(rows) = &rows {
-                            here.entry(scene).or_default().update(&of_rows(rows, start..end));
+                            add_rows(here.entry(scene).or_default(), rows, start..end);
                         }
                         if !self.recordings.contains_key(&scene) {
                             keep[start..end].fill(true);

@@ -58,6 +58,9 @@ impl Drop for OutFolder {
 }
 
 fn is_absent_or_empty(dir: &Path) -> Result<bool> {
+    if dir.is_file() {
+        return Ok(false);
+    }
     match fs::read_dir(dir) {
         Ok(mut entries) => Ok(entries.next().is_none()),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(true),

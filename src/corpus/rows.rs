@@ -53,13 +53,18 @@ impl RowBytes {
 /// The fingerprint of some rows together.
 pub(super) fn of_rows(rows: &Rows, range: impl Iterator<Item = usize>) -> Fingerprint {
     let mut hasher = blake3::Hasher::new();
+    add_rows(&mut hasher, rows, range);
+    shortened(hasher.finalize())
+}
+
+/// Adds rows to a hash, which is the same in however many portions they come.
+pub(super) fn add_rows(hasher: &mut blake3::Hasher, rows: &Rows, range: impl Iterator<Item = usize>) {
     for i in range {
         let row = rows.row(i);
         let bytes: &[u8] = row.as_ref();
         hasher.update(&(bytes.len() as u64).to_le_bytes());
         hasher.update(bytes);
     }
-    shortened(hasher.finalize())
 }
 
 /// What tells whether two scenarios of one id are the same: fingerprints of the row and of its states.

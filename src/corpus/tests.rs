@@ -86,6 +86,19 @@ fn a_merge_with_nothing_new_is_what_it_was_but_for_history_and_aggregates() {
 }
 
 #[test]
+fn recordings_are_the_same_wherever_batches_break() {
+    let folder = Folder::new();
+    // More rows at one place than are read at a time, so that scenes lie across the break, in one corpus and not in the other.
+    let (a, b) = (folder.corpus("a", 0..330), folder.corpus("b", 100..330));
+    let n_rows = |dir: &Path| CorpusManifest::read(dir).unwrap().tables["recordings"].files[1].n_rows;
+    assert!(n_rows(&a) > 8192 && n_rows(&b) < 8192, "{} {}", n_rows(&a), n_rows(&b));
+    let outcome = merge(&[a.clone(), b], &folder.path("out"), &Silent).unwrap();
+    assert_eq!((outcome.n_duplicates, outcome.n_differing_recordings), (460, 0));
+    let tables = |dir: &Path| CorpusManifest::read(dir).unwrap().tables;
+    assert_eq!(tables(&folder.path("out"))["recordings"], tables(&a)["recordings"]);
+}
+
+#[test]
 fn different_scenarios_of_one_id_are_refused_and_nothing_is_left() {
     let folder = Folder::new();
     let a = folder.corpus("a", 0..5);

@@ -30,8 +30,8 @@ fn write_card(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
     writeln!(
         text,
         "{n_scenarios} generated scenarios, {n_verified} of them with the behavior that was asked for, {n_new} of these where \
-         the recording does not show it. They continue {n_recordings} recorded scenes on {n_maps} maps. A scenario is the \
-         joint motion of all road users near an ego: the recorded past, and a future that was sampled from a diffusion model \
+         the recording does not show it. Recorded scenes that they continue: {n_recordings}; maps: {n_maps}. A scenario is the \
+         joint motion of all road users near an ego: the recorded past, and a future that was sampled from a learned model \
          of traffic.\n"
     )?;
     counts(text, manifest)?;

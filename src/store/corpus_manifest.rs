@@ -131,6 +131,8 @@ impl CorpusManifest {
     /// [`Error::SchemaVersion`] when the manifest is of a version that is not read.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(MANIFEST_FILE);
+        // A folder that is not there at all is told as such.
+        fs_err::metadata(dir)?;
         if !path.is_file() {
             let has = |name: &str| dir.join(name).exists() || dir.join(format!("{name}.parquet")).exists();
             let is_ours = CorpusTable::ALL.into_iter().any(|table| has(table.name()));

@@ -52,7 +52,7 @@ fn columns_in_the_example_queries_exist() {
         schema.fields.iter().map(|field| field.name().clone()).collect()
     };
     // Parameters of events are columns too, where events have them.
-    let parameters = ["gap_m", "ttc_s", "relative_speed_mps"].map(str::to_owned);
+    let parameters = ["gap_m", "min_distance_m", "relative_speed_mps"].map(str::to_owned);
     let known: Vec<String> =
         [columns("scenario"), columns("track"), columns("recording"), parameters.to_vec()].concat();
     let keywords = ["read_parquet", "hive_partitioning", "speed_mps", "deviation_m"];
