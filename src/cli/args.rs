@@ -55,6 +55,9 @@ pub(super) enum Command {
     /// Write a page for people about what was generated, or compare two runs
     #[command(after_help = help::REPORT, mut_arg("output", not_for_comparisons))]
     Report(ReportArgs),
+    /// Check, merge, filter, sample and compare finished corpora
+    #[command(subcommand)]
+    Corpus(CorpusCommand),
     /// Write a corpus in a format that others read: recordings, simulation, scenario databases
     #[command(after_help = help::EXPORT)]
     Export(ExportArgs),
@@ -77,6 +80,90 @@ pub(super) enum TrainCommand {
     /// Train Scene Transformer, the baseline to compare the diffusion model with
     #[command(after_help = help::TRAIN_BASELINE)]
     Baseline(TrainBaselineArgs),
+}
+
+#[derive(Debug, Subcommand)]
+pub(super) enum CorpusCommand {
+    /// Check that a corpus is whole, fits together and says what can be
+    #[command(after_help = help::CORPUS_VALIDATE)]
+    Validate(CorpusValidateArgs),
+    /// Put several corpora together
+    #[command(after_help = help::CORPUS_MERGE)]
+    Merge(CorpusMergeArgs),
+    /// Keep the scenarios for which conditions hold
+    #[command(after_help = help::CORPUS_FILTER)]
+    Filter(CorpusFilterArgs),
+    /// Draw scenarios at random
+    #[command(after_help = help::CORPUS_SAMPLE)]
+    Sample(CorpusSampleArgs),
+    /// Say what differs between two corpora
+    #[command(after_help = help::CORPUS_DIFF)]
+    Diff(CorpusDiffArgs),
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct CorpusValidateArgs {
+    /// The folder of the corpus
+    #[arg(value_name = "DIR")]
+    pub(super) corpus: PathBuf,
+    /// Print JSON instead of text
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct CorpusMergeArgs {
+    /// The folders of the corpora, at least two
+    #[arg(value_name = "DIR", required = true)]
+    pub(super) corpora: Vec<PathBuf>,
+    /// The new folder to write
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct CorpusFilterArgs {
+    /// The folder of the corpus
+    #[arg(value_name = "DIR")]
+    pub(super) corpus: PathBuf,
+    /// A condition such as "gap_m < 5" (may be repeated; all must hold)
+    #[arg(long = "where", value_name = "CONDITION", required = true)]
+    pub(super) conditions: Vec<String>,
+    /// The new folder to write
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct CorpusSampleArgs {
+    /// The folder of the corpus
+    #[arg(value_name = "DIR")]
+    pub(super) corpus: PathBuf,
+    /// Number of scenarios
+    #[arg(long, value_name = "N")]
+    pub(super) n: u64,
+    /// A column whose values share the number equally, such as behavior or place
+    #[arg(long, value_name = "COLUMN")]
+    pub(super) by: Option<String>,
+    /// Seed of the draw
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    pub(super) seed: u64,
+    /// The new folder to write
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct CorpusDiffArgs {
+    /// The folder of the one corpus
+    #[arg(value_name = "A")]
+    pub(super) a: PathBuf,
+    /// The folder of the other
+    #[arg(value_name = "B")]
+    pub(super) b: PathBuf,
+    /// Print JSON instead of text
+    #[arg(long)]
+    pub(super) json: bool,
 }
 
 #[derive(Debug, clap::Args)]

@@ -139,8 +139,26 @@ pub(crate) fn record(scene: &Scene, sample_idx: usize) -> ScenarioRecord {
     }
 }
 
-/// The names and contents of all files of a folder.
+/// The names and contents of all files below a folder.
 pub(crate) fn folder_bytes(dir: &std::path::Path) -> std::collections::BTreeMap<String, Vec<u8>> {
-    let entries = fs_err::read_dir(dir).unwrap().map(|entry| entry.unwrap());
-    entries.map(|e| (e.file_name().to_string_lossy().into_owned(), fs_err::read(e.path()).unwrap())).collect()
+    let mut files = std::collections::BTreeMap::new();
+    for entry in fs_err::read_dir(dir).unwrap().map(|entry| entry.unwrap()) {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if entry.path().is_dir() {
+            files
+                .extend(folder_bytes(&entry.path()).into_iter().map(|(file, bytes)| (format!("{name}/{file}"), bytes)));
+        } else {
+            files.insert(name, fs_err::read(entry.path()).unwrap());
+        }
+    }
+    files
+}
+
+/// Writes a table from rows that need not make sense.
+pub(crate) fn write_table(
+    path: &std::path::Path,
+    table: &super::TableSchema,
+    batch: &arrow::array::RecordBatch,
+) -> super::FileStamp {
+    super::parquet_file::write_batch(path, table, batch).unwrap()
 }

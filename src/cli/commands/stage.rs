@@ -91,7 +91,7 @@ impl<'a> Request<'a> {
                 }
                 request
             }
-            Command::Run(_) | Command::Export(_) | Command::Inspect(_) => return None,
+            Command::Run(_) | Command::Corpus(_) | Command::Export(_) | Command::Inspect(_) => return None,
         };
         Some(request)
     }

@@ -71,7 +71,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        2
+        3
     }
 
     fn check(&self) -> Result<()> {
@@ -114,13 +114,16 @@ impl Stage for Evaluate<'_> {
         context.progress.start("evaluate", samples.n_scenarios, "scenarios");
         for shard in &samples.shards {
             let records = SampleManifest::read_shard(&self.layout.samples, shard, &store)?;
+            let keeps = |record: &ScenarioRecord| self.config.keep == Keep::All || record.verified;
             for (cell, recorded, figures) in evaluate_shard(&records, &store, &measures, self.config)? {
+                if cell.records.iter().any(|record| keeps(record)) {
+                    corpus.write_recording(&recorded)?;
+                }
                 cell.records.iter().for_each(|record| sampling.add(record, &recorded, shard.n_evaluations));
                 realism.add(&shard.sweep, &cell, &figures.motion);
                 figures.prediction.iter().try_for_each(|modes| predictions.add(&recorded, modes))?;
                 table.add(&shard.sweep, &cell, &recorded, figures);
             }
-            let keeps = |record: &ScenarioRecord| self.config.keep == Keep::All || record.verified;
             let n_records = records.len() as u64;
             let kept: Vec<ScenarioRecord> = records.into_iter().filter(keeps).collect();
             corpus.write_scenarios(&kept)?;
