@@ -7,7 +7,7 @@ use super::{Cell, ClassifierFreeConfig, Error, Generator, ShardPlan, SweepConfig
 use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::progress::Progress;
-use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, SceneId};
+use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, SceneId, TrackId};
 use crate::seed::Seed;
 use crate::store::{ScenarioRecord, as_stored};
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
@@ -82,7 +82,7 @@ impl Generator<'_> {
             }
         }
         for (((cell, scene), given), sampled) in shard.cells.iter().zip(&scenes).zip(&conditioned).zip(sampled) {
-            for (strength, sample_idx, result) in select(sweep, scene, sampled, &mut output.unselected) {
+            for (strength, sample_idx, result) in select(sweep, (scene, &cell.roles), sampled, &mut output.unselected) {
                 match result {
                     Ok((generated, probability)) => {
                         let scenario = (&generated, given.observed(&generated));
@@ -288,7 +288,7 @@ fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
 /// The samples of one cell without those that the sweep's selection leaves out, strength by strength.
 fn select(
     sweep: &SweepConfig,
-    recorded: &Scene,
+    (recorded, asked): (&Scene, &[(String, TrackId)]),
     sampled: Vec<(f64, usize, Sampled)>,
     unselected: &mut BTreeMap<String, u64>,
 ) -> Vec<(f64, usize, Sampled)> {
@@ -299,7 +299,7 @@ fn select(
         let (places, scenes): (Vec<usize>, Vec<Scene>) = (sampled.iter().enumerate().filter(is_candidate))
             .filter_map(|(place, (_, _, result))| Some((place, result.as_ref().ok()?.0.clone())))
             .unzip();
-        for (place, verdict) in places.into_iter().zip(select.verdicts(recorded, &scenes)) {
+        for (place, verdict) in places.into_iter().zip(select.verdicts(recorded, asked, &scenes)) {
             left_out[place] = verdict;
         }
     }

@@ -1,7 +1,7 @@
 //! Which samples become scenarios? Rejection by limits of metrics, and the best of many.
 
 use crate::metrics::{ALL, Direction, Metric, SampleGroup, by_id};
-use crate::scene::Scene;
+use crate::scene::{Scene, TrackId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -52,11 +52,16 @@ impl SelectConfig {
         }
     }
 
-    /// For each sample of one recorded scene why it is left out; `None` where it is kept. A metric that is not defined for a
-    /// sample is no limit to it, and makes it the worst.
-    pub(super) fn verdicts(&self, recorded: &Scene, samples: &[Scene]) -> Vec<Option<String>> {
+    /// For each sample of one recorded scene, of whose agents those in `asked` were asked to show something, why it is left
+    /// out; `None` where it is kept. A metric that is not defined for a sample is no limit to it, and makes it the worst.
+    pub(super) fn verdicts(
+        &self,
+        recorded: &Scene,
+        asked: &[(String, TrackId)],
+        samples: &[Scene],
+    ) -> Vec<Option<String>> {
         let cost = |metric: &dyn Metric, sample: &Scene| {
-            let group = SampleGroup::equally_likely(recorded, std::slice::from_ref(sample));
+            let group = SampleGroup { asked, ..SampleGroup::equally_likely(recorded, std::slice::from_ref(sample)) };
             metric.evaluate(&group).map(|value| as_cost(metric, value))
         };
         let mut verdicts: Vec<Option<String>> = samples
@@ -109,11 +114,11 @@ mod tests {
     #[test]
     fn the_best_are_kept_and_the_first_of_equals() {
         let (recorded, samples) = samples();
-        let verdicts = select("best = 1\nby = ['min_fde_m']").verdicts(&recorded, &samples);
+        let verdicts = select("best = 1\nby = ['min_fde_m']").verdicts(&recorded, &[], &samples);
         let kept: Vec<usize> = (0..4).filter(|i| verdicts[*i].is_none()).collect();
         assert_eq!(kept, [1]);
         assert_eq!(verdicts[3].as_deref(), Some("not among the best 1"));
-        let verdicts = select("best = 3\nby = ['collision_rate', 'min_ade_m']").verdicts(&recorded, &samples);
+        let verdicts = select("best = 3\nby = ['collision_rate', 'min_ade_m']").verdicts(&recorded, &[], &samples);
         assert_eq!(verdicts.iter().map(Option::is_some).collect::<Vec<_>>(), [false, false, true, false]);
     }
 
@@ -126,7 +131,7 @@ mod tests {
         };
         let limit = f64::midpoint(fde_m(0), fde_m(1));
         let verdicts = select(&format!("best = 3\nby = ['min_ade_m']\nlimits = {{ min_fde_m = {limit} }}"))
-            .verdicts(&recorded, &samples);
+            .verdicts(&recorded, &[], &samples);
         assert_eq!(verdicts.iter().map(Option::is_some).collect::<Vec<_>>(), [true, false, true, false]);
         assert_eq!(verdicts[0], Some(format!("min_fde_m beyond {limit}")));
     }

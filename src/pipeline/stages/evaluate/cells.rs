@@ -82,9 +82,13 @@ impl Cell<'_> {
             .as_deref()
             .map(|behavior| Requested { behavior, roles: &first.scenario.provenance.guidance.roles });
         let evaluate = |group: &SampleGroup<'_>, mode_seed| measures.evaluate(group, requested, mode_seed);
-        let figures = |samples: &[Scene]| evaluate(&SampleGroup::equally_likely(&recorded, samples), None);
+        let asked: &[_] = &first.scenario.provenance.guidance.roles;
+        let figures = |samples: &[Scene]| {
+            evaluate(&SampleGroup { asked, ..SampleGroup::equally_likely(&recorded, samples) }, None)
+        };
         let probabilities = self.probabilities();
-        let together = SampleGroup { recorded: &recorded, samples: &samples, probabilities: probabilities.as_deref() };
+        let together =
+            SampleGroup { recorded: &recorded, samples: &samples, probabilities: probabilities.as_deref(), asked };
         let baseline = constant_velocity(&recorded);
         let reference = |scene: &Scene| self.with_references.then(|| figures(std::slice::from_ref(scene)));
         let mode_seed = Seed(first.scenario.provenance.seed).derive_named("modes", &recorded.id.0);
