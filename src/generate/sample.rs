@@ -98,7 +98,9 @@ impl Generator<'_> {
             }
         }
         for (((cell, scene), given), sampled) in shard.cells.iter().zip(&scenes).zip(&conditioned).zip(sampled) {
-            for Sampled { level, sample_idx, draw } in select(sweep, (scene, &cell.roles), sampled, &mut output.unselected) {
+            for Sampled { level, sample_idx, draw } in
+                select(sweep, (scene, &cell.roles), sampled, &mut output.unselected)
+            {
                 match draw {
                     Ok(draw) => {
                         let scenario = (&draw.scene, given.observed(&draw.scene));
@@ -277,6 +279,7 @@ impl Generator<'_> {
             verified: verdict.verified,
             events: verdict.events,
             recorded_event: verdict.recorded_event,
+            assessment: None,
         })
     }
 }

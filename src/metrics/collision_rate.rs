@@ -62,9 +62,8 @@ pub(super) struct Collision {
 
 /// The collisions among the agents tracked at present, pair by pair.
 pub(super) fn collisions(scene: &Scene) -> Vec<Collision> {
-    let agents: Vec<(usize, Sweep, bool)> = present_agents(scene)
-        .filter_map(|i| Some((i, Sweep::new(&scene.tracks[i])?, is_moving(scene, i))))
-        .collect();
+    let agents: Vec<(usize, Sweep, bool)> =
+        present_agents(scene).filter_map(|i| Some((i, Sweep::new(&scene.tracks[i])?, is_moving(scene, i)))).collect();
     let mut found = Vec::new();
     for (at, (i, first, first_moves)) in agents.iter().enumerate() {
         for (j, second, second_moves) in &agents[at + 1..] {

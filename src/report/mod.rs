@@ -17,8 +17,8 @@ mod wilson;
 pub use distribution::{Distribution, DistributionSeries};
 pub use html::render;
 pub use model::{
-    BehaviorCount, BehaviorDoc, Chart, Curve, Fact, MetricDoc, MetricTable, MiningSummary, RealismRow, ReportModel,
-    SamplingRow, TrainingSummary, Warning,
+    AcceptanceRow, BehaviorCount, BehaviorDoc, Chart, Curve, Fact, LeftOutRow, MetricDoc, MetricTable, MiningSummary,
+    RealismRow, ReportModel, SamplingRow, TrainingSummary, ValidityRow, Warning,
 };
 pub use quantities::{MotionDistributions, event_distributions};
 pub use scene_card::{DrawnAgent, DrawnLane, SceneCard, ScenePanel, ViewRect};

@@ -161,6 +161,7 @@ mod tests {
             verified,
             events: verified.then_some(event).into_iter().collect(),
             recorded_event,
+            assessment: None,
         }
     }
 

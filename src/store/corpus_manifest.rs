@@ -19,12 +19,14 @@ pub struct CorpusNotes {
     pub sources: BTreeMap<String, String>,
     /// Anything else, such as the pipeline's name.
     pub notes: BTreeMap<String, String>,
+    /// Sweep → why samples of it are not in the corpus → how many, each for its first reason.
+    pub left_out: BTreeMap<String, BTreeMap<String, u64>>,
 }
 
 /// One table of a corpus.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TableEntry {
-    /// Its schema, such as `scenario.v3`.
+    /// Its schema, such as `scenario.v4`.
     pub schema: String,
     /// Number of rows.
     pub n_rows: u64,
@@ -53,6 +55,9 @@ pub struct CorpusManifest {
     pub sources: BTreeMap<String, String>,
     /// What else the writer was told.
     pub notes: BTreeMap<String, String>,
+    /// Sweep → why samples of it are not in the corpus → how many, each for its first reason.
+    #[serde(default)]
+    pub left_out: BTreeMap<String, BTreeMap<String, u64>>,
 }
 
 impl CorpusManifest {
@@ -68,6 +73,7 @@ impl CorpusManifest {
             tables: BTreeMap::new(),
             sources: BTreeMap::new(),
             notes: BTreeMap::new(),
+            left_out: BTreeMap::new(),
         }
     }
 

@@ -105,6 +105,7 @@ impl<'m> CorpusWriter<'m> {
         self.manifest.n_maps = self.known_maps.len() as u64;
         self.manifest.sources.extend(notes.sources.clone());
         self.manifest.notes.clone_from(&notes.notes);
+        self.manifest.left_out.clone_from(&notes.left_out);
         write_json_atomically(&self.dir.join(MANIFEST_FILE), &self.manifest)?;
         Ok(self.manifest)
     }
@@ -151,7 +152,7 @@ fn write_scenario_table(path: &Path, batches: Vec<ScenarioRows>) -> Result<(u64,
 mod tests {
     use super::*;
     use crate::scene::{LaneGraph, Scene};
-    use crate::store::testing::{event, folder_bytes, map, record, scene};
+    use crate::store::testing::{assessment, event, folder_bytes, map, record, scene};
     use crate::store::{CorpusReader, SceneStore, SceneWriter, SceneWriterOptions};
     use serde_json::Value;
 
@@ -165,6 +166,9 @@ mod tests {
         writer.finish(&Value::Null).unwrap();
         let mut records: Vec<ScenarioRecord> =
             scenes.iter().flat_map(|scene| (0..2).map(|i| record(scene, i))).collect();
+        for (i, record) in records.iter_mut().enumerate().filter(|(i, _)| i % 3 > 0) {
+            record.assessment = Some(assessment(&record.scenario.scene, i % 3 == 1));
+        }
         // A parameter that occurs late, in a batch of its own.
         let last = records.last_mut().unwrap();
         last.events = vec![event(&last.scenario.scene.id, "cut_in", &[("ttc_s", 2.5)])];
@@ -192,7 +196,8 @@ mod tests {
             writer.write_scenarios(batch).unwrap();
         }
         writer.write_metrics(&[metric_row()]).unwrap();
-        writer.finish(&CorpusNotes::default()).unwrap()
+        let left_out = [("guided".to_owned(), [("not_verified".to_owned(), 7)].into())].into();
+        writer.finish(&CorpusNotes { left_out, ..CorpusNotes::default() }).unwrap()
     }
 
     #[test]
@@ -202,6 +207,7 @@ mod tests {
         let manifest = write(dir.path(), &store, &records, 33);
         assert_eq!((manifest.n_scenarios, manifest.n_verified, manifest.n_maps), (140, 70, 2));
         assert_eq!(manifest.scenarios_by_sweep["guided"], 140);
+        assert_eq!(manifest.left_out["guided"]["not_verified"], 7);
         assert!(manifest.sources["argoverse1"].contains("CC BY-NC-SA 4.0"));
 
         let reader = CorpusReader::open(dir.path()).unwrap();

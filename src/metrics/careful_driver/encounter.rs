@@ -114,7 +114,9 @@ impl<'a> Encounter<'a> {
             closing_mps > 0.0 && !is_passed && gap_m <= config.danger_ttc_s * closing_mps
         };
         // Times of timesteps are rounded products, which must not decide.
-        self.future().find(|(time_s, place)| *time_s >= perceived_s - 1e-9 && is_danger(&(*time_s, *place))).map(|(t, _)| t)
+        self.future()
+            .find(|(time_s, place)| *time_s >= perceived_s - 1e-9 && is_danger(&(*time_s, *place)))
+            .map(|(t, _)| t)
     }
 
     /// Whether the boxes touch while the ego brakes so.
@@ -133,7 +135,8 @@ impl<'a> Encounter<'a> {
             }
             // After the scene the other keeps its velocity: nothing is left to happen once the ego has braked enough or has no reason to.
             let along_mps = other.velocity.dot(Vec2::from_angle(heading_rad)).max(0.0);
-            let is_over = braking.from_s.is_none_or(|from_s| time_s >= from_s && braking.speed_mps(time_s) <= along_mps);
+            let is_over =
+                braking.from_s.is_none_or(|from_s| time_s >= from_s && braking.speed_mps(time_s) <= along_mps);
             if time_s >= end_s && is_over {
                 return false;
             }

@@ -67,10 +67,10 @@ impl Closing {
             let could_be_sooner = least_m <= relative_mps * self.min_ttc_s.unwrap_or(MAX_TTC_S);
             let could_be_harder =
                 self.max_drac_mps2 < MAX_DRAC_MPS2 && least_m * 2.0 * self.max_drac_mps2 <= relative_mps * relative_mps;
-            if could_be_sooner || could_be_harder {
-                if let Some((ttc_s, drac_mps2)) = ttc_and_drac(meeting) {
-                    self.add(ttc_s, drac_mps2);
-                }
+            if (could_be_sooner || could_be_harder)
+                && let Some((ttc_s, drac_mps2)) = ttc_and_drac(meeting)
+            {
+                self.add(ttc_s, drac_mps2);
             }
         }
         self

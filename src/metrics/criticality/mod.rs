@@ -97,7 +97,8 @@ impl SceneCriticality {
         let mut worst: Option<Self> = None;
         for (i, (first, first_moves)) in agents.iter().enumerate() {
             for (second, second_moves) in &agents[i + 1..] {
-                let overlaps_now = first.sweep.at(present).zip(second.sweep.at(present)).is_some_and(|(a, b)| a.overlaps(b));
+                let overlaps_now =
+                    first.sweep.at(present).zip(second.sweep.at(present)).is_some_and(|(a, b)| a.overlaps(b));
                 if overlaps_now || !(*first_moves || *second_moves) {
                     continue;
                 }
@@ -120,7 +121,8 @@ impl SceneCriticality {
         Some(Self {
             min_ttc_s: closing.min_ttc_s,
             max_drac_mps2: closing.max_drac_mps2,
-            min_distance_m: distance.map_or(known.min_distance_m, |(distance_m, _)| distance_m.min(known.min_distance_m)),
+            min_distance_m: distance
+                .map_or(known.min_distance_m, |(distance_m, _)| distance_m.min(known.min_distance_m)),
         })
     }
 }

@@ -9,7 +9,9 @@ use crate::scene::TrackId;
 /// Cars of 4.5 by 1.8 m, as (x, y, heading in degrees, speed); 10 observed and 30 future timesteps of 0.1 s.
 fn scene(cars: &[[f64; 4]]) -> Scene {
     let agent = |(idx, [x, y, heading, speed]): (usize, &[f64; 4])| {
-        format!("{{ id = \"{idx}\", start = {{ x_m = {x:?}, y_m = {y:?}, heading_deg = {heading:?}, speed_mps = {speed:?} }} }}")
+        format!(
+            "{{ id = \"{idx}\", start = {{ x_m = {x:?}, y_m = {y:?}, heading_deg = {heading:?}, speed_mps = {speed:?} }} }}"
+        )
     };
     let agents: Vec<String> = cars.iter().enumerate().map(agent).collect();
     let spec: SceneSpec = toml::from_str(&format!("agents = [{}]", agents.join(", "))).expect("valid");
@@ -20,7 +22,10 @@ fn pair(cars: [[f64; 4]; 2]) -> PairCriticality {
     let forth = PairCriticality::of(&scene(&cars), [0, 1]).expect("tracked together");
     let [first, second] = cars;
     let back = PairCriticality::of(&scene(&[second, first]), [0, 1]).expect("tracked together");
-    assert!(near(forth.min_ttc_s, back.min_ttc_s) && near(forth.pet_s, back.pet_s), "the order of the two does not matter");
+    assert!(
+        near(forth.min_ttc_s, back.min_ttc_s) && near(forth.pet_s, back.pet_s),
+        "the order of the two does not matter"
+    );
     forth
 }
 

@@ -21,14 +21,13 @@ impl EventSpace {
     /// The space of the positive events of `behavior` among `events`. `None` where there are fewer than two, or none of their
     /// parameters varies.
     pub fn new(behavior: &str, events: &[BehaviorEvent]) -> Option<Self> {
-        let recorded: Vec<&BehaviorEvent> = events
-            .iter()
-            .filter(|event| event.behavior == behavior && event.label == EventLabel::Positive)
-            .collect();
+        let recorded: Vec<&BehaviorEvent> =
+            events.iter().filter(|event| event.behavior == behavior && event.label == EventLabel::Positive).collect();
         let names = recorded.first()?.parameters.keys().filter(|name| is_coordinate(name));
         let axes: Vec<(String, f64)> = names
             .filter_map(|name| {
-                let values: Option<Vec<f64>> = recorded.iter().map(|event| event.parameters.get(name).copied()).collect();
+                let values: Option<Vec<f64>> =
+                    recorded.iter().map(|event| event.parameters.get(name).copied()).collect();
                 Some((name.clone(), spread(values?)?))
             })
             .collect();
@@ -38,7 +37,7 @@ impl EventSpace {
         let mut space = Self { behavior: behavior.to_owned(), axes, index: NearestIndex::default() };
         for event in recorded {
             if let Some(point) = space.point(event) {
-                space.index.insert(point, distance);
+                space.index.insert(point, |a, b| distance(a, b));
             }
         }
         Some(space)
@@ -51,7 +50,7 @@ impl EventSpace {
 
     /// The distance of `event` from the nearest recorded one. `None` where it lacks a parameter that recorded events have.
     pub fn distance_to_nearest(&self, event: &BehaviorEvent) -> Option<f64> {
-        self.index.nearest(&self.point(event)?, distance).map(|(_, distance)| distance)
+        self.index.nearest(&self.point(event)?, |a, b| distance(a, b)).map(|(_, distance)| distance)
     }
 
     fn point(&self, event: &BehaviorEvent) -> Option<Vec<f64>> {
@@ -61,7 +60,8 @@ impl EventSpace {
 
 /// Whether a parameter says how an event went, and not when in the scene or on which side.
 fn is_coordinate(name: &str) -> bool {
-    let has_unit = ["_m", "_s", "_mps", "_mps2", "_mps3", "_rad", "_radps", "_deg", "_per_m"].iter().any(|u| name.ends_with(u));
+    let has_unit =
+        ["_m", "_s", "_mps", "_mps2", "_mps3", "_rad", "_radps", "_deg", "_per_m"].iter().any(|u| name.ends_with(u));
     has_unit && !name.starts_with("t_")
 }
 
@@ -83,7 +83,7 @@ fn spread(mut values: Vec<f64>) -> Option<f64> {
     (variance > 0.0).then(|| variance.sqrt())
 }
 
-fn distance(a: &Vec<f64>, b: &Vec<f64>) -> f64 {
+fn distance(a: &[f64], b: &[f64]) -> f64 {
     let sum: f64 = a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum();
     (sum / a.len().max(1) as f64).sqrt()
 }
@@ -127,9 +127,8 @@ mod tests {
 
     #[test]
     fn every_parameter_counts_the_same() {
-        let recorded = |i: u32| {
-            event(EventLabel::Positive, &[("gap_m", 10.0 * f64::from(i)), ("ego_speed_mps", f64::from(i))])
-        };
+        let recorded =
+            |i: u32| event(EventLabel::Positive, &[("gap_m", 10.0 * f64::from(i)), ("ego_speed_mps", f64::from(i))]);
         let events: Vec<BehaviorEvent> = (0..5).map(recorded).collect();
         let space = EventSpace::new("cut_in", &events).expect("they vary");
         // One spread off in the gap alone: √(1 / 2).

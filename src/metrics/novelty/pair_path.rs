@@ -46,26 +46,36 @@ impl PairPath {
 /// ([`NearestIndex`]); memory is 16 bytes for each agent and timestep.
 #[derive(Default)]
 pub struct PathIndex {
-    kinds: BTreeMap<(String, usize, usize), (Vec<String>, NearestIndex<PairPath>)>,
+    kinds: BTreeMap<Kind, OfKind>,
+}
+
+/// The behavior, the number of agents and the number of points.
+type Kind = (String, usize, usize);
+
+/// The scenarios of one kind, by number.
+#[derive(Default)]
+struct OfKind {
+    ids: Vec<String>,
+    paths: NearestIndex<PairPath>,
 }
 
 impl PathIndex {
     /// The nearest scenario of this kind so far, by its id, and its distance in metres. `None` where there is none.
     pub fn nearest(&self, behavior: &str, path: &PairPath) -> Option<(&str, f64)> {
-        let (ids, index) = self.kinds.get(&kind(behavior, path))?;
-        let (idx, distance_m) = index.nearest(path, PairPath::distance_m)?;
+        let OfKind { ids, paths } = self.kinds.get(&kind(behavior, path))?;
+        let (idx, distance_m) = paths.nearest(path, PairPath::distance_m)?;
         Some((ids.get(idx)?, distance_m))
     }
 
     /// Adds a scenario.
     pub fn insert(&mut self, behavior: &str, path: PairPath, scenario_id: &str) {
-        let (ids, index) = self.kinds.entry(kind(behavior, &path)).or_default();
+        let OfKind { ids, paths } = self.kinds.entry(kind(behavior, &path)).or_default();
         ids.push(scenario_id.to_owned());
-        index.insert(path, PairPath::distance_m);
+        paths.insert(path, PairPath::distance_m);
     }
 }
 
-fn kind(behavior: &str, path: &PairPath) -> (String, usize, usize) {
+fn kind(behavior: &str, path: &PairPath) -> Kind {
     (behavior.to_owned(), path.n_agents, path.points.len())
 }
 

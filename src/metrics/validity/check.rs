@@ -92,8 +92,12 @@ impl Check {
             Self::YawRate => "a vehicle's heading turns faster than the limit",
             Self::Curvature => "a vehicle's heading turns faster than its tightest circle allows at its speed",
             Self::Heading => "a vehicle moves at an angle to its heading larger than the limit",
-            Self::StartPosition => "a road user is farther than the limit from where its motion leads, where given and generated states meet",
-            Self::StartHeading => "a road user turns by more than the limit in one timestep, where given and generated states meet",
+            Self::StartPosition => {
+                "a road user is farther than the limit from where its motion leads, where given and generated states meet"
+            }
+            Self::StartHeading => {
+                "a road user turns by more than the limit in one timestep, where given and generated states meet"
+            }
             Self::Collision => "two road users touch that did not at present; the value is their relative speed",
             Self::Offroad => "a vehicle that is on the road at present leaves it by more than the limit",
         }

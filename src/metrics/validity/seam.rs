@@ -16,7 +16,9 @@ pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Vi
         for timestep in 1..scene.n_timesteps {
             let is_seam = judged.is_generated(agent_idx, timestep) != judged.is_generated(agent_idx, timestep - 1);
             let state = |timestep: usize| scene.state(agent_idx, timestep).filter(|state| state.is_finite());
-            let (Some(now), Some(before)) = (state(timestep).filter(|_| is_seam), state(timestep - 1)) else { continue };
+            let (Some(now), Some(before)) = (state(timestep).filter(|_| is_seam), state(timestep - 1)) else {
+                continue;
+            };
             let earlier: Vec<&State> = (2..=N_BEFORE + 1).map_while(|n| state(timestep.checked_sub(n)?)).collect();
             let step = match earlier.last() {
                 Some(first) => (before.position - first.position) * (1.0 / earlier.len() as f64),

@@ -9,7 +9,9 @@ const ROAD: &str = "lanes = [{ id = 1, centerline = [[-60, 0], [300, 0]], width_
 
 /// A car on a straight road of 4 m that starts at (0, 0) along x, and does what `segments` say.
 fn scene(speed_mps: f64, segments: &str) -> Scene {
-    built(&format!("{{ id = \"a\", start = {{ x_m = 0, y_m = 0, speed_mps = {speed_mps:?} }}, segments = [{segments}] }}"))
+    built(&format!(
+        "{{ id = \"a\", start = {{ x_m = 0, y_m = 0, speed_mps = {speed_mps:?} }}, segments = [{segments}] }}"
+    ))
 }
 
 fn built(agents: &str) -> Scene {
@@ -83,14 +85,16 @@ fn accelerations_have_a_sign() {
 #[test]
 fn a_step_in_acceleration_is_a_jerk() {
     // By hand: the cubic fitted to seven positions of a step of size a in the middle has a third derivative of 10 a / 3 per second.
-    let braking = scene(15.0, "{ duration_s = 1.5 }, { duration_s = 1.5, acceleration_mps2 = -6.0 }");
+    let braking = scene(15.0, "{ duration_s = 1.5 }, { duration_s = 2.5, acceleration_mps2 = -6.0 }");
     let (check, value, timestep) = only(&braking, &ValidityConfig { max_jerk_mps3: 15.0, ..defaults() });
     assert!(check == Check::Jerk && (value - 20.0).abs() < 0.5 && timestep == 15, "{value} at {timestep}");
 }
 
 #[test]
 fn bends_are_limited_by_grip_yaw_rate_and_steering() {
-    let turning = |speed: f64, degrees: f64| scene(speed, &format!("{{ duration_s = 1 }}, {{ duration_s = 2, turn_deg = {degrees:?} }}"));
+    let turning = |speed: f64, degrees: f64| {
+        scene(speed, &format!("{{ duration_s = 1 }}, {{ duration_s = 2, turn_deg = {degrees:?} }}"))
+    };
     let loose = ValidityConfig { skip: vec![Check::Jerk, Check::Offroad], ..defaults() };
     // 90 degrees in 2 s are 0.785 rad/s: 10 m/s² across at 12.7 m/s.
     let (check, value, _) = only(&turning(12.7324, 90.0), &loose);
@@ -125,12 +129,16 @@ fn the_future_begins_where_the_past_ends() {
             false => State { position: state.position + Vec2::new(0.0, by_m), ..state },
         })
     };
-    let violation = &found(&shifted(0.5), &ValidityConfig { skip: vec![Check::Jerk, Check::LateralAcceleration], ..defaults() });
+    let violation =
+        &found(&shifted(0.5), &ValidityConfig { skip: vec![Check::Jerk, Check::LateralAcceleration], ..defaults() });
     let seams: Vec<_> = violation.iter().map(|v| (v.check, v.timestep)).collect();
     assert_eq!(seams, [(Check::StartPosition, 10)], "{violation:?}");
     assert!((violation[0].value - 0.5).abs() < 1e-9);
     assert!(!checks(&shifted(0.2), &defaults()).contains(&"start_position"));
-    let turned = changed(scene(1.0, ""), |timestep, state| State { heading_rad: if timestep < 10 { 0.0 } else { 0.25 }, ..state });
+    let turned = changed(scene(1.0, ""), |timestep, state| State {
+        heading_rad: if timestep < 10 { 0.0 } else { 0.25 },
+        ..state
+    });
     assert!(found(&turned, &defaults()).iter().any(|v| v.check == Check::StartHeading && v.timestep == 10));
     // Where the end is given and the middle generated there are two seams.
     let end_given = shifted(0.5);
@@ -173,7 +181,8 @@ fn collisions_are_excused_only_where_they_were_asked_for() {
 #[test]
 fn leaving_the_road_is_measured_in_metres() {
     // The road ends 2 m to the left.
-    let leaving = |shift: f64| scene(10.0, &format!("{{ duration_s = 1 }}, {{ duration_s = 2.5, shift_m = {shift:?} }}"));
+    let leaving =
+        |shift: f64| scene(10.0, &format!("{{ duration_s = 1 }}, {{ duration_s = 2.5, shift_m = {shift:?} }}"));
     let (check, value, _) = only(&leaving(3.0), &defaults());
     assert!(check == Check::Offroad && (value - 1.0).abs() < 1e-6, "{value}");
     assert_eq!(checks(&leaving(2.2), &defaults()), [""; 0]);

@@ -77,9 +77,13 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
             layout,
         }),
-        StageId::Evaluate => {
-            Box::new(Evaluate { config: evaluate.as_ref()?, mine: definitions(), pipeline: &run.name, layout })
-        }
+        StageId::Evaluate => Box::new(Evaluate {
+            config: evaluate.as_ref()?,
+            mine: definitions(),
+            pipeline: &run.name,
+            has_events: mine.is_some(),
+            layout,
+        }),
         StageId::Report => Box::new(Report {
             config: report.as_ref()?,
             parts: reported_stages(config, layout),

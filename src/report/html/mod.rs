@@ -5,6 +5,7 @@ mod outcome;
 mod quality;
 mod scenes;
 mod training;
+mod verdict;
 
 use super::model::{Fact, ReportModel};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -30,6 +31,7 @@ pub fn render(model: &ReportModel) -> String {
     let sections: Vec<Section> = [
         Some(warnings(model)),
         outcome::section(model),
+        verdict::section(model),
         quality::metrics(model),
         quality::distributions(model),
         scenes::section(model),
