@@ -81,7 +81,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             config: evaluate.as_ref()?,
             mine: definitions(),
             pipeline: &run.name,
-            has_events: mine.is_some(),
+            has_events: has_events(config, layout),
             layout,
         }),
         StageId::Report => Box::new(Report {
@@ -96,6 +96,12 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             layout,
         }),
     })
+}
+
+/// Whether there are recorded events to compare scenarios with, or will be when the pipeline has mined them.
+fn has_events(config: &PipelineConfig, layout: &Layout) -> bool {
+    let is_run_folder = layout.events.parent() == layout.scenes.parent();
+    layout.events.exists() || (is_run_folder && config.ingest.is_some() && config.mine.is_some())
 }
 
 /// The stages to report on: those of the pipeline, or where the configuration has no other section, those whose outputs

@@ -85,7 +85,7 @@ pub struct Evaluate<'a> {
     pub mine: MineConfig,
     /// Name of the pipeline, for the corpus.
     pub pipeline: &'a str,
-    /// Whether the pipeline mines the recordings: then scenarios are compared with the events found there.
+    /// Whether there are recorded events to compare scenarios with.
     pub has_events: bool,
     /// Where the scenes, events and samples are.
     pub layout: &'a Layout,
