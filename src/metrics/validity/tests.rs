@@ -179,6 +179,21 @@ fn collisions_are_excused_only_where_they_were_asked_for() {
 }
 
 #[test]
+fn who_has_no_known_size_collides_by_its_core() {
+    // Two cars side by side, at 10 and 15 m/s, 1.2 m between centers: boxes of 1.9 m overlap when one passes, cores of 0.95 m do not.
+    let passing = |distance_m: f64| {
+        let mut scene = built(&format!(
+            "{{ id = \"a\", start = {{ x_m = 15, y_m = 0, speed_mps = 10 }} }}, {{ id = \"b\", start = {{ x_m = 0, y_m = {distance_m:?}, speed_mps = 15 }} }}"
+        ));
+        scene.tracks.iter_mut().for_each(|track| track.extent = None);
+        scene
+    };
+    assert_eq!(checks(&passing(1.2), &defaults()), [""; 0]);
+    assert_eq!(checks(&passing(0.9), &defaults()), ["collision"]);
+    assert_eq!(checks(&passing(1.2), &ValidityConfig { core_of_unknown_size: 1.0, ..defaults() }), ["collision"]);
+}
+
+#[test]
 fn leaving_the_road_is_measured_in_metres() {
     // The road ends 2 m to the left.
     let leaving =
