@@ -282,6 +282,9 @@ pub(super) struct GenerateArgs {
 pub(super) struct EvaluateArgs {
     #[command(flatten)]
     pub(super) scenes: ScenesArg,
+    /// The recorded events, to say how new scenarios are [default: events.parquet in the output folder, where there is one]
+    #[arg(long, value_name = "FILE")]
+    pub(super) events: Option<PathBuf>,
     /// The folder of generated scenarios [default: samples in the output folder]
     #[arg(long, value_name = "DIR")]
     pub(super) samples: Option<PathBuf>,

@@ -274,8 +274,14 @@ fn notes(manifests: &[&CorpusManifest], datasets: &BTreeSet<String>) -> CorpusNo
         }
         values.into_iter().map(move |(name, values)| (name, values.join(separator)))
     };
+    let mut left_out: BTreeMap<String, BTreeMap<String, u64>> = BTreeMap::new();
+    for (sweep, reasons) in manifests.iter().flat_map(|manifest| &manifest.left_out) {
+        let counts = left_out.entry(sweep.clone()).or_default();
+        reasons.iter().for_each(|(reason, n)| *counts.entry(reason.clone()).or_default() += n);
+    }
     CorpusNotes {
         sources: together(|m| &m.sources, " Also: ").filter(|(name, _)| datasets.contains(name)).collect(),
         notes: together(|m| &m.notes, ", ").collect(),
+        left_out,
     }
 }

@@ -8,7 +8,7 @@ use super::{Cell, ClassifierFreeConfig, Error, Generator, Level, ShardPlan, Swee
 use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::progress::Progress;
-use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, SceneId};
+use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, SceneId, TrackId};
 use crate::seed::Seed;
 use crate::store::{ScenarioRecord, as_stored};
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
@@ -98,7 +98,9 @@ impl Generator<'_> {
             }
         }
         for (((cell, scene), given), sampled) in shard.cells.iter().zip(&scenes).zip(&conditioned).zip(sampled) {
-            for Sampled { level, sample_idx, draw } in select(sweep, scene, sampled, &mut output.unselected) {
+            for Sampled { level, sample_idx, draw } in
+                select(sweep, (scene, &cell.roles), sampled, &mut output.unselected)
+            {
                 match draw {
                     Ok(draw) => {
                         let scenario = (&draw.scene, given.observed(&draw.scene));
@@ -278,6 +280,7 @@ impl Generator<'_> {
             verified: verdict.verified,
             events: verdict.events,
             recorded_event: verdict.recorded_event,
+            assessment: None,
         })
     }
 }
@@ -307,7 +310,7 @@ fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
 /// The samples of one cell without those that the sweep's selection leaves out, strength by strength.
 fn select(
     sweep: &SweepConfig,
-    recorded: &Scene,
+    (recorded, asked): (&Scene, &[(String, TrackId)]),
     sampled: Vec<Sampled>,
     unselected: &mut BTreeMap<String, u64>,
 ) -> Vec<Sampled> {
@@ -317,7 +320,7 @@ fn select(
         let (places, candidates): (Vec<usize>, Vec<Candidate<'_>>) = (sampled.iter().enumerate())
             .filter(|(_, sample)| sample.level == level)
             .filter_map(|(place, sample)| Some((place, sample.draw.as_ref().ok()?)))
-            .map(|(place, draw)| (place, Candidate { scene: &draw.scene, objectives: &draw.wishes }))
+            .map(|(place, draw)| (place, Candidate { scene: &draw.scene, objectives: &draw.wishes, asked }))
             .unzip();
         for (place, verdict) in places.into_iter().zip(select.verdicts(recorded, &candidates)) {
             left_out[place] = verdict;

@@ -22,6 +22,8 @@ pub struct CorpusNotes {
     pub sources: BTreeMap<String, String>,
     /// Anything else, such as the pipeline's name.
     pub notes: BTreeMap<String, String>,
+    /// Sweep → why samples of it are not in the corpus → how many, each for its first reason.
+    pub left_out: BTreeMap<String, BTreeMap<String, u64>>,
 }
 
 /// One file of a table.
@@ -41,7 +43,7 @@ pub struct FileEntry {
 /// One table of a corpus.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TableEntry {
-    /// Its schema, such as `scenario.v3`.
+    /// Its schema, such as `scenario.v4`.
     pub schema: String,
     /// Number of rows in all of its files.
     pub n_rows: u64,
@@ -101,6 +103,9 @@ pub struct CorpusManifest {
     /// What tools did to it since a pipeline wrote it, one line each.
     #[serde(default)]
     pub history: Vec<String>,
+    /// Sweep → why samples of it are not in the corpus → how many, each for its first reason.
+    #[serde(default)]
+    pub left_out: BTreeMap<String, BTreeMap<String, u64>>,
 }
 
 impl CorpusManifest {
@@ -120,6 +125,7 @@ impl CorpusManifest {
             sources: BTreeMap::new(),
             notes: BTreeMap::new(),
             history: Vec::new(),
+            left_out: BTreeMap::new(),
         }
     }
 

@@ -166,6 +166,7 @@ impl CorpusSink {
         }
         manifest.sources.extend(about.sources.clone());
         manifest.notes.clone_from(&about.notes);
+        manifest.left_out.clone_from(&about.left_out);
         manifest.history = history.to_vec();
         write_atomically::<Error>(&self.dir.join(CARD_FILE), |file| Ok(file.write_all(card(&manifest).as_bytes())?))?;
         write_json_atomically(&self.dir.join(MANIFEST_FILE), &manifest)?;

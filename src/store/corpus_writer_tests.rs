@@ -32,6 +32,9 @@ fn store_and_records(dir: &Path) -> (SceneStore, Vec<ScenarioRecord>) {
     for record in records.iter_mut().step_by(7) {
         record.requested_behavior = None;
     }
+    for (i, record) in records.iter_mut().enumerate().filter(|(i, _)| i % 3 > 0) {
+        record.assessment = Some(assessment(&record.scenario.scene, i % 3 == 1));
+    }
     // A parameter that occurs late, in a batch of its own.
     let last = records.last_mut().unwrap();
     last.events = vec![event(&last.scenario.scene.id, "cut_in", &[("ttc_s", 2.5)])];

@@ -4,6 +4,7 @@
 //! has a unit, a frame and a description ([`TableSchema`], published in `schemas/`). Equal content gives equal bytes, and a
 //! file is under its final name only when it is whole; the manifest of a folder is written last.
 
+mod assessment;
 mod atomic;
 mod corpus_card;
 mod corpus_layout;
@@ -30,6 +31,7 @@ mod tables;
 #[cfg(test)]
 pub(crate) mod testing;
 
+pub use assessment::Assessment;
 pub use atomic::{
     AtomicFile, FileStamp, PARTIAL_SUFFIX, read_json, remove_if_present, remove_partials, write_atomically,
     write_json_atomically,

@@ -80,7 +80,8 @@ impl<'a> Request<'a> {
                 request
             }
             Command::Evaluate(args) => {
-                let mut request = Self::new(StageId::Evaluate, &args.stage).scenes(&args.scenes.scenes);
+                let mut request =
+                    Self::new(StageId::Evaluate, &args.stage).scenes(&args.scenes.scenes).events(&args.events);
                 replace(&mut request.layout.samples, &args.samples);
                 request
             }

@@ -80,9 +80,13 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
             layout,
         }),
-        StageId::Evaluate => {
-            Box::new(Evaluate { config: evaluate.as_ref()?, mine: definitions(), pipeline: &run.name, layout })
-        }
+        StageId::Evaluate => Box::new(Evaluate {
+            config: evaluate.as_ref()?,
+            mine: definitions(),
+            pipeline: &run.name,
+            has_events: has_events(config, layout),
+            layout,
+        }),
         StageId::Report => Box::new(Report {
             config: report.as_ref()?,
             parts: reported_stages(config, layout),
@@ -95,6 +99,12 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             layout,
         }),
     })
+}
+
+/// Whether there are recorded events to compare scenarios with, or will be when the pipeline has mined them.
+fn has_events(config: &PipelineConfig, layout: &Layout) -> bool {
+    let is_run_folder = layout.events.parent() == layout.scenes.parent();
+    layout.events.exists() || (is_run_folder && config.ingest.is_some() && config.mine.is_some())
 }
 
 /// The stages to report on: those of the pipeline, or where the configuration has no other section, those whose outputs

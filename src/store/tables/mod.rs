@@ -1,5 +1,6 @@
 //! One file a table: its columns, and how our types become rows and rows become our types.
 
+pub(crate) mod assessment;
 pub(crate) mod columns;
 pub(crate) mod event;
 mod event_list;

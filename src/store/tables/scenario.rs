@@ -2,7 +2,7 @@
 
 use super::columns::{Columns, numbers, optional_numbers, small};
 use super::parameters::{self, Parameters};
-use super::{event_list, provenance, scene_header};
+use super::{assessment, event_list, provenance, scene_header};
 use crate::behavior::BehaviorEvent;
 use crate::scene::{ObservationMask, Scene, Track};
 use crate::store::schema::{ColumnExt, TableSchema, column};
@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-/// `scenario.v3`.
+/// `scenario.v4`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = provenance::fields();
     fields.extend(scene_header::fields());
@@ -28,9 +28,10 @@ pub(crate) fn schema() -> TableSchema {
             .unit("1")
             .optional(),
     ]);
+    fields.extend(assessment::fields());
     TableSchema {
         name: "scenario",
-        version: 3,
+        version: 4,
         description: "One row a generated scenario; parameters are those of the first requested event found in it.",
         fields,
         open: vec![parameters::open_columns()],
@@ -68,6 +69,8 @@ impl ScenarioRows {
             optional_numbers::<UInt32Type>(starts),
             optional_numbers::<UInt32Type>(ends),
         ]);
+        let judged: Vec<_> = records.iter().map(|r| (r.scenario.id.as_str(), r.assessment.as_ref())).collect();
+        arrays.extend(assessment::encode(&judged)?);
         Ok(Self { arrays, parameters: events.iter().map(|event| event.map(|e| e.parameters.clone())).collect() })
     }
 
@@ -125,5 +128,6 @@ pub(crate) fn decode(
     let path: &Path = columns.path;
     let header = scene_header::decode(columns, row)?;
     let lanes = Arc::new(header.lanes(maps, path)?);
-    provenance::decode(columns, row, header.complete(path, tracks, lanes)?, observed)
+    let record = provenance::decode(columns, row, header.complete(path, tracks, lanes)?, observed)?;
+    Ok(ScenarioRecord { assessment: assessment::decode(columns, row)?, ..record })
 }

@@ -135,6 +135,9 @@ fn add_evaluation(model: &mut ReportModel, summary: EvaluationSummary) {
     model.warnings.extend(cautions(&summary.aggregates).into_iter().map(|message| warning(StageId::Evaluate, message)));
     model.sampling = summary.sampling;
     model.realism = summary.realism;
+    model.acceptance = summary.acceptance;
+    model.left_out = summary.left_out;
+    model.validity = summary.validity;
     model.metrics = MetricTable { docs: summary.docs, rows: summary.aggregates };
 }
 
