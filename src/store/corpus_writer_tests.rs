@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::scene::{LaneGraph, Scene};
-use crate::store::testing::{event, folder_bytes, map, record, scene};
+use crate::store::testing::{assessment, event, folder_bytes, map, record, scene};
 use crate::store::{CorpusReader, SceneStore, SceneWriter, SceneWriterOptions};
 use serde_json::Value;
 
@@ -69,7 +69,8 @@ fn write(dir: &Path, store: &SceneStore, records: &[ScenarioRecord], batch_len: 
         }
     }
     writer.write_metrics(&[metric_row()]).unwrap();
-    writer.finish(&CorpusNotes::default()).unwrap()
+    let left_out = [("guided".to_owned(), [("not_verified".to_owned(), 7)].into())].into();
+    writer.finish(&CorpusNotes { left_out, ..CorpusNotes::default() }).unwrap()
 }
 
 #[test]
@@ -79,6 +80,7 @@ fn scenarios_come_back_as_they_were() {
     let manifest = write(dir.path(), &store, &records, 33);
     assert_eq!((manifest.n_scenarios, manifest.n_verified, manifest.n_maps), (140, 70, 2));
     assert_eq!(manifest.scenarios_by_sweep["guided"], 140);
+    assert_eq!(manifest.left_out["guided"]["not_verified"], 7);
     assert!(manifest.sources["argoverse1"].contains("CC BY-NC-SA 4.0"));
 
     let reader = CorpusReader::open(dir.path()).unwrap();
