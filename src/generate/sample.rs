@@ -62,6 +62,17 @@ impl Generator<'_> {
     /// When a scene cannot be loaded or is not the planned one, or a tensor operation fails. Samples that are no finite
     /// numbers are not errors: they are rejected.
     pub fn generate(&self, shard: &ShardPlan, progress: &dyn Progress) -> Result<ShardOutput, Error> {
+        self.generate_part(shard, &|_, _, _| true, progress)
+    }
+
+    /// Generates those batches of a shard that are chosen by strength (or weight), cells and samples; a batch is what it is
+    /// whatever else is generated.
+    pub(super) fn generate_part(
+        &self,
+        shard: &ShardPlan,
+        is_chosen: &dyn Fn(f64, &[usize], &Range<usize>) -> bool,
+        progress: &dyn Progress,
+    ) -> Result<ShardOutput, Error> {
         let sweep = &self.config.sweeps[shard.sweep_idx];
         let scenes: Vec<Scene> =
             shard.cells.iter().map(|cell| self.load(cell.scene_idx, &cell.scene_id)).collect::<Result<_, _>>()?;
@@ -72,6 +83,10 @@ impl Generator<'_> {
         let mut sampled: Vec<Vec<(f64, usize, Sampled)>> = vec![Vec::new(); shard.cells.len()];
         for &strength in sweep.levels() {
             for (members, samples) in self.batches(sweep, &scenes) {
+                let samples = samples.start + shard.first_sample..samples.end + shard.first_sample;
+                if !is_chosen(strength, &members, &samples) {
+                    continue;
+                }
                 let cells = members.iter().map(|at| (&shard.cells[*at], &conditioned[*at])).collect();
                 let batch = Batch { sweep, cells, samples: samples.clone(), strength };
                 let mut results = self.sample(&batch, progress)?.into_iter();
@@ -100,6 +115,7 @@ impl Generator<'_> {
                 }
             }
         }
+        output.records.iter_mut().for_each(|record| record.shard = shard.idx);
         Ok(output)
     }
 
@@ -245,6 +261,7 @@ impl Generator<'_> {
             probability,
             guidance: GuidanceTag { kind, strength, roles: cell.roles.clone() },
             sampler,
+            settings: sweep.settings(self.config),
         };
         // What is verified must be what is written.
         let scene = as_stored(generated);
@@ -259,6 +276,8 @@ impl Generator<'_> {
             verified: verdict.verified,
             events: verdict.events,
             recorded_event: verdict.recorded_event,
+            shard: 0,
+            request: None,
         })
     }
 }
@@ -337,6 +356,7 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
         probability: _,
         guidance,
         sampler,
+        settings,
     } = provenance;
     let mut hasher = blake3::Hasher::new();
     // Every part ends in a zero byte, which no name holds: different parts cannot make the same text.
@@ -345,7 +365,7 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
         hasher.update(&[0]);
     };
     for part in
-        [sweep, &scene_id.0, observation, checkpoint, classifier.as_deref().unwrap_or(""), &guidance.kind, sampler]
+        [sweep, &scene_id.0, observation, checkpoint, classifier.as_deref().unwrap_or(""), &guidance.kind, sampler, settings]
     {
         add(part);
     }

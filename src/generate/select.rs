@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 /// Which samples of a scene at one strength become scenarios. Metrics are those of the evaluation, of one sample alone.
 ///
 /// A metric that looks at the recording, such as `min_scene_ade_m`, makes the corpus repeat what was recorded.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SelectConfig {
     /// Limits by metric: samples above them are left out, or below where more is better. `{ collision_rate = 0.0 }` keeps

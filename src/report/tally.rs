@@ -148,6 +148,7 @@ mod tests {
             probability: None,
             guidance: GuidanceTag { kind: "classifier:cut_in".into(), strength, roles },
             sampler: "heun-20".into(),
+            settings: String::new(),
         };
         ScenarioRecord {
             scenario: Scenario {
@@ -161,6 +162,8 @@ mod tests {
             verified,
             events: verified.then_some(event).into_iter().collect(),
             recorded_event,
+            shard: 0,
+            request: None,
         }
     }
 

@@ -8,6 +8,7 @@ pub(crate) mod metric;
 mod parameters;
 pub(crate) mod prediction;
 mod provenance;
+mod request;
 mod roles;
 pub(crate) mod sample;
 pub(crate) mod scenario;

@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-/// `scenario.v3`.
+/// `scenario.v4`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = provenance::fields();
     fields.extend(scene_header::fields());
@@ -30,7 +30,7 @@ pub(crate) fn schema() -> TableSchema {
     ]);
     TableSchema {
         name: "scenario",
-        version: 3,
+        version: 4,
         description: "One row a generated scenario; parameters are those of the first requested event found in it.",
         fields,
         open: vec![parameters::open_columns()],
