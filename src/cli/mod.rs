@@ -25,6 +25,7 @@ pub fn main() -> ExitCode {
     tell_of_panics_that_are_not_contained();
     let outcome = match &args.command {
         Command::Run(run) => commands::run(run, &args.output, &printer),
+        Command::Regenerate(regenerate) => commands::regenerate(regenerate, &args.output, &printer),
         Command::Inspect(inspect) => commands::inspect(inspect, &printer),
         stage => commands::stage(stage, &args.output, &printer),
     };

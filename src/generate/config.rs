@@ -177,7 +177,10 @@ impl GenerateConfig {
             }
         }
         if self.sweeps.is_empty() && self.requests.is_empty() {
-            return refuse("sweeps", "is empty: add a [[generate.sweeps]] table with a name and n_scenes, or [[generate.requests]]");
+            return refuse(
+                "sweeps",
+                "is empty: add a [[generate.sweeps]] table with a name and n_scenes, or [[generate.requests]]",
+            );
         }
         let mut names = BTreeSet::new();
         for (i, sweep) in self.sweeps.iter().enumerate() {

@@ -38,9 +38,9 @@ pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice,
 pub use plan::{Cell, Plan, ShardPlan, Shortfall};
 pub use regenerate::Wanted;
 pub use request::{
-    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Condition, Divisions, Ended, Hits, Ledger,
-    PlanKind, Pool, RequestConfig, RequestSummary, ResolvedGeneration, ResolvedRequest, Round, RoundContext, RoundShard,
-    ShardTally, Yield,
+    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Condition, Divisions, Ended, Hits,
+    Ledger, PlanKind, Pool, RequestConfig, RequestSummary, ResolvedGeneration, ResolvedRequest, Round, RoundContext,
+    RoundShard, ShardTally, Yield,
 };
 pub use sample::{RejectedSample, ShardOutput};
 pub use select::SelectConfig;

@@ -114,7 +114,12 @@ impl Generator<'_> {
                 plan.shortfalls.push(Shortfall { sweep: sweep.name.clone(), n_wanted, n_found });
             }
             for group in scenes.chunks(self.config.scenes_per_shard) {
-                plan.shards.push(ShardPlan { idx: plan.shards.len(), sweep_idx, cells: group.concat(), first_sample: 0 });
+                plan.shards.push(ShardPlan {
+                    idx: plan.shards.len(),
+                    sweep_idx,
+                    cells: group.concat(),
+                    first_sample: 0,
+                });
             }
         }
         Ok(plan)

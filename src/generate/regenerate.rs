@@ -19,7 +19,8 @@ pub struct Wanted {
 impl Wanted {
     /// The sample of `shard` that has this provenance. `None` when the shard has no such cell.
     pub fn of(shard: &ShardPlan, provenance: &Provenance) -> Option<Self> {
-        let is_own = |cell: &super::Cell| cell.scene_id == provenance.scene_id && cell.roles == provenance.guidance.roles;
+        let is_own =
+            |cell: &super::Cell| cell.scene_id == provenance.scene_id && cell.roles == provenance.guidance.roles;
         Some(Self {
             cell: shard.cells.iter().position(is_own)?,
             strength: provenance.guidance.strength,

@@ -364,9 +364,16 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
         hasher.update(part.as_bytes());
         hasher.update(&[0]);
     };
-    for part in
-        [sweep, &scene_id.0, observation, checkpoint, classifier.as_deref().unwrap_or(""), &guidance.kind, sampler, settings]
-    {
+    for part in [
+        sweep,
+        &scene_id.0,
+        observation,
+        checkpoint,
+        classifier.as_deref().unwrap_or(""),
+        &guidance.kind,
+        sampler,
+        settings,
+    ] {
         add(part);
     }
     for (role, track) in &guidance.roles {

@@ -5,6 +5,7 @@
 
 mod clock;
 pub mod config;
+pub mod estimate;
 mod failure;
 mod fingerprint;
 pub mod graph;
@@ -14,6 +15,7 @@ pub mod inspect;
 pub mod layout;
 mod log;
 mod record;
+pub mod regenerate;
 pub mod run;
 mod run_lock;
 mod stage;

@@ -42,7 +42,7 @@ pub use metrics::{read_metrics, write_metrics};
 pub use predictions::{ArgoversePredictions, InteractionPredictions};
 pub use records::{MetricRow, ScenarioRecord};
 pub use request_tag::{BucketTag, RequestOutcome, RequestTag};
-pub use samples::{read_samples, write_samples};
+pub use samples::{Difference, differences, read_samples, sample_ids, write_samples};
 pub use scene_manifest::{MapsEntry, SceneManifest, ShardEntry, ShardSidecar};
 pub use scene_store::{SceneIndexEntry, SceneStore};
 pub use scene_writer::{SceneWriter, SceneWriterOptions};

@@ -8,7 +8,7 @@ use arrow::array::RecordBatch;
 use arrow::datatypes::{Schema, SchemaRef};
 use fs_err as fs;
 use parquet::arrow::arrow_reader::{ArrowReaderOptions, ParquetRecordBatchReaderBuilder, RowSelection, RowSelector};
-use parquet::arrow::{ArrowSchemaConverter, ArrowWriter};
+use parquet::arrow::{ArrowSchemaConverter, ArrowWriter, ProjectionMask};
 use parquet::basic::{Compression, Type, ZstdLevel};
 use parquet::file::metadata::{KeyValue, PageIndexPolicy};
 use parquet::file::properties::WriterProperties;
@@ -88,6 +88,15 @@ pub(crate) fn read_rows(path: &Path, table: &TableSchema, rows: Range<usize>) ->
     contained(path, || {
         let reader = open(path, table, options)?.with_row_selection(selection).with_batch_size(rows.len().max(1));
         collect(path, reader)
+    })
+}
+
+/// Reads one column of a table.
+pub(crate) fn read_column(path: &Path, table: &TableSchema, column: &str) -> Result<Vec<RecordBatch>> {
+    contained(path, || {
+        let reader = open(path, table, ArrowReaderOptions::new())?;
+        let mask = ProjectionMask::columns(reader.parquet_schema(), [column]);
+        collect(path, reader.with_projection(mask))
     })
 }
 

@@ -8,6 +8,7 @@ mod config;
 mod determinism;
 mod documents;
 mod report;
+mod requests;
 mod schema;
 mod stages;
 mod support;

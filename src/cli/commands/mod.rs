@@ -1,18 +1,22 @@
 //! The commands: what does each do with its arguments?
 
 mod inspect;
+mod regenerate;
 mod run;
 mod stage;
 
 pub(super) use inspect::inspect;
+pub(super) use regenerate::regenerate;
 pub(super) use run::run;
 pub(super) use stage::stage;
 
 use crate::cli::args::OutputArgs;
 use crate::cli::printer::Printer;
 use crate::pipeline::config::PipelineConfig;
+use crate::pipeline::estimate::estimate;
 use crate::pipeline::graph::PlannedStage;
-use crate::pipeline::{Failure, Result};
+use crate::pipeline::layout::Layout;
+use crate::pipeline::{Failure, Result, StageId};
 use std::fmt::Write;
 
 /// Sets up the worker threads: what the command line says, else the configuration.
@@ -22,12 +26,23 @@ fn use_threads(output: &OutputArgs, config: &PipelineConfig) -> Result<()> {
 }
 
 /// Prints the configuration as TOML and the plan as comments, so that the whole is a pipeline file again.
-fn print_dry_run(config: &PipelineConfig, planned: &[PlannedStage<'_>], printer: &Printer) -> Result<()> {
+fn print_dry_run(
+    config: &PipelineConfig,
+    layout: &Layout,
+    planned: &[PlannedStage<'_>],
+    printer: &Printer,
+) -> Result<()> {
     let mut text = config.to_toml()?;
     text.push_str("\n# Plan:\n");
     for PlannedStage { expected, action, .. } in planned {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "#   {:<18}{action}", expected.stage.name());
+    }
+    // Costs are those of the whole section, whatever of it is done already.
+    if planned.iter().any(|planned| planned.expected.stage == StageId::Generate) {
+        for line in estimate(config, layout)? {
+            let _ = writeln!(text, "#   {line}");
+        }
     }
     printer.data(&text)
 }

@@ -104,9 +104,9 @@ impl Buckets {
 
     /// The bucket of an event. `None` where it falls between or beyond them, or lacks one of their parameters.
     pub(super) fn place(&self, facts: &Facts<'_>) -> Option<usize> {
-        self.dimensions.iter().try_fold(0, |bucket, (name, divisions)| {
-            Some(bucket * divisions.len() + facts.part(name, divisions)?)
-        })
+        self.dimensions
+            .iter()
+            .try_fold(0, |bucket, (name, divisions)| Some(bucket * divisions.len() + facts.part(name, divisions)?))
     }
 
     /// Which part of each parameter a bucket holds.
@@ -162,7 +162,8 @@ mod tests {
 
     #[test]
     fn totals_are_distributed_by_weights() {
-        let toml = "n_total = 10\nbuckets = { side = ['left', 'right'], gap_m = [0, 5, 10] }\nweights = { side = [3, 1] }";
+        let toml =
+            "n_total = 10\nbuckets = { side = ['left', 'right'], gap_m = [0, 5, 10] }\nweights = { side = [3, 1] }";
         // In the order gap_m, side: 3.75, 1.25, 3.75, 1.25; one is missing after rounding down twice.
         assert_eq!(Buckets::new(&request(toml)).wanted(), [4, 1, 4, 1]);
         assert_eq!(apportion(7, &[1.0, 1.0, 0.0, 1.0]), [3, 2, 0, 2]);

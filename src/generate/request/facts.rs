@@ -43,7 +43,9 @@ pub(super) fn check_name(behavior: &BehaviorEntry, name: &str, texts: Option<&[S
     };
     let unknown = texts.iter().find(|text| values.as_ref().is_some_and(|values| !values.contains(&text.as_str())));
     match (unknown, values) {
-        (Some(unknown), Some(values)) => Err(format!("{name} is never {unknown:?}; it is one of {}", values.join(", "))),
+        (Some(unknown), Some(values)) => {
+            Err(format!("{name} is never {unknown:?}; it is one of {}", values.join(", ")))
+        }
         _ => Ok(()),
     }
 }
@@ -73,9 +75,7 @@ impl Facts<'_> {
     /// Whether the event satisfies a condition; one that lacks the parameter does not.
     pub(super) fn satisfies(&self, name: &str, condition: &Condition) -> bool {
         match condition {
-            Condition::Range([least, most]) => {
-                self.number(name).is_some_and(|value| (*least..=*most).contains(&value))
-            }
+            Condition::Range([least, most]) => self.number(name).is_some_and(|value| (*least..=*most).contains(&value)),
             Condition::Texts(texts) => self.text(name).is_some_and(|own| texts.iter().any(|text| *text == own)),
         }
     }

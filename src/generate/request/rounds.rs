@@ -83,11 +83,7 @@ impl ResolvedRequest {
             let n_planned = n_samples * n_cells as u64;
             spent = (spent.0 + n_planned, spent.1 + n_planned * arm.n_evaluations);
             let idx = context.next_idx + shards.len();
-            shards.push(RoundShard {
-                arm: arm_idx,
-                plan: self.shard(context, (idx, arm), &members, &shards),
-                members,
-            });
+            shards.push(RoundShard { arm: arm_idx, plan: self.shard(context, (idx, arm), &members, &shards), members });
         }
         (!shards.is_empty()).then(|| Round { request: self.config.name.clone(), round, shards })
     }
@@ -109,14 +105,21 @@ impl ResolvedRequest {
         let draw = |arm: usize| {
             let (n_hits, n) = (ledger.open_hits_of_arm(arm) as f64, ledger.arms[arm].n_samples as f64);
             let mut rng = seed.derive("arm", &[arm as u64]).rng();
-            beta(&mut rng, 1.0 + n_hits, 1.0 + (n - n_hits).max(0.0)) / self.config.budget.cost(self.arms[arm].n_evaluations)
+            beta(&mut rng, 1.0 + n_hits, 1.0 + (n - n_hits).max(0.0))
+                / self.config.budget.cost(self.arms[arm].n_evaluations)
         };
         let draws: Vec<f64> = (0..self.arms.len()).map(draw).collect();
         // The first of equal ones.
         (0..draws.len()).rev().max_by(|a, b| draws[*a].total_cmp(&draws[*b])).unwrap_or(0)
     }
 
-    fn choose_cells(&self, context: &RoundContext<'_>, slot: usize, n_cells: usize, so_far: &[RoundShard]) -> Vec<usize> {
+    fn choose_cells(
+        &self,
+        context: &RoundContext<'_>,
+        slot: usize,
+        n_cells: usize,
+        so_far: &[RoundShard],
+    ) -> Vec<usize> {
         let RoundContext { pool, ledger, round, .. } = *context;
         let n = pool.cells.len();
         if round == 0 {

@@ -3,6 +3,7 @@
 mod data;
 mod outcome;
 mod quality;
+mod requests;
 mod scenes;
 mod training;
 
@@ -30,6 +31,7 @@ pub fn render(model: &ReportModel) -> String {
     let sections: Vec<Section> = [
         Some(warnings(model)),
         outcome::section(model),
+        requests::section(model),
         quality::metrics(model),
         quality::distributions(model),
         scenes::section(model),

@@ -4,6 +4,7 @@ use super::measures::known_ids;
 use crate::metrics::ModesConfig;
 use crate::pipeline::{Failure, Result};
 use crate::scene::Dataset;
+use crate::store::{RequestOutcome, RequestTag, ScenarioRecord};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -30,11 +31,19 @@ pub struct EvaluateConfig {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Keep {
-    /// Those in which the behavior that was asked for is found.
+    /// Those in which the behavior that was asked for is found; of requests, those that were accepted.
     #[default]
     Verified,
     /// All.
     All,
+}
+
+impl Keep {
+    /// Whether a scenario becomes part of the corpus.
+    pub(super) fn keeps(self, record: &ScenarioRecord) -> bool {
+        let is_accepted = |tag: &RequestTag| tag.outcome == RequestOutcome::Accepted;
+        self == Self::All || record.request.as_ref().map_or(record.verified, is_accepted)
+    }
 }
 
 /// Bounds that the results must keep. What is left out is not checked.

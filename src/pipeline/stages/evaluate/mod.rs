@@ -71,7 +71,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        2
+        3
     }
 
     fn check(&self) -> Result<()> {
@@ -120,7 +120,7 @@ impl Stage for Evaluate<'_> {
                 figures.prediction.iter().try_for_each(|modes| predictions.add(&recorded, modes))?;
                 table.add(&shard.sweep, &cell, &recorded, figures);
             }
-            let keeps = |record: &ScenarioRecord| self.config.keep == Keep::All || record.verified;
+            let keeps = |record: &ScenarioRecord| self.config.keep.keeps(record);
             let n_records = records.len() as u64;
             let kept: Vec<ScenarioRecord> = records.into_iter().filter(keeps).collect();
             corpus.write_scenarios(&kept)?;
