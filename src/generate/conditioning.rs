@@ -20,6 +20,7 @@ pub struct ClassifierFreeConfig {
     pub extra: Vec<MaskRule>,
     /// Weights λ, each of them sampled: 0 ignores the wanted states, 1 observes them, more exaggerates. The sampler has to
     /// follow how wanted states are approached, the faster the larger λ is: with 20 steps up to about 1.5, with 50 up to 4.
+    /// A sweep that varies its strengths as well takes a single weight, and the other way around.
     #[serde(default = "one_weight")]
     pub weights: Vec<f64>,
     /// Standard deviation of what is added to the wanted positions, metres in each direction; drawn once for each agent and
@@ -76,12 +77,6 @@ pub enum EditNoise {
 }
 
 impl SweepConfig {
-    /// What samples of a scene differ in beside their noise: strengths α of guidance, or weights λ of classifier-free
-    /// guidance.
-    pub fn levels(&self) -> &[f64] {
-        self.classifier_free.as_ref().map_or(&self.strengths, |config| &config.weights)
-    }
-
     /// Says what makes no sense in how the sweep is conditioned; its behavior has these roles.
     ///
     /// # Errors
@@ -97,8 +92,12 @@ impl SweepConfig {
             if !config.weights.iter().all(is_number) || !is_number(&config.goal_std_m) || config.goal_std_m < 0.0 {
                 return Err("classifier_free holds a value that is no number, or a negative goal_std_m".to_owned());
             }
-            if self.strengths.iter().any(|strength| *strength != 0.0) {
-                return Err("classifier_free cannot be combined with guided strengths; use two sweeps".to_owned());
+            if self.strengths.len() > 1 && config.weights.len() > 1 {
+                return Err(
+                    "classifier_free.weights and strengths are both lists, and samples are told apart by one of \
+                            them: give one of the two a single number, or use several sweeps"
+                        .to_owned(),
+                );
             }
         }
         let Some(edit) = &self.edit else { return Ok(()) };
@@ -192,6 +191,16 @@ impl Generator<'_> {
         }
         let subject = Subject { scene: &scene, ego_idx: agents.0, roles: &cell.roles };
         let mask = sweep.observe.mask(&subject, self.mask_seed("observe", cell)).map_err(refuse)?;
+        if sweep.needs_classifier() {
+            let hidden = first_hidden(&scene, &mask);
+            if let Some((agent_idx, timestep)) = hidden {
+                let track = &scene.tracks[agent_idx].id;
+                return Err(refuse(format!(
+                    "has track {track} unobserved at timestep {timestep} of its history, which the classifier that guides \
+                     the sweep looks at; observe the history, or let objectives guide alone (classifier_scope = \"none\")"
+                )));
+            }
+        }
         if sweep.edit.is_some() {
             // A guide has to say something of every state that is generated.
             scene = scene.completed(|agent_idx, timestep| !mask.is_observed(agent_idx, timestep));
@@ -232,6 +241,15 @@ impl Generator<'_> {
         let scene = self.seed().derive_named(purpose, &cell.scene_id.0);
         cell.roles.iter().fold(scene, |seed, (role, track)| seed.derive_named(role, &track.0))
     }
+}
+
+/// The first state of the history that the mask hides, of the agents that it shows at all, by agent and timestep.
+fn first_hidden(scene: &Scene, mask: &ObservationMask) -> Option<(usize, usize)> {
+    let is_shown = |agent_idx: &usize| (0..scene.n_timesteps).any(|t| mask.is_observed(*agent_idx, t));
+    let history = |agent_idx| (0..scene.n_history).map(move |timestep| (agent_idx, timestep));
+    (0..scene.tracks.len()).filter(is_shown).flat_map(history).find(|(agent_idx, timestep)| {
+        scene.state(*agent_idx, *timestep).is_some() && !mask.is_observed(*agent_idx, *timestep)
+    })
 }
 
 /// The scene with the wanted states of each agent moved by the same normal offset. The present stays: it defines the frame

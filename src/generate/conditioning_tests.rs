@@ -209,7 +209,7 @@ fn conditions_that_make_no_sense_are_refused() {
         ("observe = [{ agents = { role = 'other' }, times = 'all' }]", "names the role other"),
         ("behavior = 'drift'\nobserve = [{ agents = { role = 'third' }, times = 'all' }]", "names the role third"),
         ("observe = [{ agents = { track = 'nobody' }, times = 'all' }]", "has no state that the mask observes"),
-        ("behavior = 'drift'\nstrengths = [1.0]\nobserve = 'windowed'", "observe = \"predictive\""),
+        ("behavior = 'drift'\nstrengths = [1.0]\nobserve = 'windowed'", "an observe that shows them"),
         ("classifier_free = { extra = [], weights = [1.0] }", "no extra states"),
         (
             "classifier_free = { extra = [{ agents = 'all', times = 'goal' }], goal_std_m = -1.0 }",

@@ -1,7 +1,8 @@
 //! The `[generate]` section: how many scenarios of what kind, from which scenes.
 
 use super::{
-    ClassifierFreeConfig, ClassifierScope, EditConfig, Error, ObserveConfig, RequestConfig, SelectConfig, SweepModel,
+    ClassifierFreeConfig, ClassifierInput, ClassifierScope, EditConfig, Error, ObserveConfig, RequestConfig,
+    SelectConfig, SweepModel,
 };
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
@@ -84,6 +85,9 @@ pub struct SweepConfig {
     /// Whom the classifier of the behavior looks at.
     #[serde(default)]
     pub classifier_scope: ClassifierScope,
+    /// What the classifier of the behavior is shown.
+    #[serde(default)]
+    pub classifier_input: ClassifierInput,
     /// What is wished of trajectories beside the behavior, or instead of one.
     #[serde(default)]
     pub objectives: Vec<ObjectiveConfig>,
@@ -230,7 +234,8 @@ impl SweepConfig {
         self.check_model().map_err(|why| format!("({}): {why}", self.name))?;
         self.check_guidance().map_err(|why| format!("({}): {why}", self.name))?;
         if let Some(select) = &self.select {
-            select.validate().map_err(|why| format!("({}): select: {why}", self.name))?;
+            let kinds: Vec<&str> = self.objectives.iter().map(|objective| objective.objective().kind()).collect();
+            select.validate(&kinds).map_err(|why| format!("({}): select: {why}", self.name))?;
         }
         // The roles of the behavior are known only beside the list of behaviors; without one there are none.
         match self.behavior {

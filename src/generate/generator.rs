@@ -1,6 +1,6 @@
 //! Everything generation needs, checked before it begins.
 
-use super::{Error, GenerateConfig, ObserveConfig, SweepConfig};
+use super::{Error, GenerateConfig, SweepConfig};
 use crate::behavior::Behavior;
 use crate::model::{DenoiserSpec, TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::keep_freed_memory;
@@ -126,11 +126,8 @@ impl<'a> Generator<'a> {
             };
         };
         let is_guided = sweep.strengths.iter().any(|strength| *strength != 0.0);
-        if is_guided && sweep.observe != ObserveConfig::default() {
-            // Its features are residuals to what follows from the history.
-            return Err(refuse(
-                "guidance by a classifier, which knows histories alone, needs observe = \"predictive\"".into(),
-            ));
+        if is_guided && sweep.needs_classifier() {
+            sweep.check_classifier_input().map_err(refuse)?;
         }
         let (own, denoiser) = (&classifier.spec, self.spec());
         let differs = |what| Err(Error::Mismatch { behavior: behavior.clone(), what });

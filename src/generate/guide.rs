@@ -1,25 +1,34 @@
 //! How does a batch's denoiser come to lean toward what its sweep wishes? Classifier and objectives, one around the other.
 
 use super::pairs::{possible_pairs, slots};
-use super::{Cell, ClassifierScope, Error, Generator, SweepConfig};
+use super::{
+    Cell, ClassifierInput, ClassifierScope, Error, Generator, Level, ObserveConfig, SelectConfig, SweepConfig,
+};
 use crate::diffusion::Denoiser;
 use crate::guidance::{
-    AnyPairGuidance, ClassifierGuidance, CleanGuidedDenoiser, ContextRow, Guidance, GuidedDenoiser, ObjectiveSum,
-    SceneContext,
+    AnyPairGuidance, ClassifierGuidance, CleanGuidedDenoiser, ContextRow, EstimatePotential, Guidance, GuidedDenoiser,
+    MaskChange, ObjectiveSum, SceneContext,
 };
 use crate::model::TrainedClassifier;
-use crate::scene::Scene;
-use crate::tensor::SceneBatch;
+use crate::scene::{ObservationMask, Scene};
+use crate::tensor::{FutureValidity, SceneBatch, SceneView};
+use candle_core::{DType, Tensor};
 
 /// Pairs of a scene that guidance toward any pair looks at: those nearest to each other.
 const MAX_ANY_PAIRS: usize = 32;
+/// The noise level that clean estimates have for a classifier: low enough to leave a maneuver as it is, and yet among those
+/// that classifiers are trained on.
+const ESTIMATE_SIGMA: f64 = 0.1;
+
+/// The kind and value of each objective, for one sample.
+pub(super) type Wishes = Vec<(&'static str, f64)>;
 
 /// What is to be guided.
 pub(super) struct Guided<'a> {
     /// The sweep.
     pub(super) sweep: &'a SweepConfig,
-    /// Strength of the guidance; 0 is none.
-    pub(super) strength: f64,
+    /// Strength of the guidance.
+    pub(super) level: Level,
     /// The cells with their scenes.
     pub(super) cells: &'a [(&'a Cell, &'a Scene)],
     /// The agents that each cell asks; the first is at the center.
@@ -32,26 +41,64 @@ pub(super) struct Guided<'a> {
     pub(super) n_samples: usize,
 }
 
+/// Scenes as the classifier knows them, and the way there from what is sampled.
+struct Classified {
+    batch: SceneBatch,
+    change: MaskChange,
+}
+
+impl Guided<'_> {
+    /// What objectives know of the batch that is sampled.
+    fn objective_context(&self) -> Result<SceneContext, Error> {
+        let rows: Vec<ContextRow<'_>> = (self.cells.iter().zip(self.agents))
+            .map(|((cell, scene), agents)| ContextRow { scene, ego_idx: agents.0, roles: &cell.roles })
+            .collect();
+        Ok(SceneContext::new(self.batch, &rows)?.repeated(self.n_samples)?)
+    }
+
+    /// The value of each objective with its kind for each of the samples `x`, where the sweep selects by them; else nothing.
+    pub(super) fn wishes(&self, x: &Tensor) -> Result<Vec<Wishes>, Error> {
+        let n_rows = x.dim(0)?;
+        if !self.sweep.select.as_ref().is_some_and(SelectConfig::names_objectives) {
+            return Ok(vec![Wishes::new(); n_rows]);
+        }
+        let context = self.objective_context()?;
+        let sum = ObjectiveSum { objectives: &self.sweep.objectives, batch: self.repeated, context: &context };
+        let terms: Vec<Vec<f64>> =
+            (sum.terms(x)?.iter()).map(|term| term.to_dtype(DType::F64)?.to_vec1::<f64>()).collect::<Result<_, _>>()?;
+        let kinds = self.sweep.objectives.iter().map(|objective| objective.objective().kind());
+        let of_row = |row: usize| kinds.clone().zip(&terms).map(|(kind, values)| (kind, values[row])).collect();
+        Ok((0..n_rows).map(of_row).collect())
+    }
+}
+
 impl<'g> Generator<'g> {
     /// The classifier that guides samples of this strength, if one does.
     pub(super) fn guiding_classifier(&self, sweep: &SweepConfig, strength: f64) -> Option<&'g TrainedClassifier> {
-        let guides =
-            strength != 0.0 && sweep.classifier_scope != ClassifierScope::None && sweep.classifier_free.is_none();
+        let guides = strength != 0.0 && sweep.classifier_scope != ClassifierScope::None;
         self.classifier(sweep).filter(|_| guides)
     }
 
-    /// What guides samples of this strength: `none`, or the classifier and the objectives in order, such as
-    /// `classifier:cut_in+no_collision`; `classifier_any_pair:cut_in` where nobody in particular is asked; `classifier_free` where samples lean toward states.
-    pub(super) fn guidance_kind(&self, sweep: &SweepConfig, strength: f64) -> String {
-        if sweep.classifier_free.is_some() && strength != 0.0 {
-            return "classifier_free".to_owned();
-        }
+    /// What guides samples of this level: `none`, or the classifier and the objectives in order, such as
+    /// `classifier:cut_in+no_collision`; `classifier_any_pair:cut_in` where nobody in particular is asked; and `classifier_free`
+    /// where samples lean toward states. Of strength and weight the one that is the same in the whole sweep follows in
+    /// parentheses: `classifier:cut_in+classifier_free(0.5)`.
+    pub(super) fn guidance_kind(&self, sweep: &SweepConfig, level: Level) -> String {
+        let Level { strength, weight, .. } = level;
         let scope =
             if sweep.classifier_scope == ClassifierScope::AnyPair { "classifier_any_pair" } else { "classifier" };
         let classifier = self.guiding_classifier(sweep, strength);
         let mut parts: Vec<String> = classifier.map(|c| format!("{scope}:{}", c.spec.behavior)).into_iter().collect();
         if strength != 0.0 {
             parts.extend(sweep.objectives.iter().map(|objective| objective.objective().kind().to_owned()));
+        }
+        let varies_weight = sweep.varies_weight();
+        if let Some(last) = parts.last_mut().filter(|_| varies_weight) {
+            last.push_str(&format!("({strength})"));
+        }
+        if weight != 0.0 {
+            let fixed = if varies_weight { String::new() } else { format!("({weight})") };
+            parts.push(format!("classifier_free{fixed}"));
         }
         if parts.is_empty() { "none".to_owned() } else { parts.join("+") }
     }
@@ -64,51 +111,82 @@ impl<'g> Generator<'g> {
         inner: &dyn Denoiser,
         sample: impl FnOnce(&dyn Denoiser) -> Result<T, Error>,
     ) -> Result<T, Error> {
-        let Guided { sweep, strength, .. } = *guided;
-        let guidance = match self.guiding_classifier(sweep, strength) {
-            Some(classifier) => Some(self.classifier_guidance(guided, classifier)?),
+        let Guided { sweep, level: Level { strength, .. }, .. } = *guided;
+        let on_estimates = |inner, potential| CleanGuidedDenoiser {
+            inner,
+            potential,
+            strength,
+            gate: sweep.guidance,
+            config: sweep.objective_guidance,
+            sigma_data: self.spec().edm.sigma_data,
+        };
+        let classifier = self.guiding_classifier(sweep, strength);
+        let shown = classifier.map(|_| self.classified_batch(guided)).transpose()?.flatten();
+        let guidance = match classifier {
+            Some(classifier) => Some(self.classifier_guidance(guided, classifier, shown.as_ref().map(|s| &s.batch))?),
             None => None,
         };
-        let classified = guidance.as_ref().map(|guidance| GuidedDenoiser {
+        let of_estimate = guidance.as_ref().map(|guidance| EstimatePotential {
+            guidance: guidance.as_ref(),
+            change: shown.as_ref().map(|shown| &shown.change),
+            sigma: ESTIMATE_SIGMA,
+        });
+        let of_noisy = guidance.as_ref().map(|guidance| GuidedDenoiser {
             inner,
             guidance: guidance.as_ref(),
             strength,
             config: sweep.guidance,
         });
-        let inner: &dyn Denoiser = classified.as_ref().map_or(inner, |denoiser| denoiser);
+        let of_estimate = of_estimate.as_ref().map(|potential| on_estimates(inner, potential));
+        let inner: &dyn Denoiser = match (sweep.classifier_input, &of_noisy, &of_estimate) {
+            (ClassifierInput::NoisyStates, Some(denoiser), _) => denoiser,
+            (ClassifierInput::CleanEstimate, _, Some(denoiser)) => denoiser,
+            _ => inner,
+        };
         if strength == 0.0 || sweep.objectives.is_empty() {
             return sample(inner);
         }
-        let rows: Vec<ContextRow<'_>> = (guided.cells.iter().zip(guided.agents))
-            .map(|((cell, scene), agents)| ContextRow { scene, ego_idx: agents.0, roles: &cell.roles })
-            .collect();
-        let context = SceneContext::new(guided.batch, &rows)?.repeated(guided.n_samples)?;
+        let context = guided.objective_context()?;
         let potential = ObjectiveSum { objectives: &sweep.objectives, batch: guided.repeated, context: &context };
-        sample(&CleanGuidedDenoiser {
-            inner,
-            potential: &potential,
-            strength,
-            gate: sweep.guidance,
-            config: sweep.objective_guidance,
-            sigma_data: self.spec().edm.sigma_data,
-        })
+        sample(&on_estimates(inner, &potential))
     }
 
+    /// The scenes as the classifier knows them, with their histories observed and no more, where the sweep observes
+    /// otherwise.
+    fn classified_batch(&self, guided: &Guided<'_>) -> Result<Option<Classified>, Error> {
+        if guided.sweep.observe == ObserveConfig::default() {
+            return Ok(None);
+        }
+        let masks: Vec<ObservationMask> = (guided.cells.iter())
+            .map(|(_, scene)| ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history))
+            .collect();
+        let views: Vec<SceneView<'_>> = (guided.cells.iter().zip(guided.agents).zip(&masks))
+            .map(|(((_, scene), agents), mask)| SceneView { scene, ego_idx: agents.0, mask })
+            .collect();
+        let batch = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
+        let batch = batch.repeated(guided.n_samples)?;
+        let change = MaskChange::new(&batch, guided.repeated)?;
+        Ok(Some(Classified { batch, change }))
+    }
+
+    /// The guidance of `classifier`, over the states of `batch` where that is not the one that is sampled.
     fn classifier_guidance<'a>(
         &self,
         guided: &Guided<'_>,
         classifier: &'a TrainedClassifier,
+        batch: Option<&SceneBatch>,
     ) -> Result<Box<dyn Guidance + 'a>, Error> {
+        let batch = batch.unwrap_or(guided.repeated);
         let every = |row: usize| std::iter::repeat_n(row, guided.n_samples);
         if guided.sweep.classifier_scope == ClassifierScope::AnyPair {
             let own: Vec<Vec<(usize, usize)>> =
                 (0..guided.cells.len()).map(|row| self.any_pairs(guided, row)).collect();
             let pairs: Vec<_> = (0..own.len()).flat_map(every).map(|row| own[row].clone()).collect();
-            return Ok(Box::new(AnyPairGuidance::new(classifier, guided.repeated, &pairs)?));
+            return Ok(Box::new(AnyPairGuidance::new(classifier, batch, &pairs)?));
         }
         let agents: Vec<(usize, usize)> =
             (0..guided.agents.len()).flat_map(every).map(|row| guided.agents[row]).collect();
-        let pairs = classifier.spec.features(guided.repeated, &slots(guided.repeated, &agents)?)?;
+        let pairs = classifier.spec.features(batch, &slots(batch, &agents)?)?;
         Ok(Box::new(ClassifierGuidance { classifier: &classifier.classifier, pairs }))
     }
 

@@ -10,7 +10,7 @@ use crate::store::ScenarioRecord;
 pub struct Wanted {
     /// Which of the shard's cells it continues.
     pub cell: usize,
-    /// Its strength, or weight.
+    /// The number by which it is told apart from others: its strength, or weight.
     pub strength: f64,
     /// Its number.
     pub sample_idx: usize,
@@ -43,8 +43,8 @@ impl Generator<'_> {
         let is_strength = |strength: f64| strength.to_bits() == wanted.strength.to_bits();
         let output = self.generate_part(
             shard,
-            &|strength, members, samples| {
-                is_strength(strength) && members.contains(&wanted.cell) && samples.contains(&wanted.sample_idx)
+            &|level, members, samples| {
+                is_strength(level.value) && members.contains(&wanted.cell) && samples.contains(&wanted.sample_idx)
             },
             &Silent,
         )?;

@@ -2,8 +2,9 @@
 
 use super::baseline;
 use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_velocities};
-use super::guide::Guided;
-use super::{Cell, ClassifierFreeConfig, Error, Generator, ShardPlan, SweepConfig, Verdict, verify};
+use super::guide::{Guided, Wishes};
+use super::select::Candidate;
+use super::{Cell, ClassifierFreeConfig, Error, Generator, Level, ShardPlan, SweepConfig, Verdict, verify};
 use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::progress::Progress;
@@ -49,11 +50,26 @@ struct Batch<'a> {
     sweep: &'a SweepConfig,
     cells: Vec<(&'a Cell, &'a Conditioned)>,
     samples: Range<usize>,
-    strength: f64,
+    level: Level,
 }
 
-/// One sample: its scene with its probability, where it has one; or why there is none.
-type Sampled = Result<(Scene, Option<f64>), String>;
+/// What came of one sample.
+#[derive(Debug, Clone)]
+struct Draw {
+    scene: Scene,
+    /// Its probability, where it has one.
+    probability: Option<f64>,
+    /// What the objectives find of it, where samples are selected by them.
+    wishes: Wishes,
+}
+
+/// One of the samples of a cell; or why there is none.
+#[derive(Debug, Clone)]
+struct Sampled {
+    level: Level,
+    sample_idx: usize,
+    draw: Result<Draw, String>,
+}
 
 impl Generator<'_> {
     /// Generates a shard. Progress advances by one for each sample.
@@ -65,12 +81,12 @@ impl Generator<'_> {
         self.generate_part(shard, &|_, _, _| true, progress)
     }
 
-    /// Generates those batches of a shard that are chosen by strength (or weight), cells and samples; a batch is what it is
+    /// Generates those batches of a shard that are chosen by level, cells and samples; a batch is what it is
     /// whatever else is generated.
     pub(super) fn generate_part(
         &self,
         shard: &ShardPlan,
-        is_chosen: &dyn Fn(f64, &[usize], &Range<usize>) -> bool,
+        is_chosen: &dyn Fn(Level, &[usize], &Range<usize>) -> bool,
         progress: &dyn Progress,
     ) -> Result<ShardOutput, Error> {
         let sweep = &self.config.sweeps[shard.sweep_idx];
@@ -80,34 +96,34 @@ impl Generator<'_> {
             .map(|(cell, scene)| self.condition(sweep, cell, scene, agents(cell, scene)?))
             .collect::<Result<_, Error>>()?;
         let mut output = ShardOutput::default();
-        let mut sampled: Vec<Vec<(f64, usize, Sampled)>> = vec![Vec::new(); shard.cells.len()];
-        for &strength in sweep.levels() {
+        let mut sampled: Vec<Vec<Sampled>> = vec![Vec::new(); shard.cells.len()];
+        for level in sweep.levels() {
             for (members, samples) in self.batches(sweep, &scenes) {
                 let samples = samples.start + shard.first_sample..samples.end + shard.first_sample;
-                if !is_chosen(strength, &members, &samples) {
+                if !is_chosen(level, &members, &samples) {
                     continue;
                 }
                 let cells = members.iter().map(|at| (&shard.cells[*at], &conditioned[*at])).collect();
-                let batch = Batch { sweep, cells, samples: samples.clone(), strength };
-                let mut results = self.sample(&batch, progress)?.into_iter();
+                let batch = Batch { sweep, cells, samples: samples.clone(), level };
+                let mut draws = self.sample(&batch, progress)?.into_iter();
                 for at in members {
-                    let own = samples.clone().zip(results.by_ref().take(samples.len()));
-                    sampled[at].extend(own.map(|(sample_idx, result)| (strength, sample_idx, result)));
+                    let own = samples.clone().zip(draws.by_ref().take(samples.len()));
+                    sampled[at].extend(own.map(|(sample_idx, draw)| Sampled { level, sample_idx, draw }));
                 }
             }
         }
         for (((cell, scene), given), sampled) in shard.cells.iter().zip(&scenes).zip(&conditioned).zip(sampled) {
-            for (strength, sample_idx, result) in select(sweep, scene, sampled, &mut output.unselected) {
-                match result {
-                    Ok((generated, probability)) => {
-                        let scenario = (&generated, given.observed(&generated));
-                        let sample = (strength, sample_idx, probability);
+            for Sampled { level, sample_idx, draw } in select(sweep, scene, sampled, &mut output.unselected) {
+                match draw {
+                    Ok(draw) => {
+                        let scenario = (&draw.scene, given.observed(&draw.scene));
+                        let sample = (level, sample_idx, draw.probability);
                         output.records.push(self.record(sweep, cell, scene, scenario, sample)?);
                     }
                     Err(reason) => output.rejected.push(RejectedSample {
                         scene_id: cell.scene_id.clone(),
                         sweep: sweep.name.clone(),
-                        strength,
+                        strength: level.value,
                         sample_idx,
                         seed: self.config.seed,
                         reason,
@@ -135,55 +151,57 @@ impl Generator<'_> {
     }
 
     /// The samples of a batch: all of its first cell, then all of the next.
-    fn sample(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Sampled>, Error> {
+    fn sample(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Result<Draw, String>>, Error> {
         if let Some(baseline) = self.baseline(batch.sweep)? {
             let given: Vec<&Conditioned> = batch.cells.iter().map(|(_, given)| *given).collect();
             let predicted = self.predict(baseline, &given, batch.samples.clone())?;
             progress.advance(predicted.len() as u64);
-            return Ok(predicted.into_iter().map(|(scene, p)| Ok((checked(scene)?, Some(p)))).collect());
+            let draw = |(scene, probability)| {
+                Ok(Draw { scene: checked(scene)?, probability: Some(probability), wishes: Wishes::new() })
+            };
+            return Ok(predicted.into_iter().map(draw).collect());
         }
         let agents: Vec<(usize, usize)> = batch.cells.iter().map(|(_, given)| given.agents).collect();
         let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
         let tensors = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
         let n_samples = batch.samples.len();
         let bound = self.models.denoiser.denoiser.bind(&tensors, n_samples)?;
-        let wanted = match batch.sweep.classifier_free.as_ref().filter(|_| batch.strength != 0.0) {
+        let wanted = match batch.sweep.classifier_free.as_ref().filter(|_| batch.level.weight != 0.0) {
             Some(config) => Some(self.wanted_states(config, batch, &tensors)?),
             None => None,
         };
         let (own, tensors) = (&tensors, tensors.repeated(n_samples)?);
+        let cells: Vec<(&Cell, &Scene)> = batch.cells.iter().map(|(cell, given)| (*cell, &given.scene)).collect();
+        let guided = Guided {
+            sweep: batch.sweep,
+            level: batch.level,
+            cells: &cells,
+            agents: &agents,
+            batch: own,
+            repeated: &tensors,
+            n_samples,
+        };
+        let denoise = |denoiser: &dyn Denoiser| self.denoise(batch, &tensors, denoiser, progress);
         let x = match wanted {
             Some(extended) => {
                 let change = MaskChange::new(&tensors, &extended)?;
                 let conditional = self.models.denoiser.denoiser.bind(&extended, 1)?;
-                let denoiser = ClassifierFreeDenoiser {
+                let leaning = ClassifierFreeDenoiser {
                     unconditional: &bound,
                     conditional: &conditional,
                     change: &change,
-                    weight: batch.strength,
+                    weight: batch.level.weight,
                 };
-                self.denoise(batch, &tensors, &denoiser, progress)?
+                self.guided(&guided, &leaning, denoise)?
             }
-            None => {
-                let cells: Vec<(&Cell, &Scene)> =
-                    batch.cells.iter().map(|(cell, given)| (*cell, &given.scene)).collect();
-                let guided = Guided {
-                    sweep: batch.sweep,
-                    strength: batch.strength,
-                    cells: &cells,
-                    agents: &agents,
-                    batch: own,
-                    repeated: &tensors,
-                    n_samples,
-                };
-                self.guided(&guided, &bound, |denoiser| self.denoise(batch, &tensors, denoiser, progress))?
-            }
+            None => self.guided(&guided, &bound, denoise)?,
         };
         let sources: Vec<&Scene> =
             batch.cells.iter().flat_map(|(_, given)| std::iter::repeat_n(&given.scene, n_samples)).collect();
-        let scenes = tensors.decode_scenes(&x, &sources)?;
+        let (scenes, wishes) = (tensors.decode_scenes(&x, &sources)?, guided.wishes(&x)?);
         progress.advance(scenes.len() as u64);
-        Ok(scenes.into_iter().map(|scene| Ok((checked(scene)?, None))).collect())
+        let draw = |(scene, wishes)| Ok(Draw { scene: checked(scene)?, probability: None, wishes });
+        Ok(scenes.into_iter().zip(wishes).map(draw).collect())
     }
 
     /// The samples of a batch, one a row, with their wanted states observed as well.
@@ -240,13 +258,13 @@ impl Generator<'_> {
         cell: &Cell,
         recorded: &Scene,
         (generated, observed): (&Scene, ObservationMask),
-        (strength, sample_idx, probability): (f64, usize, Option<f64>),
+        (level, sample_idx, probability): (Level, usize, Option<f64>),
     ) -> Result<ScenarioRecord, Error> {
-        let classifier = self.guiding_classifier(sweep, strength);
+        let classifier = self.guiding_classifier(sweep, level.strength);
         let (checkpoint, kind, sampler) = match self.baseline(sweep)? {
             Some(model) => (&model.fingerprint, baseline::GUIDANCE_KIND.to_owned(), baseline::SAMPLER.to_owned()),
             None => {
-                let kind = self.guidance_kind(sweep, strength);
+                let kind = self.guidance_kind(sweep, level);
                 (&self.models.denoiser.fingerprint, kind, sweep.sampler(self.config).name())
             }
         };
@@ -259,9 +277,9 @@ impl Generator<'_> {
             seed: self.config.seed,
             sample_idx,
             probability,
-            guidance: GuidanceTag { kind, strength, roles: cell.roles.clone() },
+            guidance: GuidanceTag { kind, strength: level.value, roles: cell.roles.clone() },
             sampler,
-            settings: sweep.settings(self.config),
+            settings: sweep.settings(self.config, level),
         };
         // What is verified must be what is written.
         let scene = as_stored(generated);
@@ -308,17 +326,18 @@ fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
 fn select(
     sweep: &SweepConfig,
     recorded: &Scene,
-    sampled: Vec<(f64, usize, Sampled)>,
+    sampled: Vec<Sampled>,
     unselected: &mut BTreeMap<String, u64>,
-) -> Vec<(f64, usize, Sampled)> {
+) -> Vec<Sampled> {
     let Some(select) = &sweep.select else { return sampled };
     let mut left_out = vec![None; sampled.len()];
-    for strength in sweep.levels() {
-        let is_candidate = |(_, (of, _, result)): &(usize, &(f64, usize, Sampled))| of == strength && result.is_ok();
-        let (places, scenes): (Vec<usize>, Vec<Scene>) = (sampled.iter().enumerate().filter(is_candidate))
-            .filter_map(|(place, (_, _, result))| Some((place, result.as_ref().ok()?.0.clone())))
+    for level in sweep.levels() {
+        let (places, candidates): (Vec<usize>, Vec<Candidate<'_>>) = (sampled.iter().enumerate())
+            .filter(|(_, sample)| sample.level == level)
+            .filter_map(|(place, sample)| Some((place, sample.draw.as_ref().ok()?)))
+            .map(|(place, draw)| (place, Candidate { scene: &draw.scene, objectives: &draw.wishes }))
             .unzip();
-        for (place, verdict) in places.into_iter().zip(select.verdicts(recorded, &scenes)) {
+        for (place, verdict) in places.into_iter().zip(select.verdicts(recorded, &candidates)) {
             left_out[place] = verdict;
         }
     }

@@ -1,7 +1,8 @@
 //! What guides a sweep? The questions that a sweep's configuration answers, and what makes no sense in it.
 
-use super::SweepConfig;
+use super::{ObserveConfig, SelectConfig, SweepConfig};
 use crate::behavior;
+use crate::tensor::MaskTask;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +18,18 @@ pub enum ClassifierScope {
     AnyPair,
     /// Nobody: objectives alone guide. Pairs are chosen and verified as with `pair`.
     None,
+}
+
+/// What the classifier of the behavior is shown of a sample that is being denoised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ClassifierInput {
+    /// The noisy states (paper, section 5.2): it was trained on them at every noise level.
+    #[default]
+    NoisyStates,
+    /// The denoiser's clean estimate, as objectives are. Needed where more than the history is observed (`observe`): of other
+    /// masks the classifier knows no noisy states. `objective_guidance` says how its gradient becomes a shift.
+    CleanEstimate,
 }
 
 impl SweepConfig {
@@ -45,9 +58,12 @@ impl SweepConfig {
             };
             return Err(missing.to_owned());
         }
-        if !self.objectives.is_empty() && !self.is_guided() {
+        let selects = self.select.as_ref().is_some_and(SelectConfig::names_objectives);
+        if !self.objectives.is_empty() && !self.is_guided() && !selects {
             return Err(
-                "objectives act at strengths other than 0 alone; add some, such as strengths = [1.0]".to_owned()
+                "objectives guide at strengths other than 0 alone; add some, such as strengths = [1.0], or select by \
+                        them, such as select = { best = 1, by = [\"objectives\"] }"
+                    .to_owned(),
             );
         }
         match self.behavior.as_deref() {
@@ -56,6 +72,30 @@ impl SweepConfig {
                 Some(known) => self.check_objectives(known.roles),
                 None => Ok(()),
             },
+        }
+    }
+
+    /// Says why the classifier cannot guide under the sweep's observation mask.
+    pub(super) fn check_classifier_input(&self) -> Result<(), String> {
+        let hides_history = match &self.observe {
+            ObserveConfig::Task(task) => {
+                matches!(task, MaskTask::Windowed | MaskTask::Upsampling | MaskTask::Imputation)
+            }
+            // What rules hide is seen when they meet a scene.
+            ObserveConfig::Mask(_) => false,
+        };
+        if hides_history {
+            return Err(
+                "guidance by a classifier, which looks at histories, needs an observe that shows them".to_owned()
+            );
+        }
+        match (self.observe == ObserveConfig::default(), self.classifier_input) {
+            (false, ClassifierInput::NoisyStates) => {
+                Err("a classifier knows noisy states of observe = \"predictive\" alone; \
+                 with other masks it needs classifier_input = \"clean_estimate\""
+                    .to_owned())
+            }
+            _ => Ok(()),
         }
     }
 

@@ -1,5 +1,6 @@
 //! Is what is generated independent of how it is generated, paired across strengths, and guarded against nonsense?
 
+mod combined;
 mod guidance;
 
 use super::testing::*;

@@ -29,14 +29,25 @@ pub struct ObjectiveSum<'a> {
     pub context: &'a SceneContext,
 }
 
+impl ObjectiveSum<'_> {
+    /// The summands weight · J(decode(x₀)), each (B), in the order of the objectives.
+    ///
+    /// # Errors
+    /// When shapes do not fit.
+    pub fn terms(&self, x0: &Tensor) -> Result<Vec<Tensor>> {
+        let states = self.batch.decode(x0)?;
+        let term = |objective: &ObjectiveConfig| {
+            let objective = objective.objective();
+            nothing(&states)? + (objective.log_potential(&states, self.context)? * objective.weight())?
+        };
+        self.objectives.iter().map(term).collect()
+    }
+}
+
 impl CleanPotential for ObjectiveSum<'_> {
     fn log_potential(&self, x0: &Tensor) -> Result<Tensor> {
-        let states = self.batch.decode(x0)?;
-        let mut total = nothing(&states)?;
-        for objective in self.objectives.iter().map(ObjectiveConfig::objective) {
-            total = (total + (objective.log_potential(&states, self.context)? * objective.weight())?)?;
-        }
-        Ok(total)
+        let zero = Tensor::zeros(x0.dim(0)?, x0.dtype(), x0.device())?;
+        self.terms(x0)?.into_iter().try_fold(zero, |total, term| total + term)
     }
 }
 

@@ -7,6 +7,7 @@ mod any_pair;
 mod classifier;
 mod classifier_free;
 mod clean_guided_denoiser;
+mod estimate_potential;
 mod guided_denoiser;
 mod mask_change;
 mod objectives;
@@ -26,6 +27,7 @@ pub use classifier_free::{BranchChange, ClassifierFreeDenoiser};
 pub use clean_guided_denoiser::{
     CleanGradient, CleanGuidedDenoiser, CleanPotential, ObjectiveGuidanceConfig, ObjectiveSum,
 };
+pub use estimate_potential::EstimatePotential;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
 pub use objectives::{

@@ -12,7 +12,7 @@
 //!
 //! | Benchmark | Its figures |
 //! |---|---|
-//! | Argoverse 1 | minADE `min_ade_of_min_fde_m`, minFDE `min_fde_m`, MR `miss_rate`, p-minADE `p_min_ade_m`, p-minFDE `p_min_fde_m`, brier-minADE `brier_min_ade_m`, brier-minFDE `brier_min_fde_m`, DAC `drivable_area_compliance` |
+//! | Argoverse 1 | minADE `min_ade_of_min_fde_m`, minFDE `min_fde_m`, MR `miss_rate`, p-minADE `p_min_ade_m`, p-minFDE `p_min_fde_m`, p-MR `p_miss_rate`, brier-minADE `brier_min_ade_m`, brier-minFDE `brier_min_fde_m`, DAC `drivable_area_compliance` |
 //! | Argoverse 2, one agent | minADE `min_ade_of_min_fde_m`, minFDE `min_fde_m`, MR `miss_rate`, brier-minFDE `brier_min_fde_m` |
 //! | Argoverse 2, worlds | avgMinADE `avg_min_ade_m`, avgMinFDE `avg_min_fde_m`, avgBrierMinFDE `avg_brier_min_fde_m`, actorMR `actor_miss_rate`, actorCR `actor_collision_rate` |
 //! | INTERACTION, one agent | minADE `min_ade_m`, minFDE `min_fde_m`, MR `miss_rate` |
@@ -41,6 +41,7 @@ mod modes;
 mod motion;
 mod offroad_rate;
 mod probability_penalty;
+mod probable_miss_rate;
 mod road;
 mod sample_group;
 mod spec;
@@ -65,6 +66,7 @@ pub use modes::{ModeFit, Modes, ModesConfig, ModesOf, Representative};
 pub use motion::{MOTION, MotionHistograms, MotionQuantity};
 pub use offroad_rate::OffroadRate;
 pub use probability_penalty::{Displacement, PenalizedMinimum, Penalty};
+pub use probable_miss_rate::ProbableMissRate;
 pub use sample_group::SampleGroup;
 pub use spec::{Direction, MetricSpec};
 
@@ -87,6 +89,7 @@ pub static ALL: &[&dyn Metric] = &[
     &MinFde,
     &MinAdeOfMinFde,
     &MissRate,
+    &ProbableMissRate,
     &MinSceneAde(ScoredAgents::All),
     &MinSceneFde(ScoredAgents::All),
     &MinSceneAde(ScoredAgents::Others),

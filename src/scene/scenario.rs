@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 /// The guidance a scenario was sampled with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GuidanceTag {
-    /// Name of the guidance, such as `none`, `classifier:cut_in` or `classifier_free`.
+    /// Name of the guidance, such as `none`, `classifier:cut_in` or `classifier_free`; parts that act together are joined by `+`.
     pub kind: String,
-    /// Strength α, or weight λ of classifier-free guidance; 0 without guidance.
+    /// Strength α, or weight λ of classifier-free guidance where that is what varies within the sweep; 0 without guidance.
     pub strength: f64,
     /// The tracks the guidance acted on, as (role, track): empty without guidance.
     pub roles: Vec<(String, TrackId)>,

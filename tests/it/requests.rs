@@ -32,7 +32,7 @@ name = "slow"
 n_samples = 2
 strengths = [1.0]
 classifier_scope = "none"
-objectives = [{ kind = "target_speed", agents = "first", speed_mps = 5.0 }]
+objectives = [{ kind = "target_speed", agents = "ego", speed_mps = 5.0 }]
 
 [[generate.requests]]
 name = "tight"

@@ -4,6 +4,7 @@ use super::facts::Facts;
 use super::ledger::{CellTally, Ledger, ShardTally};
 use super::resolve::ResolvedRequest;
 use super::rounds::{Pool, RoundShard};
+use crate::generate::select::Candidate;
 use crate::generate::{Cell, Error, Generator};
 use crate::store::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use rayon::prelude::*;
@@ -109,7 +110,8 @@ impl Generator<'_> {
             return Ok(Finding::Hit(bucket));
         }
         let recorded = self.load(cell.scene_idx, &cell.scene_id)?;
-        let verdicts = request.config.limits().verdicts(&recorded, std::slice::from_ref(scene));
+        let candidate = Candidate { scene, objectives: &[] };
+        let verdicts = request.config.limits().verdicts(&recorded, &[candidate]);
         let is_valid = verdicts.iter().all(Option::is_none);
         Ok(if is_valid { Finding::Hit(bucket) } else { Finding::BeyondLimits(bucket) })
     }

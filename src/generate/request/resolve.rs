@@ -76,14 +76,14 @@ impl GenerateConfig {
                     let why = format!("arms names {name:?}, which there is not; [[generate.arms]] has {known:?}");
                     return Err(refuse(key(), why));
                 };
-                for sweep in request.sweeps(arm) {
+                for (sweep, level) in request.sweeps(arm) {
                     sweep.validate().map_err(|why| refuse(key(), why))?;
                     arms.push(Arm {
                         name: sweep.name[request.name.len() + 1..].to_owned(),
                         sweep_idx: config.sweeps.len(),
                         n_samples: sweep.n_samples,
                         n_evaluations: sweep.n_evaluations(self),
-                        level: sweep.levels()[0],
+                        level,
                     });
                     config.sweeps.push(sweep);
                 }
@@ -119,11 +119,12 @@ fn check_arm(arm: &SweepConfig) -> Result<(), String> {
 }
 
 impl RequestConfig {
-    /// The sweeps of one of its arms: one for each strength or weight.
-    fn sweeps<'a>(&'a self, arm: &'a SweepConfig) -> impl Iterator<Item = SweepConfig> + 'a {
-        let is_one = arm.levels().len() == 1;
-        arm.levels().iter().map(move |level| {
-            let name = if is_one { arm.name.clone() } else { format!("{}@{level}", arm.name) };
+    /// The sweeps of one of its arms: one for each strength or weight, with it.
+    fn sweeps<'a>(&'a self, arm: &'a SweepConfig) -> impl Iterator<Item = (SweepConfig, f64)> + 'a {
+        let levels = arm.levels();
+        let is_one = levels.len() == 1;
+        levels.into_iter().map(move |level| {
+            let name = if is_one { arm.name.clone() } else { format!("{}@{}", arm.name, level.value) };
             let mut sweep = SweepConfig {
                 name: format!("{}/{name}", self.name),
                 n_scenes: self.n_scenes,
@@ -131,15 +132,15 @@ impl RequestConfig {
                 pairs: self.pairs.clone(),
                 ..arm.clone()
             };
-            match &mut sweep.classifier_free {
-                Some(config) => config.weights = vec![*level],
-                None => sweep.strengths = vec![*level],
+            sweep.strengths = vec![level.strength];
+            if let Some(config) = &mut sweep.classifier_free {
+                config.weights = vec![level.weight];
             }
-            if *level == 0.0 {
+            if level.strength == 0.0 {
                 // Objectives act at strengths other than 0 alone.
                 sweep.objectives.clear();
             }
-            sweep
+            (sweep, level.value)
         })
     }
 
@@ -170,7 +171,7 @@ impl RequestConfig {
         }
         self.validate_counts()?;
         if !self.limits.is_empty() {
-            self.limits().validate().map_err(|why| format!("limits: {why}"))?;
+            self.limits().validate(&[]).map_err(|why| format!("limits: {why}"))?;
         }
         let positive = [
             ("n_scenes", self.n_scenes),

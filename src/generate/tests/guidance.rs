@@ -127,7 +127,7 @@ fn guidance_that_makes_no_sense_is_refused() {
         ),
         (cut_in("classifier_scope = 'none'"), "need objectives"),
         (guided("classifier_scope = 'any_pair'"), "needs a behavior"),
-        (sweep(&speed("")), "objectives act at strengths other than 0"),
+        (sweep(&speed("")), "objectives guide at strengths other than 0"),
         (guided(&format!("objective_guidance = {{ inner_steps = 0 }}\n{}", speed(""))), "inner_steps is 0"),
         (guided("objectives = [{ kind = 'target_sped', speed_mps = 5.0 }]"), "target_sped"),
     ] {

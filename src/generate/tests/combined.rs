@@ -1,0 +1,124 @@
+//! Do the forms of guidance act together, and under other masks than that of the history?
+
+use super::*;
+use crate::store::ScenarioRecord;
+
+const GUIDED: &str = "
+    splits = ['train']
+    [[sweeps]]
+    name = 'guided'
+    n_scenes = 3
+    n_samples = 2
+    behavior = 'drift'
+";
+const GOALS: &str = "classifier_free = { extra = [{ agents = 'all', times = 'goal' }], goal_std_m = 0.5, weights =";
+
+fn kinds(records: &[ScenarioRecord]) -> Vec<&str> {
+    let mut kinds: Vec<&str> = records.iter().map(|r| r.scenario.provenance.guidance.kind.as_str()).collect();
+    kinds.sort_unstable();
+    kinds.dedup();
+    kinds
+}
+
+fn at(records: &[ScenarioRecord], level: f64) -> Vec<&ScenarioRecord> {
+    records.iter().filter(|record| record.scenario.provenance.guidance.strength == level).collect()
+}
+
+/// The largest distance of states of the same samples, metres.
+fn apart_m(a: &[&ScenarioRecord], b: &[&ScenarioRecord]) -> f64 {
+    assert!(!a.is_empty() && a.len() == b.len());
+    a.iter().zip(b).map(|(a, b)| difference_m(&a.scenario.scene, &b.scenario.scene)).fold(0.0, f64::max)
+}
+
+#[test]
+fn classifier_objectives_and_wanted_states_act_together() {
+    let run = |rest: &str| generate(&config(&format!("{GUIDED}{rest}")));
+    let wish = "objectives = [{ kind = 'no_collision', margin_m = 2.0 }]";
+    let both = run(&format!("strengths = [0.0, 3.0]\n{GOALS} [0.7] }}\n{wish}"));
+    assert_eq!(kinds(&both), ["classifier:drift+no_collision+classifier_free(0.7)", "classifier_free(0.7)"]);
+    // Where one of the two is 0, samples are those of the other one alone, to the bit.
+    let leaning = run(&format!("{GOALS} [0.7] }}"));
+    assert_eq!(apart_m(&at(&both, 0.0), &at(&leaning, 0.7)), 0.0);
+    let guided = run(&format!("strengths = [3.0]\n{wish}"));
+    let other_way = run(&format!("strengths = [3.0]\n{GOALS} [0.0, 0.7] }}\n{wish}"));
+    assert_eq!(
+        kinds(&other_way),
+        ["classifier:drift+no_collision(3)", "classifier:drift+no_collision(3)+classifier_free"]
+    );
+    assert_eq!(apart_m(&at(&other_way, 0.0), &at(&guided, 3.0)), 0.0);
+    assert_eq!(apart_m(&at(&other_way, 0.7), &at(&both, 3.0)), 0.0);
+    for alone in [at(&leaning, 0.7), at(&guided, 3.0)] {
+        assert!(apart_m(&at(&both, 3.0), &alone) > 1e-3);
+    }
+    let refused = config(&format!("{GUIDED}strengths = [0.0, 3.0]\n{GOALS} [0.0, 0.7] }}"));
+    let why = with_generator_result(&refused, |_| Ok(())).unwrap_err().to_string();
+    assert!(why.contains("both lists"), "{why}");
+}
+
+#[test]
+fn a_classifier_guides_under_other_masks_by_clean_estimates() {
+    let run = |rest: &str| generate(&config(&format!("{GUIDED}strengths = [0.0, 3.0]\n{rest}")));
+    for observe in ["'goal_conditioned'", "[{ agents = 'all', times = 'history' }, { agents = 'ego', times = 'all' }]"]
+    {
+        let records = run(&format!("observe = {observe}\nclassifier_input = 'clean_estimate'"));
+        assert_eq!(kinds(&records), ["classifier:drift", "none"]);
+        assert!(apart_m(&at(&records, 0.0), &at(&records, 3.0)) > 1e-3, "{observe}");
+        // What is observed stays, whatever guides.
+        for (unguided, guided) in at(&records, 0.0).iter().zip(at(&records, 3.0)) {
+            assert_eq!(unguided.scenario.observed, guided.scenario.observed);
+            for (agent_idx, track) in guided.scenario.scene.tracks.iter().enumerate() {
+                for (timestep, state) in track.trajectory.valid() {
+                    if guided.scenario.observed.is_observed(agent_idx, timestep) {
+                        let other = unguided.scenario.scene.state(agent_idx, timestep).unwrap();
+                        assert_eq!(state.position, other.position);
+                    }
+                }
+            }
+        }
+    }
+    // Under the mask of the history both inputs are possible, and differ.
+    let (noisy, clean) = (run(""), run("classifier_input = 'clean_estimate'"));
+    assert_eq!(apart_m(&at(&noisy, 0.0), &at(&clean, 0.0)), 0.0);
+    assert!(apart_m(&at(&noisy, 3.0), &at(&clean, 3.0)) > 1e-3);
+}
+
+#[test]
+fn masks_that_a_classifier_cannot_see_through_are_refused() {
+    for (rest, part) in [
+        ("observe = 'goal_conditioned'", "needs classifier_input = \"clean_estimate\""),
+        ("observe = 'windowed'\nclassifier_input = 'clean_estimate'", "an observe that shows them"),
+        (
+            "observe = [{ agents = 'all', times = { timesteps = { from = 1, to = 4 } } }]\nclassifier_input = 'clean_estimate'",
+            "unobserved at timestep 0 of its history",
+        ),
+    ] {
+        let config = config(&format!("{GUIDED}strengths = [3.0]\n{rest}"));
+        let sampled = with_generator_result(&config, |generator| {
+            let plan = generator.plan(&index(12))?;
+            generator.generate(&plan.shards[0], &Silent)
+        });
+        let why = sampled.unwrap_err().to_string();
+        assert!(why.contains(part), "{why}");
+    }
+}
+
+#[test]
+fn objectives_select_without_guiding() {
+    let goal = "objectives = [{ kind = 'goal', agents = 'ego', x_m = 9.0, y_m = -4.0 }]";
+    let sweep = "splits = ['train']\n[[sweeps]]\nname = 'a'\nn_scenes = 3\nn_samples = 4\n";
+    let all = generate(&config(sweep));
+    let best = generate(&config(&format!("{sweep}{goal}\nselect = {{ best = 1, by = ['objectives'] }}")));
+    assert_eq!((all.len(), best.len(), kinds(&best)), (12, 3, vec!["none"]));
+    for (own, kept) in all.chunks(4).zip(&best) {
+        // The last state of the agent at the center, from where it is at present.
+        let miss_m = |record: &ScenarioRecord| {
+            let Scene { tracks, ego_idx, .. } = &record.scenario.scene;
+            let states: Vec<_> = tracks[*ego_idx].trajectory.valid().collect();
+            let (present, last) = (states[N_HISTORY - 1].1, states.last().unwrap().1);
+            let moved = (last.position - present.position).rotated(-present.heading_rad);
+            (moved - crate::geometry::Vec2::new(9.0, -4.0)).norm()
+        };
+        let least_m = own.iter().map(miss_m).fold(f64::MAX, f64::min);
+        assert!((miss_m(kept) - least_m).abs() < 1e-9, "kept {} m, least {least_m} m", miss_m(kept));
+    }
+}

@@ -1,0 +1,33 @@
+//! Benchmarks: how long do the parts that matter take on this machine?
+//!
+//! ```sh
+//! cargo bench --profile dev -- run_time                # seconds for a scene against the number of its agents
+//! cargo bench --profile dev -- run_time 8 16 --steps 25
+//! ```
+//!
+//! The profile `dev` has optimized dependencies, and its own code spends next to no time; it saves a second build of the world.
+//! `CANDLE_NUM_THREADS` and `RAYON_NUM_THREADS` limit the threads. What is measured goes to stdout as a table; CI checks that
+//! this compiles, and never looks at a time.
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program of its own, for people")]
+
+mod cpu_time;
+mod run_time;
+mod scenes;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    // Cargo adds `--bench` to the arguments.
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
+    let result = match arguments.split_first() {
+        Some((name, rest)) if name == "run_time" => run_time::run(rest),
+        _ => Err("name a benchmark: run_time [AGENTS …] [--steps N …]".to_owned()),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("error: {message}");
+            ExitCode::FAILURE
+        }
+    }
+}
