@@ -71,6 +71,9 @@ struct Sampled {
     draw: Result<Draw, String>,
 }
 
+/// Whether a batch is generated: of this level, these cells and samples.
+type BatchChoice<'a> = dyn Fn(Level, &[usize], &Range<usize>) -> bool + 'a;
+
 impl Generator<'_> {
     /// Generates a shard. Progress advances by one for each sample.
     ///
@@ -86,7 +89,7 @@ impl Generator<'_> {
     pub(super) fn generate_part(
         &self,
         shard: &ShardPlan,
-        is_chosen: &dyn Fn(Level, &[usize], &Range<usize>) -> bool,
+        is_chosen: &BatchChoice<'_>,
         progress: &dyn Progress,
     ) -> Result<ShardOutput, Error> {
         let sweep = &self.config.sweeps[shard.sweep_idx];

@@ -73,7 +73,8 @@ pub(super) struct Counts {
 /// Counts of one cell over all arms.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct CellCounts {
-    pub(super) n_samples: u64,
+    /// Samples by arm.
+    pub(super) n_samples: Vec<u64>,
     pub(super) next_sample: usize,
     pub(super) hits: BTreeMap<usize, Hits>,
 }
@@ -105,7 +106,7 @@ impl Ledger {
             spent_while_open: vec![(0, 0); n_buckets],
             arms: vec![counts.clone(); n_arms],
             first_round: vec![counts; n_arms],
-            cells: vec![CellCounts::default(); n_cells],
+            cells: vec![CellCounts { n_samples: vec![0; n_arms], ..CellCounts::default() }; n_cells],
             n_evaluations_by_arm: request.arms.iter().map(|arm| arm.n_evaluations).collect(),
         }
     }
@@ -123,7 +124,7 @@ impl Ledger {
         }
         for cell in &tally.cells {
             let Some(counts) = self.cells.get_mut(cell.cell) else { continue };
-            counts.n_samples += cell.n_samples;
+            counts.n_samples[tally.arm] += cell.n_samples;
             counts.next_sample = counts.next_sample.max(cell.next_sample);
             for (bucket, hits) in cell.hits.iter().filter(|(bucket, _)| **bucket < self.wanted.len()) {
                 counts.hits.entry(*bucket).or_default().add(*hits);
@@ -157,6 +158,11 @@ impl Ledger {
     /// Scenarios accepted.
     pub fn n_accepted(&self) -> u64 {
         self.accepted.iter().sum()
+    }
+
+    /// Samples of an arm that fell into buckets.
+    pub(super) fn hits_of_arm(&self, arm: usize) -> u64 {
+        self.arms[arm].hits.iter().map(Hits::n).sum()
     }
 
     /// Samples of an arm that fell into buckets which are still open.

@@ -5,9 +5,9 @@
 //! finished shards of earlier rounds came to ([`Ledger`]). A decision depends on the request, the seed and these counts alone,
 //! so that a run that was interrupted decides the same again.
 
-mod beta;
 mod buckets;
 mod config;
+mod draws;
 mod facts;
 mod judge;
 mod ledger;

@@ -1,15 +1,16 @@
 //! What is tried next? Rounds of shards, each decided from what the finished rounds came to and nothing else.
 
-use super::beta::beta;
 use super::config::PlanKind;
+use super::draws::{beta, gamma};
 use super::ledger::Ledger;
 use super::resolve::{Arm, ResolvedRequest};
 use crate::generate::{Cell, ShardPlan};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
 
-/// Samples that a cell of which nothing is known counts for, at the mean rate of all cells.
-const PRIOR_SAMPLES: f64 = 4.0;
+/// How far cells are from each other, of which nothing is known: their rates relative to the mean have a gamma distribution of
+/// this shape.
+const CELL_SHAPE: f64 = 0.5;
 
 /// The cells that a request may ask, in random order; written before anything is sampled.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -102,11 +103,15 @@ impl ResolvedRequest {
             return self.even_shard(round, slot) % self.arms.len();
         }
         let seed = self.slot_seed(context, slot);
+        // The rate of hits in open buckets is that of all hits, times the share of them that is in open buckets: an arm that
+        // filled buckets is likelier to fill others, too.
         let draw = |arm: usize| {
-            let (n_hits, n) = (ledger.open_hits_of_arm(arm) as f64, ledger.arms[arm].n_samples as f64);
+            let (n, n_hits) = (ledger.arms[arm].n_samples as f64, ledger.hits_of_arm(arm) as f64);
+            let n_open = ledger.open_hits_of_arm(arm) as f64;
             let mut rng = seed.derive("arm", &[arm as u64]).rng();
-            beta(&mut rng, 1.0 + n_hits, 1.0 + (n - n_hits).max(0.0))
-                / self.config.budget.cost(self.arms[arm].n_evaluations)
+            let rate = beta(&mut rng, 1.0 + n_hits, 1.0 + (n - n_hits).max(0.0));
+            let share = beta(&mut rng, 0.5 + n_open, 0.5 + n_hits - n_open);
+            rate * share / self.config.budget.cost(self.arms[arm].n_evaluations)
         };
         let draws: Vec<f64> = (0..self.arms.len()).map(draw).collect();
         // The first of equal ones.
@@ -129,22 +134,23 @@ impl ResolvedRequest {
             let first = self.even_shard(round, slot) / self.arms.len() * context.cells_per_shard;
             return (0..n_cells).map(|i| (first + i) % n).collect();
         }
-        let hits: Vec<u64> = (0..n).map(|cell| ledger.open_hits_of_cell(cell)).collect();
-        let n_samples: u64 = ledger.cells.iter().map(|cell| cell.n_samples).sum();
-        let mean = (0.5 + hits.iter().sum::<u64>() as f64) / (1.0 + n_samples as f64);
+        // Hits of a cell are about Poisson: the rates of the arms that were tried on it, times how well it is suited. What is
+        // drawn is the latter, from its posterior.
+        let n_arms = self.arms.len();
+        let rate = |arm: usize| (0.5 + ledger.open_hits_of_arm(arm) as f64) / (1.0 + ledger.arms[arm].n_samples as f64);
+        let rates: Vec<f64> = (0..n_arms).map(rate).collect();
         let seed = self.slot_seed(context, slot);
         let draw = |cell: usize| {
-            let (n_hits, n) = (hits[cell] as f64, ledger.cells[cell].n_samples as f64);
+            let n_samples = &ledger.cells[cell].n_samples;
+            let n_expected: f64 = rates.iter().zip(n_samples).map(|(rate, n)| rate * *n as f64).sum();
             let mut rng = seed.derive("cell", &[cell as u64]).rng();
-            let prior = PRIOR_SAMPLES * mean.min(0.99);
-            beta(&mut rng, prior + n_hits, PRIOR_SAMPLES - prior + (n - n_hits).max(0.0))
+            gamma(&mut rng, CELL_SHAPE + ledger.open_hits_of_cell(cell) as f64) / (CELL_SHAPE + n_expected)
         };
         let is_taken = |cell: usize| so_far.iter().any(|shard| shard.members.contains(&cell));
-        // Cells that another shard of the round has come last; of equal draws the cell that was tried least is the first.
-        let mut order: Vec<(bool, f64, u64, usize)> =
-            (0..n).map(|cell| (is_taken(cell), draw(cell), ledger.cells[cell].n_samples, cell)).collect();
-        order.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)).then(a.3.cmp(&b.3)));
-        let mut members: Vec<usize> = order.into_iter().take(n_cells).map(|(_, _, _, cell)| cell).collect();
+        // Cells that another shard of the round has come last.
+        let mut order: Vec<(bool, f64, usize)> = (0..n).map(|cell| (is_taken(cell), draw(cell), cell)).collect();
+        order.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
+        let mut members: Vec<usize> = order.into_iter().take(n_cells).map(|(_, _, cell)| cell).collect();
         members.sort_unstable();
         members
     }

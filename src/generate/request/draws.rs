@@ -1,4 +1,4 @@
-//! Draws from beta distributions: how high may a rate be of which so many successes and failures were seen?
+//! Draws from beta and gamma distributions: how high may a rate be of which so much was seen?
 
 use crate::seed::SeededRng;
 
@@ -10,7 +10,7 @@ pub(super) fn beta(rng: &mut SeededRng, a: f64, b: f64) -> f64 {
 }
 
 /// A draw from the gamma distribution of this shape and scale 1 (Marsaglia and Tsang, 2000).
-fn gamma(rng: &mut SeededRng, shape: f64) -> f64 {
+pub(super) fn gamma(rng: &mut SeededRng, shape: f64) -> f64 {
     if shape < 1.0 {
         // Gamma(a) is Gamma(a + 1) times U^(1/a).
         let u = 1.0 - rng.uniform();
