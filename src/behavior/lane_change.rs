@@ -12,6 +12,9 @@ use serde::{Deserialize, Serialize};
 pub(super) const ID: &str = "lane_change";
 /// The agent that changes lanes.
 pub(super) const ROLES: &[&str] = &["agent"];
+/// What events say beyond their times; [`LaneChange`] has the definitions.
+pub(super) const PARAMETERS: &[&str] =
+    &["side", "crossing_timestep", "speed_mps", "lateral_speed_mps", "duration_s", "margin_m"];
 
 /// Options of [`LaneChange`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -102,6 +102,8 @@ pub struct BehaviorEntry {
     pub id: &'static str,
     /// The roles of its events, in order.
     pub roles: &'static [&'static str],
+    /// The names of its events' parameters; not every event has all of them.
+    pub parameters: &'static [&'static str],
     /// What it is, in a line.
     pub description: &'static str,
     /// Its default options.
@@ -113,36 +115,42 @@ pub static ALL: &[BehaviorEntry] = &[
     BehaviorEntry {
         id: cut_in::ID,
         roles: cut_in::ROLES,
+        parameters: cut_in::PARAMETERS,
         description: "one vehicle (other) moves into the path of another (ego) less than 3 s before that one gets there",
         default_config: || BehaviorConfig::CutIn(CutInConfig::default()),
     },
     BehaviorEntry {
         id: left_turn::ID,
         roles: turn::ROLES,
+        parameters: turn::PARAMETERS,
         description: "an agent turns left by at least 60 degrees, as at an intersection",
         default_config: || BehaviorConfig::LeftTurn(TurnConfig::default()),
     },
     BehaviorEntry {
         id: right_turn::ID,
         roles: turn::ROLES,
+        parameters: turn::PARAMETERS,
         description: "an agent turns right by at least 60 degrees, as at an intersection",
         default_config: || BehaviorConfig::RightTurn(TurnConfig::default()),
     },
     BehaviorEntry {
         id: lane_change::ID,
         roles: lane_change::ROLES,
+        parameters: lane_change::PARAMETERS,
         description: "an agent moves over to the lane beside its own and stays there for at least 1 s",
         default_config: || BehaviorConfig::LaneChange(LaneChangeConfig::default()),
     },
     BehaviorEntry {
         id: hard_brake::ID,
         roles: hard_brake::ROLES,
+        parameters: hard_brake::PARAMETERS,
         description: "an agent brakes with at least 4 m/s² over at least 0.3 s",
         default_config: || BehaviorConfig::HardBrake(HardBrakeConfig::default()),
     },
     BehaviorEntry {
         id: near_miss::ID,
         roles: near_miss::ROLES,
+        parameters: near_miss::PARAMETERS,
         description: "two road users come within 1 m, or within 1.5 s of a collision, without touching",
         default_config: || BehaviorConfig::NearMiss(NearMissConfig::default()),
     },

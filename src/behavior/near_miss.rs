@@ -3,6 +3,7 @@
 use super::sweep::Sweep;
 use super::time_to_collision::time_to_collision_s;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use crate::geometry::angle_difference;
 use crate::scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,6 +12,16 @@ use serde::{Deserialize, Serialize};
 pub(super) const ID: &str = "near_miss";
 /// The two road users, in the order of tracks.
 pub(super) const ROLES: &[&str] = &["first", "second"];
+/// What events say beyond their times; [`NearMiss`] has the definitions.
+pub(super) const PARAMETERS: &[&str] = &[
+    "min_distance_m",
+    "min_ttc_s",
+    "pet_s",
+    "relative_speed_mps",
+    "first_speed_mps",
+    "second_speed_mps",
+    "heading_difference_rad",
+];
 
 /// Times to collision beyond this say nothing: nobody keeps course and speed for so long, seconds.
 const MAX_TTC_S: f64 = 10.0;
@@ -59,7 +70,7 @@ impl Default for NearMissConfig {
 ///
 /// Parameters over the whole scene: `min_distance_m`, `min_ttc_s` (absent where the courses do not meet within 10 s), `pet_s` (post-encroachment
 /// time: the least time between the two being on the same place; absent where they never are). At the closest timestep:
-/// `relative_speed_mps`, `first_speed_mps`, `second_speed_mps`.
+/// `relative_speed_mps`, `first_speed_mps`, `second_speed_mps`, `heading_difference_rad` (0 to π: following, crossing, oncoming).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct NearMiss {
     config: NearMissConfig,
@@ -102,7 +113,8 @@ impl NearMiss {
             .with("pet_s", post_encroachment_s(scene, first, second))
             .with("relative_speed_mps", (one.velocity - other.velocity).norm())
             .with("first_speed_mps", one.speed_mps())
-            .with("second_speed_mps", other.speed_mps());
+            .with("second_speed_mps", other.speed_mps())
+            .with("heading_difference_rad", angle_difference(one.heading_rad, other.heading_rad).abs());
         Some(event)
     }
 

@@ -9,6 +9,9 @@ use std::f64::consts::{FRAC_PI_3, FRAC_PI_6};
 
 /// The role of a turn.
 pub(crate) const ROLES: &[&str] = &["agent"];
+/// What events say beyond their times; [`LeftTurn`](super::LeftTurn) has the definitions.
+pub(super) const PARAMETERS: &[&str] =
+    &["heading_change_rad", "radius_m", "path_m", "duration_s", "mean_speed_mps", "lateral_acceleration_mps2"];
 
 /// A turn begins and ends where these shares of its change of heading are reached.
 const START_SHARE: f64 = 0.1;

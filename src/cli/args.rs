@@ -61,6 +61,9 @@ pub(super) enum Command {
     /// Write a corpus in a format that others read: recordings, simulation, scenario databases
     #[command(after_help = help::EXPORT)]
     Export(ExportArgs),
+    /// Generate one scenario again and compare it with its row
+    #[command(after_help = help::REGENERATE)]
+    Regenerate(RegenerateArgs),
     /// Say what a file or folder of ours holds
     #[command(after_help = help::INSPECT)]
     Inspect(InspectArgs),
@@ -370,6 +373,35 @@ impl clap::builder::TypedValueParser for FormatParser {
         let value = |format: ExportFormat| clap::builder::PossibleValue::new(format.name()).help(format.description());
         Some(Box::new(ExportFormat::ALL.into_iter().map(value)))
     }
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct RegenerateArgs {
+    /// The scenario: its scenario_id
+    #[arg(value_name = "SCENARIO_ID")]
+    pub(super) scenario: String,
+    /// The run folder that it was generated in [default: the folder that holds the corpus, or the current one]
+    #[arg(long, value_name = "RUN_FOLDER")]
+    pub(super) from: Option<PathBuf>,
+    /// Compare with its row in this corpus instead of that among the run's samples
+    #[arg(long, value_name = "DIR")]
+    pub(super) corpus: Option<PathBuf>,
+    /// Write what came out into this file, a sample shard of one row
+    #[arg(long, value_name = "FILE")]
+    pub(super) out: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) scenes: ScenesArg,
+    #[command(flatten)]
+    pub(super) denoiser: DenoiserArg,
+    /// The folder of the distilled denoiser [default: distilled in the run folder]
+    #[arg(long, value_name = "DIR")]
+    pub(super) distilled: Option<PathBuf>,
+    /// The folder of the classifier [default: classifier in the run folder]
+    #[arg(long, value_name = "DIR")]
+    pub(super) classifier: Option<PathBuf>,
+    /// The folder of the baseline [default: baseline in the run folder]
+    #[arg(long, value_name = "DIR")]
+    pub(super) baseline: Option<PathBuf>,
 }
 
 #[derive(Debug, clap::Args)]

@@ -143,6 +143,20 @@ Examples:
   djinn corpus diff output/quickstart/before/corpus output/quickstart/main/corpus
   djinn corpus diff output/a output/b --json | jq .n_changed";
 
+/// Of `regenerate`.
+pub(super) const REGENERATE: &str = "\
+Needs what the run folder holds: samples/ with its plan and settings, scenes/, and the models. First their fingerprints
+are compared with those of the run. Then the batch that the scenario was denoised in is denoised again (the last digits
+depend on the batch), the miner judges it again, and every column is compared, bit by bit. The number of threads does not
+matter.
+
+Ends with exit code 0 if it is identical, 1 if it differs or something it was made from changed, 2 if something that it
+needs is missing.
+
+Examples:
+  djinn regenerate 0f3a5b1c9d2e4f60 --from output/cut_in_request/main
+  djinn regenerate 0f3a5b1c9d2e4f60 --corpus output/cut_in_request/main/corpus --out again.parquet";
+
 /// Of `inspect`.
 pub(super) const INSPECT: &str = "\
 Examples:

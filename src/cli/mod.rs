@@ -28,6 +28,7 @@ pub fn main() -> ExitCode {
         Command::Corpus(corpus) => commands::corpus(corpus, &args.output, &printer),
         Command::Export(export) => commands::export(export, &args.output, &printer),
         Command::Report(report) => commands::report(report, &args.command, &args.output, &printer),
+        Command::Regenerate(regenerate) => commands::regenerate(regenerate, &args.output, &printer),
         Command::Inspect(inspect) => commands::inspect(inspect, &printer),
         stage => commands::stage(stage, &args.output, &printer),
     };

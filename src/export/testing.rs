@@ -84,6 +84,7 @@ pub(super) fn record(scene: &Scene) -> ScenarioRecord {
                 probability: None,
                 guidance: GuidanceTag { kind: "none".to_owned(), strength: 0.0, roles: Vec::new() },
                 sampler: "heun-20".to_owned(),
+                settings: String::new(),
             },
         },
         sweep: "cut_ins".to_owned(),
@@ -92,6 +93,8 @@ pub(super) fn record(scene: &Scene) -> ScenarioRecord {
         events: vec![event],
         recorded_event: false,
         assessment: None,
+        shard: 0,
+        request: None,
     }
 }
 

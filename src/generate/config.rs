@@ -1,7 +1,8 @@
 //! The `[generate]` section: how many scenarios of what kind, from which scenes.
 
 use super::{
-    ClassifierFreeConfig, ClassifierInput, ClassifierScope, EditConfig, Error, ObserveConfig, SelectConfig, SweepModel,
+    ClassifierFreeConfig, ClassifierInput, ClassifierScope, EditConfig, Error, ObserveConfig, RequestConfig,
+    SelectConfig, SweepModel,
 };
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
@@ -29,6 +30,11 @@ pub struct GenerateConfig {
     pub seed: u64,
     /// The sweeps, generated in order.
     pub sweeps: Vec<SweepConfig>,
+    /// Ways of sampling that requests may try: settings of sweeps without behavior, `n_scenes`, `pairs` and `select`, which
+    /// the request decides.
+    pub arms: Vec<SweepConfig>,
+    /// Events that are asked for by their parameters, after the sweeps.
+    pub requests: Vec<RequestConfig>,
 }
 
 impl Default for GenerateConfig {
@@ -41,6 +47,8 @@ impl Default for GenerateConfig {
             scenes_per_shard: 8,
             seed: 0,
             sweeps: Vec::new(),
+            arms: Vec::new(),
+            requests: Vec::new(),
         }
     }
 }
@@ -56,6 +64,7 @@ pub struct SweepConfig {
     #[serde(default)]
     pub model: SweepModel,
     /// Number of scenes to continue.
+    #[serde(default)]
     pub n_scenes: usize,
     /// How noise becomes a sample. Left out: as in the other sweeps.
     #[serde(default)]
@@ -170,8 +179,11 @@ impl GenerateConfig {
                 return refuse(key, "is 0, expected at least 1");
             }
         }
-        if self.sweeps.is_empty() {
-            return refuse("sweeps", "is empty: add a [[generate.sweeps]] table with a name and n_scenes");
+        if self.sweeps.is_empty() && self.requests.is_empty() {
+            return refuse(
+                "sweeps",
+                "is empty: add a [[generate.sweeps]] table with a name and n_scenes, or [[generate.requests]]",
+            );
         }
         let mut names = BTreeSet::new();
         for (i, sweep) in self.sweeps.iter().enumerate() {
@@ -182,7 +194,7 @@ impl GenerateConfig {
                 return refuse(&format!("sweeps.{i}"), &why);
             }
         }
-        Ok(())
+        self.resolve().map(drop)
     }
 }
 
@@ -201,7 +213,7 @@ impl SweepConfig {
         self.sampler(config).n_evaluations() as u64 * n_calls
     }
 
-    fn validate(&self) -> Result<(), String> {
+    pub(super) fn validate(&self) -> Result<(), String> {
         let positive = [
             ("n_scenes", self.n_scenes as f64),
             ("n_samples", self.n_samples as f64),

@@ -18,8 +18,11 @@ mod level;
 mod observe;
 mod pairs;
 mod plan;
+mod regenerate;
+mod request;
 mod sample;
 mod select;
+mod settings;
 mod sweep_guidance;
 #[cfg(test)]
 mod testing;
@@ -35,6 +38,12 @@ pub use generator::{Generator, Models, SceneLoader};
 pub use level::Level;
 pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice, TimestepRange};
 pub use plan::{Cell, Plan, ShardPlan, Shortfall};
+pub use regenerate::Wanted;
+pub use request::{
+    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Condition, Divisions, Ended, Hits,
+    Ledger, PlanKind, Pool, RequestConfig, RequestSummary, ResolvedGeneration, ResolvedRequest, Round, RoundContext,
+    RoundShard, ShardTally, Yield,
+};
 pub use sample::{RejectedSample, ShardOutput};
 pub use select::SelectConfig;
 pub use sweep_guidance::{ClassifierInput, ClassifierScope};

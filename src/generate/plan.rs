@@ -27,6 +27,9 @@ pub struct ShardPlan {
     /// What is sampled: each cell at every strength (or weight) of the sweep, as often as the sweep says. A scene's strengths stay in one
     /// shard, so that they can be compared even if the sweep is stopped early.
     pub cells: Vec<Cell>,
+    /// The number of the first sample of each cell: 0 but for requests, which come back to their cells.
+    #[serde(default)]
+    pub first_sample: usize,
 }
 
 /// A scene and who is asked for the behavior in it.
@@ -84,9 +87,17 @@ impl Generator<'_> {
     /// # Errors
     /// When no scene fits a sweep, or a scene cannot be loaded.
     pub fn plan(&self, index: &[SceneIndexEntry]) -> Result<Plan, Error> {
+        self.plan_first(self.config.sweeps.len(), index)
+    }
+
+    /// The plan for the first `n_sweeps` sweeps alone: those after them are of requests, which plan as they go.
+    ///
+    /// # Errors
+    /// As [`Generator::plan`].
+    pub fn plan_first(&self, n_sweeps: usize, index: &[SceneIndexEntry]) -> Result<Plan, Error> {
         let mut plan = Plan { shards: Vec::new(), shortfalls: Vec::new() };
-        let order = self.scenes_in_order(index);
-        for (sweep_idx, sweep) in self.config.sweeps.iter().enumerate() {
+        let order = self.scenes_in_order(index, &|_| true);
+        for (sweep_idx, sweep) in self.config.sweeps.iter().enumerate().take(n_sweeps) {
             let scenes = match self.behavior(sweep) {
                 Some(behavior) => self.scenes_with_pairs(sweep, behavior, &order)?,
                 None => order.iter().take(sweep.n_scenes).map(|scene| vec![scene.cell(Vec::new())]).collect(),
@@ -103,14 +114,36 @@ impl Generator<'_> {
                 plan.shortfalls.push(Shortfall { sweep: sweep.name.clone(), n_wanted, n_found });
             }
             for group in scenes.chunks(self.config.scenes_per_shard) {
-                plan.shards.push(ShardPlan { idx: plan.shards.len(), sweep_idx, cells: group.concat() });
+                plan.shards.push(ShardPlan {
+                    idx: plan.shards.len(),
+                    sweep_idx,
+                    cells: group.concat(),
+                    first_sample: 0,
+                });
             }
         }
         Ok(plan)
     }
 
-    /// The scenes of the chosen splits and places, in a random order that depends on the seed and their ids alone.
-    fn scenes_in_order<'i>(&self, index: &'i [SceneIndexEntry]) -> Vec<Listed<'i>> {
+    /// The cells of a sweep that asks for a behavior, scene by scene, among the chosen scenes that are possible.
+    pub(super) fn cells_by_scene(
+        &self,
+        sweep: &SweepConfig,
+        index: &[SceneIndexEntry],
+        is_possible: &dyn Fn(&SceneIndexEntry) -> bool,
+    ) -> Result<Vec<Vec<Cell>>, Error> {
+        match self.behavior(sweep) {
+            Some(behavior) => self.scenes_with_pairs(sweep, behavior, &self.scenes_in_order(index, is_possible)),
+            None => Ok(Vec::new()),
+        }
+    }
+
+    /// The possible scenes of the chosen splits and places, in a random order that depends on the seed and their ids alone.
+    fn scenes_in_order<'i>(
+        &self,
+        index: &'i [SceneIndexEntry],
+        is_possible: &dyn Fn(&SceneIndexEntry) -> bool,
+    ) -> Vec<Listed<'i>> {
         let has_val = index.iter().any(|entry| entry.split == Split::Val);
         let default_split = if has_val { Split::Val } else { Split::Unsplit };
         let GenerateConfig { splits, places, .. } = self.config;
@@ -122,6 +155,7 @@ impl Generator<'_> {
                 false => splits.contains(&entry.split),
             })
             .filter(|(_, entry)| places.is_empty() || places.contains(&entry.place))
+            .filter(|(_, entry)| is_possible(entry))
             .map(|(scene_idx, entry)| (order_seed(self.seed(), &entry.id.0), Listed { scene_idx, id: &entry.id }))
             .collect();
         scenes.sort_by(|a, b| a.0.cmp(&b.0).then_with(|| a.1.id.cmp(b.1.id)));

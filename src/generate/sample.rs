@@ -71,6 +71,9 @@ struct Sampled {
     draw: Result<Draw, String>,
 }
 
+/// Whether a batch is generated: of this level, these cells and samples.
+type BatchChoice<'a> = dyn Fn(Level, &[usize], &Range<usize>) -> bool + 'a;
+
 impl Generator<'_> {
     /// Generates a shard. Progress advances by one for each sample.
     ///
@@ -78,6 +81,17 @@ impl Generator<'_> {
     /// When a scene cannot be loaded or is not the planned one, or a tensor operation fails. Samples that are no finite
     /// numbers are not errors: they are rejected.
     pub fn generate(&self, shard: &ShardPlan, progress: &dyn Progress) -> Result<ShardOutput, Error> {
+        self.generate_part(shard, &|_, _, _| true, progress)
+    }
+
+    /// Generates those batches of a shard that are chosen by level, cells and samples; a batch is what it is
+    /// whatever else is generated.
+    pub(super) fn generate_part(
+        &self,
+        shard: &ShardPlan,
+        is_chosen: &BatchChoice<'_>,
+        progress: &dyn Progress,
+    ) -> Result<ShardOutput, Error> {
         let sweep = &self.config.sweeps[shard.sweep_idx];
         let scenes: Vec<Scene> =
             shard.cells.iter().map(|cell| self.load(cell.scene_idx, &cell.scene_id)).collect::<Result<_, _>>()?;
@@ -88,6 +102,10 @@ impl Generator<'_> {
         let mut sampled: Vec<Vec<Sampled>> = vec![Vec::new(); shard.cells.len()];
         for level in sweep.levels() {
             for (members, samples) in self.batches(sweep, &scenes) {
+                let samples = samples.start + shard.first_sample..samples.end + shard.first_sample;
+                if !is_chosen(level, &members, &samples) {
+                    continue;
+                }
                 let cells = members.iter().map(|at| (&shard.cells[*at], &conditioned[*at])).collect();
                 let batch = Batch { sweep, cells, samples: samples.clone(), level };
                 let mut draws = self.sample(&batch, progress)?.into_iter();
@@ -118,6 +136,7 @@ impl Generator<'_> {
                 }
             }
         }
+        output.records.iter_mut().for_each(|record| record.shard = shard.idx);
         Ok(output)
     }
 
@@ -266,6 +285,7 @@ impl Generator<'_> {
             probability,
             guidance: GuidanceTag { kind, strength: level.value, roles: cell.roles.clone() },
             sampler,
+            settings: sweep.settings(self.config, level),
         };
         // What is verified must be what is written.
         let scene = as_stored(generated);
@@ -281,6 +301,8 @@ impl Generator<'_> {
             events: verdict.events,
             recorded_event: verdict.recorded_event,
             assessment: None,
+            shard: 0,
+            request: None,
         })
     }
 }
@@ -360,6 +382,7 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
         probability: _,
         guidance,
         sampler,
+        settings,
     } = provenance;
     let mut hasher = blake3::Hasher::new();
     // Every part ends in a zero byte, which no name holds: different parts cannot make the same text.
@@ -367,9 +390,16 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
         hasher.update(part.as_bytes());
         hasher.update(&[0]);
     };
-    for part in
-        [sweep, &scene_id.0, observation, checkpoint, classifier.as_deref().unwrap_or(""), &guidance.kind, sampler]
-    {
+    for part in [
+        sweep,
+        &scene_id.0,
+        observation,
+        checkpoint,
+        classifier.as_deref().unwrap_or(""),
+        &guidance.kind,
+        sampler,
+        settings,
+    ] {
         add(part);
     }
     for (role, track) in &guidance.roles {

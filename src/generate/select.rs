@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 /// value of an objective is its weight times its log potential, so at most 0, and more is better.
 ///
 /// A metric that looks at the recording, such as `min_scene_ade_m`, makes the corpus repeat what was recorded.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SelectConfig {
     /// Limits by metric or objective: samples above them are left out, or below where more is better.

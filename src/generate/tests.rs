@@ -203,7 +203,7 @@ fn models_must_fit_each_other_and_the_sweeps() {
 #[test]
 fn a_sweep_stops_when_enough_is_verified() {
     let stopping = config(&SWEEPS.replace("strengths = [0.0, 3.0]", "stop_after_verified = 3"));
-    let shard = |sweep_idx| ShardPlan { idx: 0, sweep_idx, cells: Vec::new() };
+    let shard = |sweep_idx| ShardPlan { idx: 0, sweep_idx, cells: Vec::new(), first_sample: 0 };
     assert!(shard(1).is_wanted(&stopping, 2) && !shard(1).is_wanted(&stopping, 3));
     assert!(shard(0).is_wanted(&stopping, 1000));
 }

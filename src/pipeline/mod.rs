@@ -6,6 +6,7 @@
 mod clock;
 pub mod compare;
 pub mod config;
+pub mod estimate;
 mod failure;
 mod fingerprint;
 pub mod graph;
@@ -15,6 +16,7 @@ pub mod inspect;
 pub mod layout;
 mod log;
 mod record;
+pub mod regenerate;
 pub mod run;
 mod run_lock;
 mod stage;

@@ -4,6 +4,7 @@ use super::card::SceneCard;
 use super::distribution::Distribution;
 use super::plain::PlainSection;
 use crate::behavior::BehaviorEntry;
+use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
 use crate::metrics::{Direction, MetricSpec};
 use crate::store::MetricRow;
@@ -32,6 +33,8 @@ pub struct ReportModel {
     pub classifier_quality: Vec<NoiseLevelReport>,
     /// What was asked of the sampler and what came out, one row for each sweep and guidance strength.
     pub sampling: Vec<SamplingRow>,
+    /// What requests asked for and what they got.
+    pub requests: Vec<RequestSummary>,
     /// Metrics of generated scenes with those of the recording and of the baseline beside them.
     pub metrics: MetricTable,
     /// How far the motion of whole sweeps is from that of the recording.

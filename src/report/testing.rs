@@ -34,6 +34,7 @@ pub(super) fn record(strength: f64, verified: bool, recorded_event: bool, scene:
         probability: None,
         guidance: GuidanceTag { kind: "classifier:cut_in".into(), strength, roles },
         sampler: "heun-20".into(),
+        settings: String::new(),
     };
     ScenarioRecord {
         scenario: Scenario {
@@ -48,5 +49,7 @@ pub(super) fn record(strength: f64, verified: bool, recorded_event: bool, scene:
         events: verified.then_some(event).into_iter().collect(),
         recorded_event,
         assessment: None,
+        shard: 0,
+        request: None,
     }
 }

@@ -38,6 +38,8 @@ pub struct Provenance {
     pub guidance: GuidanceTag,
     /// Name of the sampler and its number of steps, such as `heun-50`.
     pub sampler: String,
+    /// Every setting it was sampled with, as JSON text, objectives with their options among them.
+    pub settings: String,
 }
 
 /// A generated scene with its provenance.

@@ -1,6 +1,6 @@
 //! What a corpus is made of: a generated scenario with its verdict, and one value of a metric.
 
-use super::Assessment;
+use super::{Assessment, RequestTag};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::scene::{Scenario, SceneId};
 use serde::{Deserialize, Serialize};
@@ -24,6 +24,10 @@ pub struct ScenarioRecord {
     pub recorded_event: bool,
     /// What was judged of it; `None` before it is evaluated. Only the corpus keeps it.
     pub assessment: Option<Assessment>,
+    /// Which shard of the run's samples it was generated in.
+    pub shard: usize,
+    /// The request behind it, and what became of it there; `None` for scenarios of plain sweeps.
+    pub request: Option<RequestTag>,
 }
 
 impl ScenarioRecord {

@@ -2,7 +2,9 @@
 
 use super::atomic::FileStamp;
 use super::tables::sample;
-use super::{MapSource, Result, ScenarioRecord, parquet_file};
+use super::{Error, MapSource, Result, ScenarioRecord, parquet_file};
+use arrow::array::{Array, StringArray};
+use arrow::util::display::array_value_to_string;
 use std::path::Path;
 
 /// Writes one shard of generated scenarios, in the order given. Keep samples of a scene together: they share its lanes
@@ -28,11 +30,53 @@ pub fn read_samples(path: &Path, maps: &dyn MapSource) -> Result<Vec<ScenarioRec
     Ok(records)
 }
 
+/// The ids of the scenarios in a shard, in order; nothing else is read.
+///
+/// # Errors
+/// As [`read_samples`].
+pub fn sample_ids(path: &Path) -> Result<Vec<String>> {
+    let mut ids = Vec::new();
+    for batch in parquet_file::stream(path, &sample::schema(), Some(&["scenario_id"]))? {
+        let batch = batch?;
+        let column: Option<&StringArray> = batch.column(0).as_any().downcast_ref();
+        let column = column.ok_or_else(|| Error::corrupt(path, "scenario_id has another type".to_owned()))?;
+        ids.extend(column.iter().flatten().map(str::to_owned));
+    }
+    Ok(ids)
+}
+
+/// A column in which two scenarios differ.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Difference {
+    /// The column.
+    pub column: String,
+    /// The values as text, shortened.
+    pub values: [String; 2],
+}
+
+/// The columns of a sample shard in which two scenarios differ by a single bit, and how many columns there are.
+///
+/// # Errors
+/// When a record cannot be written.
+pub fn differences(a: &ScenarioRecord, b: &ScenarioRecord) -> Result<(Vec<Difference>, usize)> {
+    let [a, b] = [sample::encode(std::slice::from_ref(a))?, sample::encode(std::slice::from_ref(b))?];
+    let schema = a.schema();
+    let differs = schema.fields().iter().enumerate().filter(|(i, _)| a.column(*i).to_data() != b.column(*i).to_data());
+    let value = |array: &dyn Array| -> String {
+        let text = array_value_to_string(array, 0).unwrap_or_default();
+        if text.chars().count() <= 80 { text } else { text.chars().take(77).chain("...".chars()).collect() }
+    };
+    let differences = differs.map(|(i, field)| Difference {
+        column: field.name().clone(),
+        values: [value(a.column(i).as_ref()), value(b.column(i).as_ref())],
+    });
+    Ok((differences.collect(), schema.fields().len()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::scene::{LaneGraph, LaneId, MapId, Scene, SceneId};
-    use crate::store::Error;
     use crate::store::testing::{map, record, scene};
     use std::sync::Arc;
 
@@ -65,6 +109,27 @@ mod tests {
         assert_eq!(read, records);
         assert!(Arc::ptr_eq(&read[0].scenario.scene.lanes, &read[2].scenario.scene.lanes));
         assert_eq!(write_samples(&path, &read).unwrap(), stamp);
+    }
+
+    #[test]
+    fn ids_are_read_alone_and_differences_are_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("samples-00000.parquet");
+        let records: Vec<_> = (0..3).map(|i| record(&scene(2, None), i)).collect();
+        write_samples(&path, &records).unwrap();
+        assert_eq!(sample_ids(&path).unwrap(), records.iter().map(|r| r.scenario.id.clone()).collect::<Vec<_>>());
+        let (same, n_columns) = differences(&records[0], &records[0].clone()).unwrap();
+        assert_eq!((same, n_columns), (Vec::new(), sample::schema().fields.len()));
+        let mut other = records[0].clone();
+        other.sweep = "other".to_owned();
+        let mut states = other.scenario.scene.tracks[1].trajectory.entries().to_vec();
+        let state = states.iter_mut().flatten().next_back().unwrap();
+        state.position.x = f64::from((state.position.x as f32).next_up());
+        other.scenario.scene.tracks[1].trajectory = crate::scene::Trajectory::new(states);
+        let (found, _) = differences(&records[0], &other).unwrap();
+        let columns: Vec<&str> = found.iter().map(|difference| difference.column.as_str()).collect();
+        assert_eq!(columns, ["sweep", "tracks"]);
+        assert_eq!(found[0].values, ["guided", "other"]);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Scenes, maps and scenarios for the tests of this layer: arbitrary, but the same for the same seed.
 
-use super::{Assessment, ScenarioRecord, as_stored};
+use super::{Assessment, BucketTag, RequestOutcome, RequestTag, ScenarioRecord, as_stored};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::metrics::{Check, CutInJudgment, PairCriticality, SceneCriticality, Violation};
@@ -130,6 +130,7 @@ pub(crate) fn record(scene: &Scene, sample_idx: usize) -> ScenarioRecord {
                     roles: vec![("ego".to_owned(), TrackId::from("track-0"))],
                 },
                 sampler: "heun-20".to_owned(),
+                settings: r#"{"observe":"predictive"}"#.to_owned(),
             },
         },
         sweep: "guided".to_owned(),
@@ -138,6 +139,13 @@ pub(crate) fn record(scene: &Scene, sample_idx: usize) -> ScenarioRecord {
         events,
         recorded_event: false,
         assessment: None,
+        shard: 7,
+        request: verified.then(|| RequestTag {
+            request: "tight".to_owned(),
+            round: 2,
+            outcome: RequestOutcome::Surplus,
+            bucket: (sample_idx % 4 == 1).then(|| BucketTag { idx: 3, ranges: "gap_m 0..5".to_owned() }),
+        }),
     }
 }
 

@@ -10,6 +10,7 @@ mod determinism;
 mod documents;
 mod export;
 mod report;
+mod requests;
 mod schema;
 mod stages;
 mod support;

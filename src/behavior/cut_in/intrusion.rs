@@ -18,6 +18,8 @@ pub(super) struct Intrusion {
     gap_m: f64,
     lateral_speed_mps: f64,
     side: f64,
+    ego_length_m: f64,
+    other_length_m: f64,
     pub(super) shift_m: Option<f64>,
 }
 
@@ -29,14 +31,17 @@ impl Intrusion {
         let path = DrivenPath::from(ego, timestep)?;
         let place = path.project(other_state.position)?;
         let along = Vec2::from_angle(place.heading_rad);
+        let other_box = other.footprint(other_state);
         let side = if place.offset_m < 0.0 { -1.0 } else { 1.0 };
         Some(Self {
             ego_speed_mps: ego_state.speed_mps(),
             other_speed_mps: other_state.speed_mps(),
             relative_speed_mps: ego_state.speed_mps() - other_state.velocity.dot(along),
-            gap_m: path.gap_m(&other.footprint(other_state))?,
+            gap_m: path.gap_m(&other_box)?,
             lateral_speed_mps: -side * along.cross(other_state.velocity),
             side,
+            ego_length_m: ego.footprint(ego_state).length_m,
+            other_length_m: other_box.length_m,
             shift_m: shift_m(scene, other_idx, -side),
         })
     }
@@ -54,6 +59,8 @@ impl Intrusion {
             .with("time_headway_s", time_s(self.ego_speed_mps))
             .with("lateral_speed_mps", self.lateral_speed_mps)
             .with("side", self.side)
+            .with("ego_length_m", self.ego_length_m)
+            .with("other_length_m", self.other_length_m)
             .with("shift_m", self.shift_m)
     }
 }

@@ -16,6 +16,24 @@ use serde::{Deserialize, Serialize};
 pub(super) const ID: &str = "cut_in";
 /// `ego` is cut off, `other` cuts in.
 pub(super) const ROLES: &[&str] = &["ego", "other"];
+/// What events say beyond their times; [`CutIn`] has the definitions.
+pub(super) const PARAMETERS: &[&str] = &[
+    "intrusion_timestep",
+    "t_other_s",
+    "t_ego_s",
+    "ego_speed_mps",
+    "other_speed_mps",
+    "relative_speed_mps",
+    "gap_m",
+    "ttc_s",
+    "time_headway_s",
+    "lateral_speed_mps",
+    "shift_m",
+    "side",
+    "ego_length_m",
+    "other_length_m",
+    "min_distance_m",
+];
 
 /// Options of [`CutIn`]. The defaults are the definition of the DJINN paper, to the letter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -90,6 +108,7 @@ impl Default for CutInConfig {
 /// | `lateral_speed_mps` | the other's speed across the path, positive toward it |
 /// | `shift_m` | how far the other moves sideways toward the path within the future, across its heading at present |
 /// | `side` | the side the other comes from: +1 left, -1 right |
+/// | `ego_length_m`, `other_length_m` | lengths of the boxes, which tell cars from trucks where a dataset calls both vehicles; nominal where it gives no size |
 /// | `min_distance_m` | smallest distance of the boxes at the same time, from the present on; also for negatives |
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct CutIn {

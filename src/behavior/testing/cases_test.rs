@@ -86,6 +86,23 @@ fn every_behavior_is_listed_once_and_has_examples_of_both_labels() {
     }
 }
 
+/// What is listed is what requests for events may name: nothing that events never have, and all that they have.
+#[test]
+fn parameters_are_listed_and_occur_in_the_examples() {
+    for entry in ALL {
+        let mut found = BTreeSet::new();
+        for (name, text) in cases_in(&format!("behavior/{}", entry.id)) {
+            let case = case(entry.id, &name, &text);
+            let config = case.behavior.clone().unwrap_or_else(|| (entry.default_config)());
+            for event in config.build().detect(&case.scene.build(&name)) {
+                found.extend(event.parameters.into_keys());
+            }
+        }
+        let listed: BTreeSet<String> = entry.parameters.iter().map(|name| (*name).to_owned()).collect();
+        assert_eq!(found, listed, "{}", entry.id);
+    }
+}
+
 #[test]
 fn configs_are_read_by_kind_and_refuse_unknown_options() {
     let read = |text: &str| toml::from_str::<BehaviorConfig>(text);

@@ -3,6 +3,7 @@
 mod corpus;
 mod export;
 mod inspect;
+mod regenerate;
 mod report;
 mod run;
 mod stage;
@@ -10,6 +11,7 @@ mod stage;
 pub(super) use corpus::corpus;
 pub(super) use export::export;
 pub(super) use inspect::inspect;
+pub(super) use regenerate::regenerate;
 pub(super) use report::report;
 pub(super) use run::run;
 pub(super) use stage::stage;
@@ -17,8 +19,10 @@ pub(super) use stage::stage;
 use crate::cli::args::OutputArgs;
 use crate::cli::printer::Printer;
 use crate::pipeline::config::PipelineConfig;
+use crate::pipeline::estimate::estimate;
 use crate::pipeline::graph::PlannedStage;
-use crate::pipeline::{Failure, Result};
+use crate::pipeline::layout::Layout;
+use crate::pipeline::{Failure, Result, StageId};
 use std::fmt::Write;
 
 /// Sets up the worker threads: what the command line says, else the configuration.
@@ -28,12 +32,23 @@ fn use_threads(output: &OutputArgs, config: &PipelineConfig) -> Result<()> {
 }
 
 /// Prints the configuration as TOML and the plan as comments, so that the whole is a pipeline file again.
-fn print_dry_run(config: &PipelineConfig, planned: &[PlannedStage<'_>], printer: &Printer) -> Result<()> {
+fn print_dry_run(
+    config: &PipelineConfig,
+    layout: &Layout,
+    planned: &[PlannedStage<'_>],
+    printer: &Printer,
+) -> Result<()> {
     let mut text = config.to_toml()?;
     text.push_str("\n# Plan:\n");
     for PlannedStage { expected, action, .. } in planned {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "#   {:<18}{action}", expected.stage.name());
+    }
+    // Costs are those of the whole section, whatever of it is done already.
+    if planned.iter().any(|planned| planned.expected.stage == StageId::Generate) {
+        for line in estimate(config, layout)? {
+            let _ = writeln!(text, "#   {line}");
+        }
     }
     printer.data(&text)
 }

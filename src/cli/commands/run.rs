@@ -22,7 +22,7 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
     let layout = Layout::below(&root);
     if args.dry_run {
         let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?)?;
-        return print_dry_run(&config, &planned, printer);
+        return print_dry_run(&config, &layout, &planned, printer);
     }
     let folder = RunFolder::open(&root)?;
     let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?)?;

@@ -21,7 +21,7 @@ pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Pr
     let root = args.output.as_path();
     if args.dry_run {
         let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?])?;
-        return print_dry_run(&config, &planned, printer);
+        return print_dry_run(&config, &layout, &planned, printer);
     }
     let folder = RunFolder::open(root)?;
     let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?])?;
@@ -92,7 +92,11 @@ impl<'a> Request<'a> {
                 }
                 request
             }
-            Command::Run(_) | Command::Corpus(_) | Command::Export(_) | Command::Inspect(_) => return None,
+            Command::Run(_)
+            | Command::Corpus(_)
+            | Command::Export(_)
+            | Command::Regenerate(_)
+            | Command::Inspect(_) => return None,
         };
         Some(request)
     }

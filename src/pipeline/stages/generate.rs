@@ -1,9 +1,10 @@
 //! Recorded histories and models to generated scenarios, shard by shard; finished shards are kept when interrupted.
 
 use super::mine::MineConfig;
-use super::sample_folder::{SampleFolder, SampleSidecar, SampledWith};
+use super::request_rounds::Fulfilment;
+use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledWith};
 use super::train_denoiser::checkpoint_file;
-use crate::generate::{self, GenerateConfig, Generator, Models, Plan, Shortfall};
+use crate::generate::{self, GenerateConfig, Generator, Models, Plan, ResolvedGeneration, Shortfall, SweepConfig};
 use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
@@ -29,13 +30,13 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        3
+        4
     }
 
     fn check(&self) -> Result<()> {
         self.config.validate()?;
         let mined = self.mine.build()?;
-        for sweep in &self.config.sweeps {
+        for sweep in &self.config.resolve()?.config.sweeps {
             let Some(behavior) = sweep.behavior.as_deref() else { continue };
             let Some(found) = mined.iter().find(|known| known.id() == behavior) else {
                 let known: Vec<&str> = mined.iter().map(|known| known.id()).collect();
@@ -63,13 +64,13 @@ impl Stage for Generate<'_> {
             StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
             StageInput::made_by(StageId::TrainDenoiser, "denoiser", &self.layout.denoiser),
         ];
-        if self.needs_distilled() {
+        if self.needs(SweepConfig::uses_distilled) {
             inputs.push(StageInput::made_by(StageId::TrainDistill, "distilled", &self.layout.distilled));
         }
-        if self.needs_classifier() {
+        if self.needs(SweepConfig::needs_classifier) {
             inputs.push(StageInput::made_by(StageId::TrainClassifier, "classifier", &self.layout.classifier));
         }
-        if self.needs_baseline() {
+        if self.needs(SweepConfig::uses_baseline) {
             inputs.push(StageInput::made_by(StageId::TrainBaseline, "baseline", &self.layout.baseline));
         }
         inputs
@@ -81,17 +82,18 @@ impl Stage for Generate<'_> {
 
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let device = Device::Cpu;
+        let resolved = self.config.resolve()?;
         let store = SceneStore::open(&self.layout.scenes)?;
         let denoiser = TrainedDenoiser::read(&checkpoint_file(&self.layout.denoiser), &device)?;
         let mut classifiers = Vec::new();
-        if self.needs_classifier() {
+        if self.needs(SweepConfig::needs_classifier) {
             classifiers.push(TrainedClassifier::read(&checkpoint_file(&self.layout.classifier), &device)?);
         }
-        let distilled = match self.needs_distilled() {
+        let distilled = match self.needs(SweepConfig::uses_distilled) {
             true => Some(TrainedDenoiser::read(&checkpoint_file(&self.layout.distilled), &device)?),
             false => None,
         };
-        let baseline = match self.needs_baseline() {
+        let baseline = match self.needs(SweepConfig::uses_baseline) {
             true => Some(TrainedSceneTransformer::read(&checkpoint_file(&self.layout.baseline), &device)?),
             false => None,
         };
@@ -103,20 +105,26 @@ impl Stage for Generate<'_> {
             baseline: baseline.as_ref(),
         };
         let load = |idx: usize| Ok(store.scene(idx)?);
-        let generator = Generator::new(self.config, models, &behaviors, &load, &device)?;
+        let generator = Generator::new(&resolved.config, models, &behaviors, &load, &device)?;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
+        folder.write_settings(&SampleSettings { mine: self.mine.clone(), generate: self.config.clone() })?;
         let plan = match folder.plan() {
             Some(plan) => plan,
-            None => plan_generation(&generator, &store, &folder, context)?,
+            None => plan_generation(&generator, resolved.n_sweeps, &store, &folder, context)?,
         };
         for shortfall in &plan.shortfalls {
             let Shortfall { sweep, n_wanted, n_found } = shortfall;
             context.progress.warn(&format!("sweep {sweep}: {n_wanted} scenes were asked for, {n_found} fit"));
         }
-        let shards = self.generate_shards(&generator, &plan, &folder, context)?;
+        let mut shards = generate_shards(&resolved, &generator, &plan, &folder, context)?;
+        let fulfilment =
+            Fulfilment { generator: &generator, resolved: &resolved, store: &store, folder: &folder, context };
+        let (of_requests, requests) = fulfilment.all(plan.shards.len())?;
+        shards.extend(of_requests);
         let manifest = folder.write_manifest(
             shards,
             SampledWith {
+                scenes: store.fingerprint().to_owned(),
                 denoiser: denoiser.fingerprint.clone(),
                 classifier: classifiers.first().map(|classifier| classifier.fingerprint.clone()),
                 distilled: distilled.as_ref().map(|distilled| distilled.fingerprint.clone()),
@@ -132,69 +140,68 @@ impl Stage for Generate<'_> {
             "n_scenarios": manifest.n_scenarios,
             "n_verified": manifest.n_verified,
             "n_rejected": manifest.n_rejected,
+            "n_wanted": requests.iter().map(|request| request.n_wanted).sum::<u64>(),
+            "n_accepted": requests.iter().map(|request| request.n_accepted).sum::<u64>(),
         }))
     }
 }
 
 impl Generate<'_> {
-    /// Unguided sampling needs no classifier, except to rank pairs: there it is used if some sweep is guided.
-    fn needs_classifier(&self) -> bool {
-        self.config.sweeps.iter().any(generate::SweepConfig::needs_classifier)
+    /// Whether some sweep, of requests too, needs something. Unguided sampling needs no classifier, except to rank pairs: there
+    /// it is used if some sweep is guided. A configuration that makes no sense needs nothing: it has been refused.
+    fn needs(&self, what: fn(&SweepConfig) -> bool) -> bool {
+        self.config.resolve().is_ok_and(|resolved| resolved.config.sweeps.iter().any(what))
     }
+}
 
-    fn needs_distilled(&self) -> bool {
-        self.config.sweeps.iter().any(generate::SweepConfig::uses_distilled)
+/// Generates the shards of the plan, which are those of the sweeps as they were written.
+fn generate_shards(
+    ResolvedGeneration { config, n_sweeps, .. }: &ResolvedGeneration,
+    generator: &Generator<'_>,
+    plan: &Plan,
+    folder: &SampleFolder,
+    context: &StageContext<'_>,
+) -> Result<Vec<SampleSidecar>> {
+    let mut done = Vec::new();
+    let mut n_verified = vec![0; *n_sweeps];
+    if plan.shards.is_empty() {
+        return Ok(done);
     }
-
-    fn needs_baseline(&self) -> bool {
-        self.config.sweeps.iter().any(generate::SweepConfig::uses_baseline)
-    }
-
-    fn generate_shards(
-        &self,
-        generator: &Generator<'_>,
-        plan: &Plan,
-        folder: &SampleFolder,
-        context: &StageContext<'_>,
-    ) -> Result<Vec<SampleSidecar>> {
-        let mut done = Vec::new();
-        let mut n_verified = vec![0; self.config.sweeps.len()];
-        context.progress.start("generate", plan.n_samples(self.config) as u64, "samples");
-        for shard in &plan.shards {
-            let n_samples = shard.n_samples(self.config) as u64;
-            if !shard.is_wanted(self.config, n_verified[shard.sweep_idx]) {
-                context.progress.advance(n_samples);
-                continue;
-            }
-            let sidecar = match folder.finished(shard.idx) {
-                Some(sidecar) => {
-                    context.progress.advance(n_samples);
-                    sidecar
-                }
-                None => {
-                    let output = generator.generate(shard, context.progress)?;
-                    let sweep = &self.config.sweeps[shard.sweep_idx];
-                    let n_evaluations = sweep.n_evaluations(self.config);
-                    folder.write_shard(shard.idx, (&sweep.name, n_evaluations), output)?
-                }
-            };
-            n_verified[shard.sweep_idx] += sidecar.n_verified as usize;
-            done.push(sidecar);
+    context.progress.start("generate", plan.n_samples(config) as u64, "samples");
+    for shard in &plan.shards {
+        let n_samples = shard.n_samples(config) as u64;
+        if !shard.is_wanted(config, n_verified[shard.sweep_idx]) {
+            context.progress.advance(n_samples);
+            continue;
         }
-        context.progress.note(&format!("{} verified", n_verified.iter().sum::<usize>()));
-        context.progress.finish();
-        Ok(done)
+        let sidecar = match folder.finished(shard.idx) {
+            Some(sidecar) => {
+                context.progress.advance(n_samples);
+                sidecar
+            }
+            None => {
+                let output = generator.generate(shard, context.progress)?;
+                let sweep = &config.sweeps[shard.sweep_idx];
+                folder.write_shard(shard.idx, (&sweep.name, sweep.n_evaluations(config)), output, None)?
+            }
+        };
+        n_verified[shard.sweep_idx] += sidecar.n_verified as usize;
+        done.push(sidecar);
     }
+    context.progress.note(&format!("{} verified", n_verified.iter().sum::<usize>()));
+    context.progress.finish();
+    Ok(done)
 }
 
 fn plan_generation(
     generator: &Generator<'_>,
+    n_sweeps: usize,
     store: &SceneStore,
     folder: &SampleFolder,
     context: &StageContext<'_>,
 ) -> Result<Plan> {
     context.progress.start("plan", 0, "sweeps");
-    let plan = generator.plan(store.index())?;
+    let plan = generator.plan_first(n_sweeps, store.index())?;
     folder.write_plan(&plan)?;
     context.progress.finish();
     Ok(plan)

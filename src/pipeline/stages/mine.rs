@@ -59,7 +59,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn check(&self) -> Result<()> {

@@ -1,13 +1,18 @@
 //! What does the folder of generated scenarios hold? Shards with what is known of each, the plan, and a manifest last.
 
-use crate::generate::{Plan, RejectedSample, ShardOutput, Shortfall};
-use crate::pipeline::{Classify, Result};
+use super::mine::MineConfig;
+use crate::generate::{
+    GenerateConfig, Plan, Pool, RejectedSample, RequestSummary, Round, RoundShard, ShardOutput, ShardPlan, ShardTally,
+    Shortfall,
+};
+use crate::pipeline::{Classify, Failure, Result};
 use crate::store::{
-    FileStamp, MapSource, ScenarioRecord, read_json, read_samples, remove_partials, write_json_atomically,
-    write_samples,
+    FileStamp, MapSource, ScenarioRecord, read_json, read_samples, remove_partials, write_atomically,
+    write_json_atomically, write_samples,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// What is known of a finished shard; written beside it, after it.
@@ -29,6 +34,9 @@ pub struct SampleSidecar {
     pub rejected: Vec<RejectedSample>,
     /// Number of samples that the sweep's selection left out, by reason.
     pub unselected: BTreeMap<String, u64>,
+    /// What it came to for its request, where it belongs to one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub request: Option<ShardTally>,
 }
 
 /// The last file written to the folder.
@@ -51,6 +59,8 @@ pub struct SampleManifest {
 /// How scenarios were sampled.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SampledWith {
+    /// Fingerprint of the scene store.
+    pub scenes: String,
     /// Fingerprint of the denoiser.
     pub denoiser: String,
     /// Fingerprint of the distilled denoiser, where a sweep is of it.
@@ -83,6 +93,42 @@ impl SampleFolder {
         read_json(&self.dir.join(PLAN_FILE)).ok()
     }
 
+    /// Keeps the settings, so that the folder can be understood, and its scenarios generated again, without the run's
+    /// configuration.
+    pub(super) fn write_settings(&self, settings: &SampleSettings) -> Result<()> {
+        let text = toml::to_string(settings).map_err(anyhow::Error::from)?;
+        write_atomically::<std::io::Error>(&self.dir.join(SETTINGS_FILE), |file| file.write_all(text.as_bytes()))?;
+        Ok(())
+    }
+
+    /// The cells of request `request`, if an interrupted run has fixed them.
+    pub(super) fn pool(&self, request: usize) -> Option<Pool> {
+        read_json(&self.dir.join(pool_file(request))).ok()
+    }
+
+    /// Keeps the cells of a request.
+    pub(super) fn write_pool(&self, request: usize, pool: &Pool) -> Result<()> {
+        write_json_atomically(&self.dir.join(pool_file(request)), pool)?;
+        Ok(())
+    }
+
+    /// Round `round` of request `request`, if it has been decided.
+    pub(super) fn round(&self, request: usize, round: usize) -> Option<Round> {
+        read_json(&self.dir.join(round_file(request, round))).ok()
+    }
+
+    /// Keeps what was decided for a round.
+    pub(super) fn write_round(&self, request: usize, round: &Round) -> Result<()> {
+        write_json_atomically(&self.dir.join(round_file(request, round.round)), round)?;
+        Ok(())
+    }
+
+    /// Keeps what was asked and what was got.
+    pub(super) fn write_requests(&self, requests: &[RequestSummary]) -> Result<()> {
+        write_json_atomically(&self.dir.join(REQUESTS_FILE), &requests)?;
+        Ok(())
+    }
+
     /// Keeps the plan.
     pub(super) fn write_plan(&self, plan: &Plan) -> Result<()> {
         write_json_atomically(&self.dir.join(PLAN_FILE), plan)?;
@@ -102,6 +148,7 @@ impl SampleFolder {
         idx: usize,
         (sweep, n_evaluations): (&str, u64),
         output: ShardOutput,
+        request: Option<ShardTally>,
     ) -> Result<SampleSidecar> {
         let name = shard_name(idx);
         let file = format!("{name}.parquet");
@@ -118,6 +165,7 @@ impl SampleFolder {
             n_verified,
             rejected,
             unselected,
+            request,
         };
         write_json_atomically(&self.dir.join(format!("{name}.json")), &sidecar)?;
         Ok(sidecar)
@@ -169,9 +217,88 @@ impl SampleManifest {
     }
 }
 
+/// What scenarios were sampled with, as `settings.toml` in their folder.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct SampleSettings {
+    /// The definitions of the behaviors that they are checked for.
+    pub mine: MineConfig,
+    /// The section of the stage.
+    pub generate: GenerateConfig,
+}
+
+impl SampleSettings {
+    /// Reads the settings of a folder.
+    ///
+    /// # Errors
+    /// When there are none, or they are of another version.
+    pub fn read(dir: &Path) -> Result<Self> {
+        let path = dir.join(SETTINGS_FILE);
+        let text = fs_err::read_to_string(&path).blame_fault()?;
+        toml::from_str(&text).map_err(|error| anyhow::anyhow!("{}: {error}", path.display())).blame_fault()
+    }
+}
+
+/// What was asked and what was got, request by request; none where the folder has no requests.
+///
+/// # Errors
+/// When the file is damaged.
+pub fn read_requests(dir: &Path) -> Result<Vec<RequestSummary>> {
+    let path = dir.join(REQUESTS_FILE);
+    if path.exists() { read_json(&path).blame_fault() } else { Ok(Vec::new()) }
+}
+
+/// The plan of shard `idx` of a folder: of its sweeps, or of a round of one of its requests.
+///
+/// # Errors
+/// When there is no such shard.
+pub(in crate::pipeline) fn find_shard(dir: &Path, idx: usize) -> Result<FoundShard> {
+    let plan: Plan = read_json(&dir.join(PLAN_FILE)).blame_fault()?;
+    if let Some(shard) = plan.shards.into_iter().find(|shard| shard.idx == idx) {
+        return Ok(FoundShard::OfSweep(shard));
+    }
+    for request in 0.. {
+        let Ok(pool) = read_json::<Pool>(&dir.join(pool_file(request))) else { break };
+        for number in 0.. {
+            let Ok(mut round) = read_json::<Round>(&dir.join(round_file(request, number))) else { break };
+            if let Some(at) = round.shards.iter().position(|shard| shard.plan.idx == idx) {
+                let shard = round.shards.swap_remove(at);
+                return Ok(FoundShard::OfRequest { request, round: number, pool, shard });
+            }
+        }
+    }
+    Err(Failure::fault(anyhow::anyhow!("{} has no plan of shard {idx}", dir.display())))
+}
+
+/// Where a shard comes from.
+pub(in crate::pipeline) enum FoundShard {
+    /// From the plan of the sweeps.
+    OfSweep(ShardPlan),
+    /// From a round of a request.
+    OfRequest {
+        /// Index of the request.
+        request: usize,
+        /// Number of the round.
+        round: usize,
+        /// The request's cells.
+        pool: Pool,
+        /// The shard.
+        shard: RoundShard,
+    },
+}
+
 const PLAN_FILE: &str = "plan.json";
+const SETTINGS_FILE: &str = "settings.toml";
+const REQUESTS_FILE: &str = "requests.json";
 const MANIFEST_FILE: &str = "manifest.json";
 
-fn shard_name(idx: usize) -> String {
+fn pool_file(request: usize) -> String {
+    format!("request-{request:02}-pool.json")
+}
+
+fn round_file(request: usize, round: usize) -> String {
+    format!("request-{request:02}-round-{round:05}.json")
+}
+
+pub(in crate::pipeline) fn shard_name(idx: usize) -> String {
     format!("samples-{idx:05}")
 }

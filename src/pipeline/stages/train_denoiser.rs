@@ -85,7 +85,7 @@ impl Stage for TrainDenoiser<'_> {
 }
 
 /// A checkpoint is named by its file or by the folder of the model.
-pub(super) fn checkpoint_file(path: &Path) -> PathBuf {
+pub(in crate::pipeline) fn checkpoint_file(path: &Path) -> PathBuf {
     if path.is_dir() { path.join(MODEL_FILE) } else { path.to_owned() }
 }
 

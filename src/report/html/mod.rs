@@ -5,6 +5,7 @@ mod data;
 mod outcome;
 mod plain;
 mod quality;
+mod requests;
 mod scenes;
 mod tradeoffs;
 mod training;
@@ -39,6 +40,7 @@ pub fn render(model: &ReportModel) -> String {
     let first = [
         Some(warnings(model)),
         outcome::section(model),
+        requests::section(model),
         verdict::section(model),
         tradeoffs::section(model),
         quality::metrics(model),

@@ -22,7 +22,8 @@ pub(crate) fn fields() -> Vec<Field> {
             "violations",
             list_of(DataType::Utf8),
             "The checks of validity that it fails, such as collision or jerk.",
-        ),
+        )
+        .optional(),
         details_field(),
         number(
             "plausibility",
@@ -97,6 +98,7 @@ fn details_field() -> Field {
         list_of_structs(members),
         "The worst place of each check that it fails, in the order of violations.",
     )
+    .optional()
 }
 
 /// The arrays of these judgments, in the order of [`fields`]; ids of the scenarios are for messages.

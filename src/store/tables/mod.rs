@@ -10,6 +10,7 @@ mod parameters;
 pub(crate) mod prediction;
 mod provenance;
 pub(crate) mod recording;
+mod request;
 mod roles;
 pub(crate) mod sample;
 pub(crate) mod scenario;

@@ -2,7 +2,7 @@
 //! share them.
 
 use super::columns::{Columns, flags, numbers, optional_numbers, optional_texts, small, texts};
-use super::{event_list, roles};
+use super::{event_list, request, roles};
 use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
 use crate::store::schema::{ColumnExt, column};
 use crate::store::{Result, ScenarioRecord};
@@ -11,7 +11,7 @@ use arrow::datatypes::{DataType, Field, Float64Type, UInt32Type, UInt64Type};
 
 /// The columns, in order.
 pub(crate) fn fields() -> Vec<Field> {
-    vec![
+    let mut fields = vec![
         column("scenario_id", DataType::Utf8, "The scenario; unique within a corpus."),
         column("sweep", DataType::Utf8, "The sweep of the configuration that asked for it."),
         column(
@@ -58,8 +58,16 @@ pub(crate) fn fields() -> Vec<Field> {
         column("checkpoint", DataType::Utf8, "Fingerprint of the checkpoint of the denoiser or baseline."),
         column("classifier", DataType::Utf8, "Fingerprint of the classifier checkpoint; missing where none was used.")
             .optional(),
-        event_list::field(),
-    ]
+        column(
+            "settings",
+            DataType::Utf8,
+            "Every setting it was sampled with, as JSON: sampler, observed states, edits, guidance, objectives with their options.",
+        )
+        .optional(),
+    ];
+    fields.extend(request::fields());
+    fields.push(event_list::field());
+    fields
 }
 
 /// The arrays of these records, in the order of [`fields`].
@@ -70,7 +78,7 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
         .map(|record| small(&record.scenario.id, "sample index", record.scenario.provenance.sample_idx))
         .collect();
     let events: Vec<_> = records.iter().map(|record| record.events.as_slice()).collect();
-    Ok(vec![
+    let mut arrays = vec![
         texts(records.iter().map(|record| record.scenario.id.as_str())),
         texts(records.iter().map(|record| record.sweep.as_str())),
         optional_texts(records.iter().map(|record| record.requested_behavior.as_deref())),
@@ -87,8 +95,11 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
         texts(provenance().map(|p| p.sampler.as_str())),
         texts(provenance().map(|p| p.checkpoint.as_str())),
         optional_texts(provenance().map(|p| p.classifier.as_deref())),
-        event_list::encode(&events)?,
-    ])
+        texts(provenance().map(|p| p.settings.as_str())),
+    ];
+    arrays.extend(request::encode(records)?);
+    arrays.push(event_list::encode(&events)?);
+    Ok(arrays)
 }
 
 /// The record in a row, with its scene, which bears the name of the recording, and which of its states were observed.
@@ -115,7 +126,9 @@ pub(crate) fn decode(
             roles: roles::decode(columns, "guidance_roles", row)?,
         },
         sampler: text("sampler")?,
+        settings: optional_text("settings")?.unwrap_or_default(),
     };
+    let (shard, request) = request::decode(columns, row)?;
     Ok(ScenarioRecord {
         sweep: text("sweep")?,
         requested_behavior: optional_text("requested_behavior")?,
@@ -123,6 +136,8 @@ pub(crate) fn decode(
         recorded_event: columns.flag("recorded_event", row)?,
         assessment: None,
         events: event_list::decode(columns, row, &scene.id)?,
+        shard,
+        request,
         scenario: Scenario { id: text("scenario_id")?, scene, observed, provenance },
     })
 }

@@ -11,7 +11,7 @@ use arrow::datatypes::DataType;
 use std::path::Path;
 use std::sync::Arc;
 
-/// `sample.v3`.
+/// `sample.v4`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = provenance::fields();
     fields.extend(scene_header::fields());
@@ -23,7 +23,7 @@ pub(crate) fn schema() -> TableSchema {
     ));
     TableSchema {
         name: "sample",
-        version: 3,
+        version: 4,
         description: "One row a generated scenario, with its tracks nested; the form between generation and the corpus.",
         fields,
         open: Vec::new(),

@@ -22,6 +22,7 @@ fn every_part_of_the_model_is_on_the_page() {
     for id in [
         "warnings",
         "outcome",
+        "requests",
         "tradeoffs",
         "metrics",
         "distributions",

@@ -1,5 +1,6 @@
 //! A hand-made report: a cut-in on a three-lane road, with every section filled.
 
+use djinn::generate::{ArmSummary, BucketPart, BucketSummary, BudgetConfig, Ended, RequestSummary, Yield};
 use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::ingest::{IngestReport, RejectCount};
 use djinn::metrics::Direction;
@@ -50,6 +51,7 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
         training: vec![training("Denoiser", 2.2), training("Classifier (cut_in)", 0.6)],
         classifier_quality: (0..12).map(quality).collect(),
         sampling: sampling(name),
+        requests: vec![request(name)],
         metrics: metrics(name),
         realism: realism(name),
         acceptance: acceptance(name),
@@ -109,6 +111,56 @@ fn validity(name: &str) -> Vec<ValidityRow> {
         plausibility: Some(0.97),
     };
     vec![row("recorded", 0.0, 90, 0), row("unguided", 0.0, 74, 11), row(name, 2.0, 71, 15)]
+}
+
+/// Two buckets, of which one stayed short, and two arms.
+fn request(name: &str) -> RequestSummary {
+    let bucket = |idx: usize, range: &str, by_arm: [u64; 2]| BucketSummary {
+        idx,
+        parts: vec![BucketPart { parameter: "gap_m".into(), range: range.into() }],
+        n_wanted: 10,
+        n_accepted: by_arm.iter().sum(),
+        n_surplus: 3,
+        n_repeated: 1,
+        accepted_by_arm: by_arm.to_vec(),
+        hits_by_arm: by_arm.map(|n| n + 2).to_vec(),
+        first_round_hits_by_arm: vec![0, 1],
+        n_samples_while_open: 480,
+        n_evaluations_while_open: 18_720,
+    };
+    let of = |n_samples, n_found, n_hits, n_accepted| Yield {
+        n_samples,
+        n_found,
+        n_outside: 2,
+        n_beyond_limits: 1,
+        n_hits,
+        n_accepted,
+    };
+    let arm = |name: &str, level, first_round, total| ArmSummary {
+        name: name.into(),
+        level,
+        n_evaluations_per_sample: 39,
+        total,
+        first_round,
+    };
+    RequestSummary {
+        name: format!("tight cut-ins of {name}"),
+        behavior: "cut_in".into(),
+        ended: Ended::Budget,
+        budget: BudgetConfig { n_samples: Some(480), n_evaluations: None },
+        n_rounds: 3,
+        n_samples: 480,
+        n_evaluations: 18_720,
+        n_scenes: 40,
+        n_cells: 61,
+        n_wanted: 20,
+        n_accepted: 14,
+        arms: vec![
+            arm("unguided", 0.0, of(48, 3, 1, 1), of(96, 6, 3, 3)),
+            arm("guided@10", 10.0, of(48, 9, 5, 5), of(384, 60, 19, 11)),
+        ],
+        buckets: vec![bucket(0, "0..5", [1, 3]), bucket(1, "5..10", [2, 8])],
+    }
 }
 
 fn ingest(name: &str) -> IngestReport {

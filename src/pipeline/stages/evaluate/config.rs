@@ -52,11 +52,11 @@ impl Default for EvaluateConfig {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Keep {
-    /// Those that hold the behavior that was asked for, pass every check of validity, and are no near-duplicates of one before. The default:
-    /// a scenario that could not have happened, or that is there already, tests nothing.
+    /// Those that hold the behavior that was asked for (of requests, those that fill a bucket), pass every check of validity, and are no
+    /// near-duplicates of one before. The default: a scenario that could not have happened, or that is there already, tests nothing.
     #[default]
     Accepted,
-    /// Those in which the behavior that was asked for is found, valid or not.
+    /// Those in which the behavior that was asked for is found (of requests, those that fill a bucket), valid or not.
     Verified,
     /// All.
     All,

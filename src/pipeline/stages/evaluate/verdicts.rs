@@ -4,7 +4,7 @@ use super::config::{EvaluateConfig, Keep};
 use crate::metrics::{PairPath, PathIndex};
 use crate::pipeline::stages::SampleManifest;
 use crate::report::{AcceptanceRow, LeftOutRow};
-use crate::store::ScenarioRecord;
+use crate::store::{RequestOutcome, ScenarioRecord};
 use std::collections::BTreeMap;
 
 /// Why a scenario of which nothing was asked is not accepted.
@@ -58,12 +58,16 @@ impl<'a> Verdicts<'a> {
         if !verified {
             reasons.push(if asked.is_some() { NOT_VERIFIED } else { NOTHING_ASKED });
         }
+        // What a request did not take is named by its outcome; that nothing was found is said already.
+        let outcome = record.request.as_ref().map(|tag| tag.outcome);
+        let is_wanted = outcome.is_none_or(|outcome| outcome == RequestOutcome::Accepted);
+        reasons.extend(outcome.filter(|_| verified && !is_wanted).map(RequestOutcome::name));
         reasons.extend(assessment.violations.iter().map(|violation| violation.check.id()));
         reasons.extend(assessment.near_duplicate_of.as_ref().map(|_| NEAR_DUPLICATE));
         assessment.accepted = reasons.is_empty();
         let is_kept = match self.config.keep {
             Keep::Accepted => assessment.accepted,
-            Keep::Verified => verified,
+            Keep::Verified => verified && is_wanted,
             Keep::All => true,
         };
         let is_valid = assessment.is_valid();

@@ -23,6 +23,8 @@ fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> Scen
         verified,
         events: Vec::new(),
         recorded_event: false,
+        shard: 0,
+        request: None,
         assessment: Some(Assessment {
             violations: violations.iter().map(violation).collect(),
             ..Assessment::default()
@@ -41,6 +43,7 @@ fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> Scen
                 probability: None,
                 guidance: GuidanceTag { kind: "none".to_owned(), strength: 2.0, roles },
                 sampler: "heun-2".to_owned(),
+                settings: String::new(),
             },
             scene,
         },
@@ -123,6 +126,7 @@ fn what_generation_left_out_is_counted_too() {
         n_verified: 0,
         rejected: vec![rejected(0), rejected(1)],
         unselected: BTreeMap::new(),
+        request: None,
     };
     let unselected = BTreeMap::from([("cut_ins".to_owned(), BTreeMap::from([("not among the best 2".to_owned(), 4)]))]);
     let manifest = SampleManifest { shards: vec![shard], unselected, ..SampleManifest::default() };

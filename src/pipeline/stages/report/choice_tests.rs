@@ -19,6 +19,7 @@ fn record(sweep: &str, scene: &str, strength: f64, sample_idx: usize) -> Scenari
         probability: None,
         guidance: GuidanceTag { kind: "none".into(), strength, roles: vec![] },
         sampler: "heun-10".into(),
+        settings: String::new(),
     };
     let observed = ObservationMask::predictive(1, recorded.n_timesteps, recorded.n_history);
     ScenarioRecord {
@@ -34,6 +35,8 @@ fn record(sweep: &str, scene: &str, strength: f64, sample_idx: usize) -> Scenari
         events: vec![],
         recorded_event: false,
         assessment: None,
+        shard: 0,
+        request: None,
     }
 }
 

@@ -3,11 +3,12 @@
 use super::Report;
 use super::cautions::cautions;
 use super::drawings::{self, Gallery};
+use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
 use crate::model::{TrainedDenoiser, TrainedSceneTransformer};
 use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use crate::pipeline::stages::train_denoiser::checkpoint_file;
-use crate::pipeline::stages::{EvaluationSummary, SampleManifest};
+use crate::pipeline::stages::{EvaluationSummary, SampleManifest, read_requests};
 use crate::pipeline::{Classify, Result, StageId};
 use crate::report::{Fact, MetricTable, ReportModel, TrainingSummary, Warning};
 use crate::store::{SceneManifest, read_json};
@@ -159,10 +160,28 @@ fn add_samples(model: &mut ReportModel, stage: &Report<'_>) -> Result<()> {
         let message = format!("Sweep {sweep} left out samples by its selection: {}.", reasons.join(", "));
         model.warnings.push(warning(StageId::Generate, message));
     }
+    model.requests = read_requests(&stage.layout.samples)?;
+    model
+        .warnings
+        .extend(model.requests.iter().filter_map(short_buckets).map(|message| warning(StageId::Generate, message)));
     let Gallery { scenes, distributions } = drawings::gallery(stage, &manifest)?;
     model.scenes = scenes;
     model.distributions = distributions;
     Ok(())
+}
+
+/// What a reader must know of buckets that did not fill.
+fn short_buckets(request: &RequestSummary) -> Option<String> {
+    let n_short = request.short().count();
+    (n_short > 0).then(|| {
+        format!(
+            "Request {} stayed short in {n_short} of {} buckets: {} of {} scenarios were accepted before its budget was spent.",
+            request.name,
+            request.buckets.len(),
+            request.n_accepted,
+            request.n_wanted
+        )
+    })
 }
 
 fn warning(stage: StageId, message: String) -> Warning {

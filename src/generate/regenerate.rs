@@ -1,0 +1,59 @@
+//! How is one scenario generated again? With the batch that it was denoised in, and nothing else.
+
+use super::{Error, Generator, ShardPlan};
+use crate::progress::Silent;
+use crate::scene::Provenance;
+use crate::store::ScenarioRecord;
+
+/// One sample of a shard.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wanted {
+    /// Which of the shard's cells it continues.
+    pub cell: usize,
+    /// The number by which it is told apart from others: its strength, or weight.
+    pub strength: f64,
+    /// Its number.
+    pub sample_idx: usize,
+}
+
+impl Wanted {
+    /// The sample of `shard` that has this provenance. `None` when the shard has no such cell.
+    pub fn of(shard: &ShardPlan, provenance: &Provenance) -> Option<Self> {
+        let is_own =
+            |cell: &super::Cell| cell.scene_id == provenance.scene_id && cell.roles == provenance.guidance.roles;
+        Some(Self {
+            cell: shard.cells.iter().position(is_own)?,
+            strength: provenance.guidance.strength,
+            sample_idx: provenance.sample_idx,
+        })
+    }
+}
+
+impl Generator<'_> {
+    /// Generates one sample of a shard as it was generated with the whole shard, to the last digit: products of few rows
+    /// round differently from those of many, so that the samples it was denoised with are denoised again. What a selection
+    /// compares with samples of other batches is not decided again: a sample that was kept is kept.
+    ///
+    /// `None` when the shard has no such sample, or it came to nothing.
+    ///
+    /// # Errors
+    /// As [`Generator::generate`].
+    pub fn regenerate(&self, shard: &ShardPlan, wanted: Wanted) -> Result<Option<ScenarioRecord>, Error> {
+        let Some(cell) = shard.cells.get(wanted.cell) else { return Ok(None) };
+        let is_strength = |strength: f64| strength.to_bits() == wanted.strength.to_bits();
+        let output = self.generate_part(
+            shard,
+            &|level, members, samples| {
+                is_strength(level.value) && members.contains(&wanted.cell) && samples.contains(&wanted.sample_idx)
+            },
+            &Silent,
+        )?;
+        Ok(output.records.into_iter().find(|record| {
+            let provenance = &record.scenario.provenance;
+            provenance.scene_id == cell.scene_id
+                && provenance.guidance.roles == cell.roles
+                && is_strength(provenance.guidance.strength)
+                && provenance.sample_idx == wanted.sample_idx
+        }))
+    }
+}

@@ -1,0 +1,186 @@
+//! Which buckets does a request have, which one does an event fall into, and how many are wanted in each?
+
+use super::config::{Divisions, RequestConfig};
+use super::facts::Facts;
+use serde::{Deserialize, Serialize};
+
+/// The buckets of a request: all combinations of the parts of its parameters, the last parameter changing fastest.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Buckets {
+    dimensions: Vec<(String, Divisions)>,
+    wanted: Vec<u64>,
+}
+
+/// What a bucket holds of one parameter.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BucketPart {
+    /// The parameter.
+    pub parameter: String,
+    /// `0..5` for an interval from 0 (included) to 5 (not included); else the text.
+    pub range: String,
+}
+
+impl Divisions {
+    /// Number of parts.
+    pub(super) fn len(&self) -> usize {
+        match self {
+            Self::Edges(edges) => edges.len().saturating_sub(1),
+            Self::Texts(texts) => texts.len(),
+        }
+    }
+
+    fn range(&self, part: usize) -> String {
+        match self {
+            Self::Edges(edges) => format!("{}..{}", edges[part], edges[part + 1]),
+            Self::Texts(texts) => texts[part].clone(),
+        }
+    }
+
+    /// Says what makes no sense.
+    pub(super) fn validate(&self) -> Result<(), String> {
+        match self {
+            Self::Edges(edges) if edges.len() < 2 => Err("has fewer than two edges".to_owned()),
+            Self::Edges(edges) if edges.iter().any(|edge| !edge.is_finite()) => {
+                Err("has an edge that is no finite number; a very large one serves for an open end".to_owned())
+            }
+            Self::Edges(edges) if edges.windows(2).any(|edges| edges[0] >= edges[1]) => {
+                Err("has edges that do not ascend".to_owned())
+            }
+            Self::Texts(texts) if texts.is_empty() => Err("is empty".to_owned()),
+            Self::Texts(texts) if texts.iter().enumerate().any(|(i, text)| texts[..i].contains(text)) => {
+                Err("names a text twice".to_owned())
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Buckets {
+    /// The buckets of a request that has been checked.
+    pub(super) fn new(request: &RequestConfig) -> Self {
+        let dimensions: Vec<(String, Divisions)> =
+            request.buckets.iter().map(|(name, divisions)| (name.clone(), divisions.clone())).collect();
+        let mut buckets = Self { dimensions, wanted: Vec::new() };
+        let n_buckets = buckets.dimensions.iter().map(|(_, divisions)| divisions.len()).product();
+        buckets.wanted = match (request.per_bucket, request.n_total) {
+            (Some(n), _) => vec![n; n_buckets],
+            (None, n_total) => {
+                let weights: Vec<f64> = (0..n_buckets).map(|bucket| buckets.weight(request, bucket)).collect();
+                apportion(n_total.unwrap_or(0), &weights)
+            }
+        };
+        buckets
+    }
+
+    /// Number of buckets.
+    pub fn len(&self) -> usize {
+        self.wanted.len()
+    }
+
+    /// Whether there are none, which no request that was checked has.
+    pub fn is_empty(&self) -> bool {
+        self.wanted.is_empty()
+    }
+
+    /// Scenarios wanted in each bucket.
+    pub fn wanted(&self) -> &[u64] {
+        &self.wanted
+    }
+
+    /// What bucket `bucket` holds, parameter by parameter.
+    pub fn parts(&self, bucket: usize) -> Vec<BucketPart> {
+        let part = |((parameter, divisions), part): (&(String, Divisions), usize)| BucketPart {
+            parameter: parameter.clone(),
+            range: divisions.range(part),
+        };
+        self.dimensions.iter().zip(self.part_indices(bucket)).map(part).collect()
+    }
+
+    /// The same in one line: `gap_m 0..5, relative_speed_mps -5..0`.
+    pub fn ranges(&self, bucket: usize) -> String {
+        let parts = self.parts(bucket).into_iter().map(|part| format!("{} {}", part.parameter, part.range));
+        parts.collect::<Vec<_>>().join(", ")
+    }
+
+    /// The bucket of an event. `None` where it falls between or beyond them, or lacks one of their parameters.
+    pub(super) fn place(&self, facts: &Facts<'_>) -> Option<usize> {
+        self.dimensions
+            .iter()
+            .try_fold(0, |bucket, (name, divisions)| Some(bucket * divisions.len() + facts.part(name, divisions)?))
+    }
+
+    /// Which part of each parameter a bucket holds.
+    fn part_indices(&self, bucket: usize) -> Vec<usize> {
+        let mut rest = bucket;
+        let mut parts: Vec<usize> = Vec::new();
+        for (_, divisions) in self.dimensions.iter().rev() {
+            parts.push(rest % divisions.len());
+            rest /= divisions.len();
+        }
+        parts.reverse();
+        parts
+    }
+
+    fn weight(&self, request: &RequestConfig, bucket: usize) -> f64 {
+        let parts = self.dimensions.iter().zip(self.part_indices(bucket));
+        parts.map(|((name, _), part)| request.weights.get(name).map_or(1.0, |weights| weights[part])).product()
+    }
+}
+
+/// Distributes `n` in proportion to weights: the whole numbers first, the rest to the largest fractions, and to the first of
+/// equal ones.
+fn apportion(n: u64, weights: &[f64]) -> Vec<u64> {
+    let sum: f64 = weights.iter().sum();
+    let exact: Vec<f64> = weights.iter().map(|weight| n as f64 * weight / sum).collect();
+    let mut counts: Vec<u64> = exact.iter().map(|share| share.floor() as u64).collect();
+    let mut order: Vec<usize> = (0..weights.len()).filter(|i| weights[*i] > 0.0).collect();
+    order.sort_by(|a, b| exact[*b].fract().total_cmp(&exact[*a].fract()).then(a.cmp(b)));
+    let missing = n.saturating_sub(counts.iter().sum());
+    order.iter().take(missing as usize).for_each(|i| counts[*i] += 1);
+    counts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request(toml: &str) -> RequestConfig {
+        let head = "name = 'r'\nbehavior = 'cut_in'\narms = ['a']\nbudget = { n_samples = 9 }\n";
+        toml::from_str(&format!("{head}{toml}")).unwrap()
+    }
+
+    #[test]
+    fn buckets_are_all_combinations_and_are_named() {
+        let buckets = Buckets::new(&request(
+            "per_bucket = 4\nbuckets = { relative_speed_mps = [-5, 0, 5.5], gap_m = [0, 5, 10, 20] }",
+        ));
+        assert_eq!((buckets.len(), buckets.wanted()), (6, [4; 6].as_slice()));
+        assert_eq!(buckets.ranges(0), "gap_m 0..5, relative_speed_mps -5..0");
+        assert_eq!(buckets.ranges(1), "gap_m 0..5, relative_speed_mps 0..5.5");
+        assert_eq!(buckets.ranges(5), "gap_m 10..20, relative_speed_mps 0..5.5");
+    }
+
+    #[test]
+    fn totals_are_distributed_by_weights() {
+        let toml =
+            "n_total = 10\nbuckets = { side = ['left', 'right'], gap_m = [0, 5, 10] }\nweights = { side = [3, 1] }";
+        // In the order gap_m, side: 3.75, 1.25, 3.75, 1.25; one is missing after rounding down twice.
+        assert_eq!(Buckets::new(&request(toml)).wanted(), [4, 1, 4, 1]);
+        assert_eq!(apportion(7, &[1.0, 1.0, 0.0, 1.0]), [3, 2, 0, 2]);
+        assert_eq!(apportion(2, &[0.0, 5.0]), [0, 2]);
+    }
+
+    #[test]
+    fn divisions_that_make_no_sense_are_told() {
+        for (toml, what) in [
+            ("gap_m = [3]", "fewer than two"),
+            ("gap_m = [0, 0]", "do not ascend"),
+            ("gap_m = [0, inf]", "no finite"),
+            ("side = ['left', 'left']", "twice"),
+        ] {
+            let request = request(&format!("per_bucket = 1\nbuckets = {{ {toml} }}"));
+            let why = request.buckets.values().next().unwrap().validate().unwrap_err();
+            assert!(why.contains(what), "{why}");
+        }
+    }
+}

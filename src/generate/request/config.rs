@@ -1,0 +1,140 @@
+//! `[[generate.requests]]`: which events are wanted, with which parameters, how many of each, and for how much work?
+
+use super::super::PairSelectionConfig;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Events that are asked for by their parameters. Arms of `[[generate.arms]]` are tried until every bucket is full or the
+/// budget is spent.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RequestConfig {
+    /// Name, unique among the requests.
+    pub name: String,
+    /// The mined behavior that is wanted, such as `cut_in`.
+    pub behavior: String,
+    /// What accepted scenarios are sorted by: parameters of the event, `place`, or the class of who has a role, such as
+    /// `other_class`. Ascending edges `[0, 5, 10]` make the intervals 0 to 5 and 5 to 10 (lower edge included, upper not);
+    /// texts `["left", "right"]` make a part each. The buckets are all combinations.
+    pub buckets: BTreeMap<String, Divisions>,
+    /// Scenarios wanted in each bucket. Either this or `n_total`.
+    #[serde(default)]
+    pub per_bucket: Option<u64>,
+    /// Scenarios wanted in all, distributed over the buckets by `weights`.
+    #[serde(default)]
+    pub n_total: Option<u64>,
+    /// How `n_total` is distributed: for a parameter of `buckets` a weight for each of its parts; equal where left out. Weights of
+    /// several parameters multiply.
+    #[serde(default)]
+    pub weights: BTreeMap<String, Vec<f64>>,
+    /// What every accepted scenario must satisfy: a range `[least, most]` of a parameter, both ends included, or a list of
+    /// texts, such as `side = ["left"]`, `place = […]`, `other_class = ["vehicle"]`.
+    #[serde(default, rename = "where")]
+    pub conditions: BTreeMap<String, Condition>,
+    /// Validity: limits by metric, of the scenario alone, as in a sweep's `select`.
+    #[serde(default)]
+    pub limits: BTreeMap<String, f64>,
+    /// Names of `[[generate.arms]]` that may be tried. An arm of several strengths is tried at each of them.
+    pub arms: Vec<String>,
+    /// Number of scenes whose pairs may be asked.
+    #[serde(default = "default_n_scenes")]
+    pub n_scenes: usize,
+    /// Which agents of them are asked.
+    #[serde(default)]
+    pub pairs: PairSelectionConfig,
+    /// Accepted scenarios of one bucket that continue the same scene with the same agents, at most.
+    #[serde(default = "default_max_per_scene")]
+    pub max_per_scene: u64,
+    /// How the budget is spent.
+    #[serde(default)]
+    pub plan: PlanKind,
+    /// Shards after which it is decided again what to try.
+    #[serde(default = "default_shards_per_round")]
+    pub shards_per_round: usize,
+    /// When to give up on buckets that do not fill.
+    pub budget: BudgetConfig,
+}
+
+const fn default_n_scenes() -> usize {
+    100
+}
+
+const fn default_max_per_scene() -> u64 {
+    3
+}
+
+const fn default_shards_per_round() -> usize {
+    4
+}
+
+/// How a parameter is divided.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Divisions {
+    /// Ascending edges of intervals.
+    Edges(Vec<f64>),
+    /// One part for each text.
+    Texts(Vec<String>),
+}
+
+/// What a parameter must be.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Condition {
+    /// Between two numbers, both included.
+    Range([f64; 2]),
+    /// One of these texts.
+    Texts(Vec<String>),
+}
+
+/// How the budget of a request is spent.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PlanKind {
+    /// First every arm on the same scenes; then, round by round, the arms and scenes that have filled buckets which are still
+    /// open, each in proportion to how likely it is the best (Thompson sampling).
+    #[default]
+    Adaptive,
+    /// Every arm on every scene in turn, again and again: a grid.
+    Even,
+}
+
+/// The most that may be spent; what is spent first ends the search. At least one of the two.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct BudgetConfig {
+    /// Samples.
+    pub n_samples: Option<u64>,
+    /// Evaluations of the denoiser: arms with more steps cost more.
+    pub n_evaluations: Option<u64>,
+}
+
+impl BudgetConfig {
+    /// How many more samples of `n_evaluations` evaluations each there may be when `spent` (samples, evaluations) is spent.
+    pub(super) fn samples_left(&self, (n_samples, n_spent): (u64, u64), n_evaluations: u64) -> u64 {
+        let by_samples = self.n_samples.map(|most| most.saturating_sub(n_samples));
+        let by_evaluations = self.n_evaluations.map(|most| most.saturating_sub(n_spent) / n_evaluations.max(1));
+        by_samples.into_iter().chain(by_evaluations).min().unwrap_or(0)
+    }
+
+    /// What a sample of so many evaluations costs, in what the budget counts.
+    pub(super) fn cost(&self, n_evaluations: u64) -> f64 {
+        if self.n_evaluations.is_some() { n_evaluations.max(1) as f64 } else { 1.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_budget_that_ends_first_counts() {
+        let budget = BudgetConfig { n_samples: Some(100), n_evaluations: Some(1000) };
+        assert_eq!(budget.samples_left((40, 400), 10), 60);
+        assert_eq!(budget.samples_left((40, 800), 19), 10);
+        assert_eq!(budget.samples_left((140, 0), 10), 0);
+        assert_eq!(BudgetConfig { n_evaluations: None, ..budget }.samples_left((40, 800), 19), 60);
+        assert!((budget.cost(19) - 19.0).abs() < 1e-12);
+    }
+}

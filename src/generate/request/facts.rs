@@ -1,0 +1,149 @@
+//! What can a request ask of an event? Its parameters, the place, and the classes of those who take part.
+
+use super::config::{Condition, Divisions};
+use crate::behavior::{BehaviorEntry, BehaviorEvent};
+use crate::scene::{AgentClass, Scene};
+
+/// The place of a scene.
+const PLACE: &str = "place";
+/// The parameter that has words for its numbers: +1 is the left side, -1 the right one.
+const SIDE: &str = "side";
+const SIDES: [&str; 2] = ["left", "right"];
+/// What follows a role in the name of its class.
+const CLASS_SUFFIX: &str = "_class";
+
+/// Everything that a request for this behavior can name.
+pub(super) fn known_names(behavior: &BehaviorEntry) -> Vec<String> {
+    let parameters = behavior.parameters.iter().map(|name| (*name).to_owned());
+    let classes = behavior.roles.iter().map(|role| format!("{role}{CLASS_SUFFIX}"));
+    parameters.chain(classes).chain([PLACE.to_owned()]).collect()
+}
+
+/// Says which name is unknown, or is used with numbers where it has texts.
+pub(super) fn check_name(behavior: &BehaviorEntry, name: &str, texts: Option<&[String]>) -> Result<(), String> {
+    let known = known_names(behavior);
+    if !known.iter().any(|known| known == name) {
+        let mut nearest = known;
+        nearest.sort_by_key(|known| strsim::damerau_levenshtein(known, name));
+        nearest.truncate(3);
+        return Err(format!("{name} is no parameter of {}; the nearest are {}", behavior.id, nearest.join(", ")));
+    }
+    let is_parameter = behavior.parameters.contains(&name);
+    let Some(texts) = texts else {
+        return match is_parameter {
+            true => Ok(()),
+            false => Err(format!("{name} has no numbers: give a list of texts")),
+        };
+    };
+    let values: Option<Vec<&str>> = match name {
+        PLACE => None,
+        SIDE => Some(SIDES.to_vec()),
+        _ if is_parameter => return Err(format!("{name} is a number: give numbers instead of texts")),
+        _ => Some(AgentClass::ALL.into_iter().map(AgentClass::name).collect()),
+    };
+    let unknown = texts.iter().find(|text| values.as_ref().is_some_and(|values| !values.contains(&text.as_str())));
+    match (unknown, values) {
+        (Some(unknown), Some(values)) => {
+            Err(format!("{name} is never {unknown:?}; it is one of {}", values.join(", ")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// An event in the scene it was found in.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Facts<'a> {
+    pub(super) scene: &'a Scene,
+    pub(super) event: &'a BehaviorEvent,
+}
+
+impl Facts<'_> {
+    /// The part of the divisions that the event belongs to. `None` where it belongs to none, or lacks the parameter.
+    pub(super) fn part(&self, name: &str, divisions: &Divisions) -> Option<usize> {
+        match divisions {
+            Divisions::Edges(edges) => {
+                let value = self.number(name)?;
+                edges.windows(2).position(|edges| (edges[0]..edges[1]).contains(&value))
+            }
+            Divisions::Texts(texts) => {
+                let own = self.text(name)?;
+                texts.iter().position(|text| *text == own)
+            }
+        }
+    }
+
+    /// Whether the event satisfies a condition; one that lacks the parameter does not.
+    pub(super) fn satisfies(&self, name: &str, condition: &Condition) -> bool {
+        match condition {
+            Condition::Range([least, most]) => self.number(name).is_some_and(|value| (*least..=*most).contains(&value)),
+            Condition::Texts(texts) => self.text(name).is_some_and(|own| texts.iter().any(|text| *text == own)),
+        }
+    }
+
+    fn number(&self, name: &str) -> Option<f64> {
+        self.event.parameters.get(name).copied()
+    }
+
+    fn text(&self, name: &str) -> Option<&str> {
+        match name {
+            PLACE => Some(&self.scene.source.place),
+            SIDE => Some(SIDES[usize::from(self.number(SIDE)? < 0.0)]),
+            _ => {
+                let track = self.event.track(name.strip_suffix(CLASS_SUFFIX)?)?;
+                Some(self.scene.tracks[self.scene.track_idx(track)?].class.name())
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::{self, EventLabel};
+    use crate::scene::testing::{Drive, scene};
+
+    fn cut_in() -> &'static BehaviorEntry {
+        behavior::ALL.iter().find(|entry| entry.id == "cut_in").unwrap()
+    }
+
+    #[test]
+    fn names_and_texts_are_checked_and_the_nearest_are_told() {
+        let texts = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
+        let refusal = |name: &str, of: Option<&[String]>| check_name(cut_in(), name, of).unwrap_err();
+        assert!(refusal("gap", None).contains("gap_m"), "{}", refusal("gap", None));
+        assert!(refusal("relativ_speed_mps", None).contains("the nearest are relative_speed_mps"));
+        assert!(refusal("place", None).contains("has no numbers"));
+        assert!(refusal("gap_m", Some(&texts(&["small"]))).contains("is a number"));
+        assert!(refusal("side", Some(&texts(&["above"]))).contains("left, right"));
+        assert!(refusal("ego_class", Some(&texts(&["lorry"]))).contains("vehicle"));
+        for (name, of) in [("gap_m", None), ("side", None)] {
+            check_name(cut_in(), name, of).unwrap();
+        }
+        for (name, of) in [("side", "left"), ("place", "anywhere"), ("other_class", "bus")] {
+            check_name(cut_in(), name, Some(&texts(&[of]))).unwrap();
+        }
+    }
+
+    #[test]
+    fn intervals_hold_their_lower_edge_and_conditions_both() {
+        let scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 5.0), Drive::straight(0.0, 4.0, 0.0, 5.0)]);
+        let event = BehaviorEvent::new(("cut_in", cut_in().roles), &scene, EventLabel::Positive, &[0, 1], 5..=7)
+            .with("gap_m", 5.0)
+            .with("side", -1.0);
+        let facts = Facts { scene: &scene, event: &event };
+        let texts = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
+        let edges = |edges: &[f64]| Divisions::Edges(edges.to_vec());
+        assert_eq!(facts.part("gap_m", &edges(&[0.0, 5.0, 10.0])), Some(1));
+        assert_eq!(facts.part("gap_m", &edges(&[0.0, 4.0, 5.0])), None);
+        assert_eq!(facts.part("ttc_s", &edges(&[0.0, 100.0])), None, "absent");
+        assert_eq!(facts.part("side", &Divisions::Texts(texts(&["left", "right"]))), Some(1));
+        assert_eq!(facts.part("side", &edges(&[-2.0, 0.0, 2.0])), Some(0));
+        let place = scene.source.place.clone();
+        assert_eq!(facts.part("place", &Divisions::Texts(vec!["elsewhere".into(), place])), Some(1));
+        assert!(facts.satisfies("gap_m", &Condition::Range([5.0, 6.0])));
+        assert!(facts.satisfies("gap_m", &Condition::Range([4.0, 5.0])));
+        assert!(!facts.satisfies("gap_m", &Condition::Range([5.1, 6.0])));
+        assert!(!facts.satisfies("side", &Condition::Texts(texts(&["left"]))));
+        assert!(facts.satisfies("other_class", &Condition::Texts(texts(&["bus", "vehicle"]))));
+    }
+}

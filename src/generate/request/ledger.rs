@@ -1,0 +1,200 @@
+//! What has come of a request so far? Counts by bucket, arm and cell, from the tallies of finished shards in order.
+
+use super::resolve::ResolvedRequest;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// What a finished shard of a request came to.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ShardTally {
+    /// Name of the request.
+    pub request: String,
+    /// The round it belongs to.
+    pub round: usize,
+    /// Index of its arm within the request.
+    pub arm: usize,
+    /// Its cells.
+    pub cells: Vec<CellTally>,
+}
+
+/// What a cell came to in a shard.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CellTally {
+    /// Its place in the request's pool.
+    pub cell: usize,
+    /// Samples drawn, those that came to nothing included.
+    pub n_samples: u64,
+    /// The number after that of the last sample.
+    pub next_sample: usize,
+    /// Samples that hold the behavior with the agents that were asked.
+    pub n_found: u64,
+    /// Of those: in no bucket, or not as `where` says.
+    pub n_outside: u64,
+    /// Of those: beyond a limit.
+    pub n_beyond_limits: u64,
+    /// Of those: in a bucket, by bucket.
+    pub hits: BTreeMap<usize, Hits>,
+}
+
+/// Scenarios that are as asked, in a bucket.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Hits {
+    /// Accepted.
+    pub n_accepted: u64,
+    /// Not accepted, because the bucket had enough.
+    pub n_surplus: u64,
+    /// Not accepted, because the bucket had enough of the same scene and agents.
+    pub n_repeated: u64,
+}
+
+impl Hits {
+    /// All of them.
+    pub const fn n(&self) -> u64 {
+        self.n_accepted + self.n_surplus + self.n_repeated
+    }
+
+    fn add(&mut self, other: Self) {
+        self.n_accepted += other.n_accepted;
+        self.n_surplus += other.n_surplus;
+        self.n_repeated += other.n_repeated;
+    }
+}
+
+/// Counts of one arm, or of its first round.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct Counts {
+    pub(super) n_samples: u64,
+    pub(super) n_found: u64,
+    pub(super) n_outside: u64,
+    pub(super) n_beyond_limits: u64,
+    pub(super) hits: Vec<Hits>,
+}
+
+/// Counts of one cell over all arms.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct CellCounts {
+    /// Samples by arm.
+    pub(super) n_samples: Vec<u64>,
+    pub(super) next_sample: usize,
+    pub(super) hits: BTreeMap<usize, Hits>,
+}
+
+/// What has come of a request so far.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Ledger {
+    pub(super) wanted: Vec<u64>,
+    pub(super) max_per_scene: u64,
+    pub(super) accepted: Vec<u64>,
+    /// Samples and evaluations spent while a bucket was not full.
+    pub(super) spent_while_open: Vec<(u64, u64)>,
+    pub(super) arms: Vec<Counts>,
+    /// The same of the first round, in which all arms are tried on the same scenes with the same noise.
+    pub(super) first_round: Vec<Counts>,
+    pub(super) cells: Vec<CellCounts>,
+    n_evaluations_by_arm: Vec<u64>,
+}
+
+impl Ledger {
+    /// That of a request of which nothing is done; its pool has so many cells.
+    pub fn new(request: &ResolvedRequest, n_cells: usize) -> Self {
+        let (n_buckets, n_arms) = (request.buckets.len(), request.arms.len());
+        let counts = Counts { hits: vec![Hits::default(); n_buckets], ..Counts::default() };
+        Self {
+            wanted: request.buckets.wanted().to_vec(),
+            max_per_scene: request.config.max_per_scene,
+            accepted: vec![0; n_buckets],
+            spent_while_open: vec![(0, 0); n_buckets],
+            arms: vec![counts.clone(); n_arms],
+            first_round: vec![counts; n_arms],
+            cells: vec![CellCounts { n_samples: vec![0; n_arms], ..CellCounts::default() }; n_cells],
+            n_evaluations_by_arm: request.arms.iter().map(|arm| arm.n_evaluations).collect(),
+        }
+    }
+
+    /// Adds a shard. A tally that names an arm, cell or bucket that there is not is passed over: it is of another request.
+    pub fn add(&mut self, tally: &ShardTally) {
+        let Some(n_evaluations) = self.n_evaluations_by_arm.get(tally.arm).copied() else { return };
+        let n_samples: u64 = tally.cells.iter().map(|cell| cell.n_samples).sum();
+        for bucket in 0..self.wanted.len() {
+            if self.is_open(bucket) {
+                let (samples, evaluations) = &mut self.spent_while_open[bucket];
+                *samples += n_samples;
+                *evaluations += n_samples * n_evaluations;
+            }
+        }
+        for cell in &tally.cells {
+            let Some(counts) = self.cells.get_mut(cell.cell) else { continue };
+            counts.n_samples[tally.arm] += cell.n_samples;
+            counts.next_sample = counts.next_sample.max(cell.next_sample);
+            for (bucket, hits) in cell.hits.iter().filter(|(bucket, _)| **bucket < self.wanted.len()) {
+                counts.hits.entry(*bucket).or_default().add(*hits);
+                self.accepted[*bucket] += hits.n_accepted;
+            }
+            self.arms[tally.arm].add(cell);
+            if tally.round == 0 {
+                self.first_round[tally.arm].add(cell);
+            }
+        }
+    }
+
+    /// Whether a bucket has fewer scenarios than wanted.
+    pub fn is_open(&self, bucket: usize) -> bool {
+        self.accepted[bucket] < self.wanted[bucket]
+    }
+
+    /// Whether no bucket is open.
+    pub fn is_full(&self) -> bool {
+        (0..self.wanted.len()).all(|bucket| !self.is_open(bucket))
+    }
+
+    /// Samples and evaluations spent.
+    pub fn spent(&self) -> (u64, u64) {
+        let pairs = self.arms.iter().zip(&self.n_evaluations_by_arm);
+        pairs.fold((0, 0), |(samples, evaluations), (arm, each)| {
+            (samples + arm.n_samples, evaluations + arm.n_samples * each)
+        })
+    }
+
+    /// Scenarios accepted.
+    pub fn n_accepted(&self) -> u64 {
+        self.accepted.iter().sum()
+    }
+
+    /// Samples of an arm that fell into buckets.
+    pub(super) fn hits_of_arm(&self, arm: usize) -> u64 {
+        self.arms[arm].hits.iter().map(Hits::n).sum()
+    }
+
+    /// Samples of an arm that fell into buckets which are still open.
+    pub(super) fn open_hits_of_arm(&self, arm: usize) -> u64 {
+        let hits = self.arms[arm].hits.iter().enumerate();
+        hits.filter(|(bucket, _)| self.is_open(*bucket)).map(|(_, hits)| hits.n()).sum()
+    }
+
+    /// Samples of a cell that fell into buckets which are still open, and of which the cell does not have enough yet.
+    pub(super) fn open_hits_of_cell(&self, cell: usize) -> u64 {
+        let hits = self.cells[cell].hits.iter();
+        hits.filter(|(bucket, hits)| self.is_open(**bucket) && hits.n_accepted < self.max_per_scene)
+            .map(|(_, hits)| hits.n())
+            .sum()
+    }
+
+    /// Scenarios of a cell that were accepted in a bucket.
+    pub(super) fn accepted_of_cell(&self, cell: usize, bucket: usize) -> u64 {
+        self.cells.get(cell).and_then(|cell| cell.hits.get(&bucket)).map_or(0, |hits| hits.n_accepted)
+    }
+}
+
+impl Counts {
+    fn add(&mut self, cell: &CellTally) {
+        self.n_samples += cell.n_samples;
+        self.n_found += cell.n_found;
+        self.n_outside += cell.n_outside;
+        self.n_beyond_limits += cell.n_beyond_limits;
+        for (bucket, hits) in &cell.hits {
+            if let Some(own) = self.hits.get_mut(*bucket) {
+                own.add(*hits);
+            }
+        }
+    }
+}

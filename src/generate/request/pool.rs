@@ -1,0 +1,58 @@
+//! Which scenes and pairs may a request ask?
+
+use super::config::Condition;
+use super::resolve::ResolvedRequest;
+use super::rounds::Pool;
+use crate::generate::{Cell, Error, Generator};
+use crate::store::SceneIndexEntry;
+
+impl Generator<'_> {
+    /// The cells of a request: of the first scenes, in random order, that have a pair to ask; or of the scenes with the best
+    /// pairs, as its `pairs` say. Places and classes that `where` rules out are not among them.
+    ///
+    /// # Errors
+    /// When there are none, or a scene cannot be loaded.
+    pub fn pool(&self, request: &ResolvedRequest, index: &[SceneIndexEntry]) -> Result<Pool, Error> {
+        let conditions = &request.config.conditions;
+        let is_possible = |entry: &SceneIndexEntry| match conditions.get("place") {
+            Some(Condition::Texts(places)) => places.contains(&entry.place),
+            _ => true,
+        };
+        let sweep = &self.config.sweeps[request.arms[0].sweep_idx];
+        let scenes = self.cells_by_scene(sweep, index, &is_possible)?;
+        let n_scenes = scenes.len();
+        let mut cells: Vec<Cell> = Vec::new();
+        for cell in scenes.into_iter().flatten() {
+            if self.has_classes(request, &cell)? {
+                cells.push(cell);
+            }
+        }
+        if cells.is_empty() {
+            return Err(Error::NoScenes {
+                sweep: request.config.name.clone(),
+                n_considered: n_scenes,
+                hint: ", but none has a pair that the request allows; widen where, or raise pairs.max_distance_m",
+            });
+        }
+        Ok(Pool { request: request.config.name.clone(), cells, n_scenes })
+    }
+
+    /// Whether the agents of a cell are of the classes that the request allows.
+    fn has_classes(&self, request: &ResolvedRequest, cell: &Cell) -> Result<bool, Error> {
+        let by_role = cell.roles.iter().filter_map(|(role, track)| {
+            match request.config.conditions.get(&format!("{role}_class")) {
+                Some(Condition::Texts(classes)) => Some((track, classes)),
+                _ => None,
+            }
+        });
+        let by_role: Vec<_> = by_role.collect();
+        if by_role.is_empty() {
+            return Ok(true);
+        }
+        let scene = self.load(cell.scene_idx, &cell.scene_id)?;
+        Ok(by_role.into_iter().all(|(track, classes)| {
+            let class = scene.track_idx(track).map(|agent_idx| scene.tracks[agent_idx].class.name());
+            class.is_some_and(|class| classes.iter().any(|allowed| allowed == class))
+        }))
+    }
+}

@@ -1,0 +1,186 @@
+//! What is tried next? Rounds of shards, each decided from what the finished rounds came to and nothing else.
+
+use super::config::PlanKind;
+use super::draws::{beta, gamma};
+use super::ledger::Ledger;
+use super::resolve::{Arm, ResolvedRequest};
+use crate::generate::{Cell, ShardPlan};
+use crate::seed::Seed;
+use serde::{Deserialize, Serialize};
+
+/// How far cells are from each other, of which nothing is known: their rates relative to the mean have a gamma distribution of
+/// this shape.
+const CELL_SHAPE: f64 = 0.5;
+
+/// The cells that a request may ask, in random order; written before anything is sampled.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Pool {
+    /// Name of the request.
+    pub request: String,
+    /// Its cells: pairs of scenes.
+    pub cells: Vec<Cell>,
+    /// How many scenes they are of.
+    pub n_scenes: usize,
+}
+
+/// Shards that are decided together.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Round {
+    /// Name of the request.
+    pub request: String,
+    /// Its number within the request, from 0.
+    pub round: usize,
+    /// The shards, in order.
+    pub shards: Vec<RoundShard>,
+}
+
+/// A shard of a round.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RoundShard {
+    /// Index of its arm within the request.
+    pub arm: usize,
+    /// The places of its cells in the pool.
+    pub members: Vec<usize>,
+    /// What is sampled.
+    pub plan: ShardPlan,
+}
+
+/// What the next round is decided by, beside the request.
+#[derive(Debug, Clone, Copy)]
+pub struct RoundContext<'a> {
+    /// The cells.
+    pub pool: &'a Pool,
+    /// What all earlier rounds came to.
+    pub ledger: &'a Ledger,
+    /// Number of the round.
+    pub round: usize,
+    /// Index of the next shard.
+    pub next_idx: usize,
+    /// Cells of a shard, at most.
+    pub cells_per_shard: usize,
+    /// The run's seed.
+    pub seed: Seed,
+}
+
+impl ResolvedRequest {
+    /// The next round. `None` when every bucket is full, or nothing more can be paid for.
+    pub fn next_round(&self, context: &RoundContext<'_>) -> Option<Round> {
+        let RoundContext { ledger, round, .. } = *context;
+        if ledger.is_full() || context.pool.cells.is_empty() {
+            return None;
+        }
+        let mut spent = ledger.spent();
+        let mut shards: Vec<RoundShard> = Vec::new();
+        for slot in 0..self.n_slots(round) {
+            let arm_idx = self.choose_arm(context, slot);
+            let arm = &self.arms[arm_idx];
+            let n_samples = arm.n_samples as u64;
+            let affordable = self.config.budget.samples_left(spent, arm.n_evaluations) / n_samples;
+            let n_cells = context.cells_per_shard.min(affordable as usize).min(context.pool.cells.len());
+            if n_cells == 0 {
+                break;
+            }
+            let members = self.choose_cells(context, slot, n_cells, &shards);
+            let n_planned = n_samples * n_cells as u64;
+            spent = (spent.0 + n_planned, spent.1 + n_planned * arm.n_evaluations);
+            let idx = context.next_idx + shards.len();
+            shards.push(RoundShard { arm: arm_idx, plan: self.shard(context, (idx, arm), &members, &shards), members });
+        }
+        (!shards.is_empty()).then(|| Round { request: self.config.name.clone(), round, shards })
+    }
+
+    /// The first round tries every arm once.
+    fn n_slots(&self, round: usize) -> usize {
+        if round == 0 { self.arms.len() } else { self.config.shards_per_round }
+    }
+
+    fn choose_arm(&self, context: &RoundContext<'_>, slot: usize) -> usize {
+        let RoundContext { ledger, round, .. } = *context;
+        if round == 0 {
+            return slot;
+        }
+        if self.config.plan == PlanKind::Even {
+            return self.even_shard(round, slot) % self.arms.len();
+        }
+        let seed = self.slot_seed(context, slot);
+        // The rate of hits in open buckets is that of all hits, times the share of them that is in open buckets: an arm that
+        // filled buckets is likelier to fill others, too.
+        let draw = |arm: usize| {
+            let (n, n_hits) = (ledger.arms[arm].n_samples as f64, ledger.hits_of_arm(arm) as f64);
+            let n_open = ledger.open_hits_of_arm(arm) as f64;
+            let mut rng = seed.derive("arm", &[arm as u64]).rng();
+            let rate = beta(&mut rng, 1.0 + n_hits, 1.0 + (n - n_hits).max(0.0));
+            let share = beta(&mut rng, 0.5 + n_open, 0.5 + n_hits - n_open);
+            rate * share / self.config.budget.cost(self.arms[arm].n_evaluations)
+        };
+        let draws: Vec<f64> = (0..self.arms.len()).map(draw).collect();
+        // The first of equal ones.
+        (0..draws.len()).rev().max_by(|a, b| draws[*a].total_cmp(&draws[*b])).unwrap_or(0)
+    }
+
+    fn choose_cells(
+        &self,
+        context: &RoundContext<'_>,
+        slot: usize,
+        n_cells: usize,
+        so_far: &[RoundShard],
+    ) -> Vec<usize> {
+        let RoundContext { pool, ledger, round, .. } = *context;
+        let n = pool.cells.len();
+        if round == 0 {
+            return (0..n_cells).collect();
+        }
+        if self.config.plan == PlanKind::Even {
+            let first = self.even_shard(round, slot) / self.arms.len() * context.cells_per_shard;
+            return (0..n_cells).map(|i| (first + i) % n).collect();
+        }
+        // Hits of a cell are about Poisson: the rates of the arms that were tried on it, times how well it is suited. What is
+        // drawn is the latter, from its posterior.
+        let n_arms = self.arms.len();
+        let rate = |arm: usize| (0.5 + ledger.open_hits_of_arm(arm) as f64) / (1.0 + ledger.arms[arm].n_samples as f64);
+        let rates: Vec<f64> = (0..n_arms).map(rate).collect();
+        let seed = self.slot_seed(context, slot);
+        let draw = |cell: usize| {
+            let n_samples = &ledger.cells[cell].n_samples;
+            let n_expected: f64 = rates.iter().zip(n_samples).map(|(rate, n)| rate * *n as f64).sum();
+            let mut rng = seed.derive("cell", &[cell as u64]).rng();
+            gamma(&mut rng, CELL_SHAPE + ledger.open_hits_of_cell(cell) as f64) / (CELL_SHAPE + n_expected)
+        };
+        let is_taken = |cell: usize| so_far.iter().any(|shard| shard.members.contains(&cell));
+        // Cells that another shard of the round has come last.
+        let mut order: Vec<(bool, f64, usize)> = (0..n).map(|cell| (is_taken(cell), draw(cell), cell)).collect();
+        order.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
+        let mut members: Vec<usize> = order.into_iter().take(n_cells).map(|(_, _, cell)| cell).collect();
+        members.sort_unstable();
+        members
+    }
+
+    /// Which shard of an even plan this is, over all rounds.
+    fn even_shard(&self, round: usize, slot: usize) -> usize {
+        if round == 0 { slot } else { self.arms.len() + (round - 1) * self.config.shards_per_round + slot }
+    }
+
+    /// A shard whose samples were not drawn before: in the first round all arms share their noise, so that they can be
+    /// compared; after it no noise is used twice in a scene.
+    fn shard(
+        &self,
+        context: &RoundContext<'_>,
+        (idx, arm): (usize, &Arm),
+        members: &[usize],
+        so_far: &[RoundShard],
+    ) -> ShardPlan {
+        let next = |cell: &usize| {
+            let planned = so_far.iter().filter(|shard| shard.members.contains(cell));
+            let planned = planned.map(|shard| shard.plan.first_sample + self.arms[shard.arm].n_samples).max();
+            context.ledger.cells[*cell].next_sample.max(planned.unwrap_or(0))
+        };
+        let first_sample = if context.round == 0 { 0 } else { members.iter().map(next).max().unwrap_or(0) };
+        let cells = members.iter().map(|cell| context.pool.cells[*cell].clone()).collect();
+        ShardPlan { idx, sweep_idx: arm.sweep_idx, cells, first_sample }
+    }
+
+    fn slot_seed(&self, context: &RoundContext<'_>, slot: usize) -> Seed {
+        let indices = [context.round as u64, slot as u64];
+        context.seed.derive_named("request", &self.config.name).derive("slot", &indices)
+    }
+}

@@ -1,0 +1,182 @@
+//! What was asked and what was got: the figures of a request, for `requests.json` and the report.
+
+use super::buckets::BucketPart;
+use super::config::BudgetConfig;
+use super::ledger::{Counts, Hits, Ledger};
+use super::resolve::ResolvedRequest;
+use super::rounds::Pool;
+use serde::{Deserialize, Serialize};
+
+/// Why a request was ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Ended {
+    /// Every bucket is full.
+    Full,
+    /// The budget is spent; some buckets stayed short.
+    Budget,
+}
+
+/// What was asked and what was got.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RequestSummary {
+    /// Name of the request.
+    pub name: String,
+    /// The behavior.
+    pub behavior: String,
+    /// Why it was ended.
+    pub ended: Ended,
+    /// What it might have cost.
+    pub budget: BudgetConfig,
+    /// Rounds, samples and evaluations that it did cost.
+    pub n_rounds: usize,
+    /// Samples drawn.
+    pub n_samples: u64,
+    /// Evaluations of the denoiser.
+    pub n_evaluations: u64,
+    /// Scenes that were asked.
+    pub n_scenes: usize,
+    /// Pairs of agents (or single agents) of them.
+    pub n_cells: usize,
+    /// Scenarios wanted in all.
+    pub n_wanted: u64,
+    /// Scenarios accepted.
+    pub n_accepted: u64,
+    /// The arms.
+    pub arms: Vec<ArmSummary>,
+    /// The buckets.
+    pub buckets: Vec<BucketSummary>,
+}
+
+/// What came of an arm.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ArmSummary {
+    /// Its name.
+    pub name: String,
+    /// Strength or weight; 0 is unguided.
+    pub level: f64,
+    /// Evaluations of the denoiser for one sample.
+    pub n_evaluations_per_sample: u64,
+    /// Over all rounds, in which arms that yield more are tried more, on scenes that yield more.
+    pub total: Yield,
+    /// In the first round, in which every arm continues the same scenes from the same noise.
+    pub first_round: Yield,
+}
+
+/// Samples by what became of them.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Yield {
+    /// Samples.
+    pub n_samples: u64,
+    /// That hold the behavior with the agents that were asked.
+    pub n_found: u64,
+    /// Of those: outside of all buckets and conditions.
+    pub n_outside: u64,
+    /// Of those: beyond a limit.
+    pub n_beyond_limits: u64,
+    /// Of those: in a bucket, accepted or not.
+    pub n_hits: u64,
+    /// Of those: accepted.
+    pub n_accepted: u64,
+}
+
+/// What came of a bucket.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BucketSummary {
+    /// Its index, as in the column `bucket`.
+    pub idx: usize,
+    /// What it holds.
+    pub parts: Vec<BucketPart>,
+    /// Scenarios wanted.
+    pub n_wanted: u64,
+    /// Scenarios accepted.
+    pub n_accepted: u64,
+    /// Not accepted, because the bucket had enough.
+    pub n_surplus: u64,
+    /// Not accepted, because it had enough of the same scene and agents.
+    pub n_repeated: u64,
+    /// Accepted scenarios by arm.
+    pub accepted_by_arm: Vec<u64>,
+    /// Scenarios in it by arm, accepted or not.
+    pub hits_by_arm: Vec<u64>,
+    /// The same of the first round.
+    pub first_round_hits_by_arm: Vec<u64>,
+    /// Samples drawn, for all buckets together, while this one was not full.
+    pub n_samples_while_open: u64,
+    /// Evaluations of the denoiser for them.
+    pub n_evaluations_while_open: u64,
+}
+
+impl BucketSummary {
+    /// Evaluations for one accepted scenario: those while the bucket was open, which other buckets shared.
+    pub fn n_evaluations_per_accepted(&self) -> Option<f64> {
+        (self.n_accepted > 0).then(|| self.n_evaluations_while_open as f64 / self.n_accepted as f64)
+    }
+}
+
+impl RequestSummary {
+    /// Of a request that has ended after `n_rounds` rounds.
+    pub fn new(request: &ResolvedRequest, pool: &Pool, ledger: &Ledger, n_rounds: usize) -> Self {
+        let (n_samples, n_evaluations) = ledger.spent();
+        let arms = request.arms.iter().enumerate().map(|(i, arm)| ArmSummary {
+            name: arm.name.clone(),
+            level: arm.level,
+            n_evaluations_per_sample: arm.n_evaluations,
+            total: Yield::of(&ledger.arms[i]),
+            first_round: Yield::of(&ledger.first_round[i]),
+        });
+        let bucket = |idx: usize| {
+            let by_arm = |counts: &[Counts], of: fn(&Hits) -> u64| -> Vec<u64> {
+                counts.iter().map(|arm| of(&arm.hits[idx])).collect()
+            };
+            let sum = |of: fn(&Hits) -> u64| by_arm(&ledger.arms, of).iter().sum();
+            let (n_samples_while_open, n_evaluations_while_open) = ledger.spent_while_open[idx];
+            BucketSummary {
+                idx,
+                parts: request.buckets.parts(idx),
+                n_wanted: ledger.wanted[idx],
+                n_accepted: ledger.accepted[idx],
+                n_surplus: sum(|hits| hits.n_surplus),
+                n_repeated: sum(|hits| hits.n_repeated),
+                accepted_by_arm: by_arm(&ledger.arms, |hits| hits.n_accepted),
+                hits_by_arm: by_arm(&ledger.arms, Hits::n),
+                first_round_hits_by_arm: by_arm(&ledger.first_round, Hits::n),
+                n_samples_while_open,
+                n_evaluations_while_open,
+            }
+        };
+        Self {
+            name: request.config.name.clone(),
+            behavior: request.config.behavior.clone(),
+            ended: if ledger.is_full() { Ended::Full } else { Ended::Budget },
+            budget: request.config.budget,
+            n_rounds,
+            n_samples,
+            n_evaluations,
+            n_scenes: pool.n_scenes,
+            n_cells: pool.cells.len(),
+            n_wanted: ledger.wanted.iter().sum(),
+            n_accepted: ledger.n_accepted(),
+            arms: arms.collect(),
+            buckets: (0..request.buckets.len()).map(bucket).collect(),
+        }
+    }
+
+    /// Buckets that stayed short.
+    pub fn short(&self) -> impl Iterator<Item = &BucketSummary> {
+        self.buckets.iter().filter(|bucket| bucket.n_accepted < bucket.n_wanted)
+    }
+}
+
+impl Yield {
+    fn of(counts: &Counts) -> Self {
+        Self {
+            n_samples: counts.n_samples,
+            n_found: counts.n_found,
+            n_outside: counts.n_outside,
+            n_beyond_limits: counts.n_beyond_limits,
+            n_hits: counts.hits.iter().map(Hits::n).sum(),
+            n_accepted: counts.hits.iter().map(|hits| hits.n_accepted).sum(),
+        }
+    }
+}

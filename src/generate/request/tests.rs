@@ -1,0 +1,260 @@
+//! Are rounds decided from finished shards alone, within the budget, and in favor of what fills open buckets?
+
+use super::*;
+use crate::generate::{Cell, GenerateConfig};
+use crate::seed::Seed;
+use std::collections::{BTreeMap, BTreeSet};
+
+const ARMS: &str = "
+    scenes_per_shard = 4
+    [[arms]]
+    name = 'plain'
+    n_samples = 3
+    [[arms]]
+    name = 'guided'
+    n_samples = 3
+    strengths = [1.0, 8.0]
+";
+
+fn resolve(request: &str) -> Result<ResolvedGeneration, String> {
+    let config: GenerateConfig = toml::from_str(&format!("{ARMS}{request}")).map_err(|error| error.to_string())?;
+    config.validate().and_then(|()| config.resolve()).map_err(|error| error.to_string())
+}
+
+fn request(more: &str) -> String {
+    let base =
+        "[[requests]]\nname = 'tight'\nbehavior = 'cut_in'\nbuckets = { gap_m = [0, 5, 10], side = ['left', 'right'] }";
+    format!("{base}\n{more}")
+}
+
+fn tight(more: &str) -> ResolvedRequest {
+    let arms = if more.contains("arms") { "" } else { "arms = ['plain', 'guided']\n" };
+    resolve(&request(&format!("{arms}{more}"))).unwrap().requests.remove(0)
+}
+
+fn pool(n: usize) -> Pool {
+    let cell = |i: usize| Cell {
+        scene_idx: i,
+        scene_id: format!("scene-{i}").as_str().into(),
+        roles: vec![("ego".to_owned(), "1".into()), ("other".to_owned(), "2".into())],
+    };
+    Pool { request: "tight".to_owned(), cells: (0..n).map(cell).collect(), n_scenes: n }
+}
+
+/// Fulfils a request in a world in which `hit` decides into which bucket sample `sample` of an arm in a cell falls. Returns the
+/// rounds and their tallies.
+fn fulfil(
+    request: &ResolvedRequest,
+    pool: &Pool,
+    seed: u64,
+    hit: impl Fn(usize, usize, usize) -> Option<usize>,
+) -> (Vec<Round>, Vec<ShardTally>, Ledger) {
+    let mut ledger = Ledger::new(request, pool.cells.len());
+    let (mut rounds, mut tallies, mut next_idx) = (Vec::new(), Vec::new(), 0);
+    loop {
+        let context =
+            RoundContext { pool, ledger: &ledger, round: rounds.len(), next_idx, cells_per_shard: 4, seed: Seed(seed) };
+        let Some(round) = request.next_round(&context) else { break };
+        for shard in &round.shards {
+            let n_samples = request.arms[shard.arm].n_samples;
+            let mut accepted = ledger.accepted.clone();
+            let cells = shard.members.iter().map(|cell| {
+                let first = shard.plan.first_sample;
+                let mut hits: BTreeMap<usize, Hits> = BTreeMap::new();
+                for bucket in (first..first + n_samples).filter_map(|sample| hit(shard.arm, *cell, sample)) {
+                    let own = hits.entry(bucket).or_default();
+                    let is_wanted = accepted[bucket] < ledger.wanted[bucket];
+                    if is_wanted && ledger.accepted_of_cell(*cell, bucket) + own.n_accepted < ledger.max_per_scene {
+                        own.n_accepted += 1;
+                        accepted[bucket] += 1;
+                    } else {
+                        own.n_surplus += 1;
+                    }
+                }
+                let n_found = hits.values().map(Hits::n).sum();
+                let n_samples_drawn = n_samples as u64;
+                CellTally {
+                    cell: *cell,
+                    n_samples: n_samples_drawn,
+                    next_sample: first + n_samples,
+                    n_found,
+                    hits,
+                    ..CellTally::default()
+                }
+            });
+            let tally =
+                ShardTally { request: "tight".to_owned(), round: round.round, arm: shard.arm, cells: cells.collect() };
+            ledger.add(&tally);
+            tallies.push(tally);
+        }
+        next_idx += round.shards.len();
+        rounds.push(round);
+    }
+    (rounds, tallies, ledger)
+}
+
+/// Arm 2 hits a bucket in one sample of four, in every third cell; arm 1 in one of forty; arm 0 never.
+fn world(arm: usize, cell: usize, sample: usize) -> Option<usize> {
+    let draw = Seed(9).derive("world", &[arm as u64, cell as u64, sample as u64]).rng().uniform();
+    let rate = [0.0, 0.025, if cell.is_multiple_of(3) { 0.25 } else { 0.0 }][arm];
+    (draw < rate).then_some((cell / 3) % 4)
+}
+
+#[test]
+fn arms_become_sweeps_at_each_strength() {
+    let resolved = resolve(&request(
+        "arms = ['guided', 'plain']\nper_bucket = 2\nbudget = { n_samples = 9 }\nn_scenes = 7\npairs = { per_scene = 2 }",
+    ));
+    let resolved = resolved.unwrap();
+    let names: Vec<&str> = resolved.config.sweeps.iter().map(|sweep| sweep.name.as_str()).collect();
+    assert_eq!(names, ["tight/guided@1", "tight/guided@8", "tight/plain"]);
+    assert_eq!(resolved.n_sweeps, 0);
+    let sweep = &resolved.config.sweeps[1];
+    assert_eq!((sweep.strengths.as_slice(), sweep.n_scenes, sweep.pairs.per_scene), ([8.0].as_slice(), 7, 2));
+    assert_eq!((sweep.behavior.as_deref(), sweep.n_samples), (Some("cut_in"), 3));
+    let arms: Vec<(&str, usize, u64)> =
+        resolved.requests[0].arms.iter().map(|arm| (arm.name.as_str(), arm.sweep_idx, arm.n_evaluations)).collect();
+    assert_eq!(arms, [("guided@1", 0, 39), ("guided@8", 1, 39), ("plain", 2, 39)]);
+}
+
+#[test]
+fn requests_that_make_no_sense_are_refused_by_name() {
+    let refusal = |more: &str| resolve(&request(more)).unwrap_err();
+    let arms = "arms = ['plain']";
+    for (more, part) in [
+        (format!("{arms}\nper_bucket = 2\nbudget = {{}}"), "budget is empty"),
+        (format!("{arms}\nbudget = {{ n_samples = 3 }}"), "either per_bucket or n_total"),
+        (
+            format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}\nwhere = {{ gap = [0, 3] }}"),
+            "the nearest are gap_m",
+        ),
+        (format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}\nwhere = {{ gap_m = [5, 3] }}"), "no range"),
+        (
+            format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}\nlimits = {{ colision_rate = 0.0 }}"),
+            "no metric",
+        ),
+        (
+            format!("{arms}\nn_total = 2\nbudget = {{ n_samples = 3 }}\nweights = {{ gap_m = [1] }}"),
+            "1 entries for 2 parts",
+        ),
+        (
+            format!("{arms}\nn_total = 2\nbudget = {{ n_samples = 3 }}\nweights = {{ ttc_s = [1] }}"),
+            "not among the buckets",
+        ),
+        ("arms = ['plane']\nper_bucket = 2\nbudget = { n_samples = 3 }".to_owned(), "\"plane\", which there is not"),
+        ("arms = []\nper_bucket = 2\nbudget = { n_samples = 3 }".to_owned(), "arms (their number) is 0"),
+    ] {
+        let why = refusal(&more);
+        assert!(why.contains(part) && why.contains("requests.0 (tight)"), "{why}");
+    }
+    let unknown = request(&format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}")).replace("cut_in", "cut_on");
+    assert!(resolve(&unknown).unwrap_err().contains("known: cut_in"));
+    let with_arm = |more: &str| {
+        let arm = format!("[[arms]]\nname = 'other'\n{more}\n");
+        resolve(&format!("{arm}{}", request(&format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}"))))
+            .unwrap_err()
+    };
+    assert!(with_arm("n_scenes = 3").contains("arms.2 (other): n_scenes is for sweeps"));
+    assert!(with_arm("behavior = 'cut_in'").contains("behavior is for sweeps"));
+    assert!(with_arm("model = 'baseline'").contains("baseline"));
+}
+
+#[test]
+fn the_first_round_tries_every_arm_on_the_same_cells_with_the_same_noise() {
+    let request = tight("per_bucket = 5\nbudget = { n_samples = 600 }");
+    let (rounds, _, _) = fulfil(&request, &pool(30), 1, world);
+    assert_eq!(rounds[0].shards.iter().map(|shard| shard.arm).collect::<Vec<_>>(), [0, 1, 2]);
+    for shard in &rounds[0].shards {
+        assert_eq!((shard.members.as_slice(), shard.plan.first_sample), ([0, 1, 2, 3].as_slice(), 0));
+    }
+}
+
+#[test]
+fn no_noise_is_used_twice_after_the_first_round() {
+    for plan in ["", "plan = 'even'\n"] {
+        let request = tight(&format!("{plan}per_bucket = 9\nbudget = {{ n_samples = 900 }}"));
+        let (rounds, _, _) = fulfil(&request, &pool(7), 1, world);
+        assert!(rounds.len() > 5);
+        let mut used = BTreeSet::new();
+        for shard in rounds.iter().flat_map(|round| &round.shards) {
+            let is_first = rounds[0].shards.contains(shard);
+            for (cell, sample) in shard.members.iter().flat_map(|cell| (0..3).map(move |sample| (*cell, sample))) {
+                let is_new = used.insert((cell, shard.plan.first_sample + sample));
+                assert!(is_new || is_first, "cell {cell}, shard {}", shard.plan.idx);
+            }
+        }
+    }
+}
+
+#[test]
+fn decisions_follow_from_the_seed_and_the_finished_shards() {
+    let request = tight("per_bucket = 5\nbudget = { n_samples = 600 }");
+    let pool = pool(30);
+    let (rounds, tallies, _) = fulfil(&request, &pool, 1, world);
+    assert_eq!(rounds, fulfil(&request, &pool, 1, world).0);
+    assert_ne!(rounds, fulfil(&request, &pool, 2, world).0);
+    // Taken up after any number of rounds, as after an interruption, the next round is the same.
+    for n_done in 0..rounds.len() {
+        let mut ledger = Ledger::new(&request, 30);
+        tallies.iter().filter(|tally| tally.round < n_done).for_each(|tally| ledger.add(tally));
+        let next_idx = rounds[..n_done].iter().map(|round| round.shards.len()).sum();
+        let context =
+            RoundContext { pool: &pool, ledger: &ledger, round: n_done, next_idx, cells_per_shard: 4, seed: Seed(1) };
+        assert_eq!(request.next_round(&context).as_ref(), Some(&rounds[n_done]));
+    }
+    let indices: Vec<usize> = rounds.iter().flat_map(|round| round.shards.iter().map(|shard| shard.plan.idx)).collect();
+    assert_eq!(indices, (0..indices.len()).collect::<Vec<_>>());
+}
+
+#[test]
+fn the_adaptive_plan_goes_where_open_buckets_fill_and_needs_less_than_the_grid() {
+    let pool = pool(30);
+    let (mut adaptive_total, mut even_total, mut by_best_arm) = (0, 0, 0);
+    for seed in 0..12 {
+        let (_, _, adaptive) = fulfil(&tight("per_bucket = 5\nbudget = { n_samples = 6000 }"), &pool, seed, world);
+        let (_, _, even) =
+            fulfil(&tight("plan = 'even'\nper_bucket = 5\nbudget = { n_samples = 6000 }"), &pool, seed, world);
+        assert!(adaptive.is_full() && even.is_full());
+        by_best_arm += adaptive.arms[2].n_samples;
+        adaptive_total += adaptive.spent().0;
+        even_total += even.spent().0;
+        // No cell gives more than three of a bucket.
+        let most = adaptive.cells.iter().flat_map(|cell| cell.hits.values()).map(|hits| hits.n_accepted).max();
+        assert!(most.unwrap() <= 3);
+    }
+    assert!(10 * adaptive_total < 9 * even_total, "{adaptive_total} against {even_total} samples");
+    assert!(
+        2 * by_best_arm > adaptive_total,
+        "{by_best_arm} of {adaptive_total} samples with the arm that fills buckets"
+    );
+}
+
+#[test]
+fn the_budget_is_never_exceeded_and_what_is_full_ends() {
+    for (budget, most) in [("n_samples = 100", (100, u64::MAX)), ("n_evaluations = 2000", (u64::MAX, 2000))] {
+        let request = tight(&format!("per_bucket = 50\nbudget = {{ {budget} }}"));
+        let (_, _, ledger) = fulfil(&request, &pool(30), 1, world);
+        let (n_samples, n_evaluations) = ledger.spent();
+        assert!(!ledger.is_full() && n_samples <= most.0 && n_evaluations <= most.1);
+        assert!(n_samples + 12 > most.0 || n_evaluations + 12 * 39 > most.1, "nothing is left unused");
+    }
+    let (rounds, _, ledger) = fulfil(&tight("per_bucket = 1\nbudget = { n_samples = 4000 }"), &pool(30), 1, world);
+    assert!(ledger.is_full() && rounds.len() < 20);
+    let request = tight("per_bucket = 1\nbudget = { n_samples = 4000 }");
+    let summary = RequestSummary::new(&request, &pool(30), &ledger, rounds.len());
+    assert_eq!((summary.ended, summary.n_accepted, summary.short().count()), (Ended::Full, 4, 0));
+    let by_arm: u64 = summary.buckets.iter().flat_map(|bucket| &bucket.accepted_by_arm).sum();
+    assert_eq!(by_arm, 4);
+    assert_eq!(summary.arms.iter().map(|arm| arm.total.n_samples).sum::<u64>(), summary.n_samples);
+    assert!(summary.buckets.iter().all(|bucket| bucket.n_samples_while_open <= summary.n_samples));
+}
+
+#[test]
+fn cheap_arms_are_preferred_where_evaluations_are_counted() {
+    let arms = "[[arms]]\nname = 'dear'\nn_samples = 3\nsampler = { kind = 'heun', n_steps = 80 }\n";
+    let more = "arms = ['plain', 'dear']\nper_bucket = 30\nbudget = { n_evaluations = 60000 }";
+    let request = resolve(&format!("{arms}{}", request(more))).unwrap().requests.remove(0);
+    // Both are as likely to hit.
+    let (_, _, ledger) = fulfil(&request, &pool(30), 1, |_, cell, sample| world(2, 3 * cell, sample));
+    assert!(ledger.arms[0].n_samples > 2 * ledger.arms[1].n_samples, "{:?}", ledger.arms);
+}

@@ -1,0 +1,223 @@
+//! What will generation cost? Samples and evaluations by sweep and request, and the time where a denoiser can be asked.
+
+use super::config::PipelineConfig;
+use super::layout::Layout;
+use super::stages::checkpoint_file;
+use super::{Failure, Result};
+use crate::diffusion::Denoiser;
+use crate::generate::{GenerateConfig, ResolvedGeneration, ResolvedRequest};
+use crate::geometry::{Polyline, Transform2, Vec2};
+use crate::model::TrainedDenoiser;
+use crate::scene::{
+    AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource,
+    Split, State, Track, TrackId, TrackRole, Trajectory,
+};
+use crate::store::SceneStore;
+use crate::tensor::{FutureValidity, SceneView};
+use candle_core::{DType, Device, Tensor};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Evaluations that are timed, after one that is not.
+const N_TIMED: usize = 3;
+/// Agents and lanes of the scene that stands for recordings that are not ingested yet.
+const N_AGENTS: usize = 16;
+const N_LANES: usize = 64;
+
+/// The plan of generation in lines for people, with the most it may cost; empty where nothing is generated.
+///
+/// # Errors
+/// When the section makes no sense, or a tensor operation fails.
+pub fn estimate(config: &PipelineConfig, layout: &Layout) -> Result<Vec<String>> {
+    let Some(generate) = &config.generate else { return Ok(Vec::new()) };
+    let resolved = generate.resolve()?;
+    let (mut lines, mut n_evaluations) = (vec!["generate, at most:".to_owned()], 0);
+    for sweep in &resolved.config.sweeps[..resolved.n_sweeps] {
+        let n_pairs = if sweep.behavior.is_some() { sweep.pairs.per_scene } else { 1 };
+        let n_samples = (sweep.n_scenes * n_pairs * sweep.levels().len() * sweep.n_samples) as u64;
+        let each = sweep.n_evaluations(&resolved.config);
+        n_evaluations += n_samples * each;
+        lines.push(format!(
+            "  sweep {}: {n_samples} samples, {} evaluations of the network",
+            sweep.name,
+            n_samples * each
+        ));
+    }
+    for request in &resolved.requests {
+        n_evaluations += describe(request, &resolved, &mut lines);
+    }
+    let time = match evaluations_per_second(config, generate, layout)? {
+        None => "the time is not known: there is no denoiser to try yet".to_owned(),
+        Some((rate, what)) => {
+            let seconds = n_evaluations as f64 / rate;
+            format!(
+                "{} at {rate:.0} evaluations a second (tried just now on {what}, with {} threads; guidance comes on top)",
+                duration(seconds),
+                rayon::current_num_threads()
+            )
+        }
+    };
+    lines.push(format!("  in all {n_evaluations} evaluations: {time}"));
+    Ok(lines)
+}
+
+/// Adds the lines of a request. Returns its most evaluations.
+fn describe(request: &ResolvedRequest, resolved: &ResolvedGeneration, lines: &mut Vec<String>) -> u64 {
+    let config = &request.config;
+    let dearest = request.arms.iter().map(|arm| arm.n_evaluations).max().unwrap_or(1);
+    let cheapest = request.arms.iter().map(|arm| arm.n_evaluations).min().unwrap_or(1).max(1);
+    let by_samples = config.budget.n_samples.map(|n| n.saturating_mul(dearest));
+    let most_evaluations = by_samples.into_iter().chain(config.budget.n_evaluations).min().unwrap_or(0);
+    let by_evaluations = config.budget.n_evaluations.map(|n| n / cheapest);
+    let most_samples = config.budget.n_samples.into_iter().chain(by_evaluations).min().unwrap_or(0);
+    let wanted = request.buckets.wanted();
+    lines.push(format!(
+        "  request {}: {} scenarios in {} buckets; {most_samples} samples, {most_evaluations} evaluations",
+        config.name,
+        wanted.iter().sum::<u64>(),
+        wanted.len()
+    ));
+    for arm in &request.arms {
+        let sampler = resolved.config.sweeps[arm.sweep_idx].sampler(&resolved.config).name();
+        lines.push(format!("    arm {}: {sampler}, {} evaluations a sample", arm.name, arm.n_evaluations));
+    }
+    for (bucket, n) in wanted.iter().enumerate() {
+        lines.push(format!("    bucket {bucket}: {}: {n} wanted", request.buckets.ranges(bucket)));
+    }
+    most_evaluations
+}
+
+/// How fast the denoiser is, in network calls for one sample each, and what it was tried on. `None` without a denoiser.
+fn evaluations_per_second(
+    config: &PipelineConfig,
+    generate: &GenerateConfig,
+    layout: &Layout,
+) -> Result<Option<(f64, &'static str)>> {
+    let trained = checkpoint_file(&layout.denoiser);
+    let taken_over = config.train.denoiser.as_ref().and_then(|denoiser| denoiser.checkpoint.as_deref());
+    let path = match (trained.is_file(), taken_over) {
+        (true, _) => trained,
+        (false, Some(path)) => checkpoint_file(path),
+        (false, None) => return Ok(None),
+    };
+    let device = Device::Cpu;
+    let TrainedDenoiser { denoiser, spec, .. } = TrainedDenoiser::read(&path, &device)?;
+    let is_alike = |scene: &Scene| scene.n_history == spec.n_history && scene.n_timesteps == spec.n_timesteps;
+    let recorded = SceneStore::open(&layout.scenes).ok().and_then(|store| store.scene(0).ok()).filter(is_alike);
+    let what = if recorded.is_some() { "a recorded scene" } else { "a made-up scene of 16 agents" };
+    let scene = recorded.unwrap_or_else(|| made_up_scene(spec.n_history, spec.n_timesteps, spec.dt_s));
+    let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
+    let view = SceneView { scene: &scene, ego_idx: scene.ego_idx, mask: &mask };
+    let time = || -> candle_core::Result<f64> {
+        let batch = spec.collator().collate(&[view], FutureValidity::Everything, &device)?;
+        let n_rows = generate.batch_size;
+        let bound = denoiser.bind(&batch, n_rows)?;
+        let x = batch.repeated(n_rows)?.x0;
+        let sigma = Tensor::full(1.0, n_rows, &device)?.to_dtype(DType::F32)?;
+        bound.denoise(&x, &sigma)?;
+        let began = Instant::now();
+        for _ in 0..N_TIMED {
+            bound.denoise(&x, &sigma)?;
+        }
+        Ok((N_TIMED * n_rows) as f64 / began.elapsed().as_secs_f64().max(1e-6))
+    };
+    Ok(Some((time().map_err(Failure::fault)?, what)))
+}
+
+/// Cars side by side on straight lanes: as much work for the network as a busy recording.
+fn made_up_scene(n_history: usize, n_timesteps: usize, dt_s: f64) -> Scene {
+    let track = |i: usize| {
+        let velocity = Vec2::new(8.0, 0.0);
+        let state = |timestep: usize| State {
+            position: Vec2::new(8.0 * (i / 4) as f64, 4.0 * (i % 4) as f64) + velocity * (timestep as f64 * dt_s),
+            heading_rad: 0.0,
+            velocity,
+        };
+        Track {
+            id: TrackId(i.to_string()),
+            class: AgentClass::Vehicle,
+            role: TrackRole::Context,
+            extent: Some(Extent { length_m: 4.5, width_m: 1.8 }),
+            trajectory: Trajectory::new((0..n_timesteps).map(|timestep| Some(state(timestep))).collect()),
+        }
+    };
+    let lane = |i: usize| {
+        let line = |offset_m: f64| {
+            let (x, y) = (20.0 * (i / 4) as f64 - 100.0, 4.0 * (i % 4) as f64 + offset_m);
+            Polyline((0..11).map(|point| Vec2::new(x + 2.0 * f64::from(point), y)).collect())
+        };
+        Lane {
+            id: LaneId(i as i64),
+            centerline: line(0.0),
+            left: line(2.0),
+            right: line(-2.0),
+            successors: Vec::new(),
+            predecessors: Vec::new(),
+            left_neighbor: None,
+            right_neighbor: None,
+            attributes: LaneAttributes::default(),
+        }
+    };
+    Scene {
+        id: SceneId("made-up".to_owned()),
+        source: SceneSource {
+            dataset: Dataset::Interaction,
+            version: String::new(),
+            split: Split::Unsplit,
+            place: String::new(),
+            file: String::new(),
+            case_id: String::new(),
+            first_frame: String::new(),
+        },
+        dt_s,
+        n_timesteps,
+        n_history,
+        world_from_scene: Transform2::IDENTITY,
+        ego_idx: 0,
+        tracks: (0..N_AGENTS).map(track).collect(),
+        map_id: None,
+        lanes: Arc::new(LaneGraph::new((0..N_LANES).map(lane).collect())),
+    }
+}
+
+/// `about 40 s`, `about 12 min`, `about 3.4 h`.
+fn duration(seconds: f64) -> String {
+    match seconds {
+        s if s < 100.0 => format!("about {s:.0} s"),
+        s if s < 6000.0 => format!("about {:.0} min", s / 60.0),
+        s => format!("about {:.1} h", s / 3600.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_are_short() {
+        assert_eq!([12.4, 150.0, 9000.0].map(duration), ["about 12 s", "about 2 min", "about 2.5 h"]);
+    }
+
+    #[test]
+    fn plans_are_counted() {
+        let config: PipelineConfig = toml::from_str(
+            "[[generate.sweeps]]\nname = 'plain'\nn_scenes = 4\nn_samples = 3\nsampler = { kind = 'euler', n_steps = 5 }
+            [[generate.arms]]\nname = 'short'\nsampler = { kind = 'heun', n_steps = 5 }
+            [[generate.arms]]\nname = 'long'\nsampler = { kind = 'heun', n_steps = 20 }
+            [[generate.requests]]\nname = 'tight'\nbehavior = 'cut_in'\nper_bucket = 2
+            buckets = { gap_m = [0, 5, 10] }\narms = ['short', 'long']\nbudget = { n_samples = 100 }",
+        )
+        .unwrap();
+        let lines = estimate(&config, &Layout::below(std::path::Path::new("/nowhere"))).unwrap();
+        let text = lines.join("\n");
+        for part in [
+            "sweep plain: 12 samples, 60 evaluations",
+            "request tight: 4 scenarios in 2 buckets; 100 samples, 3900 evaluations",
+            "arm long: heun-20, 39 evaluations a sample",
+            "bucket 1: gap_m 5..10: 2 wanted",
+            "in all 3960 evaluations: the time is not known",
+        ] {
+            assert!(text.contains(part), "`{part}` is not in\n{text}");
+        }
+    }
+}

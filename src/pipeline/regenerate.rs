@@ -1,0 +1,181 @@
+//! Is a scenario what its row says it came from? It is generated again, and every column is compared.
+
+use super::layout::Layout;
+use super::stages::{FoundShard, SampleManifest, SampleSettings, SampledWith, checkpoint_file, find_shard, shard_name};
+use super::{Failure, Result};
+use crate::generate::{GenerateConfig, Generator, Ledger, Models, ResolvedGeneration, SweepConfig, Wanted};
+use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
+use crate::store::{CorpusReader, Difference, ScenarioRecord, SceneStore, differences, sample_ids};
+use candle_core::Device;
+use std::path::Path;
+
+/// A scenario as it was stored, and as it came out again.
+#[derive(Debug)]
+pub struct Regenerated {
+    /// As it was stored.
+    pub stored: ScenarioRecord,
+    /// As it came out.
+    pub again: ScenarioRecord,
+    /// The columns in which they differ.
+    pub differences: Vec<Difference>,
+    /// Number of columns compared.
+    pub n_columns: usize,
+}
+
+/// Generates scenario `id` again, from the samples, scenes and models of `layout`, and compares it with its row there, or with
+/// that of `corpus`.
+///
+/// The batch in which it was denoised is denoised as a whole, because the last digits depend on it; nothing else is.
+///
+/// # Errors
+/// The input's fault when there is no such scenario, or the scenes or a model are not those that it was generated with; the
+/// machine's when one of them, or the plan, is missing.
+pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>) -> Result<Regenerated> {
+    let manifest = SampleManifest::read(&layout.samples)?;
+    let settings = SampleSettings::read(&layout.samples)?;
+    let resolved = settings.generate.resolve()?;
+    let store = open_scenes(layout, &manifest.sampled_with)?;
+    let models = LoadedModels::read(layout, &resolved, &manifest.sampled_with)?;
+    let from_corpus = corpus.map(|dir| -> Result<ScenarioRecord> {
+        let reader = CorpusReader::open(dir)?;
+        Ok(reader.scenario(reader.position(id)?)?)
+    });
+    let from_corpus = from_corpus.transpose()?;
+    let (shard_at, rows) = rows_until(id, &manifest, &layout.samples, &store, from_corpus.as_ref())?;
+    let Some(row) = rows.last() else { return Err(unknown(id, &layout.samples)) };
+
+    let behaviors = settings.mine.build()?;
+    let load = |idx: usize| Ok(store.scene(idx)?);
+    let device = Device::Cpu;
+    let generator = Generator::new(&resolved.config, models.borrowed(), &behaviors, &load, &device)?;
+    let found = find_shard(&layout.samples, row.shard)?;
+    let plan = match &found {
+        FoundShard::OfSweep(plan) => plan,
+        FoundShard::OfRequest { shard, .. } => &shard.plan,
+    };
+    let wanted = Wanted::of(plan, &row.scenario.provenance).ok_or_else(|| {
+        Failure::fault(anyhow::anyhow!("the plan of shard {} has no cell of scenario {id}; it was changed", row.shard))
+    })?;
+    let mut again = generator.regenerate(plan, wanted)?.ok_or_else(|| {
+        Failure::input_message(format_args!("scenario {id} came to nothing this time: its sample is no scenario"))
+    })?;
+    if let FoundShard::OfRequest { request, round, pool, shard } = &found {
+        // Whether there was room for it depends on what came before it: the shards, and the rows of its own.
+        let request = &resolved.requests[*request];
+        let mut ledger = Ledger::new(request, pool.cells.len());
+        let earlier = manifest.shards[..shard_at].iter().filter_map(|shard| shard.request.as_ref());
+        earlier.filter(|tally| tally.request == request.config.name).for_each(|tally| ledger.add(tally));
+        let mut records: Vec<ScenarioRecord> = rows[..rows.len() - 1].to_vec();
+        records.push(again);
+        generator.judge((request, *round), (pool, shard), &ledger, &mut records)?;
+        again = records.remove(records.len() - 1);
+    }
+    let stored = from_corpus.unwrap_or_else(|| row.clone());
+    let (differences, n_columns) = differences(&stored, &again)?;
+    Ok(Regenerated { stored, again, differences, n_columns })
+}
+
+/// The rows of the shard that holds the scenario, up to and with it, and the place of the shard in the manifest.
+fn rows_until(
+    id: &str,
+    manifest: &SampleManifest,
+    samples: &Path,
+    store: &SceneStore,
+    known: Option<&ScenarioRecord>,
+) -> Result<(usize, Vec<ScenarioRecord>)> {
+    for (at, shard) in manifest.shards.iter().enumerate() {
+        let is_elsewhere = known.is_some_and(|known| shard.file != format!("{}.parquet", shard_name(known.shard)));
+        if is_elsewhere || !sample_ids(&samples.join(&shard.file))?.iter().any(|own| own == id) {
+            continue;
+        }
+        let mut rows = SampleManifest::read_shard(samples, shard, store)?;
+        let own = rows.iter().position(|row| row.scenario.id == id).unwrap_or(0);
+        rows.truncate(own + 1);
+        return Ok((at, rows));
+    }
+    Err(unknown(id, samples))
+}
+
+fn unknown(id: &str, samples: &Path) -> Failure {
+    Failure::input_message(format_args!("no scenario {id} is among the samples of {}", samples.display()))
+        .with_hint("ids are in the column scenario_id of samples and corpora; --from names the run folder")
+}
+
+fn open_scenes(layout: &Layout, sampled_with: &SampledWith) -> Result<SceneStore> {
+    require(&layout.scenes, "scenes")?;
+    let store = SceneStore::open(&layout.scenes)?;
+    check("scenes", &layout.scenes, &sampled_with.scenes, store.fingerprint())?;
+    Ok(store)
+}
+
+/// The models that samples were generated with.
+struct LoadedModels {
+    denoiser: TrainedDenoiser,
+    classifiers: Vec<TrainedClassifier>,
+    distilled: Option<TrainedDenoiser>,
+    baseline: Option<TrainedSceneTransformer>,
+}
+
+impl LoadedModels {
+    fn read(layout: &Layout, resolved: &ResolvedGeneration, sampled_with: &SampledWith) -> Result<Self> {
+        let GenerateConfig { sweeps, .. } = &resolved.config;
+        let file = |dir: &Path, name: &str| {
+            require(dir, name)?;
+            let file = checkpoint_file(dir);
+            require(&file, name).map(|()| file)
+        };
+        let denoiser = TrainedDenoiser::read(&file(&layout.denoiser, "denoiser")?, &Device::Cpu)?;
+        check("denoiser", &layout.denoiser, &sampled_with.denoiser, &denoiser.fingerprint)?;
+        let mut classifiers = Vec::new();
+        if sweeps.iter().any(SweepConfig::needs_classifier) {
+            let classifier = TrainedClassifier::read(&file(&layout.classifier, "classifier")?, &Device::Cpu)?;
+            let then = sampled_with.classifier.as_deref().unwrap_or_default();
+            check("classifier", &layout.classifier, then, &classifier.fingerprint)?;
+            classifiers.push(classifier);
+        }
+        let mut distilled = None;
+        if sweeps.iter().any(SweepConfig::uses_distilled) {
+            let model = TrainedDenoiser::read(&file(&layout.distilled, "distilled denoiser")?, &Device::Cpu)?;
+            let then = sampled_with.distilled.as_deref().unwrap_or_default();
+            check("distilled denoiser", &layout.distilled, then, &model.fingerprint)?;
+            distilled = Some(model);
+        }
+        let mut baseline = None;
+        if sweeps.iter().any(SweepConfig::uses_baseline) {
+            let model = TrainedSceneTransformer::read(&file(&layout.baseline, "baseline")?, &Device::Cpu)?;
+            let then = sampled_with.baseline.as_deref().unwrap_or_default();
+            check("baseline", &layout.baseline, then, &model.fingerprint)?;
+            baseline = Some(model);
+        }
+        Ok(Self { denoiser, classifiers, distilled, baseline })
+    }
+
+    fn borrowed(&self) -> Models<'_> {
+        Models {
+            denoiser: &self.denoiser,
+            classifiers: &self.classifiers,
+            distilled: self.distilled.as_ref(),
+            baseline: self.baseline.as_ref(),
+        }
+    }
+}
+
+/// What is missing is no fault of the scenario.
+fn require(path: &Path, name: &str) -> Result<()> {
+    if path.exists() {
+        return Ok(());
+    }
+    let error = anyhow::anyhow!("the {name} that the scenario was generated with is not there: {}", path.display());
+    Err(Failure::fault(error).with_hint(format!("--{name} names another place")))
+}
+
+fn check(name: &str, path: &Path, then: &str, now: &str) -> Result<()> {
+    if then == now {
+        return Ok(());
+    }
+    let message = format_args!(
+        "the {name} in {} changed since the scenario was generated: its fingerprint was {then}, and is {now}",
+        path.display()
+    );
+    Err(Failure::input_message(message).with_hint(format!("--{name} names the place of the old one")))
+}

@@ -1,0 +1,191 @@
+//! Are events found by their parameters, counted as they should be, resumed to the same bytes, and generated again?
+
+use crate::support::{SMALL_PIPELINE, Workspace, assert_same, djinn, files};
+use djinn::pipeline::stages::{SampleManifest, SampleSidecar, read_requests};
+use djinn::store::{CorpusReader, RequestOutcome, ScenarioRecord, SceneStore};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Arms of every kind, and buckets that even a denoiser without training reaches.
+const REQUEST: &str = r#"
+[[generate.arms]]
+name = "unguided"
+n_samples = 2
+
+[[generate.arms]]
+name = "guided"
+n_samples = 2
+strengths = [2.0, 20.0]
+
+[[generate.arms]]
+name = "edited"
+n_samples = 2
+edit = { tau = 0.4, edits = [{ kind = "scale_speed", agent = { role = "ego" }, factor = 1.2 }] }
+
+[[generate.arms]]
+name = "free"
+n_samples = 2
+classifier_free = { extra = [{ agents = { role = "other" }, times = "goal" }], weights = [1.0], goal_std_m = 2.0 }
+
+[[generate.arms]]
+name = "slow"
+n_samples = 2
+strengths = [1.0]
+classifier_scope = "none"
+objectives = [{ kind = "target_speed", agents = "ego", speed_mps = 5.0 }]
+
+[[generate.requests]]
+name = "tight"
+behavior = "cut_in"
+buckets = { relative_speed_mps = [-30, 0, 30], side = ["left", "right"] }
+per_bucket = 3
+where = { ego_speed_mps = [0, 60], gap_m = [-50, 100] }
+limits = { jerk_violation_rate = 0.9 }
+arms = ["unguided", "guided", "edited", "free", "slow"]
+n_scenes = 8
+pairs = { per_scene = 2, exclude_following = false }
+max_per_scene = 2
+shards_per_round = 2
+budget = { n_samples = 72 }
+"#;
+
+fn pipeline() -> String {
+    let sampling = SMALL_PIPELINE.replace("[evaluate]", &format!("{REQUEST}\n[evaluate]"));
+    sampling.replace("keep = \"all\"", "keep = \"verified\"")
+}
+
+fn records(root: &Path) -> Vec<(SampleSidecar, Vec<ScenarioRecord>)> {
+    let (samples, store) = (root.join("samples"), SceneStore::open(&root.join("scenes")).unwrap());
+    let manifest = SampleManifest::read(&samples).unwrap();
+    let read = |shard: &SampleSidecar| SampleManifest::read_shard(&samples, shard, &store).unwrap();
+    manifest.shards.iter().map(|shard| (shard.clone(), read(shard))).collect()
+}
+
+#[test]
+fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
+    let workspace = Workspace::new();
+    fs_err::write(workspace.path("small.toml"), pipeline()).unwrap();
+    let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
+    for part in [
+        "request tight: 12 scenarios in 4 buckets; 72 samples, 432 evaluations",
+        "arm guided@20",
+        "the time is not known",
+    ] {
+        assert!(plan.contains(part), "`{part}` is not in\n{plan}");
+    }
+    workspace.run("out", &["--threads", "1"]).expect(0);
+    let root = workspace.run_folder("out");
+    let before = files(&root);
+    counts_agree_with_the_rows(&root);
+    rows_are_generated_again(&workspace, &root);
+
+    // On two threads, and after being killed within a round, between rounds, and before the last file: the same bytes.
+    workspace.run("two", &["--threads", "2"]).expect(0);
+    assert_same(&before, &files(&workspace.run_folder("two")));
+    let shards: Vec<&String> = before.keys().filter(|name| name.starts_with("samples/samples-")).collect();
+    let rounds: Vec<&String> = before.keys().filter(|name| name.starts_with("samples/request-00-round")).collect();
+    assert!(rounds.len() > 2, "{rounds:?}");
+    for (n_shards, n_rounds) in
+        [(shards.len() - 3, rounds.len()), (shards.len() - 8, rounds.len() - 2), (shards.len(), rounds.len())]
+    {
+        fs_err::rename(root.join("generate.done.json"), root.join("generate.started.json")).unwrap();
+        let lost = shards[n_shards..].iter().chain(&rounds[n_rounds..]).copied();
+        for name in lost.chain([&"samples/manifest.json".to_owned(), &"samples/requests.json".to_owned()]) {
+            fs_err::remove_file(root.join(name)).unwrap();
+        }
+        let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
+        assert!(plan.contains("#   generate          fresh (resumes"), "{plan}");
+        workspace.run("out", &[]).expect(0);
+        assert_same(&before, &files(&root));
+    }
+    let misspelt =
+        workspace.run("out", &["--dry-run", "--set", "generate.requests.0.where={ gap = [0, 1] }"]).expect(1);
+    assert!(misspelt.stderr.contains("gap is no parameter of cut_in; the nearest are gap_m"), "{}", misspelt.stderr);
+}
+
+/// What `requests.json` says is what the rows say, by a count of its own; and the corpus holds what was accepted.
+fn counts_agree_with_the_rows(root: &Path) {
+    let summaries = read_requests(&root.join("samples")).unwrap();
+    let [summary] = summaries.as_slice() else { panic!("{} requests", summaries.len()) };
+    assert!(summary.n_accepted > 0 && summary.n_samples <= 72, "{summary:?}");
+    let of_request: Vec<ScenarioRecord> = records(root)
+        .into_iter()
+        .filter(|(shard, _)| shard.request.is_some())
+        .flat_map(|(_, records)| records)
+        .collect();
+    assert_eq!(of_request.len() as u64, summary.n_samples);
+    let (mut accepted, mut by_cell) = (vec![0; 4], BTreeMap::<(String, String, usize), u64>::new());
+    for record in &of_request {
+        let tag = record.request.as_ref().unwrap();
+        assert_eq!((tag.request.as_str(), tag.outcome == RequestOutcome::NotFound), ("tight", !record.verified));
+        let Some(event) = record.main_event() else { continue };
+        let speed_mps = event.parameters["relative_speed_mps"];
+        let is_inside = (-30.0..30.0).contains(&speed_mps) && (-50.0..=100.0).contains(&event.parameters["gap_m"]);
+        assert_eq!(tag.outcome == RequestOutcome::Outside, !is_inside);
+        let Some(bucket) = &tag.bucket else { continue };
+        let [speed, side] = [
+            if speed_mps < 0.0 { "-30..0" } else { "0..30" },
+            if event.parameters["side"] > 0.0 { "left" } else { "right" },
+        ];
+        assert_eq!(bucket.ranges, format!("relative_speed_mps {speed}, side {side}"));
+        assert_eq!(bucket.idx, 2 * usize::from(speed_mps >= 0.0) + usize::from(side == "right"));
+        let provenance = &record.scenario.provenance;
+        let cell = (provenance.scene_id.0.clone(), format!("{:?}", provenance.guidance.roles), bucket.idx);
+        let of_cell = by_cell.entry(cell).or_default();
+        if tag.outcome == RequestOutcome::Accepted {
+            (accepted[bucket.idx], *of_cell) = (accepted[bucket.idx] + 1, *of_cell + 1);
+        }
+        match tag.outcome {
+            RequestOutcome::Surplus => assert_eq!(accepted[bucket.idx], 3),
+            RequestOutcome::Repeated => assert_eq!(*of_cell, 2),
+            _ => assert!(*of_cell <= 2),
+        }
+    }
+    assert_eq!(summary.buckets.iter().map(|bucket| bucket.n_accepted).collect::<Vec<_>>(), accepted);
+    let n_found = of_request.iter().filter(|record| record.verified).count() as u64;
+    assert_eq!(summary.arms.iter().map(|arm| arm.total.n_found).sum::<u64>(), n_found);
+    let sweeps: std::collections::BTreeSet<&str> = of_request.iter().map(|record| record.sweep.as_str()).collect();
+    assert_eq!(sweeps.len(), 6, "every arm is tried: {sweeps:?}");
+
+    let corpus = CorpusReader::open(&root.join("corpus")).unwrap();
+    let kept = (0..corpus.len()).map(|i| corpus.scenario(i).unwrap());
+    let n_kept = kept.filter(|r| r.request.as_ref().is_some_and(|tag| tag.outcome == RequestOutcome::Accepted)).count();
+    assert_eq!(n_kept as u64, summary.n_accepted);
+    let page = fs_err::read_to_string(root.join("report.html")).unwrap();
+    assert!(page.contains("What was asked and what was got") && page.contains("Buckets of tight"));
+}
+
+/// Rows of every sweep and arm come out as they are stored; what changed or is missing is told.
+fn rows_are_generated_again(workspace: &Workspace, root: &Path) {
+    let from = root.to_str().unwrap();
+    let mut last_of_sweep = BTreeMap::new();
+    for (_, records) in records(root) {
+        last_of_sweep.extend(records.into_iter().map(|record| (record.sweep.clone(), record)));
+    }
+    assert_eq!(last_of_sweep.len(), 8);
+    for record in last_of_sweep.values() {
+        let outcome = djinn(&["regenerate", &record.scenario.id, "--from", from]).expect(0);
+        assert!(outcome.stdout.starts_with("identical"), "{}", outcome.stdout);
+        assert!(outcome.stderr.contains(&record.sweep), "{}", outcome.stderr);
+    }
+    let corpus = root.join("corpus");
+    let id = CorpusReader::open(&corpus).unwrap().scenario_ids().unwrap().last().unwrap().to_owned();
+    let (again, corpus) = (workspace.arg("again.parquet"), corpus.to_str().unwrap());
+    let outcome = djinn(&["regenerate", &id, "--corpus", corpus, "--out", &again, "--threads", "2"]).expect(0);
+    assert!(outcome.stdout.starts_with("identical"), "{}", outcome.stdout);
+    assert!(djinn(&["inspect", &again]).expect(0).stdout.starts_with("part of a folder"));
+
+    let told = |args: &[&str], code: i32, part: &str| {
+        let outcome = djinn(&[&["regenerate", &id, "--from", from], args].concat()).expect(code);
+        assert!(outcome.stderr.contains(part), "{}", outcome.stderr);
+    };
+    let unknown = djinn(&["regenerate", "0123", "--from", from]).expect(1);
+    assert!(unknown.stderr.contains("no scenario 0123"), "{}", unknown.stderr);
+    told(
+        &["--denoiser", &workspace.arg("nowhere")],
+        2,
+        "the denoiser that the scenario was generated with is not there",
+    );
+    told(&["--denoiser", "pipelines/models/simulated_places.safetensors"], 1, "its fingerprint was");
+    told(&["--scenes", corpus], 1, "manifest.json");
+}
