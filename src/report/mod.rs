@@ -33,8 +33,8 @@ pub use distribution::{Distribution, DistributionSeries};
 pub use figures::{FigureFile, figures};
 pub use html::{render, render_comparison};
 pub use model::{
-    BehaviorCount, BehaviorDoc, Chart, Curve, Fact, MetricDoc, MetricTable, MiningSummary, RealismRow, ReportModel,
-    SamplingRow, TrainingSummary, Warning,
+    AcceptanceRow, BehaviorCount, BehaviorDoc, Chart, Curve, Fact, LeftOutRow, MetricDoc, MetricTable, MiningSummary,
+    RealismRow, ReportModel, SamplingRow, TrainingSummary, ValidityRow, Warning,
 };
 pub use plain::{PlainRow, PlainSection, PlainTable};
 pub use quantities::{MotionDistributions, event_distributions};

@@ -47,5 +47,6 @@ pub(super) fn record(strength: f64, verified: bool, recorded_event: bool, scene:
         verified,
         events: verified.then_some(event).into_iter().collect(),
         recorded_event,
+        assessment: None,
     }
 }

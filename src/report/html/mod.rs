@@ -8,6 +8,7 @@ mod quality;
 mod scenes;
 mod tradeoffs;
 mod training;
+mod verdict;
 
 pub use comparison::render_comparison;
 
@@ -38,6 +39,7 @@ pub fn render(model: &ReportModel) -> String {
     let first = [
         Some(warnings(model)),
         outcome::section(model),
+        verdict::section(model),
         tradeoffs::section(model),
         quality::metrics(model),
         quality::distributions(model),

@@ -4,9 +4,9 @@ use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::ingest::{IngestReport, RejectCount};
 use djinn::metrics::Direction;
 use djinn::report::{
-    BehaviorCount, BehaviorDoc, CardKey, CardValue, Chart, Curve, Distribution, Fact, MetricDoc, MetricTable,
-    MiningSummary, PlainSection, PlainTable, RealismRow, ReportModel, Sample, SamplingRow, SceneCard, TrainingSummary,
-    Verdict, Warning,
+    AcceptanceRow, BehaviorCount, BehaviorDoc, CardKey, CardValue, Chart, Curve, Distribution, Fact, LeftOutRow,
+    MetricDoc, MetricTable, MiningSummary, PlainSection, PlainTable, RealismRow, ReportModel, Sample, SamplingRow,
+    SceneCard, TrainingSummary, ValidityRow, Verdict, Warning,
 };
 use djinn::scene::{
     AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource,
@@ -52,6 +52,9 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
         sampling: sampling(name),
         metrics: metrics(name),
         realism: realism(name),
+        acceptance: acceptance(name),
+        left_out: left_out(name),
+        validity: validity(name),
         distributions: distributions(),
         scenes: vec![
             card(0, name, 1.0, 0.0),
@@ -61,6 +64,51 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
         more: vec![more(name)],
         config: format!("[run]\nname = \"{name}\"\nseed = 20\n\n[generate]\nsplit = \"val\"\nsampler = {{ kind = \"heun\", n_steps = 20 }}\n"),
     }
+}
+
+fn acceptance(name: &str) -> Vec<AcceptanceRow> {
+    let row = |strength, n_verified, n_accepted| AcceptanceRow {
+        sweep: name.into(),
+        strength,
+        n_scenarios: 90,
+        n_verified,
+        n_valid: 71,
+        n_verified_valid: n_accepted + 2,
+        n_accepted,
+        n_kept: n_accepted,
+    };
+    vec![row(0.0, 4, 3), row(2.0, 31, 22)]
+}
+
+fn left_out(name: &str) -> Vec<LeftOutRow> {
+    let row = |reason: &str, strength, n_left_out, n_found| LeftOutRow {
+        stage: if strength == Some(2.0) { "evaluate" } else { "generate" }.into(),
+        sweep: name.into(),
+        strength,
+        reason: reason.into(),
+        n_left_out,
+        n_found,
+    };
+    vec![
+        row("selection: not among the best 6", None, 12, 12),
+        row("not_verified", Some(2.0), 59, 59),
+        row("collision", Some(2.0), 7, 15),
+        row("near_duplicate", Some(2.0), 2, 3),
+    ]
+}
+
+fn validity(name: &str) -> Vec<ValidityRow> {
+    let row = |group: &str, strength, n_valid, n_collision: u64| ValidityRow {
+        group: group.into(),
+        sweep: name.into(),
+        strength,
+        place: String::new(),
+        n: 90,
+        n_valid,
+        violations: BTreeMap::from([("collision".into(), n_collision), ("offroad".into(), 2)]),
+        plausibility: Some(0.97),
+    };
+    vec![row("recorded", 0.0, 90, 0), row("unguided", 0.0, 74, 11), row(name, 2.0, 71, 15)]
 }
 
 fn ingest(name: &str) -> IngestReport {

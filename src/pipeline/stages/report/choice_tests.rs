@@ -33,6 +33,7 @@ fn record(sweep: &str, scene: &str, strength: f64, sample_idx: usize) -> Scenari
         verified: false,
         events: vec![],
         recorded_event: false,
+        assessment: None,
     }
 }
 

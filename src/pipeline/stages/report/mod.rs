@@ -96,6 +96,7 @@ impl Stage for Report<'_> {
             StageId::Ingest => Some(("scenes", &self.layout.scenes)),
             StageId::Mine => Some(("events", &self.layout.events)),
             StageId::TrainDenoiser => Some(("denoiser", &self.layout.denoiser)),
+            StageId::TrainDistill => Some(("distilled", &self.layout.distilled)),
             StageId::TrainClassifier => Some(("classifier", &self.layout.classifier)),
             StageId::TrainBaseline => Some(("baseline", &self.layout.baseline)),
             StageId::Generate => Some(("samples", &self.layout.samples)),
