@@ -17,6 +17,7 @@ pub mod nn;
 pub mod store;
 pub mod tensor;
 
+pub mod corpus;
 pub mod model;
 
 pub mod guidance;

@@ -52,9 +52,12 @@ pub(super) enum Command {
     /// Measure generated scenarios, check the quality gates and write the corpus
     #[command(after_help = help::EVALUATE)]
     Evaluate(EvaluateArgs),
-    /// Write a page for people about what was generated
-    #[command(after_help = help::REPORT)]
+    /// Write a page for people about what was generated, or compare two runs
+    #[command(after_help = help::REPORT, mut_arg("output", not_for_comparisons))]
     Report(ReportArgs),
+    /// Check, merge, filter, sample and compare finished corpora
+    #[command(subcommand)]
+    Corpus(CorpusCommand),
     /// Write a corpus in a format that others read: recordings, simulation, scenario databases
     #[command(after_help = help::EXPORT)]
     Export(ExportArgs),
@@ -68,12 +71,99 @@ pub(super) enum TrainCommand {
     /// Train the diffusion model that generates scenarios
     #[command(after_help = help::TRAIN_DENOISER)]
     Denoiser(TrainDenoiserArgs),
+    /// Tune a trained diffusion model to need few evaluations
+    #[command(after_help = help::TRAIN_DISTILL)]
+    Distill(TrainDistillArgs),
     /// Train the classifier that guides generation toward a behavior
     #[command(after_help = help::TRAIN_CLASSIFIER)]
     Classifier(TrainClassifierArgs),
     /// Train Scene Transformer, the baseline to compare the diffusion model with
     #[command(after_help = help::TRAIN_BASELINE)]
     Baseline(TrainBaselineArgs),
+}
+
+#[derive(Debug, Subcommand)]
+pub(super) enum CorpusCommand {
+    /// Check that a corpus is whole, fits together and says what can be
+    #[command(after_help = help::CORPUS_VALIDATE)]
+    Validate(CorpusValidateArgs),
+    /// Put several corpora together
+    #[command(after_help = help::CORPUS_MERGE)]
+    Merge(CorpusMergeArgs),
+    /// Keep the scenarios for which conditions hold
+    #[command(after_help = help::CORPUS_FILTER)]
+    Filter(CorpusFilterArgs),
+    /// Draw scenarios at random
+    #[command(after_help = help::CORPUS_SAMPLE)]
+    Sample(CorpusSampleArgs),
+    /// Say what differs between two corpora
+    #[command(after_help = help::CORPUS_DIFF)]
+    Diff(CorpusDiffArgs),
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct CorpusValidateArgs {
+    /// The folder of the corpus
+    #[arg(value_name = "DIR")]
+    pub(super) corpus: PathBuf,
+    /// Print JSON instead of text
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct CorpusMergeArgs {
+    /// The folders of the corpora, at least two
+    #[arg(value_name = "DIR", required = true)]
+    pub(super) corpora: Vec<PathBuf>,
+    /// The new folder to write
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct CorpusFilterArgs {
+    /// The folder of the corpus
+    #[arg(value_name = "DIR")]
+    pub(super) corpus: PathBuf,
+    /// A condition such as "gap_m < 5" (may be repeated; all must hold)
+    #[arg(long = "where", value_name = "CONDITION", required = true)]
+    pub(super) conditions: Vec<String>,
+    /// The new folder to write
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct CorpusSampleArgs {
+    /// The folder of the corpus
+    #[arg(value_name = "DIR")]
+    pub(super) corpus: PathBuf,
+    /// Number of scenarios
+    #[arg(long, value_name = "N")]
+    pub(super) n: u64,
+    /// A column whose values share the number equally, such as behavior or place
+    #[arg(long, value_name = "COLUMN")]
+    pub(super) by: Option<String>,
+    /// Seed of the draw
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    pub(super) seed: u64,
+    /// The new folder to write
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct CorpusDiffArgs {
+    /// The folder of the one corpus
+    #[arg(value_name = "A")]
+    pub(super) a: PathBuf,
+    /// The folder of the other
+    #[arg(value_name = "B")]
+    pub(super) b: PathBuf,
+    /// Print JSON instead of text
+    #[arg(long)]
+    pub(super) json: bool,
 }
 
 #[derive(Debug, clap::Args)]
@@ -140,6 +230,16 @@ pub(super) struct TrainDenoiserArgs {
 }
 
 #[derive(Debug, clap::Args)]
+pub(super) struct TrainDistillArgs {
+    #[command(flatten)]
+    pub(super) scenes: ScenesArg,
+    #[command(flatten)]
+    pub(super) denoiser: DenoiserArg,
+    #[command(flatten)]
+    pub(super) stage: StageArgs,
+}
+
+#[derive(Debug, clap::Args)]
 pub(super) struct TrainClassifierArgs {
     #[command(flatten)]
     pub(super) scenes: ScenesArg,
@@ -165,6 +265,9 @@ pub(super) struct GenerateArgs {
     pub(super) scenes: ScenesArg,
     #[command(flatten)]
     pub(super) denoiser: DenoiserArg,
+    /// The folder of a distilled denoiser [default: distilled in the output folder]
+    #[arg(long, value_name = "DIR")]
+    pub(super) distilled: Option<PathBuf>,
     /// The folder of a trained classifier [default: classifier in the output folder]
     #[arg(long, value_name = "DIR")]
     pub(super) classifier: Option<PathBuf>,
@@ -179,6 +282,9 @@ pub(super) struct GenerateArgs {
 pub(super) struct EvaluateArgs {
     #[command(flatten)]
     pub(super) scenes: ScenesArg,
+    /// The recorded events, to say how new scenarios are [default: events.parquet in the output folder, where there is one]
+    #[arg(long, value_name = "FILE")]
+    pub(super) events: Option<PathBuf>,
     /// The folder of generated scenarios [default: samples in the output folder]
     #[arg(long, value_name = "DIR")]
     pub(super) samples: Option<PathBuf>,
@@ -191,8 +297,23 @@ pub(super) struct ReportArgs {
     /// The folder with the stages' outputs to report on, such as a run folder [default: the output folder]
     #[arg(long, value_name = "DIR")]
     pub(super) from: Option<PathBuf>,
+    /// Set two runs side by side instead, with their differences
+    #[arg(long, num_args = 2, value_names = ["RUN_A", "RUN_B"], conflicts_with_all = ["from", "config", "set", "dry_run"])]
+    pub(super) compare: Option<Vec<PathBuf>>,
+    /// The page of the comparison [default: comparison.html]
+    #[arg(long, value_name = "FILE", requires = "compare")]
+    pub(super) out: Option<PathBuf>,
     #[command(flatten)]
     pub(super) stage: StageArgs,
+}
+
+/// A comparison names its page itself and writes into no folder of stages.
+fn not_for_comparisons(output: clap::Arg) -> clap::Arg {
+    output.required(false).required_unless_present("compare").default_value_if(
+        "compare",
+        clap::builder::ArgPredicate::IsPresent,
+        ".",
+    )
 }
 
 #[derive(Debug, clap::Args)]

@@ -91,6 +91,7 @@ pub(super) fn record(scene: &Scene) -> ScenarioRecord {
         verified: true,
         events: vec![event],
         recorded_event: false,
+        assessment: None,
     }
 }
 

@@ -5,6 +5,7 @@
 mod architecture;
 mod cli;
 mod config;
+mod corpus;
 mod determinism;
 mod documents;
 mod export;

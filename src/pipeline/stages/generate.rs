@@ -63,6 +63,9 @@ impl Stage for Generate<'_> {
             StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
             StageInput::made_by(StageId::TrainDenoiser, "denoiser", &self.layout.denoiser),
         ];
+        if self.needs_distilled() {
+            inputs.push(StageInput::made_by(StageId::TrainDistill, "distilled", &self.layout.distilled));
+        }
         if self.needs_classifier() {
             inputs.push(StageInput::made_by(StageId::TrainClassifier, "classifier", &self.layout.classifier));
         }
@@ -84,12 +87,21 @@ impl Stage for Generate<'_> {
         if self.needs_classifier() {
             classifiers.push(TrainedClassifier::read(&checkpoint_file(&self.layout.classifier), &device)?);
         }
+        let distilled = match self.needs_distilled() {
+            true => Some(TrainedDenoiser::read(&checkpoint_file(&self.layout.distilled), &device)?),
+            false => None,
+        };
         let baseline = match self.needs_baseline() {
             true => Some(TrainedSceneTransformer::read(&checkpoint_file(&self.layout.baseline), &device)?),
             false => None,
         };
         let behaviors = self.mine.build()?;
-        let models = Models { denoiser: &denoiser, classifiers: &classifiers, baseline: baseline.as_ref() };
+        let models = Models {
+            denoiser: &denoiser,
+            classifiers: &classifiers,
+            distilled: distilled.as_ref(),
+            baseline: baseline.as_ref(),
+        };
         let load = |idx: usize| Ok(store.scene(idx)?);
         let generator = Generator::new(self.config, models, &behaviors, &load, &device)?;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
@@ -107,6 +119,7 @@ impl Stage for Generate<'_> {
             SampledWith {
                 denoiser: denoiser.fingerprint.clone(),
                 classifier: classifiers.first().map(|classifier| classifier.fingerprint.clone()),
+                distilled: distilled.as_ref().map(|distilled| distilled.fingerprint.clone()),
                 baseline: baseline.as_ref().map(|baseline| baseline.fingerprint.clone()),
                 shortfalls: plan.shortfalls,
             },
@@ -127,6 +140,10 @@ impl Generate<'_> {
     /// Unguided sampling needs no classifier, except to rank pairs: there it is used if some sweep is guided.
     fn needs_classifier(&self) -> bool {
         self.config.sweeps.iter().any(generate::SweepConfig::needs_classifier)
+    }
+
+    fn needs_distilled(&self) -> bool {
+        self.config.sweeps.iter().any(generate::SweepConfig::uses_distilled)
     }
 
     fn needs_baseline(&self) -> bool {

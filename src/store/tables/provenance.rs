@@ -121,6 +121,7 @@ pub(crate) fn decode(
         requested_behavior: optional_text("requested_behavior")?,
         verified: columns.flag("verified", row)?,
         recorded_event: columns.flag("recorded_event", row)?,
+        assessment: None,
         events: event_list::decode(columns, row, &scene.id)?,
         scenario: Scenario { id: text("scenario_id")?, scene, observed, provenance },
     })
