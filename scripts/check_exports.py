@@ -199,6 +199,9 @@ def compare_trajectories(etree, export, scenario):
         begin_s = float(event.find(".//SimulationTimeCondition").get("value"))
         vertices = list(action.iter("Vertex"))
         dt_s = float(vertices[1].get("time")) - float(vertices[0].get("time"))
+        positions = [dict(vertex.find(".//WorldPosition").attrib) for vertex in vertices]
+        if len(vertices) == 2 and positions[0] == positions[1]:
+            vertices.pop()  # there for one timestep alone
         for vertex in vertices:
             world = {key: float(value) for key, value in vertex.find(".//WorldPosition").attrib.items()}
             timestep = round((begin_s + float(vertex.get("time"))) / dt_s)

@@ -333,6 +333,9 @@ pub(super) struct ExportArgs {
     /// Only scenarios in which the behavior that was asked for was found
     #[arg(long)]
     pub(super) only_verified: bool,
+    /// Only scenarios that were accepted: verified, valid and no near-duplicates
+    #[arg(long)]
+    pub(super) only_accepted: bool,
     /// Only scenarios for which this behavior was asked for, such as cut_in
     #[arg(long, value_name = "NAME")]
     pub(super) behavior: Option<String>,

@@ -2,6 +2,7 @@
 //!
 //! Their cells are separated by tabs: readers of INTERACTION take every `.csv` for a table of tracks.
 
+use super::selection::is_accepted;
 use super::{Error, Item, Result, Written};
 use crate::store::AtomicFile;
 use std::path::Path;
@@ -26,6 +27,7 @@ impl Index {
             "sweep",
             "requested_behavior",
             "verified",
+            "accepted",
         ];
         let track = ["scenario_id", "track_id", "name", "class", "is_ego", "event_role", "left_out"];
         Ok(Self { scenarios: Table::begin(index, b'\t', &scenarios)?, tracks: Table::begin(tracks, b'\t', &track)? })
@@ -46,6 +48,7 @@ impl Index {
             &record.sweep,
             record.requested_behavior.as_deref().unwrap_or_default(),
             if record.verified { "true" } else { "false" },
+            if is_accepted(record) { "true" } else { "false" },
         ])?;
         for (agent_idx, (track, name)) in scene.tracks.iter().zip(&written.tracks).enumerate() {
             self.tracks.row(&[

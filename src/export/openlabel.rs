@@ -1,5 +1,6 @@
 //! OpenLABEL 1.0: which tags does a scenario have, so that databases of scenarios can find it?
 
+use super::selection::is_accepted;
 use super::{Error, Exporter, Item, Outcome, Result, Written};
 use crate::behavior::{self, BehaviorEvent, EventLabel};
 use crate::scene::Scene;
@@ -85,7 +86,7 @@ fn scenario_tag(item: &Item<'_>) -> Value {
         "scenario",
         &json!({
             "text": text,
-            "boolean": [value("verified", record.verified), value("recorded_event", record.recorded_event)],
+            "boolean": [value("verified", record.verified), value("accepted", is_accepted(record)), value("recorded_event", record.recorded_event)],
             "num": [
                 value("duration_s", rounded(scene.n_timesteps.saturating_sub(1) as f64 * scene.dt_s)),
                 value("present_s", rounded(scene.current_timestep() as f64 * scene.dt_s)),
@@ -173,6 +174,7 @@ fn ontology() -> Value {
                     "ego": "The track around which the scenario is cut out.",
                     "requested_behavior": "The behavior that was asked for.",
                     "verified": "Whether that behavior was found with the roles that were asked for.",
+                    "accepted": "Whether it is verified, valid and no near-duplicate of another.",
                     "recorded_event": "Whether the recording already held it.",
                     "duration_s": "From the first timestep to the last, seconds.",
                     "present_s": "The last observed timestep, seconds after the first; what follows is generated.",

@@ -8,6 +8,8 @@ use serde::Serialize;
 pub struct Selection {
     /// Only scenarios in which the requested behavior was found.
     pub only_verified: bool,
+    /// Only scenarios that were accepted: verified, valid and no near-duplicates.
+    pub only_accepted: bool,
     /// Only those for which this behavior was requested.
     pub behavior: Option<String>,
     /// Only those of this sweep.
@@ -22,6 +24,7 @@ impl Selection {
     /// Whether a scenario passes, whatever its id.
     pub(super) fn wants(&self, record: &ScenarioRecord) -> bool {
         (!self.only_verified || record.verified)
+            && (!self.only_accepted || is_accepted(record))
             && self.behavior.as_ref().is_none_or(|behavior| record.requested_behavior.as_ref() == Some(behavior))
             && self.sweep.as_ref().is_none_or(|sweep| record.sweep == *sweep)
     }
@@ -32,6 +35,9 @@ impl Selection {
         if self.only_verified {
             words.push("verified".to_owned());
         }
+        if self.only_accepted {
+            words.push("accepted".to_owned());
+        }
         words.extend(self.behavior.iter().map(|behavior| format!("asked to hold {behavior}")));
         words.extend(self.sweep.iter().map(|sweep| format!("of sweep {sweep}")));
         if !self.scenario_ids.is_empty() {
@@ -41,10 +47,16 @@ impl Selection {
     }
 }
 
+/// Whether a scenario was accepted; none was in corpora of versions that did not judge.
+pub(super) fn is_accepted(record: &ScenarioRecord) -> bool {
+    record.assessment.as_ref().is_some_and(|assessment| assessment.accepted)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::export::testing;
+    use crate::store::Assessment;
 
     #[test]
     fn each_filter_takes_away_and_all_must_pass() {
@@ -54,6 +66,12 @@ mod tests {
         assert!(all.wants(&record) && all.wants(&unverified));
         let verified = Selection { only_verified: true, ..Selection::default() };
         assert!(verified.wants(&record) && !verified.wants(&unverified));
+        let accepted = Selection { only_accepted: true, ..verified.clone() };
+        let judged = |accepted| {
+            let assessment = Some(Assessment { accepted, ..Assessment::default() });
+            ScenarioRecord { assessment, ..record.clone() }
+        };
+        assert!(accepted.wants(&judged(true)) && !accepted.wants(&judged(false)) && !accepted.wants(&record));
         let behavior = |name: &str| Selection { behavior: Some(name.to_owned()), ..verified.clone() };
         assert!(behavior("cut_in").wants(&record) && !behavior("left_turn").wants(&record));
         let sweep = |name: &str| Selection { sweep: Some(name.to_owned()), ..behavior("cut_in") };

@@ -79,14 +79,25 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
     assert_eq!(ids("two"), [first, third]);
     export("openlabel", "sweep", &["--sweep", "as_recorded"]).expect(0);
     assert_eq!(ids("sweep").len(), index.iter().filter(|row| row["sweep"] == "as_recorded").count());
-    let n_verified = manifest["n_verified"].as_u64().unwrap() as usize;
-    if n_verified == 0 {
-        let outcome = export("openlabel", "verified", &["--only-verified"]).expect(1);
-        assert!(outcome.stderr.contains("none of the") && outcome.stderr.contains("is verified"), "{}", outcome.stderr);
-    } else {
-        export("openlabel", "verified", &["--only-verified"]).expect(0);
-        assert_eq!(ids("verified").len(), n_verified);
+    for verdict in ["verified", "accepted"] {
+        let expected: Vec<&str> =
+            index.iter().filter(|row| row[verdict] == "true").map(|row| row["scenario_id"].as_str()).collect();
+        let option = format!("--only-{verdict}");
+        if expected.is_empty() {
+            let outcome = export("openlabel", verdict, &[&option]).expect(1);
+            let message = format!("none of the {n_scenarios} scenarios");
+            assert!(
+                outcome.stderr.contains(&message) && outcome.stderr.contains(&format!("is {verdict}")),
+                "{}",
+                outcome.stderr
+            );
+        } else {
+            export("openlabel", verdict, &[&option]).expect(0);
+            assert_eq!(ids(verdict), expected);
+        }
     }
+    let n_verified = index.iter().filter(|row| row["verified"] == "true").count();
+    assert_eq!(Some(n_verified as u64), manifest["n_verified"].as_u64());
 
     // The ego can be left to a driving function.
     export("commonroad", "free", &["--free-ego", "--limit", "1"]).expect(0);

@@ -10,6 +10,7 @@ use std::path::Path;
 pub(in crate::cli) fn export(args: &ExportArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
     let selection = Selection {
         only_verified: args.only_verified,
+        only_accepted: args.only_accepted,
         behavior: args.behavior.clone(),
         sweep: args.sweep.clone(),
         scenario_ids: args.scenarios.clone(),

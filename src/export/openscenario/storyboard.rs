@@ -35,7 +35,7 @@ fn begin(actor: &Actor) -> Element {
 }
 
 /// What an actor does: it is added where it comes later, follows its trajectory, and is deleted where it leaves before the
-/// end. `None` where it does nothing.
+/// end. `None` for who is moved by others.
 fn maneuver_group(actor: &Actor, n_timesteps: usize, dt_s: f64) -> Option<Element> {
     if actor.is_free {
         return None;
@@ -47,10 +47,7 @@ fn maneuver_group(actor: &Actor, n_timesteps: usize, dt_s: f64) -> Option<Elemen
         let added = element("AddEntityAction").children(actor.positions().into_iter().take(1));
         events.push(event(&format!("add_{name}"), entity_action(name, added), begin_s));
     }
-    // A polyline has at least two vertices.
-    if actor.states.len() > 1 {
-        events.push(event(&format!("follow_{name}"), follow(actor, dt_s), begin_s));
-    }
+    events.push(event(&format!("follow_{name}"), follow(actor, dt_s), begin_s));
     let end_timestep = actor.first_timestep + actor.states.len();
     if end_timestep < n_timesteps {
         let deleted = entity_action(name, element("DeleteEntityAction"));
@@ -60,7 +57,7 @@ fn maneuver_group(actor: &Actor, n_timesteps: usize, dt_s: f64) -> Option<Elemen
         element("Actors").attr("selectTriggeringEntities", "false").child(element("EntityRef").attr("entityRef", name));
     let maneuver = element("Maneuver").attr("name", format!("maneuver_{name}"));
     let group = element("ManeuverGroup").attr("name", format!("group_{name}")).attr("maximumExecutionCount", 1);
-    (!events.is_empty()).then(|| group.child(actors).child(maneuver.children(events)))
+    Some(group.child(actors).child(maneuver.children(events)))
 }
 
 fn entity_action(name: &str, action: Element) -> Element {
@@ -71,7 +68,13 @@ fn entity_action(name: &str, action: Element) -> Element {
 fn follow(actor: &Actor, dt_s: f64) -> Element {
     let vertex =
         |(i, position): (usize, Element)| element("Vertex").attr("time", number(i as f64 * dt_s)).child(position);
-    let polyline = element("Polyline").children(actor.positions().into_iter().enumerate().map(vertex));
+    let mut positions = actor.positions();
+    // A polyline has at least two vertices, and some players want one of everybody: who is there for one timestep alone stays
+    // where it is for as long.
+    if actor.states.len() == 1 {
+        positions.extend(actor.positions());
+    }
+    let polyline = element("Polyline").children(positions.into_iter().enumerate().map(vertex));
     let trajectory = element("Trajectory")
         .attr("name", format!("trajectory_{}", actor.name))
         .attr("closed", "false")

@@ -124,9 +124,12 @@ fn a_free_ego_has_a_start_and_no_trajectory() {
     let (root, outcome) = written(&scene, EgoMotion::Free);
     assert_eq!(outcome.tracks[0], Ok("Ego".to_owned()));
     assert_eq!((root.below("Private")[0].attr("entityRef"), events(&root, "Ego").len()), ("Ego", 0));
-    // One state alone is no trajectory: it is shown for a timestep.
+    // Who has one state alone stays there for a timestep.
     let brief = without_states(scene, 1, |timestep| timestep != 5);
     let (root, _) = written(&brief, EgoMotion::Free);
     let names: Vec<String> = events(&root, "track_2").into_iter().map(|(name, ..)| name).collect();
-    assert_eq!(names, ["add_track_2", "delete_track_2"]);
+    assert_eq!(names, ["add_track_2", "follow_track_2", "delete_track_2"]);
+    let vertices = events(&root, "track_2")[1].2.below("Vertex");
+    let times: Vec<f64> = vertices.iter().map(|vertex| vertex.attr_number("time")).collect();
+    assert_eq!((times, place(vertices[0].at("Position"))), (vec![0.0, 0.1], place(vertices[1].at("Position"))));
 }
