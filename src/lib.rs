@@ -17,6 +17,7 @@ pub mod nn;
 pub mod store;
 pub mod tensor;
 
+pub mod corpus;
 pub mod model;
 
 pub mod guidance;
@@ -24,6 +25,7 @@ pub mod guidance;
 pub mod generate;
 pub mod train;
 
+pub mod export;
 pub mod report;
 
 pub mod pipeline;

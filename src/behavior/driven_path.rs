@@ -40,6 +40,21 @@ impl DrivenPath {
         self.polyline.project(point)
     }
 
+    /// Where the agent's center is, and where it points, after it has driven `driven_m` along the path. Past the end it goes straight on.
+    pub(crate) fn pose_at(&self, driven_m: f64) -> (Vec2, f64) {
+        let mut left_m = (driven_m + EXTENSION_M).max(0.0);
+        let mut end = (Vec2::ZERO, 0.0);
+        for pair in self.polyline.0.windows(2) {
+            let (along, length_m) = (pair[1] - pair[0], pair[0].distance(pair[1]));
+            if left_m <= length_m && length_m > 0.0 {
+                return (pair[0].lerp(pair[1], left_m / length_m), along.angle());
+            }
+            left_m -= length_m;
+            end = (pair[1], along.angle());
+        }
+        (end.0 + Vec2::from_angle(end.1) * left_m, end.1)
+    }
+
     /// Distance along the path from the agent's front bumper to the nearest part of `body`, metres; negative
     /// where they are alongside each other.
     pub(crate) fn gap_m(&self, body: &OrientedBox) -> Option<f64> {
@@ -82,6 +97,19 @@ mod tests {
         // Beyond the last position the path runs straight on.
         assert!((path.gap_m(&body(10.0, 27.0)).expect("on the path") - 31.0).abs() < 1e-9);
         assert!(DrivenPath::from(&corner_track(), 30).is_none());
+    }
+
+    #[test]
+    fn poses_follow_the_path_and_go_on_straight() {
+        let path = DrivenPath::from(&corner_track(), 2).expect("tracked");
+        let near = |driven_m: f64, x: f64, y: f64, heading_rad: f64| {
+            let (point, heading) = path.pose_at(driven_m);
+            point.distance(Vec2::new(x, y)) < 1e-9 && (heading - heading_rad).abs() < 1e-9
+        };
+        let north = std::f64::consts::FRAC_PI_2;
+        assert!(near(0.0, 2.0, 0.0, 0.0) && near(5.0, 7.0, 0.0, 0.0) && near(11.0, 10.0, 3.0, north));
+        // The last position is 9 m up; the straight end is 50 m long, and goes on.
+        assert!(near(27.0, 10.0, 19.0, north) && near(108.0, 10.0, 100.0, north));
     }
 
     #[test]

@@ -5,7 +5,7 @@
 
 mod agent_filter;
 mod cut_in;
-mod driven_path;
+pub(crate) mod driven_path;
 mod event;
 pub(crate) mod footprint;
 mod hard_brake;

@@ -17,8 +17,8 @@ Exit codes:
 
 /// Of `run`.
 pub(super) const RUN: &str = "\
-A pipeline file has one section a stage: [ingest], [mine], [train.denoiser], [train.classifier],
-[train.baseline], [generate], [evaluate], [report]. The stages whose sections are there run, in this order. Relative paths in it are relative to the
+A pipeline file has one section a stage: [ingest], [mine], [train.denoiser], [train.distill],
+[train.classifier], [train.baseline], [generate], [evaluate], [report]. The stages whose sections are there run, in this order. Relative paths in it are relative to the
 current directory. Results go to <output>/<pipeline>/<run>/; stages whose configuration and inputs did not change are
 not run again.
 
@@ -47,6 +47,15 @@ Examples:
   djinn train denoiser --config pipelines/cut_in_corpus.toml --output output/try
   djinn train denoiser --scenes output/argoverse1/scenes --set train.denoiser.preset=tiny --output output/try";
 
+/// Of `train distill`.
+pub(super) const TRAIN_DISTILL: &str = "\
+The result has the same network, and samples in one to three evaluations:
+sweeps with model = \"distilled\" and sampler = { kind = \"consistency\", levels = [0.8] }.
+
+Examples:
+  djinn train distill --config pipelines/few_evaluations.toml --output output/try
+  djinn train distill --denoiser checkpoints/small --scenes output/argoverse1/scenes --output output/try";
+
 /// Of `train classifier`.
 pub(super) const TRAIN_CLASSIFIER: &str = "\
 Example:
@@ -72,8 +81,67 @@ Example:
 
 /// Of `report`.
 pub(super) const REPORT: &str = "\
+Writes report.html, one file that needs no network, and figures/ with its charts and scenes as SVG. A comparison needs two
+run folders: settings that differ, yield, metrics and realism side by side.
+
+Examples:
+  djinn report --from output/cut_in_corpus/main --output output/try
+  djinn report --compare output/cut_in_corpus/main output/cut_in_corpus/more --out comparison.html";
+
+/// Of `export`.
+pub(super) const EXPORT: &str = "\
+Beside the files, index.tsv and tracks.tsv lead back to the corpus, and NOTICE.txt names the sources and their terms, which
+hold for the export, too. What a format cannot hold is left out, counted by reason in export.json, and told.
+
+Examples:
+  djinn export openscenario output/quickstart/main/corpus --only-verified --out output/xosc
+  djinn export commonroad output/quickstart/main/corpus --limit 10 --free-ego --out output/commonroad
+  python scripts/check_exports.py output/xosc        reads an export with the readers of its format";
+
+/// Of `corpus validate`.
+pub(super) const CORPUS_VALIDATE: &str = "\
+Checks sizes, checksums, schemas and counts, that ids are unique, that states, lanes and recordings belong to scenarios,
+that numbers are numbers and possible, and that no file is there that queries would read by mistake. Findings go to
+stdout with file and row (from 0); the exit code is 1 when the corpus is damaged. Remarks are no damage.
+
+Examples:
+  djinn corpus validate output/quickstart/main/corpus
+  djinn corpus validate output/quickstart/main/corpus --json | jq .by_check";
+
+/// Of `corpus merge`.
+pub(super) const CORPUS_MERGE: &str = "\
+A scenario that several corpora hold comes once; one that differs between them is refused. Recordings, maps, metric values
+of scenarios and the terms of all sources come along. Corpora of earlier versions are read, too, and become present ones.
+
 Example:
-  djinn report --from output/cut_in_corpus/main --output output/try";
+  djinn corpus merge output/cut_ins/main/corpus output/near_misses/main/corpus --out output/all";
+
+/// Of `corpus filter`.
+pub(super) const CORPUS_FILTER: &str = "\
+A condition is a column of `scenarios`, an operator and a value. Operators: =, !=, <, <=, >, >=, in (a, b), not in (a, b),
+is missing, is present. A flag may stand alone: verified, not recorded_event. A missing value fulfils no comparison.
+
+Examples:
+  djinn corpus filter output/quickstart/main/corpus --where verified --where \"gap_m < 5\" --out output/tight
+  djinn corpus filter output/all --where \"behavior in (cut_in, near_miss)\" --where \"place != PIT\" --out output/some";
+
+/// Of `corpus sample`.
+pub(super) const CORPUS_SAMPLE: &str = "\
+The same seed draws the same scenarios, whatever their order, and a larger number draws more beside them. With --by, each
+value of the column gets the same number of scenarios as far as it has so many.
+
+Examples:
+  djinn corpus sample output/all --n 1000 --out output/thousand
+  djinn corpus sample output/all --n 60 --by behavior --seed 7 --out output/balanced";
+
+/// Of `corpus diff`.
+pub(super) const CORPUS_DIFF: &str = "\
+Counts by behavior and place, scenarios that only one corpus holds or that changed and in which columns, and shifts of
+distributions. The comparison goes to stdout; the exit code is 0 whether or not there are differences.
+
+Examples:
+  djinn corpus diff output/quickstart/before/corpus output/quickstart/main/corpus
+  djinn corpus diff output/a output/b --json | jq .n_changed";
 
 /// Of `regenerate`.
 pub(super) const REGENERATE: &str = "\

@@ -25,6 +25,9 @@ pub fn main() -> ExitCode {
     tell_of_panics_that_are_not_contained();
     let outcome = match &args.command {
         Command::Run(run) => commands::run(run, &args.output, &printer),
+        Command::Corpus(corpus) => commands::corpus(corpus, &args.output, &printer),
+        Command::Export(export) => commands::export(export, &args.output, &printer),
+        Command::Report(report) => commands::report(report, &args.command, &args.output, &printer),
         Command::Regenerate(regenerate) => commands::regenerate(regenerate, &args.output, &printer),
         Command::Inspect(inspect) => commands::inspect(inspect, &printer),
         stage => commands::stage(stage, &args.output, &printer),

@@ -2,6 +2,7 @@
 
 use super::conditioning::Conditioned;
 use super::{Error, Generator, SweepConfig};
+use crate::diffusion::SamplerConfig;
 use crate::model::TrainedSceneTransformer;
 use crate::scene::Scene;
 use crate::tensor::{FutureValidity, SceneView};
@@ -17,6 +18,8 @@ pub enum SweepModel {
     /// The denoiser: samples are independent draws, as many as wanted.
     #[default]
     Denoiser,
+    /// The denoiser of `[train.distill]`, in few evaluations: with `sampler = { kind = "consistency" }`.
+    Distilled,
     /// Scene Transformer of `[train.baseline]`: samples are its joint futures, the likeliest first, with their probabilities.
     Baseline,
 }
@@ -27,6 +30,11 @@ pub(super) const GUIDANCE_KIND: &str = "scene_transformer";
 pub(super) const SAMPLER: &str = "forward-1";
 
 impl SweepConfig {
+    /// Whether its samples are of the distilled denoiser.
+    pub fn uses_distilled(&self) -> bool {
+        self.model == SweepModel::Distilled
+    }
+
     /// Whether its samples are joint futures of the baseline.
     pub fn uses_baseline(&self) -> bool {
         self.model == SweepModel::Baseline
@@ -40,6 +48,12 @@ impl SweepConfig {
             (self.classifier_free.is_some(), "classifier_free"),
             (self.edit.is_some(), "edit"),
         ];
+        let is_consistency = matches!(self.sampler, Some(SamplerConfig::Consistency(_)));
+        if self.model == SweepModel::Denoiser && is_consistency {
+            return Err("sampler.kind = \"consistency\" makes blurred samples of an ordinary denoiser; use it with \
+                        model = \"distilled\""
+                .to_owned());
+        }
         match beyond.iter().find(|(is_asked, _)| self.uses_baseline() && *is_asked) {
             Some((_, what)) => Err(format!(
                 "model = \"baseline\" cannot be combined with {what}: Scene Transformer predicts in one pass, in which nothing \

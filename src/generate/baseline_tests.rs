@@ -53,7 +53,7 @@ fn baseline() -> TrainedSceneTransformer {
 fn generate(toml: &str, baseline: Option<&TrainedSceneTransformer>) -> Result<Vec<ScenarioRecord>, Error> {
     let (denoiser, config) = (denoiser(0), config(toml));
     let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
-    let models = Models { denoiser: &denoiser, classifiers: &[], baseline };
+    let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline };
     let generator = Generator::new(&config, models, &behaviors, &load, &Device::Cpu)?;
     let plan = generator.plan(&index(4))?;
     let mut records = Vec::new();

@@ -2,7 +2,7 @@
 
 use super::observe::{MaskRule, Subject, rule_mask, validate_rules};
 use super::{Cell, Error, Generator, SweepConfig};
-use crate::diffusion::{Edm, NoiseSource};
+use crate::diffusion::{Edm, NoiseSource, SamplerConfig};
 use crate::geometry::Vec2;
 use crate::scene::{AgentRef, ObservationMask, Scene, SceneEdit, State, Trajectory};
 use crate::seed::Seed;
@@ -117,12 +117,12 @@ impl SweepConfig {
 }
 
 impl EditConfig {
-    /// Noise levels of `n_steps` steps from τ. At or below the smallest level of a schedule there is one step, to 0.
-    pub(super) fn schedule(&self, edm: &Edm, n_steps: usize) -> Vec<f64> {
+    /// Noise levels of the sampler's steps from τ. At or below the smallest level of a schedule there is one step, to 0.
+    pub(super) fn schedule(&self, edm: &Edm, sampler: &SamplerConfig) -> Vec<f64> {
         match self.tau {
             0.0 => vec![0.0],
             tau if tau <= edm.sigma_min => vec![tau, 0.0],
-            tau => edm.schedule_from(tau, n_steps),
+            tau => sampler.schedule(edm, tau),
         }
     }
 

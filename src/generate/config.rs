@@ -59,8 +59,8 @@ impl Default for GenerateConfig {
 pub struct SweepConfig {
     /// Name, unique among the sweeps.
     pub name: String,
-    /// Where samples come from: `denoiser`, or `baseline` to compare with. The baseline has as many samples as joint futures at
-    /// most, is not guided, and edits nothing.
+    /// Where samples come from: `denoiser`, `distilled` for the one that needs few evaluations, or `baseline` to compare with.
+    /// The baseline has as many samples as joint futures at most, is not guided, and edits nothing.
     #[serde(default)]
     pub model: SweepModel,
     /// Number of scenes to continue.
@@ -171,11 +171,10 @@ impl GenerateConfig {
     /// When there is one.
     pub fn validate(&self) -> Result<(), Error> {
         let refuse = |key: &str, why: &str| Err(Error::Config(format!("generate.{key} {why}")));
-        for (key, value) in [
-            ("sampler.n_steps", self.sampler.n_steps()),
-            ("batch_size", self.batch_size),
-            ("scenes_per_shard", self.scenes_per_shard),
-        ] {
+        if let Err(why) = self.sampler.validate() {
+            return refuse("", &why);
+        }
+        for (key, value) in [("batch_size", self.batch_size), ("scenes_per_shard", self.scenes_per_shard)] {
             if value == 0 {
                 return refuse(key, "is 0, expected at least 1");
             }
@@ -216,7 +215,6 @@ impl SweepConfig {
 
     pub(super) fn validate(&self) -> Result<(), String> {
         let positive = [
-            ("sampler.n_steps", self.sampler.as_ref().map_or(1, SamplerConfig::n_steps) as f64),
             ("n_scenes", self.n_scenes as f64),
             ("n_samples", self.n_samples as f64),
             ("strengths (their number)", self.strengths.len() as f64),
@@ -230,6 +228,9 @@ impl SweepConfig {
         }
         if let Some(strength) = self.strengths.iter().find(|strength| !strength.is_finite()) {
             return Err(format!("({}): a strength is {strength}, expected a number", self.name));
+        }
+        if let Some(sampler) = &self.sampler {
+            sampler.validate().map_err(|why| format!("({}): {why}", self.name))?;
         }
         self.check_model().map_err(|why| format!("({}): {why}", self.name))?;
         self.check_guidance().map_err(|why| format!("({}): {why}", self.name))?;

@@ -19,6 +19,8 @@ pub struct Models<'a> {
     pub denoiser: &'a TrainedDenoiser,
     /// Classifiers, at most one for each behavior.
     pub classifiers: &'a [TrainedClassifier],
+    /// The distilled denoiser, for the sweeps that ask for it; of the same shape and scales.
+    pub distilled: Option<&'a TrainedDenoiser>,
     /// The baseline, for the sweeps that ask for it.
     pub baseline: Option<&'a TrainedSceneTransformer>,
 }
@@ -63,6 +65,21 @@ impl<'a> Generator<'a> {
         &self.models.denoiser.spec
     }
 
+    /// The denoiser that a sweep samples from.
+    ///
+    /// # Errors
+    /// When the distilled one is asked for and there is none.
+    pub(super) fn denoiser(&self, sweep: &SweepConfig) -> Result<&'a TrainedDenoiser, Error> {
+        match (sweep.uses_distilled(), self.models.distilled) {
+            (false, _) => Ok(self.models.denoiser),
+            (true, Some(distilled)) => Ok(distilled),
+            (true, None) => Err(Error::Config(format!(
+                "sweep {}: model = \"distilled\" needs a distilled denoiser; add a section [train.distill]",
+                sweep.name
+            ))),
+        }
+    }
+
     /// The behavior that a sweep asks for.
     pub(super) fn behavior(&self, sweep: &SweepConfig) -> Option<&'a dyn Behavior> {
         let id = sweep.behavior.as_deref()?;
@@ -99,8 +116,24 @@ impl<'a> Generator<'a> {
         Ok(scene)
     }
 
+    /// Refuses a distilled denoiser that is not of the denoiser's kind: scenes would mean something else to it.
+    fn check_distilled(&self, sweep: &SweepConfig) -> Result<(), Error> {
+        let (own, spec) = (&self.denoiser(sweep)?.spec, self.spec());
+        let is_alike = own.edm == spec.edm
+            && (own.n_history, own.n_timesteps) == (spec.n_history, spec.n_timesteps)
+            && same_scales(&own.normalizer, &spec.normalizer);
+        match is_alike {
+            true => Ok(()),
+            false => Err(Error::Config(format!(
+                "sweep {}: the distilled denoiser has other scales or timesteps than the denoiser; distill it again from this one",
+                sweep.name
+            ))),
+        }
+    }
+
     fn check(&self, sweep: &SweepConfig) -> Result<(), Error> {
         self.check_baseline(sweep)?;
+        self.check_distilled(sweep)?;
         let sigma_max = self.spec().edm.sigma_max;
         if let Some(edit) = sweep.edit.as_ref().filter(|edit| edit.tau > sigma_max) {
             let tau = edit.tau;

@@ -8,7 +8,7 @@ use super::{Cell, ClassifierFreeConfig, Error, Generator, Level, ShardPlan, Swee
 use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::progress::Progress;
-use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, SceneId};
+use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, SceneId, TrackId};
 use crate::seed::Seed;
 use crate::store::{ScenarioRecord, as_stored};
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
@@ -116,7 +116,9 @@ impl Generator<'_> {
             }
         }
         for (((cell, scene), given), sampled) in shard.cells.iter().zip(&scenes).zip(&conditioned).zip(sampled) {
-            for Sampled { level, sample_idx, draw } in select(sweep, scene, sampled, &mut output.unselected) {
+            for Sampled { level, sample_idx, draw } in
+                select(sweep, (scene, &cell.roles), sampled, &mut output.unselected)
+            {
                 match draw {
                     Ok(draw) => {
                         let scenario = (&draw.scene, given.observed(&draw.scene));
@@ -168,7 +170,8 @@ impl Generator<'_> {
         let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
         let tensors = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
         let n_samples = batch.samples.len();
-        let bound = self.models.denoiser.denoiser.bind(&tensors, n_samples)?;
+        let denoiser = self.denoiser(batch.sweep)?;
+        let bound = denoiser.denoiser.bind(&tensors, n_samples)?;
         let wanted = match batch.sweep.classifier_free.as_ref().filter(|_| batch.level.weight != 0.0) {
             Some(config) => Some(self.wanted_states(config, batch, &tensors)?),
             None => None,
@@ -188,7 +191,7 @@ impl Generator<'_> {
         let x = match wanted {
             Some(extended) => {
                 let change = MaskChange::new(&tensors, &extended)?;
-                let conditional = self.models.denoiser.denoiser.bind(&extended, 1)?;
+                let conditional = denoiser.denoiser.bind(&extended, 1)?;
                 let leaning = ClassifierFreeDenoiser {
                     unconditional: &bound,
                     conditional: &conditional,
@@ -245,11 +248,11 @@ impl Generator<'_> {
         let mut noise = NoiseSource::new(seeds.collect());
         let row_dims = &tensors.x0.dims()[1..];
         let mut observer = |step: &Step<'_>| progress.note(&format!("step {} of {}", step.step_idx + 1, step.n_steps));
-        let edm = self.models.denoiser.denoiser.edm();
+        let edm = &self.spec().edm;
         let sampler = batch.sweep.sampler(self.config);
         if let Some(edit) = batch.sweep.edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
             let x = noisy_guide(edit, &tensors.x0, &mut noise)?;
-            let sigmas = edit.schedule(edm, sampler.n_steps());
+            let sigmas = edit.schedule(edm, sampler);
             return Ok(sampler.integrate(&sigmas, denoiser, x, &mut noise, &mut observer)?);
         }
         Ok(sampler.sample(edm, denoiser, row_dims, &tensors.x0, &mut noise, &mut observer)?)
@@ -268,7 +271,7 @@ impl Generator<'_> {
             Some(model) => (&model.fingerprint, baseline::GUIDANCE_KIND.to_owned(), baseline::SAMPLER.to_owned()),
             None => {
                 let kind = self.guidance_kind(sweep, level);
-                (&self.models.denoiser.fingerprint, kind, sweep.sampler(self.config).name())
+                (&self.denoiser(sweep)?.fingerprint, kind, sweep.sampler(self.config).name())
             }
         };
         let provenance = Provenance {
@@ -297,6 +300,7 @@ impl Generator<'_> {
             verified: verdict.verified,
             events: verdict.events,
             recorded_event: verdict.recorded_event,
+            assessment: None,
             shard: 0,
             request: None,
         })
@@ -328,7 +332,7 @@ fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
 /// The samples of one cell without those that the sweep's selection leaves out, strength by strength.
 fn select(
     sweep: &SweepConfig,
-    recorded: &Scene,
+    (recorded, asked): (&Scene, &[(String, TrackId)]),
     sampled: Vec<Sampled>,
     unselected: &mut BTreeMap<String, u64>,
 ) -> Vec<Sampled> {
@@ -338,7 +342,7 @@ fn select(
         let (places, candidates): (Vec<usize>, Vec<Candidate<'_>>) = (sampled.iter().enumerate())
             .filter(|(_, sample)| sample.level == level)
             .filter_map(|(place, sample)| Some((place, sample.draw.as_ref().ok()?)))
-            .map(|(place, draw)| (place, Candidate { scene: &draw.scene, objectives: &draw.wishes }))
+            .map(|(place, draw)| (place, Candidate { scene: &draw.scene, objectives: &draw.wishes, asked }))
             .unzip();
         for (place, verdict) in places.into_iter().zip(select.verdicts(recorded, &candidates)) {
             left_out[place] = verdict;

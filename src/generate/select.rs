@@ -1,7 +1,7 @@
 //! Which samples become scenarios? Rejection by limits of metrics and objectives, and the best of many.
 
 use crate::metrics::{ALL, Direction, SampleGroup, by_id};
-use crate::scene::Scene;
+use crate::scene::{Scene, TrackId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -39,13 +39,16 @@ pub(super) struct Candidate<'a> {
     pub(super) scene: &'a Scene,
     /// The value of each objective of the sweep, with its kind.
     pub(super) objectives: &'a [(&'static str, f64)],
+    /// Who was asked to show something, as (role, track).
+    pub(super) asked: &'a [(String, TrackId)],
 }
 
 impl Candidate<'_> {
     /// The value of what a selection names, of which less is better; `None` where it is not defined for the sample.
     fn cost(&self, id: &str, recorded: &Scene) -> Option<f64> {
         if let Some(metric) = by_id(id) {
-            let group = SampleGroup::equally_likely(recorded, std::slice::from_ref(self.scene));
+            let alone = SampleGroup::equally_likely(recorded, std::slice::from_ref(self.scene));
+            let group = SampleGroup { asked: self.asked, ..alone };
             return metric.evaluate(&group).map(|value| as_cost(id, value));
         }
         let named = self.objectives.iter().filter(|(kind, _)| id == ALL_OBJECTIVES || id == *kind);
@@ -146,7 +149,7 @@ mod tests {
     }
 
     fn candidates(samples: &[Scene]) -> Vec<Candidate<'_>> {
-        samples.iter().map(|scene| Candidate { scene, objectives: &[] }).collect()
+        samples.iter().map(|scene| Candidate { scene, objectives: &[], asked: &[] }).collect()
     }
 
     fn select(toml: &str) -> SelectConfig {
@@ -189,7 +192,7 @@ mod tests {
             &[("goal", -0.2), ("no_collision", -2.0), ("goal", -0.2)],
         ];
         let samples: Vec<Candidate<'_>> =
-            scenes.iter().zip(values).map(|(scene, objectives)| Candidate { scene, objectives }).collect();
+            scenes.iter().zip(values).map(|(scene, objectives)| Candidate { scene, objectives, asked: &[] }).collect();
         let kept = |toml: &str| -> Vec<usize> {
             let verdicts = select(toml).verdicts(&recorded, &samples);
             (0..4).filter(|i| verdicts[*i].is_none()).collect()

@@ -105,7 +105,7 @@ pub(super) fn load(scene_idx: usize) -> Result<Scene, Box<dyn std::error::Error 
 /// Calls `use_it` with a generator for `config`, and returns what it returns.
 pub(super) fn with_generator<T>(config: &GenerateConfig, n_nan: usize, use_it: impl FnOnce(&Generator<'_>) -> T) -> T {
     let (denoiser, classifiers) = (denoiser(n_nan), [classifier()]);
-    let models = Models { denoiser: &denoiser, classifiers: &classifiers, baseline: None };
+    let models = Models { denoiser: &denoiser, classifiers: &classifiers, distilled: None, baseline: None };
     let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
     use_it(&Generator::new(config, models, &behaviors, &load, &Device::Cpu).unwrap())
 }
@@ -116,7 +116,7 @@ pub(super) fn with_generator_result<T>(
     use_it: impl FnOnce(&Generator<'_>) -> Result<T, Error>,
 ) -> Result<T, Error> {
     let (denoiser, classifiers) = (denoiser(0), [classifier()]);
-    let models = Models { denoiser: &denoiser, classifiers: &classifiers, baseline: None };
+    let models = Models { denoiser: &denoiser, classifiers: &classifiers, distilled: None, baseline: None };
     let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
     use_it(&Generator::new(config, models, &behaviors, &load, &Device::Cpu)?)
 }

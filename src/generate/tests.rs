@@ -188,7 +188,7 @@ fn models_must_fit_each_other_and_the_sweeps() {
     let refusal = |toml: &str, classifiers: &[TrainedClassifier]| {
         let (denoiser, config) = (denoiser(0), config(toml));
         let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
-        let models = Models { denoiser: &denoiser, classifiers, baseline: None };
+        let models = Models { denoiser: &denoiser, classifiers, distilled: None, baseline: None };
         Generator::new(&config, models, &behaviors, &load, &Device::Cpu).err().map(|error| error.to_string())
     };
     assert_eq!(refusal(SWEEPS, &[classifier()]), None);

@@ -31,7 +31,7 @@ impl Metric for CollisionRate {
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
-        let is_hit = |sample: &Scene| vec![sample.has_future() && collides(sample).contains(&true)];
+        let is_hit = |sample: &Scene| vec![sample.has_future() && !collisions(sample).is_empty()];
         group.share_over_samples(is_hit).filter(|_| group.recorded.has_future())
     }
 }
@@ -51,31 +51,49 @@ impl Metric for AgentCollisionRate {
     }
 }
 
-/// For every agent tracked at present whether it collides.
-fn collides(scene: &Scene) -> Vec<bool> {
-    let agents: Vec<(Option<Sweep>, bool)> =
-        present_agents(scene).map(|i| (Sweep::new(&scene.tracks[i]), is_moving(scene, i))).collect();
-    let mut collides = vec![false; agents.len()];
-    for (i, (first, first_moves)) in agents.iter().enumerate() {
-        for (j, (second, second_moves)) in agents.iter().enumerate().skip(i + 1) {
-            let Some((first, second)) = first.as_ref().zip(second.as_ref()) else { continue };
-            if (*first_moves || *second_moves) && collide(scene, first, second) {
-                collides[i] = true;
-                collides[j] = true;
+/// Two agents that collide.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Collision {
+    /// Their indices, in order.
+    pub(super) pair: [usize; 2],
+    /// The first timestep at which their boxes overlap.
+    pub(super) timestep: usize,
+}
+
+/// The collisions among the agents tracked at present, pair by pair.
+pub(super) fn collisions(scene: &Scene) -> Vec<Collision> {
+    let agents: Vec<(usize, Sweep, bool)> =
+        present_agents(scene).filter_map(|i| Some((i, Sweep::new(&scene.tracks[i])?, is_moving(scene, i)))).collect();
+    let mut found = Vec::new();
+    for (at, (i, first, first_moves)) in agents.iter().enumerate() {
+        for (j, second, second_moves) in &agents[at + 1..] {
+            if (*first_moves || *second_moves)
+                && let Some(timestep) = first_contact(scene, first, second)
+            {
+                found.push(Collision { pair: [*i, *j], timestep });
             }
         }
     }
-    collides
+    found
 }
 
-fn collide(scene: &Scene, first: &Sweep, second: &Sweep) -> bool {
+/// For every agent tracked at present whether it collides.
+fn collides(scene: &Scene) -> Vec<bool> {
+    let found = collisions(scene);
+    present_agents(scene).map(|i| found.iter().any(|collision| collision.pair.contains(&i))).collect()
+}
+
+fn first_contact(scene: &Scene, first: &Sweep, second: &Sweep) -> Option<usize> {
     let present = scene.current_timestep();
-    let overlap =
-        |timesteps: std::ops::Range<usize>| first.both_at(second, timesteps).any(|(_, one, other)| one.overlaps(other));
-    first.may_come_within(second, 0.0) && overlap(future(scene)) && !overlap(present..present + 1)
+    let overlap = |timesteps: std::ops::Range<usize>| {
+        first.both_at(second, timesteps).find(|(_, one, other)| one.overlaps(other)).map(|(timestep, _, _)| timestep)
+    };
+    let timestep = first.may_come_within(second, 0.0).then(|| overlap(future(scene))).flatten()?;
+    overlap(present..present + 1).is_none().then_some(timestep)
 }
 
-fn is_moving(scene: &Scene, agent_idx: usize) -> bool {
+/// Whether an agent leaves its place at present, and is nothing that cannot move.
+pub(super) fn is_moving(scene: &Scene, agent_idx: usize) -> bool {
     let Some(start) = scene.state(agent_idx, scene.current_timestep()) else { return false };
     scene.tracks[agent_idx].class != AgentClass::Static
         && future(scene)

@@ -49,6 +49,29 @@ impl Histogram {
         (self.n() > 0).then(|| self.sum / self.n() as f64)
     }
 
+    /// The range that holds all values but a share of `beyond` at either end, to a bin's width, rounded outwards. Its ends are infinite
+    /// where they fall into the first or last bin, which hold whatever is beyond. `None` of nothing.
+    pub fn central_range(&self, beyond: f64) -> Option<[f64; 2]> {
+        let n = self.n() as f64;
+        let width = (self.range[1] - self.range[0]) / N_BINS as f64;
+        let mut before = 0.0;
+        let bin_at = |share: f64, before: &mut f64| {
+            self.counts.iter().position(|count| {
+                *before += *count as f64;
+                *before > share * n || *before >= n
+            })
+        };
+        let low = bin_at(beyond, &mut before)?;
+        before = 0.0;
+        let high = bin_at(1.0 - beyond, &mut before)?;
+        let edge = |bin: usize| self.range[0] + bin as f64 * width;
+        (n > 0.0).then(|| {
+            let low = if low == 0 { f64::NEG_INFINITY } else { edge(low) };
+            let high = if high + 1 == N_BINS { f64::INFINITY } else { edge(high + 1) };
+            [low, high]
+        })
+    }
+
     /// Wasserstein-1 distance in the quantity's unit: the area between the cumulative distributions, with the values of a bin spread
     /// evenly over it. That is off by a bin's width (1/400 of the range) at most, and values beyond the range are moved to
     /// its ends first. `None` where either is empty.
@@ -117,6 +140,18 @@ mod tests {
         // difference goes from 0 to -½, to ½, to 0, with mean sizes ¼, ¼ and ¼.
         let (a, b) = (of([0.0, 40.0], [10.05]), of([0.0, 40.0], [9.95, 10.15]));
         assert!((a.wasserstein(&b).expect("values") - 0.075).abs() < 1e-9);
+    }
+
+    #[test]
+    fn central_ranges_leave_out_the_ends() {
+        // 1000 values of 5.005, 5.015, …, 14.995: a hundredth at either end are ten values, 0.1.
+        let evenly = of([0.0, 40.0], (0..1000).map(|i| 5.005 + f64::from(i) / 100.0));
+        let [low, high] = evenly.central_range(0.01).expect("values");
+        assert!((low - 5.1).abs() < 1e-9 && (high - 14.9).abs() < 0.11, "{low} {high}");
+        assert_eq!(of([0.0, 40.0], [0.01, 39.99]).central_range(0.01), Some([f64::NEG_INFINITY, f64::INFINITY]));
+        assert_eq!(of([0.0, 40.0], []).central_range(0.01), None);
+        let one = of([0.0, 40.0], [7.25]).central_range(0.001).expect("a value");
+        assert!((one[0] - 7.2).abs() < 1e-9 && (one[1] - 7.3).abs() < 1e-9);
     }
 
     #[test]

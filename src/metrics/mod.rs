@@ -22,9 +22,11 @@
 
 mod actor_world;
 mod aggregate;
+mod careful_driver;
 mod circles;
 mod collision_rate;
 mod constant_velocity;
+mod criticality;
 mod displacement;
 mod drivable_area;
 mod histogram;
@@ -39,17 +41,22 @@ mod miss_rate;
 mod mixture;
 mod modes;
 mod motion;
+mod novelty;
 mod offroad_rate;
+mod plausibility;
 mod probability_penalty;
 mod probable_miss_rate;
 mod road;
 mod sample_group;
 mod spec;
+mod validity;
 
 pub use actor_world::ActorWorld;
 pub use aggregate::Aggregate;
+pub use careful_driver::{CarefulDriverConfig, CutInJudgment, PreventableRate};
 pub use collision_rate::{AgentCollisionRate, CollisionRate};
 pub use constant_velocity::constant_velocity;
+pub use criticality::{PairCriticality, PairMetric, SceneCriticality, SceneMetric};
 pub use displacement::ScoredAgents;
 pub use drivable_area::DrivableAreaCompliance;
 pub use histogram::Histogram;
@@ -64,11 +71,14 @@ pub use miss_rate::MissRate;
 pub use mixture::{Component, Mixture, MixtureOptions};
 pub use modes::{ModeFit, Modes, ModesConfig, ModesOf, Representative};
 pub use motion::{MOTION, MotionHistograms, MotionQuantity};
+pub use novelty::{EventSpace, PairPath, PathIndex};
 pub use offroad_rate::OffroadRate;
+pub use plausibility::RecordedRanges;
 pub use probability_penalty::{Displacement, PenalizedMinimum, Penalty};
 pub use probable_miss_rate::ProbableMissRate;
 pub use sample_group::SampleGroup;
 pub use spec::{Direction, MetricSpec};
+pub use validity::{Check, Judged, LocalFit, ValidityConfig, ValidityRate, Violation};
 
 /// A figure of merit of the samples of one scene.
 pub trait Metric: Send + Sync {
@@ -116,6 +126,15 @@ pub static ALL: &[&dyn Metric] = &[
     &OffroadRate,
     &AccelerationViolationRate,
     &JerkViolationRate,
+    &ValidityRate { limits: None },
+    &PairMetric::MinTtc,
+    &PairMetric::MaxDrac,
+    &PairMetric::MinHeadway,
+    &PairMetric::Pet,
+    &PairMetric::MinDistance,
+    &PreventableRate { driver: None },
+    &SceneMetric::MinTtc,
+    &SceneMetric::MaxDrac,
 ];
 
 /// The metric of this name. `None` when there is no such metric.

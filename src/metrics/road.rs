@@ -45,6 +45,18 @@ impl Road {
         // Most points are inside of some outline, which is the quicker question.
         candidates().any(|piece| piece.contains(point)) || candidates().any(|piece| piece.is_near(point))
     }
+
+    /// How far `point` is off the road, metres: 0 on it. No number for a point that is none.
+    pub(super) fn distance_m(&self, point: Vec2) -> f64 {
+        if !point.is_finite() {
+            return f64::NAN;
+        }
+        let is_inside = |(bounds, piece): &(Bounds, Piece)| bounds.contains(point, 0.0) && piece.contains(point);
+        match self.pieces.iter().any(is_inside) {
+            true => 0.0,
+            false => self.pieces.iter().map(|(_, piece)| piece.distance_m(point)).fold(f64::INFINITY, f64::min),
+        }
+    }
 }
 
 impl Piece {
@@ -55,6 +67,15 @@ impl Piece {
 
     fn contains(&self, point: Vec2) -> bool {
         matches!(self, Self::Outline(outline, _) if is_in_polygon(outline, point))
+    }
+
+    /// How far `point`, which is within no outline, is from the piece, metres.
+    fn distance_m(&self, point: Vec2) -> f64 {
+        let (line, half_width_m) = match self {
+            Self::Outline(_, closed) => (closed, 0.0),
+            Self::Strip(line) => (line, HALF_NOMINAL_WIDTH_M),
+        };
+        line.project(point).map_or(f64::INFINITY, |place| (place.offset_m.abs() - half_width_m).max(0.0))
     }
 
     /// Whether `point` is within the slack of an outline, or on a strip.

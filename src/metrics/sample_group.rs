@@ -1,6 +1,6 @@
 //! What a metric looks at: a recorded scene and futures sampled for it.
 
-use crate::scene::Scene;
+use crate::scene::{Scene, TrackId};
 use std::ops::Range;
 
 /// A recorded scene and samples of its future.
@@ -17,12 +17,14 @@ pub struct SampleGroup<'a> {
     pub samples: &'a [Scene],
     /// How likely each sample is, up to a common factor; `None` where they are equally likely, as plain draws are.
     pub probabilities: Option<&'a [f64]>,
+    /// Who was asked to show something, as (role, track), in the order of roles; empty where nobody was.
+    pub asked: &'a [(String, TrackId)],
 }
 
 impl<'a> SampleGroup<'a> {
-    /// A recorded scene and equally likely samples.
+    /// A recorded scene and equally likely samples, of which nothing was asked.
     pub const fn equally_likely(recorded: &'a Scene, samples: &'a [Scene]) -> Self {
-        Self { recorded, samples, probabilities: None }
+        Self { recorded, samples, probabilities: None, asked: &[] }
     }
 
     /// The probability of a sample; those of all samples sum to 1. `None` where there is no such sample or no sum.
@@ -43,6 +45,12 @@ impl<'a> SampleGroup<'a> {
     pub(super) fn min_over_samples(&self, figure: impl Fn(&Scene) -> Option<f64>) -> Option<f64> {
         let figures: Option<Vec<f64>> = self.samples.iter().map(figure).collect();
         figures?.into_iter().reduce(f64::min)
+    }
+
+    /// The mean `figure` of the samples for which it is defined. `None` where it is for none.
+    pub(super) fn mean_over_samples(&self, figure: impl Fn(&Scene) -> Option<f64>) -> Option<f64> {
+        let figures: Vec<f64> = self.samples.iter().filter_map(figure).collect();
+        (!figures.is_empty()).then(|| figures.iter().sum::<f64>() / figures.len() as f64)
     }
 
     /// The share of `true` in all the verdicts on all samples. `None` when there are no verdicts.

@@ -3,7 +3,7 @@
 use super::{ALL, Metric, SampleGroup, by_id, constant_velocity};
 use crate::behavior::testing::{LaneSpec, SceneSpec, cases_in, random_scene, transformed};
 use crate::geometry::{Transform2, Vec2};
-use crate::scene::{Dataset, LaneGraph, Scene, State, Track, TrackRole, Trajectory};
+use crate::scene::{Dataset, LaneGraph, Scene, State, Track, TrackId, TrackRole, Trajectory};
 use proptest::prelude::*;
 use serde::Deserialize;
 use std::collections::BTreeSet;
@@ -18,11 +18,17 @@ struct MetricCase {
     samples: Vec<SceneSpec>,
     /// How likely the samples are, where they are not equally likely.
     probabilities: Option<Vec<f64>>,
+    /// Who was asked, as [role, agent].
+    #[serde(default)]
+    asked: Vec<[String; 2]>,
     value: Option<f64>,
 }
 
+/// The figure where the first two agents were asked to be ego and other.
 fn evaluate(metric: &dyn Metric, recorded: &Scene, samples: &[Scene]) -> Option<f64> {
-    metric.evaluate(&SampleGroup::equally_likely(recorded, samples))
+    let roles = ["ego", "other"].into_iter().map(str::to_owned);
+    let asked: Vec<(String, TrackId)> = roles.zip(recorded.tracks.iter().map(|track| track.id.clone())).collect();
+    metric.evaluate(&SampleGroup { asked: &asked, ..SampleGroup::equally_likely(recorded, samples) })
 }
 
 #[test]
@@ -36,7 +42,9 @@ fn every_metric_gives_the_hand_computed_value_of_its_example_scenes() {
             let samples: Vec<Scene> = case.samples.iter().map(|sample| sample.build(&name)).collect();
             let recorded = &case.recorded.build(&name);
             let probabilities = case.probabilities.as_deref();
-            let value = metric.evaluate(&SampleGroup { recorded, samples: &samples, probabilities });
+            let asked = case.asked.iter().map(|[role, agent]| (role.clone(), TrackId(agent.clone())));
+            let asked: Vec<(String, TrackId)> = asked.collect();
+            let value = metric.evaluate(&SampleGroup { recorded, samples: &samples, probabilities, asked: &asked });
             let agrees = match (value, case.value) {
                 (Some(value), Some(expected)) => (value - expected).abs() < 1e-3,
                 (value, expected) => value == expected,
@@ -92,7 +100,11 @@ fn drifted(scene: &Scene, drift_mps: f64) -> Scene {
 fn a_recording_is_no_distance_from_itself() {
     for seed in 0..20 {
         let scene = random_scene(seed, 9, 25.0);
-        for metric in ALL.iter().filter(|metric| metric.spec().unit == "m" && metric.spec().id != "mfd_m") {
+        // Distances between samples, and between agents, are none from the recording.
+        let is_distance = |metric: &&&dyn Metric| {
+            metric.spec().unit == "m" && !["mfd_m", "pair_min_distance_m"].contains(&metric.spec().id)
+        };
+        for metric in ALL.iter().filter(is_distance) {
             let value = evaluate(*metric, &scene, std::slice::from_ref(&scene));
             assert!(value.is_none_or(|value| value == 0.0), "{}: {value:?}", metric.spec().id);
         }

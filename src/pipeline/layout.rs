@@ -12,6 +12,8 @@ pub struct Layout {
     pub events: PathBuf,
     /// The folder of the trained denoiser.
     pub denoiser: PathBuf,
+    /// The folder of the distilled denoiser.
+    pub distilled: PathBuf,
     /// The folder of the trained classifier.
     pub classifier: PathBuf,
     /// The folder of the trained baseline.
@@ -31,6 +33,7 @@ impl Layout {
             scenes: root.join(SCENES),
             events: root.join(EVENTS),
             denoiser: root.join(DENOISER),
+            distilled: root.join(DISTILLED),
             classifier: root.join(CLASSIFIER),
             baseline: root.join(BASELINE),
             samples: root.join(SAMPLES),
@@ -48,6 +51,8 @@ pub const EVENTS: &str = "events.parquet";
 pub const MINE_SUMMARY: &str = "mine.json";
 /// The trained denoiser.
 pub const DENOISER: &str = "denoiser";
+/// The distilled denoiser.
+pub const DISTILLED: &str = "distilled";
 /// The trained classifier.
 pub const CLASSIFIER: &str = "classifier";
 /// The trained baseline.
@@ -64,3 +69,5 @@ pub const METRICS_SUMMARY: &str = "metrics.json";
 pub const PREDICTIONS: &str = "predictions";
 /// The report.
 pub const REPORT: &str = "report.html";
+/// The figures of the report as files.
+pub const FIGURES: &str = "figures";

@@ -1,9 +1,10 @@
 //! The pipeline: which stages are there, which must run, and where do their results lie?
 //!
 //! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code, [`graph`] decides what must run
-//! and runs it, [`run`] keeps the run folder. Only this module (and the command line) uses `anyhow`.
+//! and runs it, [`run`] keeps the run folder, [`compare`] sets two of them side by side. Only this module (and the command line) uses `anyhow`.
 
 mod clock;
+pub mod compare;
 pub mod config;
 pub mod estimate;
 mod failure;

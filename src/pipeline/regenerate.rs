@@ -112,6 +112,7 @@ fn open_scenes(layout: &Layout, sampled_with: &SampledWith) -> Result<SceneStore
 struct LoadedModels {
     denoiser: TrainedDenoiser,
     classifiers: Vec<TrainedClassifier>,
+    distilled: Option<TrainedDenoiser>,
     baseline: Option<TrainedSceneTransformer>,
 }
 
@@ -132,6 +133,13 @@ impl LoadedModels {
             check("classifier", &layout.classifier, then, &classifier.fingerprint)?;
             classifiers.push(classifier);
         }
+        let mut distilled = None;
+        if sweeps.iter().any(SweepConfig::uses_distilled) {
+            let model = TrainedDenoiser::read(&file(&layout.distilled, "distilled denoiser")?, &Device::Cpu)?;
+            let then = sampled_with.distilled.as_deref().unwrap_or_default();
+            check("distilled denoiser", &layout.distilled, then, &model.fingerprint)?;
+            distilled = Some(model);
+        }
         let mut baseline = None;
         if sweeps.iter().any(SweepConfig::uses_baseline) {
             let model = TrainedSceneTransformer::read(&file(&layout.baseline, "baseline")?, &Device::Cpu)?;
@@ -139,11 +147,16 @@ impl LoadedModels {
             check("baseline", &layout.baseline, then, &model.fingerprint)?;
             baseline = Some(model);
         }
-        Ok(Self { denoiser, classifiers, baseline })
+        Ok(Self { denoiser, classifiers, distilled, baseline })
     }
 
     fn borrowed(&self) -> Models<'_> {
-        Models { denoiser: &self.denoiser, classifiers: &self.classifiers, baseline: self.baseline.as_ref() }
+        Models {
+            denoiser: &self.denoiser,
+            classifiers: &self.classifiers,
+            distilled: self.distilled.as_ref(),
+            baseline: self.baseline.as_ref(),
+        }
     }
 }
 

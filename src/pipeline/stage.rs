@@ -16,6 +16,8 @@ pub enum StageId {
     Mine,
     /// Scenes to a denoiser.
     TrainDenoiser,
+    /// A denoiser to one that needs few evaluations.
+    TrainDistill,
     /// Scenes and events to a classifier of noised scenes.
     TrainClassifier,
     /// Scenes to a Scene Transformer, to compare the denoiser with.
@@ -30,10 +32,11 @@ pub enum StageId {
 
 impl StageId {
     /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Ingest,
         Self::Mine,
         Self::TrainDenoiser,
+        Self::TrainDistill,
         Self::TrainClassifier,
         Self::TrainBaseline,
         Self::Generate,
@@ -47,6 +50,7 @@ impl StageId {
             Self::Ingest => "ingest",
             Self::Mine => "mine",
             Self::TrainDenoiser => "train_denoiser",
+            Self::TrainDistill => "train_distill",
             Self::TrainClassifier => "train_classifier",
             Self::TrainBaseline => "train_baseline",
             Self::Generate => "generate",
@@ -59,6 +63,7 @@ impl StageId {
     pub const fn command(self) -> &'static str {
         match self {
             Self::TrainDenoiser => "train denoiser",
+            Self::TrainDistill => "train distill",
             Self::TrainClassifier => "train classifier",
             Self::TrainBaseline => "train baseline",
             other => other.name(),
@@ -69,6 +74,7 @@ impl StageId {
     pub const fn section(self) -> &'static str {
         match self {
             Self::TrainDenoiser => "train.denoiser",
+            Self::TrainDistill => "train.distill",
             Self::TrainClassifier => "train.classifier",
             Self::TrainBaseline => "train.baseline",
             other => other.name(),

@@ -1,7 +1,8 @@
 //! What a report says, as plain data: the page is one rendering of it, JSON another.
 
+use super::card::SceneCard;
 use super::distribution::Distribution;
-use super::scene_card::SceneCard;
+use super::plain::PlainSection;
 use crate::behavior::BehaviorEntry;
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
@@ -9,6 +10,7 @@ use crate::metrics::{Direction, MetricSpec};
 use crate::store::MetricRow;
 use crate::train::NoiseLevelReport;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Everything that a report shows. Parts that a run did not produce are empty and their sections are left out.
 ///
@@ -37,10 +39,22 @@ pub struct ReportModel {
     pub metrics: MetricTable,
     /// How far the motion of whole sweeps is from that of the recording.
     pub realism: Vec<RealismRow>,
+    /// What became of the scenarios of each sweep.
+    #[serde(default)]
+    pub acceptance: Vec<AcceptanceRow>,
+    /// Why samples are not accepted.
+    #[serde(default)]
+    pub left_out: Vec<LeftOutRow>,
+    /// Who fails which check of validity, the recordings too.
+    #[serde(default)]
+    pub validity: Vec<ValidityRow>,
     /// Distributions of quantities, recorded and generated.
     pub distributions: Vec<Distribution>,
     /// Generated scenes beside their source recording.
     pub scenes: Vec<SceneCard>,
+    /// Further parts, which come after the scenes, as plain tables and charts.
+    #[serde(default)]
+    pub more: Vec<PlainSection>,
     /// The resolved configuration, as TOML.
     pub config: String,
 }
@@ -146,6 +160,19 @@ pub struct Curve {
     pub name: String,
     /// (x, y) in drawing order; points that are not finite are left out.
     pub points: Vec<[f64; 2]>,
+    /// How sure each of the points is: least and greatest y, drawn as whiskers. Empty where nothing is known of that.
+    #[serde(default)]
+    pub intervals: Vec<[f64; 2]>,
+    /// What is written beside each of the points; empty for nothing.
+    #[serde(default)]
+    pub labels: Vec<String>,
+}
+
+impl Curve {
+    /// A plain curve.
+    pub fn new(name: impl Into<String>, points: Vec<[f64; 2]>) -> Self {
+        Self { name: name.into(), points, intervals: Vec::new(), labels: Vec::new() }
+    }
 }
 
 /// What one sweep gave at one guidance strength.
@@ -175,6 +202,65 @@ pub struct SamplingRow {
     pub offroad_rate: Option<f64>,
     /// Denoiser evaluations of one scenario; the classifier is evaluated as often where it guides.
     pub n_evaluations: u64,
+}
+
+/// What became of the scenarios of one sweep at one strength.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct AcceptanceRow {
+    /// The sweep.
+    pub sweep: String,
+    /// Guidance strength α; 0 is unguided.
+    pub strength: f64,
+    /// Scenarios sampled.
+    pub n_scenarios: u64,
+    /// In which the miner finds the behavior for the roles asked for.
+    pub n_verified: u64,
+    /// That pass every check of validity.
+    pub n_valid: u64,
+    /// That are both.
+    pub n_verified_valid: u64,
+    /// That are both, and no near-duplicates of accepted ones before.
+    pub n_accepted: u64,
+    /// That are in the corpus.
+    pub n_kept: u64,
+}
+
+/// How many samples of a sweep have one reason not to be accepted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LeftOutRow {
+    /// The stage that found it.
+    pub stage: String,
+    /// The sweep.
+    pub sweep: String,
+    /// Guidance strength α; `None` where samples of all strengths are counted together.
+    pub strength: Option<f64>,
+    /// The reason: `not_verified`, `near_duplicate`, the name of a check of validity, …
+    pub reason: String,
+    /// How many are not in the corpus for this reason before any other.
+    pub n_left_out: u64,
+    /// How many have it, alone or with others.
+    pub n_found: u64,
+}
+
+/// How many scenes of a group are valid, and how many fail each check.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct ValidityRow {
+    /// `recorded`, `constant_velocity`, `unguided`, or the sweep.
+    pub group: String,
+    /// The sweep.
+    pub sweep: String,
+    /// Guidance strength α; 0 is unguided.
+    pub strength: f64,
+    /// The place; empty for all.
+    pub place: String,
+    /// Scenes judged.
+    pub n: u64,
+    /// That pass every check.
+    pub n_valid: u64,
+    /// Check → how many fail it; those that nobody fails are missing.
+    pub violations: BTreeMap<String, u64>,
+    /// Mean share of motion within the recorded ranges.
+    pub plausibility: Option<f64>,
 }
 
 /// How far the distribution of a quantity of motion over a sweep is from that over its recordings.

@@ -55,7 +55,7 @@ impl TrainingSummary {
             x_label: "training step".to_owned(),
             y_label: title.to_owned(),
             log_x: false,
-            curves: vec![Curve { name: title.to_owned(), points }],
+            curves: vec![Curve::new(title, points)],
         };
         let loss: Vec<[f64; 2]> = statistics.iter().filter_map(|line| Some([line.step as f64, line.loss?])).collect();
         let figures: BTreeSet<&String> = statistics.iter().flat_map(|line| line.evaluation.keys()).collect();

@@ -1,6 +1,7 @@
 //! What a corpus says of itself: its tables, their sizes and hashes, and under which terms its sources came.
 
 use super::atomic::{FileStamp, read_json};
+use super::corpus_layout::{CorpusTable, Partition};
 use super::scene_manifest::MANIFEST_FILE;
 use super::{Error, Result};
 use crate::scene::Dataset;
@@ -9,8 +10,10 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Form of the manifest itself.
-const CORPUS_SCHEMA: &str = "corpus.v1";
+/// Form of the manifest itself, and of the folder: tables cut into partitions.
+pub(crate) const CORPUS_SCHEMA: &str = "corpus.v2";
+/// The form before: one file a table.
+const FLAT_SCHEMA: &str = "corpus.v1";
 
 /// What a corpus says of itself beyond its tables.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -19,17 +22,52 @@ pub struct CorpusNotes {
     pub sources: BTreeMap<String, String>,
     /// Anything else, such as the pipeline's name.
     pub notes: BTreeMap<String, String>,
+    /// Sweep → why samples of it are not in the corpus → how many, each for its first reason.
+    pub left_out: BTreeMap<String, BTreeMap<String, u64>>,
+}
+
+/// One file of a table.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FileEntry {
+    /// Where it is in the corpus, with `/` between folders.
+    pub path: String,
+    /// What its rows have in common.
+    #[serde(default)]
+    pub partition: Partition,
+    /// Number of rows.
+    pub n_rows: u64,
+    /// Size and hash.
+    pub stamp: FileStamp,
 }
 
 /// One table of a corpus.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TableEntry {
-    /// Its schema, such as `scenario.v3`.
+    /// Its schema, such as `scenario.v4`.
     pub schema: String,
-    /// Number of rows.
+    /// Number of rows in all of its files.
     pub n_rows: u64,
-    /// Size and hash.
-    pub stamp: FileStamp,
+    /// Size of all of its files.
+    pub n_bytes: u64,
+    /// The columns that the names of its folders hold, outermost first; empty for a single file.
+    pub partitioned_by: Vec<String>,
+    /// Its files, in the order of their partitions.
+    pub files: Vec<FileEntry>,
+}
+
+/// How many scenarios of a behavior there are at a place.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PartitionCount {
+    /// The behavior that was asked for, or `none`.
+    pub behavior: String,
+    /// The place.
+    pub place: String,
+    /// Number of scenarios.
+    pub n_scenarios: u64,
+    /// How many of them are verified.
+    pub n_verified: u64,
+    /// How many of the verified ones the recording does not hold already.
+    pub n_new: u64,
 }
 
 /// The manifest of a corpus.
@@ -41,18 +79,33 @@ pub struct CorpusManifest {
     pub n_scenarios: u64,
     /// How many of them are verified.
     pub n_verified: u64,
+    /// How many of the verified ones the recording does not hold already.
+    #[serde(default)]
+    pub n_new: u64,
+    /// Number of recorded scenes that the scenarios continue and whose tracks are in the corpus.
+    #[serde(default)]
+    pub n_recordings: u64,
+    /// Number of maps.
+    pub n_maps: u64,
     /// Number of scenarios by dataset.
     pub scenarios_by_dataset: BTreeMap<String, u64>,
     /// Number of scenarios by sweep.
     pub scenarios_by_sweep: BTreeMap<String, u64>,
-    /// Number of maps.
-    pub n_maps: u64,
-    /// The tables, by file name.
+    /// Number of scenarios by behavior and place, sorted.
+    #[serde(default)]
+    pub scenarios_by_partition: Vec<PartitionCount>,
+    /// The tables, by name.
     pub tables: BTreeMap<String, TableEntry>,
     /// License and citation of each dataset that is used.
     pub sources: BTreeMap<String, String>,
     /// What else the writer was told.
     pub notes: BTreeMap<String, String>,
+    /// What tools did to it since a pipeline wrote it, one line each.
+    #[serde(default)]
+    pub history: Vec<String>,
+    /// Sweep → why samples of it are not in the corpus → how many, each for its first reason.
+    #[serde(default)]
+    pub left_out: BTreeMap<String, BTreeMap<String, u64>>,
 }
 
 impl CorpusManifest {
@@ -62,32 +115,111 @@ impl CorpusManifest {
             schema: CORPUS_SCHEMA.to_owned(),
             n_scenarios: 0,
             n_verified: 0,
+            n_new: 0,
+            n_recordings: 0,
+            n_maps: 0,
             scenarios_by_dataset: BTreeMap::new(),
             scenarios_by_sweep: BTreeMap::new(),
-            n_maps: 0,
+            scenarios_by_partition: Vec::new(),
             tables: BTreeMap::new(),
             sources: BTreeMap::new(),
             notes: BTreeMap::new(),
+            history: Vec::new(),
+            left_out: BTreeMap::new(),
         }
     }
 
-    /// Reads the manifest of a corpus, without opening its tables.
+    /// Reads the manifest of a corpus, without opening its tables. That of a corpus with one file a table (`corpus.v1`) is
+    /// brought into the present form; what it does not say (partitions, recordings) is empty then.
     ///
     /// # Errors
-    /// [`Error::Unfinished`] when there is none, [`Error::SchemaVersion`] when it is of another version.
+    /// [`Error::NoCorpus`] when the folder is of another kind, [`Error::Unfinished`] when its writer did not finish,
+    /// [`Error::SchemaVersion`] when the manifest is of a version that is not read.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(MANIFEST_FILE);
+        // A folder that is not there at all is told as such.
+        fs_err::metadata(dir)?;
         if !path.is_file() {
-            return Err(Error::Unfinished { dir: dir.to_owned() });
+            let has = |name: &str| dir.join(name).exists() || dir.join(format!("{name}.parquet")).exists();
+            let is_ours = CorpusTable::ALL.into_iter().any(|table| has(table.name()));
+            let dir = dir.to_owned();
+            return Err(if is_ours { Error::Unfinished { dir } } else { Error::NoCorpus { dir } });
         }
         // The version first: other versions may have other fields.
         let value: Value = read_json(&path)?;
-        let found = value.get("schema").and_then(Value::as_str).unwrap_or_default();
-        if found != CORPUS_SCHEMA {
-            let (expected, found) = (CORPUS_SCHEMA.to_owned(), found.to_owned());
-            return Err(Error::SchemaVersion { path, expected, found });
+        match value.get("schema").and_then(Value::as_str).unwrap_or_default() {
+            CORPUS_SCHEMA => serde_json::from_value(value).map_err(Error::json(&path)),
+            FLAT_SCHEMA => serde_json::from_value(value).map(FlatManifest::upgrade).map_err(Error::json(&path)),
+            "" => Err(Error::NoCorpus { dir: dir.to_owned() }),
+            found => {
+                let (expected, found) = (CORPUS_SCHEMA.to_owned(), found.to_owned());
+                Err(Error::SchemaVersion { path, expected, found })
+            }
         }
-        serde_json::from_value(value).map_err(Error::json(&path))
+    }
+
+    /// The files of a table; none where the corpus has no such table.
+    pub fn files(&self, table: CorpusTable) -> &[FileEntry] {
+        self.tables.get(table.name()).map_or(&[], |entry| &entry.files)
+    }
+
+    /// Every file of every table.
+    pub fn all_files(&self) -> impl Iterator<Item = &FileEntry> {
+        self.tables.values().flat_map(|entry| &entry.files)
+    }
+
+    /// Size of all tables, bytes.
+    pub fn n_bytes(&self) -> u64 {
+        self.tables.values().map(|entry| entry.n_bytes).sum()
+    }
+
+    /// Whether a source forbids commercial use.
+    pub fn is_non_commercial(&self) -> bool {
+        self.sources.values().any(|terms| terms.to_lowercase().contains("non-commercial"))
+    }
+}
+
+/// A manifest of `corpus.v1`.
+#[derive(Deserialize)]
+struct FlatManifest {
+    n_scenarios: u64,
+    n_verified: u64,
+    n_maps: u64,
+    scenarios_by_dataset: BTreeMap<String, u64>,
+    scenarios_by_sweep: BTreeMap<String, u64>,
+    tables: BTreeMap<String, FlatTable>,
+    sources: BTreeMap<String, String>,
+    notes: BTreeMap<String, String>,
+}
+
+/// A table of `corpus.v1`.
+#[derive(Deserialize)]
+struct FlatTable {
+    schema: String,
+    n_rows: u64,
+    stamp: FileStamp,
+}
+
+impl FlatManifest {
+    fn upgrade(self) -> CorpusManifest {
+        let table = |(path, FlatTable { schema, n_rows, stamp }): (String, FlatTable)| {
+            let name = path.trim_end_matches(".parquet").to_owned();
+            let n_bytes = stamp.n_bytes;
+            let files = vec![FileEntry { path, partition: Partition::default(), n_rows, stamp }];
+            (name, TableEntry { schema, n_rows, n_bytes, partitioned_by: Vec::new(), files })
+        };
+        CorpusManifest {
+            schema: FLAT_SCHEMA.to_owned(),
+            n_scenarios: self.n_scenarios,
+            n_verified: self.n_verified,
+            n_maps: self.n_maps,
+            scenarios_by_dataset: self.scenarios_by_dataset,
+            scenarios_by_sweep: self.scenarios_by_sweep,
+            tables: self.tables.into_iter().map(table).collect(),
+            sources: self.sources,
+            notes: self.notes,
+            ..CorpusManifest::empty()
+        }
     }
 }
 

@@ -1,61 +1,75 @@
 //! Reading a corpus: its counts, its metric values, and any scenario as it was written.
 
-use super::corpus_manifest::CorpusManifest;
-use super::corpus_writer::{LANES_FILE, METRICS_FILE, SCENARIOS_FILE, TRACKS_FILE};
+use super::corpus_layout::CorpusTable;
+use super::corpus_manifest::{CorpusManifest, FileEntry};
+use super::corpus_scan::{CorpusScan, widened};
 use super::maps::{MapSource, MapTable};
-use super::schema::TableSchema;
 use super::tables::columns::Columns;
-use super::tables::{lane, scenario, track};
-use super::{Error, MetricRow, Result, ScenarioRecord, parquet_file, read_metrics};
-use crate::scene::{LaneGraph, LaneId, MapId, ObservationMask, Track};
+use super::tables::{metric, recording, scenario, track};
+use super::{Error, MetricRow, Result, ScenarioRecord, parquet_file};
+use crate::scene::{LaneGraph, LaneId, MapId, ObservationMask, SceneId, Track};
 use arrow::array::{RecordBatch, StringArray, UInt64Array};
 use arrow::compute::concat_batches;
 use arrow::datatypes::UInt32Type;
-use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// A finished corpus. The tables of scenarios and lanes are held in memory, tracks are read when asked for.
+/// A finished corpus, for access to any scenario at once. The tables of scenarios and lanes are held in memory, tracks are
+/// read when asked for. Scenarios are in the order of their partitions, and in each as they were written.
 pub struct CorpusReader {
-    dir: PathBuf,
-    manifest: CorpusManifest,
-    scenarios_path: PathBuf,
+    scan: CorpusScan,
     /// The scenario table.
     scenarios: RecordBatch,
-    /// Where each scenario's rows in the track table end.
-    track_ends: Vec<usize>,
+    /// For errors about the scenario table.
+    scenarios_path: PathBuf,
+    /// The file of each scenario's states and their rows in it.
+    tracks: Vec<(PathBuf, Range<usize>)>,
+    /// The file of each recorded scene's states and their rows in it.
+    recordings: BTreeMap<String, (PathBuf, Range<usize>)>,
     maps: MapTable,
 }
 
 impl CorpusReader {
-    /// Opens a finished corpus and verifies the checksums of all of its tables.
+    /// Opens a finished corpus, of this version or an earlier one with one file a table, and verifies the checksums of all
+    /// of its tables.
     ///
     /// # Errors
-    /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when another version wrote it, [`Error::Corrupt`]
-    /// when a table is not what was written.
+    /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when a version wrote it that is not read any more,
+    /// [`Error::Corrupt`] when a table is not what was written.
     pub fn open(dir: &Path) -> Result<Self> {
-        let manifest = CorpusManifest::read(dir)?;
-        manifest.tables.par_iter().try_for_each(|(file, table)| table.stamp.verify_file(&dir.join(file)))?;
-        let path = dir.join(SCENARIOS_FILE);
-        let table = scenario::schema();
-        let scenarios = concatenated(&path, &table, &parquet_file::read(&path, &table)?)?;
-        let n_states: &UInt64Array = Columns::of_batch(&scenarios, &path).get("n_states")?;
-        let track_ends = n_states.values().iter().scan(0, |end, n| {
-            *end += *n as usize;
-            Some(*end)
-        });
-        let track_ends = track_ends.collect();
-        let lanes_path = dir.join(LANES_FILE);
-        let mut maps = MapTable::new(dir);
-        for batch in parquet_file::read(&lanes_path, &lane::schema())? {
-            maps.push(&lanes_path, batch)?;
+        let scan = CorpusScan::open(dir)?;
+        let scenarios_path = dir.join(CorpusTable::Scenarios.name());
+        let schema = scan.scenario_schema()?;
+        let (mut batches, mut tracks) = (Vec::new(), Vec::new());
+        for i in 0..scan.n_parts() {
+            let (file, tracks_file) = scan.part(i)?;
+            let (path, tracks_path) = (scan.path(file), scan.path(tracks_file));
+            let mut end = 0usize;
+            for batch in scan.batches(CorpusTable::Scenarios, file, None)? {
+                let batch = widened(&batch?, &schema, &path)?;
+                let n_states: &UInt64Array = Columns::of_batch(&batch, &path).get("n_states")?;
+                for n in n_states.values() {
+                    let start = end;
+                    end = end.saturating_add(*n as usize);
+                    tracks.push((tracks_path.clone(), start..end));
+                }
+                batches.push(batch);
+            }
+            if end as u64 != tracks_file.n_rows {
+                let detail = format!("it has {} rows, and the scenarios have {end} states", tracks_file.n_rows);
+                return Err(Error::corrupt(&tracks_path, detail));
+            }
         }
-        Ok(Self { dir: dir.to_owned(), manifest, scenarios_path: path, scenarios, track_ends, maps })
+        let scenarios =
+            concat_batches(&schema, &batches).map_err(|e| Error::corrupt(&scenarios_path, e.to_string()))?;
+        let (maps, recordings) = (scan.maps()?, recordings(&scan)?);
+        Ok(Self { scan, scenarios, scenarios_path, tracks, recordings, maps })
     }
 
     /// The manifest.
     pub const fn manifest(&self) -> &CorpusManifest {
-        &self.manifest
+        self.scan.manifest()
     }
 
     /// Number of scenarios.
@@ -90,12 +104,23 @@ impl CorpusReader {
     /// # Errors
     /// [`Error::NotFound`] when there are not as many, [`Error::Corrupt`] when the tables do not fit each other.
     pub fn scenario(&self, i: usize) -> Result<ScenarioRecord> {
-        let end = *self.track_ends.get(i).ok_or_else(|| self.missing(&format!("number {i} of {}", self.len())))?;
-        let start = i.checked_sub(1).map_or(0, |before| self.track_ends[before]);
+        let missing = || self.missing(&format!("number {i} of {}", self.len()));
+        let (path, rows) = self.tracks.get(i).ok_or_else(missing)?;
         let columns = self.columns();
         let n_timesteps = columns.number::<UInt32Type>("n_timesteps", i)? as usize;
-        let (tracks, observed) = self.tracks(start..end, columns.text("scenario_id", i)?, n_timesteps)?;
+        let (tracks, observed) = tracks(path, rows.clone(), columns.text("scenario_id", i)?, n_timesteps)?;
         scenario::decode(&columns, i, tracks, observed, &self.maps)
+    }
+
+    /// The tracks of a recorded scene, in the scene frame; `None` where the corpus does not hold the recording. Everything
+    /// else of the scene is as in the scenarios that continue it.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when the table cannot be read or has a state after `n_timesteps`.
+    pub fn recorded_tracks(&self, scene_id: &SceneId, n_timesteps: usize) -> Result<Option<Vec<Track>>> {
+        let Some((path, rows)) = self.recordings.get(&scene_id.0) else { return Ok(None) };
+        let batch = rows_of(path, CorpusTable::Recordings, rows.clone())?;
+        recording::decode(&Columns::of_batch(&batch, path), batch.num_rows(), n_timesteps).map(Some)
     }
 
     /// All metric values.
@@ -103,32 +128,21 @@ impl CorpusReader {
     /// # Errors
     /// [`Error::Corrupt`] when the table cannot be read.
     pub fn metrics(&self) -> Result<Vec<MetricRow>> {
-        read_metrics(&self.dir.join(METRICS_FILE))
+        let mut rows = Vec::new();
+        for file in self.manifest().files(CorpusTable::Metrics) {
+            for batch in self.scan.batches(CorpusTable::Metrics, file, None)? {
+                rows.extend(metric::decode(&batch?, &self.scan.path(file))?);
+            }
+        }
+        Ok(rows)
     }
 
     fn columns(&self) -> Columns<'_> {
         Columns::of_batch(&self.scenarios, &self.scenarios_path)
     }
 
-    fn tracks(
-        &self,
-        rows: Range<usize>,
-        scenario_id: &str,
-        n_timesteps: usize,
-    ) -> Result<(Vec<Track>, ObservationMask)> {
-        let path = self.dir.join(TRACKS_FILE);
-        let table = track::schema();
-        let batch = concatenated(&path, &table, &parquet_file::read_rows(&path, &table, rows)?)?;
-        let columns = Columns::of_batch(&batch, &path);
-        let ids: &StringArray = columns.get("scenario_id")?;
-        if ids.iter().any(|id| id != Some(scenario_id)) {
-            return Err(Error::corrupt(&path, format!("its rows are not in the order of {SCENARIOS_FILE}")));
-        }
-        track::decode(&columns, batch.num_rows(), n_timesteps)
-    }
-
     fn missing(&self, scenario: &str) -> Error {
-        Error::NotFound { path: self.dir.clone(), what: format!("scenario {scenario}") }
+        Error::NotFound { path: self.scan.dir().to_owned(), what: format!("scenario {scenario}") }
     }
 }
 
@@ -142,7 +156,57 @@ impl MapSource for CorpusReader {
     }
 }
 
-fn concatenated(path: &Path, table: &TableSchema, batches: &[RecordBatch]) -> Result<RecordBatch> {
-    let schema = batches.first().map_or_else(|| table.arrow(), RecordBatch::schema);
-    concat_batches(&schema, batches).map_err(|error| Error::corrupt(path, error.to_string()))
+/// The tracks in these rows, which must all be of this scenario, and which of their states were observed.
+fn tracks(
+    path: &Path,
+    rows: Range<usize>,
+    scenario_id: &str,
+    n_timesteps: usize,
+) -> Result<(Vec<Track>, ObservationMask)> {
+    let batch = rows_of(path, CorpusTable::Tracks, rows)?;
+    let columns = Columns::of_batch(&batch, path);
+    let ids: &StringArray = columns.get("scenario_id")?;
+    if ids.iter().any(|id| id != Some(scenario_id)) {
+        return Err(Error::corrupt(path, format!("the rows of {scenario_id} are not in the order of the scenarios")));
+    }
+    track::decode(&columns, batch.num_rows(), n_timesteps)
+}
+
+fn rows_of(path: &Path, table: CorpusTable, rows: Range<usize>) -> Result<RecordBatch> {
+    let batches = parquet_file::read_rows(path, &table.schema(), rows)?;
+    let schema = batches.first().map_or_else(|| table.schema().arrow(), RecordBatch::schema);
+    concat_batches(&schema, &batches).map_err(|error| Error::corrupt(path, error.to_string()))
+}
+
+/// Where the states of each recorded scene are.
+fn recordings(scan: &CorpusScan) -> Result<BTreeMap<String, (PathBuf, Range<usize>)>> {
+    let mut scenes: BTreeMap<String, (PathBuf, Range<usize>)> = BTreeMap::new();
+    for file in scan.manifest().files(CorpusTable::Recordings) {
+        add_recordings(scan, file, &mut scenes)?;
+    }
+    Ok(scenes)
+}
+
+fn add_recordings(
+    scan: &CorpusScan,
+    file: &FileEntry,
+    scenes: &mut BTreeMap<String, (PathBuf, Range<usize>)>,
+) -> Result<()> {
+    let path = scan.path(file);
+    let mut row = 0;
+    for batch in scan.batches(CorpusTable::Recordings, file, Some(&["scene_id"]))? {
+        let batch = batch?;
+        let ids: &StringArray = Columns::of_batch(&batch, &path).get("scene_id")?;
+        for id in ids.iter().flatten() {
+            match scenes.get_mut(id) {
+                Some((_, rows)) if rows.end == row => rows.end += 1,
+                Some(_) => return Err(Error::corrupt(&path, format!("the rows of scene {id} are not together"))),
+                None => {
+                    scenes.insert(id.to_owned(), (path.clone(), row..row + 1));
+                }
+            }
+            row += 1;
+        }
+    }
+    Ok(())
 }

@@ -14,6 +14,12 @@ pub enum Error {
         /// The folder.
         dir: PathBuf,
     },
+    /// A folder that is no corpus.
+    #[error("{} is no corpus: it has no manifest.json of one; name the folder that `djinn evaluate` wrote, such as output/quickstart/main/corpus", .dir.display())]
+    NoCorpus {
+        /// The folder.
+        dir: PathBuf,
+    },
     /// A file of another schema, or of another version of it.
     #[error("{} holds schema {found:?} but {expected:?} is needed: write it again with this version of djinn", .path.display())]
     SchemaVersion {

@@ -4,9 +4,14 @@
 //! has a unit, a frame and a description ([`TableSchema`], published in `schemas/`). Equal content gives equal bytes, and a
 //! file is under its final name only when it is whole; the manifest of a folder is written last.
 
+mod assessment;
 mod atomic;
+mod corpus_card;
+mod corpus_layout;
 mod corpus_manifest;
 mod corpus_reader;
+mod corpus_scan;
+mod corpus_sink;
 mod corpus_writer;
 mod error;
 mod events;
@@ -25,14 +30,20 @@ mod scene_writer;
 mod schema;
 mod tables;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 
+pub use assessment::Assessment;
 pub use atomic::{
     AtomicFile, FileStamp, PARTIAL_SUFFIX, read_json, remove_if_present, remove_partials, write_atomically,
     write_json_atomically,
 };
-pub use corpus_manifest::{CorpusManifest, CorpusNotes, TableEntry, source_terms};
+pub(crate) use corpus_card::{CARD_FILE, card};
+pub(crate) use corpus_layout::NO_BEHAVIOR;
+pub use corpus_layout::{CorpusTable, Partition};
+pub use corpus_manifest::{CorpusManifest, CorpusNotes, FileEntry, PartitionCount, TableEntry, source_terms};
 pub use corpus_reader::CorpusReader;
+pub(crate) use corpus_scan::{CorpusChunk, CorpusScan, united, widened};
+pub(crate) use corpus_sink::{CorpusSink, partitioned, taken};
 pub use corpus_writer::CorpusWriter;
 pub use error::{Error, Result};
 pub use events::{read_events, write_events};
@@ -47,4 +58,5 @@ pub use scene_manifest::{MapsEntry, SceneManifest, ShardEntry, ShardSidecar};
 pub use scene_store::{SceneIndexEntry, SceneStore};
 pub use scene_writer::{SceneWriter, SceneWriterOptions};
 pub use schema::{OpenColumns, SCHEMA_KEY, TableSchema};
+pub(crate) use tables::columns::Columns;
 pub use tables::scene_tracks::as_stored;

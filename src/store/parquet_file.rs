@@ -7,14 +7,17 @@ use crate::containment;
 use arrow::array::RecordBatch;
 use arrow::datatypes::{Schema, SchemaRef};
 use fs_err as fs;
-use parquet::arrow::arrow_reader::{ArrowReaderOptions, ParquetRecordBatchReaderBuilder, RowSelection, RowSelector};
+use parquet::arrow::arrow_reader::{
+    ArrowReaderOptions, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder, RowSelection, RowSelector,
+};
 use parquet::arrow::{ArrowSchemaConverter, ArrowWriter, ProjectionMask};
-use parquet::basic::{Compression, Type, ZstdLevel};
+use parquet::basic::{Compression, Encoding, Type, ZstdLevel};
 use parquet::file::metadata::{KeyValue, PageIndexPolicy};
 use parquet::file::properties::WriterProperties;
 use parquet::file::reader::ChunkReader;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Rows of a row group: what a writer holds in memory, and what a reader can skip.
 const ROWS_PER_GROUP: usize = 128 * 1024;
@@ -46,6 +49,16 @@ impl ParquetFile {
         self.n_rows
     }
 
+    /// Rows of the row group that is being written, which are in memory.
+    pub(crate) fn n_rows_in_memory(&self) -> usize {
+        self.writer.in_progress_rows()
+    }
+
+    /// Ends the row group early, so that nothing of it is left in memory.
+    pub(crate) fn flush(&mut self) -> Result<()> {
+        self.writer.flush().map_err(Error::parquet(&self.path))
+    }
+
     /// Writes the footer and gives the file its name.
     pub(crate) fn finish(self) -> Result<FileStamp> {
         let file = self.writer.into_inner().map_err(Error::parquet(&self.path))?;
@@ -64,6 +77,8 @@ fn properties(table: &TableSchema, schema: &Schema) -> parquet::errors::Result<W
         // Hardly any measured number occurs twice: a dictionary of them all would make the column larger, not smaller.
         if matches!(column.physical_type(), Type::FLOAT | Type::DOUBLE) {
             properties = properties.set_column_dictionary_enabled(column.path().clone(), false);
+            // Bytes of one significance side by side compress by a seventh better (measured on tracks).
+            properties = properties.set_column_encoding(column.path().clone(), Encoding::BYTE_STREAM_SPLIT);
         }
     }
     Ok(properties.build())
@@ -78,26 +93,77 @@ pub(crate) fn write_batch(path: &Path, table: &TableSchema, batch: &RecordBatch)
 
 /// Reads all rows of a table.
 pub(crate) fn read(path: &Path, table: &TableSchema) -> Result<Vec<RecordBatch>> {
-    contained(path, || collect(path, open(path, table, ArrowReaderOptions::new())?))
+    stream(path, table, None)?.collect()
 }
 
 /// Reads a range of the rows of a table, and only the pages that hold them.
 pub(crate) fn read_rows(path: &Path, table: &TableSchema, rows: Range<usize>) -> Result<Vec<RecordBatch>> {
     let selection = RowSelection::from(vec![RowSelector::skip(rows.start), RowSelector::select(rows.len())]);
     let options = ArrowReaderOptions::new().with_offset_index_policy(PageIndexPolicy::Optional);
-    contained(path, || {
+    let reader = contained(path, || {
         let reader = open(path, table, options)?.with_row_selection(selection).with_batch_size(rows.len().max(1));
-        collect(path, reader)
-    })
+        reader.build().map_err(damaged(path))
+    })?;
+    Batches { path: path.to_owned(), table: table.clone(), is_whole: true, reader: Some(reader) }.collect()
 }
 
-/// Reads one column of a table.
-pub(crate) fn read_column(path: &Path, table: &TableSchema, column: &str) -> Result<Vec<RecordBatch>> {
-    contained(path, || {
-        let reader = open(path, table, ArrowReaderOptions::new())?;
-        let mask = ProjectionMask::columns(reader.parquet_schema(), [column]);
-        collect(path, reader.with_projection(mask))
-    })
+/// Rows that a streaming reader holds at a time.
+const ROWS_PER_BATCH: usize = 8 * 1024;
+
+/// Reads a table batch by batch: whole rows in the present version of the table, or only some columns as they are.
+pub(crate) fn stream(path: &Path, table: &TableSchema, columns: Option<&[&str]>) -> Result<Batches> {
+    let reader = contained(path, || {
+        let reader = open(path, table, ArrowReaderOptions::new())?.with_batch_size(ROWS_PER_BATCH);
+        let reader = match columns {
+            Some(columns) => {
+                let mask = ProjectionMask::columns(reader.parquet_schema(), columns.iter().copied());
+                reader.with_projection(mask)
+            }
+            None => reader,
+        };
+        reader.build().map_err(damaged(path))
+    })?;
+    Ok(Batches { path: path.to_owned(), table: table.clone(), is_whole: columns.is_none(), reader: Some(reader) })
+}
+
+/// The columns of a table's file, read from its footer.
+pub(crate) fn schema(path: &Path, table: &TableSchema) -> Result<SchemaRef> {
+    contained(path, || Ok(Arc::clone(open(path, table, ArrowReaderOptions::new())?.schema())))
+}
+
+/// The number of rows of a table's file, read from its footer.
+pub(crate) fn n_rows(path: &Path, table: &TableSchema) -> Result<u64> {
+    let reader = |table| open(path, table, ArrowReaderOptions::new());
+    contained(path, || Ok(reader(table)?.metadata().file_metadata().num_rows().unsigned_abs()))
+}
+
+/// The batches of a file, which end after the first error.
+pub(crate) struct Batches {
+    path: PathBuf,
+    table: TableSchema,
+    /// Whether all columns are read, so that batches can be brought to the present version.
+    is_whole: bool,
+    reader: Option<ParquetRecordBatchReader>,
+}
+
+impl Iterator for Batches {
+    type Item = Result<RecordBatch>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let mut reader = self.reader.take()?;
+        let batch = contained(&self.path, || Ok(reader.next()));
+        let batch = match batch {
+            Ok(None) => return None,
+            Ok(Some(Ok(batch))) if self.is_whole => self.table.conform(&self.path, &batch),
+            Ok(Some(Ok(batch))) => Ok(batch),
+            Ok(Some(Err(error))) => Err(Error::corrupt(&self.path, error.to_string())),
+            Err(error) => Err(error),
+        };
+        if batch.is_ok() {
+            self.reader = Some(reader);
+        }
+        Some(batch)
+    }
 }
 
 /// The reader asserts some of what a damaged file breaks; such a file is an error like any other.
@@ -115,14 +181,6 @@ fn open(
     let reader = ParquetRecordBatchReaderBuilder::try_new_with_options(file, options).map_err(damaged(path))?;
     table.check(path, reader.schema())?;
     Ok(reader)
-}
-
-fn collect<R: ChunkReader + 'static>(
-    path: &Path,
-    reader: ParquetRecordBatchReaderBuilder<R>,
-) -> Result<Vec<RecordBatch>> {
-    let batches = reader.build().map_err(damaged(path))?;
-    batches.map(|batch| batch.map_err(|error| Error::corrupt(path, error.to_string()))).collect()
 }
 
 /// A file that Parquet cannot read was not written by us, or is not whole.

@@ -1,6 +1,6 @@
 //! What a corpus is made of: a generated scenario with its verdict, and one value of a metric.
 
-use super::RequestTag;
+use super::{Assessment, RequestTag};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::scene::{Scenario, SceneId};
 use serde::{Deserialize, Serialize};
@@ -22,6 +22,8 @@ pub struct ScenarioRecord {
     pub events: Vec<BehaviorEvent>,
     /// Whether the recording already held the requested behavior with these roles.
     pub recorded_event: bool,
+    /// What was judged of it; `None` before it is evaluated. Only the corpus keeps it.
+    pub assessment: Option<Assessment>,
     /// Which shard of the run's samples it was generated in.
     pub shard: usize,
     /// The request behind it, and what became of it there; `None` for scenarios of plain sweeps.

@@ -36,7 +36,8 @@ pub fn read_samples(path: &Path, maps: &dyn MapSource) -> Result<Vec<ScenarioRec
 /// As [`read_samples`].
 pub fn sample_ids(path: &Path) -> Result<Vec<String>> {
     let mut ids = Vec::new();
-    for batch in parquet_file::read_column(path, &sample::schema(), "scenario_id")? {
+    for batch in parquet_file::stream(path, &sample::schema(), Some(&["scenario_id"]))? {
+        let batch = batch?;
         let column: Option<&StringArray> = batch.column(0).as_any().downcast_ref();
         let column = column.ok_or_else(|| Error::corrupt(path, "scenario_id has another type".to_owned()))?;
         ids.extend(column.iter().flatten().map(str::to_owned));

@@ -1,6 +1,8 @@
 //! The schemas of our tables: which columns does each have, in which unit and frame, and which version is it?
 
 use super::{Error, Result, tables};
+use arrow::array::{RecordBatch, new_null_array};
+use arrow::compute::cast;
 use arrow::datatypes::{DataType, Field, FieldRef, Fields, Schema, SchemaRef};
 use serde::Serialize;
 use std::path::Path;
@@ -52,6 +54,7 @@ impl TableSchema {
             tables::sample::schema(),
             tables::scenario::schema(),
             tables::track::schema(),
+            tables::recording::schema(),
             tables::metric::schema(),
             tables::prediction::schema(),
         ]
@@ -78,28 +81,67 @@ impl TableSchema {
         self.fields.iter().any(|field| field.name() == name)
     }
 
-    /// Checks that `found`, read from `path`, is this schema in this version.
+    /// The oldest version whose files are still read. A column that came later is read as missing from such files, so
+    /// later columns must be nullable for older files to be readable; raise the number when one is not.
+    pub fn oldest_readable(&self) -> u32 {
+        match self.name {
+            "scenario" => 2,
+            _ => self.version,
+        }
+    }
+
+    /// The version that `id` (such as `scene.v1`) names, when it is one of this table that can be read.
+    pub fn readable_version(&self, id: &str) -> Option<u32> {
+        let version = id.strip_prefix(self.name)?.strip_prefix(".v")?.parse().ok()?;
+        (self.oldest_readable()..=self.version).contains(&version).then_some(version)
+    }
+
+    /// Checks that `found`, read from `path`, is this schema in a version that can be read.
     ///
     /// # Errors
     /// [`Error::SchemaVersion`] when the file names another schema or none, [`Error::Corrupt`] when it names this one
     /// but has other columns.
     pub(crate) fn check(&self, path: &Path, found: &Schema) -> Result<()> {
         let found_id = found.metadata().get(SCHEMA_KEY).map_or("", |id| id.as_str());
-        if found_id != self.id() {
+        let Some(version) = self.readable_version(found_id) else {
             return Err(Error::SchemaVersion {
                 path: path.to_owned(),
                 expected: self.id(),
                 found: found_id.to_owned(),
             });
-        }
+        };
         for field in &self.fields {
-            let same_type =
-                |other: &FieldRef| other.name() == field.name() && other.data_type().equals_datatype(field.data_type());
-            if !found.fields().iter().any(same_type) {
+            let other = found.fields().iter().find(|other| other.name() == field.name());
+            let fits = match other {
+                Some(other) => other.data_type().equals_datatype(field.data_type()),
+                None => version < self.version && field.is_nullable(),
+            };
+            if !fits {
                 return Err(Error::corrupt(path, format!("column {} is missing or has another type", field.name())));
             }
         }
         Ok(())
+    }
+
+    /// The batch with the columns of this version in their order, then its open columns; columns that came after the
+    /// version of its file are missing in every row. Call it on batches whose schema passed [`check`](Self::check).
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when a column that cannot be missing is.
+    pub(crate) fn conform(&self, path: &Path, batch: &RecordBatch) -> Result<RecordBatch> {
+        let is_open = |field: &&FieldRef| !self.has(field.name());
+        let open = || batch.schema_ref().fields().iter().filter(is_open);
+        let schema = self.arrow_with(open().map(|field| field.as_ref().clone()).collect());
+        let column = |field: &FieldRef| match batch.column_by_name(field.name()) {
+            Some(column) if column.data_type() == field.data_type() => Ok(Arc::clone(column)),
+            // The same type with other words about its members.
+            Some(column) => cast(column, field.data_type()),
+            None => Ok(new_null_array(field.data_type(), batch.num_rows())),
+        };
+        let columns = schema.fields().iter().map(column).collect::<std::result::Result<Vec<_>, _>>();
+        columns
+            .and_then(|columns| RecordBatch::try_new(schema, columns))
+            .map_err(|error| Error::corrupt(path, error.to_string()))
     }
 
     /// The schema as it is published in `schemas/`: indented JSON with a final newline.
@@ -193,7 +235,8 @@ impl ColumnDoc {
     }
 }
 
-fn type_name(data_type: &DataType) -> String {
+/// A type in plain words, such as `list<float64>`.
+pub(crate) fn type_name(data_type: &DataType) -> String {
     match data_type {
         DataType::List(item) => format!("list<{}>", type_name(item.data_type())),
         DataType::Struct(_) => "struct".to_owned(),

@@ -1,8 +1,9 @@
 //! Scenes, maps and scenarios for the tests of this layer: arbitrary, but the same for the same seed.
 
-use super::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord, as_stored};
+use super::{Assessment, BucketTag, RequestOutcome, RequestTag, ScenarioRecord, as_stored};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
+use crate::metrics::{Check, CutInJudgment, PairCriticality, SceneCriticality, Violation};
 use crate::scene::{
     AgentClass, Dataset, Extent, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, MapId, ObservationMask,
     Provenance, Scenario, Scene, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole, Trajectory,
@@ -137,6 +138,7 @@ pub(crate) fn record(scene: &Scene, sample_idx: usize) -> ScenarioRecord {
         verified,
         events,
         recorded_event: false,
+        assessment: None,
         shard: 7,
         request: verified.then(|| RequestTag {
             request: "tight".to_owned(),
@@ -147,8 +149,64 @@ pub(crate) fn record(scene: &Scene, sample_idx: usize) -> ScenarioRecord {
     }
 }
 
-/// The names and contents of all files of a folder.
+/// A judgment of a scenario from `scene`, with something in every part or in few.
+pub(crate) fn assessment(scene: &Scene, has_all: bool) -> Assessment {
+    let violation = |check: Check, timestep: usize| Violation {
+        check,
+        track: scene.tracks[0].id.clone(),
+        timestep,
+        value: 9.5,
+        limit: 9.0,
+    };
+    Assessment {
+        accepted: !has_all,
+        violations: match has_all {
+            true => vec![violation(Check::Deceleration, 12), violation(Check::Offroad, 17)],
+            false => Vec::new(),
+        },
+        plausibility: Some(0.75),
+        pair: has_all.then_some(PairCriticality {
+            min_ttc_s: None,
+            tet_s: 0.5,
+            tit_s2: 0.25,
+            max_drac_mps2: 3.0,
+            min_headway_s: Some(0.8),
+            pet_s: None,
+            min_distance_m: 1.5,
+        }),
+        scene: Some(SceneCriticality { min_ttc_s: Some(1.25), max_drac_mps2: 4.0, min_distance_m: 0.5 }),
+        cut_in: has_all.then_some(CutInJudgment {
+            preventable: false,
+            braking_from_s: Some(1.45),
+            intrusion_ttc_s: None,
+            avoidance_required: Some(true),
+        }),
+        nearest_recorded_event: Some(2.5),
+        nearest_scenario_m: has_all.then_some(0.125),
+        near_duplicate_of: has_all.then(|| "before".to_owned()),
+    }
+}
+
+/// The names and contents of all files below a folder.
 pub(crate) fn folder_bytes(dir: &std::path::Path) -> std::collections::BTreeMap<String, Vec<u8>> {
-    let entries = fs_err::read_dir(dir).unwrap().map(|entry| entry.unwrap());
-    entries.map(|e| (e.file_name().to_string_lossy().into_owned(), fs_err::read(e.path()).unwrap())).collect()
+    let mut files = std::collections::BTreeMap::new();
+    for entry in fs_err::read_dir(dir).unwrap().map(|entry| entry.unwrap()) {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if entry.path().is_dir() {
+            files
+                .extend(folder_bytes(&entry.path()).into_iter().map(|(file, bytes)| (format!("{name}/{file}"), bytes)));
+        } else {
+            files.insert(name, fs_err::read(entry.path()).unwrap());
+        }
+    }
+    files
+}
+
+/// Writes a table from rows that need not make sense.
+pub(crate) fn write_table(
+    path: &std::path::Path,
+    table: &super::TableSchema,
+    batch: &arrow::array::RecordBatch,
+) -> super::FileStamp {
+    super::parquet_file::write_batch(path, table, batch).unwrap()
 }

@@ -8,7 +8,7 @@
 //! The profile `dev` has optimized dependencies, and its own code spends next to no time; it saves a second build of the world.
 //! `CANDLE_NUM_THREADS` and `RAYON_NUM_THREADS` limit the threads. What is measured goes to stdout as a table; CI checks that
 //! this compiles, and never looks at a time.
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program of its own, for people")]
+#![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program of its own, for people")]
 
 mod cpu_time;
 mod run_time;

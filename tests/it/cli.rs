@@ -10,9 +10,22 @@ fn help_teaches_every_command() {
     for part in ["Examples:", "Exit codes:", "a quality gate of the configuration was not met", "quickstart.toml"] {
         assert!(top.contains(part), "`{part}` is missing in\n{top}");
     }
-    for command in
-        ["run", "ingest", "mine", "train denoiser", "train classifier", "generate", "evaluate", "report", "inspect"]
-    {
+    let corpus_tools = ["validate", "merge", "filter", "sample", "diff"].map(|tool| format!("corpus {tool}"));
+    let stages = [
+        "run",
+        "ingest",
+        "mine",
+        "train denoiser",
+        "train distill",
+        "train classifier",
+        "train baseline",
+        "generate",
+        "evaluate",
+        "report",
+        "export",
+        "inspect",
+    ];
+    for command in stages.into_iter().chain(corpus_tools.iter().map(String::as_str)) {
         let first_word = command.split(' ').next().unwrap();
         assert!(top.contains(&format!("\n  {first_word}")), "{first_word}");
         let args: Vec<&str> = command.split(' ').chain(["--help"]).collect();

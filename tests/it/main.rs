@@ -5,8 +5,10 @@
 mod architecture;
 mod cli;
 mod config;
+mod corpus;
 mod determinism;
 mod documents;
+mod export;
 mod report;
 mod requests;
 mod schema;

@@ -1,12 +1,18 @@
 //! The commands: what does each do with its arguments?
 
+mod corpus;
+mod export;
 mod inspect;
 mod regenerate;
+mod report;
 mod run;
 mod stage;
 
+pub(super) use corpus::corpus;
+pub(super) use export::export;
 pub(super) use inspect::inspect;
 pub(super) use regenerate::regenerate;
+pub(super) use report::report;
 pub(super) use run::run;
 pub(super) use stage::stage;
 

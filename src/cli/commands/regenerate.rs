@@ -19,6 +19,7 @@ pub(in crate::cli) fn regenerate(args: &RegenerateArgs, output: &OutputArgs, pri
         (&mut layout.scenes, &args.scenes.scenes),
         (&mut layout.denoiser, &args.denoiser.denoiser),
         (&mut layout.classifier, &args.classifier),
+        (&mut layout.distilled, &args.distilled),
         (&mut layout.baseline, &args.baseline),
     ] {
         path.iter().for_each(|path| place.clone_from(path));

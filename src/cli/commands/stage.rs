@@ -60,6 +60,9 @@ impl<'a> Request<'a> {
             Command::Train(TrainCommand::Denoiser(args)) => {
                 Self::new(StageId::TrainDenoiser, &args.stage).scenes(&args.scenes.scenes)
             }
+            Command::Train(TrainCommand::Distill(args)) => Self::new(StageId::TrainDistill, &args.stage)
+                .scenes(&args.scenes.scenes)
+                .denoiser(&args.denoiser.denoiser),
             Command::Train(TrainCommand::Classifier(args)) => Self::new(StageId::TrainClassifier, &args.stage)
                 .scenes(&args.scenes.scenes)
                 .events(&args.events.events)
@@ -71,12 +74,14 @@ impl<'a> Request<'a> {
                 let mut request = Self::new(StageId::Generate, &args.stage)
                     .scenes(&args.scenes.scenes)
                     .denoiser(&args.denoiser.denoiser);
+                replace(&mut request.layout.distilled, &args.distilled);
                 replace(&mut request.layout.classifier, &args.classifier);
                 replace(&mut request.layout.baseline, &args.baseline);
                 request
             }
             Command::Evaluate(args) => {
-                let mut request = Self::new(StageId::Evaluate, &args.stage).scenes(&args.scenes.scenes);
+                let mut request =
+                    Self::new(StageId::Evaluate, &args.stage).scenes(&args.scenes.scenes).events(&args.events);
                 replace(&mut request.layout.samples, &args.samples);
                 request
             }
@@ -87,7 +92,11 @@ impl<'a> Request<'a> {
                 }
                 request
             }
-            Command::Run(_) | Command::Inspect(_) | Command::Regenerate(_) => return None,
+            Command::Run(_)
+            | Command::Corpus(_)
+            | Command::Export(_)
+            | Command::Regenerate(_)
+            | Command::Inspect(_) => return None,
         };
         Some(request)
     }

@@ -1,11 +1,13 @@
 //! How does noise become a sample? The list of samplers, and what they have in common.
 
+mod consistency;
 mod dpmpp_2m;
 mod euler;
 mod heun;
 #[cfg(test)]
 mod tests;
 
+pub use consistency::ConsistencyConfig;
 pub use dpmpp_2m::Dpmpp2mConfig;
 pub use euler::EulerConfig;
 pub use heun::HeunConfig;
@@ -28,6 +30,9 @@ pub enum SamplerConfig {
     /// Second order, one evaluation a step (DPM-Solver++ 2M).
     #[serde(rename = "dpmpp_2m")]
     Dpmpp2m(Dpmpp2mConfig),
+    /// Jumps to the end, for consistency models (`[train.distill]`).
+    #[serde(rename = "consistency")]
+    Consistency(ConsistencyConfig),
 }
 
 impl Default for SamplerConfig {
@@ -61,6 +66,7 @@ impl SamplerConfig {
             Self::Heun(config) => config.n_steps,
             Self::Euler(config) => config.n_steps,
             Self::Dpmpp2m(config) => config.n_steps,
+            Self::Consistency(config) => config.levels.len() + 1,
         }
     }
 
@@ -68,7 +74,27 @@ impl SamplerConfig {
     pub const fn n_evaluations(&self) -> usize {
         match self {
             Self::Heun(config) => (2 * config.n_steps).saturating_sub(1),
-            Self::Euler(_) | Self::Dpmpp2m(_) => self.n_steps(),
+            Self::Euler(_) | Self::Dpmpp2m(_) | Self::Consistency(_) => self.n_steps(),
+        }
+    }
+
+    /// Says what makes no sense in the settings.
+    ///
+    /// # Errors
+    /// When something does.
+    pub fn validate(&self) -> std::result::Result<(), String> {
+        match self {
+            Self::Consistency(config) => config.validate(),
+            _ if self.n_steps() == 0 => Err("sampler.n_steps is 0, expected at least 1".to_owned()),
+            _ => Ok(()),
+        }
+    }
+
+    /// The noise levels of its steps from `sigma_start`, the last of them 0.
+    pub fn schedule(&self, edm: &Edm, sigma_start: f64) -> Vec<f64> {
+        match self {
+            Self::Consistency(config) => config.schedule(sigma_start),
+            _ => edm.schedule_from(sigma_start, self.n_steps()),
         }
     }
 
@@ -79,6 +105,10 @@ impl SamplerConfig {
             Self::Heun(config) => format!("heun-{}", config.n_steps),
             Self::Euler(config) => format!("euler-{}", config.n_steps),
             Self::Dpmpp2m(config) => format!("dpmpp_2m-{}", config.n_steps),
+            Self::Consistency(config) => {
+                let levels: Vec<String> = config.levels.iter().map(|level| format!("-{level}")).collect();
+                format!("consistency{}", levels.concat())
+            }
         }
     }
 
@@ -93,7 +123,7 @@ impl SamplerConfig {
         observer: &mut Observer<'_>,
     ) -> Result<Tensor> {
         let x = (noise.draw(row_dims, like.dtype(), like.device())? * edm.sigma_max)?;
-        self.integrate(&edm.schedule(self.n_steps()), denoiser, x, noise, observer)
+        self.integrate(&self.schedule(edm, edm.sigma_max), denoiser, x, noise, observer)
     }
 
     /// Integrates from `x` (B, …), a state at noise level `sigmas[0]`, along the decreasing `sigmas` to the last of them.
@@ -110,6 +140,7 @@ impl SamplerConfig {
             Self::Heun(config) => heun::integrate(config, sigmas, denoiser, x, noise, observer),
             Self::Euler(_) => euler::integrate(sigmas, denoiser, x, observer),
             Self::Dpmpp2m(_) => dpmpp_2m::integrate(sigmas, denoiser, x, observer),
+            Self::Consistency(_) => consistency::integrate(sigmas, denoiser, x, noise, observer),
         }
     }
 }

@@ -110,7 +110,8 @@ impl Generator<'_> {
             return Ok(Finding::Hit(bucket));
         }
         let recorded = self.load(cell.scene_idx, &cell.scene_id)?;
-        let candidate = Candidate { scene, objectives: &[] };
+        let asked = &record.scenario.provenance.guidance.roles;
+        let candidate = Candidate { scene, objectives: &[], asked };
         let verdicts = request.config.limits().verdicts(&recorded, &[candidate]);
         let is_valid = verdicts.iter().all(Option::is_none);
         Ok(if is_valid { Finding::Hit(bucket) } else { Finding::BeyondLimits(bucket) })

@@ -71,7 +71,7 @@ fn objectives_alone_may_serve_a_behavior() {
         "{SWEEPS}    classifier_scope = 'none'\n    objectives = [{{ kind = 'goal', agents = 'other', x_m = 9.0, y_m = -4.0 }}]"
     );
     let (denoiser, config) = (denoiser(0), config(&toml));
-    let models = Models { denoiser: &denoiser, classifiers: &[], baseline: None };
+    let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline: None };
     let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
     let generator = Generator::new(&config, models, &behaviors, &load, &Device::Cpu).unwrap();
     let plan = generator.plan(&index(12)).unwrap();
@@ -139,7 +139,7 @@ fn guidance_that_makes_no_sense_is_refused() {
     let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
     let check = |agents: &str| {
         let config = config(&guided(&format!("behavior = 'drift'\n{}", speed(&format!(", agents = '{agents}'")))));
-        let models = Models { denoiser: &models.0, classifiers: &models.1, baseline: None };
+        let models = Models { denoiser: &models.0, classifiers: &models.1, distilled: None, baseline: None };
         Generator::new(&config, models, &behaviors, &load, &Device::Cpu).err().map(|error| error.to_string())
     };
     assert_eq!(check("other"), None);

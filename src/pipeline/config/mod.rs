@@ -15,7 +15,7 @@ use crate::ingest::IngestConfig;
 use crate::pipeline::StageId;
 use crate::pipeline::failure::{Failure, Result};
 use crate::pipeline::stages::{EvaluateConfig, MineConfig, ReportConfig};
-use crate::train::{BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig};
+use crate::train::{BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -46,6 +46,8 @@ pub struct PipelineConfig {
 pub struct TrainConfig {
     /// The diffusion model that generates scenarios.
     pub denoiser: Option<DenoiserTrainingConfig>,
+    /// The same in few evaluations, which sweeps with `model = "distilled"` sample from.
+    pub distill: Option<DistillTrainingConfig>,
     /// The classifier that guides it toward a behavior.
     pub classifier: Option<ClassifierTrainingConfig>,
     /// Scene Transformer, the baseline that sweeps with `model = "baseline"` sample from.
@@ -98,6 +100,7 @@ impl PipelineConfig {
             StageId::Ingest => {}
             StageId::Mine => _ = self.mine.get_or_insert_default(),
             StageId::TrainDenoiser => _ = self.train.denoiser.get_or_insert_default(),
+            StageId::TrainDistill => _ = self.train.distill.get_or_insert_default(),
             StageId::TrainClassifier => _ = self.train.classifier.get_or_insert_default(),
             StageId::TrainBaseline => _ = self.train.baseline.get_or_insert_default(),
             StageId::Generate => _ = self.generate.get_or_insert_default(),

@@ -4,7 +4,7 @@ use super::{Description, checkpoint};
 use crate::pipeline::run::{RUN_FILE, RunManifest, TIMINGS_FILE, Timings};
 use crate::pipeline::stages::SampleManifest;
 use crate::pipeline::{Result, StageId, StageRecord};
-use crate::store::{CorpusManifest, SceneManifest, SceneStore, read_json};
+use crate::store::{CorpusManifest, SceneManifest, SceneStore, TableEntry, read_json};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -130,24 +130,34 @@ pub(super) fn corpus(path: &Path) -> Result<Option<Description>> {
         return Ok(None);
     }
     let manifest = CorpusManifest::read(path)?;
-    let tables: Map<String, Value> = manifest
-        .tables
-        .iter()
-        .map(|(file, table)| {
-            let entry = json!({ "schema": table.schema, "n_rows": table.n_rows, "n_bytes": table.stamp.n_bytes });
-            (file.clone(), entry)
-        })
-        .collect();
+    let table = |name: &String, table: &TableEntry| {
+        let n_files = table.files.len();
+        let entry =
+            json!({ "schema": table.schema, "n_rows": table.n_rows, "n_bytes": table.n_bytes, "n_files": n_files });
+        (name.clone(), entry)
+    };
+    let tables: Map<String, Value> = manifest.tables.iter().map(|(name, entry)| table(name, entry)).collect();
+    let mut by_partition = Map::new();
+    for count in &manifest.scenarios_by_partition {
+        let name = format!("{} at {}", count.behavior, count.place);
+        let counts = json!({ "n_scenarios": count.n_scenarios, "n_verified": count.n_verified, "n_new": count.n_new });
+        by_partition.insert(name, counts);
+    }
     let description = Description::new("corpus")
-        .with("schema", manifest.schema)
+        .with("schema", manifest.schema.as_str())
         .with("n_scenarios", manifest.n_scenarios)
         .with("n_verified", manifest.n_verified)
+        .with("n_new", manifest.n_new)
+        .with("n_recordings", manifest.n_recordings)
         .with("n_maps", manifest.n_maps)
+        .with("n_bytes", manifest.n_bytes())
+        .with("scenarios_by_partition", by_partition)
         .with_json("scenarios_by_dataset", &manifest.scenarios_by_dataset)?
         .with_json("scenarios_by_sweep", &manifest.scenarios_by_sweep)?
         .with("tables", tables)
         .with_json("sources", &manifest.sources)?
-        .with_json("notes", &manifest.notes)?;
+        .with_json("notes", &manifest.notes)?
+        .with_json("history", &manifest.history)?;
     Ok(Some(description))
 }
 

@@ -3,7 +3,7 @@
 use super::{Description, inspect};
 use crate::behavior::EventLabel;
 use crate::pipeline::Result;
-use crate::store::{Error, MetricRow, read_events, read_json, read_metrics};
+use crate::store::{CorpusManifest, Error, MetricRow, read_events, read_json, read_metrics};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -66,9 +66,12 @@ pub(super) fn part_of_folder(path: &Path) -> Result<Option<Description>> {
     if !has_extension(path, "parquet") && !has_extension(path, "arrow") {
         return Ok(None);
     }
-    let Some(folder) = path.parent().filter(|folder| folder.join("manifest.json").exists()) else { return Ok(None) };
+    // Files of a corpus lie in folders of their partition: up to scenarios/behavior=…/place=….
+    let Some(folder) = path.ancestors().skip(1).take(4).find(|folder| folder.join("manifest.json").exists()) else {
+        return Ok(None);
+    };
     let whole = inspect(folder)?;
-    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let name = path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
     let mut description = Description::new("part of a folder")
         .with("file", name.as_str())
         .with("n_bytes", fs_err::metadata(path)?.len())
@@ -76,8 +79,17 @@ pub(super) fn part_of_folder(path: &Path) -> Result<Option<Description>> {
     if let Ok(beside) = read_json::<Value>(&path.with_extension("json")) {
         description = description.with("shard", beside);
     }
-    if let Some(table) = whole.json().get("tables").and_then(|tables| tables.get(&name)) {
-        description = description.with("table", table.clone());
+    if whole.kind == "corpus" {
+        let manifest = CorpusManifest::read(folder)?;
+        for (table, entry) in &manifest.tables {
+            if let Some(file) = entry.files.iter().find(|file| file.path == name) {
+                description = description
+                    .with("table", table.as_str())
+                    .with("schema", entry.schema.as_str())
+                    .with("n_rows", file.n_rows)
+                    .with_json("partition", &file.partition)?;
+            }
+        }
     }
     Ok(Some(description))
 }

@@ -1,7 +1,7 @@
 //! Whose failure is an error of each layer? Here, once, for all stages.
 
 use crate::pipeline::{Blame, Failure};
-use crate::{generate, ingest, nn, store, train};
+use crate::{corpus, export, generate, ingest, nn, store, train};
 use std::io::ErrorKind;
 
 impl From<ingest::Error> for Failure {
@@ -23,11 +23,34 @@ impl From<store::Error> for Failure {
         match error {
             store::Error::Io(io) if io.kind() == ErrorKind::NotFound => Self::input(io),
             error @ (store::Error::Unfinished { .. }
+            | store::Error::NoCorpus { .. }
             | store::Error::SchemaVersion { .. }
             | store::Error::NotFound { .. }
             | store::Error::DuplicateScene { .. }
             | store::Error::UnknownMap { .. }) => Self::input(error),
             error => Self::fault(error),
+        }
+    }
+}
+
+impl From<corpus::Error> for Failure {
+    fn from(error: corpus::Error) -> Self {
+        match error {
+            corpus::Error::Store(error) => error.into(),
+            corpus::Error::Io(io) if io.kind() == ErrorKind::NotFound => Self::input(io),
+            corpus::Error::Io(io) => Self::fault(io),
+            error => Self::input(error),
+        }
+    }
+}
+
+impl From<export::Error> for Failure {
+    fn from(error: export::Error) -> Self {
+        match error {
+            export::Error::Store(error) => Self::from(error),
+            export::Error::Io(io) => of_input_file(io),
+            error @ export::Error::Encode { .. } => Self::fault(error),
+            error => Self::input(error),
         }
     }
 }

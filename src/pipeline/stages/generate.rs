@@ -64,6 +64,9 @@ impl Stage for Generate<'_> {
             StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
             StageInput::made_by(StageId::TrainDenoiser, "denoiser", &self.layout.denoiser),
         ];
+        if self.needs(SweepConfig::uses_distilled) {
+            inputs.push(StageInput::made_by(StageId::TrainDistill, "distilled", &self.layout.distilled));
+        }
         if self.needs(SweepConfig::needs_classifier) {
             inputs.push(StageInput::made_by(StageId::TrainClassifier, "classifier", &self.layout.classifier));
         }
@@ -86,12 +89,21 @@ impl Stage for Generate<'_> {
         if self.needs(SweepConfig::needs_classifier) {
             classifiers.push(TrainedClassifier::read(&checkpoint_file(&self.layout.classifier), &device)?);
         }
+        let distilled = match self.needs(SweepConfig::uses_distilled) {
+            true => Some(TrainedDenoiser::read(&checkpoint_file(&self.layout.distilled), &device)?),
+            false => None,
+        };
         let baseline = match self.needs(SweepConfig::uses_baseline) {
             true => Some(TrainedSceneTransformer::read(&checkpoint_file(&self.layout.baseline), &device)?),
             false => None,
         };
         let behaviors = self.mine.build()?;
-        let models = Models { denoiser: &denoiser, classifiers: &classifiers, baseline: baseline.as_ref() };
+        let models = Models {
+            denoiser: &denoiser,
+            classifiers: &classifiers,
+            distilled: distilled.as_ref(),
+            baseline: baseline.as_ref(),
+        };
         let load = |idx: usize| Ok(store.scene(idx)?);
         let generator = Generator::new(&resolved.config, models, &behaviors, &load, &device)?;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
@@ -115,6 +127,7 @@ impl Stage for Generate<'_> {
                 scenes: store.fingerprint().to_owned(),
                 denoiser: denoiser.fingerprint.clone(),
                 classifier: classifiers.first().map(|classifier| classifier.fingerprint.clone()),
+                distilled: distilled.as_ref().map(|distilled| distilled.fingerprint.clone()),
                 baseline: baseline.as_ref().map(|baseline| baseline.fingerprint.clone()),
                 shortfalls: plan.shortfalls,
             },

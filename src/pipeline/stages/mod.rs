@@ -12,6 +12,7 @@ mod selection;
 mod train_baseline;
 mod train_classifier;
 mod train_denoiser;
+mod train_distill;
 
 pub use evaluate::{Evaluate, EvaluateConfig, EvaluationSummary, GateResult, GatesConfig, Keep};
 pub use generate::Generate;
@@ -24,6 +25,7 @@ pub use train_baseline::TrainBaseline;
 pub use train_classifier::TrainClassifier;
 pub use train_denoiser::TrainDenoiser;
 pub(in crate::pipeline) use train_denoiser::checkpoint_file;
+pub use train_distill::TrainDistill;
 
 use super::config::PipelineConfig;
 use super::failure::{Failure, Result};
@@ -72,6 +74,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
         StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()? }),
         StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
         StageId::TrainDenoiser => Box::new(TrainDenoiser { config: train.denoiser.as_ref()?, seed: run.seed, layout }),
+        StageId::TrainDistill => Box::new(TrainDistill { config: train.distill.as_ref()?, seed: run.seed, layout }),
         StageId::TrainClassifier => Box::new(TrainClassifier { config: train.classifier.as_ref()?, layout }),
         StageId::TrainBaseline => Box::new(TrainBaseline { config: train.baseline.as_ref()?, seed: run.seed, layout }),
         StageId::Generate => Box::new(Generate {
@@ -80,9 +83,13 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
             layout,
         }),
-        StageId::Evaluate => {
-            Box::new(Evaluate { config: evaluate.as_ref()?, mine: definitions(), pipeline: &run.name, layout })
-        }
+        StageId::Evaluate => Box::new(Evaluate {
+            config: evaluate.as_ref()?,
+            mine: definitions(),
+            pipeline: &run.name,
+            has_events: has_events(config, layout),
+            layout,
+        }),
         StageId::Report => Box::new(Report {
             config: report.as_ref()?,
             parts: reported_stages(config, layout),
@@ -97,6 +104,12 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
     })
 }
 
+/// Whether there are recorded events to compare scenarios with, or will be when the pipeline has mined them.
+fn has_events(config: &PipelineConfig, layout: &Layout) -> bool {
+    let is_run_folder = layout.events.parent() == layout.scenes.parent();
+    layout.events.exists() || (is_run_folder && config.ingest.is_some() && config.mine.is_some())
+}
+
 /// The stages to report on: those of the pipeline, or where the configuration has no other section, those whose outputs
 /// are there.
 fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
@@ -104,6 +117,7 @@ fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
         StageId::Ingest => config.ingest.is_some(),
         StageId::Mine => config.mine.is_some(),
         StageId::TrainDenoiser => config.train.denoiser.is_some(),
+        StageId::TrainDistill => config.train.distill.is_some(),
         StageId::TrainClassifier => config.train.classifier.is_some(),
         StageId::TrainBaseline => config.train.baseline.is_some(),
         StageId::Generate => config.generate.is_some(),
@@ -114,6 +128,7 @@ fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
         StageId::Ingest => layout.scenes.exists(),
         StageId::Mine => layout.events.exists(),
         StageId::TrainDenoiser => layout.denoiser.exists(),
+        StageId::TrainDistill => layout.distilled.exists(),
         StageId::TrainClassifier => layout.classifier.exists(),
         StageId::TrainBaseline => layout.baseline.exists(),
         StageId::Generate => layout.samples.exists(),

@@ -63,6 +63,9 @@ pub struct SampledWith {
     pub scenes: String,
     /// Fingerprint of the denoiser.
     pub denoiser: String,
+    /// Fingerprint of the distilled denoiser, where a sweep is of it.
+    #[serde(default)]
+    pub distilled: Option<String>,
     /// Fingerprint of the classifier, where there was one.
     pub classifier: Option<String>,
     /// Fingerprint of the baseline, where a sweep is of it.

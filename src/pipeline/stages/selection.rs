@@ -1,8 +1,10 @@
 //! Which scenes of a store does a model train on, and which are held out?
 
-use crate::scene::{Scene, Split};
+use crate::pipeline::{Failure, Result as StageResult};
+use crate::scene::{Dataset, Scene, Split};
 use crate::store::{SceneIndexEntry, SceneStore};
-use crate::train::SceneDataset;
+use crate::train::{FitStatistics, SceneDataset, TrainingData};
+use serde_json::{Value, json};
 
 /// Where the store has no `val` split, every so many-th scene is held out.
 const HOLD_OUT_EVERY: usize = 20;
@@ -55,10 +57,49 @@ impl Selection {
     }
 }
 
+/// The scenes of `store` that the `section` trains on and those held out. Left out, `state_dim` is that of the dataset.
+pub(super) fn training_data<'a>(
+    store: &'a SceneStore,
+    (splits, places): (&[Split], &[String]),
+    state_dim: Option<usize>,
+    section: &str,
+) -> StageResult<TrainingData<'a>> {
+    let Selection { train, held_out } = Selection::new(store.index(), splits, places);
+    let Some(first) = train.first() else {
+        return Err(Failure::input_message(format_args!("no scene is of the splits and places of {section}")));
+    };
+    // Argoverse 1 has no headings of its own: they are derived from the positions, and so are those of its samples.
+    let default_state_dim = if store.index()[*first].dataset == Dataset::Argoverse1 { 2 } else { 3 };
+    Ok(TrainingData {
+        state_dim: state_dim.unwrap_or(default_state_dim),
+        fingerprint: store.fingerprint().to_owned(),
+        dataset: store,
+        train,
+        held_out,
+    })
+}
+
+/// What a training stage says of itself, beside what is particular to it.
+pub(super) fn training_summary(
+    data: &TrainingData<'_>,
+    (fingerprint, steps, n_parameters): (&str, u64, usize),
+    statistics: &[FitStatistics],
+) -> Value {
+    json!({
+        "fingerprint": fingerprint,
+        "steps": steps,
+        "trained": true,
+        "n_parameters": n_parameters,
+        "n_train_scenes": data.train.len(),
+        "n_held_out_scenes": data.held_out.len(),
+        "last_evaluation": statistics.iter().rev().find(|line| !line.evaluation.is_empty()),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Dataset, SceneId};
+    use crate::scene::SceneId;
 
     fn index(splits: &[(Split, &str)]) -> Vec<SceneIndexEntry> {
         let entry = |(idx, (split, place)): (usize, &(Split, &str))| SceneIndexEntry {

@@ -1,14 +1,13 @@
 //! Scenes to a Scene Transformer, the baseline; or one that was trained elsewhere, taken over.
 
-use super::selection::Selection;
+use super::selection::{training_data, training_summary};
 use super::train_denoiser::{checkpoint_file, take_over};
 use crate::model::TrainedSceneTransformer;
 use crate::pipeline::layout::{BASELINE, Layout};
-use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
-use crate::scene::Dataset;
+use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::seed::Seed;
 use crate::store::SceneStore;
-use crate::train::{BaselineTrainingConfig, TrainingData, train_baseline};
+use crate::train::{BaselineTrainingConfig, train_baseline};
 use candle_core::Device;
 use serde_json::{Value, json};
 
@@ -64,29 +63,10 @@ impl Stage for TrainBaseline<'_> {
         }
         let training = self.config.resolve()?;
         let store = SceneStore::open(&self.layout.scenes)?;
-        let Selection { train, held_out } = Selection::new(store.index(), &self.config.splits, &self.config.places);
-        let Some(first) = train.first() else {
-            return Err(Failure::input_message("no scene is of the splits and places of train.baseline"));
-        };
-        // As for the denoiser: Argoverse 1 has no headings of its own.
-        let default_state_dim = if store.index()[*first].dataset == Dataset::Argoverse1 { 2 } else { 3 };
-        let (n_train, n_held_out) = (train.len(), held_out.len());
-        let data = TrainingData {
-            dataset: &store,
-            train,
-            held_out,
-            state_dim: self.config.state_dim.unwrap_or(default_state_dim),
-            fingerprint: store.fingerprint().to_owned(),
-        };
+        let config = self.config;
+        let data = training_data(&store, (&config.splits, &config.places), config.state_dim, "train.baseline")?;
         let outcome = train_baseline(&training, &data, Seed(self.seed), &dir, &Device::Cpu, context.progress)?;
-        Ok(json!({
-            "fingerprint": outcome.fingerprint,
-            "steps": training.fit.steps,
-            "trained": true,
-            "n_parameters": outcome.n_parameters,
-            "n_train_scenes": n_train,
-            "n_held_out_scenes": n_held_out,
-            "last_evaluation": outcome.statistics.iter().rev().find(|line| !line.evaluation.is_empty()),
-        }))
+        let model = (outcome.fingerprint.as_str(), training.fit.steps, outcome.n_parameters);
+        Ok(training_summary(&data, model, &outcome.statistics))
     }
 }

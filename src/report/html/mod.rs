@@ -1,69 +1,87 @@
 //! The page: which sections, in which order, with what around them?
 
+mod comparison;
 mod data;
 mod outcome;
+mod plain;
 mod quality;
 mod requests;
 mod scenes;
+mod tradeoffs;
 mod training;
+mod verdict;
+
+pub use comparison::render_comparison;
 
 use super::model::{Fact, ReportModel};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use std::borrow::Cow;
 
 const STYLE: &str = include_str!("style.css");
+const DRAWING_STYLE: &str = include_str!("../svg/drawing.css");
 const PLAYER: &str = include_str!("player.js");
+const FILTERS: &str = include_str!("filters.js");
 
 /// A part of the page with an entry in the table of contents.
 struct Section {
-    id: &'static str,
-    title: &'static str,
+    id: Cow<'static, str>,
+    title: Cow<'static, str>,
     body: Markup,
 }
 
 impl Section {
-    const fn new(id: &'static str, title: &'static str, body: Markup) -> Self {
-        Self { id, title, body }
+    fn new(id: impl Into<Cow<'static, str>>, title: impl Into<Cow<'static, str>>, body: Markup) -> Self {
+        Self { id: id.into(), title: title.into(), body }
     }
 }
 
 /// The report as one HTML file that needs no other: equal models give equal bytes.
 pub fn render(model: &ReportModel) -> String {
-    let sections: Vec<Section> = [
+    let first = [
         Some(warnings(model)),
         outcome::section(model),
         requests::section(model),
+        verdict::section(model),
+        tradeoffs::section(model),
         quality::metrics(model),
         quality::distributions(model),
         scenes::section(model),
+    ];
+    let last = [
         training::networks(model),
         training::classifier(model),
         data::mining(model),
         data::ingest(model),
         config(model),
-    ]
-    .into_iter()
-    .flatten()
-    .collect();
+    ];
+    let more = model.more.iter().map(|section| Some(plain::section(section)));
+    let sections: Vec<Section> = first.into_iter().chain(more).chain(last).flatten().collect();
+    let scripts = (!model.scenes.is_empty()).then(|| html! { script { (PreEscaped(PLAYER)) (PreEscaped(FILTERS)) } });
+    page(&model.title, &facts(&model.facts), &sections, &scripts.unwrap_or_default())
+}
+
+/// A whole page around its sections.
+fn page(title: &str, head: &Markup, sections: &[Section], scripts: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
             head {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
-                title { (model.title) " – djinn report" }
-                style { (PreEscaped(STYLE)) }
+                title { (title) " – djinn report" }
+                style { (PreEscaped(STYLE)) (PreEscaped(DRAWING_STYLE)) }
             }
             body {
                 a class="skip" href="#main" { "Skip to the content" }
                 header {
-                    h1 { (model.title) }
-                    (facts(&model.facts))
+                    h1 { (title) }
+                    (head)
                 }
                 nav aria-label="Contents" {
-                    ol { @for section in &sections { li { a href=(format!("#{}", section.id)) { (section.title) } } } }
+                    ol { @for section in sections { li { a href=(format!("#{}", section.id)) { (section.title) } } } }
                 }
                 main id="main" {
-                    @for section in &sections {
+                    @for section in sections {
                         section id=(section.id) aria-labelledby=(format!("{}-title", section.id)) {
                             h2 id=(format!("{}-title", section.id)) { (section.title) }
                             (section.body)
@@ -73,7 +91,7 @@ pub fn render(model: &ReportModel) -> String {
                 footer {
                     p { "Written by djinn " (env!("CARGO_PKG_VERSION")) ". Lengths in metres, times in seconds, angles in radians unless a heading says otherwise." }
                 }
-                script { (PreEscaped(PLAYER)) }
+                (scripts)
             }
         }
     };

@@ -4,6 +4,7 @@ use super::{Section, table};
 use crate::report::model::{ReportModel, SamplingRow};
 use crate::report::number::{ABSENT, count, percent, setting, share, value};
 use crate::report::svg::{Bar, bar_chart};
+use crate::report::tradeoffs::recorded_value;
 use crate::report::wilson::wilson_interval;
 use maud::{Markup, html};
 
@@ -14,7 +15,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
     let body = html! {
         (headline(model))
         @if !model.sampling.is_empty() {
-            (sampling_table(&model.sampling))
+            (sampling_table(model))
             (yield_chart(&model.sampling))
         }
     };
@@ -42,7 +43,8 @@ fn figure(n: u64, what: &str) -> Markup {
     html! { li { strong { (count(n)) } " " (what) } }
 }
 
-fn sampling_table(rows: &[SamplingRow]) -> Markup {
+fn sampling_table(model: &ReportModel) -> Markup {
+    let rows = &model.sampling;
     let head = html! {
         tr {
             th scope="col" { "Sweep" } th scope="col" { "Behavior" } th scope="col" { "Place" }
@@ -54,7 +56,8 @@ fn sampling_table(rows: &[SamplingRow]) -> Markup {
         }
     };
     let body = html! {
-        @for row in rows {
+        @for (i, row) in rows.iter().enumerate() {
+            @if rows[..i].iter().all(|before| before.sweep != row.sweep) { (recorded_row(model, row)) }
             tr {
                 th scope="row" { (row.sweep) }
                 td { (row.behavior.as_deref().unwrap_or(ABSENT)) }
@@ -76,7 +79,25 @@ fn sampling_table(rows: &[SamplingRow]) -> Markup {
         (table("Sampling by sweep and guidance strength", &head, &body))
         p class="note" {
             "A scenario is verified when the miner that defined the behavior finds it for the tracks that were asked to show it, independently of the "
-            "classifier that guided the sample. It is new when the recorded future of the same tracks does not hold it. Intervals are Wilson's, at 95 %."
+            "classifier that guided the sample. Rows of the recording say how often it holds what was asked for, and how it fares otherwise. A scenario is new when the recorded future of the same tracks does not hold it. Intervals are Wilson's, at 95 %."
+        }
+    }
+}
+
+/// What the recordings that a sweep continues hold by themselves, as far as it was measured.
+fn recorded_row(model: &ReportModel, row: &SamplingRow) -> Markup {
+    let of = |metric: &str| recorded_value(model, &row.sweep, metric).map_or_else(|| ABSENT.to_owned(), percent);
+    let behavior = if row.behavior.is_some() { of("behavior_rate") } else { ABSENT.to_owned() };
+    let (collision, offroad) = (of("collision_rate"), of("offroad_rate"));
+    html! {
+        @if [&behavior, &collision, &offroad].iter().any(|text| *text != ABSENT) {
+            tr class="reference" {
+                th scope="row" { "recorded (" (row.sweep) ")" }
+                td { (row.behavior.as_deref().unwrap_or(ABSENT)) } td { "all" }
+                @for text in [ABSENT, "recording", ABSENT, ABSENT, ABSENT, &behavior, ABSENT, &collision, &offroad, ABSENT] {
+                    td class=[(text != "recording").then_some("n")] { (text) }
+                }
+            }
         }
     }
 }

@@ -123,8 +123,17 @@ fn realism_table(rows: &[RealismRow]) -> Markup {
             @for (quantity, unit) in &quantities { th scope="col" class="n" { (quantity) small { " (" (unit) ")" } } }
         }
     };
+    let recorded = |sweep: &str, quantity: &str| {
+        rows.iter().find(|row| row.sweep == sweep && row.quantity == quantity).and_then(|row| row.recorded_mean)
+    };
     let body = html! {
-        @for (group, sweep, strength) in &groups {
+        @for (i, (group, sweep, strength)) in groups.iter().enumerate() {
+            @if groups[..i].iter().all(|(_, before, _)| before != sweep) {
+                tr class="reference" {
+                    th scope="row" { "recorded (" (sweep) ")" } td class="n" { (ABSENT) }
+                    @for (quantity, _) in &quantities { td class="n" { "0" small { " mean " (optional(recorded(sweep, quantity))) } } }
+                }
+            }
             @let find = |quantity: &String| rows.iter()
                 .find(|row| row.group == **group && row.sweep == **sweep && row.strength.to_bits() == *strength && row.quantity == *quantity);
             @let generated = group.as_str() != "constant_velocity";
@@ -135,7 +144,7 @@ fn realism_table(rows: &[RealismRow]) -> Markup {
                     td class="n" {
                         @let row = find(quantity);
                         (optional(row.and_then(|row| row.wasserstein)))
-                        small { " JS " (optional(row.and_then(|row| row.jensen_shannon))) }
+                        small { " JS " (optional(row.and_then(|row| row.jensen_shannon))) " mean " (optional(row.and_then(|row| row.mean))) }
                     }
                 }
             }
@@ -145,7 +154,7 @@ fn realism_table(rows: &[RealismRow]) -> Markup {
         (table("Distance of motion from the recording, whole sweeps", &head, &body))
         p class="note" {
             "Over all scenarios of a sweep and the recordings they continue: Wasserstein-1 distance in the quantity's unit, and (JS) Jensen-Shannon "
-            "divergence in bits, 0 for equal distributions and 1 for those that share nothing. Lower is better. Of guided scenarios some distance is asked for."
+            "divergence in bits, 0 for equal distributions and 1 for those that share nothing; beside them the means of the quantities. Lower distances are better. Of guided scenarios some distance is asked for."
         }
     }
 }

@@ -57,9 +57,8 @@ fn quality_table(rows: &[NoiseLevelReport]) -> Markup {
 }
 
 fn quality_chart(rows: &[NoiseLevelReport]) -> Chart {
-    let curve = |name: &str, of: fn(&NoiseLevelReport) -> Option<f64>| Curve {
-        name: name.to_owned(),
-        points: rows.iter().filter_map(|row| of(row).map(|share| [row.sigma, 100.0 * share])).collect(),
+    let curve = |name: &str, of: fn(&NoiseLevelReport) -> Option<f64>| {
+        Curve::new(name, rows.iter().filter_map(|row| of(row).map(|share| [row.sigma, 100.0 * share])).collect())
     };
     Chart {
         title: "Precision, recall and AUC by noise level".to_owned(),

@@ -6,8 +6,16 @@ use super::{color, dash, path};
 use crate::report::distribution::{Distribution, DistributionSeries};
 use maud::{Markup, html};
 
-/// The histograms as outlines of shares; the reference, which comes first, is filled.
+/// The histograms with their legend below.
 pub(in crate::report) fn histogram(distribution: &Distribution) -> Markup {
+    html! {
+        (histogram_plot(distribution))
+        (legend(distribution.series.iter().map(|series| series.name.as_str())))
+    }
+}
+
+/// The histograms as outlines of shares; the reference, which comes first, is filled.
+pub(in crate::report) fn histogram_plot(distribution: &Distribution) -> Markup {
     let edges = &distribution.edges;
     let (Some(low), Some(high)) = (edges.first(), edges.last()) else { return html! {} };
     let drawn: Vec<(usize, &DistributionSeries)> =
@@ -36,8 +44,5 @@ pub(in crate::report) fn histogram(distribution: &Distribution) -> Markup {
         "Histogram of {x_label}, {}",
         distribution.series.iter().map(|s| s.name.as_str()).collect::<Vec<_>>().join(" and ")
     );
-    html! {
-        (plot.draw(&name, &x_label, "share of values (%)", &inner))
-        (legend(distribution.series.iter().map(|series| series.name.as_str())))
-    }
+    plot.draw(&name, &x_label, "share of values (%)", &inner)
 }

@@ -1,36 +1,65 @@
 //! Curves over a common axis.
 
-use super::axes::{Axis, Plot};
-use super::{color, dash, path};
-use crate::report::model::Chart;
+use super::axes::{Axis, Plot, WIDTH};
+use super::{color, dash, marker, path};
+use crate::report::model::{Chart, Curve};
 use crate::report::number::coordinate;
 use maud::{Markup, html};
 
-/// The chart with its legend below.
+/// Points of curves with more than these are not marked one by one.
+const MAX_MARKED: usize = 12;
+
+/// The chart with its title above and its legend below.
 pub(in crate::report) fn line_chart(chart: &Chart) -> Markup {
-    let finite = |p: &&[f64; 2]| p[0].is_finite() && p[1].is_finite() && (!chart.log_x || p[0] > 0.0);
-    let points = || chart.curves.iter().flat_map(|curve| curve.points.iter().filter(finite));
-    let x = Axis::over(points().map(|p| p[0]), chart.log_x);
-    // Losses and shares are read against zero.
-    let y = Axis::over(points().map(|p| p[1]).chain([0.0]), false);
-    let plot = Plot { x, y };
-    let inner = html! {
-        @for (i, curve) in chart.curves.iter().enumerate() {
-            @let drawn: Vec<[f64; 2]> = curve.points.iter().filter(finite).map(|p| plot.point(p[0], p[1])).collect();
-            path class="curve" d=(path(drawn.iter().copied())) stroke=(color(i)) stroke-dasharray=(dash(i)) fill="none" {}
-            @if drawn.len() <= 12 {
-                @for [x, y] in &drawn { circle cx=(coordinate(*x)) cy=(coordinate(*y)) r="2.6" fill=(color(i)) {} }
-            }
-        }
-    };
-    let name = format!("{}: {} over {}", chart.title, chart.y_label, chart.x_label);
     html! {
         figure {
             figcaption { (chart.title) }
-            (plot.draw(&name, &chart.x_label, &chart.y_label, &inner))
+            (line_plot(chart))
             (legend(chart.curves.iter().map(|curve| curve.name.as_str())))
         }
     }
+}
+
+/// The chart alone.
+pub(in crate::report) fn line_plot(chart: &Chart) -> Markup {
+    let is_drawn = |[x, y]: [f64; 2]| x.is_finite() && y.is_finite() && (!chart.log_x || x > 0.0);
+    let points = || chart.curves.iter().flat_map(|curve| curve.points.iter().copied().filter(|p| is_drawn(*p)));
+    let ends = chart.curves.iter().flat_map(|curve| curve.intervals.iter().flatten().copied());
+    // Losses, shares and distances are read against zero; points that are named are figures on both axes.
+    let zero = chart.curves.iter().any(|curve| !curve.labels.is_empty()).then_some(0.0);
+    let x = Axis::over(points().map(|p| p[0]).chain(zero), chart.log_x);
+    let y = Axis::over(points().map(|p| p[1]).chain(ends).chain([0.0]), false);
+    let plot = Plot { x, y };
+    let inner = html! {
+            @for (i, curve) in chart.curves.iter().enumerate() {
+                @let drawn: Vec<(usize, [f64; 2])> = curve.points.iter().enumerate().filter(|(_, p)| is_drawn(**p))
+                    .map(|(at, p)| (at, plot.point(p[0], p[1]))).collect();
+                path class="curve" d=(path(drawn.iter().map(|(_, point)| *point))) stroke=(color(i)) stroke-dasharray=(dash(i)) fill="none" {}
+                @if drawn.len() <= MAX_MARKED {
+                    @for (at, point) in &drawn {
+                        (whisker(&plot, curve, *at, color(i)))
+                        path d=(marker(i, *point)) fill=(color(i)) {}
+                        @if let Some(label) = curve.labels.get(*at) {
+    @let (anchor, shift) = if point[0] > 0.5 * WIDTH { ("end", -6.0) } else { ("start", 6.0) };
+                            text class="tick" x=(coordinate(point[0] + shift)) y=(coordinate(point[1] - 6.0)) text-anchor=(anchor) { (label) }
+                        }
+                    }
+                }
+            }
+        };
+    let name = format!("{}: {} over {}", chart.title, chart.y_label, chart.x_label);
+    plot.draw(&name, &chart.x_label, &chart.y_label, &inner)
+}
+
+/// How sure a point is, as a line with ends.
+fn whisker(plot: &Plot, curve: &Curve, at: usize, stroke: &str) -> Markup {
+    let ends = curve.points.get(at).zip(curve.intervals.get(at)).map(|([x, _], [low, high])| {
+        let ([x, low], [_, high]) = (plot.point(*x, *low), plot.point(*x, *high));
+        let [left, right, low, high] = [x - 3.0, x + 3.0, low, high].map(coordinate);
+        let x = coordinate(x);
+        format!("M{x} {low}L{x} {high}M{left} {low}L{right} {low}M{left} {high}L{right} {high}")
+    });
+    html! { @if let Some(d) = ends { path class="interval" d=(d) stroke=(stroke) fill="none" {} } }
 }
 
 /// A line sample and a name for each series; nothing for a single one.
@@ -40,13 +69,19 @@ pub(super) fn legend<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> Marku
             ul class="legend" {
                 @for (i, name) in names.enumerate() {
                     li {
-                        svg viewBox="0 0 26 8" width="26" height="8" aria-hidden="true" {
-                            path class="curve" d="M1 4L25 4" stroke=(color(i)) stroke-dasharray=(dash(i)) fill="none" {}
-                        }
+                        svg viewBox="0 0 26 8" width="26" height="8" aria-hidden="true" { (sample(i)) }
                         (name)
                     }
                 }
             }
         }
+    }
+}
+
+/// How the i-th series looks: 26 wide and 8 high.
+pub(super) fn sample(i: usize) -> Markup {
+    html! {
+        path class="curve" d="M1 4L25 4" stroke=(color(i)) stroke-dasharray=(dash(i)) fill="none" {}
+        path d=(marker(i, [13.0, 4.0])) fill=(color(i)) {}
     }
 }

@@ -2,14 +2,16 @@
 
 mod axes;
 mod bars;
+mod file;
 mod histogram;
 mod line;
 mod scene;
 
 pub(super) use bars::{Bar, bar_chart};
-pub(super) use histogram::histogram;
-pub(super) use line::line_chart;
-pub(super) use scene::{role_color, scene_panel};
+pub(super) use file::{chart_file, distribution_file, scene_file};
+pub(super) use histogram::{histogram, histogram_plot};
+pub(super) use line::{line_chart, line_plot};
+pub(super) use scene::{CONTEXT, GENERATED_CONTEXT, role_color, scene_panel};
 
 use super::number::coordinate;
 
@@ -27,6 +29,18 @@ fn color(i: usize) -> &'static str {
 /// The dash pattern of the i-th series.
 fn dash(i: usize) -> &'static str {
     DASHES[i % DASHES.len()]
+}
+
+/// The `d` attribute of the mark of the i-th series around a point: a disk, a square, a triangle, a diamond.
+fn marker(i: usize, [x, y]: [f64; 2]) -> String {
+    let [x, y] = [x, y].map(coordinate);
+    let shape = match i % 4 {
+        0 => "m-2.6 0a2.6 2.6 0 1 0 5.2 0a2.6 2.6 0 1 0 -5.2 0",
+        1 => "m-2.5 -2.5h5v5h-5",
+        2 => "m0 -3.2l3 5.2h-6",
+        _ => "m0 -3.4l3.4 3.4l-3.4 3.4l-3.4 -3.4",
+    };
+    format!("M{x} {y}{shape}Z")
 }
 
 /// The `d` attribute of an open path through points.

@@ -1,16 +1,18 @@
-//! One drawing of a scene, to scale: lanes, boxes at the present and at the end, and traces that fade into the past.
+//! One still drawing of a scene, to scale: lanes, boxes at the present and at the end, traces of what was given and what was made.
 
 use super::{PALETTE, path};
+use crate::report::card::{DrawnAgent, DrawnLane, DrawnSample, SceneCard, ScenePanel};
 use crate::report::number::coordinate;
-use crate::report::scene_card::{DrawnAgent, SceneCard, ScenePanel};
 use maud::{Markup, html};
 
 /// Seconds between the boxes along a highlighted trace.
 const GHOST_INTERVAL_S: f64 = 1.0;
-/// Timesteps a piece of a fading trace.
-const FADE_STEPS: usize = 3;
-/// Color of agents without a role.
-const CONTEXT: &str = "#777777";
+/// Timesteps between the dots that mark observed states.
+const DOT_STEPS: usize = 3;
+/// Color of recorded agents without a role.
+pub(in crate::report) const CONTEXT: &str = "#777777";
+/// Color of generated agents without a role.
+pub(in crate::report) const GENERATED_CONTEXT: &str = "#A05C8B";
 
 /// The color of a role, by the order of the roles.
 pub(in crate::report) fn role_color(role_idx: usize) -> &'static str {
@@ -24,32 +26,21 @@ pub(in crate::report) fn scene_panel(card: &SceneCard, panel: &ScenePanel, roles
     let unit = width.max(1.0) / if card.view.is_long() { 1000.0 } else { 500.0 };
     let present = panel.n_history.saturating_sub(1);
     let name = format!("{}, {}: road users from above", card.title, panel.title);
-    let color_of = |agent: &DrawnAgent| role_index(agent, roles).map_or(CONTEXT, role_color);
-    // Those with a role are drawn last, on top.
-    let mut order: Vec<usize> = (0..panel.agents.len()).collect();
-    order.sort_by_key(|i| panel.agents[*i].role.is_some());
+    let pen = Pen { panel, roles, present, fades: if panel.samples.len() > 1 { 0.6 } else { 1.0 } };
+    let first = panel.samples.first().map_or(&[][..], |sample| &sample.agents);
     html! {
         svg class="scene" viewBox=(format!("{} {} {} {}", card.view.min[0], -card.view.max[1], width, height)) role="img" aria-label=(name) {
             rect class="ground" x=(card.view.min[0]) y=(-card.view.max[1]) width=(width) height=(height) {}
-            @for lane in &card.lanes {
-                @if lane.left.len() >= 2 && lane.right.len() >= 2 {
-                    path class="lane" d=(format!("{}Z", line(lane.left.iter().chain(lane.right.iter().rev())))) {}
+            (lanes(&card.lanes))
+            @for sample in &panel.samples { (pen.traces(sample)) }
+            @for (i, sample) in panel.samples.iter().enumerate() { (pen.ends(sample, i == 0)) }
+            @for agent in in_drawing_order(first) {
+                @if let Some(Some(now)) = agent.states.get(present) {
+                    @let given = panel.is_recorded || agent.observed.get(present).copied().unwrap_or(false);
+                    (footprint(agent, *now, if given { "now" } else { "now made" }, pen.color(agent)))
                 }
             }
-            @for lane in &card.lanes {
-                path class="centerline" d=(line(&lane.centerline)) {}
-                path class="border" d=(line(&lane.left)) {}
-                path class="border" d=(line(&lane.right)) {}
-            }
-            @for agent in order.iter().map(|i| &panel.agents[*i]) { (trace(agent, panel, color_of(agent))) }
-            @for (i, agent) in order.iter().map(|i| (*i, &panel.agents[*i])) {
-                @let color = color_of(agent);
-                @if let Some(last) = agent.states.iter().skip(present + 1).rev().flatten().next() {
-                    (footprint(agent, *last, "last", color, None))
-                }
-                @if let Some(Some(now)) = agent.states.get(present) { (footprint(agent, *now, "now", color, Some(i))) }
-            }
-            @for agent in panel.agents.iter().filter(|agent| agent.role.is_some()) {
+            @for agent in first.iter().filter(|agent| agent.role.is_some()) {
                 @if let Some([x, y, _]) = agent.states.iter().take(present + 1).rev().flatten().next() {
                     text class="role" x=(coordinate(*x)) y=(coordinate(-*y - 0.6 * agent.width_m - 6.0 * unit)) font-size=(coordinate(15.0 * unit))
                         stroke-width=(coordinate(4.0 * unit)) text-anchor="middle" { (agent.role.as_deref().unwrap_or_default()) }
@@ -60,8 +51,88 @@ pub(in crate::report) fn scene_panel(card: &SceneCard, panel: &ScenePanel, roles
     }
 }
 
-fn role_index(agent: &DrawnAgent, roles: &[&str]) -> Option<usize> {
-    agent.role.as_deref().and_then(|role| roles.iter().position(|known| *known == role))
+/// How the agents of a panel are drawn.
+struct Pen<'a> {
+    panel: &'a ScenePanel,
+    roles: &'a [&'a str],
+    present: usize,
+    /// Opacity of the traces: many samples lie over one another.
+    fades: f64,
+}
+
+impl Pen<'_> {
+    fn color(&self, agent: &DrawnAgent) -> &'static str {
+        let context = if self.panel.is_recorded { CONTEXT } else { GENERATED_CONTEXT };
+        let role = agent.role.as_deref().and_then(|role| self.roles.iter().position(|known| *known == role));
+        role.map_or(context, role_color)
+    }
+
+    /// Where the agents of a sample go: dotted grey lines where states were given, colored ones where they were not.
+    fn traces(&self, sample: &DrawnSample) -> Markup {
+        let steps = ((GHOST_INTERVAL_S / self.panel.dt_s.max(1e-3)).round() as usize).max(1);
+        html! {
+            @for agent in in_drawing_order(&sample.agents) {
+                @let strong = agent.role.is_some();
+                @for (observed, start, end) in agent.stretches() {
+                    // Generated stretches are drawn from the state before them to the one after them.
+                    @let (from, to) = if observed { (start, end) } else { (start.saturating_sub(1), (end + 1).min(agent.states.len())) };
+                    @let points: Vec<[f64; 2]> = agent.states[from..to].iter().flatten().map(|[x, y, _]| [*x, *y]).collect();
+                    @if observed {
+                        path class=(if strong { "past strong" } else { "past" }) d=(line(&points)) {}
+                        path class=(if strong { "dots strong" } else { "dots" }) d=(dots(&points)) {}
+                    } @else {
+                        path class=(if strong { "future strong" } else { "future" }) d=(line(&points)) stroke=(self.color(agent)) opacity=(self.fades) {}
+                    }
+                }
+                @if strong && self.panel.samples.len() == 1 {
+                    @for timestep in (self.present + steps..agent.states.len().saturating_sub(1)).step_by(steps) {
+                        @if let Some(Some(state)) = agent.states.get(timestep) { (footprint(agent, *state, "ghost", self.color(agent))) }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Outlines of the agents at their last state; filled where it was given, which is the same in all samples.
+    fn ends(&self, sample: &DrawnSample, is_first: bool) -> Markup {
+        html! {
+            @for agent in in_drawing_order(&sample.agents) {
+                @let last = agent.states.iter().enumerate().skip(self.present + 1).rev().find_map(|(t, state)| state.map(|state| (t, state)));
+                @if let Some((timestep, state)) = last {
+                    @let given = agent.observed.get(timestep).copied().unwrap_or(false);
+                    @if is_first || !given {
+                        (footprint(agent, state, if given { "last given" } else { "last" }, self.color(agent)))
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Those with a role come last, on top.
+fn in_drawing_order(agents: &[DrawnAgent]) -> Vec<&DrawnAgent> {
+    let mut order: Vec<&DrawnAgent> = agents.iter().collect();
+    order.sort_by_key(|agent| agent.role.is_some());
+    order
+}
+
+/// All lanes in three paths: their surfaces, center lines and borders.
+fn lanes(lanes: &[DrawnLane]) -> Markup {
+    let (mut surfaces, mut centers, mut borders) = (String::new(), String::new(), String::new());
+    for lane in lanes {
+        if lane.left.len() >= 2 && lane.right.len() >= 2 {
+            surfaces += &line(lane.left.iter().chain(lane.right.iter().rev()));
+            surfaces.push('Z');
+        }
+        centers += &line(&lane.centerline);
+        borders += &line(&lane.left);
+        borders += &line(&lane.right);
+    }
+    html! {
+        path class="lane" d=(surfaces) {}
+        path class="centerline" d=(centers) {}
+        path class="border" d=(borders) {}
+    }
 }
 
 /// The y axis points down in SVG and up in scenes.
@@ -69,60 +140,26 @@ fn line<'a>(points: impl IntoIterator<Item = &'a [f64; 2]>) -> String {
     path(points.into_iter().map(|[x, y]| [*x, -y]))
 }
 
-/// Where the agent goes: grey in the past; in the future stronger the later, with a box each second for highlighted agents.
-fn trace(agent: &DrawnAgent, panel: &ScenePanel, color: &str) -> Markup {
-    let present = panel.n_history.saturating_sub(1);
-    let last = agent.states.len().saturating_sub(1);
-    let future = last.saturating_sub(present).max(1) as f64;
-    let piece = |from: usize, to: usize| -> Vec<[f64; 2]> {
-        agent.states[from.min(last)..=to.min(last)].iter().flatten().map(|[x, y, _]| [*x, *y]).collect()
-    };
-    if agent.states.is_empty() {
-        return html! {};
-    }
-    let history = piece(0, present);
-    if agent.role.is_none() {
-        let rest = piece(present, last);
-        return html! {
-            @if history.len() > 1 { path class="past" d=(line(&history)) {} }
-            @if rest.len() > 1 { path class="future" d=(line(&rest)) stroke=(color) opacity="0.5" {} }
-        };
-    }
-    let ghost_steps = ((GHOST_INTERVAL_S / panel.dt_s.max(1e-3)).round() as usize).max(1);
-    let opacity = |timestep: usize| coordinate(0.3 + 0.7 * (timestep - present) as f64 / future);
-    html! {
-        @if history.len() > 1 { path class="past strong" d=(line(&history)) {} }
-        @for from in (present..last).step_by(FADE_STEPS) {
-            @let points = piece(from, from + FADE_STEPS);
-            @if points.len() > 1 {
-                path class="future strong" d=(line(&points)) stroke=(color) opacity=(opacity((from + FADE_STEPS).min(last))) {}
-            }
-        }
-        @for timestep in (present + ghost_steps..last).step_by(ghost_steps) {
-            @if let Some(Some(state)) = agent.states.get(timestep) { (footprint(agent, *state, "ghost", color, None)) }
-        }
-    }
+/// Lines of no length, which round caps make dots: at the last of the points, and at every few before it.
+fn dots(points: &[[f64; 2]]) -> String {
+    let marked = points.iter().rev().step_by(DOT_STEPS);
+    marked.map(|[x, y]| format!("M{} {}h0", coordinate(*x), coordinate(-y))).collect()
 }
 
-/// The agent's box with a notch at its front; `agent_idx` marks the box that the player moves.
-fn footprint(
-    agent: &DrawnAgent,
-    [x, y, heading]: [f64; 3],
-    class: &str,
-    color: &str,
-    agent_idx: Option<usize>,
-) -> Markup {
+/// The agent's box with a notch at its front.
+fn footprint(agent: &DrawnAgent, [x, y, heading]: [f64; 3], class: &str, color: &str) -> Markup {
     let (half_length, half_width) = (agent.length_m / 2.0, agent.width_m / 2.0);
     let place =
         format!("translate({} {}) rotate({})", coordinate(x), coordinate(-y), coordinate(-heading.to_degrees()));
     let front = half_length * 0.45;
+    let is_now = class.starts_with("now");
     html! {
-        g class=(class) transform=(place) data-agent=[agent_idx] {
+        g class=(class) transform=(place) {
             rect x=(coordinate(-half_length)) y=(coordinate(-half_width)) width=(coordinate(agent.length_m)) height=(coordinate(agent.width_m))
                 rx="0.3" fill=(color) stroke=(color) {
-                title { (agent.role.as_deref().map_or(String::new(), |role| format!("{role}: "))) "track " (agent.id) }
+                @if is_now { title { (agent.role.as_deref().map_or(String::new(), |role| format!("{role}: "))) "track " (agent.id) } }
             }
-            path class="front" d=(path([[front, -half_width * 0.7], [half_length * 0.9, 0.0], [front, half_width * 0.7]])) {}
+            @if is_now { path class="front" d=(path([[front, -half_width * 0.7], [half_length * 0.9, 0.0], [front, half_width * 0.7]])) {} }
         }
     }
 }

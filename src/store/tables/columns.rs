@@ -81,6 +81,12 @@ impl<'a> Columns<'a> {
         Ok(self.get::<BooleanArray>(name)?.value(row))
     }
 
+    /// A truth value or nothing.
+    pub(crate) fn optional_flag(&self, name: &str, row: usize) -> Result<Option<bool>> {
+        let column: &BooleanArray = self.get(name)?;
+        Ok((!column.is_null(row)).then(|| column.value(row)))
+    }
+
     /// The numbers of a list, without copying.
     pub(crate) fn numbers<T: ArrowPrimitiveType>(&self, name: &str, row: usize) -> Result<&'a [T::Native]> {
         let list: &ListArray = self.get(name)?;
@@ -140,6 +146,11 @@ pub(crate) fn optional_numbers<T: ArrowPrimitiveType>(values: impl IntoIterator<
 
 /// A column of truth values.
 pub(crate) fn flags(values: impl IntoIterator<Item = bool>) -> ArrayRef {
+    Arc::new(BooleanArray::from(values.into_iter().collect::<Vec<_>>()))
+}
+
+/// A column of truth values or nothing.
+pub(crate) fn optional_flags(values: impl IntoIterator<Item = Option<bool>>) -> ArrayRef {
     Arc::new(BooleanArray::from(values.into_iter().collect::<Vec<_>>()))
 }
 

@@ -1,6 +1,7 @@
 //! Events as a nested column, so that a scenario's row holds all of its events.
 
 use super::columns::{Columns, entries, lists, numbers, small, structs, texts};
+use super::parameters::Parameters;
 use super::{event, roles};
 use crate::behavior::BehaviorEvent;
 use crate::scene::SceneId;
@@ -17,17 +18,34 @@ pub(crate) fn field() -> Field {
         column("start_timestep", DataType::UInt32, "First timestep of the event.").unit("1"),
         column("end_timestep", DataType::UInt32, "Last timestep of the event.").unit("1"),
         roles::field("roles", "Who took part, in the behavior's order of roles."),
-        parameters_field(),
+        parameters_field("parameters"),
     ];
     column("events", list_of_structs(members), "Events of the requested behavior that the miner found in the scenario.")
 }
 
-fn parameters_field() -> Field {
+/// A column of parameters.
+pub(crate) fn parameters_field(name: &str) -> Field {
     let members = vec![
         column("name", DataType::Utf8, "Name of the parameter, which ends in its unit."),
         column("value", DataType::Float64, "Its value, in the unit that its name ends in."),
     ];
-    column("parameters", list_of_structs(members), "Parameters, sorted by name.")
+    column(name, list_of_structs(members), "Parameters, sorted by name.")
+}
+
+/// The array of each row's parameters.
+pub(crate) fn encode_parameters(rows: &[&Parameters]) -> Result<ArrayRef> {
+    let all = || rows.iter().copied().flatten();
+    let arrays = vec![texts(all().map(|(name, _)| name.as_str())), numbers::<Float64Type>(all().map(|(_, v)| *v))];
+    let values = structs("events", parameters_field("").data_type(), arrays)?;
+    Ok(lists(rows.iter().map(|row| row.len()), values))
+}
+
+/// The parameters in a row of the column `name`.
+pub(crate) fn decode_parameters(columns: &Columns<'_>, name: &str, row: usize) -> Result<Parameters> {
+    let (list, parameters) = columns.of_list(name)?;
+    let parameter =
+        |i: usize| Ok((parameters.text("name", i)?.to_owned(), parameters.number::<Float64Type>("value", i)?));
+    entries(list, row).map(parameter).collect()
 }
 
 /// The array of each row's events.
@@ -37,17 +55,13 @@ pub(crate) fn encode(rows: &[&[BehaviorEvent]]) -> Result<ArrayRef> {
         let values: Result<Vec<u32>> = events.iter().map(|e| small(&e.scene_id.0, "timestep", of(e))).collect();
         Ok(numbers::<UInt32Type>(values?))
     };
-    let parameters = || events.iter().flat_map(|event| &event.parameters);
-    let parameter_arrays =
-        vec![texts(parameters().map(|(name, _)| name.as_str())), numbers::<Float64Type>(parameters().map(|(_, v)| *v))];
-    let parameter_structs = structs("events", parameters_field().data_type(), parameter_arrays)?;
     let arrays = vec![
         texts(events.iter().map(|event| event.behavior.as_str())),
         texts(events.iter().map(|event| event.label.name())),
         timesteps(|event| event.start_timestep)?,
         timesteps(|event| event.end_timestep)?,
         roles::encode(&events.iter().map(|event| event.roles.as_slice()).collect::<Vec<_>>())?,
-        lists(events.iter().map(|event| event.parameters.len()), parameter_structs),
+        encode_parameters(&events.iter().map(|event| &event.parameters).collect::<Vec<_>>())?,
     ];
     Ok(lists(rows.iter().map(|row| row.len()), structs("events", field().data_type(), arrays)?))
 }
@@ -55,9 +69,6 @@ pub(crate) fn encode(rows: &[&[BehaviorEvent]]) -> Result<ArrayRef> {
 /// The events in a row; they were found in `scene_id`.
 pub(crate) fn decode(columns: &Columns<'_>, row: usize, scene_id: &SceneId) -> Result<Vec<BehaviorEvent>> {
     let (list, events) = columns.of_list("events")?;
-    let (parameter_list, parameters) = events.of_list("parameters")?;
-    let parameter =
-        |i: usize| Ok((parameters.text("name", i)?.to_owned(), parameters.number::<Float64Type>("value", i)?));
     let decode_event = |i: usize| {
         Ok(BehaviorEvent {
             behavior: events.text("behavior", i)?.to_owned(),
@@ -66,7 +77,7 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize, scene_id: &SceneId) -> R
             roles: roles::decode(&events, "roles", i)?,
             start_timestep: events.number::<UInt32Type>("start_timestep", i)? as usize,
             end_timestep: events.number::<UInt32Type>("end_timestep", i)? as usize,
-            parameters: entries(parameter_list, i).map(parameter).collect::<Result<_>>()?,
+            parameters: decode_parameters(&events, "parameters", i)?,
         })
     };
     entries(list, row).map(decode_event).collect()

@@ -1,5 +1,6 @@
 //! One file a table: its columns, and how our types become rows and rows become our types.
 
+pub(crate) mod assessment;
 pub(crate) mod columns;
 pub(crate) mod event;
 mod event_list;
@@ -8,6 +9,7 @@ pub(crate) mod metric;
 mod parameters;
 pub(crate) mod prediction;
 mod provenance;
+pub(crate) mod recording;
 mod request;
 mod roles;
 pub(crate) mod sample;
@@ -15,4 +17,5 @@ pub(crate) mod scenario;
 pub(crate) mod scene;
 mod scene_header;
 pub(crate) mod scene_tracks;
+mod state_rows;
 pub(crate) mod track;

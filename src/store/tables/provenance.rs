@@ -62,7 +62,8 @@ pub(crate) fn fields() -> Vec<Field> {
             "settings",
             DataType::Utf8,
             "Every setting it was sampled with, as JSON: sampler, observed states, edits, guidance, objectives with their options.",
-        ),
+        )
+        .optional(),
     ];
     fields.extend(request::fields());
     fields.push(event_list::field());
@@ -125,7 +126,7 @@ pub(crate) fn decode(
             roles: roles::decode(columns, "guidance_roles", row)?,
         },
         sampler: text("sampler")?,
-        settings: text("settings")?,
+        settings: optional_text("settings")?.unwrap_or_default(),
     };
     let (shard, request) = request::decode(columns, row)?;
     Ok(ScenarioRecord {
@@ -133,6 +134,7 @@ pub(crate) fn decode(
         requested_behavior: optional_text("requested_behavior")?,
         verified: columns.flag("verified", row)?,
         recorded_event: columns.flag("recorded_event", row)?,
+        assessment: None,
         events: event_list::decode(columns, row, &scene.id)?,
         shard,
         request,

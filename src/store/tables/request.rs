@@ -9,7 +9,7 @@ use arrow::datatypes::{DataType, Field, UInt32Type};
 /// The columns, in order.
 pub(crate) fn fields() -> Vec<Field> {
     vec![
-        column("shard", DataType::UInt32, "Which shard of the run's samples it was generated in."),
+        column("shard", DataType::UInt32, "Which shard of the run's samples it was generated in.").optional(),
         column("request", DataType::Utf8, "The request that asked for it; missing for scenarios of plain sweeps.")
             .optional(),
         column(
@@ -49,7 +49,7 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
 
 /// The shard in a row, and its request.
 pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<(usize, Option<RequestTag>)> {
-    let shard = columns.number::<UInt32Type>("shard", row)? as usize;
+    let shard = columns.optional_number::<UInt32Type>("shard", row)?.unwrap_or_default() as usize;
     let Some(request) = columns.optional_text("request", row)? else { return Ok((shard, None)) };
     let incomplete = || Error::corrupt(columns.path, "a scenario of a request has no outcome or no round".to_owned());
     let outcome = columns.optional_text("request_outcome", row)?;

@@ -2,7 +2,7 @@
 
 use super::columns::{Columns, numbers, optional_numbers, small};
 use super::parameters::{self, Parameters};
-use super::{provenance, scene_header};
+use super::{assessment, event_list, provenance, scene_header};
 use crate::behavior::BehaviorEvent;
 use crate::scene::{ObservationMask, Scene, Track};
 use crate::store::schema::{ColumnExt, TableSchema, column};
@@ -28,6 +28,7 @@ pub(crate) fn schema() -> TableSchema {
             .unit("1")
             .optional(),
     ]);
+    fields.extend(assessment::fields());
     TableSchema {
         name: "scenario",
         version: 4,
@@ -36,6 +37,9 @@ pub(crate) fn schema() -> TableSchema {
         open: vec![parameters::open_columns()],
     }
 }
+
+/// The column of parameters while rows are spooled.
+const SPOOLED: &str = "spooled_parameters";
 
 /// Rows without the columns of parameters, which are known only once all rows are.
 pub(crate) struct ScenarioRows {
@@ -65,6 +69,8 @@ impl ScenarioRows {
             optional_numbers::<UInt32Type>(starts),
             optional_numbers::<UInt32Type>(ends),
         ]);
+        let judged: Vec<_> = records.iter().map(|r| (r.scenario.id.as_str(), r.assessment.as_ref())).collect();
+        arrays.extend(assessment::encode(&judged)?);
         Ok(Self { arrays, parameters: events.iter().map(|event| event.map(|e| e.parameters.clone())).collect() })
     }
 
@@ -77,6 +83,29 @@ impl ScenarioRows {
     pub(crate) fn schema_with(names: &BTreeSet<&str>) -> arrow::datatypes::SchemaRef {
         let fields: Vec<Field> = parameters::flatten(names, &[]).into_iter().map(|(f, _)| f).collect();
         schema().arrow_with(fields)
+    }
+
+    /// The columns of [`into_spooled`](Self::into_spooled).
+    pub(crate) fn spool_schema() -> arrow::datatypes::SchemaRef {
+        schema().arrow_with(vec![event_list::parameters_field(SPOOLED)])
+    }
+
+    /// The rows with their parameters in one column, to be read again when the names of all parameters are known.
+    pub(crate) fn into_spooled(mut self) -> Result<RecordBatch> {
+        let none = Parameters::new();
+        let rows = self.parameters.iter().map(|row| row.as_ref().unwrap_or(&none));
+        self.arrays.push(event_list::encode_parameters(&rows.collect::<Vec<_>>())?);
+        RecordBatch::try_new(Self::spool_schema(), self.arrays)
+            .map_err(|error| Error::invalid("scenarios", error.to_string()))
+    }
+
+    /// The rows that [`into_spooled`](Self::into_spooled) gave.
+    pub(crate) fn from_spooled(batch: &RecordBatch, path: &Path) -> Result<Self> {
+        let columns = Columns::of_batch(batch, path);
+        let decode = |row: usize| Ok(Some(event_list::decode_parameters(&columns, SPOOLED, row)?));
+        let parameters: Result<Vec<Option<Parameters>>> = (0..batch.num_rows()).map(decode).collect();
+        let n_fixed = schema().fields.len();
+        Ok(Self { arrays: batch.columns()[..n_fixed].to_vec(), parameters: parameters? })
     }
 
     /// The rows with the columns of these parameters.
@@ -99,5 +128,6 @@ pub(crate) fn decode(
     let path: &Path = columns.path;
     let header = scene_header::decode(columns, row)?;
     let lanes = Arc::new(header.lanes(maps, path)?);
-    provenance::decode(columns, row, header.complete(path, tracks, lanes)?, observed)
+    let record = provenance::decode(columns, row, header.complete(path, tracks, lanes)?, observed)?;
+    Ok(ScenarioRecord { assessment: assessment::decode(columns, row)?, ..record })
 }

@@ -4,11 +4,20 @@ use std::collections::BTreeSet;
 
 const VOID: [&str; 4] = ["meta", "input", "br", "hr"];
 
-/// Panics at the first fault.
+/// Panics at the first fault of a page.
 pub(crate) fn check(page: &str) {
+    check_elements(page.strip_prefix("<!DOCTYPE html>").expect("the page says what it is"));
+}
+
+/// Panics at the first fault of a drawing.
+pub(crate) fn check_svg(drawing: &str) {
+    assert!(drawing.starts_with("<svg "), "the drawing says what it is");
+    check_elements(drawing);
+}
+
+fn check_elements(mut rest: &str) {
     let mut open: Vec<String> = Vec::new();
     let (mut ids, mut links) = (BTreeSet::new(), Vec::new());
-    let mut rest = page.strip_prefix("<!DOCTYPE html>").expect("the page says what it is");
     while let Some(start) = rest.find('<') {
         assert!(!rest[..start].contains('>'), "a stray > in {:?}", &rest[..start]);
         let end = start + rest[start..].find('>').expect("every tag ends");

@@ -1,9 +1,12 @@
 //! Is the report whole, self-contained and safe, whatever the names in the recordings?
 
+mod browser;
+mod chromium;
+mod comparison;
 mod markup;
 mod sample;
 
-use djinn::report::{ReportModel, render};
+use djinn::report::{FigureFile, ReportModel, figures, render};
 
 /// Renders the sample and leaves it in the target folder, where a browser can open it.
 fn sample_page() -> String {
@@ -20,9 +23,11 @@ fn every_part_of_the_model_is_on_the_page() {
         "warnings",
         "outcome",
         "requests",
+        "tradeoffs",
         "metrics",
         "distributions",
         "scenes",
+        "more-of-it",
         "training",
         "classifier",
         "mining",
@@ -40,6 +45,9 @@ fn every_part_of_the_model_is_on_the_page() {
         "α = 2",
         "other cuts in ahead of ego",
         "JS 0.0173",
+        "recorded (v17)",
+        "Cost of a verified scenario",
+        "observed: upsampling",
     ] {
         assert!(page.contains(text), "“{text}” is missing");
     }
@@ -81,4 +89,18 @@ fn equal_models_give_equal_bytes_and_survive_json() {
     let json = serde_json::to_string(&model).unwrap();
     let back: ReportModel = serde_json::from_str(&json).unwrap();
     assert_eq!(render(&model), render(&back));
+}
+
+#[test]
+fn figures_are_files_of_their_own() {
+    let figures = figures(&sample::model());
+    let names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
+    for name in ["curve-verified-scenarios.svg", "distribution-speed.svg", "scene-cut_in-2.svg", "scene-masks.svg"] {
+        assert!(names.contains(&name), "{name} is not among {names:?}");
+    }
+    for FigureFile { name, svg } in &figures {
+        markup::check_svg(svg);
+        assert!(svg.contains("xmlns=") && svg.contains("<style>"), "{name} does not stand alone");
+        assert!(!svg.contains("NaN") && !svg.contains("href"), "{name}");
+    }
 }

@@ -5,12 +5,13 @@ use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::ingest::{IngestReport, RejectCount};
 use djinn::metrics::Direction;
 use djinn::report::{
-    BehaviorCount, BehaviorDoc, Chart, Curve, Distribution, Fact, MetricDoc, MetricTable, MiningSummary, RealismRow,
-    ReportModel, SamplingRow, SceneCard, TrainingSummary, Warning,
+    AcceptanceRow, BehaviorCount, BehaviorDoc, CardKey, CardValue, Chart, Curve, Distribution, Fact, LeftOutRow,
+    MetricDoc, MetricTable, MiningSummary, PlainSection, PlainTable, RealismRow, ReportModel, Sample, SamplingRow,
+    SceneCard, TrainingSummary, ValidityRow, Verdict, Warning,
 };
 use djinn::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, Scene, SceneId, SceneSource, Split, State,
-    Track, TrackId, TrackRole, Trajectory,
+    AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource,
+    Split, State, Track, TrackId, TrackRole, Trajectory,
 };
 use djinn::seed::Seed;
 use djinn::store::MetricRow;
@@ -53,13 +54,63 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
         requests: vec![request(name)],
         metrics: metrics(name),
         realism: realism(name),
+        acceptance: acceptance(name),
+        left_out: left_out(name),
+        validity: validity(name),
         distributions: distributions(),
         scenes: vec![
-            card("cut_in-0", name, 1.0, 0.0),
-            card("cut_in-1", name, 0.6, std::f64::consts::FRAC_PI_3),
+            card(0, name, 1.0, 0.0),
+            card(1, name, 0.6, std::f64::consts::FRAC_PI_3),
+            gallery(name),
         ],
+        more: vec![more(name)],
         config: format!("[run]\nname = \"{name}\"\nseed = 20\n\n[generate]\nsplit = \"val\"\nsampler = {{ kind = \"heun\", n_steps = 20 }}\n"),
     }
+}
+
+fn acceptance(name: &str) -> Vec<AcceptanceRow> {
+    let row = |strength, n_verified, n_accepted| AcceptanceRow {
+        sweep: name.into(),
+        strength,
+        n_scenarios: 90,
+        n_verified,
+        n_valid: 71,
+        n_verified_valid: n_accepted + 2,
+        n_accepted,
+        n_kept: n_accepted,
+    };
+    vec![row(0.0, 4, 3), row(2.0, 31, 22)]
+}
+
+fn left_out(name: &str) -> Vec<LeftOutRow> {
+    let row = |reason: &str, strength, n_left_out, n_found| LeftOutRow {
+        stage: if strength == Some(2.0) { "evaluate" } else { "generate" }.into(),
+        sweep: name.into(),
+        strength,
+        reason: reason.into(),
+        n_left_out,
+        n_found,
+    };
+    vec![
+        row("selection: not among the best 6", None, 12, 12),
+        row("not_verified", Some(2.0), 59, 59),
+        row("collision", Some(2.0), 7, 15),
+        row("near_duplicate", Some(2.0), 2, 3),
+    ]
+}
+
+fn validity(name: &str) -> Vec<ValidityRow> {
+    let row = |group: &str, strength, n_valid, n_collision: u64| ValidityRow {
+        group: group.into(),
+        sweep: name.into(),
+        strength,
+        place: String::new(),
+        n: 90,
+        n_valid,
+        violations: BTreeMap::from([("collision".into(), n_collision), ("offroad".into(), 2)]),
+        plausibility: Some(0.97),
+    };
+    vec![row("recorded", 0.0, 90, 0), row("unguided", 0.0, 74, 11), row(name, 2.0, 71, 15)]
 }
 
 /// Two buckets, of which one stayed short, and two arms.
@@ -150,11 +201,9 @@ fn mining(name: &str) -> MiningSummary {
 }
 
 fn training(name: &str, scale: f64) -> TrainingSummary {
-    let curve = |name: &str, offset: f64| Curve {
-        name: name.into(),
-        points: (1..60)
-            .map(|i| [f64::from(i) * 100.0, scale * (0.2 + offset + (-f64::from(i) / 12.0).exp())])
-            .collect(),
+    let curve = |name: &str, offset: f64| {
+        let loss = |i| scale * (0.2 + offset + (-f64::from(i) / 12.0).exp());
+        Curve::new(name, (1..60).map(|i| [f64::from(i) * 100.0, loss(i)]).collect())
     };
     let loss = |title: &str, y_label: &str| Chart {
         title: title.into(),
@@ -200,7 +249,7 @@ fn sampling(name: &str) -> Vec<SamplingRow> {
         offroad_rate: Some(0.012),
         n_evaluations: 39,
     };
-    vec![row("unguided", 0.0, 9, 4), row("cut_in", 1.0, 21, 5), row("cut_in", 2.0, 47, 9), row("cut_in", 4.0, 61, 31)]
+    vec![row("cut_in", 0.0, 9, 4), row("cut_in", 1.0, 21, 5), row("cut_in", 2.0, 47, 9), row("cut_in", 4.0, 61, 31)]
 }
 
 fn realism(name: &str) -> Vec<RealismRow> {
@@ -294,7 +343,8 @@ fn distributions() -> Vec<Distribution> {
         .collect()
 }
 
-fn card(id: &str, name: &str, depth: f64, turned_rad: f64) -> SceneCard {
+/// A drawn scenario: the other car comes over by `depth` lanes.
+pub(crate) fn card(idx: usize, name: &str, depth: f64, turned_rad: f64) -> SceneCard {
     let (recorded, generated) = (scene(name, 0.0, turned_rad), scene(name, depth, turned_rad));
     let roles = [("ego".to_owned(), TrackId::from("3")), ("other".to_owned(), TrackId::from(name))];
     let facts = vec![
@@ -307,8 +357,57 @@ fn card(id: &str, name: &str, depth: f64, turned_rad: f64) -> SceneCard {
         Fact::new("Relative speed", "−1.6 m/s"),
         Fact::new("Lateral speed", "0.9 m/s"),
     ];
-    let scenes = [("recorded", &recorded), ("generated, sample 4", &generated)];
-    SceneCard::new(format!("{id}-{name}"), format!("{name}: other cuts in ahead of ego"), facts, &scenes, &roles)
+    let figure = |name: &str, value: f64| CardValue { name: name.into(), value };
+    let key = CardKey {
+        sweep: "cut_in".into(),
+        behavior: Some("cut_in".into()),
+        place: name.into(),
+        verdict: if idx.is_multiple_of(2) { Verdict::New } else { Verdict::NotVerified },
+        strength: 2.0,
+        values: vec![
+            figure("gap_m", 4.0 + idx as f64),
+            figure("ttc_s", 2.6),
+            figure("collision_rate", (idx % 2) as f64),
+        ],
+    };
+    let observed = ObservationMask::predictive(generated.tracks.len(), N_TIMESTEPS, N_HISTORY);
+    let sample = Sample { name: "sample 4", scene: &generated, observed: &observed };
+    let named = (format!("cut_in-{idx}-{name}"), format!("{name}: other cuts in ahead of ego ({idx})"));
+    SceneCard::new(named, key, facts, &recorded, &[sample], &roles)
+}
+
+/// Three samples of a scene of which every fifth state was given.
+fn gallery(name: &str) -> SceneCard {
+    let recorded = scene(name, 0.0, 0.0);
+    let scenes = [0.3, 0.6, 0.9].map(|depth| scene(name, depth, 0.0));
+    let observed = ObservationMask::from_fn(recorded.tracks.len(), N_TIMESTEPS, |_, timestep| timestep % 5 == 4);
+    let samples: Vec<Sample<'_>> = scenes
+        .iter()
+        .zip(["sample 0", "sample 1", name])
+        .map(|(scene, name)| Sample { name, scene, observed: &observed })
+        .collect();
+    let key = CardKey {
+        sweep: "masks".into(),
+        behavior: None,
+        place: name.into(),
+        verdict: Verdict::NotAsked,
+        strength: 0.0,
+        values: vec![],
+    };
+    let named = (format!("masks-{name}"), format!("masks, {name}: 3 samples, observed: upsampling"));
+    SceneCard::new(named, key, vec![Fact::new("Sweep", "masks")], &recorded, &samples, &[])
+}
+
+fn more(name: &str) -> PlainSection {
+    let mut table = PlainTable::new("How hard it was", &["Group", "Mean"]);
+    table.push(vec![name.into(), "0.25".into()]);
+    PlainSection {
+        id: "more-of-it".into(),
+        title: "More".into(),
+        note: name.into(),
+        tables: vec![table],
+        charts: vec![],
+    }
 }
 
 /// Three lanes; `depth` of 1 brings the other car fully into the ego's lane.

@@ -1,12 +1,13 @@
 //! Samples of one scene, beside the recording and the baseline: what are their figures?
 
 use super::config::EvaluateConfig;
+use super::judge::{Judge, ReferenceJudgment};
 use super::measures::{Measures, Requested};
 use super::predictions;
 use crate::metrics::{Modes, MotionHistograms, SampleGroup, constant_velocity};
 use crate::scene::{Scene, Track, Trajectory};
 use crate::seed::Seed;
-use crate::store::ScenarioRecord;
+use crate::store::{Assessment, ScenarioRecord};
 
 /// The samples of one scene, asked of the same agents at the same strength.
 pub(super) struct Cell<'a> {
@@ -26,6 +27,10 @@ pub(super) struct CellFigures {
     pub(super) together: Vec<Option<f64>>,
     /// Each sample alone.
     pub(super) alone: Vec<Vec<Option<f64>>>,
+    /// What is said of each sample.
+    pub(super) assessments: Vec<Assessment>,
+    /// What would be said of the recording and of the baseline, where they are measured.
+    pub(super) references_judged: Option<[ReferenceJudgment; 2]>,
     /// How everybody moves.
     pub(super) motion: CellMotion,
     /// What a benchmark is given, where that is asked for.
@@ -73,7 +78,13 @@ impl Cell<'_> {
     }
 
     /// Measures the cell against the scene it continues.
-    pub(super) fn evaluate(&self, recorded: &Scene, measures: &Measures<'_>, config: &EvaluateConfig) -> CellFigures {
+    pub(super) fn evaluate(
+        &self,
+        recorded: &Scene,
+        measures: &Measures<'_>,
+        judge: &Judge<'_>,
+        config: &EvaluateConfig,
+    ) -> CellFigures {
         let samples: Vec<Scene> = self.records.iter().map(|record| record.scenario.scene.clone()).collect();
         let recorded = as_far_as_generated(recorded, &samples[0]);
         let first = self.records[0];
@@ -82,9 +93,13 @@ impl Cell<'_> {
             .as_deref()
             .map(|behavior| Requested { behavior, roles: &first.scenario.provenance.guidance.roles });
         let evaluate = |group: &SampleGroup<'_>, mode_seed| measures.evaluate(group, requested, mode_seed);
-        let figures = |samples: &[Scene]| evaluate(&SampleGroup::equally_likely(&recorded, samples), None);
+        let asked: &[_] = &first.scenario.provenance.guidance.roles;
+        let figures = |samples: &[Scene]| {
+            evaluate(&SampleGroup { asked, ..SampleGroup::equally_likely(&recorded, samples) }, None)
+        };
         let probabilities = self.probabilities();
-        let together = SampleGroup { recorded: &recorded, samples: &samples, probabilities: probabilities.as_deref() };
+        let together =
+            SampleGroup { recorded: &recorded, samples: &samples, probabilities: probabilities.as_deref(), asked };
         let baseline = constant_velocity(&recorded);
         let reference = |scene: &Scene| self.with_references.then(|| figures(std::slice::from_ref(scene)));
         let mode_seed = Seed(first.scenario.provenance.seed).derive_named("modes", &recorded.id.0);
@@ -94,6 +109,10 @@ impl Cell<'_> {
             constant_velocity: reference(&baseline),
             together: evaluate(&together, Some(mode_seed)),
             alone: samples.chunks(1).map(figures).collect(),
+            assessments: self.records.iter().map(|record| judge.assess(record)).collect(),
+            references_judged: self
+                .with_references
+                .then(|| [&recorded, &baseline].map(|scene| judge.judge_reference(scene))),
             motion: CellMotion {
                 references: self.with_references.then(motion_of_references),
                 together: MotionHistograms::of(&samples),

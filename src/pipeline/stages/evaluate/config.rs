@@ -1,15 +1,14 @@
 //! The `[evaluate]` section: what is measured, what is kept, what must hold.
 
 use super::measures::known_ids;
-use crate::metrics::ModesConfig;
+use crate::metrics::{CarefulDriverConfig, ModesConfig, ValidityConfig};
 use crate::pipeline::{Failure, Result};
 use crate::scene::Dataset;
-use crate::store::{RequestOutcome, RequestTag, ScenarioRecord};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// What is measured, what is kept and what must hold.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct EvaluateConfig {
     /// The metrics, by name; empty: all.
@@ -23,27 +22,44 @@ pub struct EvaluateConfig {
     pub predictions: Vec<Dataset>,
     /// Which scenarios become the corpus.
     pub keep: Keep,
+    /// The limits that a valid scenario keeps.
+    pub validity: ValidityConfig,
+    /// Who stands in for the one who is cut off: could a collision have been prevented?
+    pub careful_driver: CarefulDriverConfig,
+    /// A scenario is a near-duplicate of an accepted one before it if the paths of those who were asked differ by less than this, metres:
+    /// the mean over the future, in the frame of the first of them. 0 for none. Default 0.25.
+    pub duplicate_distance_m: f64,
     /// What must hold; the program ends with exit code 3 where it does not.
     pub gates: GatesConfig,
 }
 
-/// Which scenarios become the corpus.
+impl Default for EvaluateConfig {
+    fn default() -> Self {
+        Self {
+            metrics: Vec::new(),
+            modes: None,
+            predictions: Vec::new(),
+            keep: Keep::default(),
+            validity: ValidityConfig::default(),
+            careful_driver: CarefulDriverConfig::default(),
+            duplicate_distance_m: 0.25,
+            gates: GatesConfig::default(),
+        }
+    }
+}
+
+/// Which scenarios become the corpus. Whatever is left out is counted by reason.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Keep {
-    /// Those in which the behavior that was asked for is found; of requests, those that were accepted.
+    /// Those that hold the behavior that was asked for (of requests, those that fill a bucket), pass every check of validity, and are no
+    /// near-duplicates of one before. The default: a scenario that could not have happened, or that is there already, tests nothing.
     #[default]
+    Accepted,
+    /// Those in which the behavior that was asked for is found (of requests, those that fill a bucket), valid or not.
     Verified,
     /// All.
     All,
-}
-
-impl Keep {
-    /// Whether a scenario becomes part of the corpus.
-    pub(super) fn keeps(self, record: &ScenarioRecord) -> bool {
-        let is_accepted = |tag: &RequestTag| tag.outcome == RequestOutcome::Accepted;
-        self == Self::All || record.request.as_ref().map_or(record.verified, is_accepted)
-    }
 }
 
 /// Bounds that the results must keep. What is left out is not checked.
@@ -54,6 +70,10 @@ pub struct GatesConfig {
     pub min_verified: Option<u64>,
     /// At least so many of them where the recording does not hold it for the same agents.
     pub min_new: Option<u64>,
+    /// At least so many scenarios, over all sweeps, are accepted: verified, valid and no near-duplicates.
+    pub min_accepted: Option<u64>,
+    /// Smallest share of valid scenarios of any sweep at any strength.
+    pub min_validity_rate: Option<f64>,
     /// Largest collision rate of any sweep at any strength.
     pub max_collision_rate: Option<f64>,
     /// Largest off-road rate of any sweep at any strength.
@@ -81,6 +101,15 @@ impl EvaluateConfig {
                 }
             }
         }
+        let refuse = |why: String| Failure::input_message(why).with_hint("leave it out for its default");
+        self.validity.validate().map_err(|why| refuse(format!("evaluate.validity.{why}")))?;
+        self.careful_driver.validate().map_err(|why| refuse(format!("evaluate.careful_driver.{why}")))?;
+        if self.duplicate_distance_m.is_nan() || self.duplicate_distance_m < 0.0 {
+            let found = self.duplicate_distance_m;
+            return Err(refuse(format!(
+                "evaluate.duplicate_distance_m is {found}, expected a number that is not negative"
+            )));
+        }
         let known = known_ids();
         let Some(unknown) = self.metrics.iter().find(|name| !known.contains(&name.as_str())) else { return Ok(()) };
         let message = format!("evaluate.metrics: there is no metric {unknown}; known: {}", known.join(", "));
@@ -106,5 +135,17 @@ mod tests {
         {
             assert!(check(&format!("[modes]\n{wrong}")).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn limits_must_be_numbers() {
+        let check = |text: &str| toml::from_str::<EvaluateConfig>(text).expect("readable").validate();
+        for wrong in
+            ["duplicate_distance_m = -1.0", "[validity]\nmax_jerk_mps3 = nan", "[careful_driver]\nramp_s = 0.0"]
+        {
+            assert!(check(wrong).is_err(), "{wrong}");
+        }
+        assert!(check("[validity]\nskip = [\"jerk\"]").is_ok());
+        assert!(toml::from_str::<EvaluateConfig>("[validity]\nskip = [\"jerks\"]").is_err());
     }
 }

@@ -2,7 +2,7 @@
 
 use super::config::GatesConfig;
 use super::measures::BEHAVIOR_RATE;
-use crate::report::SamplingRow;
+use crate::report::{AcceptanceRow, SamplingRow};
 use crate::store::MetricRow;
 use serde::{Deserialize, Serialize};
 
@@ -18,13 +18,19 @@ pub struct GateResult {
 }
 
 /// Checks every gate that is set. `aggregates` are rows over scenes; those of all places together count.
-pub(super) fn check(config: &GatesConfig, sampling: &[SamplingRow], aggregates: &[MetricRow]) -> Vec<GateResult> {
+pub(super) fn check(
+    config: &GatesConfig,
+    sampling: &[SamplingRow],
+    acceptance: &[AcceptanceRow],
+    aggregates: &[MetricRow],
+) -> Vec<GateResult> {
     let mut results = Vec::new();
     let mut add = |gate: String, met: bool, detail: String| results.push(GateResult { gate, met, detail });
     let sum = |of: fn(&SamplingRow) -> u64| sampling.iter().map(of).sum::<u64>();
     for (gate, required, found) in [
         ("min_verified", config.min_verified, sum(|row| row.n_verified)),
         ("min_new", config.min_new, sum(|row| row.n_new)),
+        ("min_accepted", config.min_accepted, acceptance.iter().map(|row| row.n_accepted).sum()),
     ] {
         if let Some(required) = required {
             add(gate.to_owned(), found >= required, format!("at least {required} required, {found} found"));
@@ -41,6 +47,12 @@ pub(super) fn check(config: &GatesConfig, sampling: &[SamplingRow], aggregates: 
         for row in overall(metric).into_iter().filter(|row| is_generated(row)) {
             let place = format!("{gate} ({}, strength {})", row.sweep, row.strength);
             add(place, row.value <= limit, format!("at most {limit} allowed, {:.4} found", row.value));
+        }
+    }
+    if let Some(limit) = config.min_validity_rate {
+        for row in overall("validity_rate").into_iter().filter(|row| is_generated(row)) {
+            let place = format!("min_validity_rate ({}, strength {})", row.sweep, row.strength);
+            add(place, row.value >= limit, format!("at least {limit} required, {:.4} found", row.value));
         }
     }
     if config.beat_constant_velocity {

@@ -2,7 +2,10 @@
 
 use super::config::EvaluateConfig;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
-use crate::metrics::{ALL, Direction, Metric, ModeFit, Modes, ModesConfig, ModesOf, SampleGroup};
+use crate::metrics::{
+    ALL, Direction, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, PreventableRate, SampleGroup,
+    ValidityRate,
+};
 use crate::report::MetricDoc;
 use crate::scene::{Scene, TrackId};
 use crate::seed::Seed;
@@ -12,9 +15,26 @@ pub(super) const BEHAVIOR_RATE: &str = "behavior_rate";
 
 /// Everything that is measured, in the order of tables.
 pub(super) struct Measures<'a> {
-    metrics: Vec<&'static dyn Metric>,
+    metrics: Vec<Box<dyn Metric>>,
     modes: Option<&'a ModesConfig>,
     behaviors: &'a [Box<dyn Behavior>],
+}
+
+/// A metric of the list as it is.
+struct Listed(&'static dyn Metric);
+
+impl Metric for Listed {
+    fn spec(&self) -> MetricSpec {
+        self.0.spec()
+    }
+
+    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
+        self.0.evaluate(group)
+    }
+
+    fn modes(&self) -> Option<ModesOf> {
+        self.0.modes()
+    }
 }
 
 /// The behavior that was asked for, and of whom.
@@ -34,7 +54,17 @@ pub(super) fn known_ids() -> Vec<&'static str> {
 impl<'a> Measures<'a> {
     pub(super) fn new(config: &'a EvaluateConfig, behaviors: &'a [Box<dyn Behavior>]) -> Self {
         let chosen = |id: &str| config.metrics.is_empty() || config.metrics.iter().any(|name| name == id);
-        let metrics = ALL.iter().copied().filter(|metric| chosen(metric.spec().id)).collect();
+        // Those whose limits are configured take the place of those with defaults.
+        let configured = |metric: &'static dyn Metric| -> Box<dyn Metric> {
+            let validity = ValidityRate { limits: Some(config.validity.clone()) };
+            let preventable = PreventableRate { driver: Some(config.careful_driver.clone()) };
+            match metric.spec().id {
+                id if id == validity.spec().id => Box::new(validity),
+                id if id == preventable.spec().id => Box::new(preventable),
+                _ => Box::new(Listed(metric)),
+            }
+        };
+        let metrics = ALL.iter().copied().filter(|metric| chosen(metric.spec().id)).map(configured).collect();
         Self { metrics, modes: config.modes.as_ref(), behaviors }
     }
 
@@ -80,8 +110,8 @@ impl<'a> Measures<'a> {
     }
 
     /// The metrics that are also taken over modes.
-    fn of_modes(&self) -> impl Iterator<Item = (&'static dyn Metric, ModesOf)> + '_ {
-        self.metrics.iter().filter_map(|metric| Some((*metric, metric.modes()?)))
+    fn of_modes(&self) -> impl Iterator<Item = (&dyn Metric, ModesOf)> + '_ {
+        self.metrics.iter().filter_map(|metric| Some((metric.as_ref(), metric.modes()?)))
     }
 
     fn docs_of_modes(&self) -> Vec<MetricDoc> {
@@ -120,6 +150,7 @@ impl<'a> Measures<'a> {
                         recorded: group.recorded,
                         samples,
                         probabilities: Some(probabilities),
+                        asked: group.asked,
                     })
                 }));
             }

@@ -1,12 +1,14 @@
-//! Which scenarios are drawn, and whose motion is compared?
+//! From the samples to the drawings of the report, and to the motion that is compared.
 
 use super::Report;
-use crate::behavior::{BehaviorEvent, EventLabel};
+use super::choice::{Choice, Chosen};
+use super::compared::Compared;
+use super::figures_of_scenarios::FiguresOfScenarios;
 use crate::pipeline::stages::SampleManifest;
-use crate::pipeline::{Result, StageId};
-use crate::report::{Distribution, MotionDistributions, SceneCard, event_distributions};
+use crate::pipeline::{Failure, Result, StageId};
+use crate::report::{Distribution, SceneCard};
+use crate::scene::{Scene, SceneId};
 use crate::store::{ScenarioRecord, SceneStore, read_events};
-use std::collections::{BTreeMap, BTreeSet};
 
 /// What the report shows of single scenes.
 pub(super) struct Gallery {
@@ -14,90 +16,67 @@ pub(super) struct Gallery {
     pub(super) distributions: Vec<Distribution>,
 }
 
-/// Draws new verified scenarios, at most one of each scene, and compares motion and events.
+/// Reads all samples once, shard by shard, draws those that are chosen, and compares motion and events.
 pub(super) fn gallery(stage: &Report<'_>, manifest: &SampleManifest) -> Result<Gallery> {
     let store = SceneStore::open(&stage.layout.scenes)?;
-    let mut cards = Vec::new();
-    let mut drawn = BTreeSet::new();
+    let mut choice = Choice::new(stage.config);
     let mut compared = Compared::new(stage.config.n_compared);
     for shard in &manifest.shards {
         for record in SampleManifest::read_shard(&stage.layout.samples, shard, &store)? {
             let scene_id = &record.scenario.provenance.scene_id;
-            let Some(idx) = store.position(scene_id) else { continue };
-            let is_new = record.verified && !record.recorded_event;
-            let is_drawn = is_new && cards.len() < stage.config.n_drawn && drawn.insert(scene_id.clone());
-            if is_drawn || compared.wants_recording(&scene_id.0) {
-                let recorded = store.scene(idx)?;
-                if is_drawn {
-                    cards.push(SceneCard::of_record(&record, &recorded));
-                }
-                compared.add_recording(&scene_id.0, &recorded);
+            if compared.wants_recording(&scene_id.0)
+                && let Some(idx) = store.position(scene_id)
+            {
+                compared.add_recording(&scene_id.0, &store.scene(idx)?);
             }
             compared.add(&record);
+            choice.offer(&record);
         }
     }
-    let mut distributions = compared.motion.finish();
+    let mut distributions = compared.motion();
     if stage.has(StageId::Mine) {
         distributions.extend(compared.events(&read_events(&stage.layout.events)?));
     }
-    Ok(Gallery { scenes: cards, distributions })
+    let chosen = choice.finish();
+    let figures = match stage.has(StageId::Evaluate) {
+        true => FiguresOfScenarios::read(&stage.layout.metrics, records(&chosen))?,
+        false => FiguresOfScenarios::default(),
+    };
+    let mut scenes = Vec::new();
+    for chosen in &chosen {
+        scenes.extend(card(chosen, &store, &figures)?);
+    }
+    Ok(Gallery { scenes, distributions })
 }
 
-/// Collects what is compared: at most `limit` scenes of each group.
-struct Compared {
-    limit: usize,
-    recorded_ids: BTreeSet<String>,
-    n_generated: BTreeMap<&'static str, usize>,
-    motion: MotionDistributions,
-    events: Vec<BehaviorEvent>,
-    behaviors: BTreeSet<String>,
+fn records(chosen: &[Chosen]) -> impl Iterator<Item = &ScenarioRecord> {
+    chosen.iter().flat_map(|chosen| match chosen {
+        Chosen::Alone(record) => std::slice::from_ref(record.as_ref()),
+        Chosen::Together(records) => records.as_slice(),
+    })
 }
 
-impl Compared {
-    fn new(limit: usize) -> Self {
-        Self {
-            limit,
-            recorded_ids: BTreeSet::new(),
-            n_generated: BTreeMap::new(),
-            motion: MotionDistributions::default(),
-            events: Vec::new(),
-            behaviors: BTreeSet::new(),
+fn card(chosen: &Chosen, store: &SceneStore, figures: &FiguresOfScenarios) -> Result<Option<SceneCard>> {
+    Ok(match chosen {
+        Chosen::Alone(record) => {
+            let recorded = recording(&record.scenario.provenance.scene_id, store)?;
+            Some(SceneCard::of_record(record, &recorded, &figures.of(&record.scenario.id)))
         }
-    }
+        Chosen::Together(records) => match records.first() {
+            Some(first) => {
+                let recorded = recording(&first.scenario.provenance.scene_id, store)?;
+                let ids: Vec<&str> = records.iter().map(|record| record.scenario.id.as_str()).collect();
+                SceneCard::of_samples(records, &recorded, &figures.mean_of(&ids))
+            }
+            None => None,
+        },
+    })
+}
 
-    fn wants_recording(&self, scene_id: &str) -> bool {
-        self.recorded_ids.len() < self.limit && !self.recorded_ids.contains(scene_id)
-    }
-
-    fn add_recording(&mut self, scene_id: &str, recorded: &crate::scene::Scene) {
-        if self.wants_recording(scene_id) {
-            self.recorded_ids.insert(scene_id.to_owned());
-            self.motion.add("recorded", recorded);
-        }
-    }
-
-    fn add(&mut self, record: &ScenarioRecord) {
-        let group = if record.scenario.provenance.guidance.strength == 0.0 { "unguided" } else { "guided" };
-        let n_generated = self.n_generated.entry(group).or_default();
-        if *n_generated < self.limit {
-            *n_generated += 1;
-            self.motion.add(group, &record.scenario.scene);
-        }
-        self.behaviors.extend(record.requested_behavior.clone());
-        if record.verified && !record.recorded_event {
-            self.events.extend(record.main_event().cloned());
-        }
-    }
-
-    /// Parameters of the recorded events of the behaviors that were asked for, beside those of the new ones.
-    fn events(&self, mined: &[BehaviorEvent]) -> Vec<Distribution> {
-        let is_asked =
-            |event: &&BehaviorEvent| event.label == EventLabel::Positive && self.behaviors.contains(&event.behavior);
-        let recorded: Vec<&BehaviorEvent> = mined.iter().filter(is_asked).collect();
-        let generated: Vec<&BehaviorEvent> = self.events.iter().collect();
-        if generated.is_empty() {
-            return Vec::new();
-        }
-        event_distributions(&[("recorded events", &recorded), ("generated events", &generated)])
-    }
+fn recording(scene_id: &SceneId, store: &SceneStore) -> Result<Scene> {
+    let idx = store.position(scene_id).ok_or_else(|| {
+        Failure::input_message(format_args!("scene {scene_id} of the samples is not among the scenes"))
+            .with_hint("give the scenes that the samples were generated from")
+    })?;
+    Ok(store.scene(idx)?)
 }

@@ -38,10 +38,13 @@ pub(super) fn model(stage: &Report<'_>) -> Result<ReportModel> {
         model.mining = Some(read_json(&stage.layout.events.with_file_name(MINE_SUMMARY)).blame_input()?);
     }
     if stage.has(StageId::TrainDenoiser) {
-        model.training.push(denoiser(&stage.layout.denoiser)?);
+        model.training.push(denoiser("denoiser", &stage.layout.denoiser)?);
     }
     if stage.has(StageId::TrainClassifier) {
         add_classifier(&mut model, &stage.layout.classifier)?;
+    }
+    if stage.has(StageId::TrainDistill) {
+        model.training.push(denoiser("distilled denoiser", &stage.layout.distilled)?);
     }
     if stage.has(StageId::TrainBaseline) {
         model.training.push(baseline(&stage.layout.baseline)?);
@@ -68,7 +71,7 @@ fn add_ingest(model: &mut ReportModel, scenes: &Path) -> Result<()> {
     Ok(())
 }
 
-fn denoiser(dir: &Path) -> Result<TrainingSummary> {
+fn denoiser(name: &str, dir: &Path) -> Result<TrainingSummary> {
     let TrainedDenoiser { spec, fingerprint, .. } = TrainedDenoiser::read(&checkpoint_file(dir), &Device::Cpu)?;
     let statistics = fit_statistics(dir)?;
     let facts = vec![
@@ -79,7 +82,7 @@ fn denoiser(dir: &Path) -> Result<TrainingSummary> {
         Fact::new("Steps", spec.steps),
         Fact::new("Fingerprint", fingerprint),
     ];
-    Ok(TrainingSummary::of_fit("denoiser", facts, &statistics))
+    Ok(TrainingSummary::of_fit(name, facts, &statistics))
 }
 
 fn baseline(dir: &Path) -> Result<TrainingSummary> {
@@ -133,6 +136,9 @@ fn add_evaluation(model: &mut ReportModel, summary: EvaluationSummary) {
     model.warnings.extend(cautions(&summary.aggregates).into_iter().map(|message| warning(StageId::Evaluate, message)));
     model.sampling = summary.sampling;
     model.realism = summary.realism;
+    model.acceptance = summary.acceptance;
+    model.left_out = summary.left_out;
+    model.validity = summary.validity;
     model.metrics = MetricTable { docs: summary.docs, rows: summary.aggregates };
 }
 

@@ -1,12 +1,17 @@
 //! What the stages left to the page that people read.
 
 mod cautions;
+mod choice;
+#[cfg(test)]
+mod choice_tests;
+mod compared;
 mod drawings;
+mod figures_of_scenarios;
 mod gather;
 
-use crate::pipeline::layout::{Layout, REPORT};
+use crate::pipeline::layout::{FIGURES, Layout, REPORT};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
-use crate::report::render;
+use crate::report::{figures, render};
 use crate::store::write_atomically;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -19,15 +24,28 @@ use std::io::Write;
 pub struct ReportConfig {
     /// Title of the page; empty: the pipeline's name.
     pub title: String,
-    /// Verified scenarios that are drawn beside their recording.
+    /// Verified scenarios that are drawn of each sweep that asks for a behavior: new ones first, of as many scenes as there are.
     pub n_drawn: usize,
+    /// Scenarios that are drawn of such a sweep though they do not hold what was asked for.
+    pub n_failed_drawn: usize,
+    /// Scenes that are drawn of each sweep that asks for no behavior, at each strength; the same scenes in all of them.
+    pub n_scenes_drawn: usize,
+    /// Samples of each of these scenes that are drawn, one over the other.
+    pub n_samples_drawn: usize,
     /// Recorded scenes, and scenarios of each kind, whose motion is compared.
     pub n_compared: usize,
 }
 
 impl Default for ReportConfig {
     fn default() -> Self {
-        Self { title: String::new(), n_drawn: 12, n_compared: 300 }
+        Self {
+            title: String::new(),
+            n_drawn: 12,
+            n_failed_drawn: 3,
+            n_scenes_drawn: 2,
+            n_samples_drawn: 6,
+            n_compared: 300,
+        }
     }
 }
 
@@ -60,7 +78,7 @@ impl Stage for Report<'_> {
     }
 
     fn version(&self) -> u32 {
-        2
+        3
     }
 
     fn check(&self) -> Result<()> {
@@ -78,6 +96,7 @@ impl Stage for Report<'_> {
             StageId::Ingest => Some(("scenes", &self.layout.scenes)),
             StageId::Mine => Some(("events", &self.layout.events)),
             StageId::TrainDenoiser => Some(("denoiser", &self.layout.denoiser)),
+            StageId::TrainDistill => Some(("distilled", &self.layout.distilled)),
             StageId::TrainClassifier => Some(("classifier", &self.layout.classifier)),
             StageId::TrainBaseline => Some(("baseline", &self.layout.baseline)),
             StageId::Generate => Some(("samples", &self.layout.samples)),
@@ -89,7 +108,7 @@ impl Stage for Report<'_> {
     }
 
     fn outputs(&self) -> &'static [&'static str] {
-        &[REPORT]
+        &[REPORT, FIGURES]
     }
 
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
@@ -97,8 +116,21 @@ impl Stage for Report<'_> {
         let model = gather::model(self)?;
         let page = render(&model);
         write_atomically::<std::io::Error>(&context.root.join(REPORT), |file| file.write_all(page.as_bytes()))?;
+        let folder = context.root.join(FIGURES);
+        fs_err::create_dir_all(&folder)?;
+        let figures = figures(&model);
+        for figure in &figures {
+            write_atomically::<std::io::Error>(&folder.join(&figure.name), |file| {
+                file.write_all(figure.svg.as_bytes())
+            })?;
+        }
         context.progress.finish();
-        Ok(json!({ "n_bytes": page.len(), "n_drawn": model.scenes.len(), "n_warnings": model.warnings.len() }))
+        Ok(json!({
+            "n_bytes": page.len(),
+            "n_drawn": model.scenes.len(),
+            "n_figures": figures.len(),
+            "n_warnings": model.warnings.len(),
+        }))
     }
 }
 

@@ -1,0 +1,165 @@
+//! `djinn corpus`: the tools for finished corpora.
+
+use crate::cli::args::{CorpusCommand, OutputArgs};
+use crate::cli::printer::Printer;
+use crate::cli::progress::TerminalProgress;
+use crate::corpus::{
+    Condition, DiffReport, Finding, Outcome, SampleOptions, Severity, ValidationReport, diff, filter, merge, sample,
+    validate,
+};
+use crate::pipeline::{Failure, Result};
+use serde::Serialize;
+use std::fmt::Write;
+use std::path::Path;
+
+pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, printer: &Printer) -> Result<()> {
+    let n_threads = output.threads.unwrap_or(0);
+    rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(Failure::fault)?;
+    let progress = TerminalProgress::new(output, *printer);
+    match command {
+        CorpusCommand::Validate(args) => {
+            let report = validate(&args.corpus, &progress)?;
+            print(printer, args.json, &report, validation_text)?;
+            match report.n_damages {
+                0 => Ok(()),
+                n => {
+                    let message = format_args!("{} is damaged: {n} findings", args.corpus.display());
+                    Err(Failure::input_message(message)
+                        .with_hint("copy it again, or run the command that wrote it again"))
+                }
+            }
+        }
+        CorpusCommand::Merge(args) => {
+            let outcome = merge(&args.corpora, &args.out, &progress)?;
+            tell(printer, &outcome, &args.out);
+            Ok(())
+        }
+        CorpusCommand::Filter(args) => {
+            let conditions = args.conditions.iter().map(|text| text.parse::<Condition>());
+            let conditions = conditions.collect::<std::result::Result<Vec<_>, _>>()?;
+            let outcome = filter(&args.corpus, &conditions, &args.out, &progress)?;
+            tell(printer, &outcome, &args.out);
+            Ok(())
+        }
+        CorpusCommand::Sample(args) => {
+            let options = SampleOptions { n: args.n, by: args.by.clone(), seed: args.seed };
+            let outcome = sample(&args.corpus, &options, &args.out, &progress)?;
+            tell(printer, &outcome, &args.out);
+            Ok(())
+        }
+        CorpusCommand::Diff(args) => {
+            let report = diff(&args.a, &args.b, &progress)?;
+            print(printer, args.json, &report, diff_text)
+        }
+    }
+}
+
+/// Prints data as JSON or as text.
+fn print<T: Serialize>(printer: &Printer, json: bool, value: &T, text: fn(&T) -> String) -> Result<()> {
+    if json {
+        let json = serde_json::to_string_pretty(value).map_err(anyhow::Error::from)?;
+        printer.data(&format!("{json}\n"))
+    } else {
+        printer.data(&text(value))
+    }
+}
+
+/// Says what was written.
+fn tell(printer: &Printer, outcome: &Outcome, out: &Path) {
+    let Outcome { manifest, n_duplicates, n_differing_recordings, n_aggregates_left_out } = outcome;
+    printer.message(format_args!(
+        "{} scenarios ({} verified) of {} recorded scenes are in {}",
+        manifest.n_scenarios,
+        manifest.n_verified,
+        manifest.n_recordings,
+        out.display()
+    ));
+    if *n_duplicates > 0 {
+        printer.message(format_args!("{n_duplicates} scenarios were in several corpora and came once"));
+    }
+    if *n_differing_recordings > 0 {
+        printer.message(format_args!(
+            "{n_differing_recordings} recorded scenes differ between the corpora, as when other agents were kept; the first came"
+        ));
+    }
+    if *n_aggregates_left_out > 0 {
+        printer.message(format_args!(
+            "{n_aggregates_left_out} aggregated metric values were left out: they are over what a run sampled; those of scenarios came along"
+        ));
+    }
+    if manifest.n_scenarios == 0 {
+        printer.message("the new corpus is empty: nothing fulfilled the conditions");
+    }
+}
+
+fn validation_text(report: &ValidationReport) -> String {
+    let ValidationReport { n_files, n_scenarios, n_states, n_damages, n_remarks, by_check, findings } = report;
+    let mut text = String::new();
+    for Finding { severity, check, file, row, detail } in findings {
+        let severity = if *severity == Severity::Damage { "damage" } else { "remark" };
+        let row = row.map_or(String::new(), |row| format!(", row {row}"));
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "{severity} ({check}): {file}{row}: {detail}");
+    }
+    for (check, n) in by_check {
+        let n_shown = findings.iter().filter(|finding| finding.check == *check).count() as u64;
+        if *n > n_shown {
+            let _ = writeln!(text, "… and {} more of {check}", n - n_shown);
+        }
+    }
+    let verdict = if *n_damages == 0 { "whole" } else { "damaged" };
+    let _ = writeln!(
+        text,
+        "{verdict}: {n_damages} damages, {n_remarks} remarks in {n_files} files, {n_scenarios} scenarios, {n_states} states"
+    );
+    text
+}
+
+fn diff_text(report: &DiffReport) -> String {
+    let mut text = String::new();
+    let [n_a, n_b] = report.n_scenarios;
+    let [only_a, only_b] = report.n_only_in;
+    let _ = writeln!(text, "scenarios: {n_a} in A, {n_b} in B");
+    let _ = writeln!(
+        text,
+        "  same: {}, changed: {}, only in A: {only_a}, only in B: {only_b}",
+        report.n_same, report.n_changed
+    );
+    for (title, ids, n) in [
+        ("only in A", &report.only_in[0], only_a),
+        ("only in B", &report.only_in[1], only_b),
+        ("changed", &report.changed, report.n_changed),
+    ] {
+        if !ids.is_empty() {
+            let more = if n > ids.len() as u64 { ", …" } else { "" };
+            let _ = writeln!(text, "  {title}: {}{more}", ids.join(", "));
+        }
+    }
+    for (column, n) in &report.changed_by_column {
+        let _ = writeln!(text, "  {column} differs in {n}");
+    }
+    for (side, columns) in ["A", "B"].iter().zip(&report.columns_only_in) {
+        if !columns.is_empty() {
+            let _ = writeln!(text, "columns only in {side}: {}", columns.join(", "));
+        }
+    }
+    if !report.partitions.is_empty() {
+        let _ = writeln!(text, "partitions (scenarios, verified):");
+    }
+    for part in &report.partitions {
+        let ([a, b], [verified_a, verified_b]) = (part.n_scenarios, part.n_verified);
+        let (behavior, place) = (&part.behavior, &part.place);
+        let _ = writeln!(text, "  {behavior} at {place}: {a} → {b}, {verified_a} → {verified_b}");
+    }
+    if !report.shifts.is_empty() {
+        let _ = writeln!(text, "numbers (n, mean ± standard deviation, range):");
+    }
+    for shift in &report.shifts {
+        let [a, b] =
+            shift.summaries.map(|s| format!("{} {:.4} ± {:.4} [{:.4}, {:.4}]", s.n, s.mean, s.std, s.min, s.max));
+        let by =
+            shift.mean_shift_std.map_or(String::new(), |by| format!(", mean shifted by {by:+.2} standard deviations"));
+        let _ = writeln!(text, "  {}: {a} → {b}{by}", shift.name);
+    }
+    text
+}

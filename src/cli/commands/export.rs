@@ -1,0 +1,42 @@
+//! `djinn export`: a corpus in a format that others read.
+
+use crate::cli::args::{ExportArgs, OutputArgs};
+use crate::cli::printer::{Printer, stderr_line};
+use crate::cli::progress::TerminalProgress;
+use crate::export::{EgoMotion, ExportOptions, Selection, export_corpus};
+use crate::pipeline::{Failure, Result};
+use std::path::Path;
+
+pub(in crate::cli) fn export(args: &ExportArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
+    let selection = Selection {
+        only_verified: args.only_verified,
+        behavior: args.behavior.clone(),
+        sweep: args.sweep.clone(),
+        scenario_ids: args.scenarios.clone(),
+        limit: args.limit,
+    };
+    let options = ExportOptions { ego: if args.free_ego { EgoMotion::Free } else { EgoMotion::Replayed } };
+    let progress = TerminalProgress::new(output, *printer);
+    let report = export_corpus(&args.corpus, args.format, &args.out, &selection, options, &progress);
+    let report = report.map_err(|error| hinted(error.into(), &args.corpus))?;
+    for warning in report.warnings() {
+        stderr_line(&printer.warning_line(&warning));
+    }
+    for (dataset, terms) in &report.sources {
+        printer.message(format_args!("made from {dataset}: {terms}"));
+    }
+    let (n_scenarios, n_tracks) = (report.n_scenarios, report.n_tracks);
+    printer.message(format_args!("{n_scenarios} scenarios with {n_tracks} tracks are in {}", args.out.display()));
+    Ok(())
+}
+
+/// Adds advice where the corpus is none.
+fn hinted(failure: Failure, corpus: &Path) -> Failure {
+    if corpus.join("manifest.json").is_file() {
+        return failure;
+    }
+    failure.with_hint(format!(
+        "{} is no corpus; name the folder `corpus` of a run, such as output/quickstart/main/corpus",
+        corpus.display()
+    ))
+}

@@ -1,0 +1,77 @@
+//! What can go wrong with the tools for corpora, and what the user can do about it.
+
+use crate::store;
+use std::path::{Path, PathBuf};
+
+/// A failure of a tool.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A corpus cannot be read or written.
+    #[error(transparent)]
+    Store(#[from] store::Error),
+    /// The file system refused; the message names the path.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+    /// A condition that cannot be understood.
+    #[error("condition {text:?}: {detail}")]
+    Condition {
+        /// The condition as it was given.
+        text: String,
+        /// What is wrong with it, and what is possible.
+        detail: String,
+    },
+    /// A column that the scenarios do not have.
+    #[error("the scenarios have no column {name:?}{hint}")]
+    UnknownColumn {
+        /// What was asked for.
+        name: String,
+        /// The nearest name, or nothing.
+        hint: String,
+    },
+    /// A folder that must not be written into.
+    #[error("{} exists and is not empty: name a new folder", .dir.display())]
+    OutputExists {
+        /// The folder.
+        dir: PathBuf,
+    },
+    /// A folder of leftovers that holds what no tool of ours writes.
+    #[error("{} is in the way and holds {found:?}, which is not ours: move it away", .dir.display())]
+    ForeignLeftover {
+        /// The folder.
+        dir: PathBuf,
+        /// The first foreign entry.
+        found: String,
+    },
+    /// Two corpora hold different scenarios under one id.
+    #[error("scenario {id} is in {} and in {}, with different content: they are not from the same run and cannot be told apart; filter one of them first", .first.display(), .second.display())]
+    Conflict {
+        /// The scenario.
+        id: String,
+        /// The corpus that has it first.
+        first: PathBuf,
+        /// The other one.
+        second: PathBuf,
+    },
+    /// Two corpora hold different maps under one name.
+    #[error("map {id} of {} differs from the map of that name that came before: corpora on different maps cannot share lanes", .dir.display())]
+    MapConflict {
+        /// The map.
+        id: String,
+        /// The corpus with the later map.
+        dir: PathBuf,
+    },
+    /// A choice that cannot be.
+    #[error("{0}")]
+    Usage(String),
+}
+
+impl Error {
+    /// Rows that cannot be brought together although their schemas were checked.
+    pub(super) fn arrow(path: &Path) -> impl FnOnce(arrow::error::ArrowError) -> Self {
+        let path = path.to_owned();
+        move |error| Self::Store(store::Error::corrupt(&path, error.to_string()))
+    }
+}
+
+/// The results of tools.
+pub type Result<T, E = Error> = std::result::Result<T, E>;

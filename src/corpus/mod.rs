@@ -1,0 +1,29 @@
+//! What can be done with finished corpora: checked, put together, cut down, compared.
+//!
+//! Every tool reads a corpus from its beginning to its end, a few scenarios at a time, so that memory does not grow with
+//! states; what grows are hashes of ids. Tools that write make a new folder beside the final one and rename it when it is
+//! whole: what is under the final name is whole, always.
+
+mod condition;
+mod copy;
+mod diff;
+mod error;
+mod filter;
+mod merge;
+mod out_folder;
+mod rows;
+mod sample;
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
+mod validate;
+
+pub use condition::Condition;
+pub use copy::Outcome;
+pub use diff::{DiffReport, Shift, diff};
+pub use error::{Error, Result};
+pub use filter::filter;
+pub use merge::merge;
+pub use sample::{SampleOptions, sample};
+pub use validate::{Finding, Severity, ValidationReport, validate};

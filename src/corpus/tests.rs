@@ -1,0 +1,283 @@
+//! Do merge, filter, sample and diff keep what they should, and refuse what they must?
+
+use super::testing::{AnyMap, recorded, records, write};
+use super::*;
+use crate::progress::Silent;
+use crate::store::testing::folder_bytes;
+use crate::store::{CorpusManifest, CorpusNotes, CorpusReader, CorpusWriter, ScenarioRecord};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+fn ids(dir: &Path) -> BTreeSet<String> {
+    CorpusReader::open(dir).unwrap().scenario_ids().unwrap().map(str::to_owned).collect()
+}
+
+fn filtered(dir: &Path, conditions: &[&str], out: &Path) -> Result<Outcome> {
+    let conditions: Vec<Condition> = conditions.iter().map(|text| text.parse().unwrap()).collect();
+    filter(dir, &conditions, out, &Silent)
+}
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// A corpus of the scenarios of these scenes.
+    fn corpus(&self, name: &str, seeds: std::ops::Range<u64>) -> PathBuf {
+        write(&self.path(name), &records(seeds));
+        self.path(name)
+    }
+}
+
+/// Everything of `expected` is in the corpus, as it was, with its recordings, and nothing else.
+fn assert_holds(dir: &Path, expected: &[ScenarioRecord]) {
+    let reader = CorpusReader::open(dir).unwrap();
+    assert_eq!(reader.len(), expected.len());
+    for record in expected {
+        let found = reader.scenario(reader.position(&record.scenario.id).unwrap()).unwrap();
+        assert_eq!(found, *record);
+        let recording = recorded(record.scenario.scene.source.case_id.parse().unwrap());
+        let tracks = reader.recorded_tracks(&recording.id, recording.n_timesteps).unwrap();
+        assert_eq!(tracks.unwrap(), recording.tracks);
+    }
+    let scenes: BTreeSet<&str> = expected.iter().map(|record| record.scenario.scene.id.0.as_str()).collect();
+    assert_eq!(reader.manifest().n_recordings, scenes.len() as u64);
+    let of_scenarios = reader.metrics().unwrap();
+    assert_eq!(of_scenarios.len(), expected.len(), "one value a scenario, and no aggregate");
+    let report = validate(dir, &Silent).unwrap();
+    assert_eq!((report.n_damages, report.n_remarks), (0, 0), "{:?}", report.findings);
+}
+
+#[test]
+fn a_merge_holds_everything_once() {
+    let folder = Folder::new();
+    let (a, b) = (folder.corpus("a", 0..9), folder.corpus("b", 6..14));
+    let outcome = merge(&[a.clone(), b.clone()], &folder.path("out"), &Silent).unwrap();
+    // Scenes 6, 7 and 8 are in both, with two scenarios each.
+    assert_eq!((outcome.n_duplicates, outcome.n_differing_recordings, outcome.n_aggregates_left_out), (6, 0, 2));
+    assert_holds(&folder.path("out"), &records(0..14));
+    let manifest = outcome.manifest;
+    assert_eq!((manifest.n_scenarios, manifest.n_maps, manifest.history.len()), (28, 1, 1));
+    assert_eq!(manifest.notes["pipeline"], "test");
+    assert!(
+        manifest.sources["argoverse1"].contains("CC BY-NC-SA 4.0") && !manifest.sources["argoverse1"].contains("Also")
+    );
+    // The same corpora give the same bytes, and the parts that they were cut into do not matter to the set.
+    merge(&[a, b], &folder.path("again"), &Silent).unwrap();
+    assert!(folder_bytes(&folder.path("out")) == folder_bytes(&folder.path("again")));
+}
+
+#[test]
+fn a_merge_with_nothing_new_is_what_it_was_but_for_history_and_aggregates() {
+    let folder = Folder::new();
+    let a = folder.corpus("a", 0..9);
+    merge(&[a.clone(), a.clone()], &folder.path("out"), &Silent).unwrap();
+    let (before, after) = (folder_bytes(&a), folder_bytes(&folder.path("out")));
+    for (file, bytes) in before.iter().filter(|(file, _)| file.contains('/')) {
+        assert!(after[file] == *bytes, "{file} differs");
+    }
+    assert_eq!(before.len(), after.len());
+}
+
+#[test]
+fn recordings_are_the_same_wherever_batches_break() {
+    let folder = Folder::new();
+    // More rows at one place than are read at a time, so that scenes lie across the break, in one corpus and not in the other.
+    let (a, b) = (folder.corpus("a", 0..330), folder.corpus("b", 100..330));
+    let n_rows = |dir: &Path| CorpusManifest::read(dir).unwrap().tables["recordings"].files[1].n_rows;
+    assert!(n_rows(&a) > 8192 && n_rows(&b) < 8192, "{} {}", n_rows(&a), n_rows(&b));
+    let outcome = merge(&[a.clone(), b], &folder.path("out"), &Silent).unwrap();
+    assert_eq!((outcome.n_duplicates, outcome.n_differing_recordings), (460, 0));
+    let tables = |dir: &Path| CorpusManifest::read(dir).unwrap().tables;
+    assert_eq!(tables(&folder.path("out"))["recordings"], tables(&a)["recordings"]);
+}
+
+#[test]
+fn different_scenarios_of_one_id_are_refused_and_nothing_is_left() {
+    let folder = Folder::new();
+    let a = folder.corpus("a", 0..5);
+    let mut changed = records(3..6);
+    changed[1].scenario.provenance.seed = 7;
+    write(&folder.path("b"), &changed);
+    let error = merge(&[a.clone(), folder.path("b")], &folder.path("out"), &Silent).unwrap_err();
+    assert!(matches!(&error, Error::Conflict { id, .. } if *id == changed[1].scenario.id), "{error}");
+    // A state that differs counts as much as a column.
+    let mut changed = records(3..6);
+    let track = &mut changed[0].scenario.scene.tracks[0];
+    let mut states = track.trajectory.entries().to_vec();
+    states.iter_mut().flatten().for_each(|state| state.velocity.x += 1.0);
+    track.trajectory = crate::scene::Trajectory::new(states);
+    write(&folder.path("c"), &[changed.remove(0)].map(as_stored));
+    assert!(matches!(merge(&[a, folder.path("c")], &folder.path("out"), &Silent), Err(Error::Conflict { .. })));
+    assert!(!folder.path("out").exists() && !folder.path("out.partial").exists());
+}
+
+fn as_stored(mut record: ScenarioRecord) -> ScenarioRecord {
+    record.scenario.scene = crate::store::as_stored(&record.scenario.scene);
+    record
+}
+
+#[test]
+fn different_maps_of_one_name_are_refused() {
+    let folder = Folder::new();
+    let a = folder.corpus("a", 0..3);
+    let maps = AnyMap(6);
+    let mut writer = CorpusWriter::create(&folder.path("b"), &maps).unwrap();
+    writer.write_scenarios(&records(5..6)).unwrap();
+    writer.finish(&CorpusNotes::default()).unwrap();
+    let error = merge(&[a, folder.path("b")], &folder.path("out"), &Silent).unwrap_err();
+    assert!(matches!(&error, Error::MapConflict { id, .. } if id == "PIT"), "{error}");
+}
+
+#[test]
+fn recordings_that_differ_are_counted_and_the_first_comes() {
+    let folder = Folder::new();
+    let a = folder.corpus("a", 0..3);
+    let maps = AnyMap(5);
+    let mut writer = CorpusWriter::create(&folder.path("b"), &maps).unwrap();
+    writer.write_scenarios(&records(1..2)).unwrap();
+    let mut scene = recorded(1);
+    scene.tracks.truncate(2);
+    writer.write_recording(&scene).unwrap();
+    writer.finish(&CorpusNotes::default()).unwrap();
+    let outcome = merge(&[a, folder.path("b")], &folder.path("out"), &Silent).unwrap();
+    assert_eq!((outcome.n_duplicates, outcome.n_differing_recordings), (2, 1));
+    assert_holds(&folder.path("out"), &records(0..3));
+}
+
+#[test]
+fn a_filter_keeps_what_fulfils_all_conditions() {
+    let folder = Folder::new();
+    let a = folder.corpus("a", 0..40);
+    let keeps = |record: &ScenarioRecord| record.verified && record.scenario.scene.source.place == "MIA";
+    let expected: Vec<ScenarioRecord> = records(0..40).into_iter().filter(keeps).collect();
+    assert!(expected.len() > 5);
+    let outcome = filtered(&a, &["verified", "place = MIA"], &folder.path("out")).unwrap();
+    assert_holds(&folder.path("out"), &expected);
+    assert!(outcome.manifest.history[0].starts_with("filtered where verified and place = MIA from corpus "));
+    let card = fs_err::read_to_string(folder.path("out/README.md")).unwrap();
+    assert!(card.contains("then filtered where verified and place = MIA"));
+
+    // Parameters of events are columns; the gap of the verified sample, number 1, is 6 m.
+    filtered(&a, &["gap_m < 6.5", "gap_m >= 6"], &folder.path("gap")).unwrap();
+    assert_eq!(
+        ids(&folder.path("gap")),
+        records(0..40).iter().filter(|r| r.verified).map(|r| r.scenario.id.clone()).collect()
+    );
+    filtered(&a, &["gap_m < 6"], &folder.path("none")).unwrap();
+    assert!(CorpusReader::open(&folder.path("none")).unwrap().is_empty());
+    assert!(matches!(filtered(&a, &["gap < 6"], &folder.path("wrong")), Err(Error::UnknownColumn { .. })));
+    assert!(!folder.path("wrong").exists());
+    assert!(matches!(filtered(&a, &["verified"], &folder.path("out")), Err(Error::OutputExists { .. })));
+}
+
+#[test]
+fn parts_of_a_corpus_merge_into_the_whole() {
+    let folder = Folder::new();
+    let a = folder.corpus("a", 0..30);
+    let (yes, no) = (folder.path("yes"), folder.path("no"));
+    filtered(&a, &["verified"], &yes).unwrap();
+    filtered(&a, &["not verified"], &no).unwrap();
+    merge(&[no, yes], &folder.path("out"), &Silent).unwrap();
+    assert_holds(&folder.path("out"), &records(0..30));
+    let report = diff(&a, &folder.path("out"), &Silent).unwrap();
+    assert_eq!((report.n_same, report.n_only_in, report.n_changed), (60, [0, 0], 0));
+    assert!(report.partitions.is_empty() && report.changed_by_column.is_empty());
+    // The order in which numbers are summed differs, so means may differ in their last digits, and no more.
+    assert!(
+        report.shifts.iter().all(|shift| shift.mean_shift_std.is_none_or(|by| by.abs() < 1e-9)),
+        "{:?}",
+        report.shifts
+    );
+}
+
+#[test]
+fn a_sample_is_balanced_and_the_same_for_the_same_seed() {
+    let folder = Folder::new();
+    let a = folder.corpus("a", 0..40);
+    let draw = |name: &str, n: u64, by: Option<&str>, seed: u64| -> CorpusManifest {
+        let options = SampleOptions { n, by: by.map(str::to_owned), seed };
+        sample(&a, &options, &folder.path(name), &Silent).unwrap().manifest
+    };
+    // 20 scenarios ask for nothing, 60 for a cut-in.
+    let manifest = draw("one", 24, Some("behavior"), 1);
+    let of = |behavior: &str| {
+        let counts = manifest.scenarios_by_partition.iter().filter(|count| count.behavior == behavior);
+        counts.map(|count| count.n_scenarios).sum::<u64>()
+    };
+    assert_eq!((of("none"), of("cut_in")), (12, 12));
+    draw("two", 24, Some("behavior"), 1);
+    assert!(folder_bytes(&folder.path("one")) == folder_bytes(&folder.path("two")));
+    draw("three", 24, Some("behavior"), 2);
+    assert_ne!(ids(&folder.path("one")), ids(&folder.path("three")));
+    // More from the same seed holds all of fewer.
+    draw("few", 10, None, 1);
+    draw("many", 30, None, 1);
+    assert_eq!((ids(&folder.path("few")).len(), ids(&folder.path("many")).len()), (10, 30));
+    assert!(ids(&folder.path("few")).is_subset(&ids(&folder.path("many"))));
+    assert_eq!(draw("all", 1000, Some("place"), 1).n_scenarios, 80);
+    for (by, n) in [("behaviour", 5), ("gap_m", 5), ("place", 0)] {
+        let options = SampleOptions { n, by: Some(by.to_owned()), seed: 0 };
+        assert!(sample(&a, &options, &folder.path("wrong"), &Silent).is_err(), "{by}");
+    }
+}
+
+#[test]
+fn every_scenario_is_drawn_about_equally_often() {
+    let folder = Folder::new();
+    let a = folder.corpus("a", 0..10);
+    let mut counts = std::collections::BTreeMap::<String, u32>::new();
+    for seed in 0..60 {
+        let out = folder.path(&format!("draw{seed}"));
+        sample(&a, &SampleOptions { n: 5, by: None, seed }, &out, &Silent).unwrap();
+        ids(&out).into_iter().for_each(|id| *counts.entry(id).or_default() += 1);
+    }
+    // 300 draws over 20 scenarios: 15 each, with a standard deviation of √(60 · ¼ · ¾) = 3.4.
+    assert_eq!(counts.len(), 20);
+    assert!(counts.values().all(|n| (2..=28).contains(n)), "{counts:?}");
+}
+
+#[test]
+fn a_diff_tells_what_changed_and_where() {
+    let folder = Folder::new();
+    let a = folder.corpus("a", 0..20);
+    let mut changed = records(5..25);
+    for record in changed.iter_mut().filter(|record| record.verified).take(3) {
+        record.scenario.provenance.guidance.strength += 1.0;
+        record.events[0].parameters.insert("ttc_s".to_owned(), 2.0);
+    }
+    write(&folder.path("b"), &changed);
+    let report = diff(&a, &folder.path("b"), &Silent).unwrap();
+    assert_eq!((report.n_scenarios, report.n_only_in), ([40, 40], [10, 10]));
+    assert_eq!((report.n_same, report.n_changed, report.changed.len()), (27, 3, 3));
+    let columns: Vec<(&str, u64)> = report.changed_by_column.iter().map(|(name, n)| (name.as_str(), *n)).collect();
+    assert_eq!(columns, [("events", 3), ("guidance_strength", 3), ("ttc_s", 3)]);
+    assert_eq!(report.columns_only_in, [vec![], vec!["ttc_s".to_owned()]]);
+    let strength = report.shifts.iter().find(|shift| shift.name == "guidance_strength").unwrap();
+    // All 40 are 2 in A; three of 40 are 3 in B.
+    assert_eq!((strength.summaries[0].mean, strength.summaries[0].std, strength.mean_shift_std), (2.0, 0.0, None));
+    assert!((strength.summaries[1].mean - 2.075).abs() < 1e-12 && strength.summaries[1].max == 3.0);
+}
+
+#[test]
+fn damaged_and_foreign_folders_are_refused_before_anything_is_written() {
+    let folder = Folder::new();
+    let (a, b) = (folder.corpus("a", 0..3), folder.corpus("b", 3..6));
+    let file = b.join("lanes.parquet");
+    let bytes = fs_err::read(&file).unwrap();
+    fs_err::write(&file, &bytes[..bytes.len() / 2]).unwrap();
+    let error = merge(&[a.clone(), b.clone()], &folder.path("out"), &Silent).unwrap_err().to_string();
+    assert!(error.contains("lanes.parquet is damaged"), "{error}");
+    fs_err::remove_file(b.join("manifest.json")).unwrap();
+    let error = merge(&[a.clone(), b], &folder.path("out"), &Silent).unwrap_err().to_string();
+    assert!(error.contains("did not finish"), "{error}");
+    let error = merge(&[a, folder.0.path().to_owned()], &folder.path("out"), &Silent).unwrap_err().to_string();
+    assert!(error.contains("is no corpus"), "{error}");
+    assert!(!folder.path("out").exists() && !folder.path("out.partial").exists());
+}

@@ -1,0 +1,124 @@
+//! CommonRoad: are the numbers in the files those that follow from a scene by hand?
+
+use super::*;
+use crate::export::testing::{self, Node, add_all};
+use crate::geometry::Polyline;
+use crate::scene::testing::without_states;
+use crate::scene::{Lane, LaneGraph, Scene};
+use std::sync::Arc;
+
+fn written(scene: &Scene, ego: EgoMotion) -> std::result::Result<(Node, Written), &'static str> {
+    let dir = tempfile::tempdir().unwrap();
+    let mut outcomes = add_all(Box::new(CommonRoad::new(dir.path(), ego)), std::slice::from_ref(scene));
+    let written = outcomes.remove(0)?;
+    Ok((Node::parse(&testing::read(dir.path(), &written.file)), written))
+}
+
+fn xy(node: &Node) -> (f64, f64) {
+    (node.number("x"), node.number("y"))
+}
+
+#[test]
+fn the_file_says_what_it_is() {
+    let (root, written) = written(&testing::scene(), EgoMotion::Replayed).unwrap();
+    assert_eq!((root.name.as_str(), root.attr("commonRoadVersion")), ("commonRoad", "2020a"));
+    assert_eq!((root.attr("benchmarkID"), root.attr("timeStepSize")), ("ZAM_Test-1_1_T-1", "0.1"));
+    assert_eq!((written.file.as_str(), written.first_timestep), ("ZAM_Test-1_1_T-1.xml", 3));
+    let tags: Vec<&str> = root.at("scenarioTags").children.iter().map(|tag| tag.name.as_str()).collect();
+    assert_eq!(tags, ["simulated", "cut_in"]);
+    // In the order that the schema demands.
+    let mut order: Vec<&str> = root.children.iter().map(|child| child.name.as_str()).collect();
+    order.dedup();
+    assert_eq!(order, ["location", "scenarioTags", "lanelet", "dynamicObstacle", "planningProblem"]);
+}
+
+#[test]
+fn lanelets_are_connected_and_lie_where_the_lanes_lie() {
+    let (root, _) = written(&testing::scene(), EgoMotion::Replayed).unwrap();
+    let lanelets = root.all("lanelet");
+    assert_eq!(lanelets.iter().map(|lanelet| lanelet.attr("id")).collect::<Vec<_>>(), ["1", "2"]);
+    assert_eq!((lanelets[0].at("successor").attr("ref"), lanelets[0].all("predecessor").len()), ("2", 0));
+    assert_eq!(lanelets[1].at("predecessor").attr("ref"), "1");
+    let points = |bound: &str| lanelets[0].at(bound).all("point").into_iter().map(xy).collect::<Vec<_>>();
+    // The lane runs north; its left boundary lies 2 m in the west.
+    assert_eq!(points("leftBound"), [(998.0, 2000.0), (998.0, 2040.0)]);
+    assert_eq!(points("rightBound"), [(1002.0, 2000.0), (1002.0, 2040.0)]);
+    assert_eq!(
+        (lanelets[0].at("laneletType").text.as_str(), lanelets[0].at("userOneWay").text.as_str()),
+        ("urban", "vehicle")
+    );
+}
+
+#[test]
+fn obstacles_move_from_the_present_on() {
+    let (root, written) = written(&testing::scene(), EgoMotion::Replayed).unwrap();
+    let obstacles = root.all("dynamicObstacle");
+    assert_eq!(obstacles.iter().map(|o| o.attr("id")).collect::<Vec<_>>(), ["3", "4", "5"]);
+    assert_eq!(written.tracks, ["3", "4", "5"].map(|id| Ok(id.to_owned())));
+    let initial = obstacles[0].at("initialState");
+    // The present is timestep 3: three metres to the north of the origin, heading north at 10 m/s.
+    assert_eq!(xy(initial.at("position").at("point")), (1000.0, 2003.0));
+    assert_eq!((initial.at("time").number("exact"), initial.at("velocity").number("exact")), (0.0, 10.0));
+    assert!((initial.at("orientation").number("exact") - std::f64::consts::FRAC_PI_2).abs() < 1e-6);
+    let states = obstacles[0].at("trajectory").all("state");
+    let steps: Vec<f64> = states.iter().map(|state| state.at("time").number("exact")).collect();
+    assert_eq!(steps, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
+    assert_eq!(xy(states[7].at("position").at("point")), (1000.0, 2011.0));
+    let size =
+        |i: usize| (obstacles[i].at("shape").at("rectangle").number("length"), obstacles[i].at("type").text.clone());
+    assert_eq!((size(0), size(2)), ((4.5, "car".to_owned()), (0.75, "pedestrian".to_owned())));
+    assert!(written.assumed.contains(&("nominal_size", 1)), "{:?}", written.assumed);
+}
+
+#[test]
+fn the_planning_problem_leads_from_the_present_to_the_end() {
+    let mut scene = testing::scene();
+    // One step before the present the ego was slower by 1 m/s and headed 0.1 rad more to the right.
+    let mut entries = scene.tracks[0].trajectory.entries().to_vec();
+    entries[2] = entries[2].map(|state| State {
+        heading_rad: -0.1,
+        velocity: crate::geometry::Vec2::from_angle(-0.1) * 9.0,
+        ..state
+    });
+    scene.tracks[0].trajectory = crate::scene::Trajectory::new(entries);
+    let (root, written) = written(&scene, EgoMotion::Free).unwrap();
+    assert_eq!(written.tracks[0], Err("ego_is_free"));
+    assert_eq!(root.all("dynamicObstacle").len(), 2);
+    let problem = root.at("planningProblem");
+    assert_eq!(problem.attr("id"), "6");
+    let initial = problem.at("initialState");
+    assert_eq!(xy(initial.at("position").at("point")), (1000.0, 2003.0));
+    assert!((initial.at("yawRate").number("exact") - 1.0).abs() < 1e-6);
+    assert!((initial.at("acceleration").number("exact") - 10.0).abs() < 1e-6);
+    let goal = problem.at("goalState");
+    // Eight steps remain; all but none of them are within the last second.
+    assert_eq!((goal.at("time").number("intervalStart"), goal.at("time").number("intervalEnd")), (1.0, 8.0));
+    let region = goal.at("position").at("rectangle");
+    assert_eq!((xy(region.at("center")), region.number("length")), ((1000.0, 2011.0), 4.5));
+}
+
+#[test]
+fn what_cannot_be_written_is_told() {
+    let scene = testing::scene();
+    let without_lanes = Scene { lanes: Arc::new(LaneGraph::default()), ..scene.clone() };
+    assert_eq!(written(&without_lanes, EgoMotion::Replayed).err(), Some("no_lanes"));
+    let past = Scene { n_history: 12, ..scene.clone() };
+    assert_eq!(written(&past, EgoMotion::Replayed).err(), Some("no_future"));
+    let lonely = without_states(scene.clone(), 0, |timestep| timestep > 3);
+    assert_eq!(written(&lonely, EgoMotion::Replayed).err(), Some("no_ego"));
+
+    let gaps = without_states(scene.clone(), 1, |timestep| timestep == 7);
+    let gaps = without_states(gaps, 2, |timestep| timestep == 3);
+    let (root, outcome) = written(&gaps, EgoMotion::Replayed).unwrap();
+    assert_eq!(outcome.tracks[2], Err("absent_at_present"));
+    // Timesteps 4 to 6 follow the present; 8 to 11 come after the gap.
+    assert_eq!(root.all("dynamicObstacle")[1].at("trajectory").all("state").len(), 3);
+    assert!(outcome.assumed.contains(&("states_after_gap", 4)), "{:?}", outcome.assumed);
+
+    let center = Lane { left: Polyline::default(), ..testing::lane(1) };
+    let point = Lane { centerline: Polyline::default(), ..Lane { id: crate::scene::LaneId(2), ..center.clone() } };
+    let narrow = Scene { lanes: Arc::new(LaneGraph::new(vec![center, point])), ..scene };
+    let (root, outcome) = written(&narrow, EgoMotion::Replayed).unwrap();
+    assert_eq!(root.all("lanelet").len(), 1);
+    assert_eq!(outcome.assumed[..2], [("nominal_lane_width", 1), ("lane_without_extent", 1)]);
+}

@@ -1,0 +1,66 @@
+//! What can go wrong in an export, and what the user can do about it.
+
+use crate::store;
+use std::path::PathBuf;
+
+/// A failure to export.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The file system refused; the message names the path.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+    /// The corpus cannot be read, or a file of ours cannot be written.
+    #[error(transparent)]
+    Store(#[from] store::Error),
+    /// The folder to write into holds something already.
+    #[error("{} is not empty: an export is written into a folder of its own, name another one or remove it", .dir.display())]
+    NotEmpty {
+        /// The folder.
+        dir: PathBuf,
+    },
+    /// No scenario passes the selection.
+    #[error("none of the {n_scenarios} scenarios of {} is {wanted}", .corpus.display())]
+    NothingSelected {
+        /// The corpus.
+        corpus: PathBuf,
+        /// How many scenarios it has.
+        n_scenarios: usize,
+        /// What was asked for.
+        wanted: String,
+    },
+    /// The format shows everybody as recordings do.
+    #[error("{format} cannot leave the ego out: it holds recorded traffic; commonroad and openscenario can")]
+    EgoIsReplayed {
+        /// The format.
+        format: &'static str,
+    },
+    /// The scenarios were found, but the format can hold none of them.
+    #[error("none of the {n_scenarios} scenarios can be written as {format}: {reasons}")]
+    NothingWritten {
+        /// The format.
+        format: &'static str,
+        /// How many were tried.
+        n_scenarios: u64,
+        /// Why, with how many for each reason.
+        reasons: String,
+    },
+    /// A table could not be encoded.
+    #[error("cannot encode {}: {detail}", .path.display())]
+    Encode {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        detail: String,
+    },
+}
+
+impl Error {
+    /// For `map_err` where an encoder fails that writes `path`.
+    pub(super) fn encode<E: std::fmt::Display>(path: &std::path::Path) -> impl FnOnce(E) -> Self {
+        let path = path.to_owned();
+        move |error| Self::Encode { path, detail: error.to_string() }
+    }
+}
+
+/// The results of this module.
+pub type Result<T> = std::result::Result<T, Error>;

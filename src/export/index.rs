@@ -1,0 +1,96 @@
+//! Which file holds which scenario, and which name has which track there? Two tables that every export has.
+//!
+//! Their cells are separated by tabs: readers of INTERACTION take every `.csv` for a table of tracks.
+
+use super::{Error, Item, Result, Written};
+use crate::store::AtomicFile;
+use std::path::Path;
+
+/// Writes `index.tsv`, one row a scenario, and `tracks.tsv`, one row a track.
+pub(super) struct Index {
+    scenarios: Table,
+    tracks: Table,
+}
+
+impl Index {
+    pub(super) fn begin(index: &Path, tracks: &Path) -> Result<Self> {
+        let scenarios = [
+            "scenario_id",
+            "file",
+            "name",
+            "first_timestep",
+            "scene_id",
+            "dataset",
+            "split",
+            "place",
+            "sweep",
+            "requested_behavior",
+            "verified",
+        ];
+        let track = ["scenario_id", "track_id", "name", "class", "is_ego", "event_role", "left_out"];
+        Ok(Self { scenarios: Table::begin(index, b'\t', &scenarios)?, tracks: Table::begin(tracks, b'\t', &track)? })
+    }
+
+    pub(super) fn add(&mut self, item: &Item<'_>, written: &Written) -> Result<()> {
+        let (record, scene) = (item.record, item.scene());
+        let scenario_id = record.scenario.id.as_str();
+        self.scenarios.row(&[
+            scenario_id,
+            &written.file,
+            &written.name,
+            &written.first_timestep.to_string(),
+            &scene.id.0,
+            scene.source.dataset.name(),
+            scene.source.split.name(),
+            &scene.source.place,
+            &record.sweep,
+            record.requested_behavior.as_deref().unwrap_or_default(),
+            if record.verified { "true" } else { "false" },
+        ])?;
+        for (agent_idx, (track, name)) in scene.tracks.iter().zip(&written.tracks).enumerate() {
+            self.tracks.row(&[
+                scenario_id,
+                &track.id.0,
+                name.as_deref().unwrap_or_default(),
+                track.class.name(),
+                if agent_idx == scene.ego_idx { "true" } else { "false" },
+                item.event_role(agent_idx).unwrap_or_default(),
+                name.as_ref().err().copied().unwrap_or_default(),
+            ])?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn finish(self) -> Result<()> {
+        self.scenarios.finish()?;
+        self.tracks.finish()
+    }
+}
+
+/// A table of text that is there when it is whole.
+pub(super) struct Table {
+    path: std::path::PathBuf,
+    writer: csv::Writer<AtomicFile>,
+}
+
+impl Table {
+    pub(super) fn begin(path: &Path, delimiter: u8, header: &[&str]) -> Result<Self> {
+        let writer = csv::WriterBuilder::new().delimiter(delimiter).from_writer(AtomicFile::create(path)?);
+        let mut table = Self { path: path.to_owned(), writer };
+        table.row(header)?;
+        Ok(table)
+    }
+
+    pub(super) fn row(&mut self, cells: &[&str]) -> Result<()> {
+        self.writer.write_record(cells).map_err(|error| match error.into_kind() {
+            csv::ErrorKind::Io(io) => Error::Io(io),
+            kind => Error::encode(&self.path)(format!("{kind:?}")),
+        })
+    }
+
+    pub(super) fn finish(self) -> Result<()> {
+        let file = self.writer.into_inner().map_err(|error| Error::Io(error.into_error()))?;
+        file.commit()?;
+        Ok(())
+    }
+}

@@ -1,0 +1,189 @@
+//! Corpora in the formats that others work with: which formats are there, and what does each make of a scenario?
+//!
+//! Every format is an [`Exporter`], which gets one scenario after the other; [`export_corpus`] chooses scenarios, counts what a
+//! format cannot hold, and writes what all exports have in common: `index.tsv` and `tracks.tsv` (the way back to the
+//! corpus), `NOTICE.txt` (sources and their terms) and, when all is there, `export.json`. All positions are in the
+//! recording's frame, where the maps of the sources lie, too.
+
+mod argoverse2;
+mod commonroad;
+mod error;
+mod index;
+mod interaction;
+mod lane_bounds;
+mod notice;
+mod openlabel;
+mod openscenario;
+mod report;
+mod run;
+mod selection;
+#[cfg(test)]
+mod testing;
+mod text;
+mod xml;
+
+pub use error::{Error, Result};
+pub use report::{ExportReport, LeftOut};
+pub use run::{EXPORT_FILE, INDEX_FILE, NOTICE_FILE, TRACKS_FILE, export_corpus};
+pub use selection::Selection;
+
+use crate::scene::{Scene, State};
+use crate::store::ScenarioRecord;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// The formats.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ExportFormat {
+    /// Cases of the INTERACTION dataset.
+    Interaction,
+    /// Scenarios of Argoverse 2 motion forecasting.
+    Argoverse2,
+    /// CommonRoad scenarios with planning problems.
+    CommonRoad,
+    /// OpenSCENARIO XML with trajectories.
+    OpenScenario,
+    /// OpenLABEL scenario tags.
+    OpenLabel,
+}
+
+impl ExportFormat {
+    /// Every format.
+    pub const ALL: [Self; 5] =
+        [Self::Interaction, Self::Argoverse2, Self::CommonRoad, Self::OpenScenario, Self::OpenLabel];
+
+    /// The name on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Interaction => "interaction",
+            Self::Argoverse2 => "argoverse2",
+            Self::CommonRoad => "commonroad",
+            Self::OpenScenario => "openscenario",
+            Self::OpenLabel => "openlabel",
+        }
+    }
+
+    /// What it is, in a line.
+    pub const fn description(self) -> &'static str {
+        match self {
+            Self::Interaction => "cases as INTERACTION v1.2 has them: one CSV for each place and split",
+            Self::Argoverse2 => "Argoverse 2 motion forecasting: a folder for each scenario with Parquet and map JSON",
+            Self::CommonRoad => "CommonRoad 2020a XML: lanelets, obstacles from the present on, a planning problem",
+            Self::OpenScenario => "OpenSCENARIO XML 1.2: every road user follows its trajectory; no road network",
+            Self::OpenLabel => "OpenLABEL 1.0 JSON: tags for behaviors, roles, parameters and provenance; no states",
+        }
+    }
+
+    /// What a reader of its files must know; goes into `NOTICE.txt`.
+    const fn notes(self) -> &'static str {
+        match self {
+            Self::Interaction => interaction::NOTES,
+            Self::Argoverse2 => argoverse2::NOTES,
+            Self::CommonRoad => commonroad::NOTES,
+            Self::OpenScenario => openscenario::NOTES,
+            Self::OpenLabel => openlabel::NOTES,
+        }
+    }
+
+    /// Begins an export into `dir`, which exists and is empty.
+    fn begin(self, dir: &Path, options: ExportOptions) -> Box<dyn Exporter> {
+        match self {
+            Self::Interaction => Box::new(interaction::Interaction::new(dir)),
+            Self::Argoverse2 => Box::new(argoverse2::Argoverse2::new(dir)),
+            Self::CommonRoad => Box::new(commonroad::CommonRoad::new(dir, options.ego)),
+            Self::OpenScenario => Box::new(openscenario::OpenScenario::new(dir, options.ego)),
+            Self::OpenLabel => Box::new(openlabel::OpenLabel::new(dir)),
+        }
+    }
+
+    /// Whether the ego can be left to whoever uses the files; formats of recordings show everybody.
+    pub const fn can_free_ego(self) -> bool {
+        matches!(self, Self::CommonRoad | Self::OpenScenario)
+    }
+}
+
+/// How a format is to be written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ExportOptions {
+    /// What becomes of the ego agent.
+    pub ego: EgoMotion,
+}
+
+/// What becomes of the ego agent in formats for simulation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EgoMotion {
+    /// It moves as in the scenario, like everybody.
+    #[default]
+    Replayed,
+    /// Only where it starts is written (and in CommonRoad where it is to go): a driving function moves it.
+    Free,
+}
+
+/// A writer of one format.
+trait Exporter {
+    /// Adds a scenario.
+    ///
+    /// # Errors
+    /// Those of the file system. What the format cannot hold is no error but [`Outcome::LeftOut`].
+    fn add(&mut self, item: &Item<'_>) -> Result<Outcome>;
+
+    /// Finishes what spans scenarios.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    fn finish(self: Box<Self>) -> Result<()> {
+        Ok(())
+    }
+}
+
+/// A scenario to be exported.
+struct Item<'a> {
+    record: &'a ScenarioRecord,
+    /// Counted from 1 over the scenarios that were chosen.
+    number: usize,
+    /// The scenario's id as far as it can name a file; unique in an export.
+    stem: String,
+}
+
+impl Item<'_> {
+    const fn scene(&self) -> &Scene {
+        &self.record.scenario.scene
+    }
+
+    /// The states of an agent in the recording's frame, one entry a timestep.
+    fn world_states(&self, agent_idx: usize) -> Vec<Option<State>> {
+        let scene = self.scene();
+        let entries = scene.tracks[agent_idx].trajectory.entries();
+        entries.iter().map(|state| state.map(|state| state.transformed(&scene.world_from_scene))).collect()
+    }
+
+    /// The role of a track in the event that was asked for.
+    fn event_role(&self, agent_idx: usize) -> Option<&str> {
+        let id = &self.scene().tracks[agent_idx].id;
+        let event = self.record.main_event()?;
+        event.roles.iter().find(|(_, track)| track == id).map(|(role, _)| role.as_str())
+    }
+}
+
+/// What became of a scenario.
+enum Outcome {
+    Written(Written),
+    /// Why it was left out: a stable code, such as `no_lanes`.
+    LeftOut(&'static str),
+}
+
+/// A scenario as it was written.
+struct Written {
+    /// The file or folder, relative to the export's.
+    file: String,
+    /// The scenario's name in the format, such as the number of a case.
+    name: String,
+    /// The scenario's timestep that the format's first time stands for.
+    first_timestep: usize,
+    /// For each track its name in the file, or why it is not there: a stable code.
+    tracks: Vec<std::result::Result<String, &'static str>>,
+    /// What the format demands and the scenario does not know, or what it cannot hold: a stable code, and how often.
+    assumed: Vec<(&'static str, u64)>,
+}

@@ -1,0 +1,74 @@
+//! What must someone know who is handed an export and nothing else?
+
+use super::report::meaning;
+use super::{EgoMotion, ExportReport};
+
+/// Width of the text.
+const WIDTH: usize = 100;
+
+/// The text of `NOTICE.txt`: what this is, under which terms, how to read it, and what is not in it.
+pub(super) fn text(report: &ExportReport) -> String {
+    let mut text = String::from("GENERATED TRAFFIC SCENARIOS\n===========================\n\n");
+    let what = format!(
+        "{} scenarios with {} tracks, exported by djinn as {}: {}. What was not observed is sampled by a model: nobody \
+         drove these scenarios.",
+        report.n_scenarios,
+        report.n_tracks,
+        report.format.name(),
+        report.format.description()
+    );
+    paragraph(&mut text, &what);
+    heading(&mut text, "Sources and terms");
+    paragraph(&mut text, "What is made from recordings inherits their terms. Pass this notice on with the files.");
+    for (dataset, terms) in &report.sources {
+        paragraph(&mut text, &format!("{dataset}: {terms}"));
+    }
+    heading(&mut text, "Files");
+    paragraph(&mut text, report.format.notes());
+    paragraph(
+        &mut text,
+        "index.tsv: which file holds which scenario, and under which name. first_timestep is the scenario's timestep that the \
+         file's first time stands for.",
+    );
+    paragraph(&mut text, "tracks.tsv: which name each track has in the file, who is the ego, and roles in the event.");
+    paragraph(&mut text, "export.json: what was asked for, and what was left out, by reason. Written last.");
+    paragraph(&mut text, "Positions are those of the recording's frame, in metres; headings in radians.");
+    if report.ego == EgoMotion::Free {
+        paragraph(&mut text, "The ego is left to whoever drives it: only its start is written.");
+    }
+    heading(&mut text, "Left out and assumed");
+    for (what, left_out) in [("scenarios", &report.scenarios_left_out), ("tracks", &report.tracks_left_out)] {
+        for (reason, found) in left_out {
+            paragraph(&mut text, &format!("{} {what} left out: {}.", found.count, meaning(reason)));
+        }
+    }
+    for (what, n) in &report.assumed {
+        paragraph(&mut text, &format!("{}: {n} in all.", meaning(what)));
+    }
+    if report.scenarios_left_out.is_empty() && report.tracks_left_out.is_empty() && report.assumed.is_empty() {
+        paragraph(&mut text, "Nothing.");
+    }
+    text
+}
+
+fn heading(text: &mut String, heading: &str) {
+    text.push_str(&format!("\n{heading}\n{}\n\n", "-".repeat(heading.len())));
+}
+
+/// Adds lines of at most [`WIDTH`] characters, where words allow it.
+fn paragraph(text: &mut String, paragraph: &str) {
+    let mut width = 0;
+    for word in paragraph.split_whitespace() {
+        let n = word.chars().count();
+        if width > 0 && width + 1 + n > WIDTH {
+            text.push_str("\n  ");
+            width = 2;
+        } else if width > 0 {
+            text.push(' ');
+            width += 1;
+        }
+        text.push_str(word);
+        width += n;
+    }
+    text.push('\n');
+}

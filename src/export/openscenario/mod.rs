@@ -1,0 +1,174 @@
+//! OpenSCENARIO XML 1.2: what is a scenario as entities that follow trajectories?
+//!
+//! Every road user follows a polyline of timed vertices. Players differ in what they make of times, so that one form is kept to
+//! that all of them read: times count from the start of the action (`relative`), and conditions have no edge (`rising`
+//! would never fire at the start).
+
+mod entities;
+mod storyboard;
+#[cfg(test)]
+mod tests;
+
+use super::text::{number, plain};
+use super::xml::{Element, element};
+use super::{EgoMotion, Error, Exporter, Item, Outcome, Result, Written};
+use crate::scene::State;
+use crate::store::{source_terms, write_atomically};
+use entities::Body;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+pub(super) const NOTES: &str = "<id>.xosc: OpenSCENARIO XML 1.2, valid against its schema. Every road user follows a trajectory, \
+    whose times count from the start of its action; positions of vehicles are those of their rear axles, as the standard has it, and the bounding box says where the center \
+    is. Who enters later is added when it does, and who leaves is deleted. There is no road network: no faithful way leads \
+    from the recordings' maps to OpenDRIVE, so players show an empty plane. Sizes along the vertical, axles and performance \
+    are not recorded; usual ones are written. The date in the files is a placeholder: equal corpora give equal files.";
+
+/// The files have no date of their own, and the format demands one.
+const DATE: &str = "1970-01-01T00:00:00";
+
+/// Writes a file for each scenario.
+pub(super) struct OpenScenario {
+    dir: PathBuf,
+    ego: EgoMotion,
+}
+
+impl OpenScenario {
+    pub(super) fn new(dir: &Path, ego: EgoMotion) -> Self {
+        Self { dir: dir.to_owned(), ego }
+    }
+}
+
+impl Exporter for OpenScenario {
+    fn add(&mut self, item: &Item<'_>) -> Result<Outcome> {
+        let scene = item.scene();
+        let names = names(item);
+        let mut tracks = Vec::new();
+        let mut actors: Vec<Actor> = Vec::new();
+        let (mut n_nominal, mut n_split) = (0, 0);
+        for (agent_idx, name) in names.into_iter().enumerate() {
+            let track = &scene.tracks[agent_idx];
+            let mut stretches = stretches(&item.world_states(agent_idx));
+            let is_free = self.ego == EgoMotion::Free && agent_idx == scene.ego_idx;
+            if is_free {
+                stretches.truncate(1);
+            }
+            if stretches.is_empty() {
+                tracks.push(Err("no_states"));
+                continue;
+            }
+            n_nominal += u64::from(track.extent.is_none());
+            n_split += stretches.len() as u64 - 1;
+            for (part, (first_timestep, states)) in stretches.into_iter().enumerate() {
+                let name = if part == 0 { name.clone() } else { format!("{name}_part{}", part + 1) };
+                actors.push(Actor { name, body: Body::of(track), first_timestep, states, is_free });
+            }
+            tracks.push(Ok(name));
+        }
+        if tracks.get(scene.ego_idx).is_none_or(|track| track.is_err()) {
+            return Ok(Outcome::LeftOut("no_ego"));
+        }
+        // Players take the first entity for the ego.
+        actors.sort_by_key(|actor| actor.name != EGO_NAME);
+        let root = element("OpenSCENARIO")
+            .child(header(item))
+            .child(element("CatalogLocations"))
+            .child(element("RoadNetwork"))
+            .child(element("Entities").children(actors.iter().map(Actor::scenario_object)))
+            .child(storyboard::of(&actors, scene.n_timesteps, scene.dt_s));
+        let file = format!("{}.xosc", item.stem);
+        write_atomically::<Error>(&self.dir.join(&file), |sink| Ok(root.write_document(sink)?))?;
+        let assumed = vec![("nominal_size", n_nominal), ("split_at_gap", n_split)];
+        Ok(Outcome::Written(Written { file, name: item.stem.clone(), first_timestep: 0, tracks, assumed }))
+    }
+}
+
+/// An entity and how it moves.
+struct Actor {
+    name: String,
+    body: Body,
+    /// When it enters.
+    first_timestep: usize,
+    /// One state a timestep, of its center, in the recording's frame; at least one.
+    states: Vec<State>,
+    /// Whether only its start is written.
+    is_free: bool,
+}
+
+impl Actor {
+    fn scenario_object(&self) -> Element {
+        element("ScenarioObject").attr("name", &self.name).child(self.body.element(&self.name))
+    }
+
+    /// Where it is at each of its timesteps, headings going on beyond ±π so that nothing is interpolated the long way round.
+    fn positions(&self) -> Vec<Element> {
+        let mut heading_rad = None;
+        let position = |state: &State| {
+            let next_rad = heading_rad
+                .map_or(state.heading_rad, |last: f64| last + crate::geometry::wrap_angle(state.heading_rad - last));
+            heading_rad = Some(next_rad);
+            let place = self.body.reference_point(state);
+            let world = element("WorldPosition")
+                .attr("x", number(place.x))
+                .attr("y", number(place.y))
+                .attr("z", "0")
+                .attr("h", number(next_rad))
+                .attr("p", "0")
+                .attr("r", "0");
+            element("Position").child(world)
+        };
+        self.states.iter().map(position).collect()
+    }
+}
+
+/// The name of the ego's entity.
+const EGO_NAME: &str = "Ego";
+
+/// The names of the tracks' entities, no two alike.
+fn names(item: &Item<'_>) -> Vec<String> {
+    let scene = item.scene();
+    let mut used = BTreeSet::new();
+    let name = |(agent_idx, track): (usize, &crate::scene::Track)| {
+        let name =
+            if agent_idx == scene.ego_idx { EGO_NAME.to_owned() } else { format!("track_{}", plain(&track.id.0)) };
+        if used.insert(name.clone()) { name } else { format!("{name}_number{agent_idx}") }
+    };
+    scene.tracks.iter().enumerate().map(name).collect()
+}
+
+/// The runs of consecutive states: first timestep and states of each.
+fn stretches(entries: &[Option<State>]) -> Vec<(usize, Vec<State>)> {
+    let mut stretches: Vec<(usize, Vec<State>)> = Vec::new();
+    for (timestep, state) in entries.iter().enumerate() {
+        let Some(state) = state else { continue };
+        match stretches.last_mut() {
+            Some((first, states)) if *first + states.len() == timestep => states.push(*state),
+            _ => stretches.push((timestep, vec![*state])),
+        }
+    }
+    stretches
+}
+
+fn header(item: &Item<'_>) -> Element {
+    let (record, scene) = (item.record, item.scene());
+    let dataset = scene.source.dataset;
+    let asked = record.requested_behavior.as_deref().unwrap_or("nothing");
+    let verdict = if record.verified { "found" } else { "not found" };
+    let description = format!("Generated scenario {}; asked for: {asked} ({verdict})", record.scenario.id);
+    let property = |name: &str, value: &str| element("Property").attr("name", name).attr("value", value);
+    let properties = element("Properties")
+        .child(property("scenario_id", &record.scenario.id))
+        .child(property("scene_id", &scene.id.0))
+        .child(property("sweep", &record.sweep))
+        .child(property("present_s", &number(scene.current_timestep() as f64 * scene.dt_s)));
+    let license =
+        super::xml::leaf("License", source_terms(dataset)).attr("name", format!("terms of {}", dataset.name()));
+    element("FileHeader")
+        .attr("revMajor", 1)
+        .attr("revMinor", 2)
+        .attr("date", DATE)
+        .attr("author", "djinn")
+        .attr("description", description)
+        .child(license)
+        .child(properties)
+}

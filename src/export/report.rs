@@ -1,0 +1,123 @@
+//! What was exported, and what was not?
+
+use super::{EgoMotion, ExportFormat, Selection, Written};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Things that were left out for one reason.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+pub struct LeftOut {
+    /// How many.
+    pub count: u64,
+    /// The first of them.
+    pub first: String,
+}
+
+/// The outcome of an export; its JSON form is `export.json`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct ExportReport {
+    /// Form of this report.
+    pub schema: &'static str,
+    /// The format.
+    pub format: ExportFormat,
+    /// What was asked for.
+    pub selection: Selection,
+    /// What became of the ego.
+    pub ego: EgoMotion,
+    /// Number of scenarios written.
+    pub n_scenarios: u64,
+    /// Number of tracks written.
+    pub n_tracks: u64,
+    /// Scenarios that the format cannot hold, by reason.
+    pub scenarios_left_out: BTreeMap<&'static str, LeftOut>,
+    /// Tracks of written scenarios that are not in the files, by reason.
+    pub tracks_left_out: BTreeMap<&'static str, LeftOut>,
+    /// What the format demands and the scenarios do not know, or what it cannot hold: how often.
+    pub assumed: BTreeMap<&'static str, u64>,
+    /// Dataset → license and citation, which hold for what was exported.
+    pub sources: BTreeMap<String, String>,
+}
+
+impl ExportReport {
+    pub(super) fn new(format: ExportFormat, selection: &Selection, ego: EgoMotion) -> Self {
+        Self {
+            schema: "export.v1",
+            format,
+            selection: selection.clone(),
+            ego,
+            n_scenarios: 0,
+            n_tracks: 0,
+            scenarios_left_out: BTreeMap::new(),
+            tracks_left_out: BTreeMap::new(),
+            assumed: BTreeMap::new(),
+            sources: BTreeMap::new(),
+        }
+    }
+
+    pub(super) fn count_written(&mut self, scenario_id: &str, written: &Written) {
+        self.n_scenarios += 1;
+        for (agent_idx, track) in written.tracks.iter().enumerate() {
+            match track {
+                Ok(_) => self.n_tracks += 1,
+                Err(reason) => {
+                    count(&mut self.tracks_left_out, reason, || format!("{scenario_id}, track number {agent_idx}"));
+                }
+            }
+        }
+        for (what, n) in written.assumed.iter().filter(|(_, n)| *n > 0) {
+            *self.assumed.entry(what).or_default() += n;
+        }
+    }
+
+    pub(super) fn count_left_out(&mut self, scenario_id: &str, reason: &'static str) {
+        count(&mut self.scenarios_left_out, reason, || scenario_id.to_owned());
+    }
+
+    /// Number of scenarios that the format cannot hold.
+    pub fn n_left_out(&self) -> u64 {
+        self.scenarios_left_out.values().map(|left_out| left_out.count).sum()
+    }
+
+    /// What is worth a warning, a sentence each.
+    pub fn warnings(&self) -> Vec<String> {
+        let lines = |what: &str, left_out: &BTreeMap<&'static str, LeftOut>| -> Vec<String> {
+            let line = |(reason, LeftOut { count, first }): (&&str, &LeftOut)| {
+                format!("{count} {what} left out: {}; the first: {first}", meaning(reason))
+            };
+            left_out.iter().map(line).collect()
+        };
+        let assumed = self.assumed.iter().map(|(what, n)| format!("{}: {n} in all", meaning(what)));
+        [lines("scenarios", &self.scenarios_left_out), lines("tracks", &self.tracks_left_out), assumed.collect()]
+            .concat()
+    }
+}
+
+fn count(counts: &mut BTreeMap<&'static str, LeftOut>, reason: &'static str, first: impl FnOnce() -> String) {
+    let entry = counts.entry(reason).or_insert_with(|| LeftOut { count: 0, first: first() });
+    entry.count += 1;
+}
+
+/// What a code of a reason or of an assumption means.
+pub(super) fn meaning(code: &str) -> &str {
+    match code {
+        "no_lanes" => "the scenario has no lanes, and the format demands some (no_lanes)",
+        "no_future" => "the scenario ends at the present (no_future)",
+        "no_ego" => "the ego has no state at present (no_ego)",
+        "not_10_hz" => "the format is at 10 Hz, and the scenario is not (not_10_hz)",
+        "no_states" => "the track has no state in the time that the format shows (no_states)",
+        "static_object" => "the format has no class for objects that do not move by themselves (static_object)",
+        "absent_at_present" => {
+            "the format's time begins at the present, where the track has no state (absent_at_present)"
+        }
+        "ends_at_present" => "the track ends at the present, where the format's time begins (ends_at_present)",
+        "ego_is_free" => "the ego is left to whoever drives it (ego_is_free)",
+        "nominal_size" => "the size of a road user is not recorded; one usual for its kind is written (nominal_size)",
+        "nominal_lane_width" => "a lane without boundaries is given a width of 3.8 m (nominal_lane_width)",
+        "lane_without_extent" => "a lane of no length is left out (lane_without_extent)",
+        "states_after_gap" => "states after a gap in a track are left out (states_after_gap)",
+        "split_at_gap" => "a track with a gap becomes two entities (split_at_gap)",
+        "cut_to_window" => "timesteps beyond the 40 of a case are left out (cut_to_window)",
+        "renumbered_track" => "a track has another name, because the format demands numbers (renumbered_track)",
+        other => other,
+    }
+}

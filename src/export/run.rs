@@ -1,0 +1,140 @@
+//! How does a corpus become a folder in another format: which scenarios are chosen, counted and written, in which order?
+
+use super::index::Index;
+use super::{Error, ExportFormat, ExportOptions, ExportReport, Item, Outcome, Result, Selection, notice, text};
+use crate::progress::Progress;
+use crate::store::{CorpusReader, source_terms, write_atomically, write_json_atomically};
+use fs_err as fs;
+use std::io::Write;
+use std::path::Path;
+
+/// Which file holds which scenario.
+pub const INDEX_FILE: &str = "index.tsv";
+/// Which track has which name.
+pub const TRACKS_FILE: &str = "tracks.tsv";
+/// Sources and their terms.
+pub const NOTICE_FILE: &str = "NOTICE.txt";
+/// What was exported; written last.
+pub const EXPORT_FILE: &str = "export.json";
+
+/// Exports the scenarios of the corpus in `corpus` that `selection` wants, in the corpus's order, into the folder `out`,
+/// which is made where it is missing. Scenarios are read and written one by one. The same corpus gives the same bytes.
+///
+/// # Errors
+/// [`Error::NotEmpty`] when `out` holds something; [`Error::Store`] when the corpus cannot be read or lacks a scenario
+/// that is asked for by its id; [`Error::NothingSelected`] and [`Error::NothingWritten`] when nothing would come out;
+/// [`Error::EgoIsReplayed`]; those of the file system.
+pub fn export_corpus(
+    corpus: &Path,
+    format: ExportFormat,
+    out: &Path,
+    selection: &Selection,
+    options: ExportOptions,
+    progress: &dyn Progress,
+) -> Result<ExportReport> {
+    if options.ego == super::EgoMotion::Free && !format.can_free_ego() {
+        return Err(Error::EgoIsReplayed { format: format.name() });
+    }
+    if out.exists() && fs::read_dir(out)?.next().is_some() {
+        return Err(Error::NotEmpty { dir: out.to_owned() });
+    }
+    let reader = CorpusReader::open(corpus)?;
+    let positions = positions(&reader, selection)?;
+    let limit = selection.limit.unwrap_or(usize::MAX);
+    let mut report = ExportReport::new(format, selection, options.ego);
+    let mut writer: Option<Writer> = None;
+    let mut n_chosen = 0;
+    progress.start("export", positions.len().min(limit) as u64, "scenarios");
+    for position in positions {
+        if n_chosen == limit {
+            break;
+        }
+        let record = reader.scenario(position)?;
+        if !selection.wants(&record) {
+            continue;
+        }
+        n_chosen += 1;
+        let stem = stem(&record.scenario.id, n_chosen);
+        let item = Item { record: &record, number: n_chosen, stem };
+        // The folder is made for the first scenario: a selection that wants nothing leaves nothing behind.
+        let writer = match &mut writer {
+            Some(writer) => writer,
+            none => none.insert(Writer::begin(format, out, options)?),
+        };
+        writer.add(&item, &reader, &mut report)?;
+        progress.advance(1);
+    }
+    progress.finish();
+    let Some(writer) = writer else {
+        let (corpus, n_scenarios) = (corpus.to_owned(), reader.len());
+        return Err(Error::NothingSelected { corpus, n_scenarios, wanted: selection.words() });
+    };
+    writer.finish(out, &report)?;
+    Ok(report)
+}
+
+/// The positions of the scenarios to look at, ascending.
+fn positions(reader: &CorpusReader, selection: &Selection) -> Result<Vec<usize>> {
+    if selection.scenario_ids.is_empty() {
+        return Ok((0..reader.len()).collect());
+    }
+    let found: std::result::Result<Vec<usize>, _> =
+        selection.scenario_ids.iter().map(|id| reader.position(id)).collect();
+    let mut positions = found?;
+    positions.sort_unstable();
+    positions.dedup();
+    Ok(positions)
+}
+
+/// The id where it can name a file; else what comes nearest to it, with a number that no other has.
+fn stem(scenario_id: &str, number: usize) -> String {
+    let plain = text::plain(scenario_id);
+    if plain == scenario_id && !plain.starts_with('.') { plain } else { format!("{plain}-{number}") }
+}
+
+/// What is open during an export.
+struct Writer {
+    exporter: Box<dyn super::Exporter>,
+    index: Index,
+}
+
+impl Writer {
+    fn begin(format: ExportFormat, out: &Path, options: ExportOptions) -> Result<Self> {
+        fs::create_dir_all(out)?;
+        let index = Index::begin(&out.join(INDEX_FILE), &out.join(TRACKS_FILE))?;
+        Ok(Self { exporter: format.begin(out, options), index })
+    }
+
+    fn add(&mut self, item: &Item<'_>, reader: &CorpusReader, report: &mut ExportReport) -> Result<()> {
+        let scenario_id = item.record.scenario.id.as_str();
+        match self.exporter.add(item)? {
+            Outcome::Written(written) => {
+                self.index.add(item, &written)?;
+                report.count_written(scenario_id, &written);
+                let dataset = item.scene().source.dataset;
+                let terms = reader.manifest().sources.get(dataset.name());
+                let terms = terms.map_or_else(|| source_terms(dataset).to_owned(), Clone::clone);
+                report.sources.insert(dataset.name().to_owned(), terms);
+            }
+            Outcome::LeftOut(reason) => report.count_left_out(scenario_id, reason),
+        }
+        Ok(())
+    }
+
+    fn finish(self, out: &Path, report: &ExportReport) -> Result<()> {
+        if report.n_scenarios == 0 {
+            let reasons = report.scenarios_left_out.iter();
+            let reasons: Vec<String> =
+                reasons.map(|(reason, left_out)| format!("{} {reason}", left_out.count)).collect();
+            let (format, n_scenarios) = (report.format.name(), report.n_left_out());
+            // What was begun goes when it is dropped; the folder is the user's to use again.
+            return Err(Error::NothingWritten { format, n_scenarios, reasons: reasons.join(", ") });
+        }
+        self.exporter.finish()?;
+        self.index.finish()?;
+        let notice = notice::text(report);
+        write_atomically::<Error>(&out.join(NOTICE_FILE), |file| Ok(file.write_all(notice.as_bytes())?))?;
+        write_json_atomically(&out.join(EXPORT_FILE), report)?;
+        Ok(())
+    }
+}

@@ -1,0 +1,63 @@
+//! Which scenarios of a corpus are exported?
+
+use crate::store::ScenarioRecord;
+use serde::Serialize;
+
+/// What a scenario must be to be exported; everything by default.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+pub struct Selection {
+    /// Only scenarios in which the requested behavior was found.
+    pub only_verified: bool,
+    /// Only those for which this behavior was requested.
+    pub behavior: Option<String>,
+    /// Only those of this sweep.
+    pub sweep: Option<String>,
+    /// Only those with these ids; empty: all.
+    pub scenario_ids: Vec<String>,
+    /// At most this many, the first ones.
+    pub limit: Option<usize>,
+}
+
+impl Selection {
+    /// Whether a scenario passes, whatever its id.
+    pub(super) fn wants(&self, record: &ScenarioRecord) -> bool {
+        (!self.only_verified || record.verified)
+            && self.behavior.as_ref().is_none_or(|behavior| record.requested_behavior.as_ref() == Some(behavior))
+            && self.sweep.as_ref().is_none_or(|sweep| record.sweep == *sweep)
+    }
+
+    /// What was asked for, in words that follow "is".
+    pub(super) fn words(&self) -> String {
+        let mut words = Vec::new();
+        if self.only_verified {
+            words.push("verified".to_owned());
+        }
+        words.extend(self.behavior.iter().map(|behavior| format!("asked to hold {behavior}")));
+        words.extend(self.sweep.iter().map(|sweep| format!("of sweep {sweep}")));
+        if !self.scenario_ids.is_empty() {
+            words.push(format!("one of {}", self.scenario_ids.join(", ")));
+        }
+        if words.is_empty() { "there".to_owned() } else { words.join(" and ") }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::testing;
+
+    #[test]
+    fn each_filter_takes_away_and_all_must_pass() {
+        let record = testing::record(&testing::scene());
+        let unverified = ScenarioRecord { verified: false, ..record.clone() };
+        let all = Selection::default();
+        assert!(all.wants(&record) && all.wants(&unverified));
+        let verified = Selection { only_verified: true, ..Selection::default() };
+        assert!(verified.wants(&record) && !verified.wants(&unverified));
+        let behavior = |name: &str| Selection { behavior: Some(name.to_owned()), ..verified.clone() };
+        assert!(behavior("cut_in").wants(&record) && !behavior("left_turn").wants(&record));
+        let sweep = |name: &str| Selection { sweep: Some(name.to_owned()), ..behavior("cut_in") };
+        assert!(sweep("cut_ins").wants(&record) && !sweep("others").wants(&record));
+        assert_eq!(sweep("others").words(), "verified and asked to hold cut_in and of sweep others");
+    }
+}

@@ -1,0 +1,199 @@
+//! Scenarios for the tests of this module: small, with positions that are easy to work out by hand.
+
+use super::{Exporter, Item, Outcome, Written};
+use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::geometry::{Polyline, Transform2, Vec2};
+use crate::scene::testing::{Drive, scene as straight_scene, without_states};
+use crate::scene::{
+    AgentClass, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Provenance, Scenario, Scene,
+};
+use crate::store::ScenarioRecord;
+use quick_xml::Reader;
+use quick_xml::events::{BytesStart, Event};
+use std::f64::consts::FRAC_PI_2;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Twelve timesteps of which four are observed, at 10 Hz. The x axis of the scene points north in the recording, its
+/// origin is at (1000, 2000).
+///
+/// Track `1` is the ego and drives 10 m/s: after t steps it is at (1000, 2000 + t). Track `2` drives beside it, 3 m to the
+/// left (which is west), and is recorded from the second timestep on. Track `P3` is a pedestrian without a size who walks
+/// 1 m/s to the left from 5 m ahead of the origin, and is missing at timestep 2.
+pub(super) fn scene() -> Scene {
+    let mut scene = straight_scene(&[
+        Drive::straight(0.0, 0.0, 0.0, 10.0),
+        Drive::straight(0.0, 3.0, 0.0, 10.0),
+        Drive::straight(5.0, 0.0, FRAC_PI_2, 1.0),
+    ]);
+    scene = without_states(scene, 1, |timestep| timestep < 1);
+    scene = without_states(scene, 2, |timestep| timestep == 2);
+    scene.tracks[2].id = "P3".into();
+    scene.tracks[2].class = AgentClass::PedestrianOrCyclist;
+    scene.tracks[2].extent = None;
+    scene.world_from_scene = Transform2::from_pose(Vec2::new(1000.0, 2000.0), FRAC_PI_2);
+    let mut lanes = vec![lane(-5), lane(7)];
+    lanes[0].successors = vec![LaneId(7)];
+    lanes[1].predecessors = vec![LaneId(-5)];
+    scene.lanes = Arc::new(LaneGraph::new(lanes));
+    scene
+}
+
+/// A lane of 40 m along the x axis, 4 m wide.
+pub(super) fn lane(id: i64) -> Lane {
+    let line = |y: f64| Polyline(vec![Vec2::new(0.0, y), Vec2::new(40.0, y)]);
+    Lane {
+        id: LaneId(id),
+        centerline: line(0.0),
+        left: line(2.0),
+        right: line(-2.0),
+        successors: Vec::new(),
+        predecessors: Vec::new(),
+        left_neighbor: None,
+        right_neighbor: None,
+        attributes: LaneAttributes { one_way: true, kind: "road".to_owned(), ..LaneAttributes::default() },
+    }
+}
+
+/// A verified scenario of this scene in which track `2` cuts in before track `1`.
+pub(super) fn record(scene: &Scene) -> ScenarioRecord {
+    let event = BehaviorEvent {
+        behavior: "cut_in".to_owned(),
+        scene_id: scene.id.clone(),
+        label: EventLabel::Positive,
+        roles: vec![("other".to_owned(), "2".into()), ("ego".to_owned(), "1".into())],
+        start_timestep: 4,
+        end_timestep: 9,
+        parameters: [("gap_m".to_owned(), 5.25)].into(),
+    };
+    ScenarioRecord {
+        scenario: Scenario {
+            id: "0a1b".to_owned(),
+            observed: ObservationMask::from_fn(scene.tracks.len(), scene.n_timesteps, |agent_idx, timestep| {
+                timestep < scene.n_history && scene.state(agent_idx, timestep).is_some()
+            }),
+            scene: scene.clone(),
+            provenance: Provenance {
+                scene_id: scene.id.clone(),
+                observation: "predictive".to_owned(),
+                edit_tau: None,
+                checkpoint: "c0ffee".to_owned(),
+                classifier: None,
+                seed: 7,
+                sample_idx: 2,
+                probability: None,
+                guidance: GuidanceTag { kind: "none".to_owned(), strength: 0.0, roles: Vec::new() },
+                sampler: "heun-20".to_owned(),
+                settings: String::new(),
+            },
+        },
+        sweep: "cut_ins".to_owned(),
+        requested_behavior: Some("cut_in".to_owned()),
+        verified: true,
+        events: vec![event],
+        recorded_event: false,
+        assessment: None,
+        shard: 0,
+        request: None,
+    }
+}
+
+/// Adds these scenes, numbered from 1, each with its id made distinct by its number.
+pub(super) fn add_all(mut exporter: Box<dyn Exporter>, scenes: &[Scene]) -> Vec<Result<Written, &'static str>> {
+    let outcomes = scenes.iter().enumerate().map(|(i, scene)| {
+        let mut record = record(scene);
+        record.scenario.id = format!("{}{i}", record.scenario.id);
+        let item = Item { record: &record, number: i + 1, stem: record.scenario.id.clone() };
+        match exporter.add(&item).unwrap() {
+            Outcome::Written(written) => Ok(written),
+            Outcome::LeftOut(reason) => Err(reason),
+        }
+    });
+    let outcomes = outcomes.collect();
+    exporter.finish().unwrap();
+    outcomes
+}
+
+/// The content of a written file.
+pub(super) fn read(dir: &Path, name: &str) -> String {
+    fs_err::read_to_string(dir.join(name)).unwrap()
+}
+
+/// An element of a document that was read back.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Node {
+    pub(super) name: String,
+    pub(super) attributes: Vec<(String, String)>,
+    pub(super) children: Vec<Self>,
+    pub(super) text: String,
+}
+
+impl Node {
+    /// The root of a document.
+    pub(super) fn parse(text: &str) -> Self {
+        let mut reader = Reader::from_str(text);
+        let mut open = vec![Self::default()];
+        loop {
+            match reader.read_event().unwrap() {
+                Event::Start(start) => open.push(Self::of(&start)),
+                Event::Empty(start) => open.last_mut().unwrap().children.push(Self::of(&start)),
+                Event::Text(text) => open.last_mut().unwrap().text.push_str(text.trim()),
+                Event::End(_) => {
+                    let node = open.pop().unwrap();
+                    open.last_mut().unwrap().children.push(node);
+                }
+                Event::Eof => break,
+                _ => {}
+            }
+        }
+        assert_eq!(open.len(), 1, "unclosed elements");
+        open.remove(0).children.remove(0)
+    }
+
+    fn of(start: &BytesStart<'_>) -> Self {
+        let attribute =
+            |a: quick_xml::events::attributes::Attribute<'_>| (a.key.as_ref().to_owned(), a.value.to_string());
+        Self {
+            name: start.name().as_ref().to_owned(),
+            attributes: start.attributes().map(|a| attribute(a.unwrap())).collect(),
+            ..Self::default()
+        }
+    }
+
+    /// The value of an attribute.
+    #[track_caller]
+    pub(super) fn attr(&self, name: &str) -> &str {
+        let found = self.attributes.iter().find(|(key, _)| key == name);
+        found.map_or_else(|| panic!("{} has no attribute {name}", self.name), |(_, value)| value)
+    }
+
+    /// The value of an attribute that is a number.
+    #[track_caller]
+    pub(super) fn attr_number(&self, name: &str) -> f64 {
+        self.attr(name).parse().unwrap()
+    }
+
+    /// The first child of this name.
+    #[track_caller]
+    pub(super) fn at(&self, name: &str) -> &Self {
+        let found = self.children.iter().find(|child| child.name == name);
+        found.unwrap_or_else(|| panic!("{} has no {name}", self.name))
+    }
+
+    /// All children of this name.
+    pub(super) fn all(&self, name: &str) -> Vec<&Self> {
+        self.children.iter().filter(|child| child.name == name).collect()
+    }
+
+    /// All descendants of this name, in document order.
+    pub(super) fn below(&self, name: &str) -> Vec<&Self> {
+        let own = |child: &'_ Self| child.name == name;
+        self.children.iter().flat_map(|c| own(c).then_some(c).into_iter().chain(c.below(name))).collect()
+    }
+
+    /// The number that the first child of this name holds.
+    #[track_caller]
+    pub(super) fn number(&self, name: &str) -> f64 {
+        self.at(name).text.parse().unwrap()
+    }
+}

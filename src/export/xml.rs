@@ -1,0 +1,87 @@
+//! How is an XML document put together? Trees of elements, escaped and indented by `quick_xml`.
+
+use quick_xml::Writer;
+use quick_xml::events::{BytesDecl, BytesEnd, BytesStart, BytesText, Event};
+use std::fmt::Display;
+use std::io::{self, Write};
+
+/// An element with its attributes and what is in it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Element {
+    name: &'static str,
+    attributes: Vec<(&'static str, String)>,
+    children: Vec<Self>,
+    text: Option<String>,
+}
+
+/// An element without anything in it.
+pub(super) const fn element(name: &'static str) -> Element {
+    Element { name, attributes: Vec::new(), children: Vec::new(), text: None }
+}
+
+/// An element that holds a text or number.
+pub(super) fn leaf(name: &'static str, text: impl Display) -> Element {
+    Element { text: Some(text.to_string()), ..element(name) }
+}
+
+impl Element {
+    /// The element with an attribute more.
+    pub(super) fn attr(mut self, name: &'static str, value: impl Display) -> Self {
+        self.attributes.push((name, value.to_string()));
+        self
+    }
+
+    /// The element with a child more.
+    pub(super) fn child(mut self, child: Self) -> Self {
+        self.children.push(child);
+        self
+    }
+
+    /// The element with these children behind those it has.
+    pub(super) fn children(mut self, children: impl IntoIterator<Item = Self>) -> Self {
+        self.children.extend(children);
+        self
+    }
+
+    /// Writes the document whose root this is.
+    ///
+    /// # Errors
+    /// Those of `sink`.
+    pub(super) fn write_document(&self, sink: &mut dyn Write) -> io::Result<()> {
+        let mut writer = Writer::new_with_indent(sink, b' ', 2);
+        writer.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
+        self.write(&mut writer)?;
+        writer.get_mut().write_all(b"\n")
+    }
+
+    fn write(&self, writer: &mut Writer<&mut dyn Write>) -> io::Result<()> {
+        let attributes = self.attributes.iter().map(|(name, value)| (*name, value.as_str()));
+        let start = BytesStart::new(self.name).with_attributes(attributes);
+        if self.children.is_empty() && self.text.is_none() {
+            return writer.write_event(Event::Empty(start));
+        }
+        writer.write_event(Event::Start(start))?;
+        if let Some(text) = &self.text {
+            writer.write_event(Event::Text(BytesText::new(text)))?;
+        }
+        for child in &self.children {
+            child.write(writer)?;
+        }
+        writer.write_event(Event::End(BytesEnd::new(self.name)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn documents_are_indented_and_escaped() {
+        let root = element("a").attr("b", "1 < \"2\" & 3").child(leaf("c", "x < y")).child(element("d").attr("e", 0.5));
+        let mut bytes = Vec::new();
+        root.write_document(&mut bytes).unwrap();
+        let expected = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
+                        <a b=\"1 &lt; &quot;2&quot; &amp; 3\">\n  <c>x &lt; y</c>\n  <d e=\"0.5\"/>\n</a>\n";
+        assert_eq!(String::from_utf8(bytes).unwrap(), expected);
+    }
+}

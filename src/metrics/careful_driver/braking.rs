@@ -1,0 +1,52 @@
+//! How far has a braking driver come after some time, and how fast is it then?
+
+use super::CarefulDriverConfig;
+
+/// Constant speed, then a deceleration that grows evenly to its largest and stays, until the vehicle stands.
+pub(super) struct Braking<'a> {
+    /// Speed before braking, m/s.
+    pub(super) speed_mps: f64,
+    /// When braking begins, seconds since the present; `None` for never.
+    pub(super) from_s: Option<f64>,
+    /// How braking goes.
+    pub(super) config: &'a CarefulDriverConfig,
+}
+
+impl Braking<'_> {
+    /// When the vehicle stands, seconds since the present. `None` where it never does.
+    pub(super) fn stands_from_s(&self) -> Option<f64> {
+        let (from_s, CarefulDriverConfig { ramp_s, max_deceleration_mps2, .. }) = (self.from_s?, self.config);
+        // The ramp takes away half of what full braking would.
+        let lost_mps = max_deceleration_mps2 * ramp_s / 2.0;
+        Some(match self.speed_mps > lost_mps {
+            true => from_s + ramp_s + (self.speed_mps - lost_mps) / max_deceleration_mps2,
+            false => from_s + (2.0 * self.speed_mps * ramp_s / max_deceleration_mps2).sqrt(),
+        })
+    }
+
+    /// Speed at a time, m/s.
+    pub(super) fn speed_mps(&self, time_s: f64) -> f64 {
+        if self.stands_from_s().is_some_and(|stands_s| time_s >= stands_s) {
+            return 0.0;
+        }
+        let (ramping_s, full_s) = self.phases_s(time_s);
+        let a = self.config.max_deceleration_mps2;
+        (self.speed_mps - a * ramping_s * ramping_s / (2.0 * self.config.ramp_s) - a * full_s).max(0.0)
+    }
+
+    /// Distance driven since the present, metres.
+    pub(super) fn driven_m(&self, time_s: f64) -> f64 {
+        let time_s = self.stands_from_s().map_or(time_s, |stands_s| time_s.min(stands_s));
+        let (ramping_s, full_s) = self.phases_s(time_s);
+        let (a, ramp_s) = (self.config.max_deceleration_mps2, self.config.ramp_s);
+        // ∫ of the speed: the cubic of the ramp, what the ramp took away ever since, and the parabola of full braking.
+        let lost_mps = a * ramping_s * ramping_s / (2.0 * ramp_s);
+        self.speed_mps * time_s - a * ramping_s.powi(3) / (6.0 * ramp_s) - lost_mps * full_s - a * full_s * full_s / 2.0
+    }
+
+    /// How long, until a time, the deceleration grew, and how long it was full.
+    fn phases_s(&self, time_s: f64) -> (f64, f64) {
+        let braking_s = self.from_s.map_or(0.0, |from_s| (time_s - from_s).max(0.0));
+        (braking_s.min(self.config.ramp_s), (braking_s - self.config.ramp_s).max(0.0))
+    }
+}

@@ -1,0 +1,76 @@
+//! How careful is the driver, and how able? The parameters of UN Regulation No. 157.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The parameters of the careful driver; defaults are the regulation's.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct CarefulDriverConfig {
+    /// A vehicle that moves sideways by no more than this only wanders, metres. Default 0.375.
+    pub wandering_m: f64,
+    /// Time to see that a vehicle cuts in, seconds. Default 0.4.
+    pub perception_s: f64,
+    /// A time to collision of at most this is a danger, seconds. Default 2.
+    pub danger_ttc_s: f64,
+    /// Time from the danger to the brake, seconds. Default 0.75.
+    pub delay_s: f64,
+    /// Time in which the deceleration grows to its largest, seconds. Default 0.6.
+    pub ramp_s: f64,
+    /// The largest deceleration, m/s². Default 7.593, that is 0.774 g.
+    pub max_deceleration_mps2: f64,
+    /// Width of a lane, metres: its markings lie half of it beside the path. Default 3.5.
+    pub lane_width_m: f64,
+    /// A vehicle that is so far beyond the marking intrudes, metres. Default 0.3.
+    pub intrusion_m: f64,
+    /// The deceleration in the bound on the time to collision at the intrusion, m/s². Default 6.
+    pub bound_deceleration_mps2: f64,
+    /// The delay in that bound, seconds. Default 0.35.
+    pub bound_delay_s: f64,
+}
+
+impl Default for CarefulDriverConfig {
+    fn default() -> Self {
+        Self {
+            wandering_m: 0.375,
+            perception_s: 0.4,
+            danger_ttc_s: 2.0,
+            delay_s: 0.75,
+            ramp_s: 0.6,
+            max_deceleration_mps2: 7.593,
+            lane_width_m: 3.5,
+            intrusion_m: 0.3,
+            bound_deceleration_mps2: 6.0,
+            bound_delay_s: 0.35,
+        }
+    }
+}
+
+impl CarefulDriverConfig {
+    /// Says which parameter makes no sense.
+    ///
+    /// # Errors
+    /// The key whose value is negative or no number, or zero where it divides.
+    pub fn validate(&self) -> Result<(), String> {
+        let parameters = [
+            ("wandering_m", self.wandering_m, false),
+            ("perception_s", self.perception_s, false),
+            ("danger_ttc_s", self.danger_ttc_s, false),
+            ("delay_s", self.delay_s, false),
+            ("ramp_s", self.ramp_s, true),
+            ("max_deceleration_mps2", self.max_deceleration_mps2, true),
+            ("lane_width_m", self.lane_width_m, true),
+            ("intrusion_m", self.intrusion_m, false),
+            ("bound_deceleration_mps2", self.bound_deceleration_mps2, true),
+            ("bound_delay_s", self.bound_delay_s, false),
+        ];
+        let is_wrong = |(_, value, is_positive): &&(&str, f64, bool)| {
+            value.is_nan() || *value < 0.0 || (*is_positive && *value == 0.0)
+        };
+        match parameters.iter().find(is_wrong) {
+            Some((key, value, true)) => Err(format!("{key} is {value}, expected a positive number")),
+            Some((key, value, false)) => Err(format!("{key} is {value}, expected a number that is not negative")),
+            None => Ok(()),
+        }
+    }
+}

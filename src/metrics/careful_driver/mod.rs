@@ -1,0 +1,66 @@
+//! Could a careful driver have prevented a collision with who cuts in? The performance model of UN Regulation No. 157.
+//!
+//! The driver of Annex 3 (guidance on traffic disturbance critical scenarios, cut-in) takes the place of the one who is cut off, with its
+//! speed at the present and on the path that it goes on to drive. Who cuts in moves as it does in the scene, and beyond the end of
+//! the scene at its last velocity.
+//!
+//! 1. *Perception.* Within 0.375 m of its place in its lane a vehicle only wanders. Once it has come closer to the path than that, it takes
+//!    0.4 s to see that it cuts in. Maps need not show lanes, so its place is where it was farthest from the path up to then.
+//! 2. *Danger.* The driver reacts when, from then on, the time to collision along the path is 2 s or less.
+//! 3. *Reaction.* 0.75 s later it brakes: the deceleration grows evenly over 0.6 s to 0.774 g, that is by 12.65 m/s³, and stays.
+//!
+//! The cut-in is preventable if the boxes never touch until the driver is no faster than who cuts in, or stands. A driver who has nothing to
+//! react to goes on at constant speed. Steering is not modeled, nor the stronger braking of the regulation once both vehicles are in line.
+//!
+//! Beside this there is the simple bound of paragraph 5.2.5.2: a collision must be avoided if, when who cuts in is 0.3 m beyond the
+//! lane marking, the time to collision exceeds v_rel / (2 · 6 m/s²) + 0.35 s. The marking is taken to lie half a lane's width beside the path.
+
+mod braking;
+mod config;
+mod encounter;
+mod preventable_rate;
+#[cfg(test)]
+mod tests;
+
+pub use config::CarefulDriverConfig;
+pub use preventable_rate::PreventableRate;
+
+use crate::scene::Scene;
+use braking::Braking;
+use encounter::Encounter;
+
+/// What the regulation says of a cut-in.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CutInJudgment {
+    /// Whether the careful driver avoids the collision.
+    pub preventable: bool,
+    /// When it begins to brake, seconds since the present; `None` where it sees no reason to.
+    pub braking_from_s: Option<f64>,
+    /// Time to collision at the intrusion, seconds; `None` where the gap does not close then.
+    pub intrusion_ttc_s: Option<f64>,
+    /// Whether the simple bound demands that a collision be avoided; `None` where who cuts in is alongside at the intrusion, for which the
+    /// bound is not made.
+    pub avoidance_required: Option<bool>,
+}
+
+impl CutInJudgment {
+    /// That of `other` cutting in before `ego`, by their indices. `None` where either is not tracked at present or the other does not
+    /// come into the lane of the ego in the future.
+    pub fn of(scene: &Scene, [ego, other]: [usize; 2], config: &CarefulDriverConfig) -> Option<Self> {
+        let encounter = Encounter::of(scene, [ego, other])?;
+        let intrusion = encounter.intrusion(config)?;
+        let perceived_s = encounter.perceived_s(config);
+        let danger_s = perceived_s.and_then(|perceived_s| encounter.danger_s(perceived_s, config));
+        let braking_from_s = danger_s.map(|danger_s| (danger_s + config.delay_s).max(0.0));
+        let braking = Braking { speed_mps: encounter.ego_speed_mps, from_s: braking_from_s, config };
+        let closing_mps = intrusion.ego_speed_mps - intrusion.other_speed_mps;
+        let intrusion_ttc_s = (closing_mps > 0.0 && intrusion.gap_m >= 0.0).then(|| intrusion.gap_m / closing_mps);
+        let bound_s = closing_mps / (2.0 * config.bound_deceleration_mps2) + config.bound_delay_s;
+        Some(Self {
+            preventable: !encounter.touches(&braking),
+            braking_from_s,
+            intrusion_ttc_s,
+            avoidance_required: (intrusion.gap_m >= 0.0).then(|| intrusion_ttc_s.is_none_or(|ttc_s| ttc_s > bound_s)),
+        })
+    }
+}

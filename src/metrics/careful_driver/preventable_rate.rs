@@ -1,0 +1,37 @@
+//! How many cut-ins could a careful driver have survived?
+
+use super::{CarefulDriverConfig, CutInJudgment};
+use crate::metrics::{Direction, Metric, MetricSpec, SampleGroup};
+use std::sync::LazyLock;
+
+/// Of the samples in which the agent asked to be `other` comes into the lane of the one asked to be `ego`, the share in which the careful
+/// driver avoids a collision. Not defined where no such roles were asked, or no sample shows it.
+#[derive(Debug, Clone, Default)]
+pub struct PreventableRate {
+    /// The parameters; `None` for the defaults.
+    pub driver: Option<CarefulDriverConfig>,
+}
+
+static DEFAULTS: LazyLock<CarefulDriverConfig> = LazyLock::new(CarefulDriverConfig::default);
+
+impl Metric for PreventableRate {
+    fn spec(&self) -> MetricSpec {
+        MetricSpec {
+            id: "preventable_rate",
+            unit: "1",
+            direction: Direction::Neither,
+            description: "of samples in which the other comes into the ego's lane, the share in which UN R157's careful driver avoids a collision",
+        }
+    }
+
+    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
+        let driver = self.driver.as_ref().unwrap_or(&DEFAULTS);
+        let track = |name: &str| group.asked.iter().find(|(role, _)| role == name).map(|(_, track)| track);
+        let (ego, other) = (track("ego")?, track("other")?);
+        group.recorded.has_future().then_some(())?;
+        group.mean_over_samples(|sample| {
+            let pair = [sample.track_idx(ego)?, sample.track_idx(other)?];
+            Some(f64::from(u8::from(CutInJudgment::of(sample, pair, driver)?.preventable)))
+        })
+    }
+}

@@ -1,0 +1,44 @@
+//! An agent made ready for measures of criticality: where its box is, and how it moves.
+
+use crate::behavior::sweep::Sweep;
+use crate::geometry::Vec2;
+use crate::scene::{Scene, Trajectory};
+
+/// The boxes and velocities of one agent, one entry a timestep.
+pub(super) struct MovingAgent {
+    /// Which agent of the scene it is.
+    pub(super) agent_idx: usize,
+    /// Its boxes.
+    pub(super) sweep: Sweep,
+    velocities: Vec<Option<Vec2>>,
+}
+
+impl MovingAgent {
+    /// An agent of `scene`. `None` where there is no such agent, or none of its states is finite.
+    pub(super) fn of(scene: &Scene, agent_idx: usize) -> Option<Self> {
+        let track = scene.tracks.get(agent_idx)?;
+        let sweep = Sweep::new(track)?;
+        Some(Self { agent_idx, sweep, velocities: velocities(&track.trajectory, scene.dt_s) })
+    }
+
+    /// Its velocity at `timestep`, metres per second.
+    pub(super) fn velocity(&self, timestep: usize) -> Option<Vec2> {
+        self.velocities.get(timestep).copied().flatten()
+    }
+}
+
+/// Velocities from positions: over the timestep before and the one after; at the ends of what is tracked over one of the two;
+/// the state's own velocity where neither is there.
+fn velocities(trajectory: &Trajectory, dt_s: f64) -> Vec<Option<Vec2>> {
+    let velocity = |timestep: usize| {
+        let now = trajectory.get(timestep).filter(|state| state.is_finite())?;
+        let neighbor = |other: Option<usize>| trajectory.get(other?).filter(|state| state.is_finite());
+        let (before, after) = (neighbor(timestep.checked_sub(1)), neighbor(Some(timestep + 1)));
+        let span = usize::from(before.is_some()) + usize::from(after.is_some());
+        if span == 0 {
+            return Some(now.velocity);
+        }
+        Some((after.unwrap_or(now).position - before.unwrap_or(now).position) * (1.0 / (span as f64 * dt_s)))
+    };
+    (0..trajectory.n_timesteps()).map(velocity).collect()
+}

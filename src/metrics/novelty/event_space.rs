@@ -1,0 +1,138 @@
+//! How far is an event from all recorded events of its kind, by its parameters?
+
+use super::nearest::NearestIndex;
+use crate::behavior::{BehaviorEvent, EventLabel};
+
+/// The recorded positive events of one behavior as points, one coordinate a parameter.
+///
+/// Parameters count that every recorded event has, that have a unit, and that are no times in the scene (`t_…_s`): of a cut-in gap, speeds,
+/// lateral speed, shift and smallest distance. Each is divided by its spread among the recorded events, 0.7413 of the range between the
+/// quartiles, which is the standard deviation of normally distributed values (the standard deviation itself where the quartiles
+/// coincide; a parameter that never varies is left out). The distance of two events is the root mean square of the differences: 1 says that
+/// they differ by a typical spread in every parameter.
+pub struct EventSpace {
+    behavior: String,
+    /// Names and spreads.
+    axes: Vec<(String, f64)>,
+    index: NearestIndex<Vec<f64>>,
+}
+
+impl EventSpace {
+    /// The space of the positive events of `behavior` among `events`. `None` where there are fewer than two, or none of their
+    /// parameters varies.
+    pub fn new(behavior: &str, events: &[BehaviorEvent]) -> Option<Self> {
+        let recorded: Vec<&BehaviorEvent> =
+            events.iter().filter(|event| event.behavior == behavior && event.label == EventLabel::Positive).collect();
+        let names = recorded.first()?.parameters.keys().filter(|name| is_coordinate(name));
+        let axes: Vec<(String, f64)> = names
+            .filter_map(|name| {
+                let values: Option<Vec<f64>> =
+                    recorded.iter().map(|event| event.parameters.get(name).copied()).collect();
+                Some((name.clone(), spread(values?)?))
+            })
+            .collect();
+        if axes.is_empty() {
+            return None;
+        }
+        let mut space = Self { behavior: behavior.to_owned(), axes, index: NearestIndex::default() };
+        for event in recorded {
+            if let Some(point) = space.point(event) {
+                space.index.insert(point, |a, b| distance(a, b));
+            }
+        }
+        Some(space)
+    }
+
+    /// The behavior whose events these are.
+    pub fn behavior(&self) -> &str {
+        &self.behavior
+    }
+
+    /// The distance of `event` from the nearest recorded one. `None` where it lacks a parameter that recorded events have.
+    pub fn distance_to_nearest(&self, event: &BehaviorEvent) -> Option<f64> {
+        self.index.nearest(&self.point(event)?, |a, b| distance(a, b)).map(|(_, distance)| distance)
+    }
+
+    fn point(&self, event: &BehaviorEvent) -> Option<Vec<f64>> {
+        self.axes.iter().map(|(name, spread)| Some(event.parameters.get(name)? / spread)).collect()
+    }
+}
+
+/// Whether a parameter says how an event went, and not when in the scene or on which side.
+fn is_coordinate(name: &str) -> bool {
+    let has_unit =
+        ["_m", "_s", "_mps", "_mps2", "_mps3", "_rad", "_radps", "_deg", "_per_m"].iter().any(|u| name.ends_with(u));
+    has_unit && !name.starts_with("t_")
+}
+
+/// The robust standard deviation of values. `None` where they do not vary.
+fn spread(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let n = values.len();
+    let quantile = |share: f64| {
+        let at = share * (n - 1) as f64;
+        let (low, high) = (at.floor() as usize, at.ceil() as usize);
+        values[low] + (values[high] - values[low]) * at.fract()
+    };
+    let robust = 0.7413 * (quantile(0.75) - quantile(0.25));
+    if robust > 0.0 {
+        return Some(robust);
+    }
+    let mean = values.iter().sum::<f64>() / n as f64;
+    let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / n as f64;
+    (variance > 0.0).then(|| variance.sqrt())
+}
+
+fn distance(a: &[f64], b: &[f64]) -> f64 {
+    let sum: f64 = a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum();
+    (sum / a.len().max(1) as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
+    fn event(label: EventLabel, parameters: &[(&str, f64)]) -> BehaviorEvent {
+        BehaviorEvent {
+            behavior: "cut_in".to_owned(),
+            scene_id: "a/b/c/d".into(),
+            label,
+            roles: Vec::new(),
+            start_timestep: 0,
+            end_timestep: 1,
+            parameters: parameters.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect::<BTreeMap<_, _>>(),
+        }
+    }
+
+    #[test]
+    fn distances_are_in_spreads_of_what_was_recorded() {
+        // Gaps of 0, 10, …, 40 m: quartiles 10 and 30 m, spread 14.826 m. The speed never varies, the time says when, one lacks a TTC.
+        let recorded = |i: u32| {
+            let gap = ("gap_m", 10.0 * f64::from(i));
+            let mut all = vec![gap, ("ego_speed_mps", 5.0), ("t_other_s", f64::from(i)), ("side", 1.0), ("ttc_s", 1.0)];
+            all.truncate(if i == 3 { 4 } else { 5 });
+            event(EventLabel::Positive, &all)
+        };
+        let mut events: Vec<BehaviorEvent> = (0..5).map(recorded).collect();
+        events.push(event(EventLabel::Negative, &[("gap_m", 1000.0)]));
+        let space = EventSpace::new("cut_in", &events).expect("they vary");
+        assert_eq!(space.axes.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["gap_m"]);
+        let novelty = |gap_m: f64| space.distance_to_nearest(&event(EventLabel::Positive, &[("gap_m", gap_m)]));
+        assert_eq!(novelty(20.0), Some(0.0));
+        assert!((novelty(54.826).expect("a gap") - 1.0).abs() < 1e-9);
+        assert_eq!(space.distance_to_nearest(&event(EventLabel::Positive, &[])), None);
+        assert!(EventSpace::new("near_miss", &events).is_none() && EventSpace::new("cut_in", &events[..1]).is_none());
+    }
+
+    #[test]
+    fn every_parameter_counts_the_same() {
+        let recorded =
+            |i: u32| event(EventLabel::Positive, &[("gap_m", 10.0 * f64::from(i)), ("ego_speed_mps", f64::from(i))]);
+        let events: Vec<BehaviorEvent> = (0..5).map(recorded).collect();
+        let space = EventSpace::new("cut_in", &events).expect("they vary");
+        // One spread off in the gap alone: √(1 / 2).
+        let off = event(EventLabel::Positive, &[("gap_m", 40.0 + 14.826), ("ego_speed_mps", 4.0)]);
+        assert!((space.distance_to_nearest(&off).expect("complete") - 0.5_f64.sqrt()).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,119 @@
+//! How far apart are two scenarios, by the future paths of those who were asked?
+
+use super::nearest::NearestIndex;
+use crate::geometry::{Transform2, Vec2};
+use crate::metrics::sample_group::future;
+use crate::scene::{Scene, TrackId};
+use std::collections::BTreeMap;
+
+/// The future positions of those who were asked (of a pair both), in the frame of the first of them at the present: origin at its
+/// position, x axis along its heading. So scenarios of different places compare, and what counts is how the two move to each other.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PairPath {
+    /// Agent by agent, each one a timestep. Who is not tracked at a timestep is held where it was last.
+    points: Vec<Vec2>,
+    n_agents: usize,
+}
+
+impl PairPath {
+    /// That of the agents of these roles. `None` where nobody was asked, or one of them is not tracked at present.
+    pub fn of(scene: &Scene, asked: &[(String, TrackId)]) -> Option<Self> {
+        let present = scene.current_timestep();
+        let agents: Vec<usize> = asked.iter().map(|(_, track)| scene.track_idx(track)).collect::<Option<_>>()?;
+        let first = scene.state(*agents.first()?, present)?;
+        let own_from_scene = Transform2::from_pose(first.position, first.heading_rad).inverse();
+        let mut points = Vec::new();
+        for agent_idx in &agents {
+            let mut last = scene.state(*agent_idx, present)?.position;
+            for timestep in future(scene) {
+                last = scene.state(*agent_idx, timestep).map_or(last, |state| state.position);
+                points.push(own_from_scene.point(last));
+            }
+        }
+        Some(Self { points, n_agents: agents.len() })
+    }
+
+    /// Mean distance between the positions of the same agent at the same timestep, metres. It is a metric: the mean of norms.
+    fn distance_m(&self, other: &Self) -> f64 {
+        let sum: f64 = self.points.iter().zip(&other.points).map(|(a, b)| a.distance(*b)).sum();
+        sum / self.points.len().max(1) as f64
+    }
+}
+
+/// The scenarios so far. Those compare that were asked the same behavior, of as many agents, over as many timesteps.
+///
+/// A search is exact. It costs a logarithm, and a distance for each scenario that lies about as far from the first one of its kind
+/// ([`NearestIndex`]); memory is 16 bytes for each agent and timestep.
+#[derive(Default)]
+pub struct PathIndex {
+    kinds: BTreeMap<Kind, OfKind>,
+}
+
+/// The behavior, the number of agents and the number of points.
+type Kind = (String, usize, usize);
+
+/// The scenarios of one kind, by number.
+#[derive(Default)]
+struct OfKind {
+    ids: Vec<String>,
+    paths: NearestIndex<PairPath>,
+}
+
+impl PathIndex {
+    /// The nearest scenario of this kind so far, by its id, and its distance in metres. `None` where there is none.
+    pub fn nearest(&self, behavior: &str, path: &PairPath) -> Option<(&str, f64)> {
+        let OfKind { ids, paths } = self.kinds.get(&kind(behavior, path))?;
+        let (idx, distance_m) = paths.nearest(path, PairPath::distance_m)?;
+        Some((ids.get(idx)?, distance_m))
+    }
+
+    /// Adds a scenario.
+    pub fn insert(&mut self, behavior: &str, path: PairPath, scenario_id: &str) {
+        let OfKind { ids, paths } = self.kinds.entry(kind(behavior, &path)).or_default();
+        ids.push(scenario_id.to_owned());
+        paths.insert(path, PairPath::distance_m);
+    }
+}
+
+fn kind(behavior: &str, path: &PairPath) -> Kind {
+    (behavior.to_owned(), path.n_agents, path.points.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::testing::transformed;
+    use crate::scene::testing::{Drive, scene};
+
+    fn asked() -> Vec<(String, TrackId)> {
+        vec![("ego".to_owned(), TrackId::from("1")), ("other".to_owned(), TrackId::from("2"))]
+    }
+
+    fn path(offset_m: f64) -> PairPath {
+        let scene = scene(&[Drive::straight(3.0, 1.0, 0.7, 10.0), Drive::straight(offset_m, 9.0, 0.7, 10.0)]);
+        PairPath::of(&scene, &asked()).expect("tracked")
+    }
+
+    #[test]
+    fn distances_are_means_over_agents_and_do_not_depend_on_the_place() {
+        // One of two agents is 2 m off throughout.
+        assert!((path(0.0).distance_m(&path(2.0)) - 1.0).abs() < 1e-9);
+        let here = scene(&[Drive::straight(3.0, 1.0, 0.7, 10.0), Drive::straight(0.0, 9.0, 0.7, 10.0)]);
+        let there = transformed(&here, &Transform2::from_pose(Vec2::new(100.0, -50.0), 2.0));
+        let [a, b] = [&here, &there].map(|scene| PairPath::of(scene, &asked()).expect("tracked"));
+        assert!(a.distance_m(&b) < 1e-9);
+        assert_eq!(PairPath::of(&here, &[]), None);
+        assert_eq!(PairPath::of(&here, &[("ego".to_owned(), TrackId::from("7"))]), None);
+    }
+
+    #[test]
+    fn the_first_of_its_kind_has_no_neighbor() {
+        let mut index = PathIndex::default();
+        assert!(index.nearest("cut_in", &path(0.0)).is_none());
+        index.insert("cut_in", path(0.0), "a");
+        index.insert("cut_in", path(10.0), "b");
+        assert!(index.nearest("near_miss", &path(0.0)).is_none());
+        let (id, distance_m) = index.nearest("cut_in", &path(6.0)).expect("there are two");
+        assert!(id == "b" && (distance_m - 2.0).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,142 @@
+//! What is checked, and what a failed check says.
+
+use crate::scene::{Scene, TrackId};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A check. Names in configs and tables are those of [`Check::id`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Check {
+    /// A vehicle speeds up harder than engines can.
+    Acceleration,
+    /// A vehicle brakes harder than tires can.
+    Deceleration,
+    /// A vehicle takes a bend faster than tires can.
+    LateralAcceleration,
+    /// A vehicle's acceleration changes faster than pedals and steering can make it.
+    Jerk,
+    /// A vehicle turns faster than vehicles do.
+    YawRate,
+    /// A vehicle turns more tightly than its steering allows at its speed, or on the spot.
+    Curvature,
+    /// A vehicle moves in another direction than it points to.
+    Heading,
+    /// A road user jumps where given and generated states meet.
+    StartPosition,
+    /// A road user turns at once where given and generated states meet.
+    StartHeading,
+    /// Two road users drive into each other.
+    Collision,
+    /// A vehicle leaves the road.
+    Offroad,
+}
+
+impl Check {
+    /// Every check, in the order of tables.
+    pub const ALL: [Self; 11] = [
+        Self::Acceleration,
+        Self::Deceleration,
+        Self::LateralAcceleration,
+        Self::Jerk,
+        Self::YawRate,
+        Self::Curvature,
+        Self::Heading,
+        Self::StartPosition,
+        Self::StartHeading,
+        Self::Collision,
+        Self::Offroad,
+    ];
+
+    /// Its name in configs and tables.
+    pub const fn id(self) -> &'static str {
+        match self {
+            Self::Acceleration => "acceleration",
+            Self::Deceleration => "deceleration",
+            Self::LateralAcceleration => "lateral_acceleration",
+            Self::Jerk => "jerk",
+            Self::YawRate => "yaw_rate",
+            Self::Curvature => "curvature",
+            Self::Heading => "heading",
+            Self::StartPosition => "start_position",
+            Self::StartHeading => "start_heading",
+            Self::Collision => "collision",
+            Self::Offroad => "offroad",
+        }
+    }
+
+    /// The check of this name.
+    pub fn from_id(id: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|check| check.id() == id)
+    }
+
+    /// The unit of its values and limits.
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::Acceleration | Self::Deceleration | Self::LateralAcceleration => "m/s^2",
+            Self::Jerk => "m/s^3",
+            Self::YawRate | Self::Curvature => "rad/s",
+            Self::Heading | Self::StartHeading => "rad",
+            Self::StartPosition | Self::Offroad => "m",
+            Self::Collision => "m/s",
+        }
+    }
+
+    /// What its value is, in a line.
+    pub const fn description(self) -> &'static str {
+        match self {
+            Self::Acceleration => "a vehicle speeds up by more than the limit, along its motion",
+            Self::Deceleration => "a vehicle brakes by more than the limit, along its motion",
+            Self::LateralAcceleration => "a vehicle accelerates by more than the limit across its motion",
+            Self::Jerk => "a vehicle's acceleration changes by more than the limit, in any direction",
+            Self::YawRate => "a vehicle's heading turns faster than the limit",
+            Self::Curvature => "a vehicle's heading turns faster than its tightest circle allows at its speed",
+            Self::Heading => "a vehicle moves at an angle to its heading larger than the limit",
+            Self::StartPosition => {
+                "a road user is farther than the limit from where its motion leads, where given and generated states meet"
+            }
+            Self::StartHeading => {
+                "a road user turns by more than the limit in one timestep, where given and generated states meet"
+            }
+            Self::Collision => "two road users touch that did not at present; the value is their relative speed",
+            Self::Offroad => "a vehicle that is on the road at present leaves it by more than the limit",
+        }
+    }
+}
+
+/// A check that a scene failed, at its worst place.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Violation {
+    /// The check.
+    pub check: Check,
+    /// The agent at fault; of a collision the first of the two.
+    pub track: TrackId,
+    /// When.
+    pub timestep: usize,
+    /// What was found, in the check's unit.
+    pub value: f64,
+    /// What is allowed.
+    pub limit: f64,
+}
+
+impl Violation {
+    pub(super) fn new(
+        check: Check,
+        scene: &Scene,
+        agent_idx: usize,
+        timestep: usize,
+        (value, limit): (f64, f64),
+    ) -> Self {
+        Self { check, track: scene.tracks[agent_idx].id.clone(), timestep, value, limit }
+    }
+
+    /// How far the value is beyond its limit; what is no number is infinitely far.
+    pub(super) fn excess(&self) -> f64 {
+        if self.value.is_nan() { f64::INFINITY } else { self.value - self.limit }
+    }
+}
+
+/// Whether `value` breaks `limit`; what is no number does.
+pub(super) fn exceeds(value: f64, limit: f64) -> bool {
+    value.is_nan() || value > limit
+}

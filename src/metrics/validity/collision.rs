@@ -1,0 +1,42 @@
+//! Does anybody drive into somebody, though nobody asked for it?
+
+use super::{Check, Judged, ValidityConfig, Violation, keep_worse};
+use crate::geometry::Vec2;
+use crate::metrics::collision_rate::collisions;
+use crate::scene::{Extent, Scene, Track};
+use std::borrow::Cow;
+
+/// The collision with the highest relative speed, as the collision rate counts them: boxes that overlap at a future timestep and did
+/// not at present, of two of whom at least one moves. One of the two must be generated there; the two that were asked are excused
+/// where the limits say so. Of agents whose size the recording does not give only the core counts.
+pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Violation> {
+    let scene = judged.scene;
+    let asked: Vec<usize> = judged.asked.iter().filter_map(|(_, track)| scene.track_idx(track)).collect();
+    let mut worst = None;
+    for collision in collisions(&with_cores(scene, config.core_of_unknown_size)) {
+        let [first, second] = collision.pair;
+        let is_excused = config.asked_may_collide && asked.contains(&first) && asked.contains(&second);
+        let is_generated = collision.pair.iter().any(|i| judged.is_generated(*i, collision.timestep));
+        if is_excused || !is_generated {
+            continue;
+        }
+        let velocity = |agent_idx: usize| scene.state(agent_idx, collision.timestep).map_or(Vec2::ZERO, |s| s.velocity);
+        let relative_mps = (velocity(first) - velocity(second)).norm();
+        // Any touch is one too many, at whatever speed.
+        keep_worse(&mut worst, Violation::new(Check::Collision, scene, first, collision.timestep, (relative_mps, 0.0)));
+    }
+    worst
+}
+
+/// The scene with agents of unknown size reduced to a share of their nominal one.
+fn with_cores(scene: &Scene, share: f64) -> Cow<'_, Scene> {
+    if scene.tracks.iter().all(|track| track.extent.is_some()) {
+        return Cow::Borrowed(scene);
+    }
+    let core = |track: &Track| {
+        let Extent { length_m, width_m } = track.class.nominal_extent();
+        let core = Extent { length_m: share * length_m, width_m: share * width_m };
+        Track { extent: track.extent.or(Some(core)), ..track.clone() }
+    };
+    Cow::Owned(Scene { tracks: scene.tracks.iter().map(core).collect(), ..scene.clone() })
+}

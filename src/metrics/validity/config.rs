@@ -1,0 +1,108 @@
+//! Which limits must a valid scenario keep?
+
+use super::Check;
+use crate::scene::Dataset;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The limits that a valid scenario keeps. A limit that is exceeded is a violation; a check that is not wanted is skipped by name.
+///
+/// The defaults say what is possible, not what is comfortable: an emergency is what many scenarios are made for. They are wider than
+/// nuPlan's bounds of comfort (acceleration -4.05 to 2.40 m/s², lateral 4.89 m/s², yaw rate 0.95 rad/s, jerk 8.37 m/s³).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ValidityConfig {
+    /// Checks that are left out.
+    pub skip: Vec<Check>,
+    /// The datasets whose positions are good enough for checks of motion: acceleration, deceleration, lateral acceleration, jerk, yaw
+    /// rate, curvature, heading and both of the start. Default `interaction` and `argoverse2`: in Argoverse 1 positions are those of
+    /// a tracker, unfiltered and at uneven times: no recorded scene would pass.
+    pub motion_of: Vec<Dataset>,
+    /// Positions and headings are fitted over this time, seconds. Default 0.7.
+    pub window_s: f64,
+    /// Largest acceleration along the motion, m/s². Default 5: sports cars.
+    pub max_acceleration_mps2: f64,
+    /// Largest deceleration along the motion, m/s². Default 9: full braking on a dry road.
+    pub max_deceleration_mps2: f64,
+    /// Largest acceleration across the motion, m/s². Default 9: the grip of tires.
+    pub max_lateral_acceleration_mps2: f64,
+    /// Largest jerk in any direction, m/s³. Default 25: full braking within a third of a second.
+    pub max_jerk_mps3: f64,
+    /// Largest yaw rate, rad/s. Default 1.2.
+    pub max_yaw_rate_radps: f64,
+    /// Largest curvature of a path, 1/m: the yaw rate may be this times the speed. Default 0.3, a circle of 3.3 m.
+    pub max_curvature_per_m: f64,
+    /// Added to that yaw rate, rad/s, so that who stands or creeps is not judged by noise. Default 0.2.
+    pub yaw_rate_slack_radps: f64,
+    /// Largest angle between heading and motion, radians, for vehicles faster than 2 m/s. Default 0.35, 20 degrees.
+    pub max_slip_rad: f64,
+    /// Where given and generated states meet: largest distance of the next state from where the last motion leads, metres.
+    /// Default 0.3.
+    pub max_start_offset_m: f64,
+    /// Where given and generated states meet: largest turn from one timestep to the next, radians. Default 0.2.
+    pub max_start_turn_rad: f64,
+    /// How far the center of a vehicle may leave the lanes (those without boundaries: 1.9 m on either side of their center line), metres.
+    /// Default 0.3.
+    pub offroad_slack_m: f64,
+    /// Agents whose size the recording does not give collide only if the cores of their nominal boxes do: this share of length and width.
+    /// Default 0.5: in Argoverse 1, which gives no sizes, whole boxes overlap in two of five recorded scenes.
+    pub core_of_unknown_size: f64,
+    /// Whether the agents that were asked may collide with each other, as is wanted of crashes. Default false.
+    pub asked_may_collide: bool,
+}
+
+impl Default for ValidityConfig {
+    fn default() -> Self {
+        Self {
+            skip: Vec::new(),
+            motion_of: vec![Dataset::Interaction, Dataset::Argoverse2],
+            window_s: 0.7,
+            max_acceleration_mps2: 5.0,
+            max_deceleration_mps2: 9.0,
+            max_lateral_acceleration_mps2: 9.0,
+            max_jerk_mps3: 25.0,
+            max_yaw_rate_radps: 1.2,
+            max_curvature_per_m: 0.3,
+            yaw_rate_slack_radps: 0.2,
+            max_slip_rad: 0.35,
+            max_start_offset_m: 0.3,
+            max_start_turn_rad: 0.2,
+            offroad_slack_m: 0.3,
+            core_of_unknown_size: 0.5,
+            asked_may_collide: false,
+        }
+    }
+}
+
+impl ValidityConfig {
+    /// Whether motion is checked in scenes of this dataset.
+    pub fn checks_motion_of(&self, dataset: Dataset) -> bool {
+        self.motion_of.contains(&dataset)
+    }
+
+    /// Says which limit makes no sense.
+    ///
+    /// # Errors
+    /// The key whose value is negative or no number, or a window without length.
+    pub fn validate(&self) -> Result<(), String> {
+        let limits = [
+            ("window_s", self.window_s),
+            ("max_acceleration_mps2", self.max_acceleration_mps2),
+            ("max_deceleration_mps2", self.max_deceleration_mps2),
+            ("max_lateral_acceleration_mps2", self.max_lateral_acceleration_mps2),
+            ("max_jerk_mps3", self.max_jerk_mps3),
+            ("max_yaw_rate_radps", self.max_yaw_rate_radps),
+            ("max_curvature_per_m", self.max_curvature_per_m),
+            ("yaw_rate_slack_radps", self.yaw_rate_slack_radps),
+            ("max_slip_rad", self.max_slip_rad),
+            ("max_start_offset_m", self.max_start_offset_m),
+            ("max_start_turn_rad", self.max_start_turn_rad),
+            ("offroad_slack_m", self.offroad_slack_m),
+            ("core_of_unknown_size", self.core_of_unknown_size),
+        ];
+        match limits.iter().find(|(_, limit)| limit.is_nan() || *limit < 0.0) {
+            Some((key, limit)) => Err(format!("{key} is {limit}, expected a number that is not negative")),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,60 @@
+//! Can a vehicle move like that? Limits on what polynomials fitted to its path say.
+
+use super::check::exceeds;
+use super::fit::Fitter;
+use super::{Check, Judged, LocalFit, ValidityConfig, Violation, keep_worse};
+use crate::geometry::{Vec2, angle_difference};
+use crate::scene::State;
+
+/// Below this speed the direction of motion is that of the heading, m/s.
+const MOVING_MPS: f64 = 1.0;
+/// Below this speed nothing is said of the angle between heading and motion, m/s: who maneuvers may well go backwards.
+const SLIP_FROM_MPS: f64 = 2.0;
+
+/// The checks of motion that vehicles fail, each at its worst place.
+pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Violation> {
+    let scene = judged.scene;
+    let fitter = Fitter::new(config.window_s, scene.dt_s);
+    let mut worst: [Option<Violation>; Check::ALL.len()] = [const { None }; Check::ALL.len()];
+    for agent_idx in judged.generated_agents().filter(|agent_idx| judged.is_vehicle(*agent_idx)) {
+        let trajectory = &scene.tracks[agent_idx].trajectory;
+        for middle in fitter.half..scene.n_timesteps.saturating_sub(fitter.half) {
+            let window = middle - fitter.half..=middle + fitter.half;
+            if !window.into_iter().any(|timestep| judged.is_generated(agent_idx, timestep)) {
+                continue;
+            }
+            let (Some(fit), Some(state)) = (fitter.at(trajectory, middle), trajectory.get(middle)) else { continue };
+            for (check, value, limit) in limits(&fit, state, config) {
+                if exceeds(value, limit) {
+                    let violation = Violation::new(check, scene, agent_idx, middle, (value, limit));
+                    keep_worse(&mut worst[check as usize], violation);
+                }
+            }
+        }
+    }
+    worst.into_iter().flatten().collect()
+}
+
+/// What is checked of one fit: the check, its value and its limit.
+fn limits(fit: &LocalFit, state: &State, config: &ValidityConfig) -> [(Check, f64, f64); 7] {
+    let speed_mps = fit.velocity.norm();
+    let forward = match speed_mps >= MOVING_MPS {
+        true => fit.velocity * (1.0 / speed_mps),
+        false => Vec2::from_angle(state.heading_rad),
+    };
+    let (along, yaw_rate) = (fit.acceleration.dot(forward), fit.yaw_rate_radps.abs());
+    let slip_rad = match speed_mps >= SLIP_FROM_MPS {
+        true => angle_difference(fit.velocity.angle(), state.heading_rad).abs(),
+        false => 0.0,
+    };
+    let tightest = config.max_curvature_per_m * speed_mps + config.yaw_rate_slack_radps;
+    [
+        (Check::Acceleration, along, config.max_acceleration_mps2),
+        (Check::Deceleration, -along, config.max_deceleration_mps2),
+        (Check::LateralAcceleration, forward.cross(fit.acceleration).abs(), config.max_lateral_acceleration_mps2),
+        (Check::Jerk, fit.jerk.norm(), config.max_jerk_mps3),
+        (Check::YawRate, yaw_rate, config.max_yaw_rate_radps),
+        (Check::Curvature, yaw_rate, tightest),
+        (Check::Heading, slip_rad, config.max_slip_rad),
+    ]
+}

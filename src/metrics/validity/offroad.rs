@@ -1,0 +1,33 @@
+//! Does a vehicle leave the road?
+
+use super::check::exceeds;
+use super::{Check, Judged, ValidityConfig, Violation, keep_worse};
+use crate::metrics::road::Road;
+
+/// The farthest that the center of a vehicle, which is on the road at present, leaves it. Nothing is said of scenes without lanes.
+pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Violation> {
+    let scene = judged.scene;
+    if scene.lanes.is_empty() {
+        return None;
+    }
+    let road = Road::new(&scene.lanes);
+    let outside_m = |agent_idx: usize, timestep: usize| {
+        scene.state(agent_idx, timestep).map(|state| road.distance_m(state.position))
+    };
+    let mut worst = None;
+    for agent_idx in judged.generated_agents().filter(|agent_idx| judged.is_vehicle(*agent_idx)) {
+        let starts_on_road = outside_m(agent_idx, scene.current_timestep())
+            .is_some_and(|outside_m| !exceeds(outside_m, config.offroad_slack_m));
+        if !starts_on_road {
+            continue;
+        }
+        for timestep in (0..scene.n_timesteps).filter(|timestep| judged.is_generated(agent_idx, *timestep)) {
+            let Some(value) = outside_m(agent_idx, timestep) else { continue };
+            if exceeds(value, config.offroad_slack_m) {
+                let found = (value, config.offroad_slack_m);
+                keep_worse(&mut worst, Violation::new(Check::Offroad, scene, agent_idx, timestep, found));
+            }
+        }
+    }
+    worst
+}

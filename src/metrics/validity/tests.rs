@@ -1,0 +1,230 @@
+//! Every check by itself, with values known beforehand.
+
+use super::*;
+use crate::behavior::testing::SceneSpec;
+use crate::geometry::Vec2;
+use crate::scene::{Dataset, State, Trajectory};
+
+const ROAD: &str = "lanes = [{ id = 1, centerline = [[-60, 0], [300, 0]], width_m = 4.0 }]";
+
+/// A car on a straight road of 4 m that starts at (0, 0) along x, and does what `segments` say.
+fn scene(speed_mps: f64, segments: &str) -> Scene {
+    built(&format!(
+        "{{ id = \"a\", start = {{ x_m = 0, y_m = 0, speed_mps = {speed_mps:?} }}, segments = [{segments}] }}"
+    ))
+}
+
+fn built(agents: &str) -> Scene {
+    let spec: SceneSpec = toml::from_str(&format!("agents = [{agents}]\n{ROAD}")).expect("valid");
+    spec.build("judged")
+}
+
+/// The scene with the states of its first agent changed.
+fn changed(mut scene: Scene, change: impl Fn(usize, State) -> State) -> Scene {
+    let entries = scene.tracks[0].trajectory.entries().iter().enumerate();
+    let states = entries.map(|(timestep, state)| state.map(|state| change(timestep, state))).collect();
+    scene.tracks[0].trajectory = Trajectory::new(states);
+    scene
+}
+
+fn found(scene: &Scene, config: &ValidityConfig) -> Vec<Violation> {
+    Judged::future_of(scene, &[]).violations(config)
+}
+
+fn checks(scene: &Scene, config: &ValidityConfig) -> Vec<&'static str> {
+    found(scene, config).iter().map(|violation| violation.check.id()).collect()
+}
+
+/// The only violation.
+fn only(scene: &Scene, config: &ValidityConfig) -> (Check, f64, usize) {
+    match &found(scene, config)[..] {
+        [Violation { check, value, timestep, .. }] => (*check, *value, *timestep),
+        other => panic!("one violation expected: {other:?}"),
+    }
+}
+
+fn defaults() -> ValidityConfig {
+    ValidityConfig::default()
+}
+
+#[test]
+fn names_are_those_of_configurations() {
+    for check in Check::ALL {
+        assert_eq!(serde_json::to_value(check).expect("a name"), check.id());
+        assert_eq!(Check::from_id(check.id()), Some(check));
+    }
+    assert!(Check::ALL.is_sorted() && Check::from_id("none").is_none());
+}
+
+#[test]
+fn ordinary_driving_is_valid() {
+    for segments in [
+        "",
+        "{ duration_s = 1.2 }, { duration_s = 2, acceleration_mps2 = -4.0 }",
+        "{ duration_s = 1.0 }, { duration_s = 3, shift_m = 1.5 }",
+    ] {
+        assert_eq!(checks(&scene(12.0, segments), &defaults()), [""; 0], "{segments}");
+    }
+    assert_eq!(checks(&scene(0.0, ""), &defaults()), [""; 0]);
+}
+
+#[test]
+fn accelerations_have_a_sign() {
+    let hard = |acceleration: f64| {
+        scene(15.0, &format!("{{ duration_s = 1.5 }}, {{ duration_s = 1.5, acceleration_mps2 = {acceleration:?} }}"))
+    };
+    let (check, value, _) = only(&hard(6.0), &defaults());
+    assert!(check == Check::Acceleration && (value - 6.0).abs() < 0.01, "{value}");
+    assert_eq!(checks(&hard(-6.0), &defaults()), [""; 0]);
+    let (check, value, timestep) = only(&hard(-6.0), &ValidityConfig { max_deceleration_mps2: 5.0, ..defaults() });
+    // Seven states between 1.5 and 3.0 s see nothing else.
+    assert!(check == Check::Deceleration && (value - 6.0).abs() < 0.01 && (15..30).contains(&timestep), "{value}");
+    assert_eq!(checks(&hard(-12.0), &defaults()), ["deceleration", "jerk"]);
+}
+
+#[test]
+fn a_step_in_acceleration_is_a_jerk() {
+    // By hand: the cubic fitted to seven positions of a step of size a in the middle has a third derivative of 10 a / 3 per second.
+    let braking = scene(15.0, "{ duration_s = 1.5 }, { duration_s = 2.5, acceleration_mps2 = -6.0 }");
+    let (check, value, timestep) = only(&braking, &ValidityConfig { max_jerk_mps3: 15.0, ..defaults() });
+    assert!(check == Check::Jerk && (value - 20.0).abs() < 0.5 && timestep == 15, "{value} at {timestep}");
+}
+
+#[test]
+fn bends_are_limited_by_grip_yaw_rate_and_steering() {
+    let turning = |speed: f64, degrees: f64| {
+        scene(speed, &format!("{{ duration_s = 1 }}, {{ duration_s = 2, turn_deg = {degrees:?} }}"))
+    };
+    let loose = ValidityConfig { skip: vec![Check::Jerk, Check::Offroad], ..defaults() };
+    // 90 degrees in 2 s are 0.785 rad/s: 10 m/s² across at 12.7 m/s.
+    let (check, value, _) = only(&turning(12.7324, 90.0), &loose);
+    assert!(check == Check::LateralAcceleration && (value - 10.0).abs() < 0.3, "{value}");
+    // 160 degrees in 2 s at 5 m/s: 1.396 rad/s, and 7 m/s² across.
+    let (check, value, _) = only(&turning(5.0, 160.0), &loose);
+    assert!(check == Check::YawRate && (value - 1.396).abs() < 1e-3, "{value}");
+    // 100 degrees in 2 s at 2 m/s: 0.873 rad/s, of which 0.3 · 2 + 0.2 are allowed.
+    let slow = turning(2.0, 100.0);
+    let (check, value, _) = only(&slow, &loose);
+    assert!(check == Check::Curvature && (value - 0.873).abs() < 1e-3, "{value}");
+    assert_eq!(checks(&slow, &ValidityConfig { max_curvature_per_m: 0.4, ..loose.clone() }), [""; 0]);
+    // Turning on the spot.
+    let spinning = changed(scene(0.0, ""), |timestep, state| State { heading_rad: 0.03 * timestep as f64, ..state });
+    let (check, value, _) = only(&spinning, &loose);
+    assert!(check == Check::Curvature && (value - 0.3).abs() < 1e-9);
+}
+
+#[test]
+fn vehicles_point_where_they_go() {
+    let drifting = |speed: f64| changed(scene(speed, ""), |_, state| State { heading_rad: 0.5, ..state });
+    let (check, value, _) = only(&drifting(10.0), &defaults());
+    assert!(check == Check::Heading && (value - 0.5).abs() < 1e-9);
+    assert_eq!(checks(&drifting(1.5), &defaults()), [""; 0], "slow maneuvers may go any way");
+}
+
+#[test]
+fn the_future_begins_where_the_past_ends() {
+    let shifted = |by_m: f64| {
+        changed(scene(10.0, ""), |timestep, state| match timestep < 10 {
+            true => state,
+            false => State { position: state.position + Vec2::new(0.0, by_m), ..state },
+        })
+    };
+    let violation =
+        &found(&shifted(0.5), &ValidityConfig { skip: vec![Check::Jerk, Check::LateralAcceleration], ..defaults() });
+    let seams: Vec<_> = violation.iter().map(|v| (v.check, v.timestep)).collect();
+    assert_eq!(seams, [(Check::StartPosition, 10)], "{violation:?}");
+    assert!((violation[0].value - 0.5).abs() < 1e-9);
+    assert!(!checks(&shifted(0.2), &defaults()).contains(&"start_position"));
+    let turned = changed(scene(1.0, ""), |timestep, state| State {
+        heading_rad: if timestep < 10 { 0.0 } else { 0.25 },
+        ..state
+    });
+    assert!(found(&turned, &defaults()).iter().any(|v| v.check == Check::StartHeading && v.timestep == 10));
+    // Where the end is given and the middle generated there are two seams.
+    let end_given = shifted(0.5);
+    let judged = Judged::new(&end_given, &[], |_, timestep| (12..20).contains(&timestep));
+    assert!(!judged.violations(&defaults()).iter().any(|v| v.check == Check::StartPosition), "the jump was given");
+    let leap = changed(scene(10.0, ""), |timestep, state| match (12..20).contains(&timestep) {
+        true => State { position: state.position + Vec2::new(0.0, 0.5), ..state },
+        false => state,
+    });
+    let judged = Judged::new(&leap, &[], |_, timestep| (12..20).contains(&timestep));
+    assert!(judged.violations(&defaults()).iter().any(|v| v.check == Check::StartPosition && v.timestep == 12));
+}
+
+#[test]
+fn only_what_was_generated_is_judged() {
+    // Braking until 0.6 s; the first window with a future state begins at 0.4 s.
+    let before = scene(15.0, "{ duration_s = 0.4, acceleration_mps2 = -12.0 }");
+    assert_eq!(checks(&before, &ValidityConfig { max_jerk_mps3: 60.0, ..defaults() }), [""; 0]);
+    let all = Judged::new(&before, &[], |_, _| true);
+    assert!(all.violations(&defaults()).iter().any(|v| v.check == Check::Deceleration));
+    let none = Judged::new(&before, &[], |_, _| false);
+    assert_eq!(none.violations(&ValidityConfig { max_deceleration_mps2: 0.0, ..defaults() }), []);
+}
+
+#[test]
+fn collisions_are_excused_only_where_they_were_asked_for() {
+    // The second one closes 15.5 m at 10 m/s: contact after 1.55 s.
+    let crash = built(
+        "{ id = \"a\", start = { x_m = 20, y_m = 0, speed_mps = 5 } }, { id = \"b\", start = { x_m = 0, y_m = 0, speed_mps = 15 } }",
+    );
+    let (check, value, timestep) = only(&crash, &defaults());
+    assert!(check == Check::Collision && (value - 10.0).abs() < 1e-9 && timestep == 16, "{value} {timestep}");
+    let asked = [("ego".to_owned(), TrackId::from("b")), ("other".to_owned(), TrackId::from("a"))];
+    let excusing = ValidityConfig { asked_may_collide: true, ..defaults() };
+    assert_eq!(Judged::future_of(&crash, &asked).violations(&excusing), []);
+    assert_eq!(Judged::future_of(&crash, &asked).violations(&defaults()).len(), 1);
+    assert_eq!(Judged::future_of(&crash, &asked[..1]).violations(&excusing).len(), 1);
+}
+
+#[test]
+fn who_has_no_known_size_collides_by_its_core() {
+    // Two cars side by side, at 10 and 15 m/s, 1.2 m between centers: boxes of 1.9 m overlap when one passes, cores of 0.95 m do not.
+    let passing = |distance_m: f64| {
+        let mut scene = built(&format!(
+            "{{ id = \"a\", start = {{ x_m = 15, y_m = 0, speed_mps = 10 }} }}, {{ id = \"b\", start = {{ x_m = 0, y_m = {distance_m:?}, speed_mps = 15 }} }}"
+        ));
+        scene.tracks.iter_mut().for_each(|track| track.extent = None);
+        scene
+    };
+    assert_eq!(checks(&passing(1.2), &defaults()), [""; 0]);
+    assert_eq!(checks(&passing(0.9), &defaults()), ["collision"]);
+    assert_eq!(checks(&passing(1.2), &ValidityConfig { core_of_unknown_size: 1.0, ..defaults() }), ["collision"]);
+}
+
+#[test]
+fn leaving_the_road_is_measured_in_metres() {
+    // The road ends 2 m to the left.
+    let leaving =
+        |shift: f64| scene(10.0, &format!("{{ duration_s = 1 }}, {{ duration_s = 2.5, shift_m = {shift:?} }}"));
+    let (check, value, _) = only(&leaving(3.0), &defaults());
+    assert!(check == Check::Offroad && (value - 1.0).abs() < 1e-6, "{value}");
+    assert_eq!(checks(&leaving(2.2), &defaults()), [""; 0]);
+    assert_eq!(checks(&leaving(2.2), &ValidityConfig { offroad_slack_m: 0.1, ..defaults() }), ["offroad"]);
+}
+
+#[test]
+fn motion_is_not_checked_where_positions_are_noise() {
+    let mut hard = scene(15.0, "{ duration_s = 1.5 }, { duration_s = 1.5, acceleration_mps2 = -12.0 }");
+    hard.source.dataset = Dataset::Argoverse1;
+    assert_eq!(checks(&hard, &defaults()), [""; 0]);
+    assert_eq!(checks(&hard, &ValidityConfig { motion_of: vec![Dataset::Argoverse1], ..defaults() }).len(), 2);
+}
+
+#[test]
+fn nonsense_is_named() {
+    assert!(defaults().validate().is_ok());
+    let why = ValidityConfig { max_slip_rad: -1.0, ..defaults() }.validate().unwrap_err();
+    assert!(why.contains("max_slip_rad"), "{why}");
+    assert!(ValidityConfig { window_s: f64::NAN, ..defaults() }.validate().is_err());
+}
+
+#[test]
+fn what_is_no_number_is_never_valid() {
+    let broken = changed(scene(10.0, ""), |timestep, state| match timestep {
+        30 => State { position: Vec2::new(f64::NAN, 0.0), ..state },
+        _ => state,
+    });
+    assert_eq!(checks(&broken, &defaults()), ["offroad"]);
+}

@@ -1,0 +1,32 @@
+//! How many samples are valid?
+
+use super::{Judged, ValidityConfig};
+use crate::metrics::{Direction, Metric, MetricSpec, SampleGroup};
+use crate::scene::Scene;
+use std::sync::LazyLock;
+
+/// Share of samples whose future keeps all limits. The whole future counts as generated, in recordings as in samples.
+#[derive(Debug, Clone, Default)]
+pub struct ValidityRate {
+    /// The limits; `None` for the defaults.
+    pub limits: Option<ValidityConfig>,
+}
+
+static DEFAULTS: LazyLock<ValidityConfig> = LazyLock::new(ValidityConfig::default);
+
+impl Metric for ValidityRate {
+    fn spec(&self) -> MetricSpec {
+        MetricSpec {
+            id: "validity_rate",
+            unit: "1",
+            direction: Direction::HigherIsBetter,
+            description: "share of samples that pass every check of validity",
+        }
+    }
+
+    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
+        let limits = self.limits.as_ref().unwrap_or(&DEFAULTS);
+        let is_valid = |sample: &Scene| vec![Judged::future_of(sample, group.asked).violations(limits).is_empty()];
+        group.share_over_samples(is_valid).filter(|_| group.recorded.has_future())
+    }
+}

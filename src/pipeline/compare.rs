@@ -1,0 +1,122 @@
+//! What do two run folders hold that can be compared?
+
+use super::layout::{METRICS_SUMMARY, MINE_SUMMARY};
+use super::run::{CONFIG_FILE, RUN_FILE, RunManifest};
+use super::stages::EvaluationSummary;
+use super::{Classify, Failure, Result, StageId, StageRecord};
+use crate::report::{ComparedRun, Comparison, Fact, MetricTable, render_comparison};
+use crate::store::{read_json, write_atomically};
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::Path;
+
+/// Writes a page that sets the runs in two folders side by side.
+///
+/// # Errors
+/// When one of the folders is no run folder or holds files that cannot be read; those of the file system.
+pub fn write_comparison(a: &Path, b: &Path, page: &Path) -> Result<()> {
+    let comparison = Comparison { a: read_run(a)?, b: read_run(b)? };
+    let text = render_comparison(&comparison);
+    if let Some(folder) = page.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        fs_err::create_dir_all(folder).map_err(Failure::input)?;
+    }
+    write_atomically::<std::io::Error>(page, |file| file.write_all(text.as_bytes())).map_err(Failure::input)?;
+    Ok(())
+}
+
+/// What is compared of the run in a folder; of stages that did not run, nothing.
+fn read_run(root: &Path) -> Result<ComparedRun> {
+    let has_stages = StageId::ALL.into_iter().any(|stage| StageRecord::done(root, stage).is_some());
+    let manifest = root.join(RUN_FILE);
+    if !manifest.exists() && !has_stages {
+        let what =
+            if root.is_dir() { "holds no run: there is neither run.json nor a finished stage" } else { "is no folder" };
+        return Err(Failure::input_message(format_args!("{} {what}", root.display())).with_hint(
+            "name the folders of two runs, such as output/quickstart/main; `djinn run` tells where its results are",
+        ));
+    }
+    let mut run = ComparedRun { name: root.display().to_string(), ..ComparedRun::default() };
+    if manifest.exists() {
+        let manifest: RunManifest = read_json(&manifest).blame_input()?;
+        run.facts = vec![
+            Fact::new("Pipeline", manifest.pipeline),
+            Fact::new("Seed", manifest.seed),
+            Fact::new("Written by", format!("djinn {}", manifest.djinn_version)),
+            Fact::new("Computed on", manifest.device),
+        ];
+    }
+    let config = root.join(CONFIG_FILE);
+    if config.exists() {
+        let text = fs_err::read_to_string(&config).map_err(Failure::input)?;
+        let table: toml::Table = text
+            .parse()
+            .map_err(|error| Failure::input(error).context(format!("failed to read {}", config.display())))?;
+        flatten("", &toml::Value::Table(table), &mut run.settings);
+    }
+    let mined = root.join(MINE_SUMMARY);
+    if mined.exists() {
+        run.mining = Some(read_json(&mined).blame_input()?);
+    }
+    let metrics = root.join(METRICS_SUMMARY);
+    if metrics.exists() {
+        let summary: EvaluationSummary = read_json(&metrics).blame_input()?;
+        run.facts.push(Fact::new("Scenarios", summary.n_scenarios));
+        run.facts.push(Fact::new("Verified, and not in the recording", summary.n_new));
+        run.sampling = summary.sampling;
+        run.realism = summary.realism;
+        run.metrics = MetricTable { docs: summary.docs, rows: summary.aggregates };
+    }
+    Ok(run)
+}
+
+/// Every value by its path. Tables of an array go by their names where they have any: sweeps stay themselves when one is added.
+fn flatten(path: &str, value: &toml::Value, settings: &mut BTreeMap<String, String>) {
+    let below = |key: &str| if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") };
+    match value {
+        toml::Value::Table(table) => {
+            for (key, value) in table {
+                flatten(&below(key), value, settings);
+            }
+        }
+        toml::Value::Array(items) if items.iter().any(toml::Value::is_table) => {
+            for (idx, item) in items.iter().enumerate() {
+                let name = ["name", "kind"].iter().find_map(|key| item.get(key)?.as_str());
+                flatten(&below(name.unwrap_or(&idx.to_string())), item, settings);
+            }
+        }
+        plain => _ = settings.insert(path.to_owned(), plain.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_go_by_their_paths_and_sweeps_by_their_names() {
+        let text = "[run]\nseed = 3\n[[generate.sweeps]]\nname = \"b\"\nstrengths = [0.0, 2.0]\n[[mine.behaviors]]\nkind = \"cut_in\"\nx = 1\n";
+        let mut settings = BTreeMap::new();
+        flatten("", &toml::Value::Table(text.parse().unwrap()), &mut settings);
+        let expected = [
+            ("generate.sweeps.b.name", "\"b\""),
+            ("generate.sweeps.b.strengths", "[0.0, 2.0]"),
+            ("mine.behaviors.cut_in.kind", "\"cut_in\""),
+            ("mine.behaviors.cut_in.x", "1"),
+            ("run.seed", "3"),
+        ];
+        assert_eq!(settings, expected.map(|(key, value)| (key.to_owned(), value.to_owned())).into());
+    }
+
+    #[test]
+    fn what_is_no_run_is_refused_with_advice() {
+        let folder = tempfile::tempdir().unwrap();
+        for (path, what) in
+            [(folder.path().to_owned(), "holds no run"), (folder.path().join("missing"), "is no folder")]
+        {
+            let failure = write_comparison(&path, &path, &folder.path().join("page.html")).unwrap_err();
+            assert_eq!(failure.blame, crate::pipeline::Blame::Input);
+            assert!(failure.error.to_string().contains(what) && failure.hint.is_some(), "{failure:?}");
+        }
+        assert!(!folder.path().join("page.html").exists());
+    }
+}

@@ -1,0 +1,84 @@
+//! What is to be said of a single scenario, apart from whether it does what was asked: could it have happened, how critical is it, is it new?
+
+use super::config::EvaluateConfig;
+use crate::behavior::BehaviorEvent;
+use crate::metrics::{
+    CutInJudgment, EventSpace, Judged, MotionHistograms, PairCriticality, RecordedRanges, SceneCriticality, Violation,
+};
+use crate::pipeline::Result;
+use crate::scene::Scene;
+use crate::store::{Assessment, ScenarioRecord, SceneStore};
+use rayon::prelude::*;
+
+/// Recorded scenes from which the ranges of motion are taken: enough for a thousandth at either end, few enough to be quick.
+const N_REFERENCE_SCENES: usize = 400;
+/// The behavior that the careful driver is about.
+const CUT_IN: &str = "cut_in";
+
+/// Everything that scenarios are judged by.
+pub(super) struct Judge<'a> {
+    config: &'a EvaluateConfig,
+    ranges: RecordedRanges,
+    spaces: Vec<EventSpace>,
+}
+
+/// What the recording of a cell, or a baseline, would be found to be if it had been generated.
+pub(super) struct ReferenceJudgment {
+    /// The checks that it fails.
+    pub(super) violations: Vec<Violation>,
+    /// Share of its motion within the recorded ranges.
+    pub(super) plausibility: Option<f64>,
+}
+
+impl<'a> Judge<'a> {
+    /// A judge who knows the recorded scenes, of which at most 400 count, evenly spread over the store, and the recorded events.
+    pub(super) fn new(config: &'a EvaluateConfig, store: &SceneStore, recorded: &[BehaviorEvent]) -> Result<Self> {
+        let n_scenes = store.len().min(N_REFERENCE_SCENES);
+        let motion: Vec<MotionHistograms> = (0..n_scenes)
+            .into_par_iter()
+            .map(|i| Ok(MotionHistograms::of([&store.scene(i * store.len() / n_scenes)?])))
+            .collect::<Result<_>>()?;
+        let mut all = MotionHistograms::default();
+        motion.iter().for_each(|of_scene| all.merge(of_scene));
+        let mut behaviors: Vec<&str> = recorded.iter().map(|event| event.behavior.as_str()).collect();
+        behaviors.sort_unstable();
+        behaviors.dedup();
+        let spaces = behaviors.into_iter().filter_map(|behavior| EventSpace::new(behavior, recorded)).collect();
+        Ok(Self { config, ranges: RecordedRanges::of(&all), spaces })
+    }
+
+    /// The judgment of a scenario, but for its neighbors in the corpus.
+    pub(super) fn assess(&self, record: &ScenarioRecord) -> Assessment {
+        let (scene, observed) = (&record.scenario.scene, &record.scenario.observed);
+        let roles = &record.scenario.provenance.guidance.roles;
+        let judged = Judged::new(scene, roles, |agent_idx, timestep| !observed.is_observed(agent_idx, timestep));
+        let track = |idx: usize| scene.track_idx(&roles.get(idx)?.1);
+        let pair = track(0).zip(track(1)).map(|(first, second)| [first, second]);
+        let asked = record.requested_behavior.as_deref();
+        let space = self.spaces.iter().find(|space| Some(space.behavior()) == asked);
+        Assessment {
+            accepted: false,
+            violations: judged.violations(&self.config.validity),
+            plausibility: self.ranges.plausibility(scene),
+            pair: pair.and_then(|pair| PairCriticality::of(scene, pair)),
+            scene: SceneCriticality::of(scene),
+            cut_in: pair
+                .filter(|_| asked == Some(CUT_IN))
+                .and_then(|pair| CutInJudgment::of(scene, pair, &self.config.careful_driver)),
+            nearest_recorded_event: record
+                .main_event()
+                .zip(space)
+                .and_then(|(event, space)| space.distance_to_nearest(event)),
+            nearest_scenario_m: None,
+            near_duplicate_of: None,
+        }
+    }
+
+    /// What would be said of `scene` if its whole future had been generated.
+    pub(super) fn judge_reference(&self, scene: &Scene) -> ReferenceJudgment {
+        ReferenceJudgment {
+            violations: Judged::future_of(scene, &[]).violations(&self.config.validity),
+            plausibility: self.ranges.plausibility(scene),
+        }
+    }
+}

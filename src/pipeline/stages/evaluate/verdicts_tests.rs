@@ -1,0 +1,137 @@
+//! Tests of who is accepted and who is kept, and that everybody is counted.
+
+use super::config::{EvaluateConfig, Keep};
+use super::verdicts::Verdicts;
+use crate::generate::RejectedSample;
+use crate::metrics::{Check, Violation};
+use crate::pipeline::stages::{SampleManifest, SampleSidecar};
+use crate::report::{AcceptanceRow, LeftOutRow};
+use crate::scene::testing::{Drive, scene};
+use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, TrackId};
+use crate::store::{Assessment, FileStamp, ScenarioRecord};
+use std::collections::BTreeMap;
+
+/// A scenario of two cars, the second one `offset_m` to the side.
+fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> ScenarioRecord {
+    let scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, offset_m, 0.0, 10.0)]);
+    let violation =
+        |check: &Check| Violation { check: *check, track: TrackId::from("1"), timestep: 5, value: 2.0, limit: 1.0 };
+    let roles = vec![("ego".to_owned(), TrackId::from("1")), ("other".to_owned(), TrackId::from("2"))];
+    ScenarioRecord {
+        sweep: "cut_ins".to_owned(),
+        requested_behavior: Some("cut_in".to_owned()),
+        verified,
+        events: Vec::new(),
+        recorded_event: false,
+        shard: 0,
+        request: None,
+        assessment: Some(Assessment {
+            violations: violations.iter().map(violation).collect(),
+            ..Assessment::default()
+        }),
+        scenario: Scenario {
+            id: id.to_owned(),
+            observed: ObservationMask::predictive(2, scene.n_timesteps, scene.n_history),
+            provenance: Provenance {
+                scene_id: scene.id.clone(),
+                observation: "predictive".to_owned(),
+                edit_tau: None,
+                checkpoint: String::new(),
+                classifier: None,
+                seed: 1,
+                sample_idx: 0,
+                probability: None,
+                guidance: GuidanceTag { kind: "none".to_owned(), strength: 2.0, roles },
+                sampler: "heun-2".to_owned(),
+                settings: String::new(),
+            },
+            scene,
+        },
+    }
+}
+
+fn records() -> Vec<ScenarioRecord> {
+    vec![
+        record("unverified", 9.0, false, &[Check::Jerk]),
+        record("first", 5.0, true, &[]),
+        record("like_the_first", 5.2, true, &[]),
+        record("invalid", 20.0, true, &[Check::Collision, Check::Offroad]),
+        record("like_the_invalid", 20.0, true, &[]),
+        record("like_the_unverified", 9.0, true, &[]),
+    ]
+}
+
+fn decided(keep: Keep) -> (Vec<ScenarioRecord>, Vec<String>, Vec<AcceptanceRow>, Vec<LeftOutRow>) {
+    let config = EvaluateConfig { keep, ..EvaluateConfig::default() };
+    let mut verdicts = Verdicts::new(&config, &SampleManifest::default());
+    let (mut all, mut kept) = (records(), Vec::new());
+    for record in &mut all {
+        if verdicts.decide(record) {
+            kept.push(record.scenario.id.clone());
+        }
+    }
+    let (rows, left_out) = verdicts.finish();
+    (all, kept, rows, left_out)
+}
+
+#[test]
+fn of_near_duplicates_the_first_accepted_one_stays() {
+    let (all, kept, rows, left_out) = decided(Keep::Accepted);
+    assert_eq!(kept, ["first", "like_the_invalid", "like_the_unverified"]);
+    let judged = |i: usize| all[i].assessment.as_ref().expect("judged");
+    // One of two agents is 0.2 m off.
+    assert!((judged(2).nearest_scenario_m.expect("one before") - 0.1).abs() < 1e-9);
+    assert_eq!(judged(2).near_duplicate_of.as_deref(), Some("first"));
+    assert_eq!((judged(1).nearest_scenario_m, &judged(4).near_duplicate_of), (None, &None));
+    assert!((judged(5).nearest_scenario_m.expect("two before") - 2.0).abs() < 1e-9);
+    let row = &rows[0];
+    assert_eq!((rows.len(), row.n_scenarios, row.n_verified, row.n_valid), (1, 6, 5, 4));
+    assert_eq!((row.n_verified_valid, row.n_accepted, row.n_kept), (4, 3, 3));
+    let counts: Vec<_> = left_out.iter().map(|row| (row.reason.as_str(), row.n_left_out, row.n_found)).collect();
+    let expected =
+        [("not_verified", 1, 1), ("jerk", 0, 1), ("near_duplicate", 1, 1), ("collision", 1, 1), ("offroad", 0, 1)];
+    assert_eq!(counts, expected);
+    let n_left_out: u64 = left_out.iter().map(|row| row.n_left_out).sum();
+    assert_eq!(n_left_out + row.n_kept, row.n_scenarios, "everybody is in the corpus or left out for one reason");
+    assert_eq!(Verdicts::left_out_by_sweep(&left_out)["cut_ins"].len(), 3);
+}
+
+#[test]
+fn what_is_kept_is_not_left_out_whatever_was_found() {
+    let (_, kept, rows, left_out) = decided(Keep::Verified);
+    assert_eq!((kept.len(), rows[0].n_accepted), (5, 3));
+    assert_eq!(left_out.iter().map(|row| row.n_left_out).collect::<Vec<_>>(), [1, 0, 0, 0, 0]);
+    let (all, kept, _, left_out) = decided(Keep::All);
+    assert_eq!(kept.len(), all.len());
+    assert!(left_out.iter().all(|row| row.n_left_out == 0 && row.n_found == 1));
+    assert!(Verdicts::left_out_by_sweep(&left_out).is_empty());
+}
+
+#[test]
+fn what_generation_left_out_is_counted_too() {
+    let rejected = |sample_idx: usize| RejectedSample {
+        scene_id: "a/b/c/d".into(),
+        sweep: "cut_ins".to_owned(),
+        strength: 2.0,
+        sample_idx,
+        seed: 1,
+        reason: "track 3 is not finite at timestep 12".to_owned(),
+    };
+    let shard = SampleSidecar {
+        file: String::new(),
+        stamp: FileStamp { n_bytes: 0, checksum: String::new() },
+        sweep: "cut_ins".to_owned(),
+        n_evaluations: 3,
+        n_scenarios: 0,
+        n_verified: 0,
+        rejected: vec![rejected(0), rejected(1)],
+        unselected: BTreeMap::new(),
+        request: None,
+    };
+    let unselected = BTreeMap::from([("cut_ins".to_owned(), BTreeMap::from([("not among the best 2".to_owned(), 4)]))]);
+    let manifest = SampleManifest { shards: vec![shard], unselected, ..SampleManifest::default() };
+    let config = EvaluateConfig::default();
+    let (_, left_out) = Verdicts::new(&config, &manifest).finish();
+    let counts: Vec<_> = left_out.iter().map(|row| (row.reason.as_str(), row.strength, row.n_left_out)).collect();
+    assert_eq!(counts, [("not_finite", Some(2.0), 2), ("selection: not among the best 2", None, 4)]);
+}

@@ -1,0 +1,160 @@
+//! Which scenarios of each sweep are drawn, of thousands that come by one after the other?
+//!
+//! Of sweeps that ask for a behavior, single scenarios: new verified ones first, of as many scenes as possible, and some that
+//! failed. Of other sweeps, scenes with several of their samples; the same scenes in all of these sweeps where they are there, so
+//! that what the sweeps differ in can be seen. What is kept of a sweep is bounded by the configuration, whatever its size.
+
+use super::ReportConfig;
+use crate::report::Verdict;
+use crate::scene::SceneId;
+use crate::store::ScenarioRecord;
+use std::collections::BTreeSet;
+
+/// What a drawing is of.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Chosen {
+    /// One scenario.
+    Alone(Box<ScenarioRecord>),
+    /// Samples of one scene, asked for in the same way.
+    Together(Vec<ScenarioRecord>),
+}
+
+/// Collects candidates sweep by sweep.
+pub(super) struct Choice<'a> {
+    config: &'a ReportConfig,
+    sweeps: Vec<(String, Candidates)>,
+}
+
+enum Candidates {
+    Asked { new: Ranked, recorded: Ranked, failed: Ranked },
+    Galleries(Galleries),
+}
+
+impl<'a> Choice<'a> {
+    pub(super) const fn new(config: &'a ReportConfig) -> Self {
+        Self { config, sweeps: Vec::new() }
+    }
+
+    /// Looks at the next scenario, in the order of the samples.
+    pub(super) fn offer(&mut self, record: &ScenarioRecord) {
+        let at = self.sweeps.iter().position(|(sweep, _)| *sweep == record.sweep).unwrap_or_else(|| {
+            self.sweeps.push((record.sweep.clone(), self.candidates(record)));
+            self.sweeps.len() - 1
+        });
+        match &mut self.sweeps[at].1 {
+            Candidates::Asked { new, recorded, failed } => match Verdict::of(record) {
+                Verdict::New => new.offer(record),
+                Verdict::Recorded => recorded.offer(record),
+                Verdict::NotVerified | Verdict::NotAsked => failed.offer(record),
+            },
+            Candidates::Galleries(galleries) => galleries.offer(record, self.config.n_samples_drawn),
+        }
+    }
+
+    fn candidates(&self, record: &ScenarioRecord) -> Candidates {
+        let ReportConfig { n_drawn, n_failed_drawn, n_scenes_drawn, .. } = *self.config;
+        if record.requested_behavior.is_some() {
+            let [new, recorded] = [n_drawn; 2].map(Ranked::new);
+            return Candidates::Asked { new, recorded, failed: Ranked::new(n_failed_drawn) };
+        }
+        let mut of_others = self.sweeps.iter().filter_map(|(_, candidates)| match candidates {
+            Candidates::Galleries(galleries) => Some(galleries.own.clone()),
+            Candidates::Asked { .. } => None,
+        });
+        let preferred = of_others.next().unwrap_or_default();
+        Candidates::Galleries(Galleries { limit: n_scenes_drawn, preferred, own: Vec::new(), kept: Vec::new() })
+    }
+
+    /// What is drawn, in the order of the sweeps.
+    pub(super) fn finish(self) -> Vec<Chosen> {
+        let n_drawn = self.config.n_drawn;
+        let mut chosen = Vec::new();
+        for (_, candidates) in self.sweeps {
+            match candidates {
+                Candidates::Asked { new, recorded, failed } => {
+                    let verified = new.take().chain(recorded.take()).take(n_drawn);
+                    chosen.extend(verified.chain(failed.take()).map(|record| Chosen::Alone(Box::new(record))));
+                }
+                Candidates::Galleries(galleries) => chosen.extend(galleries.take().map(Chosen::Together)),
+            }
+        }
+        chosen
+    }
+}
+
+/// Up to `limit` scenarios, the first of each scene before further ones.
+struct Ranked {
+    limit: usize,
+    scenes: BTreeSet<SceneId>,
+    firsts: Vec<ScenarioRecord>,
+    further: Vec<ScenarioRecord>,
+}
+
+impl Ranked {
+    const fn new(limit: usize) -> Self {
+        Self { limit, scenes: BTreeSet::new(), firsts: Vec::new(), further: Vec::new() }
+    }
+
+    fn offer(&mut self, record: &ScenarioRecord) {
+        let is_first = self.scenes.insert(record.scenario.provenance.scene_id.clone());
+        let list = if is_first { &mut self.firsts } else { &mut self.further };
+        if list.len() < self.limit {
+            list.push(record.clone());
+        }
+    }
+
+    fn take(self) -> impl Iterator<Item = ScenarioRecord> {
+        self.firsts.into_iter().chain(self.further).take(self.limit)
+    }
+}
+
+/// Samples of some scenes of a sweep without a behavior, by scene and strength.
+struct Galleries {
+    limit: usize,
+    /// Scenes that an earlier sweep drew.
+    preferred: Vec<SceneId>,
+    /// The first scenes of this sweep.
+    own: Vec<SceneId>,
+    kept: Vec<Vec<ScenarioRecord>>,
+}
+
+impl Galleries {
+    fn offer(&mut self, record: &ScenarioRecord, n_samples: usize) {
+        let provenance = &record.scenario.provenance;
+        let scene_id = &provenance.scene_id;
+        if !self.own.contains(scene_id) && self.own.len() < self.limit {
+            self.own.push(scene_id.clone());
+        }
+        if !self.own.contains(scene_id) && !self.preferred.contains(scene_id) {
+            return;
+        }
+        let is_same = |kept: &&mut Vec<ScenarioRecord>| {
+            let other = &kept[0].scenario.provenance;
+            other.scene_id == *scene_id && other.guidance.strength.to_bits() == provenance.guidance.strength.to_bits()
+        };
+        match self.kept.iter_mut().find(is_same) {
+            Some(samples) if samples.len() < n_samples => samples.push(record.clone()),
+            Some(_) => {}
+            None => self.kept.push(vec![record.clone()]),
+        }
+    }
+
+    /// The galleries of the scenes that other sweeps draw too, then of others up to the limit.
+    fn take(self) -> impl Iterator<Item = Vec<ScenarioRecord>> {
+        let scene_of = |kept: &[ScenarioRecord]| kept[0].scenario.provenance.scene_id.clone();
+        let is_kept = |scene: &&SceneId| self.kept.iter().any(|kept| scene_of(kept) == **scene);
+        let mut scenes: Vec<SceneId> = Vec::new();
+        for scene in self.preferred.iter().chain(&self.own).filter(is_kept) {
+            if scenes.len() < self.limit && !scenes.contains(scene) {
+                scenes.push(scene.clone());
+            }
+        }
+        let mut galleries: Vec<(usize, Vec<ScenarioRecord>)> = self
+            .kept
+            .into_iter()
+            .filter_map(|kept| Some((scenes.iter().position(|scene| *scene == scene_of(&kept))?, kept)))
+            .collect();
+        galleries.sort_by_key(|(at, _)| *at);
+        galleries.into_iter().map(|(_, kept)| kept)
+    }
+}

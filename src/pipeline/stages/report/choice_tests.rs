@@ -1,0 +1,95 @@
+//! Are the scenarios chosen that a reviewer should see?
+
+use super::ReportConfig;
+use super::choice::{Choice, Chosen};
+use crate::scene::testing::{self, Drive};
+use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, SceneId};
+use crate::store::ScenarioRecord;
+
+fn record(sweep: &str, scene: &str, strength: f64, sample_idx: usize) -> ScenarioRecord {
+    let recorded = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);
+    let provenance = Provenance {
+        scene_id: SceneId::from(scene),
+        observation: "predictive".into(),
+        edit_tau: None,
+        checkpoint: "d".into(),
+        classifier: None,
+        seed: 1,
+        sample_idx,
+        probability: None,
+        guidance: GuidanceTag { kind: "none".into(), strength, roles: vec![] },
+        sampler: "heun-10".into(),
+        settings: String::new(),
+    };
+    let observed = ObservationMask::predictive(1, recorded.n_timesteps, recorded.n_history);
+    ScenarioRecord {
+        scenario: Scenario {
+            id: format!("{sweep}-{scene}-{strength}-{sample_idx}"),
+            scene: recorded,
+            observed,
+            provenance,
+        },
+        sweep: sweep.into(),
+        requested_behavior: None,
+        verified: false,
+        events: vec![],
+        recorded_event: false,
+        assessment: None,
+        shard: 0,
+        request: None,
+    }
+}
+
+fn asked(scene: &str, sample_idx: usize, verified: bool, recorded_event: bool) -> ScenarioRecord {
+    let requested_behavior = Some("cut_in".to_owned());
+    ScenarioRecord { requested_behavior, verified, recorded_event, ..record("asked", scene, 2.0, sample_idx) }
+}
+
+fn ids(chosen: &[Chosen]) -> Vec<String> {
+    let text = |chosen: &Chosen| match chosen {
+        Chosen::Alone(record) => record.scenario.id.clone(),
+        Chosen::Together(records) => {
+            records.iter().map(|record| record.scenario.id.as_str()).collect::<Vec<_>>().join(" ")
+        }
+    };
+    chosen.iter().map(text).collect()
+}
+
+fn choose(config: &ReportConfig, records: &[ScenarioRecord]) -> Vec<String> {
+    let mut choice = Choice::new(config);
+    records.iter().for_each(|record| choice.offer(record));
+    ids(&choice.finish())
+}
+
+#[test]
+fn new_scenarios_of_different_scenes_come_first_and_failures_are_shown_too() {
+    let config = ReportConfig { n_drawn: 4, n_failed_drawn: 1, ..ReportConfig::default() };
+    let records = [
+        asked("a", 0, true, true),
+        asked("a", 1, true, false),
+        asked("a", 2, true, false),
+        asked("a", 3, false, false),
+        asked("b", 0, true, false),
+        asked("b", 1, false, false),
+        asked("c", 0, true, true),
+    ];
+    let expected = ["asked-a-2-1", "asked-b-2-0", "asked-a-2-2", "asked-a-2-0", "asked-a-2-3"];
+    assert_eq!(choose(&config, &records), expected);
+    let nothing_verified = choose(&config, &records[3..4]);
+    assert_eq!(nothing_verified, ["asked-a-2-3"], "no sweep goes without a drawing");
+}
+
+#[test]
+fn sweeps_without_a_behavior_show_samples_of_the_same_scenes() {
+    let config = ReportConfig { n_scenes_drawn: 2, n_samples_drawn: 2, ..ReportConfig::default() };
+    let mut records = Vec::new();
+    for scene in ["a", "b", "c"] {
+        records.extend((0..3).map(|i| record("one", scene, 0.0, i)));
+    }
+    // The second sweep comes to the scenes in another order, at two strengths, and does not have b.
+    for scene in ["d", "c", "a"] {
+        records.extend([0.0, 1.0].map(|strength| record("two", scene, strength, 0)));
+    }
+    let expected = ["one-a-0-0 one-a-0-1", "one-b-0-0 one-b-0-1", "two-a-0-0", "two-a-1-0", "two-d-0-0", "two-d-1-0"];
+    assert_eq!(choose(&config, &records), expected);
+}

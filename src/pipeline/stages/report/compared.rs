@@ -1,0 +1,71 @@
+//! Whose motion, and which events, are compared with the recorded ones?
+
+use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::report::{Distribution, MotionDistributions, event_distributions};
+use crate::scene::Scene;
+use crate::store::ScenarioRecord;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Collects what is compared: at most `limit` scenes of each group.
+pub(super) struct Compared {
+    limit: usize,
+    recorded_ids: BTreeSet<String>,
+    n_generated: BTreeMap<&'static str, usize>,
+    motion: MotionDistributions,
+    events: Vec<BehaviorEvent>,
+    behaviors: BTreeSet<String>,
+}
+
+impl Compared {
+    pub(super) fn new(limit: usize) -> Self {
+        Self {
+            limit,
+            recorded_ids: BTreeSet::new(),
+            n_generated: BTreeMap::new(),
+            motion: MotionDistributions::default(),
+            events: Vec::new(),
+            behaviors: BTreeSet::new(),
+        }
+    }
+
+    pub(super) fn wants_recording(&self, scene_id: &str) -> bool {
+        self.recorded_ids.len() < self.limit && !self.recorded_ids.contains(scene_id)
+    }
+
+    pub(super) fn add_recording(&mut self, scene_id: &str, recorded: &Scene) {
+        if self.wants_recording(scene_id) {
+            self.recorded_ids.insert(scene_id.to_owned());
+            self.motion.add("recorded", recorded);
+        }
+    }
+
+    pub(super) fn add(&mut self, record: &ScenarioRecord) {
+        let group = if record.scenario.provenance.guidance.strength == 0.0 { "unguided" } else { "guided" };
+        let n_generated = self.n_generated.entry(group).or_default();
+        if *n_generated < self.limit {
+            *n_generated += 1;
+            self.motion.add(group, &record.scenario.scene);
+        }
+        self.behaviors.extend(record.requested_behavior.clone());
+        if record.verified && !record.recorded_event {
+            self.events.extend(record.main_event().cloned());
+        }
+    }
+
+    /// How road users move, recorded and generated.
+    pub(super) fn motion(&self) -> Vec<Distribution> {
+        self.motion.finish()
+    }
+
+    /// Parameters of the recorded events of the behaviors that were asked for, beside those of the new ones.
+    pub(super) fn events(&self, mined: &[BehaviorEvent]) -> Vec<Distribution> {
+        let is_asked =
+            |event: &&BehaviorEvent| event.label == EventLabel::Positive && self.behaviors.contains(&event.behavior);
+        let recorded: Vec<&BehaviorEvent> = mined.iter().filter(is_asked).collect();
+        let generated: Vec<&BehaviorEvent> = self.events.iter().collect();
+        if generated.is_empty() {
+            return Vec::new();
+        }
+        event_distributions(&[("recorded events", &recorded), ("generated events", &generated)])
+    }
+}

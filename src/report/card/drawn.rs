@@ -1,0 +1,187 @@
+//! What is drawn of lanes and road users, rounded to what an eye can see?
+
+use super::ViewRect;
+use crate::scene::{Lane, ObservationMask, Scene, TrackId};
+use serde::{Deserialize, Serialize};
+
+/// How far a drawn lane may lie from the mapped one, metres.
+const LANE_TOLERANCE_M: f64 = 0.05;
+
+/// A lane's lines in the scene frame, metres; empty where the map has none.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DrawnLane {
+    /// Points in driving direction.
+    pub centerline: Vec<[f64; 2]>,
+    /// Left boundary.
+    pub left: Vec<[f64; 2]>,
+    /// Right boundary.
+    pub right: Vec<[f64; 2]>,
+}
+
+/// One drawing: a recording, or samples of its future one over the other.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ScenePanel {
+    /// What it is, such as `recorded`.
+    pub title: String,
+    /// Whether all of it was recorded.
+    pub is_recorded: bool,
+    /// Seconds between timesteps.
+    pub dt_s: f64,
+    /// Timesteps of the history; the last of them is the present.
+    pub n_history: usize,
+    /// The recording alone, or one entry a sample.
+    pub samples: Vec<DrawnSample>,
+}
+
+/// One course of events.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DrawnSample {
+    /// Its name, such as `sample 4`.
+    pub name: String,
+    /// The agents that come into view.
+    pub agents: Vec<DrawnAgent>,
+}
+
+/// One road user over time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DrawnAgent {
+    /// Its track id.
+    pub id: String,
+    /// Its part in the event, such as `ego`; `None` for everybody else.
+    pub role: Option<String>,
+    /// Length along the heading, metres.
+    pub length_m: f64,
+    /// Width, metres.
+    pub width_m: f64,
+    /// x (m), y (m) and heading (rad) in the scene frame by timestep; `None` where it was not tracked.
+    pub states: Vec<Option<[f64; 3]>>,
+    /// Whether the state was given to the model, by timestep; of a recording: whether it is history.
+    pub observed: Vec<bool>,
+}
+
+impl DrawnLane {
+    pub(super) fn of(lane: &Lane) -> Self {
+        let points = |line: &crate::geometry::Polyline| {
+            let rounded: Vec<[f64; 2]> = line.0.iter().map(|p| [centi(p.x), centi(p.y)]).collect();
+            simplified(&rounded)
+        };
+        Self { centerline: points(&lane.centerline), left: points(&lane.left), right: points(&lane.right) }
+    }
+
+    pub(super) fn is_in(&self, view: &ViewRect) -> bool {
+        [&self.centerline, &self.left, &self.right].into_iter().any(|line| view.touches(line))
+    }
+}
+
+impl DrawnSample {
+    /// The agents of `scene` that come into view. `observed` says which states were given.
+    pub(super) fn of(
+        name: &str,
+        scene: &Scene,
+        observed: &ObservationMask,
+        roles: &[(String, TrackId)],
+        view: &ViewRect,
+    ) -> Self {
+        let agent = |(agent_idx, track): (usize, &crate::scene::Track)| {
+            let extent = track.extent_or_nominal();
+            let state = |state: &crate::scene::State| {
+                state.is_finite().then(|| [centi(state.position.x), centi(state.position.y), centi(state.heading_rad)])
+            };
+            let states: Vec<_> =
+                track.trajectory.entries().iter().map(|entry| entry.as_ref().and_then(state)).collect();
+            let is_given = |timestep: usize| {
+                agent_idx < observed.n_agents()
+                    && timestep < observed.n_timesteps()
+                    && observed.is_observed(agent_idx, timestep)
+            };
+            DrawnAgent {
+                id: track.id.0.clone(),
+                role: roles.iter().find(|(_, id)| *id == track.id).map(|(role, _)| role.clone()),
+                length_m: centi(extent.length_m),
+                width_m: centi(extent.width_m),
+                observed: (0..states.len()).map(is_given).collect(),
+                states,
+            }
+        };
+        let is_seen = |agent: &DrawnAgent| agent.states.iter().flatten().any(|[x, y, _]| view.contains(*x, *y));
+        Self { name: name.to_owned(), agents: scene.tracks.iter().enumerate().map(agent).filter(is_seen).collect() }
+    }
+}
+
+impl DrawnAgent {
+    /// Runs of tracked states that are alike in whether they were observed: whether, first timestep, one past the last.
+    pub(in crate::report) fn stretches(&self) -> Vec<(bool, usize, usize)> {
+        let mut stretches: Vec<(bool, usize, usize)> = Vec::new();
+        for (timestep, state) in self.states.iter().enumerate() {
+            if state.is_none() {
+                continue;
+            }
+            let observed = self.observed.get(timestep).copied().unwrap_or(false);
+            match stretches.last_mut() {
+                Some((same, _, end)) if *same == observed && *end == timestep => *end += 1,
+                _ => stretches.push((observed, timestep, timestep + 1)),
+            }
+        }
+        stretches
+    }
+}
+
+/// Hundredths: centimetres, and half a degree.
+fn centi(value: f64) -> f64 {
+    (value * 100.0).round() / 100.0
+}
+
+/// Leaves out points that lie on the line anyway (Ramer 1972, Douglas and Peucker 1973), within [`LANE_TOLERANCE_M`].
+fn simplified(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
+    let off_line = |p: &[f64; 2]| {
+        let ([ax, ay], [bx, by]) = (*first, *last);
+        let (dx, dy) = (bx - ax, by - ay);
+        let square = dx * dx + dy * dy;
+        let at = if square > 0.0 { (((p[0] - ax) * dx + (p[1] - ay) * dy) / square).clamp(0.0, 1.0) } else { 0.0 };
+        (p[0] - ax - at * dx).hypot(p[1] - ay - at * dy)
+    };
+    let farthest =
+        (1..points.len().saturating_sub(1)).max_by(|a, b| off_line(&points[*a]).total_cmp(&off_line(&points[*b])));
+    match farthest.filter(|at| off_line(&points[*at]) > LANE_TOLERANCE_M) {
+        Some(at) => {
+            let mut kept = simplified(&points[..=at]);
+            kept.pop();
+            kept.extend(simplified(&points[at..]));
+            kept
+        }
+        None if points.len() == 1 => vec![*first],
+        None => vec![*first, *last],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn straight_lines_need_their_ends_and_corners_stay() {
+        let straight: Vec<[f64; 2]> = (0..61).map(|i| [f64::from(i), 2.0 * f64::from(i)]).collect();
+        assert_eq!(simplified(&straight), [[0.0, 0.0], [60.0, 120.0]]);
+        let bent = [[0.0, 0.0], [5.0, 0.04], [10.0, 0.0], [10.0, 5.0], [10.0, 10.0]];
+        assert_eq!(simplified(&bent), [[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]]);
+        let closed = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 0.0]];
+        assert_eq!(simplified(&closed), closed);
+        assert_eq!(simplified(&[[1.0, 1.0]]), [[1.0, 1.0]]);
+        assert!(simplified(&[]).is_empty());
+    }
+
+    #[test]
+    fn stretches_end_where_the_kind_of_state_changes_and_where_states_are_missing() {
+        let state = Some([0.0; 3]);
+        let agent = DrawnAgent {
+            id: "1".into(),
+            role: None,
+            length_m: 4.0,
+            width_m: 2.0,
+            states: vec![state, state, None, state, state, state],
+            observed: vec![true, true, false, true, false, false],
+        };
+        assert_eq!(agent.stretches(), [(true, 0, 2), (true, 3, 4), (false, 4, 6)]);
+    }
+}

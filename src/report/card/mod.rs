@@ -1,0 +1,155 @@
+//! What is drawn of one scene, and by what can it be found?
+
+mod drawn;
+mod of_records;
+mod packed;
+mod view;
+
+pub use drawn::{DrawnAgent, DrawnLane, DrawnSample, ScenePanel};
+pub(super) use packed::{pack_lanes, pack_sample};
+pub use view::ViewRect;
+
+use super::model::Fact;
+use crate::scene::{ObservationMask, Scene, TrackId};
+use serde::{Deserialize, Serialize};
+
+/// Drawings of one scene side by side, at one scale: the recording and what was generated from it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SceneCard {
+    /// Unique within the report, such as the scenario's id.
+    pub id: String,
+    /// What happens, in a few words.
+    pub title: String,
+    /// What it can be found by.
+    pub key: CardKey,
+    /// Provenance, verdict, parameters of the event.
+    pub facts: Vec<Fact>,
+    /// The part of the scene frame that is shown.
+    pub view: ViewRect,
+    /// The lanes in view.
+    pub lanes: Vec<DrawnLane>,
+    /// The drawings, the recording first.
+    pub panels: Vec<ScenePanel>,
+}
+
+/// What a scene can be found by.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CardKey {
+    /// The sweep's name.
+    pub sweep: String,
+    /// The behavior that was asked for.
+    pub behavior: Option<String>,
+    /// The place of the recording.
+    pub place: String,
+    /// What came of what was asked for.
+    pub verdict: Verdict,
+    /// Guidance strength α; 0 is unguided.
+    pub strength: f64,
+    /// Parameters of the event and metrics of the scenario; of several samples their mean.
+    pub values: Vec<CardValue>,
+}
+
+/// A number that belongs to a scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CardValue {
+    /// Its name in the tables, such as `gap_m`.
+    pub name: String,
+    /// The value, in the unit that ends the name.
+    pub value: f64,
+}
+
+/// What came of what was asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Verified, and the recording does not hold it.
+    New,
+    /// Verified; the recording holds it too.
+    Recorded,
+    /// The miner does not find it.
+    NotVerified,
+    /// No behavior was asked for.
+    NotAsked,
+}
+
+impl Verdict {
+    /// Every verdict.
+    pub const ALL: [Self; 4] = [Self::New, Self::Recorded, Self::NotVerified, Self::NotAsked];
+
+    /// The name in addresses of the page.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::New => "new",
+            Self::Recorded => "recorded",
+            Self::NotVerified => "not_verified",
+            Self::NotAsked => "not_asked",
+        }
+    }
+
+    /// The verdict in words.
+    pub const fn words(self) -> &'static str {
+        match self {
+            Self::New => "verified, and not in the recording",
+            Self::Recorded => "verified; the recording holds it too",
+            Self::NotVerified => "not verified",
+            Self::NotAsked => "nothing was asked for",
+        }
+    }
+}
+
+/// A generated scene with what was given of it.
+#[derive(Debug, Clone, Copy)]
+pub struct Sample<'a> {
+    /// Its name, such as `sample 4`.
+    pub name: &'a str,
+    /// The scene, in the frame of its recording.
+    pub scene: &'a Scene,
+    /// Which of its states were observed.
+    pub observed: &'a ObservationMask,
+}
+
+impl SceneCard {
+    /// Draws `recorded` and, one over the other, `samples` of its future with `roles` highlighted; the view follows those
+    /// tracks. Where there are no roles, it is the ego's.
+    pub fn new(
+        (id, title): (String, String),
+        key: CardKey,
+        facts: Vec<Fact>,
+        recorded: &Scene,
+        samples: &[Sample<'_>],
+        roles: &[(String, TrackId)],
+    ) -> Self {
+        let ego = [("ego".to_owned(), recorded.ego().id.clone())];
+        let roles = if roles.is_empty() { &ego } else { roles };
+        let scenes: Vec<&Scene> = std::iter::once(recorded).chain(samples.iter().map(|sample| sample.scene)).collect();
+        let view = ViewRect::around(&scenes, roles);
+        let lanes = recorded.lanes.lanes().iter().map(DrawnLane::of).filter(|lane| lane.is_in(&view)).collect();
+        let panel = |title: String, is_recorded: bool, samples: Vec<DrawnSample>| ScenePanel {
+            title,
+            is_recorded,
+            dt_s: recorded.dt_s,
+            n_history: recorded.n_history,
+            samples,
+        };
+        let history = ObservationMask::predictive(recorded.tracks.len(), recorded.n_timesteps, recorded.n_history);
+        let recording = DrawnSample::of("recorded", recorded, &history, roles, &view);
+        let mut panels = vec![panel("recorded".to_owned(), true, vec![recording])];
+        let title_of_samples = match samples {
+            [] => None,
+            [one] => Some(format!("generated, {}", one.name)),
+            many => Some(format!("generated, {} samples one over the other", many.len())),
+        };
+        let drawn = samples.iter().map(|s| DrawnSample::of(s.name, s.scene, s.observed, roles, &view)).collect();
+        panels.extend(title_of_samples.map(|title| panel(title, false, drawn)));
+        Self { id, title, key, facts, view, lanes, panels }
+    }
+
+    /// The roles of all panels, sorted: their order decides their colors.
+    pub(super) fn roles(&self) -> Vec<&str> {
+        let agents = self.panels.iter().flat_map(|panel| &panel.samples).flat_map(|sample| &sample.agents);
+        let mut roles: Vec<&str> = agents.filter_map(|agent| agent.role.as_deref()).collect();
+        roles.sort_unstable();
+        roles.dedup();
+        roles
+    }
+}

@@ -1,0 +1,158 @@
+//! From generated scenarios to what is drawn of them: one beside its recording, or many samples of one scene.
+
+use super::{CardKey, CardValue, Sample, SceneCard, Verdict};
+use crate::report::model::Fact;
+use crate::report::number::{setting, value};
+use crate::report::quantities::title_and_unit;
+use crate::scene::{Scene, TrackId};
+use crate::store::ScenarioRecord;
+
+impl Verdict {
+    /// What came of what this scenario was asked for.
+    pub fn of(record: &ScenarioRecord) -> Self {
+        match (&record.requested_behavior, record.verified, record.recorded_event) {
+            (None, _, _) => Self::NotAsked,
+            (Some(_), false, _) => Self::NotVerified,
+            (Some(_), true, true) => Self::Recorded,
+            (Some(_), true, false) => Self::New,
+        }
+    }
+}
+
+impl SceneCard {
+    /// Draws a scenario beside the recording it continues, with its provenance, verdict, the parameters of its event and the
+    /// `metrics` that are known of it.
+    pub fn of_record(record: &ScenarioRecord, recorded: &Scene, metrics: &[CardValue]) -> Self {
+        let scenario = &record.scenario;
+        let event = record.main_event();
+        let roles: &[(String, TrackId)] = event.map_or(&scenario.provenance.guidance.roles, |event| &event.roles);
+        let parameters = event.iter().flat_map(|event| &event.parameters);
+        let values: Vec<CardValue> = parameters
+            .map(|(name, value)| CardValue { name: name.clone(), value: *value })
+            .chain(metrics.iter().cloned())
+            .collect();
+        let key = key(record, recorded, values);
+        let asked = record.requested_behavior.as_deref().unwrap_or("continuation").replace('_', " ");
+        let title = format!("{asked}, {}, α = {}: {}", key.place, setting(key.strength), key.verdict.words());
+        let mut facts = vec![Fact::new("Scenario", &scenario.id)];
+        facts.extend(facts_of_source(record, recorded));
+        facts.push(Fact::new("Sample", scenario.provenance.sample_idx));
+        facts.extend(scenario.provenance.probability.map(|p| Fact::new("Probability", value(p))));
+        facts.extend(roles.iter().map(|(role, track)| Fact::new(format!("Track of {role}"), track)));
+        facts.extend(facts_of_values(&key.values));
+        let name = sample_name(record);
+        let sample = Sample { name: &name, scene: &scenario.scene, observed: &scenario.observed };
+        Self::new((scenario.id.clone(), title), key, facts, recorded, &[sample], roles)
+    }
+
+    /// Draws samples of one scene, asked for in the same way, one over the other beside their recording. `metrics` are means
+    /// over them. `None` without samples.
+    pub fn of_samples(records: &[ScenarioRecord], recorded: &Scene, metrics: &[CardValue]) -> Option<Self> {
+        let first = records.first()?;
+        let provenance = &first.scenario.provenance;
+        let key = key(first, recorded, metrics.to_vec());
+        let strength = match key.strength {
+            0.0 => String::new(),
+            strength => format!(", strength {}", setting(strength)),
+        };
+        let observation = provenance.observation.replace('_', " ");
+        let case = &recorded.source.case_id;
+        let title = format!(
+            "{}, {} {case}: {} samples, observed: {observation}{strength}",
+            first.sweep,
+            key.place,
+            records.len()
+        );
+        let mut facts = facts_of_source(first, recorded);
+        facts.push(Fact::new("Samples", records.len()));
+        facts.extend(facts_of_values(&key.values));
+        let names: Vec<String> = records.iter().map(sample_name).collect();
+        let samples: Vec<Sample<'_>> = records
+            .iter()
+            .zip(&names)
+            .map(|(record, name)| Sample { name, scene: &record.scenario.scene, observed: &record.scenario.observed })
+            .collect();
+        let id = format!("{}:{}:{}", first.sweep, provenance.scene_id, setting(key.strength));
+        Some(Self::new((id, title), key, facts, recorded, &samples, &provenance.guidance.roles))
+    }
+}
+
+fn sample_name(record: &ScenarioRecord) -> String {
+    format!("sample {}", record.scenario.provenance.sample_idx)
+}
+
+fn key(record: &ScenarioRecord, recorded: &Scene, values: Vec<CardValue>) -> CardKey {
+    CardKey {
+        sweep: record.sweep.clone(),
+        behavior: record.requested_behavior.clone(),
+        place: recorded.source.place.clone(),
+        verdict: Verdict::of(record),
+        strength: record.scenario.provenance.guidance.strength,
+        values,
+    }
+}
+
+fn facts_of_source(record: &ScenarioRecord, recorded: &Scene) -> Vec<Fact> {
+    let provenance = &record.scenario.provenance;
+    let mut facts = vec![
+        Fact::new("Source scene", &provenance.scene_id),
+        Fact::new("Source file", &recorded.source.file),
+        Fact::new("Sweep", &record.sweep),
+        Fact::new("Observed", provenance.observation.replace('_', " ")),
+        Fact::new("Guidance", format!("{}, α = {}", provenance.guidance.kind, setting(provenance.guidance.strength))),
+        Fact::new("Sampler", &provenance.sampler),
+        Fact::new("Seed", provenance.seed),
+        Fact::new("Model", &provenance.checkpoint),
+    ];
+    facts.extend(provenance.edit_tau.map(|tau| Fact::new("Edited, denoised from τ", value(tau))));
+    facts.extend(provenance.classifier.as_ref().map(|classifier| Fact::new("Classifier", classifier)));
+    facts
+}
+
+fn facts_of_values(values: &[CardValue]) -> impl Iterator<Item = Fact> + '_ {
+    values.iter().map(|CardValue { name, value: number }| {
+        let (title, unit) = title_and_unit(name);
+        Fact::new(title, format!("{} {unit}", value(*number)).trim_end())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::testing::{record, recorded};
+
+    fn metric() -> Vec<CardValue> {
+        vec![CardValue { name: "offroad_rate".to_owned(), value: 0.25 }]
+    }
+
+    #[test]
+    fn the_card_says_what_was_found() {
+        let card = SceneCard::of_record(&record(2.0, true, false, recorded()), &recorded(), &metric());
+        assert!(card.title.ends_with("α = 2: verified, and not in the recording"), "{}", card.title);
+        assert!(card.facts.contains(&Fact::new("gap", "4.12 m")), "{:?}", card.facts);
+        assert!(card.facts.contains(&Fact::new("offroad rate", "0.250")), "{:?}", card.facts);
+        let values: Vec<(&str, f64)> = card.key.values.iter().map(|v| (v.name.as_str(), v.value)).collect();
+        assert_eq!(values, [("gap_m", 4.123), ("offroad_rate", 0.25)]);
+        assert_eq!((card.key.verdict, card.roles()), (Verdict::New, vec!["ego", "other"]));
+        assert_eq!(card.panels.iter().map(|panel| panel.is_recorded).collect::<Vec<_>>(), [true, false]);
+        let failed = SceneCard::of_record(&record(2.0, false, false, recorded()), &recorded(), &[]);
+        assert_eq!((failed.key.verdict, failed.key.values), (Verdict::NotVerified, vec![]));
+    }
+
+    #[test]
+    fn samples_of_a_scene_share_a_drawing_in_which_given_states_are_marked() {
+        let mut records: Vec<ScenarioRecord> = (0..3).map(|_| record(0.0, false, false, recorded())).collect();
+        for (i, record) in records.iter_mut().enumerate() {
+            record.requested_behavior = None;
+            record.scenario.provenance.sample_idx = i;
+            record.scenario.provenance.guidance.roles = Vec::new();
+        }
+        let card = SceneCard::of_samples(&records, &recorded(), &[]).unwrap();
+        assert_eq!((card.key.verdict, card.panels[1].samples.len()), (Verdict::NotAsked, 3));
+        assert!(card.title.contains("3 samples, observed: predictive"), "{}", card.title);
+        assert_eq!(card.roles(), ["ego"], "the ego stands out where nobody has a role");
+        let agent = &card.panels[1].samples[2].agents[0];
+        assert_eq!(agent.stretches(), [(true, 0, 4), (false, 4, 12)], "the history of the predictive task was given");
+        assert!(SceneCard::of_samples(&[], &recorded(), &[]).is_none());
+    }
+}

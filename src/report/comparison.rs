@@ -1,0 +1,273 @@
+//! How do two runs differ? Their settings, what came out, and their figures, side by side with differences.
+
+use super::model::{Fact, MetricTable, MiningSummary, RealismRow, ReportModel, SamplingRow};
+use super::number::{ABSENT, count, optional, percent, setting, share, value};
+use super::plain::{PlainRow, PlainTable};
+use super::tradeoffs::tradeoffs;
+use super::wilson::wilson_interval;
+use crate::report::model::Chart;
+use crate::store::MetricRow;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Two runs.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Comparison {
+    /// The run that the other one is compared with.
+    pub a: ComparedRun,
+    /// The other one.
+    pub b: ComparedRun,
+}
+
+/// What is compared of a run.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct ComparedRun {
+    /// Where it is.
+    pub name: String,
+    /// What a reader must know of it as a whole: pipeline, seed, program version.
+    pub facts: Vec<Fact>,
+    /// Every setting by its path, such as `generate.sweeps.cut_ins.n_samples`.
+    pub settings: BTreeMap<String, String>,
+    /// What the recordings hold.
+    pub mining: Option<MiningSummary>,
+    /// What was asked of the sampler and what came out.
+    pub sampling: Vec<SamplingRow>,
+    /// Metrics; those over all places are compared.
+    pub metrics: MetricTable,
+    /// Distances of motion from the recording.
+    pub realism: Vec<RealismRow>,
+}
+
+/// Differences of more than so many standard errors are marked.
+const MARKED_ERRORS: f64 = 2.0;
+
+impl Comparison {
+    /// What is known of the two runs as wholes.
+    pub(super) fn facts(&self) -> PlainTable {
+        let mut names: Vec<&str> = Vec::new();
+        for fact in self.a.facts.iter().chain(&self.b.facts) {
+            if !names.contains(&fact.name.as_str()) {
+                names.push(&fact.name);
+            }
+        }
+        let of = |run: &ComparedRun, name: &str| {
+            run.facts.iter().find(|fact| fact.name == name).map_or_else(|| ABSENT.to_owned(), |fact| fact.value.clone())
+        };
+        let mut table = PlainTable::new("The two runs", &["", "A", "B"]);
+        table.push(vec!["Folder".to_owned(), self.a.name.clone(), self.b.name.clone()]);
+        for name in names {
+            table.push(vec![name.to_owned(), of(&self.a, name), of(&self.b, name)]);
+        }
+        table
+    }
+
+    /// Settings that are not the same in both.
+    pub(super) fn settings(&self) -> PlainTable {
+        let mut table = PlainTable::new("Settings that differ", &["Setting", "A", "B"]);
+        let keys: std::collections::BTreeSet<&String> = self.a.settings.keys().chain(self.b.settings.keys()).collect();
+        for key in keys {
+            let of = |run: &ComparedRun| run.settings.get(key).cloned();
+            let (a, b) = (of(&self.a), of(&self.b));
+            if a != b {
+                let text = |setting: Option<String>| setting.unwrap_or_else(|| "not there".to_owned());
+                table.push(vec![key.clone(), text(a), text(b)]);
+            }
+        }
+        table
+    }
+
+    /// Events that were mined, by behavior, split and place.
+    pub(super) fn mining(&self) -> PlainTable {
+        let mut table = PlainTable::new(
+            "Events found in the recordings",
+            &["Behavior", "Split", "Place", "Scenes with it, A", "Scenes with it, B", "Difference"],
+        );
+        let of = |run: &ComparedRun| run.mining.as_ref().map_or_else(Vec::new, |mining| mining.counts.clone());
+        let rows = paired(of(&self.a), of(&self.b), |row| (row.behavior.clone(), row.split.clone(), row.place.clone()));
+        for ((behavior, split, place), a, b) in rows {
+            let rate = |row: &super::model::BehaviorCount| {
+                (row.n_scenes > 0).then(|| row.n_scenes_with as f64 / row.n_scenes as f64)
+            };
+            let (a, b) = (a.as_ref().and_then(rate), b.as_ref().and_then(rate));
+            let text = |rate: Option<f64>| rate.map_or_else(|| ABSENT.to_owned(), percent);
+            table.push(vec![behavior, split, place, text(a), text(b), points(a, b)]);
+        }
+        table
+    }
+
+    /// Yield, collisions and cost by sweep, place and strength.
+    pub(super) fn sampling(&self) -> PlainTable {
+        let columns = [
+            "Sweep",
+            "Place",
+            "Strength α",
+            "Scenarios, A",
+            "B",
+            "Verified, A",
+            "B",
+            "Difference",
+            "New, A",
+            "B",
+            "With collision, A",
+            "B",
+            "Off-road, A",
+            "B",
+            "Evaluations per verified, A",
+            "B",
+        ];
+        let mut table = PlainTable::new("Sampling by sweep, place and guidance strength", &columns);
+        let key = |row: &SamplingRow| (row.sweep.clone(), row.place.clone(), row.strength.to_bits());
+        for ((sweep, place, strength), a, b) in paired(self.a.sampling.clone(), self.b.sampling.clone(), key) {
+            let both = |of: &dyn Fn(&SamplingRow) -> String| {
+                [&a, &b].map(|row| row.as_ref().map_or_else(|| ABSENT.to_owned(), of))
+            };
+            let asked = |row: &SamplingRow, text: String| if row.behavior.is_some() { text } else { ABSENT.to_owned() };
+            let rate = |row: &Option<SamplingRow>| {
+                let row = row.as_ref().filter(|row| row.behavior.is_some() && row.n_scenarios > 0)?;
+                Some(row.n_verified as f64 / row.n_scenarios as f64)
+            };
+            let interval = |row: &Option<SamplingRow>| {
+                row.as_ref().and_then(|row| wilson_interval(row.n_verified, row.n_scenarios))
+            };
+            let is_apart = interval(&a).zip(interval(&b)).is_some_and(|(a, b)| a.high < b.low || b.high < a.low);
+            let difference = format!("{}{}", points(rate(&a), rate(&b)), if is_apart { " *" } else { "" });
+            let mut cells = vec![sweep, place, setting(f64::from_bits(strength))];
+            cells.extend(both(&|row| count(row.n_scenarios)));
+            cells.extend(both(&|row| asked(row, share(row.n_verified, row.n_scenarios))));
+            cells.push(difference);
+            cells.extend(both(&|row| asked(row, share(row.n_new, row.n_scenarios))));
+            cells.extend(both(&|row| share(row.n_collision, row.n_scenarios)));
+            cells.extend(both(&|row| row.offroad_rate.map_or_else(|| ABSENT.to_owned(), percent)));
+            cells.extend(both(&|row| {
+                let cost = (row.n_evaluations * row.n_scenarios) as f64 / row.n_verified as f64;
+                asked(row, value(cost))
+            }));
+            table.push(cells);
+        }
+        table
+    }
+
+    /// A table for each group of each sweep: every metric over all places.
+    pub(super) fn metrics(&self) -> Vec<PlainTable> {
+        let overall = |run: &ComparedRun| -> Vec<MetricRow> {
+            let rows = run.metrics.rows.iter();
+            rows.filter(|row| row.place.is_empty() && row.scene_id.is_none() && row.scenario_id.is_none())
+                .cloned()
+                .collect()
+        };
+        let group = |row: &MetricRow| (row.sweep.clone(), row.group.clone(), row.strength.to_bits());
+        let key = |row: &MetricRow| (group(row), row.metric.clone());
+        let mut tables: Vec<((String, String, u64), PlainTable)> = Vec::new();
+        for ((of_group, metric), a, b) in paired(overall(&self.a), overall(&self.b), key) {
+            let at = tables.iter().position(|(known, _)| *known == of_group).unwrap_or_else(|| {
+                let (sweep, name, strength) = &of_group;
+                let caption = match name.as_str() {
+                    "recorded" | "constant_velocity" => format!("{sweep}: {}", name.replace('_', " ")),
+                    _ => format!("{sweep}: {name}, α = {}", setting(f64::from_bits(*strength))),
+                };
+                tables.push((
+                    of_group.clone(),
+                    PlainTable::new(caption, &["Metric", "A", "B", "Difference", "Its standard error"]),
+                ));
+                tables.len() - 1
+            });
+            let values = [&a, &b].map(|row| row.as_ref().map(|row| row.value));
+            let error = a.as_ref().and_then(|row| row.std_error).zip(b.as_ref().and_then(|row| row.std_error));
+            let error = error.map(|(a, b)| a.hypot(b)).filter(|error| *error > 0.0);
+            let difference = values[0].zip(values[1]).map(|(a, b)| b - a);
+            let is_marked = difference.zip(error).is_some_and(|(d, error)| d.abs() > MARKED_ERRORS * error);
+            let mark = if is_marked { " *" } else { "" };
+            let cells = vec![
+                metric,
+                optional(values[0]),
+                optional(values[1]),
+                format!("{}{mark}", signed(difference)),
+                optional(error),
+            ];
+            let is_reference = matches!(of_group.1.as_str(), "recorded" | "constant_velocity");
+            tables[at].1.rows.push(PlainRow { cells, is_reference });
+        }
+        tables.into_iter().map(|(_, table)| table).collect()
+    }
+
+    /// Distances of motion from the recording.
+    pub(super) fn realism(&self) -> PlainTable {
+        let columns = [
+            "Group",
+            "Sweep",
+            "Strength α",
+            "Quantity",
+            "Wasserstein-1, A",
+            "B",
+            "Difference",
+            "Jensen-Shannon, A",
+            "B",
+        ];
+        let mut table = PlainTable::new("Distance of motion from the recording", &columns);
+        let key = |row: &RealismRow| {
+            (row.group.clone(), row.sweep.clone(), row.strength.to_bits(), format!("{} ({})", row.quantity, row.unit))
+        };
+        for ((group, sweep, strength, quantity), a, b) in paired(self.a.realism.clone(), self.b.realism.clone(), key) {
+            let both = |of: fn(&RealismRow) -> Option<f64>| [&a, &b].map(|row| row.as_ref().and_then(of));
+            let ([w_a, w_b], [js_a, js_b]) = (both(|row| row.wasserstein), both(|row| row.jensen_shannon));
+            let difference = signed(w_a.zip(w_b).map(|(a, b)| b - a));
+            let is_reference = group == "constant_velocity";
+            let cells = vec![
+                group.replace('_', " "),
+                sweep,
+                setting(f64::from_bits(strength)),
+                quantity,
+                optional(w_a),
+                optional(w_b),
+                difference,
+                optional(js_a),
+                optional(js_b),
+            ];
+            table.rows.push(PlainRow { cells, is_reference });
+        }
+        table
+    }
+
+    /// Curves over guidance strength of both runs over one another.
+    pub(super) fn charts(&self) -> Vec<Chart> {
+        let mut both = ReportModel::default();
+        for (letter, run) in [("A", &self.a), ("B", &self.b)] {
+            let name = |sweep: &str| format!("{letter}: {sweep}");
+            both.sampling.extend(run.sampling.iter().map(|row| SamplingRow { sweep: name(&row.sweep), ..row.clone() }));
+            both.realism.extend(run.realism.iter().map(|row| RealismRow { sweep: name(&row.sweep), ..row.clone() }));
+            both.metrics
+                .rows
+                .extend(run.metrics.rows.iter().map(|row| MetricRow { sweep: name(&row.sweep), ..row.clone() }));
+        }
+        tradeoffs(&both)
+    }
+}
+
+/// The rows of both runs by their key, in the order of A with what only B has after it.
+fn paired<R, K: PartialEq>(a: Vec<R>, b: Vec<R>, key: impl Fn(&R) -> K) -> Vec<(K, Option<R>, Option<R>)> {
+    let mut pairs: Vec<(K, Option<R>, Option<R>)> = a.into_iter().map(|row| (key(&row), Some(row), None)).collect();
+    for row in b {
+        let of_row = key(&row);
+        match pairs.iter_mut().find(|(known, ..)| *known == of_row) {
+            Some((_, _, b)) => *b = Some(row),
+            None => pairs.push((of_row, None, Some(row))),
+        }
+    }
+    pairs
+}
+
+/// A difference with its sign.
+fn signed(difference: Option<f64>) -> String {
+    match difference {
+        Some(d) if d > 0.0 => format!("+{}", value(d)),
+        other => optional(other),
+    }
+}
+
+/// A difference of shares in percentage points.
+fn points(a: Option<f64>, b: Option<f64>) -> String {
+    match a.zip(b) {
+        Some((a, b)) => format!("{:+.1} pp", 100.0 * (b - a)).replace('-', "−"),
+        None => ABSENT.to_owned(),
+    }
+}

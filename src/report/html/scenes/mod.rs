@@ -1,0 +1,81 @@
+//! The drawings: each generated scene beside its recording, with what it came from, to be played and filtered.
+//!
+//! The page holds a still drawing of the first scenes, for print and for browsers without script. Of all scenes it holds packed
+//! states (see `card/packed.rs`), from which `player.js` draws those that come into view.
+
+mod card;
+mod filters;
+
+use super::Section;
+use crate::report::card::pack_lanes;
+use crate::report::model::ReportModel;
+use crate::report::svg::{CONTEXT, GENERATED_CONTEXT};
+use maud::{Markup, PreEscaped, html};
+use serde_json::Value;
+use std::collections::BTreeMap;
+
+/// Scenes with a still drawing in the page. Each takes some tens of kilobytes, packed states a few.
+const N_STILL: usize = 24;
+
+pub(super) fn section(model: &ReportModel) -> Option<Section> {
+    (!model.scenes.is_empty()).then(|| {
+        let lanes = Lanes::of(model);
+        let body = html! {
+            (reading_help(model.scenes.len()))
+            (filters::form(&model.scenes))
+            div id="cards" {
+                @for (i, card) in model.scenes.iter().enumerate() { (card::card(i, card, lanes.of_card[i], i < N_STILL)) }
+            }
+            script type="application/json" id="lanes" { (json(&Value::from(lanes.packed))) }
+            script type="application/json" id="index" { (json(&filters::index(&model.scenes))) }
+        };
+        Section::new("scenes", "Scenes", body)
+    })
+}
+
+fn reading_help(n_scenes: usize) -> Markup {
+    html! {
+        p class="note" {
+            "Seen from above and drawn to scale. Dotted dark lines are states that were given: the history of a recording, or what a sample was told. "
+            "Plain colored lines were generated, or in a recording came later. Filled boxes are given or recorded states, light ones with an outline generated ones; the notch points forward. "
+            "Outlines without filling are the end of the scene, faint ones a second apart on the way there."
+        }
+        ul class="legend" {
+            li { span class="swatch" style=(format!("background:{CONTEXT}")) {} "others, recorded" }
+            li { span class="swatch" style=(format!("background:{GENERATED_CONTEXT}")) {} "others, generated" }
+        }
+        noscript {
+            p class="note" {
+                "Without script, drawings stand still" @if n_scenes > N_STILL { " and only the first " (N_STILL) " scenes are drawn" } "."
+            }
+        }
+        p class="note script-only" hidden { "With the focus on a scene, the space bar plays and pauses, the arrow keys go a step back and forth, Home and End to its ends." }
+    }
+}
+
+/// The lanes of all cards, each set of lanes once.
+struct Lanes {
+    packed: Vec<String>,
+    of_card: Vec<usize>,
+}
+
+impl Lanes {
+    fn of(model: &ReportModel) -> Self {
+        let mut known: BTreeMap<String, usize> = BTreeMap::new();
+        let mut lanes = Self { packed: Vec::new(), of_card: Vec::new() };
+        for card in &model.scenes {
+            let packed = pack_lanes(&card.lanes);
+            let idx = *known.entry(packed).or_insert_with_key(|packed| {
+                lanes.packed.push(packed.clone());
+                lanes.packed.len() - 1
+            });
+            lanes.of_card.push(idx);
+        }
+        lanes
+    }
+}
+
+/// JSON that cannot end the script element it stands in.
+fn json(value: &Value) -> Markup {
+    PreEscaped(value.to_string().replace('<', "\\u003c"))
+}

@@ -1,0 +1,116 @@
+//! What was left out, and why? From samples to accepted scenarios, reason by reason, and what the checks say of the recordings.
+
+use super::{Section, table};
+use crate::metrics::Check;
+use crate::report::model::{AcceptanceRow, LeftOutRow, ReportModel, ValidityRow};
+use crate::report::number::{ABSENT, count, optional, percent, setting, share};
+use maud::{Markup, html};
+
+/// The section. `None` where nothing was evaluated.
+pub(super) fn section(model: &ReportModel) -> Option<Section> {
+    (!model.acceptance.is_empty()).then(|| {
+        let body = html! {
+            (acceptance(&model.acceptance))
+            @if !model.left_out.is_empty() { (left_out(&model.left_out)) }
+            (validity(&model.validity))
+        };
+        Section::new("verdicts", "What was left out, and why", body)
+    })
+}
+
+fn acceptance(rows: &[AcceptanceRow]) -> Markup {
+    let head = html! {
+        tr {
+            th scope="col" { "Sweep" } th scope="col" class="n" { "Strength α" } th scope="col" class="n" { "Scenarios" }
+            th scope="col" class="n" { "Verified" } th scope="col" class="n" { "Valid" } th scope="col" class="n" { "Both" }
+            th scope="col" class="n" { "Accepted" } th scope="col" class="n" { "In the corpus" }
+        }
+    };
+    let body = html! {
+        @for row in rows {
+            tr {
+                th scope="row" { (row.sweep) }
+                td class="n" { (setting(row.strength)) }
+                td class="n" { (count(row.n_scenarios)) }
+                @for n in [row.n_verified, row.n_valid, row.n_verified_valid, row.n_accepted, row.n_kept] {
+                    td class="n" { (count(n)) small { " " (share(n, row.n_scenarios)) } }
+                }
+            }
+        }
+    };
+    html! {
+        (table("From scenarios to the corpus", &head, &body))
+        p class="note" {
+            "Verified: the miner finds what was asked. Valid: every check below is passed. Accepted: both, and no near-duplicate of an accepted scenario before it."
+        }
+    }
+}
+
+fn left_out(rows: &[LeftOutRow]) -> Markup {
+    let head = html! {
+        tr {
+            th scope="col" { "Stage" } th scope="col" { "Sweep" } th scope="col" class="n" { "Strength α" } th scope="col" { "Reason" }
+            th scope="col" class="n" { "Left out" } th scope="col" class="n" { "Found" }
+        }
+    };
+    let body = html! {
+        @for row in rows {
+            tr {
+                td { (row.stage) }
+                th scope="row" { (row.sweep) }
+                td class="n" { (row.strength.map_or_else(|| ABSENT.to_owned(), setting)) }
+                td { (row.reason.replace('_', " ")) }
+                td class="n" { (count(row.n_left_out)) }
+                td class="n" { (count(row.n_found)) }
+            }
+        }
+    };
+    html! {
+        (table("What was left out, and why", &head, &body))
+        p class="note" {
+            "Left out: samples that are not in the corpus, each counted once, for its first reason. Found: all that have the reason, alone or with others; "
+            "where they stay in the corpus, the configuration keeps them."
+        }
+    }
+}
+
+fn validity(rows: &[ValidityRow]) -> Markup {
+    let rows: Vec<&ValidityRow> = rows.iter().filter(|row| row.place.is_empty()).collect();
+    let is_failed = |check: &Check| rows.iter().any(|row| row.violations.contains_key(check.id()));
+    let checks: Vec<Check> = Check::ALL.into_iter().filter(is_failed).collect();
+    let head = html! {
+        tr {
+            th scope="col" { "Group" } th scope="col" class="n" { "Strength α" } th scope="col" class="n" { "n" }
+            th scope="col" class="n" { "Valid" } th scope="col" class="n" { "Plausibility" }
+            @for check in &checks { th scope="col" class="n" { (check.id().replace('_', " ")) } }
+        }
+    };
+    let body = html! {
+        @for row in &rows {
+            @let generated = !matches!(row.group.as_str(), "recorded" | "constant_velocity");
+            tr class=[(!generated).then_some("reference")] {
+                th scope="row" { (row.group.replace('_', " ")) @if row.sweep != row.group { " (" (row.sweep) ")" } }
+                td class="n" { (if generated { setting(row.strength) } else { ABSENT.to_owned() }) }
+                td class="n" { (count(row.n)) }
+                td class="n" { (share(row.n_valid, row.n)) }
+                td class="n" { (row.plausibility.map_or_else(|| optional(None), percent)) }
+                @for check in &checks {
+                    td class="n" { (share(row.violations.get(check.id()).copied().unwrap_or(0), row.n)) }
+                }
+            }
+        }
+    };
+    html! {
+        (table("Validity, and the share that fails each check", &head, &body))
+        p class="note" {
+            "The recordings are judged as if they had been generated: what they fail shows how much a limit asks, or how noisy they are. "
+            "Plausibility is the share of motion within the range that holds all recorded motion but a thousandth at either end."
+        }
+        details {
+            summary { "What is checked" }
+            dl class="definitions" {
+                @for check in Check::ALL { dt { (check.id()) small { " (" (check.unit()) ")" } } dd { (check.description()) "." } }
+            }
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! A scenario for tests of what is said and drawn of scenarios.
+
+use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::scene::testing::{self, Drive};
+use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, TrackId};
+use crate::store::ScenarioRecord;
+use std::collections::BTreeMap;
+
+/// Two cars side by side.
+pub(super) fn recorded() -> Scene {
+    testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(-3.0, 3.5, 0.0, 10.0)])
+}
+
+/// A sample of it that was asked for a cut-in of track 2 ahead of track 1.
+pub(super) fn record(strength: f64, verified: bool, recorded_event: bool, scene: Scene) -> ScenarioRecord {
+    let roles = vec![("ego".to_owned(), TrackId::from("1")), ("other".to_owned(), TrackId::from("2"))];
+    let event = BehaviorEvent {
+        behavior: "cut_in".into(),
+        scene_id: scene.id.clone(),
+        label: EventLabel::Positive,
+        roles: roles.clone(),
+        start_timestep: 5,
+        end_timestep: 8,
+        parameters: BTreeMap::from([("gap_m".to_owned(), 4.123)]),
+    };
+    let provenance = Provenance {
+        scene_id: scene.id.clone(),
+        observation: "predictive".into(),
+        edit_tau: None,
+        checkpoint: "d".into(),
+        classifier: Some("c".into()),
+        seed: 1,
+        sample_idx: 4,
+        probability: None,
+        guidance: GuidanceTag { kind: "classifier:cut_in".into(), strength, roles },
+        sampler: "heun-20".into(),
+        settings: String::new(),
+    };
+    ScenarioRecord {
+        scenario: Scenario {
+            id: "s-4".into(),
+            observed: ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history),
+            scene,
+            provenance,
+        },
+        sweep: "guided".into(),
+        requested_behavior: Some("cut_in".into()),
+        verified,
+        events: verified.then_some(event).into_iter().collect(),
+        recorded_event,
+        assessment: None,
+        shard: 0,
+        request: None,
+    }
+}

@@ -1,0 +1,225 @@
+//! What does guidance cost? Curves over its strength: yield, collisions, departures from the road and from recorded motion.
+
+use super::model::{Chart, Curve, RealismRow, ReportModel, SamplingRow};
+use super::number::setting;
+use super::wilson::wilson_interval;
+
+const STRENGTH: &str = "guidance strength α";
+
+/// What a sweep gave at one strength, over all places.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Point {
+    strength: f64,
+    n_scenarios: u64,
+    n_verified: u64,
+    n_new: u64,
+    n_collision: u64,
+    /// Mean over scenarios of places with lanes.
+    offroad_rate: Option<f64>,
+    n_evaluations: u64,
+}
+
+/// The points of a sweep with more than one strength, by strength.
+struct Sweep<'a> {
+    name: &'a str,
+    has_behavior: bool,
+    points: Vec<Point>,
+}
+
+/// Charts over guidance strength with a curve for each sweep that has several; none where no sweep has.
+pub fn tradeoffs(model: &ReportModel) -> Vec<Chart> {
+    let sweeps = sweeps(&model.sampling);
+    let asked: Vec<&Sweep<'_>> = sweeps.iter().filter(|sweep| sweep.has_behavior).collect();
+    let all: Vec<&Sweep<'_>> = sweeps.iter().collect();
+    let recorded = |metric: &str| recorded_levels(model, &all, metric);
+    let mut charts = vec![
+        over_strength("Verified scenarios", "% of scenarios", share_curves(&asked, |point| point.n_verified)),
+        over_strength(
+            "Verified, and not in the recording",
+            "% of scenarios",
+            share_curves(&asked, |point| point.n_new),
+        ),
+        over_strength(
+            "Scenarios with a collision",
+            "% of scenarios",
+            [share_curves(&all, |point| point.n_collision), recorded("collision_rate")].concat(),
+        ),
+        over_strength(
+            "Vehicles off the road",
+            "% of vehicles",
+            [curves(&all, |point| Some(100.0 * point.offroad_rate?)), recorded("offroad_rate")].concat(),
+        ),
+        over_strength(
+            "Cost of a verified scenario",
+            "evaluations of the network",
+            curves(&asked, evaluations_per_verified),
+        ),
+        yield_over_distance(model, &asked),
+    ];
+    charts.extend(distances(model, &all));
+    charts.retain(|chart| chart.curves.iter().any(|curve| curve.points.len() > 1));
+    charts
+}
+
+/// Evaluations of the network for each verified scenario, failures included.
+fn evaluations_per_verified(point: &Point) -> Option<f64> {
+    (point.n_verified > 0).then(|| (point.n_evaluations * point.n_scenarios) as f64 / point.n_verified as f64)
+}
+
+fn sweeps(rows: &[SamplingRow]) -> Vec<Sweep<'_>> {
+    let mut sweeps: Vec<Sweep<'_>> = Vec::new();
+    for row in rows.iter().filter(|row| row.n_scenarios > 0) {
+        let at = sweeps.iter().position(|sweep| sweep.name == row.sweep).unwrap_or_else(|| {
+            sweeps.push(Sweep { name: &row.sweep, has_behavior: row.behavior.is_some(), points: Vec::new() });
+            sweeps.len() - 1
+        });
+        let points = &mut sweeps[at].points;
+        let new = Point {
+            strength: row.strength,
+            n_scenarios: row.n_scenarios,
+            n_verified: row.n_verified,
+            n_new: row.n_new,
+            n_collision: row.n_collision,
+            offroad_rate: row.offroad_rate,
+            n_evaluations: row.n_evaluations,
+        };
+        match points.iter_mut().find(|point| point.strength.to_bits() == row.strength.to_bits()) {
+            Some(point) => *point = together(point, &new),
+            None => points.push(new),
+        }
+    }
+    for sweep in &mut sweeps {
+        sweep.points.sort_by(|a, b| a.strength.total_cmp(&b.strength));
+    }
+    sweeps.retain(|sweep| sweep.points.len() > 1);
+    sweeps
+}
+
+/// Two places together.
+fn together(a: &Point, b: &Point) -> Point {
+    let weighted = match (a.offroad_rate, b.offroad_rate) {
+        (Some(rate), Some(other)) => {
+            let (n, n_other) = (a.n_scenarios as f64, b.n_scenarios as f64);
+            Some((rate * n + other * n_other) / (n + n_other))
+        }
+        (rate, other) => rate.or(other),
+    };
+    Point {
+        n_scenarios: a.n_scenarios + b.n_scenarios,
+        n_verified: a.n_verified + b.n_verified,
+        n_new: a.n_new + b.n_new,
+        n_collision: a.n_collision + b.n_collision,
+        offroad_rate: weighted,
+        ..*a
+    }
+}
+
+fn over_strength(title: &str, y_label: &str, curves: Vec<Curve>) -> Chart {
+    Chart { title: title.to_owned(), x_label: STRENGTH.to_owned(), y_label: y_label.to_owned(), log_x: false, curves }
+}
+
+fn curves(sweeps: &[&Sweep<'_>], value: impl Fn(&Point) -> Option<f64>) -> Vec<Curve> {
+    let points = |sweep: &Sweep<'_>| {
+        sweep.points.iter().filter_map(|point| Some([point.strength, value(point)?])).collect::<Vec<_>>()
+    };
+    sweeps.iter().map(|sweep| Curve::new(sweep.name, points(sweep))).collect()
+}
+
+/// Shares of scenarios as percentages, with Wilson's 95 % intervals.
+fn share_curves(sweeps: &[&Sweep<'_>], n_hits: fn(&Point) -> u64) -> Vec<Curve> {
+    let percent = |point: &Point| 100.0 * n_hits(point) as f64 / point.n_scenarios as f64;
+    let mut curves = curves(sweeps, |point| Some(percent(point)));
+    for (curve, sweep) in curves.iter_mut().zip(sweeps) {
+        let interval = |point: &Point| {
+            wilson_interval(n_hits(point), point.n_scenarios)
+                .map_or([percent(point); 2], |i| [100.0 * i.low, 100.0 * i.high])
+        };
+        curve.intervals = sweep.points.iter().map(interval).collect();
+    }
+    curves
+}
+
+/// Level lines at what the metric says of the recordings that each sweep continues.
+fn recorded_levels(model: &ReportModel, sweeps: &[&Sweep<'_>], metric: &str) -> Vec<Curve> {
+    levels("recorded", sweeps, |sweep| Some(100.0 * recorded_value(model, sweep.name, metric)?))
+}
+
+/// A level line for each sweep that has the value.
+fn levels(name: &str, sweeps: &[&Sweep<'_>], value: impl Fn(&Sweep<'_>) -> Option<f64>) -> Vec<Curve> {
+    let level = |sweep: &&Sweep<'_>| {
+        let value = value(sweep)?;
+        let ends = [sweep.points.first()?.strength, sweep.points.last()?.strength];
+        let name = if sweeps.len() == 1 { name.to_owned() } else { format!("{name} ({})", sweep.name) };
+        Some(Curve::new(name, ends.map(|strength| [strength, value]).to_vec()))
+    };
+    sweeps.iter().filter_map(level).collect()
+}
+
+/// What a metric says of the recordings that a sweep continues, over all places.
+pub(super) fn recorded_value(model: &ReportModel, sweep: &str, metric: &str) -> Option<f64> {
+    let is_it = |row: &&crate::store::MetricRow| {
+        row.group == "recorded"
+            && row.sweep == sweep
+            && row.metric == metric
+            && row.place.is_empty()
+            && row.scene_id.is_none()
+    };
+    model.metrics.rows.iter().find(is_it).map(|row| row.value)
+}
+
+fn realism_of<'a>(model: &'a ReportModel, sweep: &'a Sweep<'_>) -> impl Iterator<Item = &'a RealismRow> {
+    model.realism.iter().filter(|row| row.sweep == sweep.name && row.group != "constant_velocity")
+}
+
+/// One chart for each quantity of motion: its distance from the recording, with that of the constant velocity as a level.
+fn distances(model: &ReportModel, sweeps: &[&Sweep<'_>]) -> Vec<Chart> {
+    let mut quantities: Vec<(&str, &str)> = Vec::new();
+    for row in sweeps.iter().flat_map(|sweep| realism_of(model, sweep)) {
+        if !quantities.contains(&(row.quantity.as_str(), row.unit.as_str())) {
+            quantities.push((&row.quantity, &row.unit));
+        }
+    }
+    let chart = |(quantity, unit): (&str, &str)| {
+        let of_sweep = |sweep: &&Sweep<'_>| {
+            let rows = realism_of(model, sweep).filter(|row| row.quantity == quantity);
+            let mut points: Vec<[f64; 2]> = rows.filter_map(|row| Some([row.strength, row.wasserstein?])).collect();
+            points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+            Curve::new(sweep.name, points)
+        };
+        let constant_velocity = |sweep: &Sweep<'_>| {
+            let mut rows = model.realism.iter().filter(|row| row.sweep == sweep.name && row.quantity == quantity);
+            rows.find(|row| row.group == "constant_velocity")?.wasserstein
+        };
+        over_strength(
+            &format!("Distance from the recording: {quantity}"),
+            &format!("Wasserstein-1 ({unit})"),
+            sweeps.iter().map(of_sweep).chain(levels("constant velocity", sweeps, constant_velocity)).collect(),
+        )
+    };
+    quantities.into_iter().map(chart).collect()
+}
+
+/// What is got over what it costs in realism: each point a strength.
+fn yield_over_distance(model: &ReportModel, sweeps: &[&Sweep<'_>]) -> Chart {
+    let of_sweep = |sweep: &&Sweep<'_>| {
+        let mut curve = Curve::new(sweep.name, Vec::new());
+        for point in &sweep.points {
+            let at_strength = realism_of(model, sweep).filter(|row| row.strength.to_bits() == point.strength.to_bits());
+            let divergences: Vec<f64> = at_strength.filter_map(|row| row.jensen_shannon).collect();
+            if divergences.is_empty() {
+                continue;
+            }
+            let mean = divergences.iter().sum::<f64>() / divergences.len() as f64;
+            curve.points.push([mean, 100.0 * point.n_verified as f64 / point.n_scenarios as f64]);
+            curve.labels.push(format!("α = {}", setting(point.strength)));
+        }
+        curve
+    };
+    Chart {
+        title: "Yield against distance from recorded motion".to_owned(),
+        x_label: "mean Jensen-Shannon divergence over quantities (bits)".to_owned(),
+        y_label: "verified (% of scenarios)".to_owned(),
+        log_x: false,
+        curves: sweeps.iter().map(of_sweep).collect(),
+    }
+}

@@ -1,0 +1,105 @@
+//! Are the curves over guidance strength those that one would draw by hand?
+
+use super::model::{MetricTable, RealismRow, ReportModel, SamplingRow};
+use super::tradeoffs::tradeoffs;
+use crate::store::MetricRow;
+
+fn row(place: &str, strength: f64, n_scenarios: u64, n_verified: u64, offroad_rate: Option<f64>) -> SamplingRow {
+    SamplingRow {
+        sweep: "cut_ins".into(),
+        behavior: Some("cut_in".into()),
+        place: place.into(),
+        strength,
+        sampler: "heun-10".into(),
+        n_scenes: 10,
+        n_scenarios,
+        n_verified,
+        n_new: 0,
+        n_collision: 1,
+        offroad_rate,
+        n_evaluations: 19,
+    }
+}
+
+fn model() -> ReportModel {
+    let recorded = MetricRow {
+        group: "recorded".into(),
+        sweep: "cut_ins".into(),
+        strength: 0.0,
+        place: String::new(),
+        scene_id: None,
+        scenario_id: None,
+        metric: "collision_rate".into(),
+        value: 0.02,
+        n: 20,
+        std_error: None,
+    };
+    ReportModel {
+        // Strengths and places out of order; a sweep of one strength is no curve.
+        sampling: vec![
+            row("A", 30.0, 30, 15, Some(0.2)),
+            row("A", 0.0, 30, 3, Some(0.0)),
+            row("B", 30.0, 10, 5, Some(0.6)),
+            row("B", 0.0, 10, 0, None),
+            SamplingRow { sweep: "plain".into(), behavior: None, ..row("A", 0.0, 30, 0, None) },
+        ],
+        metrics: MetricTable { docs: vec![], rows: vec![recorded] },
+        ..ReportModel::default()
+    }
+}
+
+#[test]
+fn places_are_added_up_and_strengths_ordered() {
+    let charts = tradeoffs(&model());
+    let find = |title: &str| charts.iter().find(|chart| chart.title.starts_with(title)).expect(title);
+    let verified = &find("Verified scenarios").curves;
+    assert_eq!(verified.len(), 1);
+    assert_eq!(verified[0].points, [[0.0, 7.5], [30.0, 50.0]]);
+    // 20 of 40: Wilson's interval is 0.352 to 0.648 (Newcombe's formula by hand).
+    let [low, high] = verified[0].intervals[1];
+    assert!((low - 35.2).abs() < 0.05 && (high - 64.8).abs() < 0.05, "{low} {high}");
+    let collisions = &find("Scenarios with a collision").curves;
+    assert_eq!(collisions[1].name, "recorded");
+    assert_eq!(collisions[1].points, [[0.0, 2.0], [30.0, 2.0]]);
+    let offroad = &find("Vehicles off").curves[0];
+    assert!((offroad.points[1][1] - 30.0).abs() < 1e-9, "{:?}", offroad.points);
+    // 40 scenarios of 19 evaluations for 3 verified ones, and for 20.
+    assert_eq!(find("Cost").curves[0].points, [[0.0, 760.0 / 3.0], [30.0, 38.0]]);
+    assert!(!charts.iter().any(|chart| chart.title.starts_with("Distance")), "nothing is known of motion");
+}
+
+#[test]
+fn runs_without_several_strengths_have_no_curves() {
+    let mut model = model();
+    model.sampling.retain(|row| row.strength == 0.0);
+    assert!(tradeoffs(&model).is_empty() && tradeoffs(&ReportModel::default()).is_empty());
+}
+
+#[test]
+fn yield_is_shown_over_the_mean_distance() {
+    let realism = |strength: f64, quantity: &str, divergence: f64| RealismRow {
+        group: if strength == 0.0 { "unguided" } else { "cut_ins" }.into(),
+        sweep: "cut_ins".into(),
+        strength,
+        quantity: quantity.into(),
+        unit: "m/s".into(),
+        n_recorded: 1,
+        n: 1,
+        recorded_mean: None,
+        mean: None,
+        wasserstein: Some(10.0 * divergence),
+        jensen_shannon: Some(divergence),
+    };
+    let rows = [(0.0, "a", 0.1), (0.0, "b", 0.3), (30.0, "a", 0.2), (30.0, "b", 0.6)];
+    let mut rows = rows.map(|(s, q, d)| realism(s, q, d)).to_vec();
+    rows.insert(0, RealismRow { group: "constant_velocity".into(), ..realism(0.0, "b", 0.5) });
+    let model = ReportModel { realism: rows, ..model() };
+    let charts = tradeoffs(&model);
+    let find = |title: &str| charts.iter().find(|chart| chart.title.contains(title)).expect(title);
+    let [near, far] = find("Yield against").curves[0].points[..] else { panic!("two strengths") };
+    assert!((near[0] - 0.2).abs() < 1e-12 && (far[0] - 0.4).abs() < 1e-12 && near[1] == 7.5 && far[1] == 50.0);
+    assert_eq!(find("Yield against").curves[0].labels, ["α = 0", "α = 30"]);
+    let of_b = &find("recording: b").curves;
+    assert_eq!(of_b[0].points, [[0.0, 3.0], [30.0, 6.0]]);
+    assert_eq!((of_b[1].name.as_str(), &of_b[1].points[..]), ("constant velocity", &[[0.0, 5.0], [30.0, 5.0]][..]));
+}

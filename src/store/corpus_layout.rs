@@ -1,0 +1,155 @@
+//! Where in a corpus folder is what: which tables are there, and into which partitions are the large ones cut?
+//!
+//! Scenarios and their tracks are cut by behavior and place, recordings by place, in folders named as Hive names them
+//! (`behavior=cut_in/place=PIT`), so that DuckDB, polars and pyarrow skip the files that a query does not ask for. Lanes
+//! (each map once) and metric values (some twenty short rows a scenario, which aggregates of no place share) stay single
+//! files. Within a partition the rows of `tracks` follow the order of the rows of `scenarios`.
+
+use super::schema::TableSchema;
+use super::tables::{lane, metric, recording, scenario, track};
+use serde::{Deserialize, Serialize};
+use std::fmt::Write;
+
+/// The value of `behavior` for scenarios of which none was asked.
+pub(crate) const NO_BEHAVIOR: &str = "none";
+/// Hive's name for a missing value, which readers turn into one.
+const MISSING: &str = "__HIVE_DEFAULT_PARTITION__";
+
+/// The tables of a corpus.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum CorpusTable {
+    /// Generated scenarios.
+    Scenarios,
+    /// Their states.
+    Tracks,
+    /// The states of the recorded scenes that they continue, each scene once.
+    Recordings,
+    /// The lanes of all maps.
+    Lanes,
+    /// Metric values.
+    Metrics,
+}
+
+impl CorpusTable {
+    /// Every table.
+    pub const ALL: [Self; 5] = [Self::Scenarios, Self::Tracks, Self::Recordings, Self::Lanes, Self::Metrics];
+
+    /// The name of its folder, or of its file without the ending.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Scenarios => "scenarios",
+            Self::Tracks => "tracks",
+            Self::Recordings => "recordings",
+            Self::Lanes => "lanes",
+            Self::Metrics => "metrics",
+        }
+    }
+
+    /// The table of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|table| table.name() == name)
+    }
+
+    /// Its columns.
+    pub fn schema(self) -> TableSchema {
+        match self {
+            Self::Scenarios => scenario::schema(),
+            Self::Tracks => track::schema(),
+            Self::Recordings => recording::schema(),
+            Self::Lanes => lane::schema(),
+            Self::Metrics => metric::schema(),
+        }
+    }
+
+    /// The columns that it is cut by, outermost first; empty for a single file.
+    pub const fn keys(self) -> &'static [&'static str] {
+        match self {
+            Self::Scenarios | Self::Tracks => &["behavior", "place"],
+            Self::Recordings => &["place"],
+            Self::Lanes | Self::Metrics => &[],
+        }
+    }
+
+    /// The file of a partition, with `/` between folders.
+    pub fn file(self, partition: &Partition) -> String {
+        let mut path = self.name().to_owned();
+        if self.keys().is_empty() {
+            return path + ".parquet";
+        }
+        for key in self.keys() {
+            let value = match *key {
+                "behavior" => &partition.behavior,
+                _ => &partition.place,
+            };
+            // Writing to a string cannot fail.
+            let _ = write!(path, "/{key}={}", encoded(value.as_deref().unwrap_or_default()));
+        }
+        path + "/part-00000.parquet"
+    }
+
+    /// The partition of this table that holds what belongs to `behavior` and `place`.
+    pub(crate) fn partition(self, behavior: Option<&str>, place: &str) -> Partition {
+        let has = |key: &str| self.keys().contains(&key);
+        Partition {
+            behavior: has("behavior").then(|| behavior.unwrap_or(NO_BEHAVIOR).to_owned()),
+            place: has("place").then(|| place.to_owned()),
+        }
+    }
+}
+
+/// What the rows of a file have in common.
+#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Partition {
+    /// The behavior that was asked for, or `none`; missing where the table is not cut by it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub behavior: Option<String>,
+    /// The place; missing where the table is not cut by it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub place: Option<String>,
+}
+
+/// A value as the name of a folder: whatever is not a plain letter, digit, `_`, `-` or `.` as `%` and two digits, as Hive,
+/// DuckDB, polars and pyarrow decode it.
+fn encoded(value: &str) -> String {
+    if value.is_empty() {
+        return MISSING.to_owned();
+    }
+    let mut name = String::new();
+    for byte in value.bytes() {
+        if byte.is_ascii_alphanumeric() || b"_-.".contains(&byte) {
+            name.push(char::from(byte));
+        } else {
+            let _ = write!(name, "%{byte:02X}");
+        }
+    }
+    name
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_are_named_as_hive_names_them() {
+        let file = |table: CorpusTable, behavior, place| table.file(&table.partition(behavior, place));
+        let cut_in = Some("cut_in");
+        assert_eq!(
+            file(CorpusTable::Scenarios, cut_in, "DR_CHN_Merging_ZS0"),
+            "scenarios/behavior=cut_in/place=DR_CHN_Merging_ZS0/part-00000.parquet"
+        );
+        assert_eq!(file(CorpusTable::Tracks, None, "PIT"), "tracks/behavior=none/place=PIT/part-00000.parquet");
+        // An é is C3 A9 in UTF-8; a slash must not become a folder.
+        assert_eq!(
+            file(CorpusTable::Recordings, cut_in, "Orléans N/S"),
+            "recordings/place=Orl%C3%A9ans%20N%2FS/part-00000.parquet"
+        );
+        assert_eq!(
+            file(CorpusTable::Recordings, None, ""),
+            "recordings/place=__HIVE_DEFAULT_PARTITION__/part-00000.parquet"
+        );
+        assert_eq!(file(CorpusTable::Lanes, cut_in, "PIT"), "lanes.parquet");
+        for table in CorpusTable::ALL {
+            assert_eq!(CorpusTable::from_name(table.name()), Some(table));
+        }
+    }
+}

@@ -1,0 +1,226 @@
+//! How do rows become the files of a corpus: cut into partitions, in bounded memory, the same bytes however they come?
+
+use super::atomic::{remove_if_present, remove_partials, write_atomically, write_json_atomically};
+use super::corpus_card::{CARD_FILE, card};
+use super::corpus_layout::{CorpusTable, NO_BEHAVIOR, Partition};
+use super::corpus_manifest::{CorpusManifest, CorpusNotes, FileEntry, PartitionCount, TableEntry, source_terms};
+use super::parquet_file::ParquetFile;
+use super::scene_manifest::MANIFEST_FILE;
+use super::tables::columns::Columns;
+use super::tables::lane;
+use super::{Error, Result};
+use crate::scene::{Dataset, LaneGraph, MapId};
+use arrow::array::{RecordBatch, UInt32Array};
+use arrow::compute::{concat_batches, take_record_batch};
+use fs_err as fs;
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+/// Rows that a file is given at a time: whatever the sizes of the batches that come, its pages break at the same rows.
+const ROWS_PER_WRITE: usize = 4 * 1024;
+/// Rows of unfinished row groups over all files. Beyond it, the largest row group is ended early.
+const MAX_ROWS_IN_MEMORY: usize = 512 * 1024;
+
+/// Writes the tables of a corpus. Memory is bounded by the number of files that are open, not by the rows that pass.
+pub(crate) struct CorpusSink {
+    dir: PathBuf,
+    parts: BTreeMap<(CorpusTable, Partition), Part>,
+    counts: BTreeMap<(String, String), PartitionCount>,
+    manifest: CorpusManifest,
+}
+
+/// A file that is being written, and rows that wait until there are enough of them.
+struct Part {
+    file: ParquetFile,
+    path: PathBuf,
+    pending: Vec<RecordBatch>,
+    n_pending: usize,
+}
+
+impl CorpusSink {
+    /// Begins a corpus in `dir`, which is created where it is missing; the files of an earlier one are removed.
+    pub(crate) fn create(dir: &Path) -> Result<Self> {
+        fs::create_dir_all(dir)?;
+        // The manifest first: without it, nobody takes the rest for a corpus.
+        remove_if_present(&dir.join(MANIFEST_FILE))?;
+        remove_if_present(&dir.join(CARD_FILE))?;
+        for table in CorpusTable::ALL {
+            // Earlier versions wrote every table as a file.
+            remove_if_present(&dir.join(format!("{}.parquet", table.name())))?;
+            match fs::remove_dir_all(dir.join(table.name())) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
+                _ => {}
+            }
+        }
+        remove_partials(dir)?;
+        let (parts, counts) = (BTreeMap::new(), BTreeMap::new());
+        Ok(Self { dir: dir.to_owned(), parts, counts, manifest: CorpusManifest::empty() })
+    }
+
+    /// Adds rows of scenarios, whose columns must be the same in all calls, to their partitions, and counts them.
+    pub(crate) fn write_scenarios(&mut self, batch: &RecordBatch) -> Result<()> {
+        let path = self.dir.join(CorpusTable::Scenarios.name());
+        self.count(&Columns::of_batch(batch, &path), batch.num_rows())?;
+        for (partition, rows) in partitioned(batch, &path)? {
+            self.write(CorpusTable::Scenarios, &partition, &taken(batch, &rows)?)?;
+        }
+        Ok(())
+    }
+
+    /// Adds the rows of whole recorded scenes.
+    pub(crate) fn write_recordings(&mut self, partition: &Partition, batch: &RecordBatch, n_scenes: u64) -> Result<()> {
+        self.manifest.n_recordings += n_scenes;
+        self.write(CorpusTable::Recordings, partition, batch)
+    }
+
+    /// Adds a map.
+    pub(crate) fn write_map(&mut self, id: &MapId, lanes: &LaneGraph) -> Result<()> {
+        self.manifest.n_maps += 1;
+        self.write(CorpusTable::Lanes, &Partition::default(), &lane::encode(&[(id, lanes)])?)
+    }
+
+    /// Adds rows to a file of a table.
+    pub(crate) fn write(&mut self, table: CorpusTable, partition: &Partition, batch: &RecordBatch) -> Result<()> {
+        let key = (table, partition.clone());
+        if !self.parts.contains_key(&key) {
+            let part = Part::create(&self.dir, table, partition, batch)?;
+            self.parts.insert(key.clone(), part);
+        }
+        let Some(part) = self.parts.get_mut(&key) else { return Ok(()) };
+        part.n_pending += batch.num_rows();
+        part.pending.push(batch.clone());
+        while part.n_pending >= ROWS_PER_WRITE {
+            part.write_pending(ROWS_PER_WRITE)?;
+        }
+        self.limit_memory()
+    }
+
+    /// Ends the largest unfinished row group while there is too much in memory. What is ended depends on the order of the
+    /// rows alone, so equal corpora stay equal.
+    fn limit_memory(&mut self) -> Result<()> {
+        let n_rows = |parts: &BTreeMap<_, Part>| parts.values().map(|part| part.file.n_rows_in_memory()).sum::<usize>();
+        while n_rows(&self.parts) > MAX_ROWS_IN_MEMORY {
+            // Of equally large ones the last, by name.
+            let largest = self.parts.values_mut().max_by_key(|part| part.file.n_rows_in_memory());
+            let Some(part) = largest else { break };
+            part.file.flush()?;
+        }
+        Ok(())
+    }
+
+    fn count(&mut self, columns: &Columns<'_>, n_rows: usize) -> Result<()> {
+        for row in 0..n_rows {
+            let verified = columns.flag("verified", row)?;
+            let is_new = verified && !columns.flag("recorded_event", row)?;
+            let dataset = columns.text("dataset", row)?;
+            let behavior = columns.optional_text("requested_behavior", row)?.unwrap_or(NO_BEHAVIOR);
+            let (behavior, place) = (behavior.to_owned(), columns.text("place", row)?.to_owned());
+            let manifest = &mut self.manifest;
+            manifest.n_scenarios += 1;
+            manifest.n_verified += u64::from(verified);
+            manifest.n_new += u64::from(is_new);
+            *manifest.scenarios_by_dataset.entry(dataset.to_owned()).or_default() += 1;
+            *manifest.scenarios_by_sweep.entry(columns.text("sweep", row)?.to_owned()).or_default() += 1;
+            let count = self.counts.entry((behavior.clone(), place.clone())).or_insert(PartitionCount {
+                behavior,
+                place,
+                n_scenarios: 0,
+                n_verified: 0,
+                n_new: 0,
+            });
+            count.n_scenarios += 1;
+            count.n_verified += u64::from(verified);
+            count.n_new += u64::from(is_new);
+        }
+        Ok(())
+    }
+
+    /// Finishes the files, and writes the card and, last, the manifest. A table without rows is one file without rows, so
+    /// that queries find its columns.
+    pub(crate) fn finish(mut self, about: &CorpusNotes, history: &[String]) -> Result<CorpusManifest> {
+        for table in CorpusTable::ALL {
+            if !self.parts.keys().any(|(other, _)| *other == table) {
+                let empty = RecordBatch::new_empty(table.schema().arrow());
+                self.write(table, &table.partition(None, ""), &empty)?;
+            }
+        }
+        let mut manifest = self.manifest;
+        for ((table, partition), part) in self.parts {
+            let file = part.finish(table.file(&partition), partition)?;
+            let entry = manifest.tables.entry(table.name().to_owned()).or_insert_with(|| TableEntry {
+                schema: table.schema().id(),
+                n_rows: 0,
+                n_bytes: 0,
+                partitioned_by: table.keys().iter().map(|key| (*key).to_owned()).collect(),
+                files: Vec::new(),
+            });
+            entry.n_rows += file.n_rows;
+            entry.n_bytes += file.stamp.n_bytes;
+            entry.files.push(file);
+        }
+        manifest.scenarios_by_partition = self.counts.into_values().collect();
+        for name in manifest.scenarios_by_dataset.keys() {
+            let terms = Dataset::from_name(name).map_or("unknown: find them out before you use it", source_terms);
+            manifest.sources.insert(name.clone(), terms.to_owned());
+        }
+        manifest.sources.extend(about.sources.clone());
+        manifest.notes.clone_from(&about.notes);
+        manifest.left_out.clone_from(&about.left_out);
+        manifest.history = history.to_vec();
+        write_atomically::<Error>(&self.dir.join(CARD_FILE), |file| Ok(file.write_all(card(&manifest).as_bytes())?))?;
+        write_json_atomically(&self.dir.join(MANIFEST_FILE), &manifest)?;
+        Ok(manifest)
+    }
+}
+
+impl Part {
+    fn create(dir: &Path, table: CorpusTable, partition: &Partition, batch: &RecordBatch) -> Result<Self> {
+        let path = dir.join(table.file(partition));
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        let file = ParquetFile::create(&path, &table.schema(), batch.schema())?;
+        Ok(Self { file, path, pending: Vec::new(), n_pending: 0 })
+    }
+
+    /// Writes the first `n_rows` of the rows that wait.
+    fn write_pending(&mut self, n_rows: usize) -> Result<()> {
+        let Some(first) = self.pending.first() else { return Ok(()) };
+        let all = concat_batches(&first.schema(), &self.pending)
+            .map_err(|error| Error::invalid(&self.path.display(), error.to_string()))?;
+        self.file.write(&all.slice(0, n_rows))?;
+        self.n_pending -= n_rows;
+        self.pending.clear();
+        if self.n_pending > 0 {
+            self.pending.push(all.slice(n_rows, self.n_pending));
+        }
+        Ok(())
+    }
+
+    fn finish(mut self, path: String, partition: Partition) -> Result<FileEntry> {
+        self.write_pending(self.n_pending)?;
+        Ok(FileEntry { path, partition, n_rows: self.file.n_rows(), stamp: self.file.finish()? })
+    }
+}
+
+/// Which rows of scenarios belong into which partition, in the order of partitions.
+pub(crate) fn partitioned(batch: &RecordBatch, path: &Path) -> Result<BTreeMap<Partition, Vec<u32>>> {
+    let columns = Columns::of_batch(batch, path);
+    let mut rows: BTreeMap<Partition, Vec<u32>> = BTreeMap::new();
+    for row in 0..batch.num_rows() {
+        let behavior = columns.optional_text("requested_behavior", row)?;
+        let partition = CorpusTable::Scenarios.partition(behavior, columns.text("place", row)?);
+        rows.entry(partition).or_default().push(row as u32);
+    }
+    Ok(rows)
+}
+
+/// These rows of a batch.
+pub(crate) fn taken(batch: &RecordBatch, rows: &[u32]) -> Result<RecordBatch> {
+    if rows.len() == batch.num_rows() {
+        return Ok(batch.clone());
+    }
+    take_record_batch(batch, &UInt32Array::from(rows.to_vec()))
+        .map_err(|error| Error::invalid("rows", error.to_string()))
+}

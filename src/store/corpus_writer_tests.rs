@@ -1,0 +1,216 @@
+//! Is a corpus read back as it was written, and is damage found?
+
+use super::*;
+use crate::scene::{LaneGraph, Scene};
+use crate::store::testing::{assessment, event, folder_bytes, map, record, scene};
+use crate::store::{CorpusReader, SceneStore, SceneWriter, SceneWriterOptions};
+use serde_json::Value;
+
+/// A scene at one of two places.
+fn scene_at(seed: u64, map: Option<(&MapId, &LaneGraph)>) -> Scene {
+    let mut scene = scene(seed, map);
+    scene.source.place = if seed % 4 == 1 { "São Paulo" } else { "PIT" }.to_owned();
+    scene
+}
+
+/// The records in the order in which a corpus keeps them: by behavior and place, and in each as they came.
+fn in_order(records: &[ScenarioRecord]) -> Vec<&ScenarioRecord> {
+    let mut sorted: Vec<&ScenarioRecord> = records.iter().collect();
+    sorted.sort_by_key(|r| (r.requested_behavior.clone().unwrap_or("none".to_owned()), &r.scenario.scene.source.place));
+    sorted
+}
+
+/// A store of some scenes on two maps, and scenarios from them.
+fn store_and_records(dir: &Path) -> (SceneStore, Vec<ScenarioRecord>) {
+    let maps: Vec<(MapId, LaneGraph)> = vec![("PIT".into(), map(1, 9)), ("MIA".into(), map(2, 7))];
+    let scenes: Vec<Scene> =
+        (0..70).map(|i| scene_at(i, maps.get(i as usize % 3).map(|(id, graph)| (id, graph)))).collect();
+    let mut writer = SceneWriter::create(dir, SceneWriterOptions::default()).unwrap();
+    writer.write_batch(&scenes, &maps, 1, &Value::Null).unwrap();
+    writer.finish(&Value::Null).unwrap();
+    let mut records: Vec<ScenarioRecord> = scenes.iter().flat_map(|scene| (0..2).map(|i| record(scene, i))).collect();
+    for record in records.iter_mut().step_by(7) {
+        record.requested_behavior = None;
+    }
+    for (i, record) in records.iter_mut().enumerate().filter(|(i, _)| i % 3 > 0) {
+        record.assessment = Some(assessment(&record.scenario.scene, i % 3 == 1));
+    }
+    // A parameter that occurs late, in a batch of its own.
+    let last = records.last_mut().unwrap();
+    last.events = vec![event(&last.scenario.scene.id, "cut_in", &[("ttc_s", 2.5)])];
+    (SceneStore::open(dir).unwrap(), records)
+}
+
+fn recorded(store: &SceneStore, record: &ScenarioRecord) -> Scene {
+    store.scene(store.position(&record.scenario.scene.id).unwrap()).unwrap()
+}
+
+fn metric_row() -> MetricRow {
+    MetricRow {
+        group: "recorded".to_owned(),
+        sweep: String::new(),
+        strength: 0.0,
+        place: "PIT".to_owned(),
+        scene_id: None,
+        scenario_id: None,
+        metric: "collision_rate".to_owned(),
+        value: 0.25,
+        n: 4,
+        std_error: None,
+    }
+}
+
+fn write(dir: &Path, store: &SceneStore, records: &[ScenarioRecord], batch_len: usize) -> CorpusManifest {
+    let mut writer = CorpusWriter::create(dir, store).unwrap();
+    for batch in records.chunks(batch_len) {
+        writer.write_scenarios(batch).unwrap();
+        for record in batch {
+            writer.write_recording(&recorded(store, record)).unwrap();
+        }
+    }
+    writer.write_metrics(&[metric_row()]).unwrap();
+    let left_out = [("guided".to_owned(), [("not_verified".to_owned(), 7)].into())].into();
+    writer.finish(&CorpusNotes { left_out, ..CorpusNotes::default() }).unwrap()
+}
+
+#[test]
+fn scenarios_come_back_as_they_were() {
+    let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (store, records) = store_and_records(store_dir.path());
+    let manifest = write(dir.path(), &store, &records, 33);
+    assert_eq!((manifest.n_scenarios, manifest.n_verified, manifest.n_maps), (140, 70, 2));
+    assert_eq!(manifest.scenarios_by_sweep["guided"], 140);
+    assert_eq!(manifest.left_out["guided"]["not_verified"], 7);
+    assert!(manifest.sources["argoverse1"].contains("CC BY-NC-SA 4.0"));
+
+    let reader = CorpusReader::open(dir.path()).unwrap();
+    assert_eq!(*reader.manifest(), manifest);
+    assert_eq!(reader.metrics().unwrap(), [metric_row()]);
+    let ordered = in_order(&records);
+    assert!(reader.scenario_ids().unwrap().eq(ordered.iter().map(|record| record.scenario.id.as_str())));
+    for (i, record) in ordered.iter().enumerate().rev() {
+        assert_eq!(reader.scenario(i).unwrap(), **record, "scenario {i}");
+        let recording = recorded(&store, record);
+        let n_timesteps = recording.n_timesteps;
+        let tracks = reader.recorded_tracks(&recording.id, n_timesteps).unwrap().unwrap();
+        assert_eq!(tracks, recording.tracks);
+    }
+    assert_eq!(reader.recorded_tracks(&"nowhere".into(), 5).unwrap(), None);
+    assert_eq!(reader.position(&ordered[7].scenario.id).unwrap(), 7);
+    assert!(reader.scenario(140).unwrap_err().to_string().ends_with("holds no scenario number 140 of 140"));
+}
+
+#[test]
+fn the_same_scenarios_give_the_same_bytes_however_they_come() {
+    let (store_dir, one, two) =
+        (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (store, records) = store_and_records(store_dir.path());
+    write(one.path(), &store, &records, 5);
+    write(two.path(), &store, &records, 140);
+    assert!(folder_bytes(one.path()) == folder_bytes(two.path()));
+}
+
+#[test]
+fn an_abandoned_corpus_is_no_corpus() {
+    let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (store, records) = store_and_records(store_dir.path());
+    write(dir.path(), &store, &records, 33);
+    let mut writer = CorpusWriter::create(dir.path(), &store).unwrap();
+    writer.write_scenarios(&records[..3]).unwrap();
+    drop(writer);
+    assert_eq!(folder_bytes(dir.path()).len(), 0);
+    assert!(matches!(CorpusReader::open(dir.path()).err(), Some(Error::Unfinished { .. })));
+}
+
+#[test]
+fn an_id_cannot_occur_twice() {
+    let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (store, records) = store_and_records(store_dir.path());
+    let mut writer = CorpusWriter::create(dir.path(), &store).unwrap();
+    let error = writer.write_scenarios(&[records[0].clone(), records[0].clone()]).unwrap_err();
+    assert!(error.to_string().ends_with("another scenario has this id"), "{error}");
+}
+
+#[test]
+fn partitions_are_folders_and_counted() {
+    let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (store, records) = store_and_records(store_dir.path());
+    let manifest = write(dir.path(), &store, &records, 33);
+    let files: Vec<String> = folder_bytes(dir.path()).into_keys().collect();
+    let parts = |table: &str| {
+        [
+            "behavior=cut_in/place=PIT",
+            "behavior=cut_in/place=S%C3%A3o%20Paulo",
+            "behavior=none/place=PIT",
+            "behavior=none/place=S%C3%A3o%20Paulo",
+        ]
+        .map(|folder| format!("{table}/{folder}/part-00000.parquet"))
+    };
+    let mut expected = vec!["README.md".to_owned(), "lanes.parquet".to_owned(), "manifest.json".to_owned()];
+    expected.extend(["metrics.parquet".to_owned()]);
+    expected.extend(["PIT", "S%C3%A3o%20Paulo"].map(|place| format!("recordings/place={place}/part-00000.parquet")));
+    expected.extend(parts("scenarios"));
+    expected.extend(parts("tracks"));
+    assert_eq!(files, expected);
+    // Every seventh record asks for nothing: 20 of 140. Scenes 1, 5, … 69 are at the second place: 18 with two records each.
+    let counts: Vec<u64> = manifest.scenarios_by_partition.iter().map(|count| count.n_scenarios).collect();
+    let elsewhere = |records: &[ScenarioRecord], behavior: bool| {
+        let is_counted =
+            |r: &&ScenarioRecord| r.scenario.scene.source.place != "PIT" && r.requested_behavior.is_some() == behavior;
+        records.iter().filter(is_counted).count() as u64
+    };
+    let (cut_in, none) = (elsewhere(&records, true), elsewhere(&records, false));
+    assert_eq!(cut_in + none, 36);
+    assert_eq!(counts, [120 - cut_in, cut_in, 20 - none, none]);
+    assert_eq!(manifest.n_recordings, 70);
+    let n_states: usize =
+        records.iter().flat_map(|r| &r.scenario.scene.tracks).map(|track| track.trajectory.n_valid()).sum();
+    assert_eq!(manifest.tables["tracks"].n_rows, n_states as u64);
+    assert_eq!(manifest.tables["tracks"].files[1].partition.place.as_deref(), Some("São Paulo"));
+}
+
+#[test]
+fn a_corpus_without_scenarios_has_its_columns() {
+    let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (store, _) = store_and_records(store_dir.path());
+    let manifest = CorpusWriter::create(dir.path(), &store).unwrap().finish(&CorpusNotes::default()).unwrap();
+    assert_eq!((manifest.n_scenarios, manifest.all_files().count()), (0, 5));
+    assert!(CorpusReader::open(dir.path()).unwrap().is_empty());
+}
+
+#[test]
+fn an_earlier_corpus_makes_place() {
+    let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (store, records) = store_and_records(store_dir.path());
+    write(dir.path(), &store, &records, 33);
+    for file in ["tracks.parquet", "scenarios.spool", "scenarios.spool.partial"] {
+        fs_err::write(dir.path().join(file), "earlier").unwrap();
+    }
+    let other: Vec<ScenarioRecord> = records.into_iter().filter(|record| record.requested_behavior.is_none()).collect();
+    let manifest = write(dir.path(), &store, &other, 33);
+    let n_files = manifest.all_files().count() + 2;
+    assert_eq!(folder_bytes(dir.path()).len(), n_files, "the files of the manifest, itself and the card");
+}
+
+#[test]
+fn damage_is_found() {
+    let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (store, records) = store_and_records(store_dir.path());
+    let manifest = write(dir.path(), &store, &records, 33);
+    for file in manifest.all_files() {
+        let path = dir.path().join(&file.path);
+        let whole = fs_err::read(&path).unwrap();
+        let mut changed = whole.clone();
+        changed[whole.len() / 2] ^= 1;
+        for damaged in [&whole[..whole.len() - 1], &changed] {
+            fs_err::write(&path, damaged).unwrap();
+            let error = CorpusReader::open(dir.path()).err().unwrap().to_string();
+            assert!(error.contains(&file.path) && error.contains("is damaged"), "{error}");
+        }
+        fs_err::remove_file(&path).unwrap();
+        let error = CorpusReader::open(dir.path()).err().unwrap().to_string();
+        assert!(error.contains(&file.path) && error.contains("the file is missing"), "{error}");
+        fs_err::write(&path, &whole).unwrap();
+    }
+    CorpusReader::open(dir.path()).unwrap();
+}

@@ -1,0 +1,203 @@
+//! The columns of the scenario table that say what was judged: validity, criticality, novelty.
+
+use super::columns::{
+    Columns, entries, lists, numbers, optional_flags, optional_numbers, optional_texts, small, structs, texts,
+};
+use crate::metrics::{Check, CutInJudgment, PairCriticality, SceneCriticality, Violation};
+use crate::scene::TrackId;
+use crate::store::schema::{ColumnExt, column, list_of, list_of_structs};
+use crate::store::{Assessment, Result};
+use arrow::array::ArrayRef;
+use arrow::datatypes::{DataType, Field, Float64Type, UInt32Type};
+
+/// The columns, in order. All are missing, or empty lists, where a scenario was not judged.
+pub(crate) fn fields() -> Vec<Field> {
+    let number =
+        |name: &str, unit: &str, description: &str| column(name, DataType::Float64, description).unit(unit).optional();
+    let flag = |name: &str, description: &str| column(name, DataType::Boolean, description).optional();
+    vec![
+        flag("accepted", "Whether it is verified, valid and no near-duplicate."),
+        flag("valid", "Whether it passes every check of validity."),
+        column(
+            "violations",
+            list_of(DataType::Utf8),
+            "The checks of validity that it fails, such as collision or jerk.",
+        )
+        .optional(),
+        details_field(),
+        number(
+            "plausibility",
+            "1",
+            "Share of its motion, quantity by quantity, within the range that holds all recorded motion but a thousandth at either end.",
+        ),
+        number(
+            "pair_min_ttc_s",
+            "s",
+            "Least time to collision of the two that were asked, in the future; missing where no course of theirs leads to one within 10 s.",
+        ),
+        number("pair_tet_s", "s", "Time during which their time to collision is below 1.5 s."),
+        number("pair_tit_s2", "s^2", "That time, weighted by how far it is below."),
+        number(
+            "pair_max_drac_mps2",
+            "m/s^2",
+            "Largest deceleration rate to avoid a crash of the two, at most 20; 0 where none is needed.",
+        ),
+        number(
+            "pair_min_headway_s",
+            "s",
+            "Least time headway of either of the two behind the other; missing where neither follows.",
+        ),
+        number("pair_pet_s", "s", "Post-encroachment time of the two; missing where their paths do not cross."),
+        number("pair_min_distance_m", "m", "Smallest distance between the boxes of the two; 0 where they overlap."),
+        number("scene_min_ttc_s", "s", "Least time to collision of any two."),
+        number("scene_max_drac_mps2", "m/s^2", "Largest deceleration rate to avoid a crash of any two."),
+        number("scene_min_distance_m", "m", "Smallest distance between the boxes of any two of whom one moves."),
+        flag(
+            "preventable",
+            "Of a cut-in: whether the careful driver of UN Regulation No. 157 in the place of the ego avoids a collision; missing for other behaviors, and where the other never comes into the ego's lane.",
+        ),
+        number(
+            "careful_braking_from_s",
+            "s",
+            "When that driver begins to brake, since the present; missing where it sees no reason to.",
+        ),
+        number(
+            "intrusion_ttc_s",
+            "s",
+            "Time to collision when the other is 0.3 m beyond the lane marking; missing where the gap does not close then.",
+        ),
+        flag(
+            "avoidance_required",
+            "Whether that time exceeds v_rel / (2 · 6 m/s²) + 0.35 s, so that the regulation demands that a collision be avoided; missing where the other is alongside.",
+        ),
+        number(
+            "nearest_recorded_event",
+            "1",
+            "Distance of its event from the nearest recorded one of the behavior: root mean square over parameters, each in its typical spread.",
+        ),
+        number(
+            "nearest_scenario_m",
+            "m",
+            "Mean distance between the paths of those who were asked and of those in the nearest accepted scenario before it, in the frame of the first of them.",
+        ),
+        column("near_duplicate_of", DataType::Utf8, "That scenario, where it is too near to be another one.")
+            .optional(),
+    ]
+}
+
+fn details_field() -> Field {
+    let members = vec![
+        column("check", DataType::Utf8, "The check."),
+        column("track_id", DataType::Utf8, "The track at its worst place; of a collision the first of the two."),
+        column("timestep", DataType::UInt32, "The timestep there.").unit("1"),
+        column("value", DataType::Float64, "What was found there, in the unit of the check."),
+        column("limit", DataType::Float64, "What is allowed, in the unit of the check."),
+    ];
+    column(
+        "violation_details",
+        list_of_structs(members),
+        "The worst place of each check that it fails, in the order of violations.",
+    )
+    .optional()
+}
+
+/// The arrays of these judgments, in the order of [`fields`]; ids of the scenarios are for messages.
+pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRef>> {
+    let judged = || rows.iter().map(|(_, assessment)| *assessment);
+    let violations = |assessment: Option<&Assessment>| assessment.map_or(0, |a| a.violations.len());
+    let all = || judged().flatten().flat_map(|assessment| &assessment.violations);
+    let timesteps: Result<Vec<u32>> = rows
+        .iter()
+        .flat_map(|(id, assessment)| assessment.iter().flat_map(|a| &a.violations).map(move |v| (id, v)))
+        .map(|(id, violation)| small(id, "timestep", violation.timestep))
+        .collect();
+    let details = vec![
+        texts(all().map(|violation| violation.check.id())),
+        texts(all().map(|violation| violation.track.0.as_str())),
+        numbers::<UInt32Type>(timesteps?),
+        numbers::<Float64Type>(all().map(|violation| violation.value)),
+        numbers::<Float64Type>(all().map(|violation| violation.limit)),
+    ];
+    let number = |of: &dyn Fn(&Assessment) -> Option<f64>| optional_numbers::<Float64Type>(judged().map(|a| of(a?)));
+    let flag = |of: &dyn Fn(&Assessment) -> Option<bool>| optional_flags(judged().map(|a| of(a?)));
+    let pair = |of: fn(&PairCriticality) -> Option<f64>| number(&|a| of(a.pair.as_ref()?));
+    let scene = |of: fn(&SceneCriticality) -> Option<f64>| number(&|a| of(a.scene.as_ref()?));
+    Ok(vec![
+        flag(&|a| Some(a.accepted)),
+        flag(&|a| Some(a.is_valid())),
+        lists(judged().map(violations), texts(all().map(|violation| violation.check.id()))),
+        lists(judged().map(violations), structs("scenario", details_field().data_type(), details)?),
+        number(&|a| a.plausibility),
+        pair(|p| p.min_ttc_s),
+        pair(|p| Some(p.tet_s)),
+        pair(|p| Some(p.tit_s2)),
+        pair(|p| Some(p.max_drac_mps2)),
+        pair(|p| p.min_headway_s),
+        pair(|p| p.pet_s),
+        pair(|p| Some(p.min_distance_m)),
+        scene(|s| s.min_ttc_s),
+        scene(|s| Some(s.max_drac_mps2)),
+        scene(|s| Some(s.min_distance_m)),
+        flag(&|a| Some(a.cut_in?.preventable)),
+        number(&|a| a.cut_in?.braking_from_s),
+        number(&|a| a.cut_in?.intrusion_ttc_s),
+        flag(&|a| a.cut_in?.avoidance_required),
+        number(&|a| a.nearest_recorded_event),
+        number(&|a| a.nearest_scenario_m),
+        optional_texts(judged().map(|a| a?.near_duplicate_of.as_deref())),
+    ])
+}
+
+/// The judgment in a row. `None` where the scenario was not judged.
+pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Option<Assessment>> {
+    let number = |name: &str| columns.optional_number::<Float64Type>(name, row);
+    let Some(accepted) = columns.optional_flag("accepted", row)? else { return Ok(None) };
+    let (list, details) = columns.of_list("violation_details")?;
+    let violation = |i: usize| {
+        Ok(Violation {
+            check: details.named("check", i, Check::from_id)?,
+            track: TrackId::from(details.text("track_id", i)?),
+            timestep: details.number::<UInt32Type>("timestep", i)? as usize,
+            value: details.number::<Float64Type>("value", i)?,
+            limit: details.number::<Float64Type>("limit", i)?,
+        })
+    };
+    let pair = match (number("pair_min_distance_m")?, number("pair_max_drac_mps2")?) {
+        (Some(min_distance_m), Some(max_drac_mps2)) => Some(PairCriticality {
+            min_ttc_s: number("pair_min_ttc_s")?,
+            tet_s: number("pair_tet_s")?.unwrap_or_default(),
+            tit_s2: number("pair_tit_s2")?.unwrap_or_default(),
+            max_drac_mps2,
+            min_headway_s: number("pair_min_headway_s")?,
+            pet_s: number("pair_pet_s")?,
+            min_distance_m,
+        }),
+        _ => None,
+    };
+    let scene = match (number("scene_min_distance_m")?, number("scene_max_drac_mps2")?) {
+        (Some(min_distance_m), Some(max_drac_mps2)) => {
+            Some(SceneCriticality { min_ttc_s: number("scene_min_ttc_s")?, max_drac_mps2, min_distance_m })
+        }
+        _ => None,
+    };
+    let cut_in = match columns.optional_flag("preventable", row)? {
+        Some(preventable) => Some(CutInJudgment {
+            preventable,
+            braking_from_s: number("careful_braking_from_s")?,
+            intrusion_ttc_s: number("intrusion_ttc_s")?,
+            avoidance_required: columns.optional_flag("avoidance_required", row)?,
+        }),
+        None => None,
+    };
+    Ok(Some(Assessment {
+        accepted,
+        violations: entries(list, row).map(violation).collect::<Result<_>>()?,
+        plausibility: number("plausibility")?,
+        pair,
+        scene,
+        cut_in,
+        nearest_recorded_event: number("nearest_recorded_event")?,
+        nearest_scenario_m: number("nearest_scenario_m")?,
+        near_duplicate_of: columns.optional_text("near_duplicate_of", row)?.map(str::to_owned),
+    }))
+}

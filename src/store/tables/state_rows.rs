@@ -1,0 +1,161 @@
+//! The columns of a table with one row a state: who, when, where in the scene frame and in that of the recording. The
+//! tables of tracks and of recordings share them.
+
+use super::columns::{Columns, flags, numbers, optional_numbers, small, texts};
+use super::scene_tracks::{extent_of, single, state_of};
+use crate::scene::{AgentClass, Extent, Scene, State, Track, TrackId, TrackRole, Trajectory};
+use crate::store::schema::{ColumnExt, SCENE_FRAME, WORLD_FRAME, column};
+use crate::store::{Error, Result};
+use arrow::array::{ArrayRef, StringArray};
+use arrow::datatypes::{DataType, Field, Float32Type, Float64Type, UInt32Type};
+
+/// One row: a state of an agent of a scene.
+pub(crate) struct StateRow<'r> {
+    pub(crate) scene: &'r Scene,
+    pub(crate) agent_idx: usize,
+    pub(crate) timestep: usize,
+    pub(crate) state: &'r State,
+}
+
+impl<'r> StateRow<'r> {
+    pub(crate) fn track(&self) -> &'r Track {
+        &self.scene.tracks[self.agent_idx]
+    }
+}
+
+/// The rows of a scene, track by track and in each by time.
+pub(crate) fn rows_of(scene: &Scene) -> impl Iterator<Item = StateRow<'_>> {
+    scene.tracks.iter().enumerate().flat_map(move |(agent_idx, track)| {
+        let states = track.trajectory.valid();
+        states.map(move |(timestep, state)| StateRow { scene, agent_idx, timestep, state })
+    })
+}
+
+/// Who it is.
+pub(crate) fn who_fields(unique_within: &str) -> Vec<Field> {
+    vec![
+        column(
+            "track_id",
+            DataType::Utf8,
+            &format!("The recording's name for the track; unique within the {unique_within}."),
+        ),
+        column("class", DataType::Utf8, "Kind of road user."),
+        column(
+            "recorded_role",
+            DataType::Utf8,
+            "What the recording marks the track as: focal, scored, recorder or context.",
+        ),
+        column("is_ego", DataType::Boolean, "Whether it is the ego, which defines the scene frame."),
+    ]
+}
+
+/// The arrays of [`who_fields`].
+pub(crate) fn who(rows: &[StateRow<'_>]) -> Vec<ArrayRef> {
+    vec![
+        texts(rows.iter().map(|row| row.track().id.0.as_str())),
+        texts(rows.iter().map(|row| row.track().class.name())),
+        texts(rows.iter().map(|row| row.track().role.name())),
+        flags(rows.iter().map(|row| row.agent_idx == row.scene.ego_idx)),
+    ]
+}
+
+/// When it was.
+pub(crate) fn when_fields() -> Vec<Field> {
+    vec![
+        column("timestep", DataType::UInt32, "Timestep, from 0.").unit("1"),
+        column("t_s", DataType::Float64, "Time since timestep 0.").unit("s"),
+    ]
+}
+
+/// The arrays of [`when_fields`].
+pub(crate) fn when(rows: &[StateRow<'_>]) -> Result<Vec<ArrayRef>> {
+    let timesteps: Result<Vec<u32>> = rows.iter().map(|row| small(&row.scene.id.0, "timestep", row.timestep)).collect();
+    Ok(vec![
+        numbers::<UInt32Type>(timesteps?),
+        numbers::<Float64Type>(rows.iter().map(|row| row.timestep as f64 * row.scene.dt_s)),
+    ])
+}
+
+/// Where it was, how it moved and how large it is.
+pub(crate) fn state_fields() -> Vec<Field> {
+    let scene = |name: &str, unit: &str, description: &str| {
+        column(name, DataType::Float32, description).unit(unit).frame(SCENE_FRAME)
+    };
+    let world = |name: &str, unit: &str, description: &str| {
+        column(name, DataType::Float64, description).unit(unit).frame(WORLD_FRAME)
+    };
+    let size = |name: &str, description: &str| column(name, DataType::Float32, description).unit("m").optional();
+    vec![
+        scene("x_m", "m", "Centre."),
+        scene("y_m", "m", "Centre."),
+        scene("heading_rad", "rad", "Direction in (-π, π]."),
+        scene("vx_mps", "m/s", "Velocity."),
+        scene("vy_mps", "m/s", "Velocity."),
+        world("world_x_m", "m", "Centre."),
+        world("world_y_m", "m", "Centre."),
+        world("world_heading_rad", "rad", "Direction in (-π, π]."),
+        size("length_m", "Size along the heading; missing where the recording gives none."),
+        size("width_m", "Size across the heading; missing where the recording gives none."),
+    ]
+}
+
+/// The arrays of [`state_fields`].
+pub(crate) fn states(rows: &[StateRow<'_>]) -> Vec<ArrayRef> {
+    let state = |i: usize| numbers::<Float32Type>(rows.iter().map(move |row| single(row.state)[i]));
+    let world = |number: fn(&State) -> f64| {
+        let states = rows.iter().map(|row| row.state.transformed(&row.scene.world_from_scene));
+        numbers::<Float64Type>(states.map(|state| number(&state)))
+    };
+    let size = |of: fn(Extent) -> f64| {
+        optional_numbers::<Float32Type>(rows.iter().map(|row| row.track().extent.map(|extent| of(extent) as f32)))
+    };
+    vec![
+        state(0),
+        state(1),
+        state(2),
+        state(3),
+        state(4),
+        world(|state| state.position.x),
+        world(|state| state.position.y),
+        world(|state| state.heading_rad),
+        size(|extent| extent.length_m),
+        size(|extent| extent.width_m),
+    ]
+}
+
+/// The tracks of one scene, whose rows are all of `columns`; `visit` sees the track, timestep and row of each state.
+pub(crate) fn decode(
+    columns: &Columns<'_>,
+    n_rows: usize,
+    n_timesteps: usize,
+    mut visit: impl FnMut(usize, usize, usize) -> Result<()>,
+) -> Result<Vec<Track>> {
+    let ids: &StringArray = columns.get("track_id")?;
+    let mut tracks: Vec<(TrackId, Vec<Option<State>>, usize)> = Vec::new();
+    for row in 0..n_rows {
+        let id = ids.value(row);
+        if tracks.last().is_none_or(|(last, ..)| last.0 != id) {
+            tracks.push((TrackId::from(id), vec![None; n_timesteps], row));
+        }
+        let number = |name: &str| columns.number::<Float32Type>(name, row);
+        let numbers = [number("x_m")?, number("y_m")?, number("heading_rad")?, number("vx_mps")?, number("vy_mps")?];
+        let timestep = columns.number::<UInt32Type>("timestep", row)? as usize;
+        let entry = tracks.last_mut().and_then(|(_, states, _)| states.get_mut(timestep));
+        *entry.ok_or_else(|| Error::corrupt(columns.path, format!("track {id} has a state after the end")))? =
+            Some(state_of(numbers));
+        visit(tracks.len() - 1, timestep, row)?;
+    }
+    let track = |(id, states, row): (TrackId, Vec<Option<State>>, usize)| {
+        Ok(Track {
+            id,
+            class: columns.named("class", row, AgentClass::from_name)?,
+            role: columns.named("recorded_role", row, TrackRole::from_name)?,
+            extent: extent_of(
+                columns.optional_number::<Float32Type>("length_m", row)?,
+                columns.optional_number::<Float32Type>("width_m", row)?,
+            ),
+            trajectory: Trajectory::new(states),
+        })
+    };
+    tracks.into_iter().map(track).collect()
+}

@@ -1,0 +1,158 @@
+//! Tuning a denoiser into a consistency model (ECT, Geng et al. 2024): the loss.
+
+use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
+use crate::diffusion::{Denoiser, NoiseSource, rows_like};
+use crate::model::SceneDenoiser;
+use crate::tensor::SceneBatch;
+use candle_core::Tensor;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// The noise levels at which held-out losses are given.
+const EVALUATION_SIGMAS: [f64; 3] = [0.2, 0.8, 10.0];
+
+/// How near to each other the two noise levels are whose answers shall agree.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LevelGap {
+    /// The gap shrinks by this factor q from stage to stage.
+    pub ratio: f64,
+    /// Number of stages, of equal length.
+    pub n_stages: u64,
+    /// How much wider the gap is at low noise, k.
+    pub widening: f64,
+    /// How soon that ends as the noise grows, b.
+    pub widening_decay: f64,
+}
+
+impl Default for LevelGap {
+    fn default() -> Self {
+        Self { ratio: 2.0, n_stages: 6, widening: 8.0, widening_decay: 1.0 }
+    }
+}
+
+impl LevelGap {
+    /// The lower noise level r of t in `stage` (from 0): r = t (1 - (1 + k / (1 + e^(b t))) / q^(stage + 1)), at least 0. In
+    /// the first stage it is mostly 0, where the loss is that of a denoiser; in the end t and r are neighbors.
+    pub fn lower(&self, t: f64, stage: u64) -> f64 {
+        let widened = 1.0 + self.widening / (1.0 + (self.widening_decay * t).exp());
+        let share = widened / self.ratio.powi(i32::try_from(stage).unwrap_or(i32::MAX - 1) + 1);
+        (t * (1.0 - share)).max(0.0)
+    }
+
+    /// The stage of a step.
+    pub fn stage(&self, step: u64, steps: u64) -> u64 {
+        (step * self.n_stages / steps.max(1)).min(self.n_stages.saturating_sub(1))
+    }
+}
+
+/// Consistency tuning of a `SceneDenoiser` on the scenes of a dataset.
+pub struct ConsistencyTask<'a> {
+    /// The denoiser with trainable parameters.
+    pub denoiser: &'a SceneDenoiser,
+    /// The same parameters without gradients: it answers at the lower noise level, and in evaluations.
+    pub frozen: &'a SceneDenoiser,
+    /// Settings.
+    pub training: &'a DistillTraining,
+    /// Draws batches.
+    pub draws: SceneDraws<'a>,
+}
+
+impl ConsistencyTask<'_> {
+    /// The mean over rows of (√(‖D(x0 + t ε; t) - D(x0 + r ε; r)‖² + c²) - c) / (t - r), with the same ε on both sides, no
+    /// gradient through the second one, and D(x0; 0) = x0. The norm is the root mean square of the valid latent scalars, and of
+    /// what they add up to, as in the denoiser's loss.
+    fn disagreement(
+        &self,
+        denoiser: &SceneDenoiser,
+        batch: &SceneBatch,
+        levels: &[(f64, f64)],
+        noise: &mut NoiseSource,
+    ) -> Result<Tensor, Error> {
+        let latent = batch.latent.unsqueeze(3)?;
+        let eps = noise.draw_like(&batch.x0)?.broadcast_mul(&latent)?;
+        let at = |denoiser: &SceneDenoiser, sigmas: Vec<f64>| -> Result<Tensor, Error> {
+            let rows = rows_like(sigmas, &batch.x0)?;
+            let x = (&batch.x0 + eps.broadcast_mul(&rows)?)?.broadcast_mul(&latent)?;
+            Ok(denoiser.bind(batch, 1)?.denoise(&x, &rows.flatten_all()?)?)
+        };
+        let upper = at(denoiser, levels.iter().map(|(t, _)| *t).collect())?;
+        let ends = levels.iter().map(|(_, r)| f64::from(u8::from(*r <= 0.0))).collect::<Vec<_>>();
+        // The network takes the logarithm of the noise level, so rows that end at 0 are asked elsewhere and replaced.
+        let asked = levels.iter().map(|(t, r)| if *r > 0.0 { *r } else { *t }).collect();
+        let lower = match ends.iter().all(|end| *end > 0.0) {
+            true => batch.x0.clone(),
+            false => {
+                let is_end = rows_like(ends, &batch.x0)?;
+                let answered = at(self.frozen, asked)?.detach();
+                (batch.x0.broadcast_mul(&is_end)? + answered.broadcast_mul(&(1.0 - &is_end)?)?)?
+            }
+        };
+        let error = (upper - lower)?.broadcast_mul(&latent)?;
+        let mut squared = error.sqr()?;
+        if self.training.path_loss > 0.0
+            && let Some(path) = batch.unit_path()?
+        {
+            let path_error = path.matmul(&error)?.broadcast_mul(&latent)?;
+            squared = (squared + (path_error.sqr()? * self.training.path_loss)?)?;
+        }
+        let state_dim = self.draws.collator.normalizer.state_dim as f64;
+        let n_latent = (latent.flatten_from(1)?.sum(1)? * state_dim)?.maximum(1.0)?;
+        let mean = squared.flatten_from(1)?.sum(1)?.div(&n_latent)?;
+        let weights: Vec<f64> = levels.iter().map(|(t, r)| 1.0 / (t - r)).collect();
+        let weights = rows_like(weights, &mean)?.flatten_all()?;
+        let c = self.training.huber;
+        // The tiny number keeps the slope finite where both answers are the same.
+        Ok(((((mean + (c * c + 1e-12))?.sqrt()? - c)? * weights)?).mean_all()?)
+    }
+}
+
+impl TrainTask for ConsistencyTask<'_> {
+    fn loss(&self, step: u64) -> Result<Tensor, Error> {
+        let DrawnBatch { batch, seeds, mut rngs } = self.draws.training_batch(step)?;
+        let stage = self.training.gap.stage(step, self.training.fit.steps);
+        let levels: Vec<(f64, f64)> = (rngs.iter_mut())
+            .map(|rng| self.training.noise.draw(rng))
+            .map(|t| (t, self.training.gap.lower(t, stage)))
+            .collect();
+        self.disagreement(self.denoiser, &batch, &levels, &mut NoiseSource::new(seeds))
+    }
+
+    fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
+        // Always with the gap of the last stage, so that evaluations of all stages compare.
+        let last = self.training.gap.n_stages.saturating_sub(1);
+        let mut sums = [0.0; EVALUATION_SIGMAS.len()];
+        for chunk in self.draws.held_out_chunks() {
+            let batch = self.draws.predictive_batch(chunk)?;
+            for (sum, sigma) in sums.iter_mut().zip(EVALUATION_SIGMAS) {
+                let seeds = chunk.iter().map(|idx| self.draws.seed.derive("evaluation", &[*idx as u64])).collect();
+                let levels = vec![(sigma, self.training.gap.lower(sigma, last)); chunk.len()];
+                let loss = self.disagreement(self.frozen, &batch, &levels, &mut NoiseSource::new(seeds))?;
+                *sum += f64::from(loss.to_scalar::<f32>()?) * chunk.len() as f64;
+            }
+        }
+        let n = self.draws.held_out.len().max(1) as f64;
+        let named = |(sigma, sum): (f64, f64)| (format!("held_out_disagreement_at_sigma_{sigma}"), sum / n);
+        Ok(EVALUATION_SIGMAS.into_iter().zip(sums).map(named).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_lower_level_has_the_hand_computed_values() {
+        let gap = LevelGap { ratio: 2.0, n_stages: 4, widening: 8.0, widening_decay: 1.0 };
+        // At t = ln 3 the widening is 1 + 8 / (1 + 3) = 3: shares 3/2 (so 0), 3/4, 3/8, 3/16.
+        let t = 3f64.ln();
+        for (stage, expected) in [0.0, 0.25, 0.625, 0.8125].into_iter().enumerate() {
+            assert!((gap.lower(t, stage as u64) - t * expected).abs() < 1e-12, "stage {stage}");
+        }
+        // Far up the widening is gone: half of t.
+        assert!((gap.lower(60.0, 0) - 30.0).abs() < 1e-9);
+        // Stages are of equal length, and the last one does not end early.
+        assert_eq!([0, 24, 25, 50, 99, 200].map(|step| gap.stage(step, 100)), [0, 0, 1, 2, 3, 3]);
+    }
+}

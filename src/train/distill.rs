@@ -1,0 +1,81 @@
+//! From a denoiser's checkpoint to that of a consistency model.
+
+use super::{ConsistencyTask, DenoiserOutcome, DistillTraining, Error, SceneDraws, TrainingData, fit};
+use crate::model::{DenoiserSpec, SceneDenoiser};
+use crate::nn::{Checkpoint, Params};
+use crate::progress::Progress;
+use crate::seed::Seed;
+use crate::tensor::MaskSampler;
+use candle_core::Device;
+use std::path::Path;
+
+/// Tunes the denoiser `teacher` in `dir` (resuming what is there) and writes it to `dir/model.safetensors`: a checkpoint of the
+/// same network, scales and limits, that answers with samples where the teacher answers with means.
+///
+/// # Errors
+/// When there is no scene to train on, scenes are not of the teacher's shape, or training fails.
+pub fn distill_denoiser(
+    training: &DistillTraining,
+    data: &TrainingData<'_>,
+    teacher: &Checkpoint<DenoiserSpec>,
+    seed: Seed,
+    dir: &Path,
+    device: &Device,
+    progress: &dyn Progress,
+) -> Result<DenoiserOutcome, Error> {
+    let Some(masks) = MaskSampler::new(&training.tasks) else {
+        return Err(Error::Config("train.distill.tasks are no weights".to_owned()));
+    };
+    let spec = DenoiserSpec {
+        steps: training.fit.steps,
+        seed: seed.0,
+        scenes: data.fingerprint.clone(),
+        ..teacher.metadata.clone()
+    };
+    check_shape(&spec, data)?;
+    let mut params = Params::new(device);
+    let build = |params: &mut Params| {
+        SceneDenoiser::new(params, &spec.network, spec.normalizer.state_dim, spec.edm, seed.derive("weights", &[]))
+    };
+    let denoiser = build(&mut params)?;
+    params.load(&teacher.tensors)?;
+    let frozen = build(&mut params.frozen())?;
+    let held_out = data.chosen_held_out(training.n_eval_scenes, seed);
+    let draws = SceneDraws {
+        collator: &spec.collator(),
+        dataset: data.dataset,
+        train: &data.train,
+        held_out: &held_out,
+        masks: &masks,
+        batch_size: training.batch_size,
+        seed,
+        device,
+    };
+    let task = ConsistencyTask { denoiser: &denoiser, frozen: &frozen, training, draws };
+    let outcome = fit(&training.fit, &mut params, &task, dir, progress)?;
+    let fingerprint = spec.write(&params, &dir.join("model.safetensors"))?;
+    Ok(DenoiserOutcome { fingerprint, n_parameters: params.n_parameters(), spec, statistics: outcome.statistics })
+}
+
+/// Fails where the scenes are not such as the teacher was trained on. The first one stands for all: batches refuse others.
+fn check_shape(spec: &DenoiserSpec, data: &TrainingData<'_>) -> Result<(), Error> {
+    let Some(first) = data.train.first() else {
+        return Err(Error::NoScenes("choose other splits or places in train.distill".to_owned()));
+    };
+    let scene = data.dataset.scene(*first).map_err(Error::Scene)?;
+    let is_alike = (scene.n_history, scene.n_timesteps) == (spec.n_history, spec.n_timesteps)
+        && (scene.dt_s - spec.dt_s).abs() < 1e-6;
+    if is_alike {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "scene {} has {} + {} timesteps of {} s, the denoiser was trained on {} + {} of {} s: distill on scenes of its own kind",
+        scene.id,
+        scene.n_history,
+        scene.n_timesteps.saturating_sub(scene.n_history),
+        scene.dt_s,
+        spec.n_history,
+        spec.n_timesteps.saturating_sub(spec.n_history),
+        spec.dt_s
+    )))
+}

@@ -1,0 +1,158 @@
+//! The `[train.distill]` section: how does a denoiser become one that needs few evaluations?
+
+use super::{Error, FitConfig, LearningRateDecay, LevelGap};
+use crate::diffusion::NoiseDistribution;
+use crate::scene::Split;
+use crate::tensor::TaskWeights;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// How to tune a trained denoiser into a consistency model of the same network, scales and masks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct DistillTrainingConfig {
+    /// How near to each other the two noise levels are whose answers shall agree.
+    pub gap: LevelGap,
+    /// Distribution of the upper noise level.
+    pub noise: NoiseDistribution,
+    /// Below about this disagreement the loss is quadratic, above it linear; 0: linear throughout.
+    pub huber: f64,
+    /// Weight of the squared disagreement of what diffused motion adds up to (motion parametrization only).
+    pub path_loss: f64,
+    /// How often each observation task is drawn.
+    pub tasks: TaskWeights,
+    /// Splits to train on; empty means `train`, or everything unsplit where there is no such split.
+    pub splits: Vec<Split>,
+    /// Places to train on; empty means all.
+    pub places: Vec<String>,
+    /// Optimizer steps in all.
+    pub steps: u64,
+    /// Scenes a step.
+    pub batch_size: usize,
+    /// Learning rate after warm-up.
+    pub learning_rate: f64,
+    /// Steps over which the learning rate rises from 0.
+    pub warmup_steps: u64,
+    /// How the learning rate goes on: `constant` or `cosine`.
+    pub decay: LearningRateDecay,
+    /// Gradients are scaled down to this global norm.
+    pub clip_norm: f64,
+    /// Decay of the moving average of the weights; 0 for none.
+    pub ema_decay: f64,
+    /// Held-out scenes of each evaluation during training.
+    pub n_eval_scenes: usize,
+    /// Steps between evaluations.
+    pub evaluate_every: u64,
+    /// Steps between saved states.
+    pub save_every: u64,
+    /// A distilled checkpoint to use instead of training.
+    pub checkpoint: Option<std::path::PathBuf>,
+}
+
+impl Default for DistillTrainingConfig {
+    fn default() -> Self {
+        Self {
+            gap: LevelGap::default(),
+            // Wider than for training from nothing: a consistency model has to answer from pure noise, too.
+            noise: NoiseDistribution { p_mean: -0.5, p_std: 2.0 },
+            huber: 0.01,
+            path_loss: 0.1,
+            tasks: TaskWeights::default(),
+            splits: Vec::new(),
+            places: Vec::new(),
+            steps: 2_000,
+            batch_size: 8,
+            learning_rate: 3e-4,
+            warmup_steps: 50,
+            decay: LearningRateDecay::Cosine,
+            clip_norm: 5.0,
+            ema_decay: 0.99,
+            n_eval_scenes: 48,
+            evaluate_every: 500,
+            save_every: 250,
+            checkpoint: None,
+        }
+    }
+}
+
+/// The same with every value decided.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DistillTraining {
+    /// How near to each other the two noise levels are.
+    pub gap: LevelGap,
+    /// Distribution of the upper noise level.
+    pub noise: NoiseDistribution,
+    /// Where the loss turns from quadratic to linear.
+    pub huber: f64,
+    /// Weight of the disagreement of paths.
+    pub path_loss: f64,
+    /// How often each observation task is drawn.
+    pub tasks: TaskWeights,
+    /// Scenes a step.
+    pub batch_size: usize,
+    /// Held-out scenes of each evaluation during training.
+    pub n_eval_scenes: usize,
+    /// The loop.
+    pub fit: FitConfig,
+}
+
+impl DistillTrainingConfig {
+    /// The settings of the training.
+    ///
+    /// # Errors
+    /// When a value makes no sense, naming it.
+    pub fn resolve(&self) -> Result<DistillTraining, Error> {
+        let positive: [(&str, f64); 8] = [
+            ("steps", self.steps as f64),
+            ("batch_size", self.batch_size as f64),
+            ("learning_rate", self.learning_rate),
+            ("clip_norm", self.clip_norm),
+            ("evaluate_every", self.evaluate_every as f64),
+            ("save_every", self.save_every as f64),
+            ("gap.n_stages", self.gap.n_stages as f64),
+            ("gap.ratio (beyond 1)", self.gap.ratio - 1.0),
+        ];
+        let not_negative = [
+            ("huber", self.huber),
+            ("path_loss", self.path_loss),
+            ("gap.widening", self.gap.widening),
+            ("gap.widening_decay", self.gap.widening_decay),
+        ];
+        let refuse = |name: &str, value: f64, expected: &str| {
+            Err(Error::Config(format!("train.distill.{name} is {value}, expected {expected}")))
+        };
+        if let Some((name, value)) = positive.iter().find(|(_, value)| !value.is_finite() || *value <= 0.0) {
+            return refuse(name, *value, "a positive number");
+        }
+        if let Some((name, value)) = not_negative.iter().find(|(_, value)| !value.is_finite() || *value < 0.0) {
+            return refuse(name, *value, "0 or more");
+        }
+        if !(0.0..1.0).contains(&self.ema_decay) {
+            return refuse("ema_decay", self.ema_decay, "0 (none) up to below 1");
+        }
+        if self.tasks.probabilities().is_none() {
+            let message = "train.distill.tasks are no weights: give numbers of at least 0, one of them positive";
+            return Err(Error::Config(message.to_owned()));
+        }
+        Ok(DistillTraining {
+            gap: self.gap,
+            noise: self.noise,
+            huber: self.huber,
+            path_loss: self.path_loss,
+            tasks: self.tasks,
+            batch_size: self.batch_size,
+            n_eval_scenes: self.n_eval_scenes,
+            fit: FitConfig {
+                steps: self.steps,
+                learning_rate: self.learning_rate,
+                warmup_steps: self.warmup_steps,
+                decay: self.decay,
+                clip_norm: self.clip_norm,
+                ema_decay: self.ema_decay,
+                evaluate_every: self.evaluate_every,
+                save_every: self.save_every,
+                log_every: 20,
+            },
+        })
+    }
+}

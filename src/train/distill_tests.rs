@@ -1,0 +1,187 @@
+//! Tuning reaches every parameter, and turns answers that are means into answers that are samples.
+
+use super::*;
+use crate::diffusion::sampler::ConsistencyConfig;
+use crate::diffusion::{NoiseSource, SamplerConfig};
+use crate::model::{DenoiserSpec, NetworkConfig, SceneDenoiser, TrainedDenoiser};
+use crate::nn::{Checkpoint, Params, read_checkpoint};
+use crate::progress::Silent;
+use crate::scene::testing::{Drive, scene};
+use crate::scene::{ObservationMask, Scene, Trajectory};
+use crate::seed::Seed;
+use crate::tensor::{FutureValidity, MaskSampler, SceneView, StateParametrization, TaskWeights};
+use candle_core::Device;
+use std::path::Path;
+
+/// A car that bears left or right from the present on, which cannot be told before.
+struct Forks;
+
+fn fork(idx: usize) -> Scene {
+    let side = if idx.is_multiple_of(2) { 1.0 } else { -1.0 };
+    let mut forked = scene(&[Drive::straight(0.0, 0.0, 0.0, 15.0)]);
+    let turning = scene(&[Drive { curvature_1pm: 0.06 * side, ..Drive::straight(4.5, 0.0, 0.0, 15.0) }]);
+    let track = &mut forked.tracks[0].trajectory;
+    let state = |t: usize| if t < 4 { track.get(t) } else { turning.tracks[0].trajectory.get(t - 3) };
+    *track = Trajectory::new((0..12).map(|t| state(t).copied()).collect());
+    forked
+}
+
+impl SceneDataset for Forks {
+    fn len(&self) -> usize {
+        40
+    }
+
+    fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
+        Ok(fork(idx))
+    }
+}
+
+fn data() -> TrainingData<'static> {
+    TrainingData {
+        dataset: &Forks,
+        train: (0..32).collect(),
+        held_out: (32..40).collect(),
+        state_dim: 3,
+        fingerprint: "scenes".to_owned(),
+    }
+}
+
+fn only_predictive() -> TaskWeights {
+    TaskWeights {
+        predictive: 1.0,
+        goal_conditioned: 0.0,
+        agent_conditioned: 0.0,
+        ego_conditioned: 0.0,
+        windowed: 0.0,
+        upsampling: 0.0,
+        imputation: 0.0,
+    }
+}
+
+fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
+    let config = DenoiserTrainingConfig {
+        preset: Preset::Tiny,
+        network: Some(NetworkConfig {
+            layers: "TT".to_owned(),
+            width: 32,
+            n_heads: 2,
+            feed_forward: 64,
+            encoding: 16,
+            latent_periods: [1.0, 100.0],
+            path_input: false,
+        }),
+        state_parametrization: Some(StateParametrization::Residual),
+        path_loss: Some(0.0),
+        tasks: only_predictive(),
+        steps: Some(steps),
+        learning_rate: Some(5e-3),
+        batch_size: Some(8),
+        n_eval_scenes: Some(8),
+        ..DenoiserTrainingConfig::default()
+    };
+    train_denoiser(&config.resolve().unwrap(), &data(), None, Seed(3), dir, &Device::Cpu, &Silent).unwrap();
+    read_checkpoint(&dir.join("model.safetensors"), &Device::Cpu).unwrap()
+}
+
+fn distillation(steps: u64) -> DistillTraining {
+    let config = DistillTrainingConfig {
+        tasks: only_predictive(),
+        steps,
+        learning_rate: 3e-3,
+        path_loss: 0.0,
+        n_eval_scenes: 8,
+        ..DistillTrainingConfig::default()
+    };
+    config.resolve().unwrap()
+}
+
+#[test]
+fn every_parameter_receives_a_gradient_in_every_stage() {
+    let dir = tempfile::tempdir().unwrap();
+    let teacher = teacher(1, dir.path());
+    let (spec, training) = (&teacher.metadata, distillation(60));
+    let mut params = Params::new(&Device::Cpu);
+    let build = |params: &mut Params| SceneDenoiser::new(params, &spec.network, 3, spec.edm, Seed(1)).unwrap();
+    let denoiser = build(&mut params);
+    // Layers that begin at zero would hide what lies before them.
+    let frozen = build(&mut params.frozen());
+    let masks = MaskSampler::new(&training.tasks).unwrap();
+    let draws = SceneDraws {
+        collator: &spec.collator(),
+        dataset: &Forks,
+        train: &[0, 1, 2, 3],
+        held_out: &[],
+        masks: &masks,
+        batch_size: 8,
+        seed: Seed(2),
+        device: &Device::Cpu,
+    };
+    let task = ConsistencyTask { denoiser: &denoiser, frozen: &frozen, training: &training, draws };
+    for step in [0, 59] {
+        let gradients = task.loss(step).unwrap().backward().unwrap();
+        for (name, var) in params.iter() {
+            // Nothing here reads a map or attends over agents.
+            if name.contains("lane") {
+                continue;
+            }
+            let gradient = gradients.get(var.as_tensor()).unwrap_or_else(|| panic!("{name} has no gradient at {step}"));
+            let values = gradient.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+            assert!(values.iter().all(|g| g.is_finite()), "the gradient of {name} is not finite at {step}");
+            assert!(values.iter().any(|g| *g != 0.0), "the gradient of {name} is zero at {step}");
+        }
+    }
+}
+
+/// Where the car ends sideways in 64 samples of a few evaluations, metres.
+fn endings_m(trained: &TrainedDenoiser, levels: &[f64]) -> Vec<f64> {
+    let forked = fork(0);
+    let mask = ObservationMask::predictive(1, 12, 4);
+    let view = SceneView { scene: &forked, ego_idx: 0, mask: &mask };
+    let batch = trained.spec.collator().collate(&[view], FutureValidity::Everything, &Device::Cpu).unwrap();
+    let bound = trained.denoiser.bind(&batch, 64).unwrap();
+    let repeated = batch.repeated(64).unwrap();
+    let mut noise = NoiseSource::new((0..64).map(Seed).collect());
+    let sampler = SamplerConfig::Consistency(ConsistencyConfig { levels: levels.to_vec() });
+    let dims = &repeated.x0.dims()[1..];
+    let x = sampler.sample(&trained.spec.edm, &bound, dims, &repeated.x0, &mut noise, &mut |_| ()).unwrap();
+    let y = repeated.decode(&x).unwrap().narrow(2, 11, 1).unwrap().narrow(3, 1, 1).unwrap();
+    y.flatten_all().unwrap().to_vec1::<f32>().unwrap().into_iter().map(f64::from).collect()
+}
+
+#[test]
+fn a_single_evaluation_takes_one_way_of_a_fork_and_not_the_middle() {
+    let dirs = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    let checkpoint = teacher(400, dirs[0].path());
+    let outcome =
+        distill_denoiser(&distillation(800), &data(), &checkpoint, Seed(4), dirs[1].path(), &Device::Cpu, &Silent)
+            .unwrap();
+    let read = |dir: &Path| TrainedDenoiser::read(&dir.join("model.safetensors"), &Device::Cpu).unwrap();
+    let (denoiser, distilled) = (read(dirs[0].path()), read(dirs[1].path()));
+    assert_eq!((&distilled.spec, &distilled.fingerprint), (&outcome.spec, &outcome.fingerprint));
+    assert_eq!(distilled.spec.normalizer, denoiser.spec.normalizer);
+    // Both ways end some 4 m to the side.
+    let way_m = fork(0).state(0, 11).unwrap().position.y;
+    assert!((3.0..6.0).contains(&way_m), "{way_m}");
+    let on_a_way = |endings: &[f64]| endings.iter().filter(|y| (y.abs() - way_m).abs() < 0.4 * way_m).count();
+    let (mean, sample) = (endings_m(&denoiser, &[]), endings_m(&distilled, &[]));
+    assert!(on_a_way(&mean) < 16, "an ordinary denoiser answers with the middle: {} {mean:?}", on_a_way(&mean));
+    assert!(on_a_way(&sample) > 40, "{} of 64 on a way: {sample:?}", on_a_way(&sample));
+    let n_left = sample.iter().filter(|y| **y > 0.0).count();
+    assert!((16..=48).contains(&n_left), "{n_left} of 64 to the left");
+    let twice = endings_m(&distilled, &[0.8]);
+    assert!(on_a_way(&twice) >= on_a_way(&sample) - 4, "{} of 64 with a second evaluation", on_a_way(&twice));
+}
+
+#[test]
+fn settings_that_make_no_sense_are_named() {
+    let gap = |gap: LevelGap| DistillTrainingConfig { gap, ..Default::default() };
+    for (config, name) in [
+        (DistillTrainingConfig { steps: 0, ..Default::default() }, "steps"),
+        (DistillTrainingConfig { huber: -1.0, ..Default::default() }, "huber"),
+        (gap(LevelGap { ratio: 1.0, ..LevelGap::default() }), "gap.ratio"),
+        (gap(LevelGap { n_stages: 0, ..LevelGap::default() }), "gap.n_stages"),
+    ] {
+        let message = config.resolve().unwrap_err().to_string();
+        assert!(message.contains("train.distill.") && message.contains(name), "{message}");
+    }
+}

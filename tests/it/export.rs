@@ -1,0 +1,111 @@
+//! Does `djinn export` write every format from a corpus, refuse what it must, and lead back to where it came from?
+
+use crate::support::{Outcome, Workspace, assert_same, djinn, files};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+const FORMATS: [&str; 5] = ["interaction", "argoverse2", "commonroad", "openscenario", "openlabel"];
+
+/// The rows of a table by the names of its columns.
+fn rows(path: &Path) -> Vec<BTreeMap<String, String>> {
+    let mut reader = csv::ReaderBuilder::new().delimiter(b'\t').from_path(path).unwrap();
+    reader.deserialize().map(Result::unwrap).collect()
+}
+
+fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_slice(&fs_err::read(path).unwrap()).unwrap()
+}
+
+/// One corpus for all questions: it takes a whole run to make.
+#[test]
+fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
+    let workspace = Workspace::new();
+    workspace.run("out", &[]).expect(0);
+    let corpus = workspace.run_folder("out").join("corpus");
+    let manifest = json(&corpus.join("manifest.json"));
+    let n_scenarios = manifest["n_scenarios"].as_u64().unwrap() as usize;
+    let export = |format: &str, out: &str, more: &[&str]| -> Outcome {
+        let out = workspace.arg(out);
+        djinn(&[&["export", format, corpus.to_str().unwrap(), "--out", &out], more].concat())
+    };
+
+    for format in FORMATS {
+        let outcome = export(format, format, &[]).expect(0);
+        assert_eq!(outcome.stdout, "");
+        assert!(outcome.stderr.contains("non-commercial use"), "{}", outcome.stderr);
+        let folder = workspace.path(format);
+        let index = rows(&folder.join("index.tsv"));
+        assert_eq!(index.len(), n_scenarios, "{format}");
+        assert!(index.iter().all(|row| folder.join(&row["file"]).exists()));
+        let tracks = rows(&folder.join("tracks.tsv"));
+        let is_ego = |row: &&BTreeMap<String, String>| row["is_ego"] == "true" && row["left_out"].is_empty();
+        assert_eq!(tracks.iter().filter(is_ego).count(), n_scenarios, "{format}");
+        let notice = fs_err::read_to_string(folder.join("NOTICE.txt")).unwrap();
+        assert!(
+            notice.contains("Sources and terms") && notice.contains("interaction: INTERACTION dataset"),
+            "{notice}"
+        );
+        let report = json(&folder.join("export.json"));
+        assert_eq!(
+            (report["format"].as_str(), report["n_scenarios"].as_u64()),
+            (Some(format), Some(n_scenarios as u64))
+        );
+        assert_eq!(
+            report["n_tracks"].as_u64(),
+            Some(tracks.iter().filter(|row| row["left_out"].is_empty()).count() as u64)
+        );
+        // The same again, byte by byte.
+        export(format, "again", &["-q"]).expect(0);
+        assert_same(&files(&folder), &files(&workspace.path("again")));
+        fs_err::remove_dir_all(workspace.path("again")).unwrap();
+    }
+
+    // Our own reader takes the cases for what they are.
+    let (cases, scenes) = (workspace.arg("interaction"), workspace.arg("ingested"));
+    let ingest = ["ingest", &cases, "--dataset", "interaction", "--set", "ingest.maps=none", "--output", &scenes];
+    let outcome = djinn(&ingest).expect(0);
+    assert!(outcome.stderr.contains(&format!("ingest: {n_scenarios} scenes")), "{}", outcome.stderr);
+
+    // Selections.
+    let index = rows(&workspace.path("openlabel").join("index.tsv"));
+    let ids = |out: &str| -> Vec<String> {
+        rows(&workspace.path(out).join("index.tsv")).iter().map(|row| row["scenario_id"].clone()).collect()
+    };
+    export("openlabel", "few", &["--limit", "2"]).expect(0);
+    assert_eq!(ids("few"), [index[0]["scenario_id"].as_str(), &index[1]["scenario_id"]]);
+    // Two by their ids, in the corpus's order.
+    let (third, first) = (index[2]["scenario_id"].as_str(), index[0]["scenario_id"].as_str());
+    export("openlabel", "two", &["--scenario", third, "--scenario", first]).expect(0);
+    assert_eq!(ids("two"), [first, third]);
+    export("openlabel", "sweep", &["--sweep", "as_recorded"]).expect(0);
+    assert_eq!(ids("sweep").len(), index.iter().filter(|row| row["sweep"] == "as_recorded").count());
+    let n_verified = manifest["n_verified"].as_u64().unwrap() as usize;
+    if n_verified == 0 {
+        let outcome = export("openlabel", "verified", &["--only-verified"]).expect(1);
+        assert!(outcome.stderr.contains("none of the") && outcome.stderr.contains("is verified"), "{}", outcome.stderr);
+    } else {
+        export("openlabel", "verified", &["--only-verified"]).expect(0);
+        assert_eq!(ids("verified").len(), n_verified);
+    }
+
+    // The ego can be left to a driving function.
+    export("commonroad", "free", &["--free-ego", "--limit", "1"]).expect(0);
+    let ego = rows(&workspace.path("free").join("tracks.tsv")).into_iter().find(|row| row["is_ego"] == "true").unwrap();
+    assert_eq!((ego["name"].as_str(), ego["left_out"].as_str()), ("", "ego_is_free"));
+
+    // What cannot be done says why, and leaves nothing behind.
+    for (format, out, more, message) in [
+        ("openlabel", "few", vec![], "is not empty"),
+        ("openlabel", "none", vec!["--scenario", "nobody"], "holds no scenario nobody"),
+        ("openlabel", "none", vec!["--behavior", "left_turn"], "asked to hold left_turn"),
+        ("interaction", "none", vec!["--free-ego"], "cannot leave the ego out"),
+        ("opendrive", "none", vec![], "openscenario"),
+        ("openlabel", "small.toml/below", vec![], "small.toml"),
+    ] {
+        let outcome = export(format, out, &more).expect(1);
+        assert!(outcome.stderr.contains(message), "{format} {more:?}: {}", outcome.stderr);
+        assert!(!workspace.path("none").exists(), "{format} {more:?}");
+    }
+    let missing = djinn(&["export", "openlabel", &workspace.arg("nowhere"), "--out", &workspace.arg("none")]).expect(1);
+    assert!(missing.stderr.contains("name the folder `corpus` of a run"), "{}", missing.stderr);
+}
