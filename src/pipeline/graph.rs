@@ -2,7 +2,7 @@
 
 use super::failure::{Failure, Result};
 use super::fingerprint::fingerprint_path;
-use super::record::{InputRecord, StageRecord, discard};
+use super::record::{InputRecord, StageRecord, discard, forget_started};
 use super::stage::{Stage, StageContext, StageId, StageInput};
 use crate::progress::Progress;
 use serde::Serialize;
@@ -71,6 +71,7 @@ pub fn execute(
     let mut records = Vec::new();
     for PlannedStage { stage, expected, action } in planned {
         let record = if action == Action::Reuse {
+            forget_started(context.root, stage.id())?;
             // Planning has just read the same record.
             StageRecord::done(context.root, stage.id()).unwrap_or(expected)
         } else {

@@ -144,6 +144,11 @@ pub(super) fn discard(root: &Path, stage: StageId, outputs: &[&str]) -> Result<(
     remove(&started_path(root, stage))
 }
 
+/// Removes the announcement of a stage that is done: a kill right after its last file leaves it behind.
+pub(super) fn forget_started(root: &Path, stage: StageId) -> Result<()> {
+    remove(&started_path(root, stage))
+}
+
 fn done_path(root: &Path, stage: StageId) -> PathBuf {
     root.join(format!("{stage}.done.json"))
 }

@@ -1,6 +1,8 @@
 //! Do the stages work alone and together, and are they redone when, and only when, they must be?
 
 use crate::support::{SMALL_PIPELINE, Workspace, assert_same, djinn, files};
+use djinn::pipeline::stages::SampleManifest;
+use djinn::store::sample_ids;
 
 /// One run for several questions: it is the slowest part of these tests.
 #[test]
@@ -137,6 +139,15 @@ fn the_baseline_is_trained_sampled_and_measured_like_the_denoiser() {
     assert!(fs_err::read_to_string(root.join("report.html")).unwrap().contains("baseline (Scene Transformer)"));
     let inspected = djinn(&["inspect", root.join("baseline").to_str().unwrap()]).expect(0).stdout;
     assert!(inspected.starts_with("Scene Transformer checkpoint") && inspected.contains("n modes: 6"), "{inspected}");
+
+    // Its rows are generated again as they are.
+    let samples = root.join("samples");
+    let shard = SampleManifest::read(&samples).unwrap().shards.pop().unwrap();
+    assert_eq!(shard.sweep, "futures");
+    for id in sample_ids(&samples.join(&shard.file)).unwrap().iter().step_by(4) {
+        let again = djinn(&["regenerate", id, "--from", root.to_str().unwrap()]).expect(0);
+        assert!(again.stdout.starts_with("identical"), "{}", again.stdout);
+    }
 
     // Trained alone, from the same scenes, it is the same.
     let (alone, scenes) = (workspace.arg("alone"), root.join("scenes"));
