@@ -89,7 +89,7 @@ mod tests {
             let n_evaluations = levels.len() + 1;
             let sampler = SamplerConfig::Consistency(ConsistencyConfig { levels });
             assert_eq!((sampler.n_steps(), sampler.n_evaluations()), (n_evaluations, n_evaluations));
-            let mut noise = NoiseSource::new((0..20_000).map(|row| Seed(row)).collect());
+            let mut noise = NoiseSource::new((0..20_000).map(Seed).collect());
             let like = Tensor::zeros(1, DType::F32, &Device::Cpu).unwrap();
             let samples = sampler.sample(&edm, &ending, &[1], &like, &mut noise, &mut |_| ()).unwrap();
             let values: Vec<f64> =
