@@ -178,7 +178,7 @@ fn rows_are_generated_again(workspace: &Workspace, root: &Path) {
     let (again, corpus) = (workspace.arg("again.parquet"), corpus.to_str().unwrap());
     let outcome = djinn(&["regenerate", &id, "--corpus", corpus, "--out", &again, "--threads", "2"]).expect(0);
     assert!(outcome.stdout.starts_with("identical"), "{}", outcome.stdout);
-    assert_eq!(sample_ids(Path::new(&again)).unwrap(), std::slice::from_ref(id));
+    assert_eq!(sample_ids(Path::new(&again)).unwrap(), std::slice::from_ref(&id));
 
     let told = |args: &[&str], code: i32, part: &str| {
         let outcome = djinn(&[&["regenerate", &id, "--from", from], args].concat()).expect(code);
