@@ -21,9 +21,9 @@ pub(crate) fn timed<T>(work: impl FnOnce() -> T) -> (T, Elapsed) {
 
 /// Processor time of the process so far: the nanoseconds that Linux gives for each of its threads.
 fn cpu_s() -> f64 {
-    let Ok(threads) = std::fs::read_dir("/proc/self/task") else { return f64::NAN };
+    let Ok(threads) = fs_err::read_dir("/proc/self/task") else { return f64::NAN };
     let nanoseconds = threads.flatten().filter_map(|thread| {
-        let text = std::fs::read_to_string(thread.path().join("schedstat")).ok()?;
+        let text = fs_err::read_to_string(thread.path().join("schedstat")).ok()?;
         text.split_whitespace().next()?.parse::<f64>().ok()
     });
     nanoseconds.sum::<f64>() * 1e-9

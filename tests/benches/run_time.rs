@@ -67,7 +67,8 @@ fn table(agents: &[usize], steps: &[usize]) -> Result<()> {
             futures.map(|_| elapsed)
         };
         // The first calls are slower: they fetch memory.
-        (forward()?, draw(1)?);
+        forward()?;
+        draw(1)?;
         let mut cells = vec![cell(forward()?), cell(draw(1)?)];
         for &n_steps in steps {
             cells.push(cell(draw(n_steps)?));
