@@ -31,7 +31,10 @@ impl Generator<'_> {
             return Err(Error::NoScenes {
                 sweep: request.config.name.clone(),
                 n_considered: n_scenes,
-                hint: ", but none has a pair that the request allows; widen where, or raise pairs.max_distance_m",
+                hint: match n_scenes {
+                    0 => " with a pair to ask; choose other generate.splits or generate.places, or raise pairs.max_distance_m",
+                    _ => ", but none has a pair that the request allows; widen where, or raise pairs.max_distance_m",
+                },
             });
         }
         Ok(Pool { request: request.config.name.clone(), cells, n_scenes })

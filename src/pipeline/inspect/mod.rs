@@ -85,7 +85,8 @@ impl Description {
 
 fn write_value(text: &mut String, depth: usize, name: &str, value: &Value) {
     let indent = "  ".repeat(depth);
-    let name = name.replace('_', " ");
+    // What lies deeper may be a name of the data, such as a place, and is given as it is.
+    let name = if depth == 1 { name.replace('_', " ") } else { name.to_owned() };
     match value {
         Value::Null => {}
         Value::Object(object) => {
