@@ -18,6 +18,7 @@ mod level;
 mod observe;
 mod pairs;
 mod plan;
+mod record;
 mod regenerate;
 mod request;
 mod sample;

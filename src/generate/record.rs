@@ -1,0 +1,98 @@
+//! How does a sample become a scenario: what it came from, what is found in it, and under which id?
+
+use super::{Cell, Error, Generator, Level, SweepConfig, Verdict, baseline, verify};
+use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
+use crate::store::{ScenarioRecord, as_stored};
+
+impl Generator<'_> {
+    /// The scenario that a sample of a cell is, checked for the behavior that was asked for.
+    pub(super) fn record(
+        &self,
+        sweep: &SweepConfig,
+        cell: &Cell,
+        recorded: &Scene,
+        (generated, observed): (&Scene, ObservationMask),
+        (level, sample_idx, probability): (Level, usize, Option<f64>),
+    ) -> Result<ScenarioRecord, Error> {
+        let classifier = self.guiding_classifier(sweep, level.strength);
+        let (checkpoint, kind, sampler) = match self.baseline(sweep)? {
+            Some(model) => (&model.fingerprint, baseline::GUIDANCE_KIND.to_owned(), baseline::SAMPLER.to_owned()),
+            None => {
+                let kind = self.guidance_kind(sweep, level);
+                (&self.denoiser(sweep)?.fingerprint, kind, sweep.sampler(self.config).name())
+            }
+        };
+        let provenance = Provenance {
+            scene_id: cell.scene_id.clone(),
+            observation: sweep.observe.name().to_owned(),
+            edit_tau: sweep.edit.as_ref().map(|edit| edit.tau),
+            checkpoint: checkpoint.clone(),
+            classifier: classifier.map(|classifier| classifier.fingerprint.clone()),
+            seed: self.config.seed,
+            sample_idx,
+            probability,
+            guidance: GuidanceTag { kind, strength: level.value, roles: cell.roles.clone() },
+            sampler,
+            settings: sweep.settings(self.config, level),
+        };
+        // What is verified must be what is written.
+        let scene = as_stored(generated);
+        let verdict = match self.behavior(sweep) {
+            Some(behavior) => verify(behavior, &cell.roles, recorded, &scene),
+            None => Verdict::default(),
+        };
+        Ok(ScenarioRecord {
+            scenario: Scenario { id: scenario_id(&sweep.name, &provenance), scene, observed, provenance },
+            sweep: sweep.name.clone(),
+            requested_behavior: sweep.behavior.clone(),
+            verified: verdict.verified,
+            events: verdict.events,
+            recorded_event: verdict.recorded_event,
+            assessment: None,
+            shard: 0,
+            request: None,
+        })
+    }
+}
+
+/// 16 hexadecimal digits that belong to this sweep and provenance.
+fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
+    // The probability follows from the rest.
+    let Provenance {
+        scene_id,
+        observation,
+        edit_tau,
+        checkpoint,
+        classifier,
+        seed,
+        sample_idx,
+        probability: _,
+        guidance,
+        sampler,
+        settings,
+    } = provenance;
+    let mut hasher = blake3::Hasher::new();
+    // Every part ends in a zero byte, which no name holds: different parts cannot make the same text.
+    let mut add = |part: &str| {
+        hasher.update(part.as_bytes());
+        hasher.update(&[0]);
+    };
+    for part in [
+        sweep,
+        &scene_id.0,
+        observation,
+        checkpoint,
+        classifier.as_deref().unwrap_or(""),
+        &guidance.kind,
+        sampler,
+        settings,
+    ] {
+        add(part);
+    }
+    for (role, track) in &guidance.roles {
+        add(role);
+        add(&track.0);
+    }
+    add(&format!("{seed} {sample_idx} {} {edit_tau:?}", guidance.strength));
+    hasher.finalize().to_hex()[..16].to_owned()
+}
