@@ -138,7 +138,7 @@ fn the_baseline_is_trained_sampled_and_measured_like_the_denoiser() {
     }
     assert!(fs_err::read_to_string(root.join("report.html")).unwrap().contains("baseline (Scene Transformer)"));
     let inspected = djinn(&["inspect", root.join("baseline").to_str().unwrap()]).expect(0).stdout;
-    assert!(inspected.starts_with("Scene Transformer checkpoint") && inspected.contains("n modes: 6"), "{inspected}");
+    assert!(inspected.starts_with("Scene Transformer checkpoint") && inspected.contains("n_modes: 6"), "{inspected}");
 
     // Its rows are generated again as they are.
     let samples = root.join("samples");
