@@ -27,7 +27,7 @@ pub(super) type Wishes = Vec<(&'static str, f64)>;
 pub(super) struct Guided<'a> {
     /// The sweep.
     pub(super) sweep: &'a SweepConfig,
-    /// Strength of the guidance.
+    /// Strength of the guidance, and weight of wanted states.
     pub(super) level: Level,
     /// The cells with their scenes.
     pub(super) cells: &'a [(&'a Cell, &'a Scene)],
