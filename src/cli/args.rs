@@ -2,6 +2,7 @@
 
 use super::help;
 use crate::export::ExportFormat;
+use crate::pipeline::DeviceChoice;
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -392,6 +393,9 @@ pub(super) struct RegenerateArgs {
     /// Write what came out into this file, a sample shard of one row
     #[arg(long, value_name = "FILE")]
     pub(super) out: Option<PathBuf>,
+    /// What to compute on: cpu, cuda or cuda:N, as in run.device; only the same kind gives the same bytes
+    #[arg(long, default_value_t)]
+    pub(super) device: DeviceChoice,
     #[command(flatten)]
     pub(super) scenes: ScenesArg,
     #[command(flatten)]

@@ -14,7 +14,7 @@ use crate::scene::{
 };
 use crate::store::SceneStore;
 use crate::tensor::{FutureValidity, SceneView};
-use candle_core::{DType, Device, Tensor};
+use candle_core::{DType, Tensor};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -100,7 +100,7 @@ fn evaluations_per_second(
         (false, Some(path)) => checkpoint_file(path),
         (false, None) => return Ok(None),
     };
-    let device = Device::Cpu;
+    let device = config.run.device.open()?;
     let TrainedDenoiser { denoiser, spec, .. } = TrainedDenoiser::read(&path, &device)?;
     let is_alike = |scene: &Scene| scene.n_history == spec.n_history && scene.n_timesteps == spec.n_timesteps;
     let recorded = SceneStore::open(&layout.scenes).ok().and_then(|store| store.scene(0).ok()).filter(is_alike);

@@ -6,6 +6,7 @@
 mod clock;
 pub mod compare;
 pub mod config;
+mod device;
 pub mod estimate;
 mod failure;
 mod fingerprint;
@@ -22,6 +23,7 @@ mod run_lock;
 mod stage;
 pub mod stages;
 
+pub use device::DeviceChoice;
 pub use failure::{Blame, Classify, Failure, Result};
 pub use fingerprint::{PathFingerprint, fingerprint_path};
 pub use record::{InputRecord, StageRecord};

@@ -30,12 +30,12 @@ pub struct Regenerated {
 /// # Errors
 /// The input's fault when there is no such scenario, or the scenes or a model are not those that it was generated with; the
 /// machine's when one of them, or the plan, is missing.
-pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>) -> Result<Regenerated> {
+pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, device: &Device) -> Result<Regenerated> {
     let manifest = SampleManifest::read(&layout.samples)?;
     let settings = SampleSettings::read(&layout.samples)?;
     let resolved = settings.generate.resolve()?;
     let store = open_scenes(layout, &manifest.sampled_with)?;
-    let models = LoadedModels::read(layout, &resolved, &manifest.sampled_with)?;
+    let models = LoadedModels::read(layout, &resolved, &manifest.sampled_with, device)?;
     let from_corpus = corpus.map(|dir| -> Result<ScenarioRecord> {
         let reader = CorpusReader::open(dir)?;
         Ok(reader.scenario(reader.position(id)?)?)
@@ -46,8 +46,7 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>) -> Result<Re
 
     let behaviors = settings.mine.build()?;
     let load = |idx: usize| Ok(store.scene(idx)?);
-    let device = Device::Cpu;
-    let generator = Generator::new(&resolved.config, models.borrowed(), &behaviors, &load, &device)?;
+    let generator = Generator::new(&resolved.config, models.borrowed(), &behaviors, &load, device)?;
     let found = find_shard(&layout.samples, row.shard)?;
     let plan = match &found {
         FoundShard::OfSweep(plan) => plan,
@@ -117,32 +116,37 @@ struct LoadedModels {
 }
 
 impl LoadedModels {
-    fn read(layout: &Layout, resolved: &ResolvedGeneration, sampled_with: &SampledWith) -> Result<Self> {
+    fn read(
+        layout: &Layout,
+        resolved: &ResolvedGeneration,
+        sampled_with: &SampledWith,
+        device: &Device,
+    ) -> Result<Self> {
         let GenerateConfig { sweeps, .. } = &resolved.config;
         let file = |dir: &Path, name: &str| {
             require(dir, name)?;
             let file = checkpoint_file(dir);
             require(&file, name).map(|()| file)
         };
-        let denoiser = TrainedDenoiser::read(&file(&layout.denoiser, "denoiser")?, &Device::Cpu)?;
+        let denoiser = TrainedDenoiser::read(&file(&layout.denoiser, "denoiser")?, device)?;
         check("denoiser", &layout.denoiser, &sampled_with.denoiser, &denoiser.fingerprint)?;
         let mut classifiers = Vec::new();
         if sweeps.iter().any(SweepConfig::needs_classifier) {
-            let classifier = TrainedClassifier::read(&file(&layout.classifier, "classifier")?, &Device::Cpu)?;
+            let classifier = TrainedClassifier::read(&file(&layout.classifier, "classifier")?, device)?;
             let then = sampled_with.classifier.as_deref().unwrap_or_default();
             check("classifier", &layout.classifier, then, &classifier.fingerprint)?;
             classifiers.push(classifier);
         }
         let mut distilled = None;
         if sweeps.iter().any(SweepConfig::uses_distilled) {
-            let model = TrainedDenoiser::read(&file(&layout.distilled, "distilled denoiser")?, &Device::Cpu)?;
+            let model = TrainedDenoiser::read(&file(&layout.distilled, "distilled denoiser")?, device)?;
             let then = sampled_with.distilled.as_deref().unwrap_or_default();
             check("distilled denoiser", &layout.distilled, then, &model.fingerprint)?;
             distilled = Some(model);
         }
         let mut baseline = None;
         if sweeps.iter().any(SweepConfig::uses_baseline) {
-            let model = TrainedSceneTransformer::read(&file(&layout.baseline, "baseline")?, &Device::Cpu)?;
+            let model = TrainedSceneTransformer::read(&file(&layout.baseline, "baseline")?, device)?;
             let then = sampled_with.baseline.as_deref().unwrap_or_default();
             check("baseline", &layout.baseline, then, &model.fingerprint)?;
             baseline = Some(model);

@@ -6,6 +6,7 @@
 
 use super::clock::{peak_memory_bytes, utc_now};
 use super::config::PipelineConfig;
+use super::device::DeviceChoice;
 use super::failure::Result;
 use super::graph::{Action, Moment, PlannedStage, execute};
 use super::log::Logged;
@@ -94,9 +95,11 @@ pub struct StageTiming {
 pub fn run_stages(
     folder: &RunFolder,
     config: Option<&PipelineConfig>,
+    device: DeviceChoice,
     planned: Vec<PlannedStage<'_>>,
     progress: &dyn Progress,
 ) -> Result<Vec<StageRecord>> {
+    let device = device.open()?;
     let root = folder.root.as_path();
     remove_partials(root)?;
     let logged = Logged::open(root, progress)?;
@@ -119,7 +122,7 @@ pub fn run_stages(
     };
     save(None)?;
     let mut clock = StageClock::open(root);
-    let context = StageContext { root, progress: &logged };
+    let context = StageContext { root, device: &device, progress: &logged };
     let outcome =
         execute(planned, &context, &mut |record| save(Some(record)), &mut |stage, moment| clock.take(stage, moment));
     match &outcome {
@@ -159,7 +162,7 @@ impl RunManifest {
             revision: option_env!("DJINN_REVISION").map(str::to_owned),
             pipeline: config.run.name.clone(),
             seed: config.run.seed,
-            device: "cpu".to_owned(),
+            device: config.run.device.to_string(),
             inputs: external.collect(),
             stages: planned.iter().map(pending).collect(),
         }

@@ -2,6 +2,7 @@
 
 use super::failure::Result;
 use crate::progress::Progress;
+use candle_core::Device;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -139,6 +140,8 @@ pub trait Stage {
 pub struct StageContext<'a> {
     /// The folder in which it writes its outputs.
     pub root: &'a Path,
+    /// What networks compute on.
+    pub device: &'a Device,
     /// Who is told about the progress.
     pub progress: &'a dyn Progress,
 }

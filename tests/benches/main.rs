@@ -3,6 +3,7 @@
 //! ```sh
 //! cargo bench --profile dev -- run_time                # seconds for a scene against the number of its agents
 //! cargo bench --profile dev -- run_time 8 16 --steps 25
+//! cargo bench --profile dev -- network SCENES            # beside PyTorch, on the scenes of a run (its folder `scenes`)
 //! ```
 //!
 //! The profile `dev` has optimized dependencies, and its own code spends next to no time; it saves a second build of the world.
@@ -11,6 +12,7 @@
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program of its own, for people")]
 
 mod cpu_time;
+mod network;
 mod run_time;
 mod scenes;
 
@@ -21,7 +23,8 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
     let result = match arguments.split_first() {
         Some((name, rest)) if name == "run_time" => run_time::run(rest),
-        _ => Err("name a benchmark: run_time [AGENTS …] [--steps N …]".to_owned()),
+        Some((name, rest)) if name == "network" => network::run(rest),
+        _ => Err("name a benchmark: run_time [AGENTS …] [--steps N …] or network SCENES".to_owned()),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

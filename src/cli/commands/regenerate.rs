@@ -25,7 +25,7 @@ pub(in crate::cli) fn regenerate(args: &RegenerateArgs, output: &OutputArgs, pri
         path.iter().for_each(|path| place.clone_from(path));
     }
     let Regenerated { stored, again, differences, n_columns } =
-        generate_again(&args.scenario, &layout, args.corpus.as_deref())?;
+        generate_again(&args.scenario, &layout, args.corpus.as_deref(), &args.device.open()?)?;
     if let Some(path) = &args.out {
         write_samples(path, std::slice::from_ref(&again))?;
     }

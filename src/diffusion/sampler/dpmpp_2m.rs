@@ -5,7 +5,7 @@
 //! to σ' of length h = λ' - λ reads x' = (σ' / σ) x + (1 - σ' / σ) D, where D extrapolates the estimates to the middle of
 //! the step.
 
-use super::{Observer, Step, denoise_at, steps};
+use super::{Observer, Step, StepGrid, denoise_at, steps};
 use crate::diffusion::Denoiser;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -17,11 +17,13 @@ use serde::{Deserialize, Serialize};
 pub struct Dpmpp2mConfig {
     /// Number of steps N, of one evaluation each.
     pub n_steps: usize,
+    /// The noise levels it steps through, where they are not the denoiser's.
+    pub grid: StepGrid,
 }
 
 impl Default for Dpmpp2mConfig {
     fn default() -> Self {
-        Self { n_steps: 40 }
+        Self { n_steps: 40, grid: StepGrid::default() }
     }
 }
 

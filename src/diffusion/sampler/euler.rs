@@ -1,6 +1,6 @@
 //! Euler's first-order sampler: the simplest, for comparison.
 
-use super::{Observer, Step, denoise_at, slope, steps};
+use super::{Observer, Step, StepGrid, denoise_at, slope, steps};
 use crate::diffusion::Denoiser;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -12,11 +12,13 @@ use serde::{Deserialize, Serialize};
 pub struct EulerConfig {
     /// Number of steps N, of one evaluation each.
     pub n_steps: usize,
+    /// The noise levels it steps through, where they are not the denoiser's.
+    pub grid: StepGrid,
 }
 
 impl Default for EulerConfig {
     fn default() -> Self {
-        Self { n_steps: 100 }
+        Self { n_steps: 100, grid: StepGrid::default() }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Heun's second-order sampler with optional churn: EDM's algorithm 2, the paper's choice.
 
-use super::{Observer, Step, denoise_at, slope, steps};
+use super::{Observer, Step, StepGrid, denoise_at, slope, steps};
 use crate::diffusion::{Denoiser, NoiseSource};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -20,11 +20,13 @@ pub struct HeunConfig {
     pub s_tmax: Option<f64>,
     /// Standard deviation S_noise of the added noise relative to what would keep the marginals.
     pub s_noise: f64,
+    /// The noise levels it steps through, where they are not the denoiser's.
+    pub grid: StepGrid,
 }
 
 impl Default for HeunConfig {
     fn default() -> Self {
-        Self { n_steps: 50, s_churn: 0.0, s_tmin: 0.0, s_tmax: None, s_noise: 1.0 }
+        Self { n_steps: 50, s_churn: 0.0, s_tmin: 0.0, s_tmax: None, s_noise: 1.0, grid: StepGrid::default() }
     }
 }
 

@@ -3,6 +3,7 @@
 mod consistency;
 mod dpmpp_2m;
 mod euler;
+mod grid;
 mod heun;
 #[cfg(test)]
 mod tests;
@@ -10,6 +11,7 @@ mod tests;
 pub use consistency::ConsistencyConfig;
 pub use dpmpp_2m::Dpmpp2mConfig;
 pub use euler::EulerConfig;
+pub use grid::StepGrid;
 pub use heun::HeunConfig;
 
 use super::{Denoiser, Edm, NoiseSource};
@@ -86,21 +88,41 @@ impl SamplerConfig {
         match self {
             Self::Consistency(config) => config.validate(),
             _ if self.n_steps() == 0 => Err("sampler.n_steps is 0, expected at least 1".to_owned()),
-            _ => Ok(()),
+            _ => self.grid().validate(),
         }
+    }
+
+    /// The noise levels it steps through, where they are not the denoiser's.
+    const fn grid(&self) -> StepGrid {
+        match self {
+            Self::Heun(config) => config.grid,
+            Self::Euler(config) => config.grid,
+            Self::Dpmpp2m(config) => config.grid,
+            Self::Consistency(_) => StepGrid { sigma_max: None, sigma_min: None, rho: None },
+        }
+    }
+
+    /// The noise level that sampling begins with.
+    pub fn sigma_start(&self, edm: &Edm) -> f64 {
+        self.grid().laid_over(edm).sigma_max
     }
 
     /// The noise levels of its steps from `sigma_start`, the last of them 0.
     pub fn schedule(&self, edm: &Edm, sigma_start: f64) -> Vec<f64> {
         match self {
             Self::Consistency(config) => config.schedule(sigma_start),
-            _ => edm.schedule_from(sigma_start, self.n_steps()),
+            _ => {
+                let edm = self.grid().laid_over(edm);
+                // An edit may begin below the last level of the grid.
+                let edm = Edm { sigma_min: edm.sigma_min.min(sigma_start), ..edm };
+                edm.schedule_from(sigma_start, self.n_steps())
+            }
         }
     }
 
-    /// The name for provenance: the kind and the number of steps, such as `heun-50`.
+    /// The name for provenance: the kind, the number of steps, and the grid where it is another: such as `heun-50`.
     pub fn name(&self) -> String {
-        match self {
+        let name = match self {
             Self::Heun(config) if config.s_churn > 0.0 => format!("heun-{}-churn-{}", config.n_steps, config.s_churn),
             Self::Heun(config) => format!("heun-{}", config.n_steps),
             Self::Euler(config) => format!("euler-{}", config.n_steps),
@@ -109,7 +131,8 @@ impl SamplerConfig {
                 let levels: Vec<String> = config.levels.iter().map(|level| format!("-{level}")).collect();
                 format!("consistency{}", levels.concat())
             }
-        }
+        };
+        name + &self.grid().suffix()
     }
 
     /// One sample for each of `noise`'s rows: (B, `row_dims`…) in the dtype and on the device of `like`.
@@ -122,8 +145,9 @@ impl SamplerConfig {
         noise: &mut NoiseSource,
         observer: &mut Observer<'_>,
     ) -> Result<Tensor> {
-        let x = (noise.draw(row_dims, like.dtype(), like.device())? * edm.sigma_max)?;
-        self.integrate(&self.schedule(edm, edm.sigma_max), denoiser, x, noise, observer)
+        let sigma_start = self.sigma_start(edm);
+        let x = (noise.draw(row_dims, like.dtype(), like.device())? * sigma_start)?;
+        self.integrate(&self.schedule(edm, sigma_start), denoiser, x, noise, observer)
     }
 
     /// Integrates from `x` (B, …), a state at noise level `sigmas[0]`, along the decreasing `sigmas` to the last of them.

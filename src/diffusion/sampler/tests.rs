@@ -60,7 +60,7 @@ fn samples_have_the_mean_and_covariance_of_the_data() {
             s_tmax: Some(50.0),
             ..HeunConfig::with_steps(40)
         }),
-        SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 30 }),
+        SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 30, ..Dpmpp2mConfig::default() }),
     ] {
         assert_moments(&sample(&config, &mut noise(8000)), 0.02);
     }
@@ -102,8 +102,8 @@ fn each_sampler_converges_at_its_order() {
 fn a_row_is_the_same_alone_and_in_a_batch() {
     for config in [
         SamplerConfig::Heun(HeunConfig { s_churn: 5.0, ..HeunConfig::with_steps(8) }),
-        SamplerConfig::Euler(EulerConfig { n_steps: 8 }),
-        SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 8 }),
+        SamplerConfig::Euler(EulerConfig { n_steps: 8, ..EulerConfig::default() }),
+        SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 8, ..Dpmpp2mConfig::default() }),
     ] {
         let together = sample(&config, &mut noise(5));
         let alone = sample(&config, &mut NoiseSource::new(vec![Seed(5).derive("row", &[3])]));
@@ -123,8 +123,8 @@ fn the_denoiser_is_called_as_often_as_promised() {
     let denoiser = Counting(MixtureDenoiser::new(&mixture(), DType::F64).unwrap(), std::cell::Cell::new(0));
     for config in [
         SamplerConfig::default(),
-        SamplerConfig::Euler(EulerConfig { n_steps: 7 }),
-        SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 1 }),
+        SamplerConfig::Euler(EulerConfig { n_steps: 7, ..EulerConfig::default() }),
+        SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 1, ..Dpmpp2mConfig::default() }),
     ] {
         denoiser.1.set(0);
         let mut seen = Vec::new();
@@ -141,7 +141,10 @@ fn the_denoiser_is_called_as_often_as_promised() {
 fn configs_are_tagged_and_strict() {
     let parse = toml::from_str::<SamplerConfig>;
     assert_eq!(parse("kind = 'heun'").unwrap(), SamplerConfig::default());
-    assert_eq!(parse("kind = 'dpmpp_2m'\nn_steps = 9").unwrap(), SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 9 }));
+    assert_eq!(
+        parse("kind = 'dpmpp_2m'\nn_steps = 9").unwrap(),
+        SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 9, ..Dpmpp2mConfig::default() })
+    );
     assert!(parse("kind = 'heun'\nsteps = 9").unwrap_err().to_string().contains("steps"));
     assert!(parse("kind = 'ddim'").is_err());
     assert_eq!(SamplerConfig::Heun(HeunConfig::with_steps(20)).name(), "heun-20");

@@ -10,6 +10,8 @@ use super::rows::{gather, spans, valid_rows};
 
 /// Rows that one task maps: with them its share of inputs and outputs stays in the cache between product and activation.
 const N_ROWS: usize = 128;
+/// Rows of a matrix that are transposed together: one cache line of the result.
+const N_TRANSPOSED: usize = 16;
 /// Outputs whose weights one task differentiates.
 const N_OUTPUTS: usize = 64;
 
@@ -173,9 +175,13 @@ impl CustomOp3 for FusedLinear {
 fn transposed(matrix: &[f32], n_cols: usize) -> Vec<f32> {
     let n_rows = matrix.len() / n_cols;
     let mut transposed = vec![0.0; matrix.len()];
-    for (i, row) in matrix.chunks_exact(n_cols).enumerate() {
-        for (j, value) in row.iter().enumerate() {
-            transposed[j * n_rows + i] = *value;
+    // Sixteen rows at a time: what is written then fills whole cache lines.
+    for (block, rows) in matrix.chunks(N_TRANSPOSED * n_cols).enumerate() {
+        for j in 0..n_cols {
+            let column = &mut transposed[j * n_rows + block * N_TRANSPOSED..][..rows.len() / n_cols];
+            for (value, row) in column.iter_mut().zip(rows.chunks_exact(n_cols)) {
+                *value = row[j];
+            }
         }
     }
     transposed

@@ -14,7 +14,13 @@ pub(super) fn gather<'a>(data: &'a [f32], width: usize, rows: &[u32]) -> Cow<'a,
         [first, .., last] if (last - first) as usize + 1 == rows.len() => {
             Cow::Borrowed(&data[*first as usize * width..(*last as usize + 1) * width])
         }
-        _ => Cow::Owned(rows.iter().flat_map(|row| &data[*row as usize * width..][..width]).copied().collect()),
+        _ => {
+            let mut packed = Vec::with_capacity(rows.len() * width);
+            for row in rows {
+                packed.extend_from_slice(&data[*row as usize * width..][..width]);
+            }
+            Cow::Owned(packed)
+        }
     }
 }
 

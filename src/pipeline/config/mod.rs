@@ -13,6 +13,7 @@ pub use overrides::Override;
 use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
 use crate::pipeline::StageId;
+use crate::pipeline::device::DeviceChoice;
 use crate::pipeline::failure::{Failure, Result};
 use crate::pipeline::stages::{EvaluateConfig, MineConfig, ReportConfig};
 use crate::train::{BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig};
@@ -64,13 +65,21 @@ pub struct RunConfig {
     pub seed: u64,
     /// Number of worker threads; 0: one a core. Results do not depend on it.
     pub threads: usize,
+    /// What networks compute on: `cpu`, or `cuda` or `cuda:N` for a GPU.
+    pub device: DeviceChoice,
     /// The folder that holds the folders of all pipelines.
     pub output: PathBuf,
 }
 
 impl Default for RunConfig {
     fn default() -> Self {
-        Self { name: String::new(), seed: 0, threads: 0, output: PathBuf::from("output") }
+        Self {
+            name: String::new(),
+            seed: 0,
+            threads: 0,
+            device: DeviceChoice::default(),
+            output: PathBuf::from("output"),
+        }
     }
 }
 

@@ -9,7 +9,6 @@ use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::store::SceneStore;
-use candle_core::Device;
 use serde_json::{Value, json};
 
 /// The stage.
@@ -81,20 +80,20 @@ impl Stage for Generate<'_> {
     }
 
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
-        let device = Device::Cpu;
+        let device = context.device;
         let resolved = self.config.resolve()?;
         let store = SceneStore::open(&self.layout.scenes)?;
-        let denoiser = TrainedDenoiser::read(&checkpoint_file(&self.layout.denoiser), &device)?;
+        let denoiser = TrainedDenoiser::read(&checkpoint_file(&self.layout.denoiser), device)?;
         let mut classifiers = Vec::new();
         if self.needs(SweepConfig::needs_classifier) {
-            classifiers.push(TrainedClassifier::read(&checkpoint_file(&self.layout.classifier), &device)?);
+            classifiers.push(TrainedClassifier::read(&checkpoint_file(&self.layout.classifier), device)?);
         }
         let distilled = match self.needs(SweepConfig::uses_distilled) {
-            true => Some(TrainedDenoiser::read(&checkpoint_file(&self.layout.distilled), &device)?),
+            true => Some(TrainedDenoiser::read(&checkpoint_file(&self.layout.distilled), device)?),
             false => None,
         };
         let baseline = match self.needs(SweepConfig::uses_baseline) {
-            true => Some(TrainedSceneTransformer::read(&checkpoint_file(&self.layout.baseline), &device)?),
+            true => Some(TrainedSceneTransformer::read(&checkpoint_file(&self.layout.baseline), device)?),
             false => None,
         };
         let behaviors = self.mine.build()?;
@@ -105,7 +104,7 @@ impl Stage for Generate<'_> {
             baseline: baseline.as_ref(),
         };
         let load = |idx: usize| Ok(store.scene(idx)?);
-        let generator = Generator::new(&resolved.config, models, &behaviors, &load, &device)?;
+        let generator = Generator::new(&resolved.config, models, &behaviors, &load, device)?;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
         folder.write_settings(&SampleSettings { mine: self.mine.clone(), generate: self.config.clone() })?;
         let plan = match folder.plan() {

@@ -8,7 +8,6 @@ use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::seed::Seed;
 use crate::store::SceneStore;
 use crate::train::{BaselineTrainingConfig, train_baseline};
-use candle_core::Device;
 use serde_json::{Value, json};
 
 /// The stage.
@@ -57,7 +56,7 @@ impl Stage for TrainBaseline<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let dir = context.root.join(BASELINE);
         if let Some(path) = &self.config.checkpoint {
-            let trained = TrainedSceneTransformer::read(&checkpoint_file(path), &Device::Cpu)?;
+            let trained = TrainedSceneTransformer::read(&checkpoint_file(path), context.device)?;
             take_over(path, &dir)?;
             return Ok(json!({ "fingerprint": trained.fingerprint, "steps": trained.spec.steps, "trained": false }));
         }
@@ -65,7 +64,7 @@ impl Stage for TrainBaseline<'_> {
         let store = SceneStore::open(&self.layout.scenes)?;
         let config = self.config;
         let data = training_data(&store, (&config.splits, &config.places), config.state_dim, "train.baseline")?;
-        let outcome = train_baseline(&training, &data, Seed(self.seed), &dir, &Device::Cpu, context.progress)?;
+        let outcome = train_baseline(&training, &data, Seed(self.seed), &dir, context.device, context.progress)?;
         let model = (outcome.fingerprint.as_str(), training.fit.steps, outcome.n_parameters);
         Ok(training_summary(&data, model, &outcome.statistics))
     }

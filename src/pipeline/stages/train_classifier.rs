@@ -9,7 +9,6 @@ use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput,
 use crate::seed::Seed;
 use crate::store::{SceneStore, read_events};
 use crate::train::{ClassifierTrainingConfig, MinedEvent, PairData, PairExamples, train_classifier};
-use candle_core::Device;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
@@ -57,13 +56,13 @@ impl Stage for TrainClassifier<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let dir = context.root.join(CLASSIFIER);
         if let Some(path) = &self.config.checkpoint {
-            let trained = TrainedClassifier::read(&checkpoint_file(path), &Device::Cpu)?;
+            let trained = TrainedClassifier::read(&checkpoint_file(path), context.device)?;
             take_over(path, &dir)?;
             let behavior = trained.spec.behavior;
             return Ok(json!({ "fingerprint": trained.fingerprint, "behavior": behavior, "trained": false }));
         }
         let store = SceneStore::open(&self.layout.scenes)?;
-        let denoiser = TrainedDenoiser::read(&checkpoint_file(&self.layout.denoiser), &Device::Cpu)?;
+        let denoiser = TrainedDenoiser::read(&checkpoint_file(&self.layout.denoiser), context.device)?;
         let events = read_events(&self.layout.events)?;
         let roles = self.roles(&events)?;
         let Selection { train, held_out } = Selection::new(store.index(), &self.config.splits, &self.config.places);
@@ -78,7 +77,7 @@ impl Stage for TrainClassifier<'_> {
         );
         let fingerprint = fingerprint_path(&self.layout.events)?.hash;
         let data = PairData { roles, train: &train, held_out: &held_out, fingerprint };
-        let report = train_classifier(self.config, &denoiser.spec, &data, &dir, &Device::Cpu, context.progress)?;
+        let report = train_classifier(self.config, &denoiser.spec, &data, &dir, context.device, context.progress)?;
         Ok(json!({
             "fingerprint": report.fingerprint,
             "behavior": self.config.behavior,

@@ -8,7 +8,6 @@ use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::seed::Seed;
 use crate::store::{SceneStore, write_atomically};
 use crate::train::{DenoiserTrainingConfig, train_denoiser};
-use candle_core::Device;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -67,7 +66,7 @@ impl Stage for TrainDenoiser<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let dir = context.root.join(DENOISER);
         if let Some(path) = &self.config.checkpoint {
-            let trained = TrainedDenoiser::read(&checkpoint_file(path), &Device::Cpu)?;
+            let trained = TrainedDenoiser::read(&checkpoint_file(path), context.device)?;
             take_over(path, &dir)?;
             return Ok(json!({ "fingerprint": trained.fingerprint, "steps": trained.spec.steps, "trained": false }));
         }
@@ -76,9 +75,9 @@ impl Stage for TrainDenoiser<'_> {
         let config = self.config;
         let data = training_data(&store, (&config.splits, &config.places), config.state_dim, "train.denoiser")?;
         let start = self.config.start_from.as_deref().map(checkpoint_file);
-        let start = start.map(|path| read_checkpoint::<DenoiserSpec>(&path, &Device::Cpu)).transpose()?;
+        let start = start.map(|path| read_checkpoint::<DenoiserSpec>(&path, context.device)).transpose()?;
         let seed = Seed(self.seed);
-        let outcome = train_denoiser(&training, &data, start.as_ref(), seed, &dir, &Device::Cpu, context.progress)?;
+        let outcome = train_denoiser(&training, &data, start.as_ref(), seed, &dir, context.device, context.progress)?;
         let model = (outcome.fingerprint.as_str(), training.fit.steps, outcome.n_parameters);
         Ok(training_summary(&data, model, &outcome.statistics))
     }

@@ -9,7 +9,6 @@ use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::seed::Seed;
 use crate::store::SceneStore;
 use crate::train::{DistillTrainingConfig, distill_denoiser};
-use candle_core::Device;
 use serde_json::{Value, json};
 
 /// The stage.
@@ -59,18 +58,18 @@ impl Stage for TrainDistill<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let dir = context.root.join(DISTILLED);
         if let Some(path) = &self.config.checkpoint {
-            let trained = TrainedDenoiser::read(&checkpoint_file(path), &Device::Cpu)?;
+            let trained = TrainedDenoiser::read(&checkpoint_file(path), context.device)?;
             take_over(path, &dir)?;
             return Ok(json!({ "fingerprint": trained.fingerprint, "steps": trained.spec.steps, "trained": false }));
         }
         let training = self.config.resolve()?;
         let store = SceneStore::open(&self.layout.scenes)?;
-        let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&self.layout.denoiser), &Device::Cpu)?;
+        let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&self.layout.denoiser), context.device)?;
         let state_dim = Some(teacher.metadata.normalizer.state_dim);
         let config = self.config;
         let data = training_data(&store, (&config.splits, &config.places), state_dim, "train.distill")?;
         let seed = Seed(self.seed);
-        let outcome = distill_denoiser(&training, &data, &teacher, seed, &dir, &Device::Cpu, context.progress)?;
+        let outcome = distill_denoiser(&training, &data, &teacher, seed, &dir, context.device, context.progress)?;
         let model = (outcome.fingerprint.as_str(), training.fit.steps, outcome.n_parameters);
         Ok(training_summary(&data, model, &outcome.statistics))
     }

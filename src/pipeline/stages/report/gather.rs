@@ -26,7 +26,7 @@ pub(super) fn model(stage: &Report<'_>) -> Result<ReportModel> {
             Fact::new("Pipeline", &about.pipeline),
             Fact::new("Seed", about.seed),
             Fact::new("Written by", format!("djinn {}", env!("CARGO_PKG_VERSION"))),
-            Fact::new("Computed on", "cpu"),
+            Fact::new("Computed on", &about.device),
         ],
         config: about.config.clone(),
         ..ReportModel::default()

@@ -68,6 +68,8 @@ pub struct About {
     pub pipeline: String,
     /// Seed of the run.
     pub seed: u64,
+    /// What networks computed on.
+    pub device: String,
     /// The resolved configuration, as TOML.
     pub config: String,
 }

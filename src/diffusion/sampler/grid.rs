@@ -1,0 +1,92 @@
+//! Through which noise levels does a sampler step, where they are not the denoiser's own?
+
+use crate::diffusion::Edm;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A grid of noise levels of its own: with few steps none should be wasted where little is decided.
+///
+/// EDM (equation 5) begins at σ_max = 80, far above the data's σ_data = 0.5. From σ = 20 on, the data still is 1/1600 of the
+/// variance, so that pure noise is as good a start there.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct StepGrid {
+    /// The noise level of the first step. Left out: the denoiser's largest one, 80. Editing starts from its own `tau`.
+    pub sigma_max: Option<f64>,
+    /// The noise level of the last step, which leads to 0. Left out: the denoiser's smallest one, 0.002.
+    pub sigma_min: Option<f64>,
+    /// How much steps crowd at low noise levels, 1 for not at all. Left out: the denoiser's ρ, 7.
+    pub rho: Option<f64>,
+}
+
+impl StepGrid {
+    /// The constants of the diffusion with this grid.
+    pub(super) fn laid_over(self, edm: &Edm) -> Edm {
+        Edm {
+            sigma_max: self.sigma_max.unwrap_or(edm.sigma_max),
+            sigma_min: self.sigma_min.unwrap_or(edm.sigma_min),
+            rho: self.rho.unwrap_or(edm.rho),
+            ..*edm
+        }
+    }
+
+    /// Says what makes no sense.
+    pub(super) fn validate(self) -> Result<(), String> {
+        for (name, value) in [("sigma_max", self.sigma_max), ("sigma_min", self.sigma_min), ("rho", self.rho)] {
+            if value.is_some_and(|value| !(value.is_finite() && value > 0.0)) {
+                let value = value.unwrap_or_default();
+                return Err(format!("sampler.grid.{name} is {value}, expected a positive number"));
+            }
+        }
+        let Edm { sigma_max, sigma_min, .. } = self.laid_over(&Edm::default());
+        if sigma_min >= sigma_max {
+            return Err(format!(
+                "sampler.grid goes from {sigma_max} to {sigma_min}, expected sigma_max above sigma_min"
+            ));
+        }
+        Ok(())
+    }
+
+    /// What a sampler's name says of it: nothing where the denoiser's own is kept.
+    pub(super) fn suffix(self) -> String {
+        let part = |word: &str, value: Option<f64>| value.map_or_else(String::new, |value| format!("-{word}-{value}"));
+        [part("from", self.sigma_max), part("to", self.sigma_min), part("rho", self.rho)].concat()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Dpmpp2mConfig, SamplerConfig};
+    use super::*;
+
+    fn sampler(grid: StepGrid) -> SamplerConfig {
+        SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 3, grid })
+    }
+
+    #[test]
+    fn levels_are_those_of_the_grid() {
+        let even = sampler(StepGrid { sigma_max: Some(9.0), sigma_min: Some(1.0), rho: Some(1.0) });
+        assert_eq!(even.schedule(&Edm::default(), even.sigma_start(&Edm::default())), [9.0, 5.0, 1.0, 0.0]);
+        assert_eq!(even.name(), "dpmpp_2m-3-from-9-to-1-rho-1");
+        let own = sampler(StepGrid::default());
+        assert_eq!(own.schedule(&Edm::default(), own.sigma_start(&Edm::default())), Edm::default().schedule(3));
+        assert_eq!(own.name(), "dpmpp_2m-3");
+    }
+
+    #[test]
+    fn an_edit_below_the_grid_still_goes_down() {
+        let grid = sampler(StepGrid { sigma_min: Some(1.0), ..StepGrid::default() });
+        let sigmas = grid.schedule(&Edm::default(), 0.5);
+        assert_eq!(sigmas.last(), Some(&0.0));
+        assert!(sigmas.windows(2).all(|pair| pair[0] >= pair[1]) && sigmas[0] <= 0.5 + 1e-12, "{sigmas:?}");
+    }
+
+    #[test]
+    fn what_is_no_grid_is_refused_by_name() {
+        let message = |grid| sampler(grid).validate().unwrap_err();
+        assert!(message(StepGrid { rho: Some(0.0), ..StepGrid::default() }).contains("sampler.grid.rho is 0"));
+        let upside_down = StepGrid { sigma_max: Some(0.001), ..StepGrid::default() };
+        assert!(message(upside_down).contains("from 0.001 to 0.002"));
+        assert!(sampler(StepGrid { sigma_max: Some(20.0), ..StepGrid::default() }).validate().is_ok());
+    }
+}

@@ -1,0 +1,107 @@
+//! On what do the networks compute?
+
+use super::failure::{Failure, Result};
+use candle_core::Device;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
+
+/// What networks compute on: `cpu`, `cuda` (the first GPU) or `cuda:1` (the second one), and so on.
+///
+/// Results are the same bytes on the same kind of device, not from one kind to another: sums are taken in another order. Noise is
+/// always drawn on the host, so that samples of one seed are alike on all of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(try_from = "String", into = "String")]
+#[schemars(with = "String")]
+pub enum DeviceChoice {
+    /// The processor.
+    #[default]
+    Cpu,
+    /// The NVIDIA GPU of this number; needs a program built with `--features cuda`.
+    Cuda(usize),
+}
+
+impl DeviceChoice {
+    /// The device, ready to compute.
+    ///
+    /// # Errors
+    /// When the program was built without CUDA, or there is no such GPU.
+    pub fn open(self) -> Result<Device> {
+        match self {
+            Self::Cpu => Ok(Device::Cpu),
+            Self::Cuda(ordinal) if candle_core::utils::cuda_is_available() => {
+                Device::new_cuda(ordinal).map_err(|error| {
+                    Failure::input_message(format_args!("run.device is \"{self}\", which does not answer: {error}"))
+                        .with_hint("nvidia-smi lists the GPUs of this machine; run.device = \"cpu\" needs none")
+                })
+            }
+            Self::Cuda(_) => Err(Failure::input_message(format_args!(
+                "run.device is \"{self}\", but this program was built without CUDA"
+            ))
+            .with_hint("build it with `cargo build --release --features cuda`, or set run.device = \"cpu\"")),
+        }
+    }
+}
+
+impl fmt::Display for DeviceChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Cpu => f.write_str("cpu"),
+            Self::Cuda(0) => f.write_str("cuda"),
+            Self::Cuda(ordinal) => write!(f, "cuda:{ordinal}"),
+        }
+    }
+}
+
+impl FromStr for DeviceChoice {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let gpu = match text {
+            "cpu" => return Ok(Self::Cpu),
+            "cuda" => Some(0),
+            other => other.strip_prefix("cuda:").and_then(|ordinal| ordinal.parse().ok()),
+        };
+        gpu.map(Self::Cuda).ok_or_else(|| format!("unknown device `{text}`; known here: cpu, cuda, cuda:N"))
+    }
+}
+
+impl TryFrom<String> for DeviceChoice {
+    type Error = String;
+
+    fn try_from(text: String) -> std::result::Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<DeviceChoice> for String {
+    fn from(device: DeviceChoice) -> Self {
+        device.to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_and_written_alike() {
+        for (text, device) in
+            [("cpu", DeviceChoice::Cpu), ("cuda", DeviceChoice::Cuda(0)), ("cuda:3", DeviceChoice::Cuda(3))]
+        {
+            assert_eq!((text.parse(), device.to_string().as_str()), (Ok(device), text));
+        }
+        for text in ["gpu", "cuda:", "cuda:-1", "CPU"] {
+            assert!(text.parse::<DeviceChoice>().unwrap_err().contains(text));
+        }
+    }
+
+    #[test]
+    #[cfg(not(feature = "cuda"))]
+    fn a_gpu_needs_a_program_that_knows_one() {
+        let failure = DeviceChoice::Cuda(1).open().unwrap_err();
+        assert!(format!("{:#}", failure.error).contains("\"cuda:1\", but this program was built without CUDA"));
+        assert!(DeviceChoice::Cpu.open().unwrap().is_cpu());
+    }
+}

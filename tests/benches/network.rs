@@ -1,0 +1,320 @@
+//! How long do the network's calls take beside the same network in PyTorch, with the same weights, on the same scenes?
+//!
+//! Both take turns, batch by batch, so that whatever else the machine does slows both. The peer is `scripts/bench_network.py`,
+//! which first has to give the same output.
+
+use crate::cpu_time::{Elapsed, timed};
+use candle_core::{Device, Tensor};
+use djinn::diffusion::sampler::HeunConfig;
+use djinn::diffusion::{Denoiser, Edm, LossWeight, NoiseDistribution, NoiseSource, SamplerConfig, rows_like};
+use djinn::model::{DenoiserKind, DenoiserSpec, NetworkConfig, SceneDenoiser};
+use djinn::nn::{Adam, Params, keep_freed_memory};
+use djinn::scene::{ObservationMask, Split};
+use djinn::seed::Seed;
+use djinn::store::SceneStore;
+use djinn::tensor::{
+    FutureValidity, MaskSampler, NormalizerFit, SceneBatch, SceneView, StateParametrization, TaskWeights,
+};
+use djinn::train::{DrawnBatch, SceneDraws};
+use std::collections::{BTreeMap, HashMap};
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
+
+const SEED: Seed = Seed(1);
+/// What both networks may differ by, of the largest output.
+const TOLERANCE: f64 = 1e-4;
+
+/// What to measure.
+struct Options {
+    scenes: PathBuf,
+    python: String,
+    batch_size: usize,
+    n_rounds: usize,
+    n_futures: usize,
+    n_steps: usize,
+}
+
+/// Prints one row for each kind of call.
+pub(crate) fn run(arguments: &[String]) -> std::result::Result<(), String> {
+    let usage = "network SCENES [--python PROGRAM] [--batch N] [--rounds N] [--futures N] [--steps N], where SCENES is the \
+                 folder `scenes` of a run";
+    let (scenes, rest) = arguments.split_first().ok_or(usage)?;
+    let mut options = Options {
+        scenes: scenes.into(),
+        python: "python3".to_owned(),
+        batch_size: 4,
+        n_rounds: 7,
+        n_futures: 60,
+        n_steps: 3,
+    };
+    for pair in rest.chunks(2) {
+        let [name, value] = pair else { return Err(usage.to_owned()) };
+        let number = || value.parse().ok().filter(|n| *n > 0).ok_or_else(|| format!("{name} {value}: {usage}"));
+        match name.as_str() {
+            "--python" => options.python.clone_from(value),
+            "--batch" => options.batch_size = number()?,
+            "--rounds" => options.n_rounds = number()?,
+            "--futures" => options.n_futures = number()?,
+            "--steps" => options.n_steps = number()?,
+            _ => return Err(format!("{name}: {usage}")),
+        }
+    }
+    compare(&options).map_err(|error| error.to_string())
+}
+
+/// A batch with one noise level a row.
+struct Noisy {
+    batch: SceneBatch,
+    x: Tensor,
+    sigma: Tensor,
+    weight: Tensor,
+}
+
+fn compare(options: &Options) -> Result<()> {
+    keep_freed_memory();
+    let store = SceneStore::open(&options.scenes)?;
+    let train: Vec<usize> = (0..store.len()).filter(|idx| store.index()[*idx].split == Split::Train).collect();
+    let mut fit = NormalizerFit::default();
+    for idx in train.iter().take(500) {
+        fit.add(&store.scene(*idx)?);
+    }
+    let first = store.scene(*train.first().ok_or("no scene of the split train")?)?;
+    let spec = DenoiserSpec {
+        kind: DenoiserKind::SceneDenoiser,
+        network: NetworkConfig::default(),
+        edm: Edm::default(),
+        normalizer: fit.finish(StateParametrization::Scene, 3),
+        n_history: first.n_history,
+        n_timesteps: first.n_timesteps,
+        dt_s: first.dt_s,
+        max_agents: 64,
+        max_lanes: 256,
+        steps: 0,
+        seed: SEED.0,
+        scenes: String::new(),
+    };
+    let mut params = Params::new(&Device::Cpu);
+    let denoiser = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, SEED)?;
+    let frozen = SceneDenoiser::new(&mut params.frozen(), &spec.network, 3, spec.edm, SEED)?;
+    let draws = SceneDraws {
+        collator: &spec.collator(),
+        dataset: &store,
+        train: &train,
+        held_out: &[],
+        masks: &MaskSampler::new(&TaskWeights::default()).ok_or("no task has a weight")?,
+        batch_size: options.batch_size,
+        seed: SEED,
+        device: &Device::Cpu,
+    };
+    // The first round warms both up and checks that they agree; it is not counted.
+    let batches: Vec<Noisy> = (0..=options.n_rounds as u64)
+        .map(|step| noisy(draws.training_batch(step)?, &spec.edm))
+        .collect::<Result<_>>()?;
+    let mask = ObservationMask::predictive(first.tracks.len(), first.n_timesteps, first.n_history);
+    let view = SceneView { scene: &first, ego_idx: first.ego_idx, mask: &mask };
+    let scene = draws.collator.collate(&[view], FutureValidity::Everything, &Device::Cpu)?;
+    let folder = tempfile::tempdir()?;
+    spec.write(&params, &folder.path().join("model.safetensors"))?;
+    write_inputs(&folder.path().join("inputs.safetensors"), &batches, &scene)?;
+    describe(options, &batches, &scene);
+    let mut peer = Peer::start(&options.python, folder.path())?;
+
+    let forward =
+        |noisy: &Noisy| -> Result<Tensor> { Ok(frozen.bind(&noisy.batch, 1)?.denoise(&noisy.x, &noisy.sigma)?) };
+    let expected = read_tensor(&folder.path().join("outputs.safetensors"), "output")?;
+    let difference = relative_difference(&forward(&batches[0])?, &expected)?;
+    println!("largest difference of the outputs: {difference:.1e} of the largest output");
+    if difference > TOLERANCE {
+        return Err(format!("the networks differ by {difference:.1e}, more than {TOLERANCE:.0e}").into());
+    }
+
+    let mut adam = Adam::default();
+    let mut step = |noisy: &Noisy| -> Result<()> {
+        let error = (denoiser.bind(&noisy.batch, 1)?.denoise(&noisy.x, &noisy.sigma)? - &noisy.batch.x0)?;
+        let squared = error.broadcast_mul(&noisy.batch.latent.unsqueeze(3)?)?.sqr()?;
+        let loss = squared.broadcast_mul(&noisy.weight)?.sum_all()?;
+        let loss = (loss / (f64::from(noisy.batch.latent.sum_all()?.to_scalar::<f32>()?) * 3.0))?;
+        let gradients = loss.backward()?;
+        adam.step(&params, &gradients, 3e-4, Some(5.0))?;
+        Ok(())
+    };
+    let sample = || -> Result<()> {
+        let bound = frozen.bind(&scene, options.n_futures)?;
+        let seeds = (0..options.n_futures as u64).map(|i| SEED.derive("noise", &[i])).collect();
+        let sampler = SamplerConfig::Heun(HeunConfig::with_steps(options.n_steps));
+        let (dims, mut noise) = (&scene.x0.dims()[1..], NoiseSource::new(seeds));
+        sampler.sample(&spec.edm, &bound, dims, &scene.x0, &mut noise, &mut |_: &djinn::diffusion::Step<'_>| ())?;
+        Ok(())
+    };
+    println!("{:<38} {:>18} {:>18} {:>18}", "seconds on the clock (of the processor)", "djinn", "PyTorch", "ratio");
+    let mut table = Table::default();
+    for round in 0..=options.n_rounds {
+        let (ours, elapsed) = timed(|| forward(&batches[round]));
+        ours?;
+        table.add("forward", elapsed, peer.ask(&format!("forward {round}"))?);
+    }
+    table.print("forward", &format!("forward, {} scenes", options.batch_size));
+    for round in 0..=options.n_rounds {
+        let (ours, elapsed) = timed(|| step(&batches[round]));
+        ours?;
+        table.add("train", elapsed, peer.ask(&format!("train {round}"))?);
+    }
+    table.print("train", &format!("training step, {} scenes", options.batch_size));
+    for _ in 0..4 {
+        let (ours, elapsed) = timed(sample);
+        ours?;
+        table.add("sample", elapsed, peer.ask(&format!("sample {} {}", options.n_futures, options.n_steps))?);
+    }
+    let n_evaluations = 2 * options.n_steps - 1;
+    table.print("sample", &format!("{} futures, {n_evaluations} evaluations", options.n_futures));
+    peer.stop()
+}
+
+fn noisy(drawn: DrawnBatch, edm: &Edm) -> Result<Noisy> {
+    let DrawnBatch { batch, seeds, mut rngs } = drawn;
+    let sigmas: Vec<f64> = rngs.iter_mut().map(|rng| NoiseDistribution::default().draw(rng)).collect();
+    let weight = sigmas.iter().map(|sigma| edm.loss_weight(LossWeight::default(), *sigma)).collect();
+    let sigma = rows_like(sigmas, &batch.x0)?;
+    let noise = NoiseSource::new(seeds).draw_like(&batch.x0)?.broadcast_mul(&sigma)?;
+    let x = (&batch.x0 + noise)?.broadcast_mul(&batch.latent.unsqueeze(3)?)?;
+    Ok(Noisy { x, sigma: sigma.flatten_all()?, weight: rows_like(weight, &batch.x0)?, batch })
+}
+
+fn write_inputs(path: &Path, batches: &[Noisy], scene: &SceneBatch) -> Result<()> {
+    let mut tensors = HashMap::new();
+    let mut put = |prefix: &str, batch: &SceneBatch| {
+        for (name, tensor) in [
+            ("x0", &batch.x0),
+            ("context", &batch.context),
+            ("features", &batch.features),
+            ("valid", &batch.valid),
+            ("latent", &batch.latent),
+            ("lanes", &batch.lanes),
+            ("lane_valid", &batch.lane_valid),
+        ] {
+            tensors.insert(format!("{prefix}.{name}"), tensor.clone());
+        }
+    };
+    put("scene", scene);
+    for (i, noisy) in batches.iter().enumerate() {
+        put(&i.to_string(), &noisy.batch);
+    }
+    for (i, noisy) in batches.iter().enumerate() {
+        for (name, tensor) in [("x", &noisy.x), ("sigma", &noisy.sigma), ("weight", &noisy.weight)] {
+            tensors.insert(format!("{i}.{name}"), tensor.clone());
+        }
+    }
+    Ok(candle_core::safetensors::save(&tensors, path)?)
+}
+
+fn read_tensor(path: &Path, name: &str) -> Result<Tensor> {
+    let tensors = candle_core::safetensors::load(path, &Device::Cpu)?;
+    Ok(tensors.get(name).ok_or_else(|| format!("{} has no {name}", path.display()))?.clone())
+}
+
+fn relative_difference(ours: &Tensor, theirs: &Tensor) -> Result<f64> {
+    let largest = |x: Tensor| -> Result<f64> { Ok(f64::from(x.abs()?.max_all()?.to_scalar::<f32>()?)) };
+    Ok(largest((ours - theirs)?)? / largest(theirs.clone())?)
+}
+
+fn describe(options: &Options, batches: &[Noisy], scene: &SceneBatch) {
+    let share = |of: &dyn Fn(&Noisy) -> &Tensor| {
+        let means = batches.iter().filter_map(|noisy| of(noisy).mean_all().ok()?.to_scalar::<f32>().ok());
+        means.sum::<f32>() / batches.len() as f32
+    };
+    let dims: Vec<String> = batches.iter().skip(1).map(|noisy| noisy.batch.valid.dims()[1].to_string()).collect();
+    println!(
+        "{} threads; T = {}; A = {} and L = {} with padding; {:.0} % of states and {:.0} % of lanes are none; the sampled scene has {} agents",
+        n_threads(),
+        scene.valid.dims()[2],
+        dims.join(", "),
+        batches[0].batch.lane_valid.dims()[1],
+        100.0 * (1.0 - share(&|noisy| &noisy.batch.valid)),
+        100.0 * (1.0 - share(&|noisy| &noisy.batch.lane_valid)),
+        scene.valid.dims()[1],
+    );
+    println!("{} rounds of each, medians, after one that is not counted", options.n_rounds);
+}
+
+fn n_threads() -> usize {
+    rayon::current_num_threads()
+}
+
+/// Times of both by the name of the call.
+#[derive(Default)]
+struct Table(BTreeMap<&'static str, Vec<(Elapsed, Elapsed)>>);
+
+impl Table {
+    fn add(&mut self, name: &'static str, ours: Elapsed, theirs: Elapsed) {
+        self.0.entry(name).or_default().push((ours, theirs));
+    }
+
+    /// The medians of all rounds but the first.
+    fn print(&self, name: &str, title: &str) {
+        let rounds = self.0.get(name).map_or(&[][..], |rounds| &rounds[1..]);
+        let median = |of: &dyn Fn(&(Elapsed, Elapsed)) -> f64| {
+            let mut values: Vec<f64> = rounds.iter().map(of).collect();
+            values.sort_by(f64::total_cmp);
+            values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+        };
+        let cell = |wall: f64, cpu: f64| format!("{wall:.3} ({cpu:.3})");
+        println!(
+            "{title:<38} {:>18} {:>18} {:>18}",
+            cell(median(&|(ours, _)| ours.wall_s), median(&|(ours, _)| ours.cpu_s)),
+            cell(median(&|(_, theirs)| theirs.wall_s), median(&|(_, theirs)| theirs.cpu_s)),
+            cell(median(&|(a, b)| a.wall_s / b.wall_s), median(&|(a, b)| a.cpu_s / b.cpu_s)),
+        );
+    }
+}
+
+/// PyTorch in a process of its own, which waits while we are measured.
+struct Peer {
+    child: Child,
+    requests: ChildStdin,
+    answers: BufReader<ChildStdout>,
+}
+
+impl Peer {
+    fn start(python: &str, folder: &Path) -> Result<Self> {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/bench_network.py");
+        let mut command = Command::new(python);
+        command.arg(script).arg(folder).args(["--threads", &n_threads().to_string()]);
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
+        let requests = child.stdin.take().ok_or("no way to ask the peer")?;
+        let answers = BufReader::new(child.stdout.take().ok_or("no way to hear the peer")?);
+        let mut peer = Self { child, requests, answers };
+        println!("{}", peer.line()?.trim());
+        Ok(peer)
+    }
+
+    fn line(&mut self) -> Result<String> {
+        let mut line = String::new();
+        if self.answers.read_line(&mut line)? == 0 {
+            return Err(
+                "scripts/bench_network.py ended; it needs torch, numpy and safetensors (--python PROGRAM)".into()
+            );
+        }
+        Ok(line)
+    }
+
+    fn ask(&mut self, request: &str) -> Result<Elapsed> {
+        writeln!(self.requests, "{request}")?;
+        self.requests.flush()?;
+        let line = self.line()?;
+        let seconds: Vec<f64> = line.split_whitespace().map(str::parse).collect::<std::result::Result<_, _>>()?;
+        match seconds[..] {
+            [wall_s, cpu_s] => Ok(Elapsed { wall_s, cpu_s }),
+            _ => Err(format!("the peer said {line:?}, expected two numbers").into()),
+        }
+    }
+
+    fn stop(self) -> Result<()> {
+        let Self { mut child, requests, .. } = self;
+        drop(requests);
+        child.wait()?;
+        Ok(())
+    }
+}
