@@ -74,9 +74,11 @@ class Work:
     def __init__(self):
         self.cpu_s, self.wall_s = time.process_time(), time.perf_counter()
 
+    def used(self):
+        return {"cpu_s": time.process_time() - self.cpu_s, "wall_s": time.perf_counter() - self.wall_s}
+
     def done(self, **more):
-        used = {"cpu_s": time.process_time() - self.cpu_s, "wall_s": time.perf_counter() - self.wall_s}
-        print(json.dumps(used | more))
+        print(json.dumps(self.used() | more))
 
 
 def alternate(subjects, rounds):
@@ -91,13 +93,20 @@ def alternate(subjects, rounds):
     return usages
 
 
+def middle(values):
+    return statistics.median(values)
+
+
 def median(usages, key):
-    return statistics.median(getattr(usage, key) for usage in usages)
+    return middle([getattr(usage, key) for usage in usages])
 
 
 def spread(usages, key, digits=2):
     """Median, and in brackets the least and the greatest."""
-    values = [getattr(usage, key) for usage in usages]
+    return spread_of([getattr(usage, key) for usage in usages], digits)
+
+
+def spread_of(values, digits=2):
     middle = f"{statistics.median(values):.{digits}f}"
     return middle if len(values) == 1 else f"{middle} ({min(values):.{digits}f} to {max(values):.{digits}f})"
 
@@ -174,4 +183,8 @@ def size_of(path):
 
 def stage(folder, name):
     """The last entry of a stage in a run folder's timings.json."""
-    return json.loads((pathlib.Path(folder) / "timings.json").read_text())["stages"][name][-1]
+    return read_json(pathlib.Path(folder) / "timings.json")["stages"][name][-1]
+
+
+def read_json(path):
+    return json.loads(pathlib.Path(path).read_text())
