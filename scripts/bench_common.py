@@ -22,11 +22,11 @@ MB = 1e6
 
 @dataclasses.dataclass
 class Usage:
-    """What one run of a child took. `said` is its last line of output as JSON, if it is that."""
+    """What one run of a child took. `said` is its last line of output as JSON, if it is that. NaN: too little to be told."""
 
     wall_s: float
     cpu_s: float
-    peak_bytes: int
+    peak_bytes: float
     said: dict
 
 
@@ -48,7 +48,33 @@ def measure(command, env=None, silent=True):
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode != 0:
         sys.exit(f"{' '.join(str(part) for part in command)} ended with {child.returncode}:\n{error}{out}")
-    return Usage(wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024, last_json(out))
+    # What is not above this process's own peak may be this process.
+    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    peak_bytes = used.ru_maxrss * 1024 if used.ru_maxrss > own else float("nan")
+    return Usage(wall_s, used.ru_utime + used.ru_stime, peak_bytes, last_json(out))
+
+
+def in_child(work, *arguments):
+    """What `work` returns, in a forked child, so that what it reads does not stay with this process."""
+    receiving, sending = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.write(sending, json.dumps(work(*arguments)).encode())
+            os._exit(0)
+        except BaseException:
+            sys.excepthook(*sys.exc_info())
+            os._exit(1)
+    os.close(sending)
+    with os.fdopen(receiving) as pipe:
+        said = pipe.read()
+    if os.waitpid(child, 0)[1] != 0:
+        sys.exit(f"{work.__name__} failed")
+    return json.loads(said)
+
+
+def megabytes(n_bytes):
+    return "below 30" if n_bytes != n_bytes else f"{n_bytes / MB:.0f}"
 
 
 def last_json(text):

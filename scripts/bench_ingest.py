@@ -172,7 +172,7 @@ class Subject:
         n_scenes = usages["pandas, vectorized"][0].said["n_scenes"]
         base = usages["djinn, 2 threads"]
         shape = f"{packed / bench.MB:.1f} MB, {unpacked / bench.MB:.1f} MB unpacked, {n_scenes} scenes, {rounds} rounds"
-        print(f"\n{self.dataset}: {shape}\n")
+        print(f"{self.dataset}: {shape}\n")
         rows = []
         for name, runs in usages.items():
             wall, cpu = bench.median(runs, "wall_s"), bench.median(runs, "cpu_s")
@@ -185,7 +185,7 @@ class Subject:
                 f"{unpacked / bench.MB / wall:.0f}",
                 f"{unpacked / bench.MB / cpu:.0f}",
                 "" if name.startswith("unpack") else f"{n_scenes / wall:.0f}",
-                f"{bench.median(runs, 'peak_bytes') / bench.MB:.0f}",
+                bench.megabytes(bench.median(runs, "peak_bytes")),
             ])
         header = ["", "wall s", "CPU s", "CPU, ratio to the first row", "archive MB/s", "unpacked MB/s", "unpacked MB per CPU s"]
         bench.table([*header, "scenes/s", "peak memory MB"], rows)
@@ -195,12 +195,12 @@ class Subject:
         rows = []
         for copies in (1, n):
             folder = bench.fresh(self.work / "grown")
-            n_bytes = self.unfold(folder, copies)
+            n_bytes = bench.in_child(self.unfold, folder, copies)
             usages = []
             for threads in ("1", "2"):
                 usages.append(self.ingest(folder, "out", "--threads", threads, maps=self.dataset != "argoverse1"))
                 shutil.rmtree(self.work / "out")
-            peaks = [f"{usage.peak_bytes / bench.MB:.0f}" for usage in usages]
+            peaks = [bench.megabytes(usage.peak_bytes) for usage in usages]
             rows.append([self.dataset, f"{n_bytes / bench.MB:.0f}", *peaks, f"{usages[-1].cpu_s:.1f}"])
             shutil.rmtree(folder)
         return rows
@@ -257,7 +257,7 @@ def main():
     parser.add_argument("--work", type=bench.path, required=True)
     for dataset in ("interaction", "argoverse1", "argoverse2"):
         parser.add_argument(f"--{dataset}", type=bench.path)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=int, default=5, help="0: measure memory alone")
     parser.add_argument("--copies", type=int, default=200)
     parser.add_argument("--grow", type=int, default=10)
     parser.add_argument("--loop", action="store_true")
@@ -272,19 +272,16 @@ def main():
         if dataset == "argoverse2":
             styles += [] if bench.versions("av2").endswith("not installed") else ["av2"]
             copies = bench.fresh(arguments.work / "copies")
-            # In a child: this process stays small, see bench_common.
-            if os.fork() == 0:
-                repeat_scenarios(source, copies, arguments.copies)
-                os._exit(0)
-            if os.wait()[1] != 0:
-                sys.exit("the copies of the Argoverse 2 scenario could not be written")
+            bench.in_child(repeat_scenarios, source, copies, arguments.copies)
             source = copies
         subjects.append((Subject(arguments, dataset, source), styles))
-    print("Same content on both sides:\n")
-    for subject, styles in subjects:
-        subject.verify(styles)
-    for subject, styles in subjects:
-        subject.compare(arguments.rounds, styles, arguments.loop)
+    if arguments.rounds:
+        print("Same content on both sides:\n")
+        for subject, styles in subjects:
+            subject.verify(styles)
+        print()
+        for subject, styles in subjects:
+            subject.compare(arguments.rounds, styles, arguments.loop)
     if arguments.grow:
         print(f"Peak memory of `djinn ingest` as the recordings grow {arguments.grow}-fold (unpacked, as a folder):\n")
         grown = [s.grow(arguments.grow) for s, _ in subjects if s.dataset != "argoverse2"]

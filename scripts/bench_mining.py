@@ -55,7 +55,7 @@ class Runs:
             return None
         data, folder = self.arguments.work / "perf.data", bench.fresh(self.arguments.work / "perf")
         (folder / "scenes").symlink_to(self.arguments.work / "scenes" / "scenes")
-        record = ["perf", "record", "-q", "-F", "199", "--call-graph", "dwarf,16384", "-o", data]
+        record = ["perf", "record", "-q", "-F", "997", "--call-graph", "dwarf,16384", "-o", data]
         subprocess.run([*record, *self.command(behaviors, 1, folder)], check=True, capture_output=True)
         report = ["perf", "report", "-i", data, "--children", "--stdio", "-g", "none", "--no-inline"]
         text = subprocess.run(report, check=True, capture_output=True, text=True).stdout
@@ -70,7 +70,7 @@ def main():
     parser.add_argument("--interaction", type=bench.path, required=True)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--n-scenes", type=int, default=200, help="of the quick peers; the slow ones get a tenth or more")
+    parser.add_argument("--n-scenes", type=int, default=200, help="of the quick peers; the slow ones get the first quarter of them")
     parser.add_argument("--perf", action="store_true")
     arguments = parser.parse_args()
     bench.introduce(arguments.djinn, ["numpy", "shapely", "pyarrow"])
@@ -78,7 +78,7 @@ def main():
     ingest = [arguments.djinn, "ingest", arguments.interaction, "--dataset", "interaction", "--quiet"]
     bench.measure([*ingest, "--output", arguments.work / "scenes"])
 
-    runs, few = Runs(arguments), max(arguments.n_scenes // 5, 1)
+    runs, few = Runs(arguments), max(arguments.n_scenes // 4, 1)
     usages = bench.alternate(
         {
             "djinn, no pairs (hard braking)": lambda: runs.mine(NO_PAIRS),
@@ -123,7 +123,7 @@ def report(arguments, usages, share, runs):
             f"{middle / whole:.1f}" if is_peer else "",
             in_search,
             events,
-            f"{bench.median(usages[name], 'peak_bytes') / bench.MB:.0f}",
+            bench.megabytes(bench.median(usages[name], "peak_bytes")),
         ])
     print(f"Same events in every run of every peer: cut-ins with both times, negatives by pair. {arguments.rounds} rounds.\n")
     header = ["", "scenes", "agents a scene", "CPU ms a scene", "ratio to djinn's whole process", "ratio to djinn's search"]

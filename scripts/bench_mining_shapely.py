@@ -215,7 +215,7 @@ def main():
     arguments = parser.parse_args()
     n_all = json.loads((arguments.run / "scenes" / "manifest.json").read_text())["n_scenes"]
     n = min(arguments.n_scenes, n_all)
-    chosen = set(np.random.default_rng(arguments.seed).choice(n_all, n, replace=False).tolist())
+    chosen = set(np.random.default_rng(arguments.seed).permutation(n_all)[:n].tolist())
     scenes = [scene for i, scene in enumerate(read_scenes(arguments.run / "scenes")) if i in chosen]
 
     work = Work()

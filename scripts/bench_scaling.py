@@ -86,7 +86,7 @@ class Bench:
 
 def figures(measured):
     wall, cpu, peak = measured
-    return [f"{wall:.2f}", f"{cpu:.2f}", f"{peak / bench.MB:.0f}"]
+    return [f"{wall:.2f}", f"{cpu:.2f}", bench.megabytes(peak)]
 
 
 def main():
