@@ -11,7 +11,6 @@ they need not be good to be measured. SCRATCH is emptied.
 """
 
 import argparse
-import pathlib
 import shutil
 import zipfile
 

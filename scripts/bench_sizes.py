@@ -77,7 +77,8 @@ def recordings(arguments):
         scenes = ingest(arguments.djinn, arguments.argoverse2, "argoverse2", arguments.work / "av2")
         tracked, places = steps_of(scenes)
         shards = sum(file.stat().st_size for file in scenes.glob("scenes-*.arrow"))
-        add("its scenes, Arrow shards", shards, tracked, f"agents at present, no static ones; {tracked / places:.0%} of the places hold a state")
+        note = f"agents at present, no static ones; {tracked / places:.0%} of the places hold a state"
+        add("its scenes, Arrow shards", shards, tracked, note)
     print("Recordings:\n")
     bench.table(["", "MB", "agent-steps", "bytes an agent-step", ""], rows)
 
@@ -102,7 +103,8 @@ def corpus(arguments):
 
     by_column = column_bytes(tracks)
     world = sum(n for name, n in by_column.items() if name.startswith("world_"))
-    add("corpus, tracks", bench.size_of(tracks), f"scene and world frame; of it the world frame in double precision {world / n_rows:.1f}")
+    note = f"scene and world frame; of it the world frame in double precision {world / n_rows:.1f}"
+    add("corpus, tracks", bench.size_of(tracks), note)
     add("corpus, all tables", bench.size_of(run / "corpus"), "with scenarios, metrics, the recordings they came from, lanes")
     add("sample shards", bench.size_of(run / "samples"), "scene frame alone")
     for name, pattern in (("interaction", "*.csv"), ("argoverse2", "*.parquet")):
