@@ -50,12 +50,12 @@ impl MiningSummary {
 impl TrainingSummary {
     /// The curves of the training loop: the loss, and one chart for each figure of the evaluations.
     pub fn of_fit(name: impl Into<String>, facts: Vec<Fact>, statistics: &[FitStatistics]) -> Self {
-        let chart = |title: &str, points: Vec<[f64; 2]>| Chart {
+        let chart = |title: &str, over: &str, points: Vec<[f64; 2]>| Chart {
             title: title.replace('_', " "),
             x_label: "training step".to_owned(),
             y_label: title.to_owned(),
             log_x: false,
-            curves: vec![Curve::new(title, points)],
+            curves: vec![Curve::new(over, points)],
         };
         let loss: Vec<[f64; 2]> = statistics.iter().filter_map(|line| Some([line.step as f64, line.loss?])).collect();
         let figures: BTreeSet<&String> = statistics.iter().flat_map(|line| line.evaluation.keys()).collect();
@@ -63,8 +63,8 @@ impl TrainingSummary {
             let value = |line: &FitStatistics| Some([line.step as f64, *line.evaluation.get(figure)?]);
             statistics.iter().filter_map(value).collect()
         };
-        let mut charts = vec![chart("loss", loss)];
-        charts.extend(figures.into_iter().map(|figure| chart(figure, of_figure(figure))));
+        let mut charts = vec![chart("loss", "training scenes", loss)];
+        charts.extend(figures.into_iter().map(|figure| chart(figure, "held-out scenes", of_figure(figure))));
         Self { name: name.into(), facts, charts }
     }
 }
