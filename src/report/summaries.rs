@@ -63,7 +63,9 @@ impl TrainingSummary {
             let value = |line: &FitStatistics| Some([line.step as f64, *line.evaluation.get(figure)?]);
             statistics.iter().filter_map(value).collect()
         };
-        let mut charts = vec![chart("loss", "training scenes", loss)];
+        // A network that was taken over as it is has no losses.
+        let mut charts: Vec<Chart> =
+            (!loss.is_empty()).then(|| chart("loss", "training scenes", loss)).into_iter().collect();
         charts.extend(figures.into_iter().map(|figure| chart(figure, "held-out scenes", of_figure(figure))));
         Self { name: name.into(), facts, charts }
     }
@@ -128,5 +130,8 @@ mod tests {
             TrainingSummary::of_fit("denoiser", vec![], &[line(10, Some(2.0), None), line(10, None, Some(0.5))]);
         let points: Vec<_> = summary.charts.iter().map(|c| (c.y_label.as_str(), c.curves[0].points.clone())).collect();
         assert_eq!(points, [("loss", vec![[10.0, 2.0]]), ("min_scene_ade_m", vec![[10.0, 0.5]])]);
+        let names: Vec<&str> = summary.charts.iter().map(|chart| chart.curves[0].name.as_str()).collect();
+        assert_eq!(names, ["training scenes", "held-out scenes"]);
+        assert!(TrainingSummary::of_fit("taken over", vec![], &[]).charts.is_empty());
     }
 }

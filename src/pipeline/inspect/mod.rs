@@ -97,7 +97,7 @@ fn write_value(text: &mut String, depth: usize, name: &str, value: &Value) {
         Value::Object(object) if depth >= DEPTH_OF_LINES && object.values().all(is_single) => {
             let known = object.iter().filter(|(_, value)| !value.is_null());
             let entries: Vec<String> = known.map(|(name, value)| format!("{name} {}", plain(value))).collect();
-            text.push_str(&format!("{indent}{name}: {}\n", entries.join(", ")));
+            text.push_str(&format!("{indent}{name}: {}\n", entries.join("; ")));
         }
         Value::Object(object) => {
             text.push_str(&format!("{indent}{name}\n"));

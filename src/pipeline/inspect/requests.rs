@@ -16,8 +16,6 @@ pub(super) fn describe(samples: &Path) -> Result<Option<Value>> {
 
 fn of_request(request: &RequestSummary) -> Value {
     let (n_buckets, n_short) = (request.buckets.len(), request.short().count());
-    let arms: Map<String, Value> = request.arms.iter().map(|arm| (arm.name.clone(), of_arm(arm))).collect();
-    let buckets: Map<String, Value> = request.buckets.iter().map(of_bucket).collect();
     json!({
         "behavior": request.behavior,
         "ended": request.ended,
@@ -30,25 +28,26 @@ fn of_request(request: &RequestSummary) -> Value {
         "n_buckets": n_buckets,
         "n_buckets_filled": n_buckets - n_short,
         "n_buckets_short": n_short,
-        "buckets": buckets,
-        "arms": arms,
+        "buckets": request.buckets.iter().map(of_bucket).collect::<Vec<_>>(),
+        "arms": request.arms.iter().map(of_arm).collect::<Vec<_>>(),
     })
 }
 
-fn of_bucket(bucket: &BucketSummary) -> (String, Value) {
+fn of_bucket(bucket: &BucketSummary) -> Value {
     let parts: Vec<String> = bucket.parts.iter().map(|part| format!("{} {}", part.parameter, part.range)).collect();
-    let figures = json!({
+    json!({
+        "bucket": parts.join(", "),
         "n_wanted": bucket.n_wanted,
         "n_accepted": bucket.n_accepted,
         "n_short": bucket.n_wanted.saturating_sub(bucket.n_accepted),
         "n_evaluations_per_accepted": bucket.n_evaluations_per_accepted().map(rounded),
-    });
-    (parts.join(", "), figures)
+    })
 }
 
 fn of_arm(arm: &ArmSummary) -> Value {
     let own = &arm.total;
     json!({
+        "arm": arm.name,
         "n_samples": own.n_samples,
         "n_found": own.n_found,
         "n_beyond_limits": own.n_beyond_limits,
@@ -92,10 +91,10 @@ mod tests {
         let tight = &found["tight"];
         assert_eq!((&tight["n_buckets"], &tight["n_buckets_filled"]), (&json!(3), &json!(1)));
         assert_eq!((&tight["n_buckets_short"], &tight["n_evaluations_per_accepted"]), (&json!(2), &json!(316.7)));
-        assert_eq!(tight["buckets"]["gap_m 5..10"]["n_evaluations_per_accepted"], json!(1900.0));
-        assert_eq!(tight["arms"]["guided"]["n_evaluations_per_accepted"], json!(316.7));
+        assert_eq!(tight["buckets"][1]["n_evaluations_per_accepted"], json!(1900.0));
+        assert_eq!(tight["arms"][0]["n_evaluations_per_accepted"], json!(316.7));
         let text = Description::new("generated scenarios").with("requests", found).text();
         // What nothing was accepted of has no cost.
-        assert!(text.contains("        gap_m 10..20: n_wanted 5, n_accepted 0, n_short 5\n"), "{text}");
+        assert!(text.contains("        3: bucket gap_m 10..20; n_accepted 0; n_short 5; n_wanted 5\n"), "{text}");
     }
 }
