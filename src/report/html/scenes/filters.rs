@@ -51,7 +51,7 @@ const REJECTED: &str = "rejected";
 
 /// Accepted, rejected, and rejected for each of the reasons that there are.
 fn decisions(cards: &[SceneCard]) -> Vec<(String, String)> {
-    let known: Vec<Vec<String>> = cards.iter().map(|card| tags(card)).collect();
+    let known: Vec<Vec<String>> = cards.iter().map(tags).collect();
     let has = |tag: &str| known.iter().flatten().any(|known| known == tag);
     let mut options: Vec<(String, String)> = [(ACCEPTED, "accepted"), (REJECTED, "rejected, for any reason")]
         .into_iter()
