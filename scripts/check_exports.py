@@ -1,11 +1,13 @@
 """Reads folders that `djinn export` wrote with the readers that others use for these formats. Installs nothing.
 
-    pip install pyarrow pandas commonroad-io lxml jsonschema vcd asam-qc-openscenarioxml scenario-gym
-    pip install --no-deps av2 && pip install universal-pathlib opencv-python-headless numba     # without PyTorch
-    python scripts/check_exports.py output/xosc output/commonroad ...
+    python3 -m venv readers
+    readers/bin/pip install --no-deps -r scripts/requirements-exports.txt
+    readers/bin/python scripts/check_exports.py output/xosc output/commonroad ...
 
-What is not installed is skipped, and said so. With `--corpus DIR`, positions are compared with the corpus, too (pyarrow).
-`--schema FILE` names an XSD of OpenSCENARIO 1.2 where no package brings it. Ends with 1 when a check fails.
+What is not installed is skipped, and said so; `--may-skip NAME` makes it a failure for all but the named ones. With `--corpus DIR`,
+positions and judgments are compared with the corpus, too (pyarrow). `scenario_gym` plays OpenSCENARIO where it is installed
+(`pip install scenario-gym`, in an environment of its own: it needs an older NumPy). `--schema FILE` names an XSD of OpenSCENARIO 1.2 where
+no package brings it. Ends with 1 when a check fails.
 """
 
 import argparse
@@ -48,14 +50,14 @@ def rows(path):
 class Export:
     """An export, and where the corpus says that its tracks are."""
 
-    def __init__(self, folder, corpus):
+    def __init__(self, folder, corpus, judged=None):
         self.folder = folder
         self.report = json.loads((folder / "export.json").read_text())
         self.scenarios = rows(folder / "index.tsv")
         self.tracks = {}
         for row in rows(folder / "tracks.tsv"):
             self.tracks.setdefault(row["scenario_id"], []).append(row)
-        self.corpus = corpus
+        self.corpus, self.judged = corpus, judged
         assert len(self.scenarios) == self.report["n_scenarios"] > 0, "index.tsv and export.json differ"
         assert (folder / "NOTICE.txt").read_text().count("Sources and terms") == 1, "NOTICE.txt names no terms"
 
@@ -83,6 +85,16 @@ def world_positions(folder):
     columns = ["scenario_id", "track_id", "timestep", "world_x_m", "world_y_m"]
     table = dataset.dataset(path, format="parquet", partitioning="hive").to_table(columns=columns).to_pydict()
     return {(s, t, k): (x, y) for s, t, k, x, y in zip(*(table[name] for name in columns))}
+
+
+def judgments(folder):
+    """scenario -> its row of the scenario table, without nested columns."""
+    dataset = available("pyarrow.dataset")
+    if folder is None or dataset is None:
+        return None
+    path = folder / "scenarios" if (folder / "scenarios").exists() else folder / "scenarios.parquet"
+    table = dataset.dataset(path, format="parquet", partitioning="hive").to_table()
+    return {row["scenario_id"]: row for row in table.to_pylist()}
 
 
 def check_interaction(export):
@@ -212,15 +224,34 @@ def compare_trajectories(etree, export, scenario):
 
 def check_openlabel(export):
     modules = available("vcd.schema", "jsonschema")
-    n_tags = 0
+    n_tags = n_compared = 0
     for scenario in export.scenarios:
         document = json.loads((export.folder / scenario["file"]).read_text())
         n_tags += len(document["openlabel"]["tags"])
         if modules is not None:
             modules[1].validate(document, modules[0].openlabel_schema)
+        judged = [tag for tag in document["openlabel"]["tags"].values() if tag["type"] == "assessment"]
+        is_judged = export.judged is not None and export.judged[scenario["scenario_id"]].get("accepted") is not None
+        assert len(judged) == 1 or not is_judged, f"{scenario['scenario_id']} has no judgment"
+        n_compared += sum(compare_judgment(export, scenario, tag["tag_data"]) for tag in judged)
     ontology = json.loads((export.folder / "ontology.json").read_text())
     how = "valid against the schema of vcd" if modules else "read as JSON"
-    return [f"{how}: {len(export.scenarios)} files with {n_tags} tags of {len(ontology['behaviors']['tags'])} behaviors"]
+    compared = "" if export.judged is None else f", {n_compared} judgments compared with the corpus"
+    return [f"{how}: {len(export.scenarios)} files with {n_tags} tags of {len(ontology['behaviors']['tags'])} behaviors{compared}"]
+
+
+def compare_judgment(export, scenario, data):
+    """Demands that numbers have units, and that judgments are those of the corpus. Returns how many were compared."""
+    for number in data["num"]:
+        assert number["attributes"]["text"][0]["name"] == "unit", f"{number['name']} has no unit"
+    if export.judged is None:
+        return 0
+    row = export.judged[scenario["scenario_id"]]
+    said = {entry["name"]: entry["val"] for kind in ("num", "boolean", "text") for entry in data[kind]}
+    for name, value in said.items():
+        same = math.isclose(row[name], value, rel_tol=1e-6, abs_tol=1e-6) if isinstance(value, float) else row[name] == value
+        assert same, f"{scenario['scenario_id']}: {name} is {value}, and {row[name]} in the corpus"
+    return len(said)
 
 
 def validate(etree, schema, files):
@@ -235,8 +266,9 @@ def main():
     parser.add_argument("exports", nargs="+", type=pathlib.Path)
     parser.add_argument("--corpus", type=pathlib.Path)
     parser.add_argument("--schema", type=pathlib.Path)
+    parser.add_argument("--may-skip", action="append", metavar="NAME")
     args = parser.parse_args()
-    corpus = world_positions(args.corpus)
+    corpus, judged = world_positions(args.corpus), judgments(args.corpus)
     checks = {
         "interaction": check_interaction,
         "argoverse2": check_argoverse2,
@@ -247,14 +279,16 @@ def main():
     failed = False
     for folder in args.exports:
         try:
-            export = Export(folder, corpus)
+            export = Export(folder, corpus, judged)
             said = checks[export.report["format"]](export)
             print(f"{folder}: {export.report['format']}: {'; '.join(said) or 'nothing checked'}")
         except Exception as error:  # Whatever a reader objects to is a failed check, and the next folder is still of interest.
             failed = True
             print(f"{folder}: FAILED: {type(error).__name__}: {error}")
     for name, why in skipped.items():
-        print(f"skipped: {name}: {why}")
+        is_failure = args.may_skip is not None and name not in args.may_skip
+        failed = failed or is_failure
+        print(f"{'FAILED: skipped' if is_failure else 'skipped'}: {name}: {why}")
     sys.exit(failed)
 
 

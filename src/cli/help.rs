@@ -161,4 +161,5 @@ Examples:
 pub(super) const INSPECT: &str = "\
 Examples:
   djinn inspect output/quickstart/main
+  djinn inspect output/cut_in_request/main/samples    what a request got, bucket by bucket
   djinn inspect output/quickstart/main/scenes --json | jq .n_scenes";

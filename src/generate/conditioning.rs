@@ -117,11 +117,10 @@ impl SweepConfig {
 }
 
 impl EditConfig {
-    /// Noise levels of the sampler's steps from τ. At or below the smallest level of a schedule there is one step, to 0.
+    /// Noise levels of the sampler's steps from τ.
     pub(super) fn schedule(&self, edm: &Edm, sampler: &SamplerConfig) -> Vec<f64> {
         match self.tau {
             0.0 => vec![0.0],
-            tau if tau <= edm.sigma_min => vec![tau, 0.0],
             tau => sampler.schedule(edm, tau),
         }
     }

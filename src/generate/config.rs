@@ -236,7 +236,7 @@ impl SweepConfig {
         self.check_guidance().map_err(|why| format!("({}): {why}", self.name))?;
         if let Some(select) = &self.select {
             let kinds: Vec<&str> = self.objectives.iter().map(|objective| objective.objective().kind()).collect();
-            select.validate(&kinds).map_err(|why| format!("({}): select: {why}", self.name))?;
+            select.validate(&kinds, self.asks_pairs()).map_err(|why| format!("({}): select: {why}", self.name))?;
         }
         // The roles of the behavior are known only beside the list of behaviors; without one there are none.
         match self.behavior {

@@ -1,5 +1,6 @@
 //! Which samples become scenarios? Rejection by limits of metrics and objectives, and the best of many.
 
+use super::Limit;
 use crate::metrics::{ALL, Direction, SampleGroup, by_id};
 use crate::scene::{Scene, TrackId};
 use schemars::JsonSchema;
@@ -16,10 +17,10 @@ use std::collections::BTreeMap;
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SelectConfig {
-    /// Limits by metric or objective: samples above them are left out, or below where more is better.
-    /// `{ collision_rate = 0.0 }` keeps what has no collision.
+    /// Limits by metric or objective. `{ collision_rate = 0.0 }` keeps what has no collision, `{ pair_min_ttc_s = [0.5, 2.0] }` what
+    /// comes that close to one, `{ pair_min_distance_m = { at_least = 1.0 } }` what stays that far apart.
     #[serde(default)]
-    pub limits: BTreeMap<String, f64>,
+    pub limits: BTreeMap<String, Limit>,
     /// How many are kept of those within the limits: the best. Left out: all.
     #[serde(default)]
     pub best: Option<usize>,
@@ -31,6 +32,8 @@ pub struct SelectConfig {
 
 /// The sum of all objectives, as selections name it.
 const ALL_OBJECTIVES: &str = "objectives";
+/// With what the names of metrics begin that look at the two agents that were asked.
+const PAIR_PREFIX: &str = "pair_";
 
 /// A sample that may become a scenario.
 #[derive(Debug, Clone, Copy)]
@@ -44,15 +47,20 @@ pub(super) struct Candidate<'a> {
 }
 
 impl Candidate<'_> {
-    /// The value of what a selection names, of which less is better; `None` where it is not defined for the sample.
-    fn cost(&self, id: &str, recorded: &Scene) -> Option<f64> {
+    /// The value of what a selection names; `None` where it is not defined for the sample.
+    fn value(&self, id: &str, recorded: &Scene) -> Option<f64> {
         if let Some(metric) = by_id(id) {
             let alone = SampleGroup::equally_likely(recorded, std::slice::from_ref(self.scene));
-            let group = SampleGroup { asked: self.asked, ..alone };
-            return metric.evaluate(&group).map(|value| as_cost(id, value));
+            return metric.evaluate(&SampleGroup { asked: self.asked, ..alone });
         }
         let named = self.objectives.iter().filter(|(kind, _)| id == ALL_OBJECTIVES || id == *kind);
-        Some(as_cost(id, named.map(|(_, value)| value).sum()))
+        Some(named.map(|(_, value)| value).sum())
+    }
+
+    /// The same, turned so that less is better; what is not defined is the worst.
+    fn cost(&self, id: &str, recorded: &Scene) -> f64 {
+        let sign = if direction(id) == Direction::HigherIsBetter { -1.0 } else { 1.0 };
+        self.value(id, recorded).map_or(f64::INFINITY, |value| sign * value)
     }
 }
 
@@ -66,29 +74,38 @@ impl SelectConfig {
         self.limits.keys().chain(&self.by)
     }
 
-    /// Says what makes no sense for a sweep with objectives of these kinds.
+    /// Says what makes no sense for a sweep with objectives of these kinds. `asks_pairs` tells whether two agents are asked for
+    /// something, whom metrics of the pair look at.
     ///
     /// # Errors
     /// When something does not.
-    pub(super) fn validate(&self, objectives: &[&str]) -> Result<(), String> {
+    pub(super) fn validate(&self, objectives: &[&str], asks_pairs: bool) -> Result<(), String> {
         for id in self.ids() {
             if !objectives.is_empty() && (id == ALL_OBJECTIVES || objectives.contains(&id.as_str())) {
                 continue;
             }
-            let Some(metric) = by_id(id) else {
+            if by_id(id).is_none() {
                 let known: Vec<&str> = ALL.iter().map(|metric| metric.spec().id).collect();
                 let own = match objectives.is_empty() {
                     true => "the sweep has no objectives".to_owned(),
                     false => format!("objectives here: {ALL_OBJECTIVES}, {}", objectives.join(", ")),
                 };
                 return Err(format!("{id:?} is no metric; known here: {}; {own}", known.join(", ")));
-            };
-            if metric.spec().direction == Direction::Neither {
-                return Err(format!("{id}: neither more nor less of it is better, so it cannot select"));
+            }
+            if id.starts_with(PAIR_PREFIX) && !asks_pairs {
+                return Err(format!(
+                    "{id} is about the two agents that are asked for a behavior, and here no two are: ask for one of two agents, such \
+                     as behavior = \"cut_in\", or take a metric of the whole scene"
+                ));
             }
         }
-        if let Some((id, limit)) = self.limits.iter().find(|(_, limit)| limit.is_nan()) {
-            return Err(format!("limits.{id} is {limit}, expected a number"));
+        if let Some(id) = self.by.iter().find(|id| direction(id) == Direction::Neither) {
+            return Err(format!(
+                "by: {id} cannot rank, because neither more nor less of it is better; limits can, as in {{ {id} = {{ at_most = 2.0 }} }}"
+            ));
+        }
+        for (id, limit) in &self.limits {
+            limit.validate(direction(id) != Direction::Neither).map_err(|why| format!("limits.{id} {why}"))?;
         }
         match (self.best, self.by.is_empty()) {
             (Some(0), _) => Err("best is 0, expected at least 1".to_owned()),
@@ -102,21 +119,21 @@ impl SelectConfig {
     }
 
     /// For each sample of one recorded scene why it is left out; `None` where it is kept. A metric that is not defined for a
-    /// sample is no limit to it, and makes it the worst.
+    /// sample makes it the worst; [`Limit`] says what that means to limits.
     pub(super) fn verdicts(&self, recorded: &Scene, samples: &[Candidate<'_>]) -> Vec<Option<String>> {
         let mut verdicts: Vec<Option<String>> = samples
             .iter()
             .map(|sample| {
                 self.limits.iter().find_map(|(id, limit)| {
-                    let is_beyond = sample.cost(id, recorded)? > as_cost(id, *limit);
-                    is_beyond.then(|| format!("{id} beyond {limit}"))
+                    let higher_is_better = direction(id) == Direction::HigherIsBetter;
+                    limit.broken_by(sample.value(id, recorded), higher_is_better).map(|why| format!("{id} {why}"))
                 })
             })
             .collect();
         let Some(best) = self.best else { return verdicts };
         let mut ranked: Vec<(Vec<f64>, usize)> = (0..samples.len())
             .filter(|i| verdicts[*i].is_none())
-            .map(|i| (self.by.iter().map(|id| samples[i].cost(id, recorded).unwrap_or(f64::INFINITY)).collect(), i))
+            .map(|i| (self.by.iter().map(|id| samples[i].cost(id, recorded)).collect(), i))
             .collect();
         ranked.sort_by(|(a, i), (b, j)| {
             let first_difference = a.iter().zip(b).map(|(a, b)| a.total_cmp(b)).find(|order| order.is_ne());
@@ -129,12 +146,9 @@ impl SelectConfig {
     }
 }
 
-/// A value of which less is better, of a metric or else of an objective.
-fn as_cost(id: &str, value: f64) -> f64 {
-    match by_id(id).map(|metric| metric.spec().direction) {
-        None | Some(Direction::HigherIsBetter) => -value,
-        Some(Direction::LowerIsBetter | Direction::Neither) => value,
-    }
+/// Which way a metric is better; of objectives, more is.
+fn direction(id: &str) -> Direction {
+    by_id(id).map_or(Direction::HigherIsBetter, |metric| metric.spec().direction)
 }
 
 #[cfg(test)]
@@ -183,6 +197,34 @@ mod tests {
     }
 
     #[test]
+    fn ranges_choose_how_critical_the_pair_is() {
+        // Cars of 4.5 m, ten metres apart from center to center, so 5.5 m from bumper to bumper at present. The one behind
+        // drives at 10 m/s, the other at 6, 8 and 10 m/s for the 0.8 s of the future: the gap ends at 5.5 - 0.8 Δv, with
+        // TTC = gap / Δv of 0.575 s, 1.95 s, and none for the third.
+        let at = |speed_mps: f64| {
+            scene(&[
+                Drive::straight(0.0, 0.0, 0.0, 10.0),
+                Drive::straight(10.0 - 0.3 * (speed_mps - 10.0), 0.0, 0.0, speed_mps),
+            ])
+        };
+        let scenes = [6.0, 8.0, 10.0].map(at);
+        let asked = ["ego", "other"].map(str::to_owned).into_iter().zip([TrackId::from("1"), TrackId::from("2")]);
+        let asked: Vec<(String, TrackId)> = asked.collect();
+        let recorded = at(10.0);
+        let samples: Vec<Candidate<'_>> =
+            scenes.iter().map(|scene| Candidate { scene, objectives: &[], asked: &asked }).collect();
+        let kept = |limits: &str| -> Vec<usize> {
+            let verdicts = select(&format!("limits = {{ {limits} }}")).verdicts(&recorded, &samples);
+            (0..3).filter(|i| verdicts[*i].is_none()).collect()
+        };
+        assert_eq!(kept("pair_min_ttc_s = { at_most = 2 }"), [0, 1], "the third never collides");
+        assert_eq!(kept("pair_min_ttc_s = { at_least = 1 }"), [1, 2]);
+        assert_eq!(kept("pair_min_ttc_s = [1, 2]"), [1]);
+        assert_eq!(kept("pair_min_distance_m = [3.5, 5.5001]"), [1, 2]);
+        assert_eq!(kept("pair_min_distance_m = { at_most = 4 }, scene_max_drac_mps2 = { at_least = 1 }"), [0]);
+    }
+
+    #[test]
     fn objectives_select_by_their_sum_or_one_kind() {
         let (recorded, scenes) = samples();
         let values: [&[(&str, f64)]; 4] = [
@@ -211,16 +253,26 @@ mod tests {
             ("by = ['min_ade_m']", "how many"),
             ("", "neither limits nor best"),
             ("limits = { min_aed_m = 1.0 }", "no metric"),
-            ("limits = { mfd_m = 1.0 }", "cannot select"),
+            ("limits = { mfd_m = 1.0 }", "limits.mfd_m is 1, but neither more nor less of it is better"),
+            ("limits = { pair_min_ttc_s = [3, 2] }", "limits.pair_min_ttc_s asks for at least 3"),
+            ("best = 1\nby = ['pair_pet_s']", "pair_pet_s cannot rank"),
         ] {
-            let why = select(toml).validate(&[]).unwrap_err();
+            let why = select(toml).validate(&[], true).unwrap_err();
             assert!(why.contains(what), "{why}");
         }
-        select("limits = { collision_rate = 0.0 }").validate(&[]).unwrap();
+        select("limits = { collision_rate = 0.0, mfd_m = [0, 9] }").validate(&[], true).unwrap();
+        let close = select("limits = { pair_min_ttc_s = { at_most = 2 }, scene_min_ttc_s = { at_least = 0.1 } }");
+        close.validate(&[], true).unwrap();
+        assert!(close.validate(&[], false).unwrap_err().contains("here no two are"));
         let by_wish = select("best = 1\nby = ['objectives']\nlimits = { goal = -1.0 }");
-        by_wish.validate(&["goal"]).unwrap();
+        by_wish.validate(&["goal"], false).unwrap();
         assert!(by_wish.names_objectives());
-        assert!(by_wish.validate(&["stay_on_road"]).unwrap_err().contains("objectives here: objectives, stay_on_road"));
-        assert!(by_wish.validate(&[]).unwrap_err().contains("no objectives"));
+        assert!(
+            by_wish
+                .validate(&["stay_on_road"], false)
+                .unwrap_err()
+                .contains("objectives here: objectives, stay_on_road")
+        );
+        assert!(by_wish.validate(&[], false).unwrap_err().contains("no objectives"));
     }
 }

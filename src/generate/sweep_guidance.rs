@@ -43,6 +43,13 @@ impl SweepConfig {
         self.is_guided() && self.behavior.is_some() && self.classifier_scope != ClassifierScope::None
     }
 
+    /// Whether two agents of each scene are asked for the behavior.
+    pub(super) fn asks_pairs(&self) -> bool {
+        let Some(id) = &self.behavior else { return false };
+        let known = behavior::ALL.iter().find(|known| known.id == id);
+        self.classifier_scope != ClassifierScope::AnyPair && known.is_none_or(|known| known.roles.len() > 1)
+    }
+
     /// Says what of the guidance makes no sense, as far as that can be told without the mined behaviors.
     pub(super) fn check_guidance(&self) -> Result<(), String> {
         if self.objective_guidance.inner_steps == 0 {

@@ -26,7 +26,8 @@ mod tradeoffs_tests;
 mod wilson;
 
 pub use card::{
-    CardKey, CardValue, DrawnAgent, DrawnLane, DrawnSample, Sample, SceneCard, ScenePanel, Verdict, ViewRect,
+    Acceptance, CardKey, CardValue, DrawnAgent, DrawnLane, DrawnSample, Sample, SceneCard, ScenePanel, Verdict,
+    ViewRect,
 };
 pub use comparison::{ComparedRun, Comparison};
 pub use distribution::{Distribution, DistributionSeries};

@@ -50,12 +50,12 @@ impl MiningSummary {
 impl TrainingSummary {
     /// The curves of the training loop: the loss, and one chart for each figure of the evaluations.
     pub fn of_fit(name: impl Into<String>, facts: Vec<Fact>, statistics: &[FitStatistics]) -> Self {
-        let chart = |title: &str, points: Vec<[f64; 2]>| Chart {
+        let chart = |title: &str, over: &str, points: Vec<[f64; 2]>| Chart {
             title: title.replace('_', " "),
             x_label: "training step".to_owned(),
             y_label: title.to_owned(),
             log_x: false,
-            curves: vec![Curve::new(title, points)],
+            curves: vec![Curve::new(over, points)],
         };
         let loss: Vec<[f64; 2]> = statistics.iter().filter_map(|line| Some([line.step as f64, line.loss?])).collect();
         let figures: BTreeSet<&String> = statistics.iter().flat_map(|line| line.evaluation.keys()).collect();
@@ -63,8 +63,10 @@ impl TrainingSummary {
             let value = |line: &FitStatistics| Some([line.step as f64, *line.evaluation.get(figure)?]);
             statistics.iter().filter_map(value).collect()
         };
-        let mut charts = vec![chart("loss", loss)];
-        charts.extend(figures.into_iter().map(|figure| chart(figure, of_figure(figure))));
+        // A network that was taken over as it is has no losses.
+        let mut charts: Vec<Chart> =
+            (!loss.is_empty()).then(|| chart("loss", "training scenes", loss)).into_iter().collect();
+        charts.extend(figures.into_iter().map(|figure| chart(figure, "held-out scenes", of_figure(figure))));
         Self { name: name.into(), facts, charts }
     }
 }
@@ -128,5 +130,8 @@ mod tests {
             TrainingSummary::of_fit("denoiser", vec![], &[line(10, Some(2.0), None), line(10, None, Some(0.5))]);
         let points: Vec<_> = summary.charts.iter().map(|c| (c.y_label.as_str(), c.curves[0].points.clone())).collect();
         assert_eq!(points, [("loss", vec![[10.0, 2.0]]), ("min_scene_ade_m", vec![[10.0, 0.5]])]);
+        let names: Vec<&str> = summary.charts.iter().map(|chart| chart.curves[0].name.as_str()).collect();
+        assert_eq!(names, ["training scenes", "held-out scenes"]);
+        assert!(TrainingSummary::of_fit("taken over", vec![], &[]).charts.is_empty());
     }
 }

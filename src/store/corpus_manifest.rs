@@ -8,7 +8,7 @@ use crate::scene::Dataset;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Form of the manifest itself, and of the folder: tables cut into partitions.
 pub(crate) const CORPUS_SCHEMA: &str = "corpus.v2";
@@ -140,17 +140,14 @@ impl CorpusManifest {
         // A folder that is not there at all is told as such.
         fs_err::metadata(dir)?;
         if !path.is_file() {
-            let has = |name: &str| dir.join(name).exists() || dir.join(format!("{name}.parquet")).exists();
-            let is_ours = CorpusTable::ALL.into_iter().any(|table| has(table.name()));
-            let dir = dir.to_owned();
-            return Err(if is_ours { Error::Unfinished { dir } } else { Error::NoCorpus { dir } });
+            return Err(if is_begun(dir) { Error::Unfinished { dir: dir.to_owned() } } else { no_corpus(dir) });
         }
         // The version first: other versions may have other fields.
         let value: Value = read_json(&path)?;
         match value.get("schema").and_then(Value::as_str).unwrap_or_default() {
             CORPUS_SCHEMA => serde_json::from_value(value).map_err(Error::json(&path)),
             FLAT_SCHEMA => serde_json::from_value(value).map(FlatManifest::upgrade).map_err(Error::json(&path)),
-            "" => Err(Error::NoCorpus { dir: dir.to_owned() }),
+            "" => Err(no_corpus(dir)),
             found => {
                 let (expected, found) = (CORPUS_SCHEMA.to_owned(), found.to_owned());
                 Err(Error::SchemaVersion { path, expected, found })
@@ -177,6 +174,24 @@ impl CorpusManifest {
     pub fn is_non_commercial(&self) -> bool {
         self.sources.values().any(|terms| terms.to_lowercase().contains("non-commercial"))
     }
+}
+
+/// Whether somebody began to write a corpus here: there is a partition of a table, or the file that one was before tables were cut.
+/// Files and folders called `metrics` or `lanes` say nothing: run folders have such a file, too, and other programs such a folder.
+fn is_begun(dir: &Path) -> bool {
+    CorpusTable::ALL.into_iter().any(|table| {
+        let Some(key) = table.keys().first() else { return false };
+        let is_partition = |name: &str| name.split_once('=').is_some_and(|(found, _)| found == *key);
+        let entries = fs_err::read_dir(dir.join(table.name())).into_iter().flatten().flatten();
+        dir.join(format!("{}.parquet", table.name())).is_file()
+            || entries.into_iter().any(|entry| is_partition(&entry.file_name().to_string_lossy()))
+    })
+}
+
+/// The error of a folder that is no corpus, with the one that is in it if there is one, as in a run folder.
+fn no_corpus(dir: &Path) -> Error {
+    let inside = Some(dir.join("corpus")).filter(|inside: &PathBuf| inside.join(MANIFEST_FILE).is_file());
+    Error::NoCorpus { dir: dir.to_owned(), inside }
 }
 
 /// A manifest of `corpus.v1`.
@@ -232,5 +247,37 @@ pub const fn source_terms(dataset: Dataset) -> &'static str {
         }
         Dataset::Argoverse1 => "Argoverse 1 (Chang et al. 2019): CC BY-NC-SA 4.0, non-commercial use only.",
         Dataset::Argoverse2 => "Argoverse 2 (Wilson et al. 2021): CC BY-NC-SA 4.0, non-commercial use only.",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_a_writer_of_corpora_left_is_called_unfinished() {
+        let dir = tempfile::tempdir().unwrap();
+        let why = || CorpusManifest::read(dir.path()).unwrap_err();
+        let make = |folder: &str| fs_err::create_dir_all(dir.path().join(folder)).unwrap();
+        // A run folder has a table of metrics, and anybody may have folders of such names.
+        make("metrics");
+        make("tracks/monday");
+        fs_err::write(dir.path().join("metrics.parquet"), "").unwrap();
+        fs_err::write(dir.path().join("lanes.parquet"), "").unwrap();
+        assert!(matches!(why(), Error::NoCorpus { inside: None, .. }), "{}", why());
+        make("corpus");
+        fs_err::write(dir.path().join("corpus/manifest.json"), "{}").unwrap();
+        let told = why().to_string();
+        let inside = dir.path().join("corpus");
+        assert!(told.ends_with(&format!("the corpus in it is {}", inside.display())), "{told}");
+        make("tracks/behavior=cut_in");
+        assert!(matches!(why(), Error::Unfinished { .. }));
+    }
+
+    #[test]
+    fn a_corpus_of_single_files_without_a_manifest_is_unfinished() {
+        let dir = tempfile::tempdir().unwrap();
+        fs_err::write(dir.path().join("scenarios.parquet"), "").unwrap();
+        assert!(matches!(CorpusManifest::read(dir.path()), Err(Error::Unfinished { .. })));
     }
 }

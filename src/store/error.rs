@@ -15,10 +15,12 @@ pub enum Error {
         dir: PathBuf,
     },
     /// A folder that is no corpus.
-    #[error("{} is no corpus: it has no manifest.json of one; name the folder that `djinn evaluate` wrote, such as output/quickstart/main/corpus", .dir.display())]
+    #[error("{} is no corpus: it has no manifest.json of one; {}", .dir.display(), what_to_name(.inside.as_deref()))]
     NoCorpus {
         /// The folder.
         dir: PathBuf,
+        /// The corpus in it, as run folders have one.
+        inside: Option<PathBuf>,
     },
     /// A file of another schema, or of another version of it.
     #[error("{} holds schema {found:?} but {expected:?} is needed: write it again with this version of djinn", .path.display())]
@@ -100,6 +102,13 @@ pub enum Error {
         /// The cause.
         source: polars::prelude::PolarsError,
     },
+}
+
+fn what_to_name(inside: Option<&Path>) -> String {
+    match inside {
+        Some(inside) => format!("the corpus in it is {}", inside.display()),
+        None => "name the folder that `djinn evaluate` wrote, such as output/quickstart/main/corpus".to_owned(),
+    }
 }
 
 impl Error {

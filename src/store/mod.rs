@@ -31,6 +31,7 @@ mod schema;
 mod tables;
 #[cfg(test)]
 pub(crate) mod testing;
+mod verdicts;
 
 pub use assessment::Assessment;
 pub use atomic::{
@@ -51,12 +52,14 @@ pub use frame::{EventSummary, ParameterSummary, QUANTILES, summarize_events, sum
 pub use maps::MapSource;
 pub use metrics::{read_metrics, write_metrics};
 pub use predictions::{ArgoversePredictions, InteractionPredictions};
-pub use records::{MetricRow, ScenarioRecord};
+pub use records::{MetricRow, ScenarioRecord, VerdictRow};
 pub use request_tag::{BucketTag, RequestOutcome, RequestTag};
 pub use samples::{Difference, differences, read_samples, sample_ids, write_samples};
 pub use scene_manifest::{MapsEntry, SceneManifest, ShardEntry, ShardSidecar};
 pub use scene_store::{SceneIndexEntry, SceneStore};
 pub use scene_writer::{SceneWriter, SceneWriterOptions};
+pub(crate) use schema::unit_of_name;
 pub use schema::{OpenColumns, SCHEMA_KEY, TableSchema};
 pub(crate) use tables::columns::Columns;
 pub use tables::scene_tracks::as_stored;
+pub use verdicts::{read_verdicts, write_verdicts};

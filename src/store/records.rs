@@ -63,3 +63,20 @@ pub struct MetricRow {
     /// Standard error of the mean, for aggregates over at least two values.
     pub std_error: Option<f64>,
 }
+
+/// What became of a generated scenario.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VerdictRow {
+    /// The scenario.
+    pub scenario_id: String,
+    /// The sweep that asked for it.
+    pub sweep: String,
+    /// Guidance strength; 0 without guidance.
+    pub strength: f64,
+    /// Whether it is verified, valid and no near-duplicate.
+    pub accepted: bool,
+    /// Whether it is in the corpus.
+    pub kept: bool,
+    /// Why it is not accepted, the first reason first; empty where it is.
+    pub reasons: Vec<String>,
+}

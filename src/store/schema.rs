@@ -57,6 +57,7 @@ impl TableSchema {
             tables::recording::schema(),
             tables::metric::schema(),
             tables::prediction::schema(),
+            tables::verdict::schema(),
         ]
     }
 

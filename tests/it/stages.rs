@@ -64,6 +64,7 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
         ("corpus/lanes.parquet", "part of a folder"),
         ("corpus/tracks/behavior=cut_in/place=FIX_Merging/part-00000.parquet", "part of a folder"),
         ("metrics.parquet", "metric table"),
+        ("verdicts.parquet", "table of verdicts"),
         ("report.html", "report"),
         ("mine.json", "json"),
     ] {

@@ -113,9 +113,11 @@ impl SamplerConfig {
             Self::Consistency(config) => config.schedule(sigma_start),
             _ => {
                 let edm = self.grid().laid_over(edm);
-                // An edit may begin below the last level of the grid.
-                let edm = Edm { sigma_min: edm.sigma_min.min(sigma_start), ..edm };
-                edm.schedule_from(sigma_start, self.n_steps())
+                // An edit may begin at or below the last level of the grid: there is one step then, to 0.
+                match sigma_start <= edm.sigma_min {
+                    true => vec![sigma_start, 0.0],
+                    false => edm.schedule_from(sigma_start, self.n_steps()),
+                }
             }
         }
     }

@@ -1,6 +1,6 @@
 //! `[[generate.requests]]`: which events are wanted, with which parameters, how many of each, and for how much work?
 
-use super::super::PairSelectionConfig;
+use super::super::{Limit, PairSelectionConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -32,9 +32,9 @@ pub struct RequestConfig {
     /// texts, such as `side = ["left"]`, `place = […]`, `other_class = ["vehicle"]`.
     #[serde(default, rename = "where")]
     pub conditions: BTreeMap<String, Condition>,
-    /// Validity: limits by metric, of the scenario alone, as in a sweep's `select`.
+    /// Validity and criticality: limits by metric, of the scenario alone, as in a sweep's `select`.
     #[serde(default)]
-    pub limits: BTreeMap<String, f64>,
+    pub limits: BTreeMap<String, Limit>,
     /// Names of `[[generate.arms]]` that may be tried. An arm of several strengths is tried at each of them.
     pub arms: Vec<String>,
     /// Number of scenes whose pairs may be asked.

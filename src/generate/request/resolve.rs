@@ -171,7 +171,7 @@ impl RequestConfig {
         }
         self.validate_counts()?;
         if !self.limits.is_empty() {
-            self.limits().validate(&[]).map_err(|why| format!("limits: {why}"))?;
+            self.limits().validate(&[], behavior.roles.len() > 1)?;
         }
         let positive = [
             ("n_scenes", self.n_scenes),

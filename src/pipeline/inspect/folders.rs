@@ -1,6 +1,7 @@
 //! Folders: runs, scene stores, samples, corpora, models.
 
-use super::{Description, checkpoint};
+use super::{Description, checkpoint, requests};
+use crate::pipeline::layout::SAMPLES;
 use crate::pipeline::run::{RUN_FILE, RunManifest, TIMINGS_FILE, Timings};
 use crate::pipeline::stages::SampleManifest;
 use crate::pipeline::{Result, StageId, StageRecord};
@@ -45,6 +46,8 @@ pub(super) fn run(path: &Path) -> Result<Option<Description>> {
     for record in started {
         stages.insert(record.stage.to_string(), json!({ "status": "unfinished" }));
     }
+    let requests = requests::describe(&path.join(SAMPLES))?;
+    description.entries.extend(requests.map(|requests| ("requests".to_owned(), requests)));
     Ok(Some(description.with("stages", stages)))
 }
 
@@ -114,14 +117,15 @@ pub(super) fn samples(path: &Path) -> Result<Option<Description>> {
         .into_iter()
         .map(|(sweep, [n, verified])| (sweep.to_owned(), json!({ "n_scenarios": n, "n_verified": verified })))
         .collect();
-    let description = Description::new("generated scenarios")
+    let mut description = Description::new("generated scenarios")
         .with("n_scenarios", manifest.n_scenarios)
         .with("n_verified", manifest.n_verified)
         .with("n_rejected", manifest.n_rejected)
         .with("n_shards", manifest.shards.len())
-        .with("sweeps", by_sweep)
-        .with_json("sampled_with", &manifest.sampled_with)?;
-    Ok(Some(description))
+        .with("sweeps", by_sweep);
+    let requests = requests::describe(path)?;
+    description.entries.extend(requests.map(|requests| ("requests".to_owned(), requests)));
+    Ok(Some(description.with_json("sampled_with", &manifest.sampled_with)?))
 }
 
 pub(super) fn corpus(path: &Path) -> Result<Option<Description>> {

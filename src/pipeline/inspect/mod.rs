@@ -5,6 +5,7 @@
 
 mod checkpoint;
 mod folders;
+mod requests;
 mod tables;
 
 use super::failure::{Failure, Result};
@@ -24,7 +25,7 @@ pub struct Description {
 type Describer = fn(&Path) -> Result<Option<Description>>;
 
 /// Every describer, in the order in which they are asked.
-const DESCRIBERS: [Describer; 10] = [
+const DESCRIBERS: [Describer; 11] = [
     folders::run,
     folders::scenes,
     folders::samples,
@@ -33,6 +34,7 @@ const DESCRIBERS: [Describer; 10] = [
     checkpoint::describe,
     tables::events,
     tables::metrics,
+    tables::verdicts,
     tables::part_of_folder,
     tables::report_or_json,
 ];
@@ -83,17 +85,25 @@ impl Description {
     }
 }
 
+/// From this depth on, what consists of single values is written on a line of its own: such things come in great numbers.
+const DEPTH_OF_LINES: usize = 4;
+
 fn write_value(text: &mut String, depth: usize, name: &str, value: &Value) {
     let indent = "  ".repeat(depth);
     // What lies deeper may be a name of the data, such as a place, and is given as it is.
     let name = if depth == 1 { name.replace('_', " ") } else { name.to_owned() };
     match value {
         Value::Null => {}
+        Value::Object(object) if depth >= DEPTH_OF_LINES && object.values().all(is_single) => {
+            let known = object.iter().filter(|(_, value)| !value.is_null());
+            let entries: Vec<String> = known.map(|(name, value)| format!("{name} {}", plain(value))).collect();
+            text.push_str(&format!("{indent}{name}: {}\n", entries.join("; ")));
+        }
         Value::Object(object) => {
             text.push_str(&format!("{indent}{name}\n"));
             object.iter().for_each(|(name, value)| write_value(text, depth + 1, name, value));
         }
-        Value::Array(items) if items.iter().any(|item| item.is_object() || item.is_array()) => {
+        Value::Array(items) if !items.iter().all(is_single) => {
             text.push_str(&format!("{indent}{name}\n"));
             for (idx, item) in items.iter().enumerate() {
                 write_value(text, depth + 1, &format!("{}", idx + 1), item);
@@ -105,6 +115,10 @@ fn write_value(text: &mut String, depth: usize, name: &str, value: &Value) {
         }
         value => text.push_str(&format!("{indent}{name}: {}\n", plain(value))),
     }
+}
+
+fn is_single(value: &Value) -> bool {
+    !value.is_object() && !value.is_array()
 }
 
 fn plain(value: &Value) -> String {

@@ -3,7 +3,7 @@
 use super::{Description, inspect};
 use crate::behavior::EventLabel;
 use crate::pipeline::Result;
-use crate::store::{CorpusManifest, Error, MetricRow, read_events, read_json, read_metrics};
+use crate::store::{CorpusManifest, Error, MetricRow, read_events, read_json, read_metrics, read_verdicts};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -58,6 +58,23 @@ pub(super) fn metrics(path: &Path) -> Result<Option<Description>> {
     }
     let description =
         Description::new("metric table").with("n_rows", rows.len()).with_json("means_over_scenes", &overall)?;
+    Ok(Some(description))
+}
+
+pub(super) fn verdicts(path: &Path) -> Result<Option<Description>> {
+    if !has_extension(path, "parquet") {
+        return Ok(None);
+    }
+    let Some(rows) = of_this_schema(read_verdicts(path))? else { return Ok(None) };
+    let mut by_reason = BTreeMap::<&str, u64>::new();
+    for reason in rows.iter().flat_map(|row| &row.reasons) {
+        *by_reason.entry(reason).or_default() += 1;
+    }
+    let description = Description::new("table of verdicts")
+        .with("n_scenarios", rows.len())
+        .with("n_accepted", rows.iter().filter(|row| row.accepted).count())
+        .with("n_kept", rows.iter().filter(|row| row.kept).count())
+        .with_json("rejected_by_reason", &by_reason)?;
     Ok(Some(description))
 }
 

@@ -43,6 +43,8 @@ pub struct CardKey {
     pub place: String,
     /// What came of what was asked for.
     pub verdict: Verdict,
+    /// Whether it was accepted, and why not; `None` where that was not decided, and of several samples.
+    pub acceptance: Option<Acceptance>,
     /// Guidance strength α; 0 is unguided.
     pub strength: f64,
     /// Parameters of the event and metrics of the scenario; of several samples their mean.
@@ -56,6 +58,28 @@ pub struct CardValue {
     pub name: String,
     /// The value, in the unit that ends the name.
     pub value: f64,
+}
+
+/// Whether a scenario was accepted: verified, valid and no near-duplicate.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Acceptance {
+    /// Why it was not, such as `near_duplicate`; empty where it was.
+    pub reasons: Vec<String>,
+}
+
+impl Acceptance {
+    /// Whether it was accepted.
+    pub fn is_accepted(&self) -> bool {
+        self.reasons.is_empty()
+    }
+
+    /// The decision in words: `rejected: jerk, near duplicate`.
+    pub fn words(&self) -> String {
+        match self.reasons.as_slice() {
+            [] => "accepted".to_owned(),
+            reasons => format!("rejected: {}", reasons.join(", ").replace('_', " ")),
+        }
+    }
 }
 
 /// What came of what was asked for.

@@ -1,6 +1,6 @@
 //! From generated scenarios to what is drawn of them: one beside its recording, or many samples of one scene.
 
-use super::{CardKey, CardValue, Sample, SceneCard, Verdict};
+use super::{Acceptance, CardKey, CardValue, Sample, SceneCard, Verdict};
 use crate::report::model::Fact;
 use crate::report::number::{setting, value};
 use crate::report::quantities::title_and_unit;
@@ -21,8 +21,13 @@ impl Verdict {
 
 impl SceneCard {
     /// Draws a scenario beside the recording it continues, with its provenance, verdict, the parameters of its event and the
-    /// `metrics` that are known of it.
-    pub fn of_record(record: &ScenarioRecord, recorded: &Scene, metrics: &[CardValue]) -> Self {
+    /// `metrics` that are known of it. `acceptance` is `None` where nothing was decided.
+    pub fn of_record(
+        record: &ScenarioRecord,
+        recorded: &Scene,
+        metrics: &[CardValue],
+        acceptance: Option<&Acceptance>,
+    ) -> Self {
         let scenario = &record.scenario;
         let event = record.main_event();
         let roles: &[(String, TrackId)] = event.map_or(&scenario.provenance.guidance.roles, |event| &event.roles);
@@ -31,10 +36,17 @@ impl SceneCard {
             .map(|(name, value)| CardValue { name: name.clone(), value: *value })
             .chain(metrics.iter().cloned())
             .collect();
-        let key = key(record, recorded, values);
+        let key = CardKey { acceptance: acceptance.cloned(), ..key(record, recorded, values) };
         let asked = record.requested_behavior.as_deref().unwrap_or("continuation").replace('_', " ");
-        let title = format!("{asked}, {}, α = {}: {}", key.place, setting(key.strength), key.verdict.words());
+        // That the behavior is missing is among the reasons.
+        let verdict = match acceptance {
+            Some(acceptance) if !record.verified => acceptance.words(),
+            Some(acceptance) => format!("{}; {}", key.verdict.words(), acceptance.words()),
+            None => key.verdict.words().to_owned(),
+        };
+        let title = format!("{asked}, {}, α = {}: {verdict}", key.place, setting(key.strength));
         let mut facts = vec![Fact::new("Scenario", &scenario.id)];
+        facts.extend(acceptance.map(|acceptance| Fact::new("Decision", acceptance.words())));
         facts.extend(facts_of_source(record, recorded));
         facts.push(Fact::new("Sample", scenario.provenance.sample_idx));
         facts.extend(scenario.provenance.probability.map(|p| Fact::new("Probability", value(p))));
@@ -87,6 +99,7 @@ fn key(record: &ScenarioRecord, recorded: &Scene, values: Vec<CardValue>) -> Car
         behavior: record.requested_behavior.clone(),
         place: recorded.source.place.clone(),
         verdict: Verdict::of(record),
+        acceptance: None,
         strength: record.scenario.provenance.guidance.strength,
         values,
     }
@@ -127,7 +140,7 @@ mod tests {
 
     #[test]
     fn the_card_says_what_was_found() {
-        let card = SceneCard::of_record(&record(2.0, true, false, recorded()), &recorded(), &metric());
+        let card = SceneCard::of_record(&record(2.0, true, false, recorded()), &recorded(), &metric(), None);
         assert!(card.title.ends_with("α = 2: verified, and not in the recording"), "{}", card.title);
         assert!(card.facts.contains(&Fact::new("gap", "4.12 m")), "{:?}", card.facts);
         assert!(card.facts.contains(&Fact::new("offroad rate", "0.250")), "{:?}", card.facts);
@@ -135,8 +148,26 @@ mod tests {
         assert_eq!(values, [("gap_m", 4.123), ("offroad_rate", 0.25)]);
         assert_eq!((card.key.verdict, card.roles()), (Verdict::New, vec!["ego", "other"]));
         assert_eq!(card.panels.iter().map(|panel| panel.is_recorded).collect::<Vec<_>>(), [true, false]);
-        let failed = SceneCard::of_record(&record(2.0, false, false, recorded()), &recorded(), &[]);
+        let failed = SceneCard::of_record(&record(2.0, false, false, recorded()), &recorded(), &[], None);
         assert_eq!((failed.key.verdict, failed.key.values), (Verdict::NotVerified, vec![]));
+    }
+
+    #[test]
+    fn the_card_says_whether_it_was_accepted_and_why_not() {
+        let acceptance =
+            |reasons: &[&str]| Acceptance { reasons: reasons.iter().map(|reason| (*reason).to_owned()).collect() };
+        let card = |verified: bool, reasons: &[&str]| {
+            let record = record(2.0, verified, false, recorded());
+            SceneCard::of_record(&record, &recorded(), &[], Some(&acceptance(reasons)))
+        };
+        let accepted = card(true, &[]);
+        assert!(accepted.title.ends_with("not in the recording; accepted"), "{}", accepted.title);
+        assert!(accepted.key.acceptance.is_some_and(|acceptance| acceptance.is_accepted()));
+        let rejected = card(true, &["yaw_rate", "near_duplicate"]);
+        assert!(rejected.title.ends_with("recording; rejected: yaw rate, near duplicate"), "{}", rejected.title);
+        assert!(rejected.facts.contains(&Fact::new("Decision", "rejected: yaw rate, near duplicate")));
+        let missed = card(false, &["not_verified", "jerk"]);
+        assert!(missed.title.ends_with("α = 2: rejected: not verified, jerk"), "{}", missed.title);
     }
 
     #[test]

@@ -1,7 +1,8 @@
 // Shows the scenes that answer the form above them; what was chosen is kept in the address of the page.
 {
   const PREFIX = "#scenes&";
-  const CHOICES = ["sweep", "behavior", "place", "verdict", "strength"];
+  // In the order of what the page knows of each scene; of decisions it may know several.
+  const CHOICES = ["sweep", "behavior", "place", "verdict", "strength", "decision"];
   const index = JSON.parse(document.getElementById("index").textContent);
   const form = document.getElementById("filters");
   const found = document.getElementById("found");
@@ -10,7 +11,7 @@
   const wanted = () => [...new FormData(form)].filter(([, value]) => value !== "");
   const answers = (card, [name, value]) => {
     const choice = CHOICES.indexOf(name);
-    if (choice >= 0) return card[choice] === value;
+    if (choice >= 0) return [card[choice]].flat().includes(value);
     const [figure, end] = [name.slice(0, -4), name.slice(-3)];
     const known = card[CHOICES.length][index.figures.indexOf(figure)];
     return known != null && (end === "min" ? known >= Number(value) : known <= Number(value));
@@ -23,6 +24,10 @@
       card.hidden = !conditions.every((condition) => answers(index.cards[i], condition));
       shown += !card.hidden;
     });
+    for (const group of form.querySelectorAll("details")) {
+      const n = [...group.querySelectorAll("input")].filter((field) => field.value !== "").length;
+      group.querySelector(".set").textContent = n ? `${n} set` : "";
+    }
     found.textContent = shown === cards.length ? `All ${shown} scenes are shown.` : `${shown} of ${cards.length} scenes are shown.`;
   };
   const keep = () => {

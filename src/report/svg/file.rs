@@ -56,14 +56,14 @@ pub(in crate::report) fn scene_file(card: &SceneCard) -> String {
 }
 
 fn with_legend(title: &str, plot: &Markup, names: &[&str]) -> String {
-    let names = if names.len() > 1 { names } else { &[] };
+    let names: Vec<(usize, &str)> = names.iter().copied().enumerate().filter(|(_, name)| !name.is_empty()).collect();
     let bottom = LINE + HEIGHT;
     let body = html! {
         text class="caption" x="4" y="13" { (title) }
         (placed(plot, [0.0, LINE], [WIDTH, HEIGHT]))
-        @for (i, name) in names.iter().enumerate() {
-            @let y = bottom + LINE * i as f64;
-            g transform=(format!("translate(56 {})", coordinate(y + 4.0))) { (sample(i)) }
+        @for (row, (i, name)) in names.iter().enumerate() {
+            @let y = bottom + LINE * row as f64;
+            g transform=(format!("translate(56 {})", coordinate(y + 4.0))) { (sample(*i)) }
             text class="caption" x="90" y=(coordinate(y + 12.0)) { (name) }
         }
     };

@@ -62,12 +62,13 @@ fn whisker(plot: &Plot, curve: &Curve, at: usize, stroke: &str) -> Markup {
     html! { @if let Some(d) = ends { path class="interval" d=(d) stroke=(stroke) fill="none" {} } }
 }
 
-/// A line sample and a name for each series; nothing for a single one.
-pub(super) fn legend<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> Markup {
+/// A line sample and a name for each series that has one.
+pub(super) fn legend<'a>(names: impl Iterator<Item = &'a str>) -> Markup {
+    let named: Vec<(usize, &str)> = names.enumerate().filter(|(_, name)| !name.is_empty()).collect();
     html! {
-        @if names.len() > 1 {
+        @if !named.is_empty() {
             ul class="legend" {
-                @for (i, name) in names.enumerate() {
+                @for (i, name) in named {
                     li {
                         svg viewBox="0 0 26 8" width="26" height="8" aria-hidden="true" { (sample(i)) }
                         (name)

@@ -103,6 +103,8 @@ fn event_ids(events: &[BehaviorEvent]) -> Vec<String> {
 
 /// Part `i` of a scene's name, when the name has all four.
 pub(crate) fn scene_part(id: &SceneId, i: usize) -> Option<&str> {
-    let parts: Vec<&str> = id.0.splitn(4, '/').collect();
-    (parts.len() == 4).then(|| parts[i])
+    let mut parts = id.0.splitn(4, '/');
+    let part = parts.nth(i)?;
+    // The last of the four is there when as many follow as are missing.
+    (i == 3 || parts.nth(2 - i).is_some()).then_some(part)
 }

@@ -19,3 +19,4 @@ mod scene_header;
 pub(crate) mod scene_tracks;
 mod state_rows;
 pub(crate) mod track;
+pub(crate) mod verdict;

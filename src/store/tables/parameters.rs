@@ -25,7 +25,13 @@ pub(crate) fn open_columns() -> OpenColumns {
 /// # Errors
 /// [`Error::Invalid`] when a parameter has the name of another column of the table.
 pub(crate) fn occurring<'p>(table: &TableSchema, rows: &[Option<&'p Parameters>]) -> Result<BTreeSet<&'p str>> {
-    let names: BTreeSet<&str> = rows.iter().flatten().flat_map(|row| row.keys()).map(String::as_str).collect();
+    let mut names = BTreeSet::new();
+    for name in rows.iter().flatten().flat_map(|row| row.keys()) {
+        // Few names come again and again: a tree of all of them would cost more than the search for the events.
+        if !names.contains(name.as_str()) {
+            names.insert(name.as_str());
+        }
+    }
     match names.iter().find(|name| table.has(name) || name.ends_with("_track_id")) {
         Some(taken) => {
             Err(Error::invalid(taken, format!("a parameter of this name cannot be a column of {}", table.id())))
@@ -36,12 +42,21 @@ pub(crate) fn occurring<'p>(table: &TableSchema, rows: &[Option<&'p Parameters>]
 
 /// The columns of these parameters, in the order of `names`.
 pub(crate) fn flatten(names: &BTreeSet<&str>, rows: &[Option<&Parameters>]) -> Vec<(Field, ArrayRef)> {
-    let columns = names.iter().map(|name| {
+    let mut columns: Vec<(&str, Vec<Option<f64>>)> =
+        names.iter().map(|name| (*name, Vec::with_capacity(rows.len()))).collect();
+    for row in rows {
+        // Both are in the order of names: one walk through a row fills its place in every column.
+        let mut own = row.iter().flat_map(|parameters| parameters.iter()).peekable();
+        for (name, values) in &mut columns {
+            while own.next_if(|(other, _)| other.as_str() < *name).is_some() {}
+            values.push(own.next_if(|(other, _)| other.as_str() == *name).map(|(_, value)| *value));
+        }
+    }
+    let array = |(name, values): (&str, Vec<Option<f64>>)| {
         let field = column(name, DataType::Float64, "Parameter of the event; see its behavior.");
-        let values = rows.iter().map(|row| row.and_then(|parameters| parameters.get(*name)).copied());
-        (field.unit(unit_of_name(name)).optional(), optional_numbers::<Float64Type>(values))
-    });
-    columns.collect()
+        (field.unit(unit_of_name(name)).optional(), optional_numbers::<Float64Type>(values.into_iter()))
+    };
+    columns.into_iter().map(array).collect()
 }
 
 /// The names of the parameter columns of a batch.

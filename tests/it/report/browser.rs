@@ -6,6 +6,8 @@ use djinn::report::{ReportModel, render};
 use serde_json::json;
 
 const STEP: &str = "Number(document.querySelector('#scene-0 .player input').value)";
+const SHOWN_IDS: &str =
+    "[...document.querySelectorAll('article.card')].filter((card) => card.checkVisibility()).map((card) => card.id)";
 const SHOWN: &str = "[...document.querySelectorAll('article.card')].filter((card) => card.checkVisibility()).length";
 
 /// How the car of track `id` is drawn in a panel of a scene.
@@ -69,7 +71,24 @@ fn scenes_play_and_filters_filter_without_an_error() {
     assert_eq!(page.value("document.querySelector('#found').textContent"), json!("1 of 3 scenes are shown."));
     assert_eq!(page.value("location.hash"), json!("#scenes&sweep=masks"));
     page.value("document.querySelector('#show-all').click()");
+
+    // Decisions: accepted, rejected, and rejected for a reason. What nothing was decided of is neither.
+    for (decision, shown) in
+        [("accepted", json!(["scene-0"])), ("rejected", json!(["scene-1"])), ("rejected.yaw_rate", json!(["scene-1"]))]
+    {
+        page.value(&set("decision", decision));
+        assert_eq!(page.value(SHOWN_IDS), shown, "{decision}");
+    }
+    assert_eq!(page.value("location.hash"), json!("#scenes&decision=rejected.yaw_rate"));
+    page.value("document.querySelector('#show-all').click()");
+    assert_eq!(page.value(SHOWN), json!(3));
+
+    // Ranges are in groups, which are closed at first and say how many of their fields are set.
+    let groups = "[...document.querySelectorAll('#filters summary')].map((title) => title.textContent)";
+    assert_eq!(page.value(groups), json!(["The event 1 figure ", "How valid 1 figure "]));
+    assert_eq!(page.value("document.querySelectorAll('#filters details[open]').length"), json!(0));
     page.value(&set("gap_m.min", "4.5"));
+    assert_eq!(page.value(groups), json!(["The event 1 figure 1 set", "How valid 1 figure "]));
     assert_eq!(page.value("document.querySelector('#scene-1').checkVisibility()"), json!(true));
     assert_eq!(page.value(SHOWN), json!(1));
     page.value("location.hash = '#scenes&verdict=new&gap_m.max=4.5'");

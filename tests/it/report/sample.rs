@@ -5,9 +5,9 @@ use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::ingest::{IngestReport, RejectCount};
 use djinn::metrics::Direction;
 use djinn::report::{
-    AcceptanceRow, BehaviorCount, BehaviorDoc, CardKey, CardValue, Chart, Curve, Distribution, Fact, LeftOutRow,
-    MetricDoc, MetricTable, MiningSummary, PlainSection, PlainTable, RealismRow, ReportModel, Sample, SamplingRow,
-    SceneCard, TrainingSummary, ValidityRow, Verdict, Warning,
+    Acceptance, AcceptanceRow, BehaviorCount, BehaviorDoc, CardKey, CardValue, Chart, Curve, Distribution, Fact,
+    LeftOutRow, MetricDoc, MetricTable, MiningSummary, PlainSection, PlainTable, RealismRow, ReportModel, Sample,
+    SamplingRow, SceneCard, TrainingSummary, ValidityRow, Verdict, Warning,
 };
 use djinn::scene::{
     AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource,
@@ -363,6 +363,9 @@ pub(crate) fn card(idx: usize, name: &str, depth: f64, turned_rad: f64) -> Scene
         behavior: Some("cut_in".into()),
         place: name.into(),
         verdict: if idx.is_multiple_of(2) { Verdict::New } else { Verdict::NotVerified },
+        acceptance: Some(Acceptance {
+            reasons: if idx.is_multiple_of(2) { vec![] } else { vec!["not_verified".into(), "yaw_rate".into()] },
+        }),
         strength: 2.0,
         values: vec![
             figure("gap_m", 4.0 + idx as f64),
@@ -391,6 +394,7 @@ fn gallery(name: &str) -> SceneCard {
         behavior: None,
         place: name.into(),
         verdict: Verdict::NotAsked,
+        acceptance: None,
         strength: 0.0,
         values: vec![],
     };

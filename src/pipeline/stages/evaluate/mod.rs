@@ -18,13 +18,13 @@ pub use gates::GateResult;
 
 use super::mine::MineConfig;
 use super::sample_folder::SampleManifest;
-use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS};
+use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS, VERDICTS};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::report::{AcceptanceRow, LeftOutRow, MetricDoc, RealismRow, SamplingRow, SamplingTally, ValidityRow};
 use crate::scene::{Scene, SceneId};
 use crate::store::{
     Assessment, CorpusNotes, CorpusWriter, MetricRow, ScenarioRecord, SceneStore, read_events, write_json_atomically,
-    write_metrics,
+    write_metrics, write_verdicts,
 };
 use cells::{CellFigures, into_cells};
 use judge::Judge;
@@ -97,7 +97,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        3
+        4
     }
 
     fn check(&self) -> Result<()> {
@@ -124,8 +124,8 @@ impl Stage for Evaluate<'_> {
 
     fn outputs(&self) -> &'static [&'static str] {
         match self.config.predictions.is_empty() {
-            true => &[CORPUS, METRICS, METRICS_SUMMARY],
-            false => &[CORPUS, METRICS, METRICS_SUMMARY, PREDICTIONS],
+            true => &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS],
+            false => &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS, PREDICTIONS],
         }
     }
 
@@ -182,6 +182,7 @@ impl Stage for Evaluate<'_> {
         context.progress.finish();
         let (aggregates, sampling) = (table.aggregates(), sampling.finish());
         let (n_predicted_scenes, n_tracks_left_out) = predictions.finish()?;
+        write_verdicts(&context.root.join(VERDICTS), verdicts.decided())?;
         let (acceptance, left_out) = verdicts.finish();
         let notes = self.notes(&left_out);
         self.write_tables(context, corpus, (&table, &aggregates), &kept_ids, &notes)?;

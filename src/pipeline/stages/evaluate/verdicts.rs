@@ -4,7 +4,7 @@ use super::config::{EvaluateConfig, Keep};
 use crate::metrics::{PairPath, PathIndex};
 use crate::pipeline::stages::SampleManifest;
 use crate::report::{AcceptanceRow, LeftOutRow};
-use crate::store::{RequestOutcome, ScenarioRecord};
+use crate::store::{RequestOutcome, ScenarioRecord, VerdictRow};
 use std::collections::BTreeMap;
 
 /// Why a scenario of which nothing was asked is not accepted.
@@ -22,12 +22,19 @@ pub(super) struct Verdicts<'a> {
     accepted: PathIndex,
     rows: Vec<AcceptanceRow>,
     left_out: Vec<LeftOutRow>,
+    decided: Vec<VerdictRow>,
 }
 
 impl<'a> Verdicts<'a> {
     /// Nothing decided yet; what generation itself left out is counted already.
     pub(super) fn new(config: &'a EvaluateConfig, samples: &SampleManifest) -> Self {
-        let mut verdicts = Self { config, accepted: PathIndex::default(), rows: Vec::new(), left_out: Vec::new() };
+        let mut verdicts = Self {
+            config,
+            accepted: PathIndex::default(),
+            rows: Vec::new(),
+            left_out: Vec::new(),
+            decided: Vec::new(),
+        };
         for rejected in samples.shards.iter().flat_map(|shard| &shard.rejected) {
             verdicts.count(("generate", &rejected.sweep, Some(rejected.strength)), NOT_FINITE, 1, true);
         }
@@ -84,8 +91,21 @@ impl<'a> Verdicts<'a> {
         if let (true, Some(behavior), Some(path)) = (assessment.accepted, asked, path) {
             self.accepted.insert(&behavior, path, &scenario_id);
         }
+        self.decided.push(VerdictRow {
+            accepted: assessment.accepted,
+            kept: is_kept,
+            reasons: reasons.into_iter().map(str::to_owned).collect(),
+            scenario_id,
+            sweep,
+            strength,
+        });
         record.assessment = Some(assessment);
         is_kept
+    }
+
+    /// What was decided, scenario by scenario, in their order.
+    pub(super) fn decided(&self) -> &[VerdictRow] {
+        &self.decided
     }
 
     /// The counts, in the order of first appearance.

@@ -70,6 +70,18 @@ fn decided(keep: Keep) -> (Vec<ScenarioRecord>, Vec<String>, Vec<AcceptanceRow>,
             kept.push(record.scenario.id.clone());
         }
     }
+    for (record, row) in all.iter().zip(verdicts.decided()) {
+        let is_accepted = record.assessment.as_ref().is_some_and(|assessment| assessment.accepted);
+        assert_eq!(
+            (&row.scenario_id, row.accepted, row.kept),
+            (&record.scenario.id, is_accepted, kept.contains(&record.scenario.id))
+        );
+    }
+    let reasons: Vec<Vec<&str>> =
+        verdicts.decided().iter().map(|row| row.reasons.iter().map(String::as_str).collect()).collect();
+    let expected: [&[&str]; 6] =
+        [&["not_verified", "jerk"], &[], &["near_duplicate"], &["collision", "offroad"], &[], &[]];
+    assert_eq!(reasons, expected);
     let (rows, left_out) = verdicts.finish();
     (all, kept, rows, left_out)
 }

@@ -4,11 +4,14 @@ use super::Report;
 use super::choice::{Choice, Chosen};
 use super::compared::Compared;
 use super::figures_of_scenarios::FiguresOfScenarios;
+use crate::pipeline::layout::VERDICTS;
 use crate::pipeline::stages::SampleManifest;
 use crate::pipeline::{Failure, Result, StageId};
-use crate::report::{Distribution, SceneCard};
+use crate::report::{Acceptance, Distribution, SceneCard};
 use crate::scene::{Scene, SceneId};
-use crate::store::{ScenarioRecord, SceneStore, read_events};
+use crate::store::{ScenarioRecord, SceneStore, read_events, read_verdicts};
+use std::collections::BTreeMap;
+use std::path::Path;
 
 /// What the report shows of single scenes.
 pub(super) struct Gallery {
@@ -42,9 +45,13 @@ pub(super) fn gallery(stage: &Report<'_>, manifest: &SampleManifest) -> Result<G
         true => FiguresOfScenarios::read(&stage.layout.metrics, records(&chosen))?,
         false => FiguresOfScenarios::default(),
     };
+    let decisions = match stage.has(StageId::Evaluate) {
+        true => decisions(&stage.layout.metrics.with_file_name(VERDICTS), records(&chosen))?,
+        false => BTreeMap::new(),
+    };
     let mut scenes = Vec::new();
     for chosen in &chosen {
-        scenes.extend(card(chosen, &store, &figures)?);
+        scenes.extend(card(chosen, &store, &figures, &decisions)?);
     }
     Ok(Gallery { scenes, distributions })
 }
@@ -56,11 +63,34 @@ fn records(chosen: &[Chosen]) -> impl Iterator<Item = &ScenarioRecord> {
     })
 }
 
-fn card(chosen: &Chosen, store: &SceneStore, figures: &FiguresOfScenarios) -> Result<Option<SceneCard>> {
+/// Which of `records` were accepted, and why others were not, by their ids. A folder of an earlier version has no such table.
+fn decisions<'a>(
+    path: &Path,
+    records: impl Iterator<Item = &'a ScenarioRecord>,
+) -> Result<BTreeMap<String, Acceptance>> {
+    if !path.exists() {
+        return Ok(BTreeMap::new());
+    }
+    let mut reasons: BTreeMap<String, Vec<String>> =
+        read_verdicts(path)?.into_iter().map(|row| (row.scenario_id, row.reasons)).collect();
+    let of_record = |record: &ScenarioRecord| {
+        let (id, reasons) = reasons.remove_entry(&record.scenario.id)?;
+        Some((id, Acceptance { reasons }))
+    };
+    Ok(records.filter_map(of_record).collect())
+}
+
+fn card(
+    chosen: &Chosen,
+    store: &SceneStore,
+    figures: &FiguresOfScenarios,
+    decisions: &BTreeMap<String, Acceptance>,
+) -> Result<Option<SceneCard>> {
     Ok(match chosen {
         Chosen::Alone(record) => {
             let recorded = recording(&record.scenario.provenance.scene_id, store)?;
-            Some(SceneCard::of_record(record, &recorded, &figures.of(&record.scenario.id)))
+            let id = &record.scenario.id;
+            Some(SceneCard::of_record(record, &recorded, &figures.of(id), decisions.get(id)))
         }
         Chosen::Together(records) => match records.first() {
             Some(first) => {

@@ -80,7 +80,7 @@ impl Stage for Report<'_> {
     }
 
     fn version(&self) -> u32 {
-        3
+        4
     }
 
     fn check(&self) -> Result<()> {

@@ -1,8 +1,8 @@
 //! By what can scenes be found? A form, and what the page knows of every scene to answer it.
 
+use super::ranges::{Range, groups, ranges};
 use crate::report::card::{SceneCard, Verdict};
-use crate::report::number::{setting, value};
-use crate::report::quantities::title_and_unit;
+use crate::report::number::setting;
 use maud::{Markup, html};
 use serde_json::{Value, json};
 
@@ -24,6 +24,7 @@ pub(super) fn form(cards: &[SceneCard]) -> Markup {
     strengths.sort_by(f64::total_cmp);
     strengths.dedup();
     let strengths: Vec<(String, String)> = strengths.into_iter().map(|s| (s.to_string(), setting(s))).collect();
+    let decisions = decisions(cards);
     let ranges = ranges(cards);
     html! {
         form id="filters" class="filters" hidden aria-label="Choose scenes" {
@@ -32,14 +33,10 @@ pub(super) fn form(cards: &[SceneCard]) -> Markup {
                 (choice("behavior", "Behavior", &behaviors))
                 (choice("place", "Place", &places))
                 (choice("verdict", "Verdict", &verdicts))
+                (choice("decision", "Decision", &decisions))
                 (choice("strength", "Strength α", &strengths))
             }
-            @if !ranges.is_empty() {
-                details {
-                    summary { "By figures of the event and of the scenario" }
-                    div class="ranges" { @for range in &ranges { (range_inputs(range)) } }
-                }
-            }
+            (groups(&ranges))
             div class="found" {
                 output id="found" role="status" aria-live="polite" {}
                 button type="button" id="show-all" { "Show all" }
@@ -49,6 +46,35 @@ pub(super) fn form(cards: &[SceneCard]) -> Markup {
 }
 
 const NO_BEHAVIOR: &str = "none";
+const ACCEPTED: &str = "accepted";
+const REJECTED: &str = "rejected";
+
+/// Accepted, rejected, and rejected for each of the reasons that there are.
+fn decisions(cards: &[SceneCard]) -> Vec<(String, String)> {
+    let known: Vec<Vec<String>> = cards.iter().map(tags).collect();
+    let has = |tag: &str| known.iter().flatten().any(|known| known == tag);
+    let mut options: Vec<(String, String)> = [(ACCEPTED, "accepted"), (REJECTED, "rejected, for any reason")]
+        .into_iter()
+        .filter(|(tag, _)| has(tag))
+        .map(|(tag, words)| (tag.to_owned(), words.to_owned()))
+        .collect();
+    let reasons = cards.iter().filter_map(|card| card.key.acceptance.as_ref()).flat_map(|decision| &decision.reasons);
+    let option = |reason: &String| (format!("{REJECTED}.{reason}"), format!("rejected: {}", reason.replace('_', " ")));
+    options.extend(distinct(reasons.map(option)));
+    options
+}
+
+/// The decisions that find a card; none where nothing was decided.
+fn tags(card: &SceneCard) -> Vec<String> {
+    match &card.key.acceptance {
+        None => Vec::new(),
+        Some(decision) if decision.is_accepted() => vec![ACCEPTED.to_owned()],
+        Some(decision) => {
+            let reasons = decision.reasons.iter().map(|reason| format!("{REJECTED}.{reason}"));
+            std::iter::once(REJECTED.to_owned()).chain(reasons).collect()
+        }
+    }
+}
 
 fn choice(name: &str, label: &str, options: &[(String, String)]) -> Markup {
     html! {
@@ -64,47 +90,8 @@ fn choice(name: &str, label: &str, options: &[(String, String)]) -> Markup {
     }
 }
 
-/// A figure that scenes differ in.
-struct Range<'a> {
-    name: &'a str,
-    low: f64,
-    high: f64,
-}
-
-/// The figures that are not the same everywhere: parameters of events, then metrics.
-fn ranges(cards: &[SceneCard]) -> Vec<Range<'_>> {
-    let mut ranges: Vec<Range<'_>> = Vec::new();
-    // Scenes with an event name its parameters first.
-    let has_event = |card: &&SceneCard| matches!(card.key.verdict, Verdict::New | Verdict::Recorded);
-    let (with, without): (Vec<&SceneCard>, Vec<&SceneCard>) = cards.iter().partition(has_event);
-    let values = with.into_iter().chain(without).flat_map(|card| &card.key.values);
-    for found in values.filter(|found| found.value.is_finite()) {
-        match ranges.iter_mut().find(|range| range.name == found.name) {
-            Some(range) => (range.low, range.high) = (range.low.min(found.value), range.high.max(found.value)),
-            None => ranges.push(Range { name: &found.name, low: found.value, high: found.value }),
-        }
-    }
-    ranges.retain(|range| range.high > range.low);
-    ranges
-}
-
-fn range_inputs(range: &Range<'_>) -> Markup {
-    let (title, unit) = title_and_unit(range.name);
-    let input = |end: &str, words: &str, least: f64| {
-        html! {
-            input type="number" step="any" name=(format!("{}.{end}", range.name)) placeholder=(value(least)) aria-label=(format!("{title}, {words}")) ;
-        }
-    };
-    html! {
-        div {
-            span { (title) @if !unit.is_empty() { small { " (" (unit) ")" } } }
-            (input("min", "at least", range.low)) "to" (input("max", "at most", range.high))
-        }
-    }
-}
-
-/// What the form is answered from: the names of the figures, and of each scene its sweep, behavior, place, verdict, strength
-/// and figures.
+/// What the form is answered from: the names of the figures, and of each scene its sweep, behavior, place, verdict, strength,
+/// decisions and figures.
 pub(super) fn index(cards: &[SceneCard]) -> Value {
     let ranges = ranges(cards);
     let entry = |card: &SceneCard| {
@@ -118,6 +105,7 @@ pub(super) fn index(cards: &[SceneCard]) -> Value {
             card.key.place,
             card.key.verdict.name(),
             card.key.strength.to_string(),
+            tags(card),
             ranges.iter().map(figure).collect::<Vec<_>>(),
         ])
     };

@@ -5,6 +5,7 @@
 
 mod card;
 mod filters;
+mod ranges;
 
 use super::Section;
 use crate::report::card::pack_lanes;

@@ -1,15 +1,17 @@
 //! OpenLABEL 1.0: which tags does a scenario have, so that databases of scenarios can find it?
 
+mod assessment;
+
 use super::selection::is_accepted;
 use super::{Error, Exporter, Item, Outcome, Result, Written};
 use crate::behavior::{self, BehaviorEvent, EventLabel};
 use crate::scene::Scene;
-use crate::store::{source_terms, write_json_atomically};
+use crate::store::{source_terms, unit_of_name, write_json_atomically};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 pub(super) const NOTES: &str = "<id>.json: OpenLABEL 1.0.0 tags, valid against its schema: what was asked for, what was found, who \
-    has which role, parameters of events, provenance. Types of tags are defined in ontology.json, which lies beside them; \
+    has which role, parameters of events, what was judged (decision, criticality, failed checks, each number with its unit), provenance. Types of tags are defined in ontology.json, which lies beside them; \
     where ASAM's own ontology has a tag for the behavior, that is there, too. No states: use another format for them.";
 
 /// The file that says what our tags mean.
@@ -51,6 +53,7 @@ fn document(item: &Item<'_>) -> Value {
     let dataset = item.scene().source.dataset;
     let positive = record.events.iter().filter(|event| event.label == EventLabel::Positive);
     let mut tags = vec![scenario_tag(item), provenance_tag(item)];
+    tags.extend(record.assessment.iter().flat_map(|judged| assessment::tags(item.scene(), judged)));
     for event in positive {
         tags.push(event_tag(item.scene(), event));
         tags.extend(asam_type(&event.behavior).map(|kind| json!({ "type": kind, "ontology_uid": ASAMS })));
@@ -88,8 +91,8 @@ fn scenario_tag(item: &Item<'_>) -> Value {
             "text": text,
             "boolean": [value("verified", record.verified), value("accepted", is_accepted(record)), value("recorded_event", record.recorded_event)],
             "num": [
-                value("duration_s", rounded(scene.n_timesteps.saturating_sub(1) as f64 * scene.dt_s)),
-                value("present_s", rounded(scene.current_timestep() as f64 * scene.dt_s)),
+                quantity("duration_s", rounded(scene.n_timesteps.saturating_sub(1) as f64 * scene.dt_s), "s"),
+                quantity("present_s", rounded(scene.current_timestep() as f64 * scene.dt_s), "s"),
                 value("n_agents", scene.tracks.iter().filter(|track| track.trajectory.n_valid() > 0).count()),
             ],
         }),
@@ -121,8 +124,9 @@ fn provenance_tag(item: &Item<'_>) -> Value {
 fn event_tag(scene: &Scene, event: &BehaviorEvent) -> Value {
     let time_s = |timestep: usize| rounded(timestep as f64 * scene.dt_s);
     let roles = event.roles.iter().map(|(role, track)| value(&format!("role_{role}"), &track.0));
-    let parameters = event.parameters.iter().map(|(name, number)| value(name, number));
-    let times = [value("start_s", time_s(event.start_timestep)), value("end_s", time_s(event.end_timestep))];
+    let parameters = event.parameters.iter().map(|(name, number)| quantity(name, *number, unit_of_name(name)));
+    let times = [("start_s", event.start_timestep), ("end_s", event.end_timestep)]
+        .map(|(name, timestep)| quantity(name, time_s(timestep), "s"));
     let (text, num): (Vec<Value>, Vec<Value>) = (roles.collect(), times.into_iter().chain(parameters).collect());
     tag(&event.behavior, &json!({ "text": text, "num": num }))
 }
@@ -133,6 +137,13 @@ fn tag(kind: &str, data: &Value) -> Value {
 
 fn value(name: &str, value: impl serde::Serialize) -> Value {
     json!({ "name": name, "type": "value", "val": value })
+}
+
+/// A number with its unit, for which OpenLABEL leaves no other place than an attribute.
+fn quantity(name: &str, number: f64, unit: &str) -> Value {
+    let mut quantity = value(name, number);
+    quantity["attributes"] = json!({ "text": [value("unit", unit)] });
+    quantity
 }
 
 /// Without the last digits of a product of decimals.
@@ -160,9 +171,9 @@ fn ontology() -> Value {
             (entry.id.to_owned(), json!({ "definition": entry.description, "text": roles }))
         })
         .collect();
-    json!({
+    let mut ontology = json!({
         "name": "djinn scenario tags",
-        "version": 1,
+        "version": 2,
         "tags": {
             "scenario": {
                 "definition": "A generated scenario.",
@@ -198,10 +209,14 @@ fn ontology() -> Value {
         },
         "behaviors": {
             "definition": "A tag of a behavior's name is an event that was found: start_s and end_s count from the first timestep; \
-                           role_<role> is the id of the track in that role; further numbers are parameters whose names end in their unit.",
+                           role_<role> is the id of the track in that role; further numbers are parameters; each has its unit as an attribute, too.",
             "tags": behaviors,
         },
-    })
+    });
+    for (kind, definition) in assessment::definitions() {
+        ontology["tags"][kind] = definition;
+    }
+    ontology
 }
 
 #[cfg(test)]
@@ -237,10 +252,15 @@ mod tests {
     #[test]
     fn the_ontology_defines_every_tag_and_value() {
         let dir = tempfile::tempdir().unwrap();
-        add_all(Box::new(OpenLabel::new(dir.path())), &[testing::scene()]);
+        let mut record = testing::record(&testing::scene());
+        record.assessment = Some(assessment::tests::judgment());
+        let mut exporter = Box::new(OpenLabel::new(dir.path()));
+        exporter.add(&Item { record: &record, number: 1, stem: "0a1b0".to_owned() }).unwrap();
+        exporter.finish().unwrap();
         let ontology: Value = serde_json::from_str(&read(dir.path(), ONTOLOGY_FILE)).unwrap();
         let document: Value = serde_json::from_str(&read(dir.path(), "0a1b0.json")).unwrap();
-        for uid in ["0", "1"] {
+        assert_eq!(document["openlabel"]["tags"].as_object().unwrap().len(), 6, "with the judgment and a failed check");
+        for uid in ["0", "1", "2", "3"] {
             let tag = &document["openlabel"]["tags"][uid];
             let defined = &ontology["tags"][tag["type"].as_str().unwrap()]["data"];
             for (_, entries) in tag["tag_data"].as_object().unwrap() {

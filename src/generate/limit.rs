@@ -1,0 +1,205 @@
+//! Between which values must a metric or an objective of a sample be?
+
+use schemars::JsonSchema;
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{Error as _, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+use std::fmt;
+
+/// A limit of a metric or objective. Its ends are included.
+///
+/// A plain number is the worst value that is kept, for what has a better direction: the most of what less is better of
+/// (`collision_rate = 0.0`), the least of what more is better of (`validity_rate = 1.0`). A value that is not defined keeps it.
+///
+/// A range says its sides itself and serves every metric, also those of which neither more nor less is better, such as times
+/// to collision: `[1.0, 2.5]`, `{ at_least = 1.0 }` or `{ at_most = 2.5 }`. A value that is not defined, such as the time to a collision to
+/// which no course leads, counts as beyond every number: it keeps `at_least` and breaks `at_most`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Limit {
+    /// The worst value that is kept.
+    Worst(f64),
+    /// The least and the largest value that are kept.
+    Between([f64; 2]),
+    /// The least value, the largest one, or both.
+    Range(LimitRange),
+}
+
+/// The sides of a range, at least one of them.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LimitRange {
+    /// The least value that is kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at_least: Option<f64>,
+    /// The largest value that is kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at_most: Option<f64>,
+}
+
+impl Limit {
+    /// Says what makes no sense in it. `has_direction` tells whether more or less of the value is better.
+    pub(super) fn validate(&self, has_direction: bool) -> Result<(), String> {
+        let range = match self {
+            Self::Worst(value) if value.is_nan() => return Err(format!("is {value}, expected a number")),
+            Self::Worst(value) if !has_direction => {
+                return Err(format!(
+                    "is {value}, but neither more nor less of it is better: say the side, as in {{ at_most = {value:?} }}, \
+                     {{ at_least = {value:?} }} or [least, largest]"
+                ));
+            }
+            Self::Worst(_) => return Ok(()),
+            Self::Between([least, most]) => LimitRange { at_least: Some(*least), at_most: Some(*most) },
+            Self::Range(range) => *range,
+        };
+        match (range.at_least, range.at_most) {
+            (None, None) => Err("is an empty range: say at_least, at_most or both".to_owned()),
+            (Some(least), Some(most)) if least > most => {
+                Err(format!("asks for at least {least} and at most {most}, which nothing is"))
+            }
+            (least, most) if least.into_iter().chain(most).any(f64::is_nan) => {
+                Err("has an end that is no number".to_owned())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Why a value breaks the limit, in words that follow its name; `None` where it keeps it. `higher_is_better` decides what a
+    /// plain number means.
+    pub(super) fn broken_by(&self, value: Option<f64>, higher_is_better: bool) -> Option<String> {
+        let range = match (*self, value) {
+            (Self::Worst(worst), Some(value)) => {
+                let is_beyond = if higher_is_better { value < worst } else { value > worst };
+                return is_beyond.then(|| format!("beyond {worst}"));
+            }
+            (Self::Worst(_), None) => return None,
+            (Self::Between([least, most]), _) => LimitRange { at_least: Some(least), at_most: Some(most) },
+            (Self::Range(range), _) => range,
+        };
+        let (least, most) = (range.at_least, range.at_most);
+        match value {
+            None => most.map(|most| format!("not defined, so above {most}")),
+            Some(value) => {
+                let below = least.filter(|least| value < *least).map(|least| format!("below {least}"));
+                below.or_else(|| most.filter(|most| value > *most).map(|most| format!("above {most}")))
+            }
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Limit {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(LimitVisitor)
+    }
+}
+
+/// Reads what is written and, unlike an untagged enum, says what is wrong with it.
+struct LimitVisitor;
+
+impl<'de> Visitor<'de> for LimitVisitor {
+    type Value = Limit;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a limit: a number, [least, largest], { at_least = … } or { at_most = … }")
+    }
+
+    fn visit_f64<E>(self, value: f64) -> Result<Limit, E> {
+        Ok(Limit::Worst(value))
+    }
+
+    fn visit_i64<E>(self, value: i64) -> Result<Limit, E> {
+        Ok(Limit::Worst(value as f64))
+    }
+
+    fn visit_u64<E>(self, value: u64) -> Result<Limit, E> {
+        Ok(Limit::Worst(value as f64))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<Limit, A::Error> {
+        let ends: Vec<f64> = Vec::deserialize(SeqAccessDeserializer::new(seq))?;
+        match ends.as_slice() {
+            [least, most] => Ok(Limit::Between([*least, *most])),
+            _ => Err(A::Error::custom(format!("a range has two ends, [least, largest], and not {}", ends.len()))),
+        }
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Limit, A::Error> {
+        LimitRange::deserialize(MapAccessDeserializer::new(map)).map(Limit::Range)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
+    fn limit(toml: &str) -> Limit {
+        let limits: BTreeMap<String, Limit> = toml::from_str(&format!("x = {toml}")).unwrap();
+        limits["x"]
+    }
+
+    #[test]
+    fn a_plain_number_is_the_worst_that_is_kept_and_ranges_say_their_sides() {
+        // (limit, more is better, value, why it is left out)
+        for (toml, higher, value, why) in [
+            ("0.5", false, Some(0.5), None),
+            ("0.5", false, Some(0.6), Some("beyond 0.5")),
+            ("0.5", true, Some(0.5), None),
+            ("1", true, Some(0.4), Some("beyond 1")),
+            ("0", false, None, None),
+            ("[1, 2.5]", false, Some(1.0), None),
+            ("[1, 2.5]", true, Some(2.5), None),
+            ("[1, 2.5]", false, Some(0.9), Some("below 1")),
+            ("[1, 2.5]", true, Some(2.6), Some("above 2.5")),
+            ("[1, 2.5]", false, None, Some("not defined, so above 2.5")),
+            ("{ at_least = 1 }", false, Some(0.9), Some("below 1")),
+            ("{ at_least = 1 }", false, Some(1e9), None),
+            ("{ at_least = 1 }", false, None, None),
+            ("{ at_most = 1.5 }", true, Some(1.6), Some("above 1.5")),
+            ("{ at_most = 1.5 }", false, Some(-3.0), None),
+            ("{ at_least = 1, at_most = 1 }", false, Some(1.0), None),
+        ] {
+            assert_eq!(limit(toml).broken_by(value, higher).as_deref(), why, "{toml} {value:?}");
+        }
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_told() {
+        for (toml, has_direction, what) in [
+            ("nan", true, "expected a number"),
+            ("2", false, "{ at_most = 2.0 }"),
+            ("[3, 2]", false, "at least 3 and at most 2"),
+            ("{}", false, "empty range"),
+            ("{ at_most = nan }", true, "no number"),
+        ] {
+            let why = limit(toml).validate(has_direction).unwrap_err();
+            assert!(why.contains(what), "{toml}: {why}");
+        }
+        for toml in ["[2, 3]", "[2, inf]", "{ at_most = 2 }"] {
+            limit(toml).validate(false).unwrap();
+        }
+    }
+
+    #[test]
+    fn what_is_no_limit_is_refused_in_words() {
+        for (toml, what) in [
+            ("'tight'", "{ at_least = … }"),
+            ("[1]", "two ends"),
+            ("[1, 2, 3]", "two ends"),
+            ("{ at_mots = 1 }", "unknown field `at_mots`"),
+        ] {
+            let why = toml::from_str::<BTreeMap<String, Limit>>(&format!("x = {toml}")).unwrap_err().to_string();
+            assert!(why.contains(what), "{why}");
+        }
+    }
+
+    #[test]
+    fn what_was_written_is_written_again() {
+        for toml in ["0.0", "[1.0, 2.5]", "{ at_least = 1.0 }"] {
+            let read = BTreeMap::from([("x", limit(toml))]);
+            let again: BTreeMap<String, Limit> = toml::from_str(&toml::to_string(&read).unwrap()).unwrap();
+            assert_eq!(again["x"], read["x"]);
+        }
+        assert_eq!(serde_json::to_string(&limit("0.25")).unwrap(), "0.25", "fingerprints of earlier runs hold");
+    }
+}

@@ -1,0 +1,68 @@
+//! The table of verdicts: one row a generated scenario, with what became of it.
+
+use super::columns::{Columns, entries, flags, lists, numbers, texts};
+use crate::store::schema::{ColumnExt, TableSchema, column, list_of};
+use crate::store::{Error, Result, VerdictRow};
+use arrow::array::{ListArray, RecordBatch, StringArray};
+use arrow::datatypes::{DataType, Float64Type};
+use std::path::Path;
+
+/// `verdict.v1`.
+pub(crate) fn schema() -> TableSchema {
+    let fields = vec![
+        column("scenario_id", DataType::Utf8, "The scenario, as in the samples and, where it was kept, in the corpus."),
+        column("sweep", DataType::Utf8, "The sweep that asked for it."),
+        column("strength", DataType::Float64, "Guidance strength; 0 without guidance.").unit("1"),
+        column("accepted", DataType::Boolean, "Whether it is verified, valid and no near-duplicate."),
+        column("kept", DataType::Boolean, "Whether it is in the corpus."),
+        column(
+            "reasons",
+            list_of(DataType::Utf8),
+            "Why it is not accepted, the first reason first: nothing_asked or not_verified, what a request found, failed checks of \
+             validity, near_duplicate; empty where it is.",
+        ),
+    ];
+    TableSchema {
+        name: "verdict",
+        version: 1,
+        description: "One row a generated scenario: whether it is accepted, and why not.",
+        fields,
+        open: Vec::new(),
+    }
+}
+
+/// These rows.
+pub(crate) fn encode(rows: &[VerdictRow]) -> Result<RecordBatch> {
+    let reasons = texts(rows.iter().flat_map(|row| &row.reasons).map(String::as_str));
+    let arrays = vec![
+        texts(rows.iter().map(|row| row.scenario_id.as_str())),
+        texts(rows.iter().map(|row| row.sweep.as_str())),
+        numbers::<Float64Type>(rows.iter().map(|row| row.strength)),
+        flags(rows.iter().map(|row| row.accepted)),
+        flags(rows.iter().map(|row| row.kept)),
+        lists(rows.iter().map(|row| row.reasons.len()), reasons),
+    ];
+    RecordBatch::try_new(schema().arrow(), arrays).map_err(|error| Error::invalid("verdicts", error.to_string()))
+}
+
+/// The rows in a batch.
+pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<VerdictRow>> {
+    let columns = Columns::of_batch(batch, path);
+    let list: &ListArray = columns.get("reasons")?;
+    let reasons: &StringArray = list
+        .values()
+        .as_any()
+        .downcast_ref()
+        .ok_or_else(|| Error::corrupt(path, "column reasons has lists of another type"))?;
+    let verdict = |row: usize| {
+        Ok(VerdictRow {
+            scenario_id: columns.text("scenario_id", row)?.to_owned(),
+            sweep: columns.text("sweep", row)?.to_owned(),
+            strength: columns.number::<Float64Type>("strength", row)?,
+            accepted: columns.flag("accepted", row)?,
+            kept: columns.flag("kept", row)?,
+            reasons: entries(list, row).map(|at| reasons.value(at).to_owned()).collect(),
+        })
+    };
+    (0..batch.num_rows()).map(verdict).collect()
+}
