@@ -151,14 +151,14 @@ fn compare(options: &Options) -> Result<()> {
     };
     println!("{:<38} {:>18} {:>18} {:>18}", "seconds on the clock (of the processor)", "djinn", "PyTorch", "ratio");
     let mut table = Table::default();
-    for round in 0..=options.n_rounds {
-        let (ours, elapsed) = timed(|| forward(&batches[round]));
+    for (round, noisy) in batches.iter().enumerate() {
+        let (ours, elapsed) = timed(|| forward(noisy));
         ours?;
         table.add("forward", elapsed, peer.ask(&format!("forward {round}"))?);
     }
     table.print("forward", &format!("forward, {} scenes", options.batch_size));
-    for round in 0..=options.n_rounds {
-        let (ours, elapsed) = timed(|| step(&batches[round]));
+    for (round, noisy) in batches.iter().enumerate() {
+        let (ours, elapsed) = timed(|| step(noisy));
         ours?;
         table.add("train", elapsed, peer.ask(&format!("train {round}"))?);
     }

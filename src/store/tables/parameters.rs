@@ -54,7 +54,7 @@ pub(crate) fn flatten(names: &BTreeSet<&str>, rows: &[Option<&Parameters>]) -> V
     }
     let array = |(name, values): (&str, Vec<Option<f64>>)| {
         let field = column(name, DataType::Float64, "Parameter of the event; see its behavior.");
-        (field.unit(unit_of_name(name)).optional(), optional_numbers::<Float64Type>(values.into_iter()))
+        (field.unit(unit_of_name(name)).optional(), optional_numbers::<Float64Type>(values))
     };
     columns.into_iter().map(array).collect()
 }
