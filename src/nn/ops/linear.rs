@@ -12,7 +12,7 @@ use super::rows::{gather, spans, valid_rows};
 const N_ROWS: usize = 128;
 /// Rows of a matrix that are transposed together: one cache line of the result.
 const N_TRANSPOSED: usize = 16;
-/// Outputs whose weights one task differentiates.
+/// Outputs whose weights one task differentiates, or inputs whose weights it transposes.
 const N_OUTPUTS: usize = 64;
 
 /// The plain implementation: see [`linear`](super::linear).
@@ -175,14 +175,17 @@ impl CustomOp3 for FusedLinear {
 fn transposed(matrix: &[f32], n_cols: usize) -> Vec<f32> {
     let n_rows = matrix.len() / n_cols;
     let mut transposed = vec![0.0; matrix.len()];
-    // Sixteen rows at a time: what is written then fills whole cache lines.
-    for (block, rows) in matrix.chunks(N_TRANSPOSED * n_cols).enumerate() {
-        for j in 0..n_cols {
-            let column = &mut transposed[j * n_rows + block * N_TRANSPOSED..][..rows.len() / n_cols];
-            for (value, row) in column.iter_mut().zip(rows.chunks_exact(n_cols)) {
-                *value = row[j];
+    transposed.par_chunks_mut(N_OUTPUTS * n_rows).enumerate().for_each(|(task, columns)| {
+        // Sixteen rows at a time: what is written then fills whole cache lines.
+        for (block, rows) in matrix.chunks(N_TRANSPOSED * n_cols).enumerate() {
+            for (i, column) in columns.chunks_exact_mut(n_rows).enumerate() {
+                let j = task * N_OUTPUTS + i;
+                let column = &mut column[block * N_TRANSPOSED..][..rows.len() / n_cols];
+                for (value, row) in column.iter_mut().zip(rows.chunks_exact(n_cols)) {
+                    *value = row[j];
+                }
             }
         }
-    }
+    });
     transposed
 }
