@@ -1,7 +1,7 @@
 """Reads folders that `djinn export` wrote with the readers that others use for these formats. Installs nothing.
 
     python3 -m venv readers
-    readers/bin/pip install --no-deps -r scripts/requirements-exports.txt
+    readers/bin/pip install --no-deps -r scripts/requirements-readers.txt
     readers/bin/python scripts/check_exports.py output/xosc output/commonroad ...
 
 What is not installed is skipped, and said so; `--may-skip NAME` makes it a failure for all but the named ones. With `--corpus DIR`,
