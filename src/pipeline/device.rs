@@ -32,6 +32,9 @@ impl DeviceChoice {
             Self::Cpu => Ok(Device::Cpu),
             Self::Cuda(ordinal) if candle_core::utils::cuda_is_available() => {
                 Device::new_cuda(ordinal).map_err(|error| {
+                    // What follows the first line is a backtrace.
+                    let text = error.to_string();
+                    let error = text.lines().next().unwrap_or_default();
                     Failure::input_message(format_args!("run.device is \"{self}\", which does not answer: {error}"))
                         .with_hint("nvidia-smi lists the GPUs of this machine; run.device = \"cpu\" needs none")
                 })
