@@ -9,7 +9,8 @@ use std::str::FromStr;
 
 /// What networks compute on: `cpu`, `cuda` (the first GPU) or `cuda:1` (the second one), and so on.
 ///
-/// Results are the same bytes on the same kind of device, not from one kind to another: sums are taken in another order. Noise is
+/// It is no part of what decides whether a stage must run again: what is finished stays, whatever computed it, and what is resumed goes on
+/// with the device that is asked for now. Results are the same bytes on the same kind of device, not from one kind to another: sums are taken in another order. Noise is
 /// always drawn on the host, so that samples of one seed are alike on all of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "String", into = "String")]
