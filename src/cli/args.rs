@@ -2,6 +2,7 @@
 
 use super::help;
 use crate::export::ExportFormat;
+use crate::nn::Precision;
 use crate::pipeline::DeviceChoice;
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
@@ -396,6 +397,9 @@ pub(super) struct RegenerateArgs {
     /// What to compute on: cpu, cuda or cuda:N, as in run.device; only the same kind gives the same bytes
     #[arg(long, default_value_t)]
     pub(super) device: DeviceChoice,
+    /// Precision of matrix products: f32, tf32 or bf16, as in run.precision
+    #[arg(long, default_value_t)]
+    pub(super) precision: Precision,
     #[command(flatten)]
     pub(super) scenes: ScenesArg,
     #[command(flatten)]

@@ -116,13 +116,8 @@ impl Adam {
 
 /// The Euclidean norm of all gradients together, summed in `f64` in the order of the parameters' names.
 fn global_norm(params: &Params, grads: &GradStore) -> Result<f64> {
-    let mut sum = 0.0;
-    for (_, var) in params.iter() {
-        if let Some(grad) = grads.get(var.as_tensor()) {
-            sum += ops::sum_of_squares(grad)?;
-        }
-    }
-    Ok(sum.sqrt())
+    let grads: Vec<&Tensor> = params.iter().filter_map(|(_, var)| grads.get(var.as_tensor())).collect();
+    Ok(ops::sum_of_squares(&grads)?.sqrt())
 }
 
 #[cfg(test)]

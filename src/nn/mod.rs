@@ -16,6 +16,7 @@ mod memory;
 mod mlp;
 pub mod ops;
 mod params;
+mod precision;
 
 pub use adam::Adam;
 pub use attention::{Axis, CrossAttention, SelfAttention};
@@ -28,6 +29,7 @@ pub use linear::Linear;
 pub use memory::keep_freed_memory;
 pub use mlp::Mlp;
 pub use params::{Init, Params, Scope};
+pub use precision::Precision;
 
 #[cfg(test)]
 mod tests;

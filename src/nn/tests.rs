@@ -140,3 +140,33 @@ fn names_are_those_of_torch() {
         [("mlp.0.bias", &[3]), ("mlp.0.weight", &[3, 2]), ("mlp.2.bias", &[4]), ("mlp.2.weight", &[4, 3])];
     assert_eq!(names, expected);
 }
+
+#[test]
+fn kernels_of_gpus_train_as_the_processor_does() {
+    // Emulated: every launch that a GPU would get runs on the host.
+    let step = || {
+        let mut params = Params::new(&Device::Cpu);
+        let network = Network::new(&mut params).unwrap();
+        let (x, lanes) = (normal(&[2, 3, 4, 2], 1), normal(&[2, 5, 3], 2));
+        let lane_valid = Tensor::new(&[[1f32, 1.0, 0.0, 1.0, 1.0], [1.0, 0.0, 0.0, 0.0, 1.0]], &Device::Cpu).unwrap();
+        let y = network.forward(&x, &valid(), &lanes, &lane_valid).unwrap();
+        let grads = y.sqr().unwrap().sum_all().unwrap().backward().unwrap();
+        let mut ema = Ema::new(0.9, &params).unwrap();
+        // With its usual epsilon the first step moves a parameter as far for a gradient that is nothing but rounding errors.
+        let mut adam = Adam::default();
+        adam.epsilon = 1e-3;
+        let norm = adam.step(&params, &grads, 0.01, Some(1.0)).unwrap();
+        ema.update(&params).unwrap();
+        let of = |tensors: &BTreeMap<String, Tensor>| tensors.values().flat_map(values).collect::<Vec<f64>>();
+        let gradients = params.iter().flat_map(|(_, var)| values(grads.get(var.as_tensor()).unwrap())).collect();
+        [values(&y), vec![norm], gradients, of(&params.tensors()), of(ema.tensors())]
+    };
+    let names = ["result", "norm", "gradients", "parameters", "averages"];
+    for ((found, expected), name) in ops::emulate(step).iter().zip(step()).zip(names) {
+        let size = expected.iter().fold(0.0, |max: f64, v| max.max(v.abs()));
+        assert_eq!(found.len(), expected.len());
+        for (found, expected) in found.iter().zip(&expected) {
+            assert!((found - expected).abs() <= 2e-5 * size, "{name}: {found} instead of {expected}");
+        }
+    }
+}

@@ -1,6 +1,7 @@
-//! On what do the networks compute?
+//! On what do the networks compute, and how exactly?
 
 use super::failure::{Failure, Result};
+use crate::nn::Precision;
 use candle_core::Device;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -85,9 +86,44 @@ impl From<DeviceChoice> for String {
     }
 }
 
+/// A device and the precision of products on it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Compute {
+    /// What networks compute on.
+    pub device: DeviceChoice,
+    /// How exactly.
+    pub precision: Precision,
+}
+
+impl Compute {
+    /// The device, ready to compute with this precision. The precision is one for the process: the last call decides.
+    ///
+    /// # Errors
+    /// As [`DeviceChoice::open`].
+    pub fn open(self) -> Result<Device> {
+        self.precision.choose();
+        self.device.open()
+    }
+}
+
+impl fmt::Display for Compute {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.precision {
+            Precision::F32 => self.device.fmt(f),
+            precision => write!(f, "{}, {precision}", self.device),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn reports_say_when_products_are_rounded() {
+        let compute = Compute { device: DeviceChoice::Cuda(0), precision: Precision::Bf16 };
+        assert_eq!((compute.to_string().as_str(), Compute::default().to_string().as_str()), ("cuda, bf16", "cpu"));
+    }
 
     #[test]
     fn names_are_read_and_written_alike() {

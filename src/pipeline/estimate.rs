@@ -100,7 +100,7 @@ fn evaluations_per_second(
         (false, Some(path)) => checkpoint_file(path),
         (false, None) => return Ok(None),
     };
-    let device = config.run.device.open()?;
+    let device = config.run.compute().open()?;
     let TrainedDenoiser { denoiser, spec, .. } = TrainedDenoiser::read(&path, &device)?;
     let is_alike = |scene: &Scene| scene.n_history == spec.n_history && scene.n_timesteps == spec.n_timesteps;
     let recorded = SceneStore::open(&layout.scenes).ok().and_then(|store| store.scene(0).ok()).filter(is_alike);

@@ -23,7 +23,7 @@ mod run_lock;
 mod stage;
 pub mod stages;
 
-pub use device::DeviceChoice;
+pub use device::{Compute, DeviceChoice};
 pub use failure::{Blame, Classify, Failure, Result};
 pub use fingerprint::{PathFingerprint, fingerprint_path};
 pub use record::{InputRecord, StageRecord};

@@ -6,7 +6,7 @@
 
 use super::clock::{peak_memory_bytes, utc_now};
 use super::config::PipelineConfig;
-use super::device::DeviceChoice;
+use super::device::Compute;
 use super::failure::Result;
 use super::graph::{Action, Moment, PlannedStage, execute};
 use super::log::Logged;
@@ -95,11 +95,11 @@ pub struct StageTiming {
 pub fn run_stages(
     folder: &RunFolder,
     config: Option<&PipelineConfig>,
-    device: DeviceChoice,
+    compute: Compute,
     planned: Vec<PlannedStage<'_>>,
     progress: &dyn Progress,
 ) -> Result<Vec<StageRecord>> {
-    let device = device.open()?;
+    let device = compute.open()?;
     let root = folder.root.as_path();
     remove_partials(root)?;
     let logged = Logged::open(root, progress)?;
@@ -162,7 +162,7 @@ impl RunManifest {
             revision: option_env!("DJINN_REVISION").map(str::to_owned),
             pipeline: config.run.name.clone(),
             seed: config.run.seed,
-            device: config.run.device.to_string(),
+            device: config.run.compute().to_string(),
             inputs: external.collect(),
             stages: planned.iter().map(pending).collect(),
         }

@@ -6,7 +6,7 @@ use crate::cli::printer::Printer;
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::regenerate::{Regenerated, regenerate as generate_again};
-use crate::pipeline::{Failure, Result};
+use crate::pipeline::{Compute, Failure, Result};
 use crate::store::write_samples;
 use std::path::Path;
 
@@ -24,8 +24,9 @@ pub(in crate::cli) fn regenerate(args: &RegenerateArgs, output: &OutputArgs, pri
     ] {
         path.iter().for_each(|path| place.clone_from(path));
     }
+    let compute = Compute { device: args.device, precision: args.precision };
     let Regenerated { stored, again, differences, n_columns } =
-        generate_again(&args.scenario, &layout, args.corpus.as_deref(), &args.device.open()?)?;
+        generate_again(&args.scenario, &layout, args.corpus.as_deref(), &compute.open()?)?;
     if let Some(path) = &args.out {
         write_samples(path, std::slice::from_ref(&again))?;
     }

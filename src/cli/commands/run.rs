@@ -28,7 +28,7 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
     let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?)?;
     announce(&planned, output, printer);
     let progress = TerminalProgress::new(output, *printer);
-    let records = run_stages(&folder, Some(&config), config.run.device, planned, &progress)?;
+    let records = run_stages(&folder, Some(&config), config.run.compute(), planned, &progress)?;
     printer.message(format_args!("results are in {}", root.display()));
     stages::check_gates(&records)
 }

@@ -27,7 +27,7 @@ pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Pr
     let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?])?;
     announce(&planned, output, printer);
     let progress = TerminalProgress::new(output, *printer);
-    let records = run_stages(&folder, None, config.run.device, planned, &progress)?;
+    let records = run_stages(&folder, None, config.run.compute(), planned, &progress)?;
     stages::check_gates(&records)
 }
 

@@ -7,6 +7,7 @@ use super::Activation;
 use super::gemm::{Into, Matrix, matmul};
 use super::host::{gradient, slice, values};
 use super::rows::{gather, spans, valid_rows};
+use crate::nn::precision::Precision;
 
 /// Rows that one task maps: with them its share of inputs and outputs stays in the cache between product and activation.
 const N_ROWS: usize = 128;
@@ -22,12 +23,13 @@ pub(super) fn reference(
     bias: &Tensor,
     activation: Activation,
     valid: Option<&Tensor>,
+    precision: Precision,
 ) -> Result<Tensor> {
     let (n_out, n_in) = weight.dims2()?;
     let mut shape = x.dims().to_vec();
     shape.pop();
     shape.push(n_out);
-    let y = x.reshape(((), n_in))?.matmul(&weight.t()?)?.broadcast_add(bias)?.reshape(shape)?;
+    let y = precision.product(&x.reshape(((), n_in))?, &weight.t()?)?.broadcast_add(bias)?.reshape(shape)?;
     let y = match activation {
         Activation::None => y,
         Activation::Relu => y.relu()?,

@@ -1,11 +1,12 @@
 //! The operations that layers are made of: which implementation serves which device and type?
 //!
-//! Every operation has a plain implementation in differentiable candle operations. On the CPU in `f32` a fused one with its
-//! own backward pass takes its place; the choice is made here and nowhere else.
+//! Every operation has a plain implementation in differentiable candle operations. In `f32` one with its own backward pass takes
+//! its place: a fused one on the processor, kernels on a GPU. The choice is made here and nowhere else.
 
 mod adam;
 mod attention;
 mod cross_attention;
+mod cuda;
 mod gemm;
 mod heads;
 mod host;
@@ -19,6 +20,7 @@ use candle_core::{D, DType, Device, Result, Tensor, bail};
 
 pub(super) use self::adam::{AdamStep, Moments};
 use super::attention::Axis;
+use super::precision::Precision;
 
 /// What follows an affine map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,9 +31,26 @@ pub enum Activation {
     Relu,
 }
 
-/// Whether the fused operations serve this tensor.
-fn is_fused(x: &Tensor) -> bool {
-    matches!(x.device(), Device::Cpu) && x.dtype() == DType::F32
+/// What computes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Backend {
+    /// Operations of candle.
+    Plain,
+    /// One pass over memory of the host.
+    Fused,
+    /// Kernels on a GPU.
+    Kernels,
+}
+
+/// What serves this tensor.
+fn backend(x: &Tensor) -> Backend {
+    match (x.device(), x.dtype()) {
+        #[cfg(test)]
+        (Device::Cpu, DType::F32) if cuda::is_emulating() => Backend::Kernels,
+        (Device::Cpu, DType::F32) => Backend::Fused,
+        (Device::Cuda(_), DType::F32) => Backend::Kernels,
+        _ => Backend::Plain,
+    }
 }
 
 /// activation(x Wᵀ + b): `x` (.., K), `weight` (N, K), `bias` (N) to (.., N). Rows where `valid` (..) is 0 are exactly 0
@@ -51,10 +70,12 @@ pub fn linear(
         bail!("linear: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
     }
     let valid = valid.map(|valid| mask_of("linear", x, valid)).transpose()?;
-    if is_fused(x) {
-        linear::fused(x, weight, bias, activation, valid.as_ref())
-    } else {
-        linear::reference(x, weight, bias, activation, valid.as_ref())
+    match (backend(x), Precision::chosen()) {
+        (Backend::Kernels, precision) => cuda::linear(x, weight, bias, activation, valid.as_ref(), precision),
+        (Backend::Fused, Precision::F32 | Precision::Tf32) => {
+            linear::fused(x, weight, bias, activation, valid.as_ref())
+        }
+        (_, precision) => linear::reference(x, weight, bias, activation, valid.as_ref(), precision),
     }
 }
 
@@ -67,10 +88,10 @@ pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64) -> R
     if weight.dims() != [dim] || bias.dims() != [dim] {
         bail!("layer_norm: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
     }
-    if is_fused(x) {
-        layer_norm::fused(x, weight, bias, epsilon)
-    } else {
-        layer_norm::reference(x, weight, bias, epsilon)
+    match backend(x) {
+        Backend::Fused => layer_norm::fused(x, weight, bias, epsilon),
+        Backend::Kernels => cuda::layer_norm(x, weight, bias, epsilon),
+        Backend::Plain => layer_norm::reference(x, weight, bias, epsilon),
     }
 }
 
@@ -85,10 +106,12 @@ pub fn self_attention(qkv: &Tensor, valid: &Tensor, n_heads: usize, axis: Axis) 
     if n_heads == 0 || !width.is_multiple_of(3 * n_heads) {
         bail!("self_attention: {width} features are not queries, keys and values of {n_heads} heads");
     }
-    if is_fused(qkv) {
-        attention::fused(qkv, &valid, n_heads, axis)
-    } else {
-        attention::reference(qkv, &valid, n_heads, axis)
+    match backend(qkv) {
+        Backend::Fused => attention::fused(qkv, &valid, n_heads, axis),
+        Backend::Kernels if width <= 3 * n_heads * cuda::MAX_HEAD_DIM => {
+            cuda::self_attention(qkv, &valid, n_heads, axis)
+        }
+        Backend::Kernels | Backend::Plain => attention::reference(qkv, &valid, n_heads, axis),
     }
 }
 
@@ -117,10 +140,12 @@ pub fn cross_attention(
     {
         bail!("cross_attention: query {:?} and keys {:?} do not fit {n_heads} heads", query.dims(), keys.dims());
     }
-    if is_fused(query) {
-        cross_attention::fused(query, &valid, keys, &lane_valid, n_heads)
-    } else {
-        cross_attention::reference(query, &valid, keys, &lane_valid, n_heads)
+    match backend(query) {
+        Backend::Fused => cross_attention::fused(query, &valid, keys, &lane_valid, n_heads),
+        Backend::Kernels if dim <= n_heads * cuda::MAX_HEAD_DIM => {
+            cuda::cross_attention(query, &valid, keys, &lane_valid, n_heads)
+        }
+        Backend::Kernels | Backend::Plain => cross_attention::reference(query, &valid, keys, &lane_valid, n_heads),
     }
 }
 
@@ -147,7 +172,11 @@ pub fn rows_with_keys(valid: &Tensor, lane_valid: &Tensor) -> Result<Tensor> {
 /// # Errors
 /// When the device fails.
 pub fn sinusoidal(x: &Tensor, frequencies: &[f64]) -> Result<Tensor> {
-    if is_fused(x) { sinusoidal::fused(x, frequencies) } else { sinusoidal::reference(x, frequencies) }
+    match backend(x) {
+        Backend::Fused => sinusoidal::fused(x, frequencies),
+        Backend::Kernels => cuda::sinusoidal(x, frequencies),
+        Backend::Plain => sinusoidal::reference(x, frequencies),
+    }
 }
 
 /// Moves a parameter and its moments by one step of Adam, in place.
@@ -158,23 +187,32 @@ pub(super) fn adam_step(parameter: &Tensor, moments: &mut Moments, grad: &Tensor
     if parameter.dims() != grad.dims() || parameter.dims() != moments.first.dims() {
         bail!("adam: a gradient {:?} does not fit a parameter {:?}", grad.dims(), parameter.dims());
     }
-    if is_fused(parameter) && is_fused(grad) && parameter.is_contiguous() {
-        adam::fused(parameter, moments, grad, step)
-    } else {
-        adam::reference(parameter, moments, grad, step)
+    match one_backend(&[parameter, grad, &moments.first, &moments.second]) {
+        Backend::Fused => adam::fused(parameter, moments, grad, step),
+        Backend::Kernels => cuda::adam_step(parameter, moments, grad, step),
+        Backend::Plain => adam::reference(parameter, moments, grad, step),
     }
 }
 
-/// The sum of the squares of all entries, in double precision and a fixed order.
+/// The sum of the squares of all entries of all `tensors`, in double precision and a fixed order.
 ///
 /// # Errors
 /// When the device fails.
-pub(super) fn sum_of_squares(x: &Tensor) -> Result<f64> {
-    if is_fused(x) {
-        adam::fused_sum_of_squares(x)
-    } else {
-        x.detach().to_dtype(DType::F64)?.sqr()?.sum_all()?.to_scalar()
+pub(super) fn sum_of_squares(tensors: &[&Tensor]) -> Result<f64> {
+    // What a GPU sums is fetched once, not tensor by tensor.
+    let mut on_gpu = Vec::new();
+    let mut sum = 0.0;
+    for x in tensors {
+        match backend(x) {
+            Backend::Fused => sum += adam::fused_sum_of_squares(x)?,
+            Backend::Kernels => on_gpu.push(cuda::sums_of_squares(x)?),
+            Backend::Plain => sum += x.detach().to_dtype(DType::F64)?.sqr()?.sum_all()?.to_scalar::<f64>()?,
+        }
     }
+    if !on_gpu.is_empty() {
+        sum += Tensor::cat(&on_gpu, 0)?.to_vec1::<f32>()?.into_iter().map(f64::from).sum::<f64>();
+    }
+    Ok(sum)
 }
 
 /// Moves `average` by the share 1 - `decay` towards `value`, in place.
@@ -182,11 +220,23 @@ pub(super) fn sum_of_squares(x: &Tensor) -> Result<f64> {
 /// # Errors
 /// When shapes do not fit.
 pub(super) fn average_step(average: &mut Tensor, value: &Tensor, decay: f64) -> Result<()> {
-    if is_fused(average) && is_fused(value) && average.dims() == value.dims() && average.is_contiguous() {
-        adam::fused_average_step(average, value, decay)
-    } else {
-        *average = ((&*average * decay)? + (value.detach() * (1.0 - decay))?)?;
-        Ok(())
+    if average.dims() != value.dims() {
+        bail!("an average of {:?} does not fit {:?}", average.dims(), value.dims());
+    }
+    match one_backend(&[average, value]) {
+        Backend::Fused => adam::fused_average_step(average, value, decay)?,
+        Backend::Kernels => cuda::average_step(average, value, decay)?,
+        Backend::Plain => *average = ((&*average * decay)? + (value.detach() * (1.0 - decay))?)?,
+    }
+    Ok(())
+}
+
+/// What serves all of these tensors, of which the first is changed in place.
+fn one_backend(tensors: &[&Tensor]) -> Backend {
+    let first = tensors.first().map_or(Backend::Plain, |x| backend(x));
+    match tensors.iter().all(|x| backend(x) == first) && tensors.first().is_some_and(|x| x.is_contiguous()) {
+        true => first,
+        false => Backend::Plain,
     }
 }
 
@@ -211,6 +261,9 @@ fn masked_softmax(scores: &Tensor, mask: &Tensor) -> Result<Tensor> {
     let total = weights.sum_keepdim(D::Minus1)?;
     weights.broadcast_div(&(&total + total.eq(0.0)?.to_dtype(scores.dtype())?)?)
 }
+
+#[cfg(test)]
+pub(crate) use self::cuda::emulate;
 
 #[cfg(test)]
 mod tests;

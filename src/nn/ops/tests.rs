@@ -6,9 +6,9 @@ use super::*;
 use crate::seed::Seed;
 
 /// An operation under test: arguments that get gradients to a result.
-type Op<'a> = &'a dyn Fn(&[Tensor]) -> Result<Tensor>;
+pub(super) type Op<'a> = &'a dyn Fn(&[Tensor]) -> Result<Tensor>;
 
-fn normal(shape: &[usize], seed: u64) -> Tensor {
+pub(super) fn normal(shape: &[usize], seed: u64) -> Tensor {
     let mut rng = Seed(seed).rng();
     let n = shape.iter().product();
     let values: Vec<f32> = (0..n).map(|_| rng.normal() as f32).collect();
@@ -16,14 +16,14 @@ fn normal(shape: &[usize], seed: u64) -> Tensor {
 }
 
 /// A mask that keeps each entry with probability `share`.
-fn mask(shape: &[usize], share: f64, seed: u64) -> Tensor {
+pub(super) fn mask(shape: &[usize], share: f64, seed: u64) -> Tensor {
     let mut rng = Seed(seed).rng();
     let n = shape.iter().product();
     let values: Vec<f32> = (0..n).map(|_| f32::from(u8::from(rng.uniform() < share))).collect();
     Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
 }
 
-fn values(tensor: &Tensor) -> Vec<f64> {
+pub(super) fn values(tensor: &Tensor) -> Vec<f64> {
     tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
 }
 
@@ -51,7 +51,7 @@ fn assert_close(found: &[f64], expected: &[f64], tolerance: f64, what: &str) {
 }
 
 /// Values and gradients of the fused operation agree with the plain one.
-fn check(op: Op<'_>, arguments: &[Tensor], what: &str) {
+pub(super) fn check(op: Op<'_>, arguments: &[Tensor], what: &str) {
     let (fused, plain) = (run(op, arguments, DType::F32), run(op, arguments, DType::F64));
     for (i, (fused, plain)) in fused.iter().zip(&plain).enumerate() {
         assert_close(fused, plain, 1e-5, &format!("{what}, {}", if i == 0 { "result" } else { "gradient" }));
@@ -122,7 +122,7 @@ fn layer_norm_agrees() {
 }
 
 /// A mask (3, 5, 6) with an agent, a timestep and a whole scene of padding.
-fn padded_states() -> Tensor {
+pub(super) fn padded_states() -> Tensor {
     let mut valid = values(&mask(&[3, 5, 6], 0.7, 5));
     for (i, valid) in valid.iter_mut().enumerate() {
         let (batch, agent, timestep) = (i / 30, i / 6 % 5, i % 6);

@@ -12,8 +12,9 @@ pub use overrides::Override;
 
 use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
+use crate::nn::Precision;
 use crate::pipeline::StageId;
-use crate::pipeline::device::DeviceChoice;
+use crate::pipeline::device::{Compute, DeviceChoice};
 use crate::pipeline::failure::{Failure, Result};
 use crate::pipeline::stages::{EvaluateConfig, MineConfig, ReportConfig};
 use crate::train::{BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig};
@@ -67,6 +68,8 @@ pub struct RunConfig {
     pub threads: usize,
     /// What networks compute on: `cpu`, or `cuda` or `cuda:N` for a GPU.
     pub device: DeviceChoice,
+    /// Precision of the matrix products of networks: `f32`, or `tf32` or `bf16` for the tensor cores of a GPU.
+    pub precision: Precision,
     /// The folder that holds the folders of all pipelines.
     pub output: PathBuf,
 }
@@ -78,8 +81,16 @@ impl Default for RunConfig {
             seed: 0,
             threads: 0,
             device: DeviceChoice::default(),
+            precision: Precision::default(),
             output: PathBuf::from("output"),
         }
+    }
+}
+
+impl RunConfig {
+    /// What networks compute on, and how exactly.
+    pub const fn compute(&self) -> Compute {
+        Compute { device: self.device, precision: self.precision }
     }
 }
 

@@ -96,7 +96,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             about: About {
                 pipeline: run.name.clone(),
                 seed: run.seed,
-                device: run.device.to_string(),
+                device: run.compute().to_string(),
                 // A configuration that cannot be written has failed before: it is saved in the run folder.
                 config: config.portable().to_toml().unwrap_or_default(),
             },

@@ -1,0 +1,106 @@
+//! How exactly are the products inside linear maps taken?
+
+use std::fmt;
+use std::str::FromStr;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+use candle_core::{DType, Device, Result, Tensor};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The precision of the matrix products of linear maps. Parameters, activations, sums, gradients and the optimizer are `f32`
+/// throughout.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Precision {
+    /// 24 bits.
+    #[default]
+    F32,
+    /// Factors rounded to 11 bits, sums in `f32`: tensor cores of GPUs since Ampere. Nothing changes on the processor.
+    Tf32,
+    /// Factors and results rounded to 8 bits, sums in `f32`: tensor cores of GPUs. On the processor it gives nearly the same numbers as there and no speed.
+    Bf16,
+}
+
+impl fmt::Display for Precision {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::F32 => "f32",
+            Self::Tf32 => "tf32",
+            Self::Bf16 => "bf16",
+        })
+    }
+}
+
+impl FromStr for Precision {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let known = [Self::F32, Self::Tf32, Self::Bf16].into_iter().find(|precision| precision.to_string() == text);
+        known.ok_or_else(|| format!("unknown precision `{text}`; known here: f32, tf32, bf16"))
+    }
+}
+
+/// What the process has chosen.
+static CHOSEN: AtomicU8 = AtomicU8::new(0);
+
+impl Precision {
+    /// Makes this the precision of all products from now on. It is one for the process, as candle's own switch for TF32 is:
+    /// whoever opens the device says it once, before the first network.
+    pub fn choose(self) {
+        CHOSEN.store(self as u8, Ordering::Relaxed);
+        #[cfg(feature = "cuda")]
+        candle_core::cuda_backend::set_gemm_reduced_precision_f32(self == Self::Tf32);
+    }
+
+    /// What was chosen.
+    pub(super) fn chosen() -> Self {
+        match CHOSEN.load(Ordering::Relaxed) {
+            2 => Self::Bf16,
+            1 => Self::Tf32,
+            _ => Self::F32,
+        }
+    }
+
+    /// The product of two matrices of `f32`, in `f32`.
+    ///
+    /// # Errors
+    /// When shapes do not fit.
+    pub(super) fn product(self, a: &Tensor, b: &Tensor) -> Result<Tensor> {
+        match (self, a.device()) {
+            (Self::F32 | Self::Tf32, _) => a.matmul(b),
+            // candle has no such product on the processor; rounding around one of f32 gives its numbers.
+            (Self::Bf16, Device::Cpu) => rounded(&rounded(a)?.matmul(&rounded(b)?)?),
+            (Self::Bf16, _) => a.to_dtype(DType::BF16)?.matmul(&b.to_dtype(DType::BF16)?)?.to_dtype(a.dtype()),
+        }
+    }
+}
+
+/// The nearest numbers of `bf16`.
+fn rounded(x: &Tensor) -> Result<Tensor> {
+    x.to_dtype(DType::BF16)?.to_dtype(x.dtype())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_and_written_alike() {
+        for precision in [Precision::F32, Precision::Tf32, Precision::Bf16] {
+            assert_eq!(precision.to_string().parse(), Ok(precision));
+        }
+        assert!("fp16".parse::<Precision>().unwrap_err().contains("fp16"));
+    }
+
+    #[test]
+    fn bf16_keeps_eight_bits() {
+        // 1 + 2⁻⁸ lies between 1 and 1 + 2⁻⁷ and goes to the even one; 3 · (1 + 2⁻⁷) = 3.0234375 needs nine bits and is rounded.
+        let a = Tensor::new(&[[1.003_906_2f32, 3.0]], &Device::Cpu).unwrap();
+        let b = Tensor::new(&[[1f32, 0.0], [0.0, 1.007_812_5]], &Device::Cpu).unwrap();
+        let product = |precision: Precision| precision.product(&a, &b).unwrap().to_vec2::<f32>().unwrap();
+        assert_eq!(product(Precision::F32), [[1.003_906_2, 3.023_437_5]]);
+        assert_eq!(product(Precision::Tf32), product(Precision::F32));
+        assert_eq!(product(Precision::Bf16), [[1.0, 3.031_25]]);
+    }
+}
