@@ -51,7 +51,7 @@ pub(super) fn lane(id: i64) -> Lane {
         predecessors: Vec::new(),
         left_neighbor: None,
         right_neighbor: None,
-        attributes: LaneAttributes { one_way: true, kind: "road".to_owned(), ..LaneAttributes::default() },
+        attributes: Arc::new(LaneAttributes { one_way: true, kind: "road".to_owned(), ..LaneAttributes::default() }),
     }
 }
 

@@ -60,7 +60,7 @@ pub(super) fn assemble(
         })
         .collect();
     let lanes = match (map, &lane_ids) {
-        (Some(map), Some(ids)) => map.graph().subset(ids).transformed(&scene_from_world),
+        (Some(map), Some(ids)) => map.graph().subset(ids).into_frame(&scene_from_world),
         _ => LaneGraph::default(),
     };
     counts.count_scene(&raw.source, tracks.len());

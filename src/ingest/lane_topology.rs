@@ -4,6 +4,7 @@ use crate::geometry::angle_difference;
 use crate::scene::{Lane, LaneGraph, LaneId};
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::FRAC_PI_2;
+use std::sync::Arc;
 
 /// Makes a graph of lanes whose connections are as a map lists them.
 ///
@@ -34,7 +35,7 @@ pub(super) fn connect(mut lanes: Vec<Lane>) -> LaneGraph {
             (right, &mut lane.right_neighbor, "opposite_right_neighbor"),
         ] {
             if is_opposite && let Some(id) = neighbor.take() {
-                lane.attributes.tags.insert(tag.to_owned(), id.0.to_string());
+                Arc::make_mut(&mut lane.attributes).tags.insert(tag.to_owned(), id.0.to_string());
             }
         }
     }
@@ -62,7 +63,6 @@ fn runs_against(lane: &Lane, neighbor: &Lane) -> Option<bool> {
 pub(super) mod tests {
     use super::*;
     use crate::geometry::{Polyline, Vec2};
-    use crate::scene::LaneAttributes;
 
     pub(in crate::ingest) fn lane(id: i64, from: (f64, f64), to: (f64, f64)) -> Lane {
         Lane {
@@ -74,7 +74,7 @@ pub(super) mod tests {
             predecessors: Vec::new(),
             left_neighbor: None,
             right_neighbor: None,
-            attributes: LaneAttributes::default(),
+            attributes: Arc::default(),
         }
     }
 

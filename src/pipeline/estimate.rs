@@ -9,8 +9,8 @@ use crate::generate::{GenerateConfig, ResolvedGeneration, ResolvedRequest};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::model::TrainedDenoiser;
 use crate::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource,
-    Split, State, Track, TrackId, TrackRole, Trajectory,
+    AgentClass, Dataset, Extent, Lane, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource, Split, State,
+    Track, TrackId, TrackRole, Trajectory,
 };
 use crate::store::SceneStore;
 use crate::tensor::{FutureValidity, SceneView};
@@ -155,7 +155,7 @@ fn made_up_scene(n_history: usize, n_timesteps: usize, dt_s: f64) -> Scene {
             predecessors: Vec::new(),
             left_neighbor: None,
             right_neighbor: None,
-            attributes: LaneAttributes::default(),
+            attributes: Arc::default(),
         }
     };
     Scene {

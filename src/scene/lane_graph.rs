@@ -3,7 +3,8 @@
 use super::LaneId;
 use crate::geometry::{Polyline, Transform2};
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Which way a lane turns at an intersection (Argoverse 1).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
@@ -54,8 +55,8 @@ pub struct Lane {
     pub left_neighbor: Option<LaneId>,
     /// The lane beside it on the right, in the same direction.
     pub right_neighbor: Option<LaneId>,
-    /// Everything else.
-    pub attributes: LaneAttributes,
+    /// Everything else: shared by all copies of the lane, in whichever frame.
+    pub attributes: Arc<LaneAttributes>,
 }
 
 impl Lane {
@@ -77,12 +78,13 @@ impl LaneGraph {
     pub fn new(mut lanes: Vec<Lane>) -> Self {
         lanes.sort_by_key(|lane| lane.id);
         lanes.dedup_by_key(|lane| lane.id);
-        let known: BTreeSet<LaneId> = lanes.iter().map(|lane| lane.id).collect();
+        let known: Vec<LaneId> = lanes.iter().map(|lane| lane.id).collect();
+        let is_known = |id: &LaneId| known.binary_search(id).is_ok();
         for lane in &mut lanes {
-            lane.successors.retain(|id| known.contains(id));
-            lane.predecessors.retain(|id| known.contains(id));
-            lane.left_neighbor = lane.left_neighbor.filter(|id| known.contains(id));
-            lane.right_neighbor = lane.right_neighbor.filter(|id| known.contains(id));
+            lane.successors.retain(is_known);
+            lane.predecessors.retain(is_known);
+            lane.left_neighbor = lane.left_neighbor.filter(is_known);
+            lane.right_neighbor = lane.right_neighbor.filter(is_known);
         }
         Self { lanes }
     }
@@ -102,20 +104,19 @@ impl LaneGraph {
         self.lanes.binary_search_by_key(&id, |lane| lane.id).ok().map(|i| &self.lanes[i])
     }
 
-    /// The graph in another frame.
+    /// The same graph in another frame.
     pub fn transformed(&self, to_from_here: &Transform2) -> Self {
-        let line = |polyline: &Polyline| Polyline(polyline.0.iter().map(|p| to_from_here.point(*p)).collect());
-        let lanes = self
-            .lanes
-            .iter()
-            .map(|lane| Lane {
-                centerline: line(&lane.centerline),
-                left: line(&lane.left),
-                right: line(&lane.right),
-                ..lane.clone()
-            })
-            .collect();
-        Self { lanes }
+        self.clone().into_frame(to_from_here)
+    }
+
+    /// This graph, moved to another frame in place.
+    #[must_use]
+    pub fn into_frame(mut self, to_from_here: &Transform2) -> Self {
+        for lane in &mut self.lanes {
+            let lines = [&mut lane.centerline, &mut lane.left, &mut lane.right];
+            lines.into_iter().flat_map(|line| &mut line.0).for_each(|point| *point = to_from_here.point(*point));
+        }
+        self
     }
 
     /// The lanes of these ids, with connections among them.

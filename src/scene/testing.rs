@@ -56,7 +56,7 @@ pub(crate) fn scene(drives: &[Drive]) -> Scene {
         predecessors: Vec::new(),
         left_neighbor: None,
         right_neighbor: None,
-        attributes: LaneAttributes::default(),
+        attributes: Arc::default(),
     };
     Scene {
         id: "interaction/train/Test/1".into(),

@@ -8,6 +8,7 @@ use arrow::array::{Int64Array, RecordBatch, StringArray};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Where maps can be looked up: a scene store or a corpus. Lanes are in the recording's frame.
 pub trait MapSource: Sync {
@@ -32,7 +33,13 @@ pub(crate) struct MapTable {
     batches: Vec<(PathBuf, RecordBatch)>,
     /// The rows of each map: ranges of batches, with ascending lane ids over all of them.
     rows: BTreeMap<String, Vec<(usize, Range<usize>)>>,
+    /// Maps that scenes were just read from: the next scene mostly has the same one.
+    decoded: Mutex<BTreeMap<String, Arc<LaneGraph>>>,
 }
+
+/// Maps that are kept decoded, and the most lanes of one: those of whole cities would take too much memory, and a scene few of them.
+const N_DECODED: usize = 8;
+const N_DECODED_LANES: usize = 2000;
 
 impl MapTable {
     /// A table without maps.
@@ -75,6 +82,25 @@ impl MapTable {
         Columns::of_batch(batch, path)
     }
 
+    /// The whole map, if it is small; decoded once for many scenes.
+    fn small_map(&self, id: &MapId) -> Result<Option<Arc<LaneGraph>>> {
+        let n_lanes: usize = self.rows_of(id)?.iter().map(|(_, range)| range.len()).sum();
+        if n_lanes > N_DECODED_LANES {
+            return Ok(None);
+        }
+        let lock = || self.decoded.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(map) = lock().get(&id.0) {
+            return Ok(Some(map.clone()));
+        }
+        let map = Arc::new(self.map(id)?);
+        let mut decoded = lock();
+        if decoded.len() >= N_DECODED {
+            decoded.clear();
+        }
+        decoded.insert(id.0.clone(), map.clone());
+        Ok(Some(map))
+    }
+
     /// The batch and row of a lane.
     fn find(&self, pieces: &[(usize, Range<usize>)], lane_id: LaneId) -> Result<Option<(usize, usize)>> {
         for (batch_idx, range) in pieces {
@@ -95,12 +121,17 @@ impl MapSource for MapTable {
     }
 
     fn lanes(&self, id: &MapId, lane_ids: &[LaneId]) -> Result<LaneGraph> {
+        let missing = |lane_id: &LaneId| Error::NotFound {
+            path: self.dir.clone(),
+            what: format!("lane {} of map {id}", lane_id.0),
+        };
+        if let Some(map) = self.small_map(id)? {
+            let lacks = lane_ids.iter().find(|lane_id| map.get(**lane_id).is_none());
+            return lacks.map_or_else(|| Ok(map.subset(lane_ids)), |lane_id| Err(missing(lane_id)));
+        }
         let pieces = self.rows_of(id)?;
         let decode = |lane_id: &LaneId| {
-            let (batch_idx, row) = self.find(pieces, *lane_id)?.ok_or_else(|| Error::NotFound {
-                path: self.dir.clone(),
-                what: format!("lane {} of map {id}", lane_id.0),
-            })?;
+            let (batch_idx, row) = self.find(pieces, *lane_id)?.ok_or_else(|| missing(lane_id))?;
             lane::decode(&self.columns(batch_idx), row)
         };
         let lanes: Result<Vec<_>> = lane_ids.iter().map(decode).collect();

@@ -28,14 +28,14 @@ pub(crate) fn map(seed: u64, n_lanes: i64) -> LaneGraph {
         predecessors: vec![LaneId(10 * i - 30)],
         left_neighbor: (i % 2 == 0).then_some(LaneId(10 * i)),
         right_neighbor: None,
-        attributes: LaneAttributes {
+        attributes: Arc::new(LaneAttributes {
             kind: "road".to_owned(),
             turn: if i % 3 == 0 { TurnDirection::Left } else { TurnDirection::None },
             is_intersection: i % 2 == 1,
             has_traffic_control: false,
             one_way: true,
             tags: [("speed_limit".to_owned(), format!("{i} km/h"))].into_iter().take(i as usize % 2).collect(),
-        },
+        }),
     });
     LaneGraph::new(lanes.collect())
 }
@@ -48,7 +48,7 @@ pub(crate) fn scene(seed: u64, map: Option<(&MapId, &LaneGraph)>) -> Scene {
     let world_from_scene = Transform2::from_pose(Vec2::new(1987.654321, -1432.1), 3.0 * rng.uniform());
     let lanes = map.map_or_else(LaneGraph::default, |(_, graph)| {
         let near: Vec<LaneId> = graph.lanes().iter().take(4 + rng.below(3)).map(|lane| lane.id).collect();
-        graph.subset(&near).transformed(&world_from_scene.inverse())
+        graph.subset(&near).into_frame(&world_from_scene.inverse())
     });
     Scene {
         id: SceneId(format!("argoverse1/train/PIT/{seed}")),

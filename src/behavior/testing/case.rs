@@ -6,8 +6,8 @@ use super::motion::{Segment, Start, drive};
 use crate::behavior::{BehaviorConfig, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, Scene, SceneSource, Split, State, Track,
-    TrackId, TrackRole, Trajectory,
+    AgentClass, Dataset, Extent, Lane, LaneGraph, LaneId, Scene, SceneSource, Split, State, Track, TrackId, TrackRole,
+    Trajectory,
 };
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -188,7 +188,7 @@ impl LaneSpec {
             predecessors: ids(&self.predecessors),
             left_neighbor: self.left_neighbor.map(LaneId),
             right_neighbor: self.right_neighbor.map(LaneId),
-            attributes: LaneAttributes::default(),
+            attributes: Arc::default(),
         }
     }
 }

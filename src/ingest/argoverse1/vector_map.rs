@@ -184,7 +184,7 @@ impl Way {
             predecessors: self.predecessors,
             left_neighbor: self.left_neighbor,
             right_neighbor: self.right_neighbor,
-            attributes,
+            attributes: attributes.into(),
         })
     }
 }

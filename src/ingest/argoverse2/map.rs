@@ -5,6 +5,7 @@ use crate::ingest::lane_topology::connect;
 use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId};
 use serde::Deserialize;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Lanes for bicycles are left out: nobody whom the models drive uses them.
 const DRIVING_LANES: [&str; 2] = ["VEHICLE", "BUS"];
@@ -73,13 +74,13 @@ impl LaneSegment {
             predecessors: ids(self.predecessors),
             left_neighbor: self.left_neighbor_id.map(LaneId),
             right_neighbor: self.right_neighbor_id.map(LaneId),
-            attributes: LaneAttributes {
+            attributes: Arc::new(LaneAttributes {
                 kind: self.lane_type,
                 is_intersection: self.is_intersection,
                 one_way: true,
                 tags,
                 ..LaneAttributes::default()
-            },
+            }),
         })
     }
 }

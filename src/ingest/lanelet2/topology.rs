@@ -44,7 +44,7 @@ pub(super) fn connect(lanelets: Vec<Lanelet>) -> Result<Vec<Lane>, usize> {
             centerline: lanelet.centerline,
             left: lanelet.left.line,
             right: lanelet.right.line,
-            attributes: lanelet.attributes,
+            attributes: lanelet.attributes.into(),
         }
     };
     Ok(lanelets.into_iter().map(lane).collect())

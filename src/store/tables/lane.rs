@@ -8,6 +8,7 @@ use crate::store::{Error, Result};
 use arrow::array::RecordBatch;
 use arrow::datatypes::{DataType, Field, Float64Type, Int64Type};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// `lane.v1`.
 pub(crate) fn schema() -> TableSchema {
@@ -112,14 +113,14 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Lane> {
         predecessors: ids("predecessors")?,
         left_neighbor: neighbor("left_neighbor")?,
         right_neighbor: neighbor("right_neighbor")?,
-        attributes: LaneAttributes {
+        attributes: Arc::new(LaneAttributes {
             kind: columns.text("kind", row)?.to_owned(),
             turn: columns.named("turn", row, turn_from_name)?,
             is_intersection: columns.flag("is_intersection", row)?,
             has_traffic_control: columns.flag("has_traffic_control", row)?,
             one_way: columns.flag("one_way", row)?,
             tags: decode_tags(columns, row)?,
-        },
+        }),
     })
 }
 

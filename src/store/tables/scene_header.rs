@@ -155,7 +155,7 @@ impl SceneHeader {
         }
         let map_id = self.scene.map_id.as_ref().ok_or_else(|| Error::corrupt(path, "a scene has lanes but no map"))?;
         let lanes = maps.lanes(map_id, &self.lane_ids)?;
-        Ok(lanes.transformed(&self.scene.world_from_scene.inverse()))
+        Ok(lanes.into_frame(&self.scene.world_from_scene.inverse()))
     }
 
     /// The scene with its tracks and lanes, both in the scene frame.

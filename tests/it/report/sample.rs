@@ -10,8 +10,8 @@ use djinn::report::{
     SamplingRow, SceneCard, TrainingSummary, ValidityRow, Verdict, Warning,
 };
 use djinn::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource,
-    Split, State, Track, TrackId, TrackRole, Trajectory,
+    AgentClass, Dataset, Extent, Lane, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource, Split, State,
+    Track, TrackId, TrackRole, Trajectory,
 };
 use djinn::seed::Seed;
 use djinn::store::MetricRow;
@@ -483,6 +483,6 @@ fn lane(i: i64) -> Lane {
         predecessors: vec![],
         left_neighbor: None,
         right_neighbor: None,
-        attributes: LaneAttributes::default(),
+        attributes: Arc::default(),
     }
 }
