@@ -2,6 +2,7 @@
 
 use crate::seed::Seed;
 use candle_core::{DType, Device, Result, Tensor};
+use rayon::prelude::*;
 
 /// Gaussian noise with a stream of its own for every batch row, drawn on the host.
 ///
@@ -26,12 +27,12 @@ impl NoiseSource {
 
     /// Standard normal noise of shape (B, `row_dims`…), where B is the number of seeds.
     pub fn draw(&mut self, row_dims: &[usize], dtype: DType, device: &Device) -> Result<Tensor> {
-        let row_len = row_dims.iter().product();
-        let mut values = Vec::with_capacity(self.seeds.len() * row_len);
-        for seed in &self.seeds {
+        let row_len: usize = row_dims.iter().product();
+        let mut values = vec![0.0; self.seeds.len() * row_len];
+        values.par_chunks_mut(row_len.max(1)).zip(&self.seeds).for_each(|(row, seed)| {
             let mut rng = seed.derive("draw", &[self.n_draws]).rng();
-            values.extend((0..row_len).map(|_| rng.normal()));
-        }
+            row.iter_mut().for_each(|value| *value = rng.normal());
+        });
         self.n_draws += 1;
         let dims: Vec<usize> = [self.seeds.len()].into_iter().chain(row_dims.iter().copied()).collect();
         // The draws are f64 whatever the dtype, so that f32 and f64 runs see the same noise.

@@ -8,6 +8,7 @@ use super::{FeatureLayout, Normalizer, SceneBatch, StateParametrization};
 use crate::geometry::{Transform2, Vec2, angle_difference, unwrap_angles};
 use crate::scene::{ObservationMask, Scene};
 use candle_core::{Device, Result, Tensor};
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Which of the states that are not observed are to be generated.
@@ -74,7 +75,7 @@ impl Collator {
     pub fn collate(&self, views: &[SceneView<'_>], validity: FutureValidity, device: &Device) -> Result<SceneBatch> {
         let frames: Vec<AgentFrame> = views.iter().map(|view| self.frame(view)).collect();
         let lanes: Vec<Vec<[f32; FeatureLayout::LANE]>> = views
-            .iter()
+            .par_iter()
             .zip(&frames)
             .map(|(view, frame)| {
                 lane_polylines(&view.scene.lanes, &frame.ego_from_scene, &self.normalizer, self.max_lanes)

@@ -1,7 +1,7 @@
 //! From scenes to a Scene Transformer checkpoint: constants, network, training, file.
 
 use super::training_data::{SceneConstants, TrainingData};
-use super::{BaselineTraining, Error, FitStatistics, JointFuturesTask, SceneDraws, fit};
+use super::{Ahead, BaselineTraining, Error, FitStatistics, JointFuturesTask, SceneDraws, fit};
 use crate::model::{SceneTransformer, SceneTransformerKind, SceneTransformerSpec};
 use crate::nn::Params;
 use crate::progress::Progress;
@@ -70,6 +70,7 @@ pub fn train_baseline(
         batch_size: training.batch_size,
         seed,
         device,
+        ahead: Ahead::default(),
     };
     let task = JointFuturesTask { network: &network, frozen: &frozen, mode_loss: training.mode_loss, draws };
     let outcome = fit(&training.fit, &mut params, &task, dir, progress)?;

@@ -119,6 +119,10 @@ impl TrainTask for ConsistencyTask<'_> {
         self.disagreement(self.denoiser, &batch, &levels, &mut NoiseSource::new(seeds))
     }
 
+    fn prepare(&self, step: u64) -> Result<(), Error> {
+        self.draws.prepare(step)
+    }
+
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
         // Always with the gap of the last stage, so that evaluations of all stages compare.
         let last = self.training.gap.n_stages.saturating_sub(1);

@@ -1,7 +1,7 @@
 //! From scenes to a denoiser checkpoint: constants, network, training, file.
 
 use super::training_data::{SceneConstants, TrainingData};
-use super::{DenoiserTraining, DenoisingTask, Error, FitStatistics, SceneDraws, fit};
+use super::{Ahead, DenoiserTraining, DenoisingTask, Error, FitStatistics, SceneDraws, fit};
 use crate::model::{DenoiserKind, DenoiserSpec, SceneDenoiser};
 use crate::nn::{Checkpoint, Params};
 use crate::progress::Progress;
@@ -62,6 +62,7 @@ pub fn train_denoiser(
         batch_size: training.batch_size,
         seed,
         device,
+        ahead: Ahead::default(),
     };
     let task = DenoisingTask { denoiser: &denoiser, frozen: &frozen, training, draws };
     let outcome = fit(&training.fit, &mut params, &task, dir, progress)?;

@@ -59,6 +59,10 @@ impl TrainTask for DenoisingTask<'_> {
         self.weighted_error(self.denoiser, &batch, &sigmas, &mut NoiseSource::new(seeds))
     }
 
+    fn prepare(&self, step: u64) -> Result<(), Error> {
+        self.draws.prepare(step)
+    }
+
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
         let mut sums = [0.0; EVALUATION_SIGMAS.len()];
         for chunk in self.draws.held_out_chunks() {

@@ -1,6 +1,6 @@
 //! From a denoiser's checkpoint to that of a consistency model.
 
-use super::{ConsistencyTask, DenoiserOutcome, DistillTraining, Error, SceneDraws, TrainingData, fit};
+use super::{Ahead, ConsistencyTask, DenoiserOutcome, DistillTraining, Error, SceneDraws, TrainingData, fit};
 use crate::model::{DenoiserSpec, SceneDenoiser};
 use crate::nn::{Checkpoint, Params};
 use crate::progress::Progress;
@@ -50,6 +50,7 @@ pub fn distill_denoiser(
         batch_size: training.batch_size,
         seed,
         device,
+        ahead: Ahead::default(),
     };
     let task = ConsistencyTask { denoiser: &denoiser, frozen: &frozen, training, draws };
     let outcome = fit(&training.fit, &mut params, &task, dir, progress)?;

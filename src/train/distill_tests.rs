@@ -115,6 +115,7 @@ fn every_parameter_receives_a_gradient_in_every_stage() {
         batch_size: 8,
         seed: Seed(2),
         device: &Device::Cpu,
+        ahead: Ahead::default(),
     };
     let task = ConsistencyTask { denoiser: &denoiser, frozen: &frozen, training: &training, draws };
     for step in [0, 59] {

@@ -70,6 +70,14 @@ pub trait TrainTask {
     /// When the batch cannot be made.
     fn loss(&self, step: u64) -> Result<Tensor, Error>;
 
+    /// Makes what it can of the next `step` in advance. It is called while a GPU computes the step before, which it must not wait for.
+    ///
+    /// # Errors
+    /// When the batch cannot be made.
+    fn prepare(&self, _step: u64) -> Result<(), Error> {
+        Ok(())
+    }
+
     /// Figures on held-out data with the present parameters, by name.
     ///
     /// # Errors
@@ -216,11 +224,15 @@ impl Run {
     fn step(&mut self, config: &FitConfig, params: &Params, task: &dyn TrainTask) -> Result<(), Error> {
         let step = self.position.step;
         let loss = task.loss(step)?;
+        let gradients = loss.backward()?;
+        // A GPU has only been told all this. The host reads and pads the next scenes before it waits for the first number.
+        if step + 1 < config.steps {
+            task.prepare(step + 1)?;
+        }
         let value = f64::from(loss.to_dtype(candle_core::DType::F32)?.to_scalar::<f32>()?);
         if !value.is_finite() {
             return Err(Error::Diverged { step, loss: value });
         }
-        let gradients = loss.backward()?;
         let norm = self.adam.step(params, &gradients, config.learning_rate_at(step), Some(config.clip_norm))?;
         if let Some(ema) = &mut self.ema {
             ema.update(params)?;

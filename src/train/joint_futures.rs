@@ -78,6 +78,10 @@ impl TrainTask for JointFuturesTask<'_> {
         Ok((regression + (mode * self.mode_loss)?)?)
     }
 
+    fn prepare(&self, step: u64) -> std::result::Result<(), Error> {
+        self.draws.prepare(step)
+    }
+
     fn evaluate(&self) -> std::result::Result<BTreeMap<String, f64>, Error> {
         let mut sums = [0.0; 2];
         for chunk in self.draws.held_out_chunks() {

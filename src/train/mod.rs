@@ -41,5 +41,5 @@ pub use fit::{FitConfig, FitOutcome, FitStatistics, LearningRateDecay, TrainTask
 pub use joint_futures::{JointFuturesTask, JointLoss};
 pub use pair_examples::{MinedEvent, PairExample, PairExamples};
 pub use preset::{DenoiserTraining, DenoiserTrainingConfig, Preset};
-pub use scene_draws::{DrawnBatch, SceneDataset, SceneDraws};
+pub use scene_draws::{Ahead, DrawnBatch, SceneDataset, SceneDraws};
 pub use training_data::TrainingData;

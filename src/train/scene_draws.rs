@@ -6,6 +6,8 @@ use crate::scene::{ObservationMask, Scene};
 use crate::seed::{Seed, SeededRng};
 use crate::tensor::{Collator, FutureValidity, MaskSampler, SceneBatch, SceneView};
 use candle_core::Device;
+use rayon::prelude::*;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Scenes by index, such as a store's.
 pub trait SceneDataset: Sync {
@@ -42,6 +44,17 @@ pub struct SceneDraws<'a> {
     pub seed: Seed,
     /// Where tensors live.
     pub device: &'a Device,
+    /// What is kept from step to step; empty at first.
+    pub ahead: Ahead,
+}
+
+/// What was made before it was asked for. It changes when things are computed, never what.
+#[derive(Default)]
+pub struct Ahead {
+    /// The last epoch and its shuffle.
+    shuffle: Mutex<Option<(u64, Arc<[usize]>)>>,
+    /// A step and its batch.
+    batch: Mutex<Option<(u64, DrawnBatch)>>,
 }
 
 /// The batch of a training step.
@@ -62,16 +75,34 @@ struct Drawn {
 }
 
 impl SceneDraws<'_> {
-    /// The batch of `step`.
+    /// The batch of `step`: the one that [`prepare`](Self::prepare) made, or a new one.
     ///
     /// # Errors
     /// When a scene cannot be loaded.
     pub fn training_batch(&self, step: u64) -> Result<DrawnBatch, Error> {
+        let prepared = self.ahead.batch.lock().unwrap_or_else(PoisonError::into_inner).take();
+        match prepared {
+            Some((of_step, batch)) if of_step == step => Ok(batch),
+            _ => self.draw_batch(step),
+        }
+    }
+
+    /// Makes the batch of `step` before it is asked for.
+    ///
+    /// # Errors
+    /// When a scene cannot be loaded.
+    pub fn prepare(&self, step: u64) -> Result<(), Error> {
+        let batch = self.draw_batch(step)?;
+        *self.ahead.batch.lock().unwrap_or_else(PoisonError::into_inner) = Some((step, batch));
+        Ok(())
+    }
+
+    fn draw_batch(&self, step: u64) -> Result<DrawnBatch, Error> {
         let indices = self.batch_indices(step);
         let seeds: Vec<Seed> = (0..indices.len() as u64).map(|row| self.seed.derive("row", &[step, row])).collect();
         let mut rngs: Vec<SeededRng> = seeds.iter().map(|seed| seed.derive("draws", &[]).rng()).collect();
-        let drawn: Vec<Drawn> =
-            indices.iter().zip(&mut rngs).map(|(idx, rng)| self.draw(*idx, rng)).collect::<Result<_, _>>()?;
+        let drawn = indices.par_iter().zip(&mut rngs).map(|(idx, rng)| self.draw(*idx, rng));
+        let drawn: Vec<Drawn> = drawn.collect::<Result<_, _>>()?;
         Ok(DrawnBatch { batch: self.collate(&drawn)?, seeds, rngs })
     }
 
@@ -96,21 +127,22 @@ impl SceneDraws<'_> {
     /// Which scenes make the batch of `step`: consecutive entries of a shuffle that each epoch has its own of.
     fn batch_indices(&self, step: u64) -> Vec<usize> {
         let (n, batch_size) = (self.train.len() as u64, self.batch_size as u64);
-        let mut shuffle: Option<(u64, Vec<usize>)> = None;
         (step * batch_size..(step + 1) * batch_size)
-            .map(|position| {
-                let (epoch, at) = (position / n, (position % n) as usize);
-                let order = match &shuffle {
-                    Some((of_epoch, order)) if *of_epoch == epoch => order,
-                    _ => {
-                        let mut order = self.train.to_vec();
-                        self.seed.derive("epoch", &[epoch]).rng().shuffle(&mut order);
-                        &shuffle.insert((epoch, order)).1
-                    }
-                };
-                order[at]
-            })
+            .map(|position| self.shuffle_of(position / n)[(position % n) as usize])
             .collect()
+    }
+
+    /// The scenes to train on, in the order of an epoch.
+    fn shuffle_of(&self, epoch: u64) -> Arc<[usize]> {
+        let mut shuffle = self.ahead.shuffle.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*shuffle {
+            Some((of_epoch, order)) if *of_epoch == epoch => order.clone(),
+            _ => {
+                let mut order = self.train.to_vec();
+                self.seed.derive("epoch", &[epoch]).rng().shuffle(&mut order);
+                shuffle.insert((epoch, order.into())).1.clone()
+            }
+        }
     }
 
     fn draw(&self, scene_idx: usize, rng: &mut SeededRng) -> Result<Drawn, Error> {

@@ -7,6 +7,7 @@ use crate::progress::Silent;
 use crate::scene::Scene;
 use crate::scene::testing::{Drive, scene};
 use crate::seed::Seed;
+use crate::tensor::MaskSampler;
 use candle_core::Device;
 use std::path::Path;
 
@@ -117,6 +118,36 @@ fn the_same_seed_gives_the_same_checkpoint_and_an_interruption_changes_nothing()
     let resumed = train(&dataset, &training(25), killed.path()).unwrap();
     assert_eq!(resumed.fingerprint, expected.fingerprint);
     assert_eq!(resumed.statistics, expected.statistics);
+}
+
+#[test]
+fn a_batch_made_in_advance_is_the_one_that_would_be_drawn() {
+    let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(20));
+    let training = training(1);
+    let spec = train(&dataset, &training, dir.path()).unwrap().spec;
+    let (collator, masks) = (spec.collator(), MaskSampler::new(&training.tasks).unwrap());
+    let draws = || SceneDraws {
+        collator: &collator,
+        dataset: &dataset,
+        train: &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9],
+        held_out: &[],
+        masks: &masks,
+        batch_size: 4,
+        seed: Seed(3),
+        device: &Device::Cpu,
+        ahead: Ahead::default(),
+    };
+    let values = |drawn: DrawnBatch| {
+        let of = |x: &candle_core::Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        (of(&drawn.batch.x0), of(&drawn.batch.latent), of(&drawn.batch.lanes), drawn.seeds)
+    };
+    let ahead = draws();
+    // Ten scenes in batches of four: step 2 takes the end of one epoch and the beginning of the next.
+    for (prepared, asked) in [(2, 2), (3, 7), (8, 2)] {
+        ahead.prepare(prepared).unwrap();
+        let expected = values(draws().training_batch(asked).unwrap());
+        assert!(values(ahead.training_batch(asked).unwrap()) == expected, "{prepared} {asked}");
+    }
 }
 
 #[test]

@@ -15,7 +15,7 @@ use djinn::store::SceneStore;
 use djinn::tensor::{
     FutureValidity, MaskSampler, NormalizerFit, SceneBatch, SceneView, StateParametrization, TaskWeights,
 };
-use djinn::train::{DrawnBatch, SceneDraws};
+use djinn::train::{Ahead, DrawnBatch, SceneDraws};
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -108,6 +108,7 @@ fn compare(options: &Options) -> Result<()> {
         batch_size: options.batch_size,
         seed: SEED,
         device: &Device::Cpu,
+        ahead: Ahead::default(),
     };
     // The first round warms both up and checks that they agree; it is not counted.
     let batches: Vec<Noisy> = (0..=options.n_rounds as u64)

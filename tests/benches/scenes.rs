@@ -2,7 +2,7 @@
 
 use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, Scene, SceneSource, Split, State, Track,
+    AgentClass, Dataset, Extent, Lane, LaneGraph, LaneId, Scene, SceneSource, Split, State, Track,
     TrackId, TrackRole, Trajectory,
 };
 use std::sync::Arc;
@@ -41,7 +41,7 @@ pub(crate) fn scene(n_agents: usize, n_timesteps: usize, n_history: usize, n_lan
             predecessors: Vec::new(),
             left_neighbor: None,
             right_neighbor: None,
-            attributes: LaneAttributes::default(),
+            attributes: Arc::default(),
         }
     };
     Scene {
