@@ -121,6 +121,11 @@ fn compare(options: &Options) -> Result<()> {
     spec.write(&params, &folder.path().join("model.safetensors"))?;
     write_inputs(&folder.path().join("inputs.safetensors"), &batches, &scene)?;
     describe(options, &batches, &scene);
+    let (drawn, elapsed) = timed(|| {
+        let steps = 1000..1000 + 200u64.div_ceil(options.batch_size as u64);
+        steps.map(|step| Ok(noisy(draws.training_batch(step)?, &spec.edm)?.batch.x0.dim(0)?)).sum::<Result<usize>>()
+    });
+    println!("scenes read, drawn, padded and noised for training: {:.0} a second", drawn? as f64 / elapsed.wall_s);
     let mut peer = Peer::start(&options.python, folder.path())?;
 
     let forward =
