@@ -125,7 +125,10 @@ fn compare(options: &Options) -> Result<()> {
         let steps = 1000..1000 + 200u64.div_ceil(options.batch_size as u64);
         steps.map(|step| Ok(noisy(draws.training_batch(step)?, &spec.edm)?.batch.x0.dim(0)?)).sum::<Result<usize>>()
     });
-    println!("scenes read, drawn, padded and noised for training: {:.0} a second", drawn? as f64 / elapsed.wall_s);
+    println!(
+        "scenes read, drawn, padded and noised for training: {:.0} a second of the processor",
+        drawn? as f64 / elapsed.cpu_s
+    );
     let mut peer = Peer::start(&options.python, folder.path())?;
 
     let forward =
