@@ -1,0 +1,63 @@
+//! Arguments of `djinn export`.
+
+use crate::export::ExportFormat;
+use std::path::PathBuf;
+
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct ExportArgs {
+    /// The format to write
+    #[arg(value_parser = FormatParser)]
+    pub(in crate::cli) format: ExportFormat,
+    /// The corpus: the folder that `evaluate` wrote
+    #[arg(value_name = "CORPUS")]
+    pub(in crate::cli) corpus: PathBuf,
+    /// The folder to write into: a new or an empty one
+    #[arg(short, long, value_name = "DIR")]
+    pub(in crate::cli) out: PathBuf,
+    /// Only scenarios in which the behavior that was asked for was found
+    #[arg(long)]
+    pub(in crate::cli) only_verified: bool,
+    /// Only scenarios that were accepted: verified, valid and no near-duplicates
+    #[arg(long)]
+    pub(in crate::cli) only_accepted: bool,
+    /// Only scenarios for which this behavior was asked for, such as cut_in
+    #[arg(long, value_name = "NAME")]
+    pub(in crate::cli) behavior: Option<String>,
+    /// Only scenarios of this sweep
+    #[arg(long, value_name = "NAME")]
+    pub(in crate::cli) sweep: Option<String>,
+    /// Only the scenario with this id (may be repeated)
+    #[arg(long = "scenario", value_name = "ID")]
+    pub(in crate::cli) scenarios: Vec<String>,
+    /// At most this many scenarios, the first ones of the corpus
+    #[arg(long, value_name = "N", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
+    pub(in crate::cli) limit: Option<usize>,
+    /// Leave the ego to your driving function: write its start alone (commonroad, openscenario)
+    #[arg(long)]
+    pub(in crate::cli) free_ego: bool,
+}
+
+/// Reads the name of a format; help and errors list them all.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::cli) struct FormatParser;
+
+impl clap::builder::TypedValueParser for FormatParser {
+    type Value = ExportFormat;
+
+    fn parse_ref(
+        &self,
+        command: &clap::Command,
+        arg: Option<&clap::Arg>,
+        value: &std::ffi::OsStr,
+    ) -> Result<Self::Value, clap::Error> {
+        let names = clap::builder::PossibleValuesParser::new(ExportFormat::ALL.map(ExportFormat::name));
+        let name = names.parse_ref(command, arg, value)?;
+        let format = ExportFormat::ALL.into_iter().find(|format| format.name() == name);
+        format.ok_or_else(|| clap::Error::new(clap::error::ErrorKind::InvalidValue).with_cmd(command))
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = clap::builder::PossibleValue> + '_>> {
+        let value = |format: ExportFormat| clap::builder::PossibleValue::new(format.name()).help(format.description());
+        Some(Box::new(ExportFormat::ALL.into_iter().map(value)))
+    }
+}

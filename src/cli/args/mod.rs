@@ -1,0 +1,152 @@
+//! Which commands and options are there?
+
+mod corpus;
+mod export;
+mod stages;
+
+pub(in crate::cli) use self::corpus::CorpusCommand;
+pub(in crate::cli) use self::export::ExportArgs;
+use self::stages::{DenoiserArg, EvaluateArgs, GenerateArgs, IngestArgs, MineArgs, ScenesArg, not_for_comparisons};
+pub(in crate::cli) use self::stages::{ReportArgs, StageArgs, TrainCommand};
+use super::help;
+use crate::nn::Precision;
+use crate::pipeline::DeviceChoice;
+use clap::{Parser, Subcommand};
+use std::path::PathBuf;
+
+/// Turns traffic recordings into a checked corpus of new scenarios that hold rare events, such as cut-ins.
+#[derive(Debug, Parser)]
+#[command(name = "djinn", version, after_help = help::TOP, max_term_width = 120)]
+pub(in crate::cli) struct Args {
+    #[command(subcommand)]
+    pub(in crate::cli) command: Command,
+    #[command(flatten)]
+    pub(in crate::cli) output: OutputArgs,
+}
+
+/// What is printed and how fast it goes; for all commands.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct OutputArgs {
+    /// Print no progress, only results, warnings and errors
+    #[arg(short, long, global = true, help_heading = "Global options")]
+    pub(in crate::cli) quiet: bool,
+    /// Say more about what is done and why
+    #[arg(short, long, global = true, conflicts_with = "quiet", help_heading = "Global options")]
+    pub(in crate::cli) verbose: bool,
+    /// Print lines instead of progress bars, as is done where stderr is no terminal
+    #[arg(long, global = true, help_heading = "Global options")]
+    pub(in crate::cli) no_progress: bool,
+    /// Number of worker threads, 0 for one a core; results do not depend on it
+    #[arg(long, value_name = "N", global = true, help_heading = "Global options")]
+    pub(in crate::cli) threads: Option<usize>,
+}
+
+#[derive(Debug, Subcommand)]
+pub(in crate::cli) enum Command {
+    /// Run all stages of a pipeline file
+    #[command(after_help = help::RUN)]
+    Run(RunArgs),
+    /// Read recordings and write scenes
+    #[command(after_help = help::INGEST)]
+    Ingest(IngestArgs),
+    /// Find behaviors in scenes and write events
+    #[command(after_help = help::MINE)]
+    Mine(MineArgs),
+    /// Train a model on scenes
+    #[command(subcommand)]
+    Train(TrainCommand),
+    /// Sample new scenarios from recorded histories
+    #[command(after_help = help::GENERATE)]
+    Generate(GenerateArgs),
+    /// Measure generated scenarios, check the quality gates and write the corpus
+    #[command(after_help = help::EVALUATE)]
+    Evaluate(EvaluateArgs),
+    /// Write a page for people about what was generated, or compare two runs
+    #[command(after_help = help::REPORT, mut_arg("output", not_for_comparisons))]
+    Report(ReportArgs),
+    /// Check, merge, filter, sample and compare finished corpora
+    #[command(subcommand)]
+    Corpus(CorpusCommand),
+    /// Write a corpus in a format that others read: recordings, simulation, scenario databases
+    #[command(after_help = help::EXPORT)]
+    Export(ExportArgs),
+    /// Generate one scenario again and compare it with its row
+    #[command(after_help = help::REGENERATE)]
+    Regenerate(RegenerateArgs),
+    /// Say what a file or folder of ours holds
+    #[command(after_help = help::INSPECT)]
+    Inspect(InspectArgs),
+}
+
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct RunArgs {
+    /// The pipeline file
+    #[arg(value_name = "PIPELINE.toml")]
+    pub(in crate::cli) pipeline: PathBuf,
+    /// Override a value of the file, such as generate.sweeps.0.n_samples=2 (may be repeated)
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub(in crate::cli) set: Vec<String>,
+    /// Print the resolved configuration and which stages would run, and write nothing
+    #[arg(long)]
+    pub(in crate::cli) dry_run: bool,
+    /// The folder that holds the folders of all pipelines [default: run.output of the file, or output]
+    #[arg(long, value_name = "DIR")]
+    pub(in crate::cli) output: Option<PathBuf>,
+    /// Name of the run; the same name again resumes it
+    #[arg(long, value_name = "NAME", default_value = "main")]
+    pub(in crate::cli) run: String,
+}
+
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct RegenerateArgs {
+    /// The scenario: its scenario_id
+    #[arg(value_name = "SCENARIO_ID")]
+    pub(in crate::cli) scenario: String,
+    /// The run folder that it was generated in [default: the folder that holds the corpus, or the current one]
+    #[arg(long, value_name = "RUN_FOLDER")]
+    pub(in crate::cli) from: Option<PathBuf>,
+    /// Compare with its row in this corpus instead of that among the run's samples
+    #[arg(long, value_name = "DIR")]
+    pub(in crate::cli) corpus: Option<PathBuf>,
+    /// Write what came out into this file, a sample shard of one row
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) out: Option<PathBuf>,
+    /// What to compute on: cpu, cuda or cuda:N, as in run.device; only the same kind gives the same bytes
+    #[arg(long, default_value_t)]
+    pub(in crate::cli) device: DeviceChoice,
+    /// Precision of matrix products: f32, tf32 or bf16, as in run.precision
+    #[arg(long, default_value_t)]
+    pub(in crate::cli) precision: Precision,
+    #[command(flatten)]
+    pub(in crate::cli) scenes: ScenesArg,
+    #[command(flatten)]
+    pub(in crate::cli) denoiser: DenoiserArg,
+    /// The folder of the distilled denoiser [default: distilled in the run folder]
+    #[arg(long, value_name = "DIR")]
+    pub(in crate::cli) distilled: Option<PathBuf>,
+    /// The folder of the classifier [default: classifier in the run folder]
+    #[arg(long, value_name = "DIR")]
+    pub(in crate::cli) classifier: Option<PathBuf>,
+    /// The folder of the baseline [default: baseline in the run folder]
+    #[arg(long, value_name = "DIR")]
+    pub(in crate::cli) baseline: Option<PathBuf>,
+}
+
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct InspectArgs {
+    /// A scene store, event table, checkpoint, sample folder or shard, corpus, run folder or report
+    pub(in crate::cli) path: PathBuf,
+    /// Print JSON instead of text
+    #[arg(long)]
+    pub(in crate::cli) json: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_definition_is_consistent() {
+        <Args as clap::CommandFactory>::command().debug_assert();
+    }
+}
