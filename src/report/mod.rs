@@ -39,6 +39,7 @@ pub use model::{
 };
 pub use plain::{PlainRow, PlainSection, PlainTable};
 pub use quantities::{MotionDistributions, event_distributions};
+pub use summaries::MiningTally;
 pub use tally::SamplingTally;
 pub use tradeoffs::tradeoffs;
 pub use wilson::{Interval, wilson_interval};

@@ -7,43 +7,69 @@ use crate::store::SceneIndexEntry;
 use crate::train::FitStatistics;
 use std::collections::{BTreeMap, BTreeSet};
 
-impl MiningSummary {
-    /// Counts the `events` of each of `behaviors` by split and place of the `scenes` that were searched.
-    pub fn of(behaviors: &[&str], scenes: &[&SceneIndexEntry], events: &[BehaviorEvent]) -> Self {
-        let mut parts: BTreeMap<(&str, &str), BTreeSet<&SceneId>> = BTreeMap::new();
-        let mut part_of: BTreeMap<&SceneId, (&str, &str)> = BTreeMap::new();
-        for scene in scenes {
-            let part = (scene.split.name(), scene.place.as_str());
-            parts.entry(part).or_default().insert(&scene.id);
-            part_of.insert(&scene.id, part);
+/// Counts mined events of each behavior by split and place, without keeping them.
+pub struct MiningTally<'a> {
+    behaviors: Vec<&'a str>,
+    /// Split and place of each scene that is searched.
+    part_of: BTreeMap<&'a SceneId, Part<'a>>,
+    n_scenes: BTreeMap<Part<'a>, u64>,
+    /// Positive and negative events of a behavior in a part.
+    labels: BTreeMap<(&'a str, Part<'a>), [u64; 2]>,
+    /// Scenes with positive ones.
+    with: BTreeMap<(&'a str, Part<'a>), BTreeSet<&'a SceneId>>,
+    n_events: u64,
+}
+
+/// Split and place.
+type Part<'a> = (&'a str, &'a str);
+
+impl<'a> MiningTally<'a> {
+    /// Nothing found yet of `behaviors` in the `scenes` that are searched.
+    pub fn new(behaviors: &[&'a str], scenes: impl IntoIterator<Item = &'a SceneIndexEntry>) -> Self {
+        let part = |scene: &'a SceneIndexEntry| (&scene.id, (scene.split.name(), scene.place.as_str()));
+        let part_of: BTreeMap<_, _> = scenes.into_iter().map(part).collect();
+        let mut n_scenes = BTreeMap::new();
+        part_of.values().for_each(|part| *n_scenes.entry(*part).or_default() += 1);
+        let behaviors = behaviors.to_vec();
+        Self { behaviors, part_of, n_scenes, labels: BTreeMap::new(), with: BTreeMap::new(), n_events: 0 }
+    }
+
+    /// Counts an event; one of another behavior, or of a scene that is not searched, only among all.
+    pub fn add(&mut self, event: &BehaviorEvent) {
+        self.n_events += 1;
+        let behavior = self.behaviors.iter().find(|behavior| **behavior == event.behavior);
+        let (Some(behavior), Some((scene_id, part))) = (behavior, self.part_of.get_key_value(&event.scene_id)) else {
+            return;
+        };
+        let is_positive = event.label == EventLabel::Positive;
+        self.labels.entry((*behavior, *part)).or_default()[usize::from(!is_positive)] += 1;
+        if is_positive {
+            self.with.entry((*behavior, *part)).or_default().insert(*scene_id);
         }
-        let mut counts = Vec::new();
-        for behavior in behaviors {
-            let mut with: BTreeMap<(&str, &str), BTreeSet<&SceneId>> = BTreeMap::new();
-            let mut labels: BTreeMap<(&str, &str), [u64; 2]> = BTreeMap::new();
-            for event in events.iter().filter(|event| event.behavior == *behavior) {
-                let Some(part) = part_of.get(&event.scene_id).copied() else { continue };
-                let is_positive = event.label == EventLabel::Positive;
-                labels.entry(part).or_default()[usize::from(!is_positive)] += 1;
-                if is_positive {
-                    with.entry(part).or_default().insert(&event.scene_id);
-                }
+    }
+
+    /// Number of all events so far.
+    pub const fn n_events(&self) -> u64 {
+        self.n_events
+    }
+
+    /// The counts: one row for each behavior and part, also where nothing was found.
+    pub fn finish(&self) -> MiningSummary {
+        let row = |behavior: &'a str, (part, n_scenes): (&Part<'a>, &u64)| {
+            let [n_positive, n_negative] = self.labels.get(&(behavior, *part)).copied().unwrap_or_default();
+            BehaviorCount {
+                behavior: behavior.to_owned(),
+                split: part.0.to_owned(),
+                place: part.1.to_owned(),
+                n_scenes: *n_scenes,
+                n_scenes_with: self.with.get(&(behavior, *part)).map_or(0, BTreeSet::len) as u64,
+                n_positive,
+                n_negative,
             }
-            counts.extend(parts.iter().map(|(part, scenes)| {
-                let [n_positive, n_negative] = labels.get(part).copied().unwrap_or_default();
-                BehaviorCount {
-                    behavior: (*behavior).to_owned(),
-                    split: part.0.to_owned(),
-                    place: part.1.to_owned(),
-                    n_scenes: scenes.len() as u64,
-                    n_scenes_with: with.get(part).map_or(0, BTreeSet::len) as u64,
-                    n_positive,
-                    n_negative,
-                }
-            }));
-        }
-        let known = ALL.iter().filter(|entry| behaviors.contains(&entry.id));
-        Self { definitions: known.map(BehaviorDoc::from).collect(), counts }
+        };
+        let counts = self.behaviors.iter().flat_map(|behavior| self.n_scenes.iter().map(|part| row(behavior, part)));
+        let known = ALL.iter().filter(|entry| self.behaviors.contains(&entry.id));
+        MiningSummary { counts: counts.collect(), definitions: known.map(BehaviorDoc::from).collect() }
     }
 }
 
@@ -108,7 +134,10 @@ mod tests {
             event("b", EventLabel::Negative),
             event("elsewhere", EventLabel::Positive),
         ];
-        let summary = MiningSummary::of(&["cut_in"], &scenes.iter().collect::<Vec<_>>(), &events);
+        let mut tally = MiningTally::new(&["cut_in"], &scenes);
+        events.iter().for_each(|event| tally.add(event));
+        assert_eq!(tally.n_events(), 4);
+        let summary = tally.finish();
         let rows: Vec<_> = summary
             .counts
             .iter()

@@ -1,28 +1,68 @@
 //! `events.parquet`: what did mining find?
 
 use super::atomic::FileStamp;
-use super::tables::event;
+use super::parquet_file::ParquetFile;
+use super::tables::event::{self, EventNames};
 use super::{Result, parquet_file};
-use crate::behavior::BehaviorEvent;
-use std::path::Path;
+use crate::behavior::{BehaviorEntry, BehaviorEvent};
+use std::path::{Path, PathBuf};
 
-/// Writes an event table, in the order given.
-///
-/// # Errors
-/// [`Error::Invalid`](super::Error::Invalid) when a parameter has the name of another column; those of the file system.
-pub fn write_events(path: &Path, events: &[BehaviorEvent]) -> Result<FileStamp> {
-    parquet_file::write_batch(path, &event::schema(), &event::encode(events)?)
+/// Writes an event table, some scenes at a time, with memory for a row group.
+pub struct EventWriter<'n> {
+    path: PathBuf,
+    names: EventNames<'n>,
+    file: Option<ParquetFile>,
 }
 
-/// Reads an event table, in the order it was written.
+impl<'n> EventWriter<'n> {
+    /// A table with a column for each role and parameter that these behaviors declare, whether or not an event has it.
+    pub fn new(path: &Path, behaviors: impl IntoIterator<Item = &'n BehaviorEntry>) -> Self {
+        let mut names = EventNames::default();
+        for behavior in behaviors {
+            names.roles.extend(behavior.roles);
+            names.parameters.extend(behavior.parameters);
+        }
+        Self { path: path.to_owned(), names, file: None }
+    }
+
+    /// Adds all events of some scenes.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`](super::Error::Invalid) when an event has a role or a parameter that no behavior declares, or a parameter has
+    /// the name of another column; those of the file system.
+    pub fn write(&mut self, events: &[BehaviorEvent]) -> Result<()> {
+        let batch = event::encode(events, &self.names)?;
+        let file = match &mut self.file {
+            Some(file) => file,
+            None => self.file.insert(ParquetFile::create(&self.path, &event::schema(), batch.schema())?),
+        };
+        file.write(&batch)
+    }
+
+    /// Gives the table its name; before that there is none.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn finish(mut self) -> Result<FileStamp> {
+        if self.file.is_none() {
+            self.write(&[])?;
+        }
+        match self.file {
+            Some(file) => file.finish(),
+            None => Err(super::Error::invalid("events", "no table was begun")),
+        }
+    }
+}
+
+/// Reads the events of a table that `keep` asks for, in the order they were written. The others take no memory.
 ///
 /// # Errors
 /// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is no
 /// such table; those of the file system.
-pub fn read_events(path: &Path) -> Result<Vec<BehaviorEvent>> {
+pub fn read_events(path: &Path, keep: impl Fn(&BehaviorEvent) -> bool) -> Result<Vec<BehaviorEvent>> {
     let mut events = Vec::new();
-    for batch in parquet_file::read(path, &event::schema())? {
-        events.extend(event::decode(&batch, path)?);
+    for batch in parquet_file::stream(path, &event::schema(), None)? {
+        events.extend(event::decode(&batch?, path)?.into_iter().filter(&keep));
     }
     Ok(events)
 }
@@ -30,10 +70,29 @@ pub fn read_events(path: &Path) -> Result<Vec<BehaviorEvent>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::behavior::EventLabel;
+    use crate::behavior::{self, EventLabel};
     use crate::scene::{SceneId, TrackId};
     use crate::store::testing::event;
     use crate::store::{Error, MetricRow, write_metrics};
+    use std::collections::BTreeSet;
+
+    fn write_events(path: &Path, events: &[BehaviorEvent]) -> Result<FileStamp> {
+        let mut writer = EventWriter { path: path.to_owned(), names: names_of(events), file: None };
+        writer.write(events)?;
+        writer.finish()
+    }
+
+    /// What occurs in these events.
+    fn names_of(events: &[BehaviorEvent]) -> EventNames<'_> {
+        EventNames {
+            roles: events.iter().flat_map(|event| &event.roles).map(|(role, _)| role.as_str()).collect(),
+            parameters: events.iter().flat_map(|event| event.parameters.keys()).map(String::as_str).collect(),
+        }
+    }
+
+    fn read_all(path: &Path) -> Result<Vec<BehaviorEvent>> {
+        read_events(path, |_| true)
+    }
 
     fn events() -> Vec<BehaviorEvent> {
         let scene = SceneId::from("interaction/val/DR_CHN_Merging_ZS0/7");
@@ -51,16 +110,17 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("events.parquet");
         let stamp = write_events(&path, &events()).unwrap();
-        assert_eq!(read_events(&path).unwrap(), events());
+        assert_eq!(read_all(&path).unwrap(), events());
         stamp.verify_file(&path).unwrap();
         assert_eq!(write_events(&path, &events()).unwrap(), stamp);
         write_events(&path, &[]).unwrap();
-        assert_eq!(read_events(&path).unwrap(), []);
+        assert_eq!(read_all(&path).unwrap(), []);
     }
 
     #[test]
     fn roles_and_parameters_have_columns_with_units() {
-        let batch = event::encode(&events()).unwrap();
+        let events = events();
+        let batch = event::encode(&events, &names_of(&events)).unwrap();
         let schema = batch.schema();
         let names: Vec<&str> = schema.fields()[10..].iter().map(|field| field.name().as_str()).collect();
         assert_eq!(names, ["agent_track_id", "ego_track_id", "other_track_id", "gap_m", "radius_m", "ttc_s"]);
@@ -71,6 +131,39 @@ mod tests {
         assert_eq!(columns.text("place", 0).unwrap(), "DR_CHN_Merging_ZS0");
         assert_eq!(columns.optional_text("ego_track_id", 0).unwrap(), Some("track-0"));
         assert_eq!(columns.optional_text("ego_track_id", 1).unwrap(), None);
+    }
+
+    #[test]
+    fn tables_are_written_some_scenes_at_a_time_with_the_columns_of_their_behaviors() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("events.parquet");
+        let of = |scene: &str| event(&SceneId::from(scene), "cut_in", &[("gap_m", 1.0)]);
+        let (first, second) = (vec![of("a/b/c/1"), of("a/b/c/1")], vec![of("a/b/c/2")]);
+        let mut writer = EventWriter::new(&path, behavior::ALL.iter().filter(|entry| entry.id == "cut_in"));
+        writer.write(&first).unwrap();
+        writer.write(&[]).unwrap();
+        writer.write(&second).unwrap();
+        assert!(!path.exists());
+        writer.finish().unwrap();
+        assert_eq!(read_all(&path).unwrap(), [first, second.clone()].concat());
+        assert_eq!(read_events(&path, |event| event.scene_id.0.ends_with('2')).unwrap(), second);
+        let batch = &parquet_file::read(&path, &event::schema()).unwrap()[0];
+        let schema = batch.schema();
+        let columns: BTreeSet<&str> = schema.fields().iter().map(|field| field.name().as_str()).collect();
+        assert!(columns.is_superset(&BTreeSet::from(["ego_track_id", "other_track_id", "gap_m", "ttc_s"])));
+        assert!(!columns.contains("radius_m"));
+    }
+
+    #[test]
+    fn what_no_behavior_declares_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("events.parquet");
+        let refusal =
+            |event: BehaviorEvent| EventWriter::new(&path, behavior::ALL).write(&[event]).unwrap_err().to_string();
+        let message = refusal(event(&"a".into(), "cut_in", &[("charm_m", 1.0)]));
+        assert!(message.contains("charm_m") && message.contains("does not declare"), "{message}");
+        let roles = vec![("bystander".to_owned(), TrackId::from("1"))];
+        assert!(refusal(BehaviorEvent { roles, ..event(&"a".into(), "cut_in", &[]) }).contains("bystander"));
     }
 
     #[test]
@@ -87,13 +180,13 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("events.parquet");
         write_metrics(&path, &Vec::<MetricRow>::new()).unwrap();
-        let error = read_events(&path).unwrap_err();
+        let error = read_all(&path).unwrap_err();
         assert!(matches!(&error, Error::SchemaVersion { found, .. } if found == "metric.v1"), "{error}");
         write_events(&path, &events()).unwrap();
         let whole = fs_err::read(&path).unwrap();
         for len in (0..whole.len()).step_by(53) {
             fs_err::write(&path, &whole[..len]).unwrap();
-            let error = read_events(&path).unwrap_err();
+            let error = read_all(&path).unwrap_err();
             assert!(error.to_string().contains("events.parquet is damaged"), "{error}");
         }
         for at in (0..whole.len()).step_by(7) {
@@ -101,7 +194,7 @@ mod tests {
             damaged[at] ^= 0x80;
             fs_err::write(&path, damaged).unwrap();
             // A changed value cannot be told, but nothing may panic.
-            drop(read_events(&path));
+            drop(read_all(&path));
         }
     }
 }

@@ -47,7 +47,7 @@ pub(crate) use corpus_scan::{CorpusChunk, CorpusScan, united, widened};
 pub(crate) use corpus_sink::{CorpusSink, partitioned, taken};
 pub use corpus_writer::CorpusWriter;
 pub use error::{Error, Result};
-pub use events::{read_events, write_events};
+pub use events::{EventWriter, read_events};
 pub use frame::{EventSummary, ParameterSummary, QUANTILES, summarize_events, summarize_metrics};
 pub use maps::MapSource;
 pub use metrics::{read_metrics, write_metrics};

@@ -25,7 +25,7 @@ pub(super) fn events(path: &Path) -> Result<Option<Description>> {
     if !has_extension(path, "parquet") {
         return Ok(None);
     }
-    let Some(events) = of_this_schema(read_events(path))? else { return Ok(None) };
+    let Some(events) = of_this_schema(read_events(path, |_| true))? else { return Ok(None) };
     let mut counts = BTreeMap::<&str, BTreeMap<&str, u64>>::new();
     let mut scenes = BTreeMap::<&str, std::collections::BTreeSet<&str>>::new();
     for event in &events {

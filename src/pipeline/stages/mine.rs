@@ -3,16 +3,16 @@
 use crate::behavior::{self, Behavior, BehaviorConfig, BehaviorEvent};
 use crate::pipeline::layout::{EVENTS, Layout, MINE_SUMMARY};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
-use crate::report::MiningSummary;
+use crate::report::MiningTally;
 use crate::scene::Split;
-use crate::store::{SceneIndexEntry, SceneStore, write_events, write_json_atomically};
+use crate::store::{EventWriter, SceneIndexEntry, SceneStore, write_json_atomically};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
-/// Scenes that are mined together: enough for every thread, few enough to show progress.
+/// Scenes that are mined together: enough for every thread, few enough to show progress and to hold their events in memory.
 const SCENES_PER_CHUNK: usize = 256;
 
 /// What to look for, and in which scenes.
@@ -87,26 +87,30 @@ impl Stage for Mine<'_> {
         if scenes.is_empty() {
             return Err(Failure::input_message("no scene is of the splits of mine.splits"));
         }
-        let mut events = Vec::new();
+        let ids: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();
+        let mut tally = MiningTally::new(&ids, scenes.iter().map(|idx| &store.index()[*idx]));
+        let entries = behavior::ALL.iter().filter(|entry| ids.contains(&entry.id));
+        let mut writer = EventWriter::new(&context.root.join(EVENTS), entries);
         context.progress.start("mine", scenes.len() as u64, "scenes");
         for chunk in scenes.chunks(SCENES_PER_CHUNK) {
             let found: Vec<Vec<BehaviorEvent>> =
                 chunk.par_iter().map(|idx| detect_all(&store, *idx, &behaviors)).collect::<Result<_>>()?;
-            events.extend(found.into_iter().flatten());
+            let found: Vec<BehaviorEvent> = found.into_iter().flatten().collect();
+            writer.write(&found)?;
+            found.iter().for_each(|event| tally.add(event));
             context.progress.advance(chunk.len() as u64);
-            context.progress.note(&format!("{} events", events.len()));
+            context.progress.note(&format!("{} events", tally.n_events()));
         }
         context.progress.finish();
-        write_events(&context.root.join(EVENTS), &events)?;
-        let ids: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();
-        let searched: Vec<&SceneIndexEntry> = scenes.iter().map(|idx| &store.index()[*idx]).collect();
-        let summary = MiningSummary::of(&ids, &searched, &events);
+        writer.finish()?;
+        let n_events = tally.n_events();
+        let summary = tally.finish();
         write_json_atomically(&context.root.join(MINE_SUMMARY), &summary)?;
         let n_positive = |id: &str| -> u64 {
             summary.counts.iter().filter(|count| count.behavior == id).map(|count| count.n_positive).sum()
         };
         let n_positive: BTreeMap<&str, u64> = ids.iter().map(|id| (*id, n_positive(id))).collect();
-        Ok(json!({ "n_scenes": scenes.len(), "n_events": events.len(), "n_positive": n_positive }))
+        Ok(json!({ "n_scenes": scenes.len(), "n_events": n_events, "n_positive": n_positive }))
     }
 }
 

@@ -63,7 +63,9 @@ impl Stage for TrainClassifier<'_> {
         }
         let store = SceneStore::open(&self.layout.scenes)?;
         let denoiser = TrainedDenoiser::read(&checkpoint_file(&self.layout.denoiser), context.device)?;
-        let events = read_events(&self.layout.events)?;
+        let events = read_events(&self.layout.events, |event| {
+            event.behavior == self.config.behavior || event.label == EventLabel::Positive
+        })?;
         let roles = self.roles(&events)?;
         let Selection { train, held_out } = Selection::new(store.index(), &self.config.splits, &self.config.places);
         let seed = Seed(self.config.seed);

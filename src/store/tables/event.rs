@@ -1,4 +1,4 @@
-//! The table of events: one row an event, with one column for each role and each parameter that occurs.
+//! The table of events: one row an event, with one column for each role and each parameter that it may have.
 
 use super::columns::{Columns, numbers, optional_texts, small, texts};
 use super::parameters::{self, Parameters};
@@ -9,7 +9,7 @@ use crate::store::schema::{ColumnExt, TableSchema, column};
 use crate::store::{Error, Result};
 use arrow::array::{ArrayRef, RecordBatch};
 use arrow::datatypes::{DataType, UInt32Type};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// `event.v1`.
@@ -35,13 +35,40 @@ pub(crate) fn schema() -> TableSchema {
     }
 }
 
-/// The rows of these events.
-pub(crate) fn encode(events: &[BehaviorEvent]) -> Result<RecordBatch> {
+/// The roles and parameters that the events of a table may have: a column each.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct EventNames<'n> {
+    /// Roles.
+    pub(crate) roles: BTreeSet<&'n str>,
+    /// Parameters.
+    pub(crate) parameters: BTreeSet<&'n str>,
+}
+
+impl EventNames<'_> {
+    /// Says which role or parameter of an event has no column.
+    fn check(&self, event: &BehaviorEvent) -> Result<()> {
+        let role = event.roles.iter().map(|(role, _)| role).find(|role| !self.roles.contains(role.as_str()));
+        let unknown = role.or_else(|| event.parameters.keys().find(|name| !self.parameters.contains(name.as_str())));
+        let refuse = |name: &String| {
+            let message = format!("an event of {} cannot have it: its behavior does not declare it", event.behavior);
+            Err(Error::invalid(name, message))
+        };
+        unknown.map_or(Ok(()), refuse)
+    }
+}
+
+/// The rows of these events. Events of one scene are numbered through, so that they must not be in two batches.
+///
+/// # Errors
+/// [`Error::Invalid`] when a parameter has the name of another column, or an event has a role or parameter that is not among `names`.
+pub(crate) fn encode(events: &[BehaviorEvent], names: &EventNames<'_>) -> Result<RecordBatch> {
     let schema = schema();
+    parameters::check_names(&schema, &names.parameters)?;
+    events.iter().try_for_each(|event| names.check(event))?;
     let roles: Vec<&Roles> = events.iter().map(|event| event.roles.as_slice()).collect();
     let parameters: Vec<Option<&Parameters>> = events.iter().map(|event| Some(&event.parameters)).collect();
-    let names = parameters::occurring(&schema, &parameters)?;
-    let open = roles::flatten(&roles).into_iter().chain(parameters::flatten(&names, &parameters));
+    let open = roles::flatten(&names.roles, &roles).into_iter();
+    let open = open.chain(parameters::flatten(&names.parameters, &parameters));
     let (open_fields, open_arrays): (Vec<_>, Vec<_>) = open.unzip();
     let ids = event_ids(events);
     let part = |i: usize| optional_texts(events.iter().map(move |event| scene_part(&event.scene_id, i)));

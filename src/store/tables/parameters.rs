@@ -32,11 +32,20 @@ pub(crate) fn occurring<'p>(table: &TableSchema, rows: &[Option<&'p Parameters>]
             names.insert(name.as_str());
         }
     }
+    check_names(table, &names)?;
+    Ok(names)
+}
+
+/// Refuses parameters that cannot be columns.
+///
+/// # Errors
+/// [`Error::Invalid`] when a parameter has the name of another column of the table.
+pub(crate) fn check_names(table: &TableSchema, names: &BTreeSet<&str>) -> Result<()> {
     match names.iter().find(|name| table.has(name) || name.ends_with("_track_id")) {
         Some(taken) => {
             Err(Error::invalid(taken, format!("a parameter of this name cannot be a column of {}", table.id())))
         }
-        None => Ok(names),
+        None => Ok(()),
     }
 }
 

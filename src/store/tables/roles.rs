@@ -45,15 +45,14 @@ pub(crate) fn open_columns() -> OpenColumns {
     }
 }
 
-/// One column for each role that occurs, sorted by name.
-pub(crate) fn flatten(rows: &[&Roles]) -> Vec<(Field, ArrayRef)> {
-    let names: BTreeSet<&str> = rows.iter().copied().flatten().map(|(role, _)| role.as_str()).collect();
+/// One column for each of these roles, sorted by name.
+pub(crate) fn flatten(names: &BTreeSet<&str>, rows: &[&Roles]) -> Vec<(Field, ArrayRef)> {
     names
-        .into_iter()
+        .iter()
         .map(|name| {
             let field = column(&format!("{name}_track_id"), DataType::Utf8, "The track in this role.").optional();
             let tracks =
-                rows.iter().map(|roles| roles.iter().find(|(role, _)| role == name).map(|(_, t)| t.0.as_str()));
+                rows.iter().map(|roles| roles.iter().find(|(role, _)| role == *name).map(|(_, t)| t.0.as_str()));
             (field, optional_texts(tracks))
         })
         .collect()

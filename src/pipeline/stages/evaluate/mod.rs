@@ -18,6 +18,7 @@ pub use gates::GateResult;
 
 use super::mine::MineConfig;
 use super::sample_folder::SampleManifest;
+use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS, VERDICTS};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::report::{AcceptanceRow, LeftOutRow, MetricDoc, RealismRow, SamplingRow, SamplingTally, ValidityRow};
@@ -135,7 +136,11 @@ impl Stage for Evaluate<'_> {
         let measures = Measures::new(self.config, &behaviors);
         let store = SceneStore::open(&self.layout.scenes)?;
         let samples = SampleManifest::read(&self.layout.samples)?;
-        let recorded_events = if self.has_events { read_events(&self.layout.events)? } else { Vec::new() };
+        let is_positive = |event: &BehaviorEvent| event.label == EventLabel::Positive;
+        let recorded_events = match self.has_events {
+            true => read_events(&self.layout.events, is_positive)?,
+            false => Vec::new(),
+        };
         let judge = Judge::new(self.config, &store, &recorded_events)?;
         let mut verdicts = Verdicts::new(self.config, &samples);
         let mut validity = ValidityTable::default();

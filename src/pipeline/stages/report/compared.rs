@@ -57,11 +57,14 @@ impl Compared {
         self.motion.finish()
     }
 
-    /// Parameters of the recorded events of the behaviors that were asked for, beside those of the new ones.
-    pub(super) fn events(&self, mined: &[BehaviorEvent]) -> Vec<Distribution> {
-        let is_asked =
-            |event: &&BehaviorEvent| event.label == EventLabel::Positive && self.behaviors.contains(&event.behavior);
-        let recorded: Vec<&BehaviorEvent> = mined.iter().filter(is_asked).collect();
+    /// Whether a recorded event is one of a behavior that was asked for.
+    pub(super) fn wants_event(&self, event: &BehaviorEvent) -> bool {
+        event.label == EventLabel::Positive && self.behaviors.contains(&event.behavior)
+    }
+
+    /// Parameters of the recorded events that are [wanted](Self::wants_event), beside those of the new ones.
+    pub(super) fn events(&self, recorded: &[BehaviorEvent]) -> Vec<Distribution> {
+        let recorded: Vec<&BehaviorEvent> = recorded.iter().collect();
         let generated: Vec<&BehaviorEvent> = self.events.iter().collect();
         if generated.is_empty() {
             return Vec::new();

@@ -38,7 +38,7 @@ pub(super) fn gallery(stage: &Report<'_>, manifest: &SampleManifest) -> Result<G
     }
     let mut distributions = compared.motion();
     if stage.has(StageId::Mine) {
-        distributions.extend(compared.events(&read_events(&stage.layout.events)?));
+        distributions.extend(compared.events(&read_events(&stage.layout.events, |event| compared.wants_event(event))?));
     }
     let chosen = choice.finish();
     let figures = match stage.has(StageId::Evaluate) {
