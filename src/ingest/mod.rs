@@ -10,6 +10,7 @@ mod assemble;
 mod batches;
 mod config;
 mod csv_rows;
+mod decimal;
 mod driver;
 mod error;
 mod files;

@@ -3,6 +3,7 @@
 use super::RECORDED;
 use super::kinematics::derive_states;
 use crate::geometry::Vec2;
+use crate::ingest::decimal;
 use crate::ingest::raw::{HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use crate::ingest::source::Horizon;
 use crate::scene::{AgentClass, Dataset, SceneId, SceneSource, Split, Track, TrackId, TrackRole, Trajectory};
@@ -119,8 +120,8 @@ impl Table {
     ) -> Result<(), Reject> {
         let [timestamp, track_id, object_type, x, y, city] = fields;
         let number = |name: &str, text: &[u8]| {
-            let text = String::from_utf8_lossy(text);
-            let value: f64 = text.parse().map_err(|_| {
+            let value = decimal::number(text).ok_or_else(|| {
+                let text = String::from_utf8_lossy(text);
                 unit.reject_at("malformed_row", line, format!("{name} is `{}`, expected a number", shorten(&text)))
             })?;
             if value.is_finite() {

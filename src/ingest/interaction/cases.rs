@@ -2,6 +2,7 @@
 
 use super::columns::Columns;
 use crate::ingest::csv_rows::Lines;
+use crate::ingest::decimal;
 use crate::ingest::{EmitUnit, RawUnit, Reject};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
@@ -93,8 +94,7 @@ impl<'a> CaseId<'a> {
         {
             return Self::Whole(id);
         }
-        let is_number = |id: &[u8]| std::str::from_utf8(id).is_ok_and(|text| text.parse::<f64>().is_ok());
-        Self::Broken(id.filter(|id| cells.next().is_some() && is_number(id)))
+        Self::Broken(id.filter(|id| cells.next().is_some() && decimal::number(id).is_some()))
     }
 
     /// Empty where the row does not tell.

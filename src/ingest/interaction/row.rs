@@ -2,6 +2,7 @@
 
 use super::columns::Columns;
 use crate::geometry::Vec2;
+use crate::ingest::decimal;
 use crate::scene::Extent;
 
 /// INTERACTION is recorded at 10 Hz, and `timestamp_ms` counts from the start of the recording.
@@ -37,9 +38,14 @@ impl<'a> Row<'a> {
     /// Reads `line`; `cells` is room to work in.
     pub(super) fn parse(line: &'a [u8], columns: &Columns, cells: &mut Vec<&'a [u8]>) -> Result<Self, Flaw> {
         cells.clear();
-        cells.extend(line.split(|byte| *byte == b',').take(columns.n_columns + 1).map(<[u8]>::trim_ascii));
+        let mut start = 0;
+        for (end, _) in line.iter().enumerate().filter(|(_, byte)| **byte == b',') {
+            cells.push(line[start..end].trim_ascii());
+            start = end + 1;
+        }
+        cells.push(line[start..].trim_ascii());
         if cells.len() != columns.n_columns {
-            let n = line.iter().filter(|byte| **byte == b',').count() + 1;
+            let n = cells.len();
             return Err(("malformed_row", format!("{n} columns, expected {}", columns.n_columns)));
         }
         let cells = cells.as_slice();
@@ -65,7 +71,9 @@ impl<'a> Row<'a> {
         }
         let position = Vec2::new(number(columns.x, "x")?, number(columns.y, "y")?);
         let velocity = Vec2::new(number(columns.vx, "vx")?, number(columns.vy, "vy")?);
-        if position.x.abs().max(position.y.abs()) > MAX_COORDINATE_M || velocity.norm() > MAX_SPEED_MPS {
+        if position.x.abs().max(position.y.abs()) > MAX_COORDINATE_M
+            || velocity.dot(velocity) > MAX_SPEED_MPS * MAX_SPEED_MPS
+        {
             let detail = format!("position ({}, {}) m, speed {} m/s", position.x, position.y, velocity.norm());
             return Err(("out_of_range", detail));
         }
@@ -95,10 +103,7 @@ impl<'a> Row<'a> {
 }
 
 fn number(cell: &[u8], column: &str) -> Result<f64, Flaw> {
-    let number: f64 = std::str::from_utf8(cell)
-        .ok()
-        .and_then(|text| text.parse().ok())
-        .ok_or_else(|| malformed(column, cell, "a number"))?;
+    let number = decimal::number(cell).ok_or_else(|| malformed(column, cell, "a number"))?;
     if number.is_finite() {
         Ok(number)
     } else {
@@ -108,17 +113,15 @@ fn number(cell: &[u8], column: &str) -> Result<f64, Flaw> {
 
 /// A whole number, which may be printed as a float.
 fn integer(cell: &[u8], column: &str) -> Result<i64, Flaw> {
-    let text = std::str::from_utf8(cell).unwrap_or_default();
-    if let Ok(integer) = text.parse() {
+    // Beyond 2^53 not every whole number is a float.
+    let is_exact = |number: &f64| number.fract() == 0.0 && number.abs() < 9e15;
+    if let Some(number) = decimal::number(cell).filter(is_exact) {
+        return Ok(number as i64);
+    }
+    if let Some(integer) = std::str::from_utf8(cell).ok().and_then(|text| text.parse().ok()) {
         return Ok(integer);
     }
-    let number = number(cell, column)?;
-    // Beyond 2^53 not every whole number is a float.
-    if number.fract() == 0.0 && number.abs() < 9e15 {
-        Ok(number as i64)
-    } else {
-        Err(malformed(column, cell, "a whole number"))
-    }
+    number(cell, column).and_then(|_| Err(malformed(column, cell, "a whole number")))
 }
 
 fn malformed(column: &str, cell: &[u8], expected: &str) -> Flaw {
