@@ -92,15 +92,21 @@ impl Stage for Mine<'_> {
         let entries = behavior::ALL.iter().filter(|entry| ids.contains(&entry.id));
         let mut writer = EventWriter::new(&context.root.join(EVENTS), entries);
         context.progress.start("mine", scenes.len() as u64, "scenes");
+        let detect = |chunk: &[usize]| -> Result<Vec<BehaviorEvent>> {
+            let found = chunk.par_iter().map(|idx| detect_all(&store, *idx, &behaviors));
+            Ok(found.collect::<Result<Vec<_>>>()?.into_iter().flatten().collect())
+        };
+        // The events of a chunk are written while the next one is searched.
+        let mut found = Vec::new();
         for chunk in scenes.chunks(SCENES_PER_CHUNK) {
-            let found: Vec<Vec<BehaviorEvent>> =
-                chunk.par_iter().map(|idx| detect_all(&store, *idx, &behaviors)).collect::<Result<_>>()?;
-            let found: Vec<BehaviorEvent> = found.into_iter().flatten().collect();
-            writer.write(&found)?;
+            let (next, written) = rayon::join(|| detect(chunk), || writer.write(&found));
+            written?;
+            found = next?;
             found.iter().for_each(|event| tally.add(event));
             context.progress.advance(chunk.len() as u64);
             context.progress.note(&format!("{} events", tally.n_events()));
         }
+        writer.write(&found)?;
         context.progress.finish();
         writer.finish()?;
         let n_events = tally.n_events();
