@@ -18,7 +18,7 @@ pub enum Precision {
     F32,
     /// Factors rounded to 11 bits, sums in `f32`: tensor cores of GPUs since Ampere. Nothing changes on the processor.
     Tf32,
-    /// Factors and results rounded to 8 bits, sums in `f32`: tensor cores of GPUs. On the processor it gives nearly the same numbers as there and no speed.
+    /// Factors and results rounded to 8 bits, sums in `f32`: tensor cores of GPUs. The processor rounds alike, which takes longer.
     Bf16,
 }
 
@@ -62,7 +62,7 @@ impl Precision {
         }
     }
 
-    /// The product of two matrices of `f32`, in `f32`.
+    /// The product of two matrices (N, K) and (K, M) of `f32`, in `f32`: (N, M).
     ///
     /// # Errors
     /// When shapes do not fit.
