@@ -52,13 +52,9 @@ pub(super) fn assemble(
     let ego_heading_rad = raw.tracks[ego_idx].trajectory.get(present).map_or(0.0, |state| state.heading_rad);
     let world_from_scene = Transform2::from_pose(ego_state.position, ego_heading_rad);
     let scene_from_world = world_from_scene.inverse();
-    let tracks: Vec<Track> = kept
-        .iter()
-        .map(|&idx| {
-            let track = &raw.tracks[idx];
-            Track { trajectory: track.trajectory.transformed(&scene_from_world), ..track.clone() }
-        })
-        .collect();
+    let is_kept = |(idx, track)| kept.binary_search(&idx).is_ok().then_some(track);
+    let into_frame = |track: Track| Track { trajectory: track.trajectory.into_frame(&scene_from_world), ..track };
+    let tracks: Vec<Track> = raw.tracks.into_iter().enumerate().filter_map(is_kept).map(into_frame).collect();
     let lanes = match (map, &lane_ids) {
         (Some(map), Some(ids)) => map.graph().subset(ids).into_frame(&scene_from_world),
         _ => LaneGraph::default(),

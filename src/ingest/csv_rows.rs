@@ -1,5 +1,6 @@
 //! How are the lines of a large table read without holding the table?
 
+use memchr::memchr;
 use std::io::{self, BufRead, Read};
 
 /// Longest line that is accepted; the tables have lines of about 100 bytes.
@@ -9,6 +10,9 @@ const MAX_LINE_BYTES: usize = 64 * 1024;
 /// mark at the start is passed over.
 pub(crate) struct Lines<'a> {
     reader: &'a mut dyn BufRead,
+    /// Bytes of the reader's buffer that were handed out as a line and are to be passed over.
+    n_shown: usize,
+    /// A line that does not lie in the reader's buffer as a whole.
     line: Vec<u8>,
     number: u64,
 }
@@ -16,7 +20,7 @@ pub(crate) struct Lines<'a> {
 impl<'a> Lines<'a> {
     /// The lines of `reader`, which must stand at the start of the stream.
     pub(crate) fn new(reader: &'a mut dyn BufRead) -> Self {
-        Self { reader, line: Vec::new(), number: 0 }
+        Self { reader, n_shown: 0, line: Vec::new(), number: 0 }
     }
 
     /// The next line without its end, and its number, counted from 1; `None` at the end of the stream.
@@ -24,6 +28,21 @@ impl<'a> Lines<'a> {
     /// # Errors
     /// When the stream cannot be read, or a line is longer than 64 KiB, which means that this is no table.
     pub(crate) fn next(&mut self) -> io::Result<Option<(u64, &[u8])>> {
+        self.pass_over_shown();
+        let end = loop {
+            match self.reader.fill_buf() {
+                Ok(buffer) => break memchr(b'\n', &buffer[..buffer.len().min(MAX_LINE_BYTES)]),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        };
+        if let Some(end) = end {
+            self.n_shown = end + 1;
+            self.number += 1;
+            // The buffer is full still, so that nothing is read here.
+            let line = &self.reader.fill_buf()?[..end];
+            return Ok(Some((self.number, clean(line, self.number))));
+        }
         self.line.clear();
         let n = Read::take(&mut *self.reader, MAX_LINE_BYTES as u64 + 1).read_until(b'\n', &mut self.line)?;
         if n == 0 {
@@ -34,8 +53,7 @@ impl<'a> Lines<'a> {
             let message = format!("line {} is longer than {} KiB", self.number, MAX_LINE_BYTES / 1024);
             return Err(io::Error::new(io::ErrorKind::InvalidData, message));
         }
-        let line = without_end(&self.line);
-        Ok(Some((self.number, if self.number == 1 { without_byte_order_mark(line) } else { line })))
+        Ok(Some((self.number, clean(&self.line, self.number))))
     }
 
     /// Appends what follows the last line to `bytes`.
@@ -43,6 +61,7 @@ impl<'a> Lines<'a> {
     /// # Errors
     /// When the stream cannot be read, or, as [`io::ErrorKind::FileTooLarge`], when more than `max_bytes` follow.
     pub(crate) fn read_rest(&mut self, bytes: &mut Vec<u8>, max_bytes: u64) -> io::Result<()> {
+        self.pass_over_shown();
         let n = Read::take(&mut *self.reader, max_bytes + 1).read_to_end(bytes)?;
         if n as u64 > max_bytes {
             let message = format!("more than {} MiB", max_bytes >> 20);
@@ -50,16 +69,38 @@ impl<'a> Lines<'a> {
         }
         Ok(())
     }
+
+    fn pass_over_shown(&mut self) {
+        self.reader.consume(std::mem::take(&mut self.n_shown));
+    }
+}
+
+/// The lines of bytes in memory, each without its end; none after the last end.
+pub(crate) fn lines_of(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
+    let mut rest = bytes;
+    std::iter::from_fn(move || {
+        if rest.is_empty() {
+            return None;
+        }
+        let (line, after) = match memchr(b'\n', rest) {
+            Some(end) => (&rest[..end], &rest[end + 1..]),
+            None => (rest, &[][..]),
+        };
+        rest = after;
+        Some(without_end(line))
+    })
+}
+
+/// What a line of this number says.
+fn clean(line: &[u8], number: u64) -> &[u8] {
+    let line = without_end(line);
+    if number == 1 { line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line) } else { line }
 }
 
 /// A line without its LF or CRLF.
 pub(crate) fn without_end(line: &[u8]) -> &[u8] {
     let line = line.strip_suffix(b"\n").unwrap_or(line);
     line.strip_suffix(b"\r").unwrap_or(line)
-}
-
-fn without_byte_order_mark(line: &[u8]) -> &[u8] {
-    line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line)
 }
 
 #[cfg(test)]
@@ -80,6 +121,41 @@ mod tests {
         assert_eq!(lines(b"\xef\xbb\xbfa,b\r\n1,2\r\n\r\n3,4").unwrap(), ["a,b", "1,2", "", "3,4"]);
         assert_eq!(lines(b"a\nb\n").unwrap(), ["a", "b"]);
         assert!(lines(b"").unwrap().is_empty());
+    }
+
+    #[test]
+    fn lines_are_the_same_whatever_the_reader_holds_at_a_time() {
+        let text = b"\xef\xbb\xbffirst,line\r\n\n2,3\nlast one";
+        let whole = lines(text).unwrap();
+        assert_eq!(whole, ["first,line", "", "2,3", "last one"]);
+        for capacity in 1..text.len() {
+            let mut reader = io::BufReader::with_capacity(capacity, &text[..]);
+            let mut lines = Lines::new(&mut reader);
+            let mut all = Vec::new();
+            while let Some((number, line)) = lines.next().unwrap() {
+                all.push(String::from_utf8_lossy(line).into_owned());
+                assert_eq!(number, all.len() as u64);
+            }
+            assert_eq!(all, whole, "{capacity} bytes");
+        }
+        let in_memory: Vec<&[u8]> = lines_of(&text[3..]).collect();
+        assert_eq!(in_memory, [&b"first,line"[..], b"", b"2,3", b"last one"]);
+        assert_eq!(lines_of(b"a\n\n").collect::<Vec<_>>(), [&b"a"[..], b""]);
+        assert_eq!(lines_of(b"").count(), 0);
+    }
+
+    #[test]
+    fn an_error_is_no_end() {
+        struct Failing;
+        impl Read for Failing {
+            fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+                Err(io::Error::other("the disk is gone"))
+            }
+        }
+        let mut reader = io::BufReader::new(b"a\nb".chain(Failing));
+        let mut lines = Lines::new(&mut reader);
+        assert!(lines.next().unwrap().is_some());
+        assert_eq!(lines.next().unwrap_err().to_string(), "the disk is gone");
     }
 
     #[test]

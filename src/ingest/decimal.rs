@@ -11,30 +11,111 @@ pub(super) fn number(cell: &[u8]) -> Option<f64> {
     short_decimal(cell).or_else(|| std::str::from_utf8(cell).ok()?.parse().ok())
 }
 
+/// The whole number in `cell`, which may be printed as a float such as `12.0`; `None` where it holds none, or one beyond `i64`.
+pub(super) fn whole_number(cell: &[u8]) -> Option<i64> {
+    if let Some(whole) = short_whole(cell) {
+        return Some(whole);
+    }
+    // Beyond 2^53 not every whole number is a float.
+    let is_exact = |number: &f64| number.fract() == 0.0 && number.abs() < 9e15;
+    match number(cell).filter(is_exact) {
+        Some(number) => Some(number as i64),
+        None => std::str::from_utf8(cell).ok()?.parse().ok(),
+    }
+}
+
+/// At most 15 digits and nothing else.
+fn short_whole(cell: &[u8]) -> Option<i64> {
+    if cell.is_empty() || cell.len() > MAX_DIGITS {
+        return None;
+    }
+    let mut whole = 0i64;
+    for byte in cell {
+        let digit = byte.wrapping_sub(b'0');
+        if digit > 9 {
+            return None;
+        }
+        whole = whole * 10 + i64::from(digit);
+    }
+    Some(whole)
+}
+
 /// A decimal such as `-12.345` of at most 15 digits. Its digits as a whole number and the power of ten are floats without error, and so the
 /// one rounding of their quotient gives the nearest float (Clinger 1990), which is what the library gives.
 fn short_decimal(cell: &[u8]) -> Option<f64> {
-    let (is_negative, digits) = match cell {
-        [b'-', digits @ ..] => (true, digits),
-        digits => (false, digits),
+    let (is_negative, text) = match cell {
+        [b'-', text @ ..] => (true, text),
+        text => (false, text),
     };
-    let (mut whole, mut n_digits, mut n_decimals, mut has_point) = (0u64, 0, 0, false);
-    for byte in digits {
-        match byte {
-            b'0'..=b'9' if n_digits < MAX_DIGITS => {
-                whole = whole * 10 + u64::from(byte - b'0');
-                n_digits += 1;
-                n_decimals += usize::from(has_point);
-            }
-            b'.' if !has_point => has_point = true,
-            _ => return None,
+    let (whole, n_decimals) = if text.len() <= 8 { eight_digits(text) } else { fifteen_digits(text) }?;
+    let magnitude = whole as f64 / POWERS_OF_TEN[n_decimals];
+    Some(if is_negative { -magnitude } else { magnitude })
+}
+
+/// The digits of a decimal as a whole number, and how many stand behind the point.
+fn fifteen_digits(text: &[u8]) -> Option<(u64, usize)> {
+    // With the point among them, they fit into the whole number in any case.
+    if text.len() > MAX_DIGITS + 1 {
+        return None;
+    }
+    let (mut whole, mut point) = (0u64, text.len());
+    for (at, byte) in text.iter().enumerate() {
+        let digit = byte.wrapping_sub(b'0');
+        if digit <= 9 {
+            whole = whole * 10 + u64::from(digit);
+        } else if *byte == b'.' && point == text.len() {
+            point = at;
+        } else {
+            return None;
         }
     }
+    let n_decimals = text.len().saturating_sub(point + 1);
+    (1..=MAX_DIGITS).contains(&(point + n_decimals)).then_some((whole, n_decimals))
+}
+
+/// The same of at most eight bytes, all at a time: branches on where a number ends, or has its point, are what costs.
+fn eight_digits(text: &[u8]) -> Option<(u64, usize)> {
+    const fn each(byte: u8) -> u64 {
+        u64::from_ne_bytes([byte; 8])
+    }
+    let bytes = packed(text);
+    let differing = bytes ^ each(b'.');
+    let points = !(((differing & each(0x7f)) + each(0x7f)) | differing | each(0x7f));
+    let (digits, n_digits, n_decimals) = if points == 0 {
+        (bytes, text.len(), 0)
+    } else {
+        // What stands behind the point moves up to it. Another point is no digit.
+        let at = points.trailing_zeros() as usize / 8;
+        let before = (1 << (8 * at)) - 1;
+        ((bytes & before) | ((bytes >> 8) & !before), text.len() - 1, text.len() - 1 - at)
+    };
     if n_digits == 0 {
         return None;
     }
-    let magnitude = whole as f64 / POWERS_OF_TEN[n_decimals];
-    Some(if is_negative { -magnitude } else { magnitude })
+    // Zeros in front, up to eight digits.
+    let shift = 8 * (8 - n_digits);
+    let values = ((digits << shift) | (each(b'0') & !(u64::MAX << shift))) ^ each(b'0');
+    if (((values & each(0x7f)) + each(0x7f - 9)) | values) & each(0x80) != 0 {
+        return None;
+    }
+    // Neighbours are joined: to pairs, to fours, to one number.
+    let pairs = values.wrapping_mul(1 + (10 << 8)) >> 8;
+    let fours = (pairs & 0x00ff_00ff_00ff_00ff).wrapping_mul(1 + (100 << 16)) >> 16;
+    let whole = (fours & 0x0000_ffff_0000_ffff).wrapping_mul(1 + (10_000 << 32)) >> 32;
+    Some((whole, n_decimals))
+}
+
+/// At most eight bytes, the first the lowest; zeros behind them.
+fn packed(text: &[u8]) -> u64 {
+    if let Some(eight) = text.first_chunk() {
+        return u64::from_le_bytes(*eight);
+    }
+    // From four bytes on, what both halves hold is the same there.
+    if let (Some(first), Some(last)) = (text.first_chunk(), text.last_chunk()) {
+        let [first, last] = [first, last].map(|bytes| u64::from(u32::from_le_bytes(*bytes)));
+        return first | last << (8 * (text.len() - 4));
+    }
+    text.iter().rev().fold(0, |bytes, byte| bytes << 8 | u64::from(*byte))
 }
 
 #[cfg(test)]
@@ -57,6 +138,12 @@ mod tests {
     #[test]
     fn whatever_the_library_reads_is_read_alike() {
         let texts = [
+            "1.",
+            "12345678",
+            "1234567.",
+            ".1234567",
+            "-.123456",
+            "-1234.5678",
             "0",
             "-0",
             "-0.0",
@@ -82,9 +169,51 @@ mod tests {
             let expected: f64 = text.parse().unwrap();
             assert_eq!(number(text.as_bytes()).map(f64::to_bits), Some(expected.to_bits()), "{text}");
         }
-        for text in ["", "-", ".", "-.", "1.2.3", "1,5", "0x10", "1 ", " 1", "--1", "1-", "\u{ff11}"] {
+        for text in [
+            "",
+            "-",
+            ".",
+            "-.",
+            "1.2.3",
+            "1,5",
+            "0x10",
+            "1 ",
+            " 1",
+            "--1",
+            "1-",
+            "1.2.",
+            "..",
+            "1\0",
+            "\0",
+            "12345/78",
+            "1:",
+            "-1234567x",
+            "\u{ff11}",
+        ] {
             assert!(text.parse::<f64>().is_err() && number(text.as_bytes()).is_none(), "{text}");
         }
-        assert!(number(b"1\xff").is_none());
+        for text in [&b"1\xff"[..], b"\xff.2", b"123\xae567"] {
+            assert!(number(text).is_none());
+        }
+    }
+
+    #[test]
+    fn whole_numbers_may_be_printed_as_floats() {
+        let exact = [
+            ("0", 0),
+            ("300", 300),
+            ("-3", -3),
+            ("12.0", 12),
+            ("1e3", 1000),
+            ("9007199254740993", 9_007_199_254_740_993),
+        ];
+        for (text, expected) in
+            exact.into_iter().chain([("9223372036854775807", i64::MAX), ("000000000000000000007", 7)])
+        {
+            assert_eq!(whole_number(text.as_bytes()), Some(expected), "{text}");
+        }
+        for text in ["", "-", "3.5", "nan", "inf", "1e30", "9223372036854775808", "12a", " 1"] {
+            assert_eq!(whole_number(text.as_bytes()), None, "{text}");
+        }
     }
 }

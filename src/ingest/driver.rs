@@ -56,14 +56,16 @@ pub fn ingest(
     progress.start("ingest", config.limit.unwrap_or(0), "scenes");
     progress.advance(total.n_scenes);
     let parser = UnitParser { config, source, maps: &maps };
+    // Units are read, parsed and stored at the same time, each in a thread of its own.
     let seen = std::thread::scope(|scope| {
-        let (sender, receiver) = mpsc::sync_channel(1);
-        let sender = BatchSender::new(sender, total.n_units);
-        let reader = scope.spawn(move || read_batches(config, source, sender));
-        let mut handed_out = BTreeSet::new();
-        for batch in receiver {
-            let room = config.limit.map(|limit| limit - total.n_scenes);
-            let batch = parser.parse_batch(batch?, room, &mut handed_out)?;
+        let (unit_sender, units) = mpsc::sync_channel(1);
+        let (scene_sender, batches) = mpsc::sync_channel(1);
+        let unit_sender = BatchSender::new(unit_sender, total.n_units);
+        let room = config.limit.map(|limit| limit - total.n_scenes);
+        let reader = scope.spawn(move || read_batches(config, source, unit_sender));
+        scope.spawn(move || parser.parse_batches(units, room, &scene_sender));
+        for batch in batches {
+            let batch: IngestBatch = batch?;
             total.merge(&batch.report);
             progress.advance(batch.report.n_scenes);
             if total.n_rejects() > 0 {
@@ -71,11 +73,8 @@ pub fn ingest(
             }
             let batch = IngestBatch { units_done: total.n_units, ..batch };
             sink(batch).map_err(Error::Sink)?;
-            if config.limit.is_some_and(|limit| total.n_scenes >= limit) {
-                break;
-            }
         }
-        // The receiver is gone by now, which ends the reader.
+        // Nobody receives any more by now, which ends the reader.
         Ok::<_, Error>(reader.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
     })?;
     progress.finish();
@@ -156,6 +155,29 @@ struct UnitParser<'a> {
 }
 
 impl UnitParser<'_> {
+    /// Parses batch after batch until `room` scenes are found, or nobody receives them.
+    fn parse_batches(
+        &self,
+        units: mpsc::Receiver<Result<Batch, Error>>,
+        mut room: Option<u64>,
+        sender: &mpsc::SyncSender<Result<IngestBatch, Error>>,
+    ) {
+        let mut handed_out = BTreeSet::new();
+        for batch in units {
+            let batch = batch.and_then(|batch| self.parse_batch(batch, room, &mut handed_out));
+            let is_last = match &batch {
+                Ok(batch) => {
+                    room = room.map(|room| room - batch.report.n_scenes);
+                    room == Some(0)
+                }
+                Err(_) => true,
+            };
+            if sender.send(batch).is_err() || is_last {
+                break;
+            }
+        }
+    }
+
     /// Parses the units of a batch in parallel and collects the first `room` scenes in order.
     fn parse_batch(
         &self,

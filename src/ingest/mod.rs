@@ -8,6 +8,7 @@ mod argoverse1;
 mod argoverse2;
 mod assemble;
 mod batches;
+mod cells;
 mod config;
 mod csv_rows;
 mod decimal;

@@ -78,6 +78,15 @@ impl Trajectory {
 
     /// The trajectory in another frame.
     pub fn transformed(&self, to_from_here: &Transform2) -> Self {
-        Self::new(self.states.iter().map(|state| state.map(|s| s.transformed(to_from_here))).collect())
+        self.clone().into_frame(to_from_here)
+    }
+
+    /// The trajectory moved to another frame.
+    #[must_use]
+    pub fn into_frame(mut self, to_from_here: &Transform2) -> Self {
+        for state in self.states.iter_mut().flatten() {
+            *state = state.transformed(to_from_here);
+        }
+        self
     }
 }

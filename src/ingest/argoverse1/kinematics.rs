@@ -28,7 +28,7 @@ pub(super) fn derive_states(
     let mut placeholder_until = if known.is_none() { positions.len() } else { 0 };
     let mut states = vec![None; positions.len()];
     for (i, &(timestep, position)) in tracked.iter().enumerate() {
-        let backwards = tracked[..i].iter().rev().find(|(_, p)| p.distance(position) >= MIN_DISPLACEMENT_M);
+        let backwards = tracked[..i].iter().rev().find(|(_, p)| is_displaced(*p, position));
         if let Some((_, from)) = backwards {
             if known.is_none() {
                 placeholder_until = timestep;
@@ -44,7 +44,13 @@ pub(super) fn derive_states(
 /// Direction from the first position to the first one at least 1 m from it.
 fn first_motion(tracked: &[(usize, Vec2)]) -> Option<f64> {
     let (_, start) = *tracked.first()?;
-    tracked.iter().find(|(_, p)| p.distance(start) >= MIN_DISPLACEMENT_M).map(|(_, p)| (*p - start).angle())
+    tracked.iter().find(|(_, p)| is_displaced(start, *p)).map(|(_, p)| (*p - start).angle())
+}
+
+/// Compares squares: what stands is compared with all of its past at each timestep.
+fn is_displaced(from: Vec2, to: Vec2) -> bool {
+    let Vec2 { x, y } = to - from;
+    x * x + y * y >= MIN_DISPLACEMENT_M * MIN_DISPLACEMENT_M
 }
 
 fn velocity(tracked: &[(usize, Vec2)], timestamps_s: &[f64], i: usize, n_past: usize) -> Vec2 {

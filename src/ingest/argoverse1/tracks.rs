@@ -3,11 +3,12 @@
 use super::RECORDED;
 use super::kinematics::derive_states;
 use crate::geometry::Vec2;
+use crate::ingest::cells::split_cells;
+use crate::ingest::csv_rows::lines_of;
 use crate::ingest::decimal;
 use crate::ingest::raw::{HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use crate::ingest::source::Horizon;
 use crate::scene::{AgentClass, Dataset, SceneId, SceneSource, Split, Track, TrackId, TrackRole, Trajectory};
-use csv::ByteRecord;
 use std::collections::HashMap;
 
 const COLUMNS: [&str; 6] = ["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME"];
@@ -83,25 +84,19 @@ struct TrackHead {
 impl Table {
     fn read(unit: &RawUnit) -> Result<Self, Reject> {
         let bytes = unit.bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&unit.bytes);
-        // The format quotes nothing; a stray quote must not swallow the rest of the file.
-        let mut reader = csv::ReaderBuilder::new().quoting(false).from_reader(bytes);
-        let columns = find_columns(unit, reader.byte_headers())?;
+        let mut lines = lines_of(bytes).zip(1..).filter(|(line, _)| !line.is_empty());
+        let mut cells = Vec::new();
+        split_cells(lines.next().map_or(&[][..], |(header, _)| header), &mut cells);
+        let (columns, n_columns) = (find_columns(unit, &cells)?, cells.len());
         let mut table = Self { rows: Vec::with_capacity(bytes.len() / 96), tracks: Vec::new(), city: String::new() };
-        let mut known: HashMap<Vec<u8>, usize> = HashMap::new();
-        let mut record = ByteRecord::new();
-        loop {
-            let line = reader.position().line();
-            match reader.read_byte_record(&mut record) {
-                Ok(true) => {}
-                Ok(false) => break,
-                Err(error) => {
-                    let line = error.position().map_or(line, csv::Position::line);
-                    return Err(unit.reject_at("malformed_row", line, describe(&error)));
-                }
+        let mut known: HashMap<&[u8], usize> = HashMap::new();
+        for (line, number) in lines {
+            split_cells(line, &mut cells);
+            if cells.len() != n_columns {
+                let detail = format!("{} fields, expected {n_columns}", cells.len());
+                return Err(unit.reject_at("malformed_row", number, detail));
             }
-            let line = record.position().map_or(line, csv::Position::line);
-            let fields = columns.map(|column| record.get(column).unwrap_or_default().trim_ascii());
-            table.push(unit, line, fields, &mut known)?;
+            table.push(unit, number, columns.map(|column| cells[column].trim_ascii()), &mut known)?;
         }
         let n_focal = table.tracks.iter().filter(|track| track.role == TrackRole::Focal).count();
         match n_focal {
@@ -111,12 +106,12 @@ impl Table {
         }
     }
 
-    fn push(
+    fn push<'a>(
         &mut self,
         unit: &RawUnit,
         line: u64,
-        fields: [&[u8]; COLUMNS.len()],
-        known: &mut HashMap<Vec<u8>, usize>,
+        fields: [&'a [u8]; COLUMNS.len()],
+        known: &mut HashMap<&'a [u8], usize>,
     ) -> Result<(), Reject> {
         let [timestamp, track_id, object_type, x, y, city] = fields;
         let number = |name: &str, text: &[u8]| {
@@ -149,7 +144,7 @@ impl Table {
             None => {
                 let id = String::from_utf8_lossy(track_id).into_owned();
                 self.tracks.push(TrackHead { id, role: role_of(object_type) });
-                known.insert(track_id.to_vec(), self.tracks.len() - 1);
+                known.insert(track_id, self.tracks.len() - 1);
                 self.tracks.len() - 1
             }
         };
@@ -167,12 +162,11 @@ fn role_of(object_type: &[u8]) -> TrackRole {
 }
 
 /// Where the columns of the format stand in this file.
-fn find_columns(unit: &RawUnit, header: csv::Result<&ByteRecord>) -> Result<[usize; COLUMNS.len()], Reject> {
-    let header = header.map_err(|error| unit.reject_at("bad_header", 1, describe(&error)))?;
+fn find_columns(unit: &RawUnit, header: &[&[u8]]) -> Result<[usize; COLUMNS.len()], Reject> {
     let find = |name: &str| header.iter().position(|field| field.trim_ascii() == name.as_bytes());
     let missing: Vec<&str> = COLUMNS.into_iter().filter(|name| find(name).is_none()).collect();
     if !missing.is_empty() {
-        let found: Vec<_> = header.iter().take(12).map(String::from_utf8_lossy).collect();
+        let found: Vec<_> = header.iter().take(12).map(|field| String::from_utf8_lossy(field)).collect();
         let detail = format!(
             "no column {} in the header `{}`; expected comma-separated {}",
             missing.join(", "),
@@ -211,13 +205,6 @@ fn positions(unit: &RawUnit, table: &Table, timestamps_s: &[f64]) -> Result<Vec<
         }
     }
     Ok(positions)
-}
-
-fn describe(error: &csv::Error) -> String {
-    match error.kind() {
-        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => format!("{len} fields, expected {expected_len}"),
-        _ => error.to_string(),
-    }
 }
 
 fn shorten(text: &str) -> String {

@@ -23,6 +23,13 @@ struct Case {
     flaw: Option<&'static str>,
 }
 
+impl Case {
+    /// Whether a line is of this case at the first glance, as nearly all are: whole or not, it begins with the id.
+    fn goes_on_with(&self, line: &[u8], columns: &Columns) -> bool {
+        columns.case_id == Some(0) && line.strip_prefix(self.id.as_slice()).is_some_and(|rest| rest.starts_with(b","))
+    }
+}
+
 /// Emits the cases of a table that has been read up to its header; `table` is a unit to start each from.
 ///
 /// Rows of a case stand together. A case whose id came before is a reject, since its first part has been emitted then.
@@ -44,18 +51,20 @@ pub(super) fn split_cases(
                 return emit(Err(table.reject("unreadable", format!("{error}; {rest} is left out"))));
             }
         };
-        let id = CaseId::of(line, columns);
-        let begins_case = match (&current, &id) {
-            (None, _) => true,
-            (Some(case), CaseId::Whole(id)) => *id != case.id,
-            (Some(case), CaseId::Broken(Some(id))) => *id != case.id && !seen.contains(&plain_case_id(id)),
-            (Some(_), CaseId::Broken(None)) => false,
+        let begun = match &current {
+            None => Some(CaseId::of(line, columns).text()),
+            Some(case) if case.goes_on_with(line, columns) => None,
+            Some(case) => match CaseId::of(line, columns) {
+                CaseId::Whole(id) => (id != case.id).then_some(id),
+                CaseId::Broken(Some(id)) => (id != case.id && !seen.contains(&plain_case_id(id))).then_some(id),
+                CaseId::Broken(None) => None,
+            },
         };
-        if begins_case {
+        if let Some(id) = begun {
             if line.is_empty() {
                 continue;
             }
-            let id = id.text().to_vec();
+            let id = id.to_vec();
             let flaw = (!seen.insert(plain_case_id(&id))).then_some("case_not_contiguous");
             // Cases of a table are of similar size.
             let rows = Vec::with_capacity(current.as_ref().map_or(0, |case| case.rows.len().min(MAX_GUESSED_BYTES)));

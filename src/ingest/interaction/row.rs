@@ -2,6 +2,7 @@
 
 use super::columns::Columns;
 use crate::geometry::Vec2;
+use crate::ingest::cells::split_cells;
 use crate::ingest::decimal;
 use crate::scene::Extent;
 
@@ -37,13 +38,7 @@ pub(super) type Flaw = (&'static str, String);
 impl<'a> Row<'a> {
     /// Reads `line`; `cells` is room to work in.
     pub(super) fn parse(line: &'a [u8], columns: &Columns, cells: &mut Vec<&'a [u8]>) -> Result<Self, Flaw> {
-        cells.clear();
-        let mut start = 0;
-        for (end, _) in line.iter().enumerate().filter(|(_, byte)| **byte == b',') {
-            cells.push(line[start..end].trim_ascii());
-            start = end + 1;
-        }
-        cells.push(line[start..].trim_ascii());
+        split_cells(line, cells);
         if cells.len() != columns.n_columns {
             let n = cells.len();
             return Err(("malformed_row", format!("{n} columns, expected {}", columns.n_columns)));
@@ -51,11 +46,11 @@ impl<'a> Row<'a> {
         let cells = cells.as_slice();
         let number = |index: usize, name| number(cells[index], name);
         let optional = |index: Option<usize>, name| match index {
-            Some(index) if !cells[index].is_empty() => number(index, name).map(Some),
+            Some(index) if !cells[index].trim_ascii().is_empty() => number(index, name).map(Some),
             _ => Ok(None),
         };
 
-        let track_id = cells[columns.track_id];
+        let track_id = cells[columns.track_id].trim_ascii();
         if track_id.is_empty() || !track_id.iter().all(u8::is_ascii_graphic) {
             return Err(malformed("track_id", track_id, "an id"));
         }
@@ -91,7 +86,7 @@ impl<'a> Row<'a> {
         Ok(Self {
             track_id,
             frame_id,
-            agent_type: cells[columns.agent_type],
+            agent_type: cells[columns.agent_type].trim_ascii(),
             position,
             velocity,
             heading_rad,
@@ -102,8 +97,10 @@ impl<'a> Row<'a> {
     }
 }
 
+/// The number in a cell, around which there may be blanks.
 fn number(cell: &[u8], column: &str) -> Result<f64, Flaw> {
-    let number = decimal::number(cell).ok_or_else(|| malformed(column, cell, "a number"))?;
+    let number = decimal::number(cell).or_else(|| decimal::number(cell.trim_ascii()));
+    let number = number.ok_or_else(|| malformed(column, cell, "a number"))?;
     if number.is_finite() {
         Ok(number)
     } else {
@@ -113,15 +110,8 @@ fn number(cell: &[u8], column: &str) -> Result<f64, Flaw> {
 
 /// A whole number, which may be printed as a float.
 fn integer(cell: &[u8], column: &str) -> Result<i64, Flaw> {
-    // Beyond 2^53 not every whole number is a float.
-    let is_exact = |number: &f64| number.fract() == 0.0 && number.abs() < 9e15;
-    if let Some(number) = decimal::number(cell).filter(is_exact) {
-        return Ok(number as i64);
-    }
-    if let Some(integer) = std::str::from_utf8(cell).ok().and_then(|text| text.parse().ok()) {
-        return Ok(integer);
-    }
-    number(cell, column).and_then(|_| Err(malformed(column, cell, "a whole number")))
+    let whole = decimal::whole_number(cell).or_else(|| decimal::whole_number(cell.trim_ascii()));
+    whole.map_or_else(|| number(cell, column).and_then(|_| Err(malformed(column, cell, "a whole number"))), Ok)
 }
 
 fn malformed(column: &str, cell: &[u8], expected: &str) -> Flaw {
@@ -129,7 +119,11 @@ fn malformed(column: &str, cell: &[u8], expected: &str) -> Flaw {
 }
 
 fn printable(cell: &[u8]) -> String {
-    String::from_utf8_lossy(cell).chars().take(40).map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
+    String::from_utf8_lossy(cell.trim_ascii())
+        .chars()
+        .take(40)
+        .map(|c| if c.is_control() { '\u{fffd}' } else { c })
+        .collect()
 }
 
 #[cfg(test)]

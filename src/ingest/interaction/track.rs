@@ -1,10 +1,11 @@
 //! Which tracks does a table hold, in the frames of the recording?
 
+use super::CASE_HORIZON;
 use super::columns::Columns;
 use super::row::{Flaw, Row};
 use crate::geometry::{Vec2, wrap_angle};
 use crate::ingest::Reject;
-use crate::ingest::csv_rows::without_end;
+use crate::ingest::csv_rows::lines_of;
 use crate::scene::{AgentClass, Extent, State, Track, TrackId, TrackRole, Trajectory};
 use std::collections::BTreeMap;
 
@@ -43,8 +44,7 @@ pub(super) fn read_tracks(tables: &[Table<'_>]) -> Result<Vec<RecordedTrack>, Re
     let mut cells = Vec::new();
     for table in tables {
         let mut current: Option<usize> = None;
-        for (line, number) in table.rows.split(|byte| *byte == b'\n').zip(table.first_line..) {
-            let line = without_end(line);
+        for (line, number) in lines_of(table.rows).zip(table.first_line..) {
             if line.is_empty() {
                 continue;
             }
@@ -115,7 +115,7 @@ impl<'a> Builder<'a> {
             extent: None,
             is_interesting: false,
             is_to_predict: false,
-            observations: Vec::new(),
+            observations: Vec::with_capacity(CASE_HORIZON.n_timesteps()),
         })
     }
 
@@ -135,7 +135,9 @@ impl<'a> Builder<'a> {
 
     fn finish(mut self) -> Result<RecordedTrack, Reject> {
         let id = String::from_utf8_lossy(self.id).into_owned();
-        self.observations.sort_by_key(|observation| observation.frame_id);
+        if !self.observations.is_sorted_by_key(|observation| observation.frame_id) {
+            self.observations.sort_by_key(|observation| observation.frame_id);
+        }
         let repeated = self.observations.windows(2).find(|pair| pair[0].frame_id == pair[1].frame_id);
         if let Some([_, again]) = repeated {
             let detail = format!("track {id} is at frame {} already", again.frame_id);
@@ -167,8 +169,8 @@ fn states(observations: &[Observation<'_>]) -> (Vec<(i64, State)>, Option<i64>) 
     let mut n_unknown = 0;
     let mut states = Vec::with_capacity(observations.len());
     for Observation { frame_id, position, velocity, heading_rad, .. } in observations {
-        let moving_rad = (velocity.norm() >= MIN_HEADING_SPEED_MPS).then(|| velocity.angle());
-        known_rad = heading_rad.map(wrap_angle).or(moving_rad).or(known_rad);
+        let moving_rad = || (velocity.norm() >= MIN_HEADING_SPEED_MPS).then(|| velocity.angle());
+        known_rad = heading_rad.map(wrap_angle).or_else(moving_rad).or(known_rad);
         n_unknown += usize::from(known_rad.is_none());
         let heading_rad = known_rad.unwrap_or_else(|| velocity.angle());
         states.push((*frame_id, State { position: *position, heading_rad, velocity: *velocity }));
