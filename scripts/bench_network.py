@@ -3,11 +3,12 @@
     pip install torch safetensors numpy
 
 Reads the weights and batches that the benchmark wrote into a folder, writes its own output for the first batch beside them, says
-what it runs on, and then answers each line of stdin (`forward BATCH`, `train BATCH`, `sample FUTURES STEPS`) with the seconds that
-this took, on the clock and of the processor.
+what it runs on, and then answers each line of stdin (`forward BATCH`, `train BATCH`, `sample FUTURES STEPS`, each after `f32` or
+`bf16`, which is autocast) with the seconds that this took, on the clock and of the processor.
 """
 
 import argparse
+import contextlib
 import pathlib
 import sys
 import time
@@ -54,27 +55,29 @@ def main():
     weights = [weight.requires_grad_() for weight in denoiser.weights.values()]
     adam = torch.optim.Adam(weights, lr=3e-4)
 
-    def forward(batch):
-        with torch.inference_mode():
+    def forward(precision, batch):
+        with torch.inference_mode(), precision:
             return denoiser(batches[batch]["x"], batches[batch]["sigma"], batches[batch])
 
-    def train(batch):
+    def train(precision, batch):
         adam.zero_grad()
-        loss(denoiser, batches[batch]).backward()
+        with precision:
+            error = loss(denoiser, batches[batch])
+        error.backward()
         torch.nn.utils.clip_grad_norm_(weights, 5.0)
         adam.step()
 
-    def sample(n_futures, n_steps):
-        with torch.inference_mode():
+    def sample(precision, n_futures, n_steps):
+        with torch.inference_mode(), precision:
             return heun(denoiser, batches["scene"], int(n_futures), int(n_steps))
 
-    save_file({"output": forward("0").contiguous()}, arguments.folder / "outputs.safetensors")
+    save_file({"output": forward(contextlib.nullcontext(), "0").contiguous()}, arguments.folder / "outputs.safetensors")
     print(f"PyTorch {torch.__version__}, {torch.get_num_threads()} threads, {torch.backends.cpu.get_cpu_capability()}", flush=True)
     for line in sys.stdin:
-        name, *values = line.split()
+        precision, name, *values = line.split()
         call = {"forward": forward, "train": train, "sample": sample}[name]
         wall, cpu = time.perf_counter(), time.process_time()
-        call(*values)
+        call(torch.autocast("cpu", dtype=torch.bfloat16, enabled=precision == "bf16"), *values)
         print(time.perf_counter() - wall, time.process_time() - cpu, flush=True)
 
 

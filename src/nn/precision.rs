@@ -18,7 +18,8 @@ pub enum Precision {
     F32,
     /// Factors rounded to 11 bits, sums in `f32`: tensor cores of GPUs since Ampere. Nothing changes on the processor.
     Tf32,
-    /// Factors and results rounded to 8 bits, sums in `f32`: tensor cores of GPUs. The processor rounds alike, which takes longer.
+    /// Factors and results rounded to 8 bits, sums in `f32`: tensor cores of GPUs, and processors with AVX-512 BF16. Other
+    /// processors round alike, which takes longer.
     Bf16,
 }
 
@@ -69,7 +70,7 @@ impl Precision {
     pub(super) fn product(self, a: &Tensor, b: &Tensor) -> Result<Tensor> {
         match (self, a.device()) {
             (Self::F32 | Self::Tf32, _) => a.matmul(b),
-            // candle has no such product on the processor; rounding around one of f32 gives its numbers.
+            // The reference for the fused products; rounding around one of f32 gives the same numbers, slowly.
             (Self::Bf16, Device::Cpu) => rounded(&rounded(a)?.matmul(&rounded(b)?)?),
             (Self::Bf16, _) => a.to_dtype(DType::BF16)?.matmul(&b.to_dtype(DType::BF16)?)?.to_dtype(a.dtype()),
         }

@@ -8,7 +8,7 @@ use candle_core::{Device, Tensor};
 use djinn::diffusion::sampler::HeunConfig;
 use djinn::diffusion::{Denoiser, Edm, LossWeight, NoiseDistribution, NoiseSource, SamplerConfig, rows_like};
 use djinn::model::{DenoiserKind, DenoiserSpec, NetworkConfig, SceneDenoiser};
-use djinn::nn::{Adam, Params, keep_freed_memory};
+use djinn::nn::{Adam, Params, Precision, keep_freed_memory};
 use djinn::scene::{ObservationMask, Split};
 use djinn::seed::Seed;
 use djinn::store::SceneStore;
@@ -159,26 +159,31 @@ fn compare(options: &Options) -> Result<()> {
         Ok(())
     };
     println!("{:<38} {:>18} {:>18} {:>18}", "seconds on the clock (of the processor)", "djinn", "PyTorch", "ratio");
-    let mut table = Table::default();
-    for (round, noisy) in batches.iter().enumerate() {
-        let (ours, elapsed) = timed(|| forward(noisy));
-        ours?;
-        table.add("forward", elapsed, peer.ask(&format!("forward {round}"))?);
-    }
-    table.print("forward", &format!("forward, {} scenes", options.batch_size));
-    for (round, noisy) in batches.iter().enumerate() {
-        let (ours, elapsed) = timed(|| step(noisy));
-        ours?;
-        table.add("train", elapsed, peer.ask(&format!("train {round}"))?);
-    }
-    table.print("train", &format!("training step, {} scenes", options.batch_size));
-    for _ in 0..4 {
-        let (ours, elapsed) = timed(sample);
-        ours?;
-        table.add("sample", elapsed, peer.ask(&format!("sample {} {}", options.n_futures, options.n_steps))?);
-    }
     let n_evaluations = 2 * options.n_steps - 1;
-    table.print("sample", &format!("{} futures, {n_evaluations} evaluations", options.n_futures));
+    for precision in [Precision::F32, Precision::Bf16] {
+        precision.choose();
+        println!("in {precision}:");
+        let mut table = Table::default();
+        for (round, noisy) in batches.iter().enumerate() {
+            let (ours, elapsed) = timed(|| forward(noisy));
+            ours?;
+            table.add("forward", elapsed, peer.ask(&format!("{precision} forward {round}"))?);
+        }
+        table.print("forward", &format!("forward, {} scenes", options.batch_size));
+        for (round, noisy) in batches.iter().enumerate() {
+            let (ours, elapsed) = timed(|| step(noisy));
+            ours?;
+            table.add("train", elapsed, peer.ask(&format!("{precision} train {round}"))?);
+        }
+        table.print("train", &format!("training step, {} scenes", options.batch_size));
+        for _ in 0..4 {
+            let (ours, elapsed) = timed(sample);
+            ours?;
+            let request = format!("{precision} sample {} {}", options.n_futures, options.n_steps);
+            table.add("sample", elapsed, peer.ask(&request)?);
+        }
+        table.print("sample", &format!("{} futures, {n_evaluations} evaluations", options.n_futures));
+    }
     peer.stop()
 }
 

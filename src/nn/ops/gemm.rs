@@ -1,32 +1,39 @@
 //! Products of matrices that lie anywhere in slices.
 
 use gemm::Parallelism;
+use gemmkit::{MatMut, MatRef, bf16};
+use std::borrow::Cow;
 
 /// A matrix inside a slice: entry (i, j) is `data[i * row_stride + j * col_stride]`.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Matrix<'a> {
-    data: &'a [f32],
+pub(super) struct Matrix<'a, F = f32> {
+    data: &'a [F],
     n_rows: usize,
     n_cols: usize,
     row_stride: usize,
     col_stride: usize,
 }
 
-impl<'a> Matrix<'a> {
+impl<'a, F> Matrix<'a, F> {
     /// The row-major matrix of `data` with rows of `n_cols`.
-    pub(super) fn new(data: &'a [f32], n_cols: usize) -> Self {
+    pub(super) fn new(data: &'a [F], n_cols: usize) -> Self {
         Self { data, n_rows: data.len() / n_cols.max(1), n_cols, row_stride: n_cols, col_stride: 1 }
     }
 
     /// The transposed matrix, without moving anything.
     pub(super) const fn t(self) -> Self {
         Self {
+            data: self.data,
             n_rows: self.n_cols,
             n_cols: self.n_rows,
             row_stride: self.col_stride,
             col_stride: self.row_stride,
-            ..self
         }
+    }
+
+    /// The same for `gemmkit`.
+    fn view(self) -> MatRef<'a, F> {
+        MatRef::new(self.data, self.n_rows, self.n_cols, self.row_stride as isize, self.col_stride as isize)
     }
 
     /// Whether every entry lies in the slice.
@@ -51,12 +58,9 @@ pub(super) enum Into {
 /// # Panics
 /// When the dimensions do not fit.
 pub(super) fn matmul(dst: &mut [f32], into: Into, scale: f32, lhs: Matrix<'_>, rhs: Matrix<'_>) {
-    let (m, n, k) = (lhs.n_rows, rhs.n_cols, lhs.n_cols);
-    assert_eq!(k, rhs.n_rows, "inner dimensions differ");
-    assert_eq!(dst.len(), m * n, "the product has another size");
-    assert!(lhs.is_inside() && rhs.is_inside(), "a matrix leaves its slice");
+    let (m, n, k) = fitting(dst, &lhs, &rhs);
     #[expect(unsafe_code, reason = "the kernels of the gemm crate take pointers")]
-    // SAFETY: all entries of the three matrices lie inside their slices by the assertions above, `dst` is row-major and
+    // SAFETY: all entries of the three matrices lie inside their slices by the assertions of `fitting`, `dst` is row-major and
     // therefore without overlapping entries, and it cannot overlap `lhs` or `rhs` because it is borrowed exclusively.
     unsafe {
         gemm::gemm(
@@ -83,6 +87,70 @@ pub(super) fn matmul(dst: &mut [f32], into: Into, scale: f32, lhs: Matrix<'_>, r
     }
 }
 
+/// Rows, columns and inner dimension of a product that fits.
+fn fitting<F>(dst: &[f32], lhs: &Matrix<'_, F>, rhs: &Matrix<'_, F>) -> (usize, usize, usize) {
+    let (m, n, k) = (lhs.n_rows, rhs.n_cols, lhs.n_cols);
+    assert_eq!(k, rhs.n_rows, "inner dimensions differ");
+    assert_eq!(dst.len(), m * n, "the product has another size");
+    assert!(lhs.is_inside() && rhs.is_inside(), "a matrix leaves its slice");
+    (m, n, k)
+}
+
+/// What the factors of a product are rounded to.
+pub(super) trait Factor: Copy + Default + Send + Sync + 'static {
+    /// Rows that one task maps: with them its share of inputs and outputs stays in the cache between product and activation.
+    const N_ROWS: usize;
+
+    /// The nearest factors.
+    fn nearest(values: Cow<'_, [f32]>) -> Cow<'_, [Self]>;
+
+    /// dst = [dst +] lhs · rhs, as [`matmul`].
+    fn product(dst: &mut [f32], into: Into, lhs: Matrix<'_, Self>, rhs: Matrix<'_, Self>);
+}
+
+impl Factor for f32 {
+    const N_ROWS: usize = 128;
+
+    fn nearest(values: Cow<'_, [f32]>) -> Cow<'_, [Self]> {
+        values
+    }
+
+    fn product(dst: &mut [f32], into: Into, lhs: Matrix<'_, Self>, rhs: Matrix<'_, Self>) {
+        matmul(dst, into, 1.0, lhs, rhs);
+    }
+}
+
+/// The nearest number of eight bits, of two equally near ones the even one: what lies beyond them is rounded in whole numbers,
+/// and what is carried goes to the exponent.
+fn nearest_halved(value: f32) -> bf16 {
+    if value.is_nan() {
+        return bf16::NAN;
+    }
+    let bits = value.to_bits();
+    bf16::from_bits((bits.wrapping_add(0x7fff + (bits >> 16 & 1)) >> 16) as u16)
+}
+
+/// Products are summed in `f32` and rounded once.
+impl Factor for bf16 {
+    /// Each task packs the weights anew, which more rows make up for.
+    const N_ROWS: usize = 256;
+
+    fn nearest(values: Cow<'_, [f32]>) -> Cow<'_, [Self]> {
+        Cow::Owned(values.iter().map(|value| nearest_halved(*value)).collect())
+    }
+
+    fn product(dst: &mut [f32], into: Into, lhs: Matrix<'_, Self>, rhs: Matrix<'_, Self>) {
+        let (m, n, _) = fitting(dst, &lhs, &rhs);
+        let mut product = vec![Self::ZERO; m * n];
+        let target = MatMut::from_row_major(&mut product, m, n);
+        gemmkit::gemm(Self::ONE, lhs.view(), rhs.view(), Self::ZERO, target, gemmkit::Parallelism::Serial);
+        match into {
+            Into::Replace => dst.iter_mut().zip(&product).for_each(|(dst, value)| *dst = value.to_f32()),
+            Into::Add => dst.iter_mut().zip(&product).for_each(|(dst, value)| *dst += value.to_f32()),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -102,6 +170,44 @@ mod tests {
         let mut dst = [0.0; 9];
         matmul(&mut dst, Into::Replace, 1.0, Matrix::new(&a, 3).t(), Matrix::new(&b, 3));
         assert_eq!(dst, [9.0, 4.0, 1.0, 12.0, 5.0, 0.5, 15.0, 6.0, 0.0]);
+    }
+
+    #[test]
+    fn halved_factors_are_summed_in_full() {
+        // 1 + 2⁻⁸ is rounded to 1, and 3 · (1 + 2⁻⁷) needs nine bits; 200 ones are summed exactly, 300 cannot be held.
+        let product = |lhs: &[f32], rhs: &[f32], into: Into, dst: f32| {
+            let [lhs, rhs] = [lhs, rhs].map(|values| <bf16 as Factor>::nearest(Cow::Borrowed(values)));
+            let mut dst = [dst];
+            Factor::product(&mut dst, into, Matrix::new(&lhs, lhs.len()), Matrix::new(&rhs, 1));
+            dst[0]
+        };
+        assert_eq!(product(&[1.003_906_2], &[1.0], Into::Replace, 7.0), 1.0);
+        assert_eq!(product(&[3.0], &[1.007_812_5], Into::Replace, 7.0), 3.031_25);
+        assert_eq!(product(&[1.0; 200], &[1.0; 200], Into::Add, 0.001), 200.001);
+        assert_eq!(product(&[1.0; 301], &[1.0; 301], Into::Replace, 0.0), 300.0);
+        // Rows, columns and transposed matrices as in single precision, where all numbers are small and whole.
+        let numbers = |n: usize, step: usize| (0..n).map(|i| ((i * step) % 7) as f32 - 3.0).collect::<Vec<f32>>();
+        let (a, b) = (numbers(5 * 9, 3), numbers(9 * 4, 5));
+        let (mut single, mut halved) = ([0.0; 20], [0.0; 20]);
+        matmul(&mut single, Into::Replace, 1.0, Matrix::new(&a, 9), Matrix::new(&b, 4));
+        let [a, b] = [&a, &b].map(|values| <bf16 as Factor>::nearest(Cow::Borrowed(values)));
+        Factor::product(&mut halved, Into::Replace, Matrix::new(&a, 9), Matrix::new(&b, 4));
+        assert_eq!(halved, single);
+        let mut transposed = [0.0; 20];
+        Factor::product(&mut transposed, Into::Replace, Matrix::new(&b, 4).t(), Matrix::new(&a, 9).t());
+        assert!((0..20).all(|i| transposed[i % 4 * 5 + i / 4] == single[i]));
+    }
+
+    #[test]
+    fn rounding_is_that_of_the_type() {
+        let special = [0.0, -0.0, f32::MAX, f32::MIN_POSITIVE, f32::INFINITY, f32::NEG_INFINITY, 1e-40, 3.402e38];
+        let mut rng = crate::seed::Seed(1).rng();
+        let drawn = (0..100_000).map(|_| f32::from_bits((rng.uniform() * 4_294_967_296.0) as u32));
+        let between = (0..1000u32).map(|i| f32::from_bits(0x3f80_7ffe + i % 4 + ((i / 4) << 16)));
+        for value in special.into_iter().chain(drawn.filter(|value| !value.is_nan())).chain(between) {
+            assert_eq!(nearest_halved(value).to_bits(), bf16::from_f32(value).to_bits(), "{value}");
+        }
+        assert!(nearest_halved(f32::NAN).is_nan() && nearest_halved(f32::from_bits(0x7f80_0001)).is_nan());
     }
 
     #[test]

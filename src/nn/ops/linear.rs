@@ -2,15 +2,15 @@
 
 use candle_core::{CpuStorage, CustomOp3, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
+use std::borrow::Cow;
+use std::marker::PhantomData;
 
 use super::Activation;
-use super::gemm::{Into, Matrix, matmul};
+use super::gemm::{Factor, Into, Matrix};
 use super::host::{gradient, slice, values};
 use super::rows::{gather, spans, valid_rows};
 use crate::nn::precision::Precision;
 
-/// Rows that one task maps: with them its share of inputs and outputs stays in the cache between product and activation.
-const N_ROWS: usize = 128;
 /// Rows of a matrix that are transposed together: one cache line of the result.
 const N_TRANSPOSED: usize = 16;
 /// Outputs whose weights one task differentiates, or inputs whose weights it transposes.
@@ -40,8 +40,8 @@ pub(super) fn reference(
     }
 }
 
-/// The fused implementation: see [`linear`](super::linear).
-pub(super) fn fused(
+/// The fused implementation with factors rounded to `F`: see [`linear`](super::linear).
+pub(super) fn fused<F: Factor>(
     x: &Tensor,
     weight: &Tensor,
     bias: &Tensor,
@@ -52,16 +52,21 @@ pub(super) fn fused(
         None => (0..(x.elem_count() / x.dim(D::Minus1)?) as u32).collect(),
         Some(valid) => valid_rows(&values(&valid.contiguous()?)?),
     };
-    x.contiguous()?.apply_op3(&weight.contiguous()?, &bias.contiguous()?, FusedLinear { activation, rows })
+    x.contiguous()?.apply_op3(
+        &weight.contiguous()?,
+        &bias.contiguous()?,
+        FusedLinear::<F> { activation, rows, factor: PhantomData },
+    )
 }
 
 /// x (.., K), W (N, K), b (N) to (.., N), on `rows` alone; the others are 0.
-struct FusedLinear {
+struct FusedLinear<F> {
     activation: Activation,
     rows: Vec<u32>,
+    factor: PhantomData<F>,
 }
 
-impl FusedLinear {
+impl<F: Factor> FusedLinear<F> {
     /// The gradient at the output of the affine map, for some rows and the outputs from `first` to `end`.
     fn gradient(&self, y: &[f32], grad: &[f32], rows: &[u32], n_out: usize, first: usize, end: usize) -> Vec<f32> {
         let mut gradient = Vec::with_capacity(rows.len() * (end - first));
@@ -81,10 +86,11 @@ impl FusedLinear {
 
     fn gradient_of_x(&self, y: &[f32], grad: &[f32], weight: &[f32], n_out: usize) -> Vec<f32> {
         let n_in = weight.len() / n_out;
+        let weight = F::nearest(weight.into());
         let mut dx = vec![0.0; y.len() / n_out * n_in];
-        spans(&mut dx, n_in, &self.rows, N_ROWS).par_iter_mut().for_each(|span| {
-            let gradient = self.gradient(y, grad, span.rows, n_out, 0, n_out);
-            span.write(|dx| matmul(dx, Into::Replace, 1.0, Matrix::new(&gradient, n_out), Matrix::new(weight, n_in)));
+        spans(&mut dx, n_in, &self.rows, F::N_ROWS).par_iter_mut().for_each(|span| {
+            let gradient = F::nearest(self.gradient(y, grad, span.rows, n_out, 0, n_out).into());
+            span.write(|dx| F::product(dx, Into::Replace, Matrix::new(&gradient, n_out), Matrix::new(&weight, n_in)));
         });
         dx
     }
@@ -99,23 +105,26 @@ impl FusedLinear {
         n_out: usize,
     ) -> (Vec<f32>, Vec<f32>) {
         let (mut dw, mut db) = (vec![0.0; n_out * n_in], vec![0.0; n_out]);
+        // All tasks share the inputs, which are gathered once.
+        let shared: Vec<(&[u32], Cow<'_, [F]>)> =
+            (self.rows.par_chunks(2 * F::N_ROWS)).map(|rows| (rows, F::nearest(gather(x, n_in, rows)))).collect();
         let tasks = dw.par_chunks_mut(N_OUTPUTS * n_in).zip(db.par_chunks_mut(N_OUTPUTS)).enumerate();
         tasks.for_each(|(task, (dw, db))| {
             let first = task * N_OUTPUTS;
-            for rows in self.rows.chunks(2 * N_ROWS) {
+            for (rows, x) in &shared {
                 let gradient = self.gradient(y, grad, rows, n_out, first, first + db.len());
-                let x = gather(x, n_in, rows);
-                matmul(dw, Into::Add, 1.0, Matrix::new(&gradient, db.len()).t(), Matrix::new(&x, n_in));
                 for gradient in gradient.chunks_exact(db.len()) {
                     db.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += g);
                 }
+                let gradient = F::nearest(gradient.into());
+                F::product(dw, Into::Add, Matrix::new(&gradient, db.len()).t(), Matrix::new(x, n_in));
             }
         });
         (dw, db)
     }
 }
 
-impl CustomOp3 for FusedLinear {
+impl<F: Factor> CustomOp3 for FusedLinear<F> {
     fn name(&self) -> &'static str {
         "linear"
     }
@@ -135,12 +144,12 @@ impl CustomOp3 for FusedLinear {
         shape.pop();
         shape.push(n_out);
         // Transposed once here, lest every product pack its weights anew.
-        let weight = transposed(weight, n_in);
+        let weight = transposed(&F::nearest(weight.into()), n_in);
         let mut y = vec![0.0; x.len() / n_in * n_out];
-        spans(&mut y, n_out, &self.rows, N_ROWS).par_iter_mut().for_each(|span| {
-            let x = gather(x, n_in, span.rows);
+        spans(&mut y, n_out, &self.rows, F::N_ROWS).par_iter_mut().for_each(|span| {
+            let x = F::nearest(gather(x, n_in, span.rows));
             span.write(|y| {
-                matmul(y, Into::Replace, 1.0, Matrix::new(&x, n_in), Matrix::new(&weight, n_out));
+                F::product(y, Into::Replace, Matrix::new(&x, n_in), Matrix::new(&weight, n_out));
                 for y in y.chunks_exact_mut(n_out) {
                     match self.activation {
                         Activation::None => y.iter_mut().zip(bias).for_each(|(y, b)| *y += b),
@@ -174,9 +183,9 @@ impl CustomOp3 for FusedLinear {
 }
 
 /// The transposed matrix of rows of `n_cols`.
-fn transposed(matrix: &[f32], n_cols: usize) -> Vec<f32> {
+fn transposed<F: Factor>(matrix: &[F], n_cols: usize) -> Vec<F> {
     let n_rows = matrix.len() / n_cols;
-    let mut transposed = vec![0.0; matrix.len()];
+    let mut transposed = vec![F::default(); matrix.len()];
     transposed.par_chunks_mut(N_OUTPUTS * n_rows).enumerate().for_each(|(task, columns)| {
         // Sixteen rows at a time: what is written then fills whole cache lines.
         for (block, rows) in matrix.chunks(N_TRANSPOSED * n_cols).enumerate() {

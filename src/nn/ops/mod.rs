@@ -17,6 +17,7 @@ mod rows;
 mod sinusoidal;
 
 use candle_core::{D, DType, Device, Result, Tensor, bail};
+use gemmkit::bf16;
 
 pub(super) use self::adam::{AdamStep, Moments};
 use super::attention::Axis;
@@ -73,9 +74,10 @@ pub fn linear(
     match (backend(x), Precision::chosen()) {
         (Backend::Kernels, precision) => cuda::linear(x, weight, bias, activation, valid.as_ref(), precision),
         (Backend::Fused, Precision::F32 | Precision::Tf32) => {
-            linear::fused(x, weight, bias, activation, valid.as_ref())
+            linear::fused::<f32>(x, weight, bias, activation, valid.as_ref())
         }
-        (_, precision) => linear::reference(x, weight, bias, activation, valid.as_ref(), precision),
+        (Backend::Fused, Precision::Bf16) => linear::fused::<bf16>(x, weight, bias, activation, valid.as_ref()),
+        (Backend::Plain, precision) => linear::reference(x, weight, bias, activation, valid.as_ref(), precision),
     }
 }
 

@@ -108,6 +108,24 @@ fn linear_agrees() {
 }
 
 #[test]
+fn linear_agrees_in_halved_precision() {
+    // Both round factors and results; sums in another order may go to the neighbour of a number of eight bits.
+    const NEIGHBOUR: f64 = 1.0 / 128.0;
+    let arguments = [normal(&[2, 3, 50, 20], 1), normal(&[70, 20], 2), normal(&[70], 3)];
+    for valid in [None, Some(mask(&[2, 3, 50], 0.6, 4))] {
+        let fused: Op<'_> = &|a| linear::fused::<bf16>(&a[0], &a[1], &a[2], Activation::Relu, valid.as_ref());
+        let plain: Op<'_> =
+            &|a| linear::reference(&a[0], &a[1], &a[2], Activation::Relu, valid.as_ref(), Precision::Bf16);
+        let (fused, plain) = (run(fused, &arguments, DType::F32), run(plain, &arguments, DType::F32));
+        for (fused, plain) in fused.iter().zip(&plain) {
+            assert_close(fused, plain, NEIGHBOUR, "halved");
+        }
+        let exact = run(&|a| linear(&a[0], &a[1], &a[2], Activation::Relu, valid.as_ref()), &arguments, DType::F32);
+        assert!(exact.iter().zip(&fused).all(|(exact, halved)| exact != halved || exact.len() == 70));
+    }
+}
+
+#[test]
 fn layer_norm_agrees() {
     for dims in [&[2, 3, 50, 24][..], &[1, 128], &[7]] {
         let dim = dims[dims.len() - 1];
