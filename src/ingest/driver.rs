@@ -30,7 +30,7 @@ pub struct IngestBatch {
     pub report: IngestReport,
 }
 
-/// Reads the recordings of `config.inputs` and hands their scenes to `sink`, batch after batch.
+/// Reads the recordings of `config.inputs` and hands their scenes to `sink`, batch after batch, in a thread of its own.
 ///
 /// Batches, scenes and reports depend on the inputs and the configuration only, not on threads. To resume, pass the merged
 /// reports of the batches that were stored as `done`: their units are read over without being parsed. Returns the report
@@ -43,7 +43,7 @@ pub fn ingest(
     config: &IngestConfig,
     done: Option<&IngestReport>,
     progress: &dyn Progress,
-    sink: &mut dyn FnMut(IngestBatch) -> Result<(), BoxError>,
+    sink: &mut (dyn FnMut(IngestBatch) -> Result<(), BoxError> + Send),
 ) -> Result<IngestReport, Error> {
     config.validate()?;
     let source = super::source_of(config)?;
@@ -56,25 +56,30 @@ pub fn ingest(
     progress.start("ingest", config.limit.unwrap_or(0), "scenes");
     progress.advance(total.n_scenes);
     let parser = UnitParser { config, source, maps: &maps };
-    // Units are read, parsed and stored at the same time, each in a thread of its own.
+    // Units are read, parsed and stored at the same time; parsing is what takes all threads.
     let seen = std::thread::scope(|scope| {
         let (unit_sender, units) = mpsc::sync_channel(1);
-        let (scene_sender, batches) = mpsc::sync_channel(1);
         let unit_sender = BatchSender::new(unit_sender, total.n_units);
-        let room = config.limit.map(|limit| limit - total.n_scenes);
         let reader = scope.spawn(move || read_batches(config, source, unit_sender));
-        scope.spawn(move || parser.parse_batches(units, room, &scene_sender));
-        for batch in batches {
-            let batch: IngestBatch = batch?;
+        let (scene_sender, batches) = mpsc::sync_channel(1);
+        let storer = scope.spawn(move || batches.into_iter().try_for_each(sink));
+        let mut handed_out = BTreeSet::new();
+        for batch in units {
+            let room = config.limit.map(|limit| limit - total.n_scenes);
+            let batch = parser.parse_batch(batch?, room, &mut handed_out)?;
             total.merge(&batch.report);
             progress.advance(batch.report.n_scenes);
             if total.n_rejects() > 0 {
                 progress.note(&format!("{} rejected", total.n_rejects()));
             }
-            let batch = IngestBatch { units_done: total.n_units, ..batch };
-            sink(batch).map_err(Error::Sink)?;
+            let sent = scene_sender.send(IngestBatch { units_done: total.n_units, ..batch });
+            if sent.is_err() || config.limit.is_some_and(|limit| total.n_scenes >= limit) {
+                break;
+            }
         }
-        // Nobody receives any more by now, which ends the reader.
+        drop(scene_sender);
+        storer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)).map_err(Error::Sink)?;
+        // The receiver is gone by now, which ends the reader.
         Ok::<_, Error>(reader.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
     })?;
     progress.finish();
@@ -155,29 +160,6 @@ struct UnitParser<'a> {
 }
 
 impl UnitParser<'_> {
-    /// Parses batch after batch until `room` scenes are found, or nobody receives them.
-    fn parse_batches(
-        &self,
-        units: mpsc::Receiver<Result<Batch, Error>>,
-        mut room: Option<u64>,
-        sender: &mpsc::SyncSender<Result<IngestBatch, Error>>,
-    ) {
-        let mut handed_out = BTreeSet::new();
-        for batch in units {
-            let batch = batch.and_then(|batch| self.parse_batch(batch, room, &mut handed_out));
-            let is_last = match &batch {
-                Ok(batch) => {
-                    room = room.map(|room| room - batch.report.n_scenes);
-                    room == Some(0)
-                }
-                Err(_) => true,
-            };
-            if sender.send(batch).is_err() || is_last {
-                break;
-            }
-        }
-    }
-
     /// Parses the units of a batch in parallel and collects the first `room` scenes in order.
     fn parse_batch(
         &self,
