@@ -139,7 +139,7 @@ thread_local! {
 /// Products are summed in `f32` and rounded once.
 impl Factor for bf16 {
     /// Each task packs the weights anew, which more rows make up for.
-    const N_ROWS: usize = 512;
+    const N_ROWS: usize = 256;
 
     fn nearest(values: Cow<'_, [f32]>) -> Cow<'_, [Self]> {
         Cow::Owned(values.iter().map(|value| nearest_halved(*value)).collect())
