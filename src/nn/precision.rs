@@ -16,7 +16,7 @@ pub enum Precision {
     /// 24 bits.
     #[default]
     F32,
-    /// Factors rounded to 11 bits, sums in `f32`: tensor cores of GPUs since Ampere. Nothing changes on the processor.
+    /// Factors cut to 11 bits, sums in `f32`: tensor cores of GPUs since Ampere. The processor cuts alike, which takes longer.
     Tf32,
     /// Factors and results rounded to 8 bits, sums in `f32`: tensor cores of GPUs, and processors with AVX-512 BF16. Other
     /// processors round alike, which takes longer.
@@ -69,6 +69,7 @@ impl Precision {
     /// When shapes do not fit.
     pub(super) fn product(self, a: &Tensor, b: &Tensor) -> Result<Tensor> {
         match (self, a.device()) {
+            // What tensor cores cut is a matter of the device, and of the fused products.
             (Self::F32 | Self::Tf32, _) => a.matmul(b),
             // The reference for the fused products; rounding around one of f32 gives the same numbers, slowly.
             (Self::Bf16, Device::Cpu) => rounded(&rounded(a)?.matmul(&rounded(b)?)?),

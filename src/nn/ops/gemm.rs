@@ -97,32 +97,62 @@ fn fitting<F>(dst: &[f32], lhs: &Matrix<'_, F>, rhs: &Matrix<'_, F>) -> (usize, 
     (m, n, k)
 }
 
-/// What the factors of a product are rounded to.
-pub(super) trait Factor: Copy + Default + Send + Sync + 'static {
+/// How exactly factors of products are kept.
+pub(super) trait Factors: Send + Sync + 'static {
+    /// What a factor is kept as.
+    type Factor: Copy + Default + Send + Sync;
+
     /// Rows that one task maps: with them its share of inputs and outputs stays in the cache between product and activation.
     const N_ROWS: usize;
 
-    /// The nearest factors.
-    fn nearest(values: Cow<'_, [f32]>) -> Cow<'_, [Self]>;
+    /// The factors that stand for these numbers.
+    fn of(values: Cow<'_, [f32]>) -> Cow<'_, [Self::Factor]>;
 
     /// dst = [dst +] lhs · rhs, as [`matmul`].
-    fn product(dst: &mut [f32], into: Into, lhs: Matrix<'_, Self>, rhs: Matrix<'_, Self>);
+    fn product(dst: &mut [f32], into: Into, lhs: Matrix<'_, Self::Factor>, rhs: Matrix<'_, Self::Factor>);
 }
 
-impl Factor for f32 {
+/// [`Precision::F32`](crate::nn::Precision::F32).
+pub(super) struct F32;
+
+impl Factors for F32 {
+    type Factor = f32;
     const N_ROWS: usize = 128;
 
-    fn nearest(values: Cow<'_, [f32]>) -> Cow<'_, [Self]> {
+    fn of(values: Cow<'_, [f32]>) -> Cow<'_, [f32]> {
         values
     }
 
-    fn product(dst: &mut [f32], into: Into, lhs: Matrix<'_, Self>, rhs: Matrix<'_, Self>) {
+    fn product(dst: &mut [f32], into: Into, lhs: Matrix<'_>, rhs: Matrix<'_>) {
+        matmul(dst, into, 1.0, lhs, rhs);
+    }
+}
+
+/// [`Precision::Tf32`](crate::nn::Precision::Tf32).
+pub(super) struct Tf32;
+
+impl Tf32 {
+    /// Tensor cores read the sign, the exponent and the first ten bits behind the point, and no others.
+    const fn cut(value: f32) -> f32 {
+        if value.is_nan() { value } else { f32::from_bits(value.to_bits() & !0x1fff) }
+    }
+}
+
+impl Factors for Tf32 {
+    type Factor = f32;
+    const N_ROWS: usize = F32::N_ROWS;
+
+    fn of(values: Cow<'_, [f32]>) -> Cow<'_, [f32]> {
+        Cow::Owned(values.iter().map(|value| Self::cut(*value)).collect())
+    }
+
+    fn product(dst: &mut [f32], into: Into, lhs: Matrix<'_>, rhs: Matrix<'_>) {
         matmul(dst, into, 1.0, lhs, rhs);
     }
 }
 
 /// The nearest number of eight bits, of two equally near ones the even one: what lies beyond them is rounded in whole numbers,
-/// and what is carried goes to the exponent.
+/// and what is carried goes to the exponent. As `bf16::from_f32`, without its branches, which cost more than the rounding.
 fn nearest_halved(value: f32) -> bf16 {
     if value.is_nan() {
         return bf16::NAN;
@@ -132,28 +162,31 @@ fn nearest_halved(value: f32) -> bf16 {
 }
 
 thread_local! {
-    /// Room for a product before it becomes `f32`; setting it to 0 anew each time would cost a tenth of the product.
+    /// Room for a product before it becomes `f32`, kept lest each one be cleared first.
     static PRODUCT: RefCell<Vec<bf16>> = const { RefCell::new(Vec::new()) };
 }
 
-/// Products are summed in `f32` and rounded once.
-impl Factor for bf16 {
+/// [`Precision::Bf16`](crate::nn::Precision::Bf16): products are summed in `f32` and rounded once.
+pub(super) struct Bf16;
+
+impl Factors for Bf16 {
+    type Factor = bf16;
     /// Each task packs the weights anew, which more rows make up for.
     const N_ROWS: usize = 256;
 
-    fn nearest(values: Cow<'_, [f32]>) -> Cow<'_, [Self]> {
+    fn of(values: Cow<'_, [f32]>) -> Cow<'_, [bf16]> {
         Cow::Owned(values.iter().map(|value| nearest_halved(*value)).collect())
     }
 
-    fn product(dst: &mut [f32], into: Into, lhs: Matrix<'_, Self>, rhs: Matrix<'_, Self>) {
+    fn product(dst: &mut [f32], into: Into, lhs: Matrix<'_, bf16>, rhs: Matrix<'_, bf16>) {
         let (m, n, _) = fitting(dst, &lhs, &rhs);
         PRODUCT.with_borrow_mut(|product| {
             if product.len() < m * n {
-                product.resize(m * n, Self::ZERO);
+                product.resize(m * n, bf16::ZERO);
             }
             let product = &mut product[..m * n];
             let target = MatMut::from_row_major(product, m, n);
-            gemmkit::gemm(Self::ONE, lhs.view(), rhs.view(), Self::ZERO, target, gemmkit::Parallelism::Serial);
+            gemmkit::gemm(bf16::ONE, lhs.view(), rhs.view(), bf16::ZERO, target, gemmkit::Parallelism::Serial);
             let product = product.iter().map(|value| f32::from_bits(u32::from(value.to_bits()) << 16));
             match into {
                 Into::Replace => dst.iter_mut().zip(product).for_each(|(dst, value)| *dst = value),
@@ -188,9 +221,9 @@ mod tests {
     fn halved_factors_are_summed_in_full() {
         // 1 + 2⁻⁸ is rounded to 1, and 3 · (1 + 2⁻⁷) needs nine bits; 200 ones are summed exactly, 300 cannot be held.
         let product = |lhs: &[f32], rhs: &[f32], into: Into, dst: f32| {
-            let [lhs, rhs] = [lhs, rhs].map(|values| <bf16 as Factor>::nearest(Cow::Borrowed(values)));
+            let [lhs, rhs] = [lhs, rhs].map(|values| Bf16::of(Cow::Borrowed(values)));
             let mut dst = [dst];
-            Factor::product(&mut dst, into, Matrix::new(&lhs, lhs.len()), Matrix::new(&rhs, 1));
+            Bf16::product(&mut dst, into, Matrix::new(&lhs, lhs.len()), Matrix::new(&rhs, 1));
             dst[0]
         };
         assert_eq!(product(&[1.003_906_2], &[1.0], Into::Replace, 7.0), 1.0);
@@ -202,12 +235,23 @@ mod tests {
         let (a, b) = (numbers(5 * 9, 3), numbers(9 * 4, 5));
         let (mut single, mut halved) = ([0.0; 20], [0.0; 20]);
         matmul(&mut single, Into::Replace, 1.0, Matrix::new(&a, 9), Matrix::new(&b, 4));
-        let [a, b] = [&a, &b].map(|values| <bf16 as Factor>::nearest(Cow::Borrowed(values)));
-        Factor::product(&mut halved, Into::Replace, Matrix::new(&a, 9), Matrix::new(&b, 4));
+        let [a, b] = [&a, &b].map(|values| Bf16::of(Cow::Borrowed(values)));
+        Bf16::product(&mut halved, Into::Replace, Matrix::new(&a, 9), Matrix::new(&b, 4));
         assert_eq!(halved, single);
         let mut transposed = [0.0; 20];
-        Factor::product(&mut transposed, Into::Replace, Matrix::new(&b, 4).t(), Matrix::new(&a, 9).t());
+        Bf16::product(&mut transposed, Into::Replace, Matrix::new(&b, 4).t(), Matrix::new(&a, 9).t());
         assert!((0..20).all(|i| transposed[i % 4 * 5 + i / 4] == single[i]));
+    }
+
+    #[test]
+    fn tensor_cores_drop_thirteen_bits() {
+        // 1 + 2⁻¹⁰ is kept, what comes behind it is not; 3 · (1 + 2⁻¹⁰) is summed in full.
+        let factors = Tf32::of(Cow::Borrowed(&[1.000_976_6, 1.001_953, -1.001_953, 3.0, f32::INFINITY]));
+        assert_eq!(factors.as_ref(), [1.000_976_6, 1.000_976_6, -1.000_976_6, 3.0, f32::INFINITY]);
+        assert!(Tf32::cut(f32::NAN).is_nan() && Tf32::cut(f32::from_bits(0x7f80_0001)).is_nan());
+        let mut dst = [0.0];
+        Tf32::product(&mut dst, Into::Replace, Matrix::new(&factors[3..4], 1), Matrix::new(&factors[..1], 1));
+        assert_eq!(dst, [3.002_929_7]);
     }
 
     #[test]

@@ -2,11 +2,10 @@
 
 use candle_core::{CpuStorage, CustomOp3, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
-use std::borrow::Cow;
 use std::marker::PhantomData;
 
 use super::Activation;
-use super::gemm::{Factor, Into, Matrix};
+use super::gemm::{Factors, Into, Matrix};
 use super::host::{gradient, slice, values};
 use super::rows::{gather, spans, valid_rows};
 use crate::nn::precision::Precision;
@@ -40,8 +39,8 @@ pub(super) fn reference(
     }
 }
 
-/// The fused implementation with factors rounded to `F`: see [`linear`](super::linear).
-pub(super) fn fused<F: Factor>(
+/// The fused implementation with factors kept as `F` says: see [`linear`](super::linear).
+pub(super) fn fused<F: Factors>(
     x: &Tensor,
     weight: &Tensor,
     bias: &Tensor,
@@ -55,7 +54,7 @@ pub(super) fn fused<F: Factor>(
     x.contiguous()?.apply_op3(
         &weight.contiguous()?,
         &bias.contiguous()?,
-        FusedLinear::<F> { activation, rows, factor: PhantomData },
+        FusedLinear::<F> { activation, rows, factors: PhantomData },
     )
 }
 
@@ -63,10 +62,10 @@ pub(super) fn fused<F: Factor>(
 struct FusedLinear<F> {
     activation: Activation,
     rows: Vec<u32>,
-    factor: PhantomData<F>,
+    factors: PhantomData<F>,
 }
 
-impl<F: Factor> FusedLinear<F> {
+impl<F: Factors> FusedLinear<F> {
     /// The gradient at the output of the affine map, for some rows and the outputs from `first` to `end`.
     fn gradient(&self, y: &[f32], grad: &[f32], rows: &[u32], n_out: usize, first: usize, end: usize) -> Vec<f32> {
         let mut gradient = Vec::with_capacity(rows.len() * (end - first));
@@ -86,10 +85,10 @@ impl<F: Factor> FusedLinear<F> {
 
     fn gradient_of_x(&self, y: &[f32], grad: &[f32], weight: &[f32], n_out: usize) -> Vec<f32> {
         let n_in = weight.len() / n_out;
-        let weight = F::nearest(weight.into());
+        let weight = F::of(weight.into());
         let mut dx = vec![0.0; y.len() / n_out * n_in];
         spans(&mut dx, n_in, &self.rows, F::N_ROWS).par_iter_mut().for_each(|span| {
-            let gradient = F::nearest(self.gradient(y, grad, span.rows, n_out, 0, n_out).into());
+            let gradient = F::of(self.gradient(y, grad, span.rows, n_out, 0, n_out).into());
             span.write(|dx| F::product(dx, Into::Replace, Matrix::new(&gradient, n_out), Matrix::new(&weight, n_in)));
         });
         dx
@@ -106,8 +105,8 @@ impl<F: Factor> FusedLinear<F> {
     ) -> (Vec<f32>, Vec<f32>) {
         let (mut dw, mut db) = (vec![0.0; n_out * n_in], vec![0.0; n_out]);
         // All tasks share the inputs, which are gathered once.
-        let shared: Vec<(&[u32], Cow<'_, [F]>)> =
-            (self.rows.par_chunks(2 * F::N_ROWS)).map(|rows| (rows, F::nearest(gather(x, n_in, rows)))).collect();
+        let shared: Vec<_> =
+            (self.rows.par_chunks(2 * F::N_ROWS)).map(|rows| (rows, F::of(gather(x, n_in, rows)))).collect();
         let tasks = dw.par_chunks_mut(N_OUTPUTS * n_in).zip(db.par_chunks_mut(N_OUTPUTS)).enumerate();
         tasks.for_each(|(task, (dw, db))| {
             let first = task * N_OUTPUTS;
@@ -116,7 +115,7 @@ impl<F: Factor> FusedLinear<F> {
                 for gradient in gradient.chunks_exact(db.len()) {
                     db.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += g);
                 }
-                let gradient = F::nearest(gradient.into());
+                let gradient = F::of(gradient.into());
                 F::product(dw, Into::Add, Matrix::new(&gradient, db.len()).t(), Matrix::new(x, n_in));
             }
         });
@@ -124,7 +123,7 @@ impl<F: Factor> FusedLinear<F> {
     }
 }
 
-impl<F: Factor> CustomOp3 for FusedLinear<F> {
+impl<F: Factors> CustomOp3 for FusedLinear<F> {
     fn name(&self) -> &'static str {
         "linear"
     }
@@ -144,10 +143,10 @@ impl<F: Factor> CustomOp3 for FusedLinear<F> {
         shape.pop();
         shape.push(n_out);
         // Transposed once here, lest every product pack its weights anew.
-        let weight = transposed(&F::nearest(weight.into()), n_in);
+        let weight = transposed(&F::of(weight.into()), n_in);
         let mut y = vec![0.0; x.len() / n_in * n_out];
         spans(&mut y, n_out, &self.rows, F::N_ROWS).par_iter_mut().for_each(|span| {
-            let x = F::nearest(gather(x, n_in, span.rows));
+            let x = F::of(gather(x, n_in, span.rows));
             span.write(|y| {
                 F::product(y, Into::Replace, Matrix::new(&x, n_in), Matrix::new(&weight, n_out));
                 for y in y.chunks_exact_mut(n_out) {
@@ -183,9 +182,9 @@ impl<F: Factor> CustomOp3 for FusedLinear<F> {
 }
 
 /// The transposed matrix of rows of `n_cols`.
-fn transposed<F: Factor>(matrix: &[F], n_cols: usize) -> Vec<F> {
+fn transposed<T: Copy + Default + Send + Sync>(matrix: &[T], n_cols: usize) -> Vec<T> {
     let n_rows = matrix.len() / n_cols;
-    let mut transposed = vec![F::default(); matrix.len()];
+    let mut transposed = vec![T::default(); matrix.len()];
     transposed.par_chunks_mut(N_OUTPUTS * n_rows).enumerate().for_each(|(task, columns)| {
         // Sixteen rows at a time: what is written then fills whole cache lines.
         for (block, rows) in matrix.chunks(N_TRANSPOSED * n_cols).enumerate() {

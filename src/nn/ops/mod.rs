@@ -17,9 +17,9 @@ mod rows;
 mod sinusoidal;
 
 use candle_core::{D, DType, Device, Result, Tensor, bail};
-use gemmkit::bf16;
 
 pub(super) use self::adam::{AdamStep, Moments};
+use self::gemm::{Bf16, F32, Tf32};
 use super::attention::Axis;
 use super::precision::Precision;
 
@@ -73,10 +73,9 @@ pub fn linear(
     let valid = valid.map(|valid| mask_of("linear", x, valid)).transpose()?;
     match (backend(x), Precision::chosen()) {
         (Backend::Kernels, precision) => cuda::linear(x, weight, bias, activation, valid.as_ref(), precision),
-        (Backend::Fused, Precision::F32 | Precision::Tf32) => {
-            linear::fused::<f32>(x, weight, bias, activation, valid.as_ref())
-        }
-        (Backend::Fused, Precision::Bf16) => linear::fused::<bf16>(x, weight, bias, activation, valid.as_ref()),
+        (Backend::Fused, Precision::F32) => linear::fused::<F32>(x, weight, bias, activation, valid.as_ref()),
+        (Backend::Fused, Precision::Tf32) => linear::fused::<Tf32>(x, weight, bias, activation, valid.as_ref()),
+        (Backend::Fused, Precision::Bf16) => linear::fused::<Bf16>(x, weight, bias, activation, valid.as_ref()),
         (Backend::Plain, precision) => linear::reference(x, weight, bias, activation, valid.as_ref(), precision),
     }
 }

@@ -113,7 +113,7 @@ fn linear_agrees_in_halved_precision() {
     const NEIGHBOUR: f64 = 1.0 / 128.0;
     let arguments = [normal(&[2, 3, 50, 20], 1), normal(&[70, 20], 2), normal(&[70], 3)];
     for valid in [None, Some(mask(&[2, 3, 50], 0.6, 4))] {
-        let fused: Op<'_> = &|a| linear::fused::<bf16>(&a[0], &a[1], &a[2], Activation::Relu, valid.as_ref());
+        let fused: Op<'_> = &|a| linear::fused::<Bf16>(&a[0], &a[1], &a[2], Activation::Relu, valid.as_ref());
         let plain: Op<'_> =
             &|a| linear::reference(&a[0], &a[1], &a[2], Activation::Relu, valid.as_ref(), Precision::Bf16);
         let (fused, plain) = (run(fused, &arguments, DType::F32), run(plain, &arguments, DType::F32));
@@ -262,6 +262,11 @@ fn results_do_not_depend_on_the_number_of_threads() {
             [
                 run(
                     &|a| linear(&a[0], &a[1], &a[2], Activation::Relu, Some(&valid)),
+                    &[x.clone(), weight.clone(), bias.clone()],
+                    DType::F32,
+                ),
+                run(
+                    &|a| linear::fused::<Bf16>(&a[0], &a[1], &a[2], Activation::Relu, Some(&valid)),
                     &[x.clone(), weight.clone(), bias.clone()],
                     DType::F32,
                 ),
