@@ -1,7 +1,6 @@
-//! Where do the cells of a line end? Commas are looked for in 64 bytes at a time: a branch for each byte costs more than the numbers between.
+//! Where do the cells of a line end? Commas are looked for in 64 bytes at a time, without a branch for each.
 
-const COMMAS: u64 = u64::from_ne_bytes([b','; 8]);
-const LOW_SEVEN: u64 = u64::from_ne_bytes([0x7f; 8]);
+use super::word::equal_bytes;
 
 /// Puts the cells of `line`, at least one, into `cells`, which is emptied first.
 pub(super) fn split_cells<'a>(line: &'a [u8], cells: &mut Vec<&'a [u8]>) {
@@ -33,9 +32,7 @@ pub(super) fn split_cells<'a>(line: &'a [u8], cells: &mut Vec<&'a [u8]>) {
 fn commas_of(block: &[u8; 64]) -> u64 {
     let mut commas = 0;
     for (i, bytes) in block.as_chunks().0.iter().enumerate() {
-        let differing = u64::from_le_bytes(*bytes) ^ COMMAS;
-        // The highest bit of each byte that is zero, and no other bit: nothing is carried from byte to byte.
-        let equal = !(((differing & LOW_SEVEN) + LOW_SEVEN) | differing | LOW_SEVEN);
+        let equal = equal_bytes(u64::from_le_bytes(*bytes), b',');
         // Gathers the eight bits in the highest byte.
         commas |= ((equal >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * i);
     }

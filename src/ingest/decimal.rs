@@ -1,5 +1,7 @@
 //! What number is written in a cell of a table? Nearly all are short decimals, for which the way through text is the longest part.
 
+use super::word::{each, equal_bytes};
+
 /// Digits of a whole number that every float of the same size holds exactly.
 const MAX_DIGITS: usize = 15;
 
@@ -73,14 +75,10 @@ fn fifteen_digits(text: &[u8]) -> Option<(u64, usize)> {
     (1..=MAX_DIGITS).contains(&(point + n_decimals)).then_some((whole, n_decimals))
 }
 
-/// The same of at most eight bytes, all at a time: branches on where a number ends, or has its point, are what costs.
+/// The same of at most eight bytes, all at a time: no branch depends on where a number ends, or has its point.
 fn eight_digits(text: &[u8]) -> Option<(u64, usize)> {
-    const fn each(byte: u8) -> u64 {
-        u64::from_ne_bytes([byte; 8])
-    }
     let bytes = packed(text);
-    let differing = bytes ^ each(b'.');
-    let points = !(((differing & each(0x7f)) + each(0x7f)) | differing | each(0x7f));
+    let points = equal_bytes(bytes, b'.');
     let (digits, n_digits, n_decimals) = if points == 0 {
         (bytes, text.len(), 0)
     } else {

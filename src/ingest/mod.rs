@@ -25,6 +25,7 @@ mod report;
 mod source;
 #[cfg(test)]
 mod test_data;
+mod word;
 
 pub use config::{AgentsPresent, IngestConfig, MapsConfig};
 pub use driver::{IngestBatch, ingest};
