@@ -149,6 +149,6 @@ impl SceneNetwork {
         let noise = self.input_noise.forward(&noise)?.unsqueeze(1)?.unsqueeze(1)?;
         let hidden = (latent + &known.input)?.broadcast_add(&noise)?.relu()?;
         let h = self.trunk.forward(self.input_out.forward_valid(&hidden, valid)?, valid, &known.lanes)?;
-        self.output.forward_valid(&self.norm_out.forward(&h)?, valid)
+        self.output.forward_valid(&self.norm_out.forward_for_products(&h)?, valid)
     }
 }

@@ -95,7 +95,7 @@ impl Trunk {
     pub(super) fn forward(&self, mut h: Tensor, valid: &Tensor, lanes: &LaneKeys) -> Result<Tensor> {
         let mut lane_keys = lanes.keys.iter();
         for layer in &self.layers {
-            let normed = layer.norm_mix.forward(&h)?;
+            let normed = layer.norm_mix.forward_for_products(&h)?;
             let mixed = match (&layer.mixing, lane_keys.as_slice().first()) {
                 (Mixing::Own(attention, axis), _) => attention.forward(&normed, *axis, valid)?,
                 (Mixing::Map(attention), Some(keys)) => {
@@ -105,7 +105,8 @@ impl Trunk {
                 (Mixing::Map(_), None) => candle_core::bail!("the known inputs were encoded by another network"),
             };
             h = (h + mixed)?;
-            h = (&h + layer.feed_forward.forward_valid(&layer.norm_feed.forward(&h)?, valid)?)?;
+            let normed = layer.norm_feed.forward_for_products(&h)?;
+            h = (&h + layer.feed_forward.forward_valid(&normed, valid)?)?;
         }
         Ok(h)
     }

@@ -4,6 +4,7 @@ use candle_core::{Result, Tensor};
 
 use super::ops;
 use super::params::{Init, Scope};
+use super::precision::Precision;
 
 /// Added to the variance, as in `torch.nn.LayerNorm`.
 const EPSILON: f64 = 1e-5;
@@ -33,6 +34,14 @@ impl LayerNorm {
     /// # Errors
     /// When the last dimension is not `dim`.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        ops::layer_norm(x, &self.weight, &self.bias, EPSILON)
+        ops::layer_norm(x, &self.weight, &self.bias, EPSILON, Precision::F32)
+    }
+
+    /// As [`forward`](Self::forward), for products of linear maps alone to read: kept as precisely as they take their factors.
+    ///
+    /// # Errors
+    /// When the last dimension is not `dim`.
+    pub fn forward_for_products(&self, x: &Tensor) -> Result<Tensor> {
+        ops::layer_norm(x, &self.weight, &self.bias, EPSILON, Precision::chosen())
     }
 }

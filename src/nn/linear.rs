@@ -33,7 +33,7 @@ impl Linear {
         ops::linear(x, &self.weight, &self.bias, Activation::None, None)
     }
 
-    /// max(W x + b, 0): (.., `n_in`) to (.., `n_out`).
+    /// max(W x + b, 0): (.., `n_in`) to (.., `n_out`), for other linear maps alone to read.
     ///
     /// # Errors
     /// When the last dimension is not `n_in`.

@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-use candle_core::{DType, Device, Result, Tensor};
+use candle_core::{DType, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -45,17 +45,34 @@ impl FromStr for Precision {
 /// What the process has chosen.
 static CHOSEN: AtomicU8 = AtomicU8::new(0);
 
+#[cfg(test)]
+thread_local! {
+    /// What a test has chosen for its thread.
+    static CHOSEN_HERE: std::cell::Cell<Option<Precision>> = const { std::cell::Cell::new(None) };
+}
+
 impl Precision {
-    /// Makes this the precision of all products from now on. It is one for the process, as candle's own switch for TF32 is:
-    /// whoever opens the device says it once, before the first network.
+    /// Does something with this precision on this thread.
+    #[cfg(test)]
+    pub(crate) fn within<T>(self, run: impl FnOnce() -> T) -> T {
+        CHOSEN_HERE.set(Some(self));
+        let result = run();
+        CHOSEN_HERE.set(None);
+        result
+    }
+
+    /// Makes this the precision of all linear maps from now on. It is one for the process: whoever opens the device says it once,
+    /// before the first network.
     pub fn choose(self) {
         CHOSEN.store(self as u8, Ordering::Relaxed);
-        #[cfg(feature = "cuda")]
-        candle_core::cuda_backend::set_gemm_reduced_precision_f32(self == Self::Tf32);
     }
 
     /// What was chosen.
     pub(super) fn chosen() -> Self {
+        #[cfg(test)]
+        if let Some(precision) = CHOSEN_HERE.get() {
+            return precision;
+        }
         match CHOSEN.load(Ordering::Relaxed) {
             2 => Self::Bf16,
             1 => Self::Tf32,
@@ -63,28 +80,61 @@ impl Precision {
         }
     }
 
-    /// The product of two matrices (N, K) and (K, M) of `f32`, in `f32`: (N, M).
+    /// `x` as a factor of a product: in the type that candle multiplies, and keeps the result in.
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub(super) fn factor(self, x: &Tensor) -> Result<Tensor> {
+        match self {
+            // What tensor cores cut is a matter of the device, and of the fused products.
+            Self::F32 | Self::Tf32 => Ok(x.clone()),
+            Self::Bf16 => x.to_dtype(DType::BF16),
+        }
+    }
+
+    /// The product of two factors (N, K) and (K, M), in their type: (N, M).
+    ///
+    /// # Errors
+    /// When shapes do not fit.
+    pub(super) fn multiply(self, a: &Tensor, b: &Tensor) -> Result<Tensor> {
+        #[cfg(feature = "cuda")]
+        let _while_multiplying = (self == Self::Tf32).then(TensorCores::take);
+        a.matmul(b)
+    }
+
+    /// The product of two matrices (N, K) and (K, M), in their type: (N, M).
     ///
     /// # Errors
     /// When shapes do not fit.
     pub(super) fn product(self, a: &Tensor, b: &Tensor) -> Result<Tensor> {
-        match (self, a.device()) {
-            // What tensor cores cut is a matter of the device, and of the fused products.
-            (Self::F32 | Self::Tf32, _) => a.matmul(b),
-            // The reference for the fused products; rounding around one of f32 gives the same numbers, slowly.
-            (Self::Bf16, Device::Cpu) => rounded(&rounded(a)?.matmul(&rounded(b)?)?),
-            (Self::Bf16, _) => a.to_dtype(DType::BF16)?.matmul(&b.to_dtype(DType::BF16)?)?.to_dtype(a.dtype()),
-        }
+        self.multiply(&self.factor(a)?, &self.factor(b)?)?.to_dtype(a.dtype())
     }
 }
 
-/// The nearest numbers of `bf16`.
-fn rounded(x: &Tensor) -> Result<Tensor> {
-    x.to_dtype(DType::BF16)?.to_dtype(x.dtype())
+/// Products of `f32` go to tensor cores as long as this lives. candle's switch is one for the process, and there are other products, such
+/// as of the paths that motion adds up to, which are not to lose digits; work on a GPU comes from one thread.
+#[cfg(feature = "cuda")]
+struct TensorCores;
+
+#[cfg(feature = "cuda")]
+impl TensorCores {
+    fn take() -> Self {
+        candle_core::cuda_backend::set_gemm_reduced_precision_f32(true);
+        Self
+    }
+}
+
+#[cfg(feature = "cuda")]
+impl Drop for TensorCores {
+    fn drop(&mut self) {
+        candle_core::cuda_backend::set_gemm_reduced_precision_f32(false);
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use candle_core::Device;
+
     use super::*;
 
     #[test]

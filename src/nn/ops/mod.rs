@@ -47,15 +47,16 @@ enum Backend {
 fn backend(x: &Tensor) -> Backend {
     match (x.device(), x.dtype()) {
         #[cfg(test)]
-        (Device::Cpu, DType::F32) if cuda::is_emulating() => Backend::Kernels,
+        (Device::Cpu, DType::F32 | DType::BF16) if cuda::is_emulating() => Backend::Kernels,
         (Device::Cpu, DType::F32) => Backend::Fused,
-        (Device::Cuda(_), DType::F32) => Backend::Kernels,
+        // Factors of products may be halved.
+        (Device::Cuda(_), DType::F32 | DType::BF16) => Backend::Kernels,
         _ => Backend::Plain,
     }
 }
 
 /// activation(x Wᵀ + b): `x` (.., K), `weight` (N, K), `bias` (N) to (.., N). Rows where `valid` (..) is 0 are exactly 0
-/// and cost nothing.
+/// and cost nothing. With [`Activation::Relu`] only products may read the result: on a GPU in `bf16` it is halved, as their factors.
 ///
 /// # Errors
 /// When shapes do not fit.
@@ -80,18 +81,19 @@ pub fn linear(
     }
 }
 
-/// Normalizes the last dimension of `x` (.., D) to mean 0 and variance 1, then scales by `weight` (D) and adds `bias` (D).
+/// Normalizes the last dimension of `x` (.., D) to mean 0 and variance 1, then scales by `weight` (D) and adds `bias` (D). On a GPU
+/// the result may be `kept` as a factor of products, if nothing else reads it.
 ///
 /// # Errors
 /// When shapes do not fit.
-pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64) -> Result<Tensor> {
+pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64, kept: Precision) -> Result<Tensor> {
     let dim = x.dim(D::Minus1)?;
     if weight.dims() != [dim] || bias.dims() != [dim] {
         bail!("layer_norm: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
     }
     match backend(x) {
         Backend::Fused => layer_norm::fused(x, weight, bias, epsilon),
-        Backend::Kernels => cuda::layer_norm(x, weight, bias, epsilon),
+        Backend::Kernels => cuda::layer_norm(x, weight, bias, epsilon, kept),
         Backend::Plain => layer_norm::reference(x, weight, bias, epsilon),
     }
 }
@@ -241,12 +243,12 @@ fn one_backend(tensors: &[&Tensor]) -> Backend {
     }
 }
 
-/// `valid` as a mask of the rows of `x`, in its type and outside every gradient.
+/// `valid` as a mask of the rows of `x`, in its type (whole, where that is halved) and outside every gradient.
 fn mask_of(name: &str, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
     if x.dims().split_last().is_none_or(|(_, rows)| rows != valid.dims()) {
         bail!("{name}: mask {:?} does not fit rows of {:?}", valid.dims(), x.dims());
     }
-    valid.detach().to_dtype(x.dtype())
+    valid.detach().to_dtype(if x.dtype() == DType::BF16 { DType::F32 } else { x.dtype() })
 }
 
 /// Softmax over the last dimension of `scores` among entries where `mask` (broadcast to `scores`) is 1. The others get

@@ -109,7 +109,7 @@ KERNEL void attention(const float *q, const float *q_valid, const float *kv, con
         }
     }
     if (i < n_queries) {
-        float inverse = serves && total > 0.0f ? 1.0f / total : 0.0f;
+        float inverse = serves && total != 0.0f ? 1.0f / total : 0.0f; // NaN stays NaN
         EACH_FEATURE(c) {
             mixed[(row * n_heads + head) * HEAD_DIM + c] = inverse == 0.0f ? 0.0f : sum[c] * inverse;
         }

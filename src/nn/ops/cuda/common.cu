@@ -12,6 +12,22 @@
 
 #define WARP 32
 
+// Number i of x: of floats, or of bf16 (the upper half of a float) where halved.
+DEVICE float number_at(const void *x, size_t i, unsigned halved) {
+    return halved ? __uint_as_float((unsigned)((const unsigned short *)x)[i] << 16) : ((const float *)x)[i];
+}
+
+// Writes it. Halved, it becomes the nearest bf16, the even one of two.
+DEVICE void put_number(void *x, size_t i, unsigned halved, float value) {
+    if (!halved) {
+        ((float *)x)[i] = value;
+        return;
+    }
+    unsigned bits = __float_as_uint(value);
+    unsigned short nearest = (unsigned short)((bits + 0x7fffu + (bits >> 16 & 1u)) >> 16);
+    ((unsigned short *)x)[i] = value == value ? nearest : 0x7fc0;
+}
+
 // The sum of x over the threads of a warp, in all of them.
 DEVICE float warp_sum(float x) {
     for (int apart = WARP / 2; apart > 0; apart /= 2) {
@@ -20,16 +36,16 @@ DEVICE float warp_sum(float x) {
     return x;
 }
 
-// Sums over rows of the columns of m (n, dim). Block (c, k) of gridDim.y = ceil(dim / 32) by gridDim.x adds the rows from
+// Sums over rows of the columns of m (n, dim), whose numbers may be halved. Block (c, k) of gridDim.y = ceil(dim / 32) by gridDim.x adds the rows from
 // k * n_rows to (k + 1) * n_rows - 1 of 32 columns into row k of sums (gridDim.x, dim).
-KERNEL void column_sums(const float *m, unsigned n, unsigned dim, unsigned n_rows, float *sums) {
+KERNEL void column_sums(const void *m, unsigned halved, unsigned n, unsigned dim, unsigned n_rows, float *sums) {
     SHARED(parts);
     unsigned column = blockIdx.y * WARP + threadIdx.x % WARP, n_warps = blockDim.x / WARP;
     unsigned end = min(n, (blockIdx.x + 1) * n_rows);
     float sum = 0.0f;
     if (column < dim) {
         for (unsigned row = blockIdx.x * n_rows + threadIdx.x / WARP; row < end; row += n_warps) {
-            sum += m[(size_t)row * dim + column];
+            sum += number_at(m, (size_t)row * dim + column, halved);
         }
     }
     parts[threadIdx.x] = sum;

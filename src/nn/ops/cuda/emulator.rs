@@ -8,8 +8,9 @@ use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 
 use candle_core::{CpuStorage, Result, Storage, bail};
+use gemmkit::bf16;
 
-use super::launch::{Argument, Launch};
+use super::launch::{Argument, Launch, is_halved};
 use crate::nn::ops::host::{change_values, values};
 
 thread_local! {
@@ -69,23 +70,32 @@ fn emulator(head_dim: usize) -> Arc<Emulator> {
 /// Runs the kernel twice, with threads in both orders, which must agree.
 pub(super) fn run(launch: &Launch<'_>) -> Result<Vec<Storage>> {
     let (ascending, descending) = (call(launch, false)?, call(launch, true)?);
-    let bits = |buffers: &[Vec<f32>]| buffers.iter().flatten().map(|value| value.to_bits()).collect::<Vec<u32>>();
-    assert_eq!(bits(&ascending), bits(&descending), "{}: the order of threads shows", launch.kernel);
+    assert_eq!(ascending, descending, "{}: the order of threads shows", launch.kernel);
     let mut new = Vec::new();
     let buffers =
         launch.arguments.iter().filter(|argument| !matches!(argument, Argument::Count(_) | Argument::Number(_)));
     for (argument, buffer) in buffers.zip(ascending) {
         match argument {
             Argument::Out(_) => {
+                let numbers = floats(&buffer);
+                let all_written = numbers.iter().all(|value| value.to_bits() != UNWRITTEN);
+                assert!(all_written, "{}: unwritten numbers", launch.kernel);
+                new.push(Storage::Cpu(CpuStorage::F32(numbers)));
+            }
+            Argument::OutHalved(len) => {
+                let mut numbers = halves(&buffer);
+                let spare = numbers.split_off(*len);
+                let all_written = numbers.iter().all(|value| value.to_bits() != HALF_UNWRITTEN);
+                assert!(all_written, "{}: unwritten numbers", launch.kernel);
                 assert!(
-                    buffer.iter().all(|value| value.to_bits() != UNWRITTEN),
-                    "{}: unwritten numbers",
+                    spare.iter().all(|value| value.to_bits() == HALF_UNWRITTEN),
+                    "{}: written beyond",
                     launch.kernel
                 );
-                new.push(Storage::Cpu(CpuStorage::F32(buffer)));
+                new.push(Storage::Cpu(CpuStorage::BF16(numbers)));
             }
             Argument::InOut(tensor) => change_values(tensor, |values| {
-                values.copy_from_slice(&buffer);
+                values.copy_from_slice(&floats(&buffer));
                 Ok(())
             })?,
             _ => {}
@@ -94,11 +104,39 @@ pub(super) fn run(launch: &Launch<'_>) -> Result<Vec<Storage>> {
     Ok(new)
 }
 
-/// A NaN that no calculation makes.
+/// NaNs that no calculation makes.
 const UNWRITTEN: u32 = 0x7fc0_1234;
+const HALF_UNWRITTEN: u16 = 0x7fc1;
 
-/// The buffers after one run, in the order of the arguments.
-fn call(launch: &Launch<'_>, descending: bool) -> Result<Vec<Vec<f32>>> {
+fn floats(bytes: &[u8]) -> Vec<f32> {
+    bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+}
+
+fn halves(bytes: &[u8]) -> Vec<bf16> {
+    bytes.as_chunks().0.iter().map(|bytes| bf16::from_le_bytes(*bytes)).collect()
+}
+
+/// The bytes of a buffer before the run: whole floats. An odd number of halves has a spare one behind it.
+fn bytes_of(argument: &Argument<'_>) -> Result<Vec<u8>> {
+    let padded = |mut halves: Vec<u16>| {
+        halves.resize(halves.len().next_multiple_of(2), HALF_UNWRITTEN);
+        halves.into_iter().flat_map(u16::to_le_bytes).collect()
+    };
+    Ok(match argument {
+        Argument::InEither(tensor) if is_halved(tensor) => {
+            padded(tensor.flatten_all()?.to_vec1::<bf16>()?.into_iter().map(bf16::to_bits).collect())
+        }
+        Argument::In(tensor) | Argument::InEither(tensor) | Argument::InOut(tensor) => {
+            values(tensor)?.iter().flat_map(|value| value.to_le_bytes()).collect()
+        }
+        Argument::Out(len) => std::iter::repeat_n(UNWRITTEN.to_le_bytes(), *len).flatten().collect(),
+        Argument::OutHalved(len) => padded(vec![HALF_UNWRITTEN; *len]),
+        Argument::Count(_) | Argument::Number(_) => vec![],
+    })
+}
+
+/// The bytes of the buffers after one run, in the order of the arguments.
+fn call(launch: &Launch<'_>, descending: bool) -> Result<Vec<Vec<u8>>> {
     let mut name = [0; 64];
     name[..launch.kernel.len()].copy_from_slice(launch.kernel.as_bytes());
     let mut request = name.to_vec();
@@ -110,19 +148,6 @@ fn call(launch: &Launch<'_>, descending: bool) -> Result<Vec<Vec<f32>>> {
     let mut lengths = Vec::new();
     for argument in launch.arguments {
         match argument {
-            Argument::In(tensor) | Argument::InOut(tensor) => {
-                let values = values(tensor)?;
-                request.push(b'b');
-                put(&mut request, values.len());
-                request.extend(values.iter().flat_map(|value| value.to_le_bytes()));
-                lengths.push(values.len());
-            }
-            Argument::Out(len) => {
-                request.push(b'b');
-                put(&mut request, *len);
-                request.extend(std::iter::repeat_n(UNWRITTEN.to_le_bytes(), *len).flatten());
-                lengths.push(*len);
-            }
             Argument::Count(count) => {
                 request.push(b'u');
                 put(&mut request, *count);
@@ -130,6 +155,13 @@ fn call(launch: &Launch<'_>, descending: bool) -> Result<Vec<Vec<f32>>> {
             Argument::Number(number) => {
                 request.push(b'f');
                 request.extend((*number as f32).to_le_bytes());
+            }
+            buffer => {
+                let bytes = bytes_of(buffer)?;
+                request.push(b'b');
+                put(&mut request, bytes.len() / size_of::<f32>());
+                lengths.push(bytes.len());
+                request.extend(bytes);
             }
         }
     }
@@ -145,6 +177,6 @@ fn call(launch: &Launch<'_>, descending: bool) -> Result<Vec<Vec<f32>>> {
         bail!("{}: {} {}", launch.kernel, output.status, String::from_utf8_lossy(&output.stderr));
     }
     sent.transpose()?;
-    let mut numbers = output.stdout.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
-    Ok(lengths.into_iter().map(|len| numbers.by_ref().take(len).collect()).collect())
+    let mut bytes = output.stdout.into_iter();
+    Ok(lengths.into_iter().map(|len| bytes.by_ref().take(len).collect()).collect())
 }

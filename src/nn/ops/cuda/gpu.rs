@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
-use candle_core::cuda_backend::cudarc::driver::{CudaSlice, CudaView, LaunchConfig, PushKernelArg};
+use candle_core::cuda_backend::cudarc::driver::{CudaSlice, CudaView, DeviceRepr, LaunchConfig, PushKernelArg};
 use candle_core::cuda_backend::cudarc::nvrtc::{CompileError, CompileOptions, compile_ptx_with_opts};
 use candle_core::cuda_backend::{CudaDevice, WrapErr};
 use candle_core::{CudaStorage, Result, Storage, bail};
+use gemmkit::bf16;
 
-use super::launch::{Argument, Launch};
+use super::launch::{Argument, Launch, is_halved};
 
 /// All kernels: one module for each number of features of a head.
 const SOURCE: &str = concat!(
@@ -23,7 +24,9 @@ const SOURCE: &str = concat!(
 /// What a kernel is given, kept alive until it is launched.
 enum Given<'a> {
     Tensor(CudaView<'a, f32>),
+    Halved(CudaView<'a, bf16>),
     New(CudaSlice<f32>),
+    NewHalved(CudaSlice<bf16>),
     Count(u32),
     Number(f32),
 }
@@ -32,7 +35,9 @@ enum Given<'a> {
 pub(super) fn run(launch: &Launch<'_>, device: &CudaDevice) -> Result<Vec<Storage>> {
     let tensors: Vec<_> = (launch.arguments.iter())
         .filter_map(|argument| match argument {
-            Argument::In(tensor) | Argument::InOut(tensor) => Some(tensor.storage_and_layout()),
+            Argument::In(tensor) | Argument::InEither(tensor) | Argument::InOut(tensor) => {
+                Some(tensor.storage_and_layout())
+            }
             _ => None,
         })
         .collect();
@@ -40,16 +45,22 @@ pub(super) fn run(launch: &Launch<'_>, device: &CudaDevice) -> Result<Vec<Storag
     let mut given = Vec::with_capacity(launch.arguments.len());
     for argument in launch.arguments {
         given.push(match argument {
-            Argument::In(_) | Argument::InOut(_) => {
-                match of_tensors.next().map(|(storage, layout)| (&**storage, layout)) {
-                    Some((Storage::Cuda(storage), layout)) => match layout.contiguous_offsets() {
-                        Some((start, end)) => Given::Tensor(storage.as_cuda_slice::<f32>()?.slice(start..end)),
-                        None => bail!("{}: a kernel needs contiguous tensors", launch.kernel),
-                    },
-                    _ => bail!("{}: a tensor is not on the GPU", launch.kernel),
+            Argument::In(_) | Argument::InEither(_) | Argument::InOut(_) => {
+                let Some((Storage::Cuda(storage), layout)) = of_tensors.next().map(|(s, layout)| (&**s, layout)) else {
+                    bail!("{}: a tensor is not on the GPU", launch.kernel);
+                };
+                let Some((start, end)) = layout.contiguous_offsets() else {
+                    bail!("{}: a kernel needs contiguous tensors", launch.kernel);
+                };
+                match argument {
+                    Argument::InEither(tensor) if is_halved(tensor) => {
+                        Given::Halved(storage.as_cuda_slice::<bf16>()?.slice(start..end))
+                    }
+                    _ => Given::Tensor(storage.as_cuda_slice::<f32>()?.slice(start..end)),
                 }
             }
             Argument::Out(len) => Given::New(new_buffer(device, *len)?),
+            Argument::OutHalved(len) => Given::NewHalved(new_buffer(device, *len)?),
             Argument::Count(count) => Given::Count(u32::try_from(*count).map_err(candle_core::Error::wrap)?),
             Argument::Number(number) => Given::Number(*number as f32),
         });
@@ -62,7 +73,9 @@ pub(super) fn run(launch: &Launch<'_>, device: &CudaDevice) -> Result<Vec<Storag
         for given in &given {
             match given {
                 Given::Tensor(view) => builder.arg(view),
+                Given::Halved(view) => builder.arg(view),
                 Given::New(slice) => builder.arg(slice),
+                Given::NewHalved(slice) => builder.arg(slice),
                 Given::Count(count) => builder.arg(count),
                 Given::Number(number) => builder.arg(number),
             };
@@ -81,16 +94,17 @@ pub(super) fn run(launch: &Launch<'_>, device: &CudaDevice) -> Result<Vec<Storag
     }
     let new = given.into_iter().filter_map(|given| match given {
         Given::New(slice) => Some(Storage::Cuda(CudaStorage::wrap_cuda_slice(slice, device.clone()))),
+        Given::NewHalved(slice) => Some(Storage::Cuda(CudaStorage::wrap_cuda_slice(slice, device.clone()))),
         _ => None,
     });
     Ok(new.collect())
 }
 
-fn new_buffer(device: &CudaDevice, len: usize) -> Result<CudaSlice<f32>> {
+fn new_buffer<T: DeviceRepr>(device: &CudaDevice, len: usize) -> Result<CudaSlice<T>> {
     #[expect(unsafe_code, reason = "fresh memory of the device holds anything")]
     // SAFETY: every kernel writes all numbers of its new buffers before anyone reads them; tests find NaN where one does not.
     unsafe {
-        device.alloc::<f32>(len)
+        device.alloc(len)
     }
 }
 

@@ -1,7 +1,7 @@
 //! One launch of a kernel: what runs, on how many threads, with which arguments?
 
 use candle_core::op::BackpropOp;
-use candle_core::{Device, Result, Shape, Storage, Tensor, bail};
+use candle_core::{DType, Device, Result, Shape, Storage, Tensor, bail};
 
 /// Threads of a warp.
 pub(super) const WARP: usize = 32;
@@ -11,16 +11,37 @@ pub(super) const THREADS: usize = 256;
 /// An argument of a kernel, in the order of its declaration.
 #[cfg_attr(not(any(test, feature = "cuda")), expect(dead_code, reason = "only GPUs and the emulator look inside"))]
 pub(super) enum Argument<'a> {
-    /// A contiguous `f32` tensor that is read.
+    /// A contiguous tensor of `f32` that is read.
     In(&'a Tensor),
-    /// One that is changed in place.
+    /// One of `f32` or `bf16`; the kernel is told which by a flag.
+    InEither(&'a Tensor),
+    /// One of `f32` that is changed in place.
     InOut(&'a Tensor),
     /// A new buffer of so many numbers. The kernel writes all of them.
     Out(usize),
+    /// The same of `bf16`.
+    OutHalved(usize),
     /// A count.
     Count(usize),
     /// A number.
     Number(f64),
+}
+
+impl Argument<'_> {
+    /// A new buffer of so many numbers of `f32`, or of `bf16` where `halved`.
+    pub(super) const fn out(len: usize, halved: bool) -> Self {
+        if halved { Self::OutHalved(len) } else { Self::Out(len) }
+    }
+
+    /// Tells a kernel whether numbers are halved.
+    pub(super) const fn flag(value: bool) -> Self {
+        Self::Count(value as usize)
+    }
+}
+
+/// Whether the numbers of `x` are halved.
+pub(super) fn is_halved(x: &Tensor) -> bool {
+    x.dtype() == DType::BF16
 }
 
 /// A launch.
@@ -82,7 +103,7 @@ pub(super) fn tensor(storage: Storage, shape: impl Into<Shape>) -> Tensor {
     Tensor::from_storage(storage, shape, BackpropOp::none(), false)
 }
 
-/// Sums over the rows of `m` (n, dim): (dim). First of parts of the rows, then of the parts.
+/// Sums over the rows of `m` (n, dim), in `f32`: (dim). First of parts of the rows, then of the parts.
 ///
 /// # Errors
 /// When the device fails.
@@ -97,7 +118,8 @@ pub(super) fn column_sums(m: &Tensor, n: usize, dim: usize) -> Result<Tensor> {
         threads: THREADS,
         n_shared: THREADS,
         arguments: &[
-            Argument::In(m),
+            Argument::InEither(m),
+            Argument::flag(is_halved(m)),
             Argument::Count(n),
             Argument::Count(dim),
             Argument::Count(n_rows),

@@ -13,24 +13,24 @@ DEVICE void row_moments(const float *x, unsigned dim, unsigned lane, float epsil
     *scale = 1.0f / sqrtf(warp_sum(squares) / (float)dim + epsilon);
 }
 
-// y = (x - mean) * scale * weight + bias.
-KERNEL void layer_norm(const float *x, const float *weight, const float *bias, unsigned n, unsigned dim, float epsilon, float *y) {
+// y = (x - mean) * scale * weight + bias, which may be halved.
+KERNEL void layer_norm(const float *x, const float *weight, const float *bias, unsigned n, unsigned dim, float epsilon, unsigned halved,
+                       void *y) {
     unsigned row = (blockIdx.x * blockDim.x + threadIdx.x) / WARP, lane = threadIdx.x % WARP;
     if (row >= n) {
         return;
     }
-    x += (size_t)row * dim;
-    y += (size_t)row * dim;
+    size_t start = (size_t)row * dim;
     float mean, scale;
-    row_moments(x, dim, lane, epsilon, &mean, &scale);
+    row_moments(x + start, dim, lane, epsilon, &mean, &scale);
     for (unsigned i = lane; i < dim; i += WARP) {
-        y[i] = (x[i] - mean) * scale * weight[i] + bias[i];
+        put_number(y, start + i, halved, (x[start + i] - mean) * scale * weight[i] + bias[i]);
     }
 }
 
-// The gradient at x. Also writes normalized rows times the gradient, whose column sums are the gradient at the weight.
-KERNEL void layer_norm_backward(const float *x, const float *weight, const float *grad, unsigned n, unsigned dim, float epsilon,
-                                float *dx, float *products) {
+// The gradient at x from grad at y, which is halved where y is. Also writes normalized rows times the gradient, whose column sums are the gradient at the weight.
+KERNEL void layer_norm_backward(const float *x, const float *weight, const void *grad, unsigned n, unsigned dim, float epsilon,
+                                unsigned halved, float *dx, float *products) {
     unsigned row = (blockIdx.x * blockDim.x + threadIdx.x) / WARP, lane = threadIdx.x % WARP;
     if (row >= n) {
         return;
@@ -39,15 +39,15 @@ KERNEL void layer_norm_backward(const float *x, const float *weight, const float
     float mean, scale, along_mean = 0.0f, along_x = 0.0f;
     row_moments(x + start, dim, lane, epsilon, &mean, &scale);
     for (unsigned i = lane; i < dim; i += WARP) {
-        float normalized = (x[start + i] - mean) * scale, d = grad[start + i] * weight[i];
+        float normalized = (x[start + i] - mean) * scale, d = number_at(grad, start + i, halved) * weight[i];
         along_mean += d;
         along_x += d * normalized;
     }
     along_mean = warp_sum(along_mean) / (float)dim;
     along_x = warp_sum(along_x) / (float)dim;
     for (unsigned i = lane; i < dim; i += WARP) {
-        float normalized = (x[start + i] - mean) * scale;
-        dx[start + i] = scale * (grad[start + i] * weight[i] - along_mean - normalized * along_x);
-        products[start + i] = normalized * grad[start + i];
+        float normalized = (x[start + i] - mean) * scale, g = number_at(grad, start + i, halved);
+        dx[start + i] = scale * (g * weight[i] - along_mean - normalized * along_x);
+        products[start + i] = normalized * g;
     }
 }

@@ -1,16 +1,18 @@
 //! The kernels against the plain operations in double precision: on the emulator, and on a GPU where there is one.
 
 use candle_core::{DType, Device, Result, Tensor, Var};
+use gemmkit::bf16;
 
-use super::super::tests::{Op, check, mask, normal, padded_states, values};
+use super::super::tests::{NEIGHBOUR, Op, assert_close, check, mask, normal, padded_states, run, values};
 use super::super::{self as ops, Activation, AdamStep, Moments};
+use super::launch::{self, Argument, Launch};
 use super::*;
 use crate::nn::attention::Axis;
 use crate::nn::precision::Precision;
 
 /// Where kernels can run here.
 fn devices() -> Vec<Device> {
-    let gpu = candle_core::utils::cuda_is_available().then(|| Device::new_cuda(0).ok()).flatten();
+    let gpu = candle_core::utils::cuda_is_available().then(|| Device::new_cuda_with_stream(0).ok()).flatten();
     [Device::Cpu].into_iter().chain(gpu).collect()
 }
 
@@ -61,8 +63,8 @@ fn layer_norm_agrees() {
         let dim = dims[dims.len() - 1];
         let arguments = [normal(dims, 1), normal(&[dim], 2), normal(&[dim], 3)];
         check_kernel(
-            &|a| layer_norm(&a[0], &a[1], &a[2], 1e-5),
-            &|a| ops::layer_norm(&a[0], &a[1], &a[2], 1e-5),
+            &|a| layer_norm(&a[0], &a[1], &a[2], 1e-5, Precision::F32),
+            &|a| ops::layer_norm(&a[0], &a[1], &a[2], 1e-5, Precision::F32),
             &arguments,
             &format!("{dims:?}"),
         );
@@ -197,6 +199,92 @@ fn halved_precision_stays_near() {
     let errors: Vec<f64> = exact.iter().zip(&rounded).map(|(a, b)| (a - b).abs()).collect();
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
     assert!(mean > 1e-3 && mean < 0.04, "{mean}");
+}
+
+#[test]
+fn numbers_are_halved_as_their_type_does_it() {
+    let special = [0.0, -0.0, f32::MAX, f32::MIN_POSITIVE, f32::INFINITY, f32::NEG_INFINITY, 1e-40, 3.402e38, f32::NAN];
+    let between = (0..1000u32).map(|i| f32::from_bits(0x3f80_7ffe + i % 4 + ((i / 4) << 16)));
+    let numbers: Vec<f32> = special.into_iter().chain(between).collect();
+    let halves: Vec<bf16> = numbers.iter().map(|number| bf16::from_f32(*number)).collect();
+    let n = numbers.len();
+    for device in devices() {
+        let put = |x: Tensor| x.to_device(&device).unwrap();
+        let (whole, zeros) =
+            (put(Tensor::from_slice(&numbers, n, &Device::Cpu).unwrap()), normal(&[n], 1).zeros_like());
+        let zeros = put(zeros.unwrap());
+        // Through the kernel that follows products, whose two flags say what it reads and what it writes.
+        let through = |x: &Tensor, halved: bool| {
+            let flags = [false, true, launch::is_halved(x), halved].map(Argument::flag);
+            let arguments: Vec<_> = [Argument::InEither(x), Argument::In(&zeros), Argument::In(&zeros)]
+                .into_iter()
+                .chain([Argument::Count(1), Argument::Count(n)])
+                .chain(flags)
+                .chain([Argument::out(n, halved)])
+                .collect();
+            let written = Launch::of_numbers("bias_activation", n, &arguments).run_for_one(&device).unwrap();
+            launch::tensor(written, n).to_device(&Device::Cpu).unwrap()
+        };
+        let narrow = through(&whole, true);
+        for ((found, expected), number) in narrow.to_vec1::<bf16>().unwrap().iter().zip(&halves).zip(&numbers) {
+            // A sum with 0 has no negative 0.
+            let same = found == expected || found.is_nan() && expected.is_nan();
+            assert!(same, "{number}: {found} instead of {expected}");
+        }
+        let wide = through(&put(narrow), false);
+        for (found, expected) in wide.to_vec1::<f32>().unwrap().iter().zip(&halves) {
+            assert!(
+                *found == expected.to_f32() || found.is_nan() && expected.is_nan(),
+                "{found} instead of {expected}"
+            );
+        }
+    }
+}
+
+#[test]
+fn what_only_products_read_is_kept_halved() {
+    // A block of the network: normalization, a hidden layer, a map. On the processor its factors are rounded when they are multiplied.
+    let shape = [2, 3, 25];
+    let arguments = [
+        normal(&[2, 3, 25, 20], 1),
+        normal(&[20], 2),
+        normal(&[20], 3),
+        normal(&[70, 20], 4),
+        normal(&[70], 5),
+        normal(&[9, 70], 6),
+        normal(&[9], 7),
+    ];
+    for valid in [None, Some(mask(&shape, 0.6, 8))] {
+        let processor = |a: &[Tensor]| {
+            Precision::Bf16.within(|| {
+                let x = ops::layer_norm(&a[0], &a[1], &a[2], 1e-5, Precision::Bf16)?;
+                let x = ops::linear(&x, &a[3], &a[4], Activation::Relu, valid.as_ref())?;
+                ops::linear(&x, &a[5], &a[6], Activation::None, valid.as_ref())
+            })
+        };
+        let expected = run(&processor, &arguments, DType::F32);
+        for device in devices() {
+            let kernels = |a: &[Tensor]| -> Result<Tensor> {
+                let a: Vec<Tensor> = a.iter().map(|a| a.to_device(&device)).collect::<Result<_>>()?;
+                let valid = valid.as_ref().map(|valid| at(&a[0], valid));
+                let x = layer_norm(&a[0], &a[1], &a[2], 1e-5, Precision::Bf16)?;
+                let hidden = linear(&x, &a[3], &a[4], Activation::Relu, valid.as_ref(), Precision::Bf16)?;
+                let y = linear(&hidden, &a[5], &a[6], Activation::None, valid.as_ref(), Precision::Bf16)?;
+                assert_eq!([x.dtype(), hidden.dtype(), y.dtype()], [DType::BF16, DType::BF16, DType::F32]);
+                y.to_device(&Device::Cpu)
+            };
+            for (i, (found, expected)) in run(&kernels, &arguments, DType::F32).iter().zip(&expected).enumerate() {
+                assert_close(found, expected, 2.0 * NEIGHBOUR, &format!("{i} on {:?}", device.location()));
+            }
+        }
+    }
+}
+
+#[test]
+fn attention_takes_whole_numbers_alone() {
+    let valid = mask(&[1, 2, 3], 1.0, 0);
+    let qkv = normal(&[1, 2, 3, 12], 1).to_dtype(DType::BF16).unwrap();
+    assert!(self_attention(&qkv, &valid, 1, Axis::Time).unwrap_err().to_string().contains("f32"));
 }
 
 #[test]
