@@ -40,18 +40,32 @@ impl SweepConfig {
         self.model == SweepModel::Baseline
     }
 
-    /// Says what the baseline cannot do.
-    pub(super) fn check_model(&self) -> Result<(), String> {
+    /// Says what the model cannot do, sampled in this way.
+    pub(super) fn check_model(&self, sampler: &SamplerConfig) -> Result<(), String> {
         let beyond = [
             (self.is_guided(), "strengths other than 0"),
             (!self.objectives.is_empty(), "objectives"),
             (self.classifier_free.is_some(), "classifier_free"),
             (self.edit.is_some(), "edit"),
         ];
-        let is_consistency = matches!(self.sampler, Some(SamplerConfig::Consistency(_)));
-        if self.model == SweepModel::Denoiser && is_consistency {
-            return Err("sampler.kind = \"consistency\" makes blurred samples of an ordinary denoiser; use it with \
-                        model = \"distilled\""
+        match (self.model, matches!(sampler, SamplerConfig::Consistency(_))) {
+            (SweepModel::Denoiser, true) => {
+                return Err(
+                    "sampler.kind = \"consistency\" makes blurred samples of an ordinary denoiser; use it with \
+                            model = \"distilled\""
+                        .to_owned(),
+                );
+            }
+            (SweepModel::Distilled, false) => {
+                return Err("a distilled denoiser answers with a sample and not with a mean, which other samplers take for one: what \
+                            they make is far too wide; give the sweep sampler = { kind = \"consistency\", levels = [24.0] }"
+                    .to_owned());
+            }
+            _ => {}
+        }
+        if self.uses_distilled() && self.guides_through_network() {
+            return Err("objective_guidance.gradient = \"through_network\" supposes the mean that a distilled denoiser does not \
+                        give; use \"clean\""
                 .to_owned());
         }
         match beyond.iter().find(|(is_asked, _)| self.uses_baseline() && *is_asked) {

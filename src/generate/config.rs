@@ -190,7 +190,7 @@ impl GenerateConfig {
             if !names.insert(&sweep.name) {
                 return refuse(&format!("sweeps.{i}.name"), &format!("{:?} is taken by another sweep", sweep.name));
             }
-            if let Err(why) = sweep.validate() {
+            if let Err(why) = sweep.validate(self) {
                 return refuse(&format!("sweeps.{i}"), &why);
             }
         }
@@ -213,7 +213,8 @@ impl SweepConfig {
         self.sampler(config).n_evaluations() as u64 * n_calls
     }
 
-    pub(super) fn validate(&self) -> Result<(), String> {
+    /// Says what makes no sense in a sweep of `config`.
+    pub(super) fn validate(&self, config: &GenerateConfig) -> Result<(), String> {
         let positive = [
             ("n_scenes", self.n_scenes as f64),
             ("n_samples", self.n_samples as f64),
@@ -232,7 +233,7 @@ impl SweepConfig {
         if let Some(sampler) = &self.sampler {
             sampler.validate().map_err(|why| format!("({}): {why}", self.name))?;
         }
-        self.check_model().map_err(|why| format!("({}): {why}", self.name))?;
+        self.check_model(self.sampler(config)).map_err(|why| format!("({}): {why}", self.name))?;
         self.check_guidance().map_err(|why| format!("({}): {why}", self.name))?;
         if let Some(select) = &self.select {
             let kinds: Vec<&str> = self.objectives.iter().map(|objective| objective.objective().kind()).collect();

@@ -171,10 +171,13 @@ impl Generator<'_> {
     ) -> Result<Vec<Vec<Cell>>, Error> {
         let order = &order[..order.len().min(sweep.pairs.n_scenes_ranked.unwrap_or(usize::MAX))];
         let mut found: Vec<RankedScene> = Vec::new();
-        // Scenes are looked at in parallel, a batch at a time, and counted in order.
+        // Scenes are looked at in parallel, a batch at a time, and counted in order. On a GPU the classifier is asked one after the other.
+        let rank = |scene: &Listed<'_>| self.rank(sweep, behavior, scene);
         for batch in order.chunks(sweep.n_scenes.clamp(8, 64)) {
-            let ranked: Vec<Option<RankedScene>> =
-                batch.par_iter().map(|scene| self.rank(sweep, behavior, scene)).collect::<Result<_, _>>()?;
+            let ranked: Vec<Option<RankedScene>> = match self.device.is_cuda() {
+                true => batch.iter().map(rank).collect::<Result<_, _>>()?,
+                false => batch.par_iter().map(rank).collect::<Result<_, _>>()?,
+            };
             found.extend(ranked.into_iter().flatten());
             if sweep.pairs.n_scenes_ranked.is_none() && found.len() >= sweep.n_scenes {
                 break;

@@ -2,6 +2,7 @@
 
 use super::{ObserveConfig, SelectConfig, SweepConfig};
 use crate::behavior;
+use crate::guidance::CleanGradient;
 use crate::tensor::MaskTask;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -43,6 +44,16 @@ impl SweepConfig {
         self.is_guided() && self.behavior.is_some() && self.classifier_scope != ClassifierScope::None
     }
 
+    /// Whether wishes of clean estimates are carried back through the network.
+    pub(super) fn guides_through_network(&self) -> bool {
+        let judges_estimates = self.classifies_estimates() || (self.is_guided() && !self.objectives.is_empty());
+        judges_estimates && self.objective_guidance.gradient == CleanGradient::ThroughNetwork
+    }
+
+    fn classifies_estimates(&self) -> bool {
+        self.needs_classifier() && self.classifier_input == ClassifierInput::CleanEstimate
+    }
+
     /// Whether two agents of each scene are asked for the behavior.
     pub(super) fn asks_pairs(&self) -> bool {
         let Some(id) = &self.behavior else { return false };
@@ -54,6 +65,11 @@ impl SweepConfig {
     pub(super) fn check_guidance(&self) -> Result<(), String> {
         if self.objective_guidance.inner_steps == 0 {
             return Err("objective_guidance.inner_steps is 0, expected at least 1".to_owned());
+        }
+        if self.guides_through_network() && self.classifies_estimates() && !self.objectives.is_empty() {
+            return Err("objective_guidance.gradient = \"through_network\" goes through the network once: for objectives, or for \
+                        classifier_input = \"clean_estimate\"; for both use gradient = \"clean\""
+                .to_owned());
         }
         if self.behavior.is_none() && self.classifier_scope == ClassifierScope::AnyPair {
             return Err("classifier_scope = \"any_pair\" needs a behavior, such as behavior = \"cut_in\"".to_owned());

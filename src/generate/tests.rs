@@ -177,6 +177,18 @@ fn configurations_that_make_no_sense_are_refused() {
         (sweep(&sweep("")), "taken by another"),
         (sweep("strenghts = [1.0]"), "strenghts"),
         (format!("batch_size = 0\n{}", sweep("")), "batch_size is 0"),
+        (sweep("model = 'distilled'"), "kind = \"consistency\""),
+        (format!("sampler = {{ kind = 'consistency', levels = [] }}\n{}", sweep("")), "an ordinary denoiser"),
+        (
+            format!(
+                "sampler = {{ kind = 'consistency', levels = [] }}\n{}",
+                sweep(
+                    "model = 'distilled'\nstrengths = [1.0]\nobjectives = [{ kind = 'target_speed', speed_mps = 5.0 }]\n\
+                     objective_guidance = { gradient = 'through_network' }"
+                )
+            ),
+            "\"through_network\" supposes the mean",
+        ),
     ] {
         let message = refusal(&toml);
         assert!(message.contains(part), "{message}");

@@ -216,9 +216,8 @@ fn row_products(a: &Tensor, b: &Tensor) -> Result<Vec<f64>> {
 
 impl Denoiser for CleanGuidedDenoiser<'_> {
     fn denoise(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {
-        let acts = |sigma: f64| (self.gate.sigma_lo..=self.gate.sigma_hi).contains(&sigma);
-        let strengths: Vec<f64> =
-            sigma_rows(sigma)?.into_iter().map(|sigma| if acts(sigma) { self.strength } else { 0.0 }).collect();
+        let strength = |sigma| if self.gate.acts_at(sigma) { self.strength } else { 0.0 };
+        let strengths: Vec<f64> = sigma_rows(sigma)?.into_iter().map(strength).collect();
         if strengths.iter().all(|strength| *strength == 0.0) {
             return self.inner.denoise(x, sigma);
         }

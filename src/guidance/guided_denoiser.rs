@@ -30,6 +30,11 @@ impl Default for GuidanceConfig {
 impl GuidanceConfig {
     /// Guidance as the paper's equation 3 has it: at every noise level, however far it shifts.
     pub const UNRESTRICTED: Self = Self { sigma_lo: 0.0, sigma_hi: f64::MAX, max_shift: f64::MAX };
+
+    /// Whether guidance acts at a noise level. Bounds belong to it, in the single precision in which samplers tell levels.
+    pub(super) fn acts_at(&self, sigma: f64) -> bool {
+        (self.sigma_lo as f32..=self.sigma_hi as f32).contains(&(sigma as f32))
+    }
 }
 
 /// D'(x; σ) = D(x; σ) + α σ² ∇ₓ ln p(y | x; σ).
@@ -61,7 +66,7 @@ impl GuidedDenoiser<'_> {
 
     /// α σ² where guidance acts, else 0.
     fn factor(&self, sigma: f64) -> f64 {
-        if (self.config.sigma_lo..=self.config.sigma_hi).contains(&sigma) { self.strength * sigma.powi(2) } else { 0.0 }
+        if self.config.acts_at(sigma) { self.strength * sigma.powi(2) } else { 0.0 }
     }
 }
 

@@ -33,7 +33,8 @@ impl DeviceChoice {
         match self {
             Self::Cpu => Ok(Device::Cpu),
             Self::Cuda(ordinal) if candle_core::utils::cuda_is_available() => {
-                Device::new_cuda(ordinal).map_err(|error| {
+                // One stream for all threads: candle's usual one is another in each, and nothing would keep them in order.
+                Device::new_cuda_with_stream(ordinal).map_err(|error| {
                     // What follows the first line is a backtrace.
                     let text = error.to_string();
                     let error = text.lines().next().unwrap_or_default();

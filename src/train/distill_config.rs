@@ -7,6 +7,9 @@ use crate::tensor::TaskWeights;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// The gap of the last stage is at least such a part of the noise level, lest single precision lose it.
+const MAX_SHRINKING: f64 = 1e5;
+
 /// How to tune a trained denoiser into a consistency model of the same network, scales and masks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -126,6 +129,14 @@ impl DistillTrainingConfig {
         }
         if let Some((name, value)) = not_negative.iter().find(|(_, value)| !value.is_finite() || *value < 0.0) {
             return refuse(name, *value, "0 or more");
+        }
+        let shrunk = self.gap.ratio.powf(self.gap.n_stages as f64);
+        if shrunk > MAX_SHRINKING {
+            return refuse(
+                "gap.ratio to the power of gap.n_stages",
+                shrunk,
+                "100000 at most: nearer levels cannot be told apart",
+            );
         }
         if !(0.0..1.0).contains(&self.ema_decay) {
             return refuse("ema_decay", self.ema_decay, "0 (none) up to below 1");

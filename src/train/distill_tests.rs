@@ -181,6 +181,7 @@ fn settings_that_make_no_sense_are_named() {
         (DistillTrainingConfig { huber: -1.0, ..Default::default() }, "huber"),
         (gap(LevelGap { ratio: 1.0, ..LevelGap::default() }), "gap.ratio"),
         (gap(LevelGap { n_stages: 0, ..LevelGap::default() }), "gap.n_stages"),
+        (gap(LevelGap { n_stages: 24, ..LevelGap::default() }), "gap.n_stages"),
     ] {
         let message = config.resolve().unwrap_err().to_string();
         assert!(message.contains("train.distill.") && message.contains(name), "{message}");

@@ -77,7 +77,7 @@ impl GenerateConfig {
                     return Err(refuse(key(), why));
                 };
                 for (sweep, level) in request.sweeps(arm) {
-                    sweep.validate().map_err(|why| refuse(key(), why))?;
+                    sweep.validate(self).map_err(|why| refuse(key(), why))?;
                     arms.push(Arm {
                         name: sweep.name[request.name.len() + 1..].to_owned(),
                         sweep_idx: config.sweeps.len(),

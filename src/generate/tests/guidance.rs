@@ -129,6 +129,13 @@ fn guidance_that_makes_no_sense_is_refused() {
         (guided("classifier_scope = 'any_pair'"), "needs a behavior"),
         (sweep(&speed("")), "objectives guide at strengths other than 0"),
         (guided(&format!("objective_guidance = {{ inner_steps = 0 }}\n{}", speed(""))), "inner_steps is 0"),
+        (
+            cut_in(&format!(
+                "classifier_input = 'clean_estimate'\nobjective_guidance = {{ gradient = 'through_network' }}\n{}",
+                speed("")
+            )),
+            "for both use gradient = \"clean\"",
+        ),
         (guided("objectives = [{ kind = 'target_sped', speed_mps = 5.0 }]"), "target_sped"),
     ] {
         let message = refusal(&toml);
