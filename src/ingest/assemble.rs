@@ -12,13 +12,18 @@ use std::sync::Arc;
 /// A standing vehicle takes the direction of a lane no farther than this from its center, metres.
 const MAX_LANE_DISTANCE_M: f64 = 5.0;
 
+/// Beyond these a state is a fault of the recording, whatever the dataset: places are within kilometres of their origin. Single
+/// precision, in which scenes are stored, would not hold much more.
+const MAX_COORDINATE_M: f64 = 1e6;
+const MAX_SPEED_MPS: f64 = 1e6;
+
 /// Puts a recorded scene into the frame of its ego and keeps the agents and lanes that the configuration asks for.
 ///
 /// The ego is the focal track; where there is none at present, a seeded draw among the motorized tracks that are tracked
 /// throughout, or else among those tracked at present. `map` is `None` when scenes need no lanes.
 ///
 /// # Errors
-/// Rejects `non_finite` states, scenes with `no_ego`, and those with `no_lanes_in_radius` of the map.
+/// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego`, and those with `no_lanes_in_radius` of the map.
 pub(super) fn assemble(
     mut raw: RawScene,
     map: Option<&LaneIndex>,
@@ -28,8 +33,14 @@ pub(super) fn assemble(
         reason,
         detail: format!("{}: scene {}: {detail}", raw.source.file, raw.id),
     };
-    if let Some(track) = raw.tracks.iter().find(|track| track.trajectory.valid().any(|(_, state)| !state.is_finite())) {
-        return Err(reject(&raw, "non_finite", format!("track {} has a state that is not finite", track.id)));
+    if let Some((track, state)) = states(&raw).find(|(_, state)| !state.is_finite()) {
+        let detail = format!("track {} has a state that is not finite: {state:?}", track.id);
+        return Err(reject(&raw, "non_finite", detail));
+    }
+    if let Some((track, state)) = states(&raw).find(|(_, state)| !is_possible(state)) {
+        let (Vec2 { x, y }, speed) = (state.position, state.velocity.norm());
+        let detail = format!("track {} is at ({x}, {y}) m with {speed} m/s", track.id);
+        return Err(reject(&raw, "out_of_range", detail));
     }
     let present = raw.n_history.saturating_sub(1);
     let mut counts = IngestReport::default();
@@ -73,6 +84,16 @@ pub(super) fn assemble(
         tracks,
     };
     Ok((scene, counts))
+}
+
+fn states(raw: &RawScene) -> impl Iterator<Item = (&Track, &State)> {
+    raw.tracks.iter().flat_map(|track| track.trajectory.valid().map(move |(_, state)| (track, state)))
+}
+
+fn is_possible(state: &State) -> bool {
+    let State { position, velocity, .. } = state;
+    position.x.abs().max(position.y.abs()) <= MAX_COORDINATE_M
+        && velocity.dot(*velocity) <= MAX_SPEED_MPS * MAX_SPEED_MPS
 }
 
 fn choose_ego(raw: &RawScene, present: usize, seed: Seed) -> Option<(usize, State)> {

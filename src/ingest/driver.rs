@@ -64,21 +64,27 @@ pub fn ingest(
         let (scene_sender, batches) = mpsc::sync_channel(1);
         let storer = scope.spawn(move || batches.into_iter().try_for_each(sink));
         let mut handed_out = BTreeSet::new();
-        for batch in units {
-            let room = config.limit.map(|limit| limit - total.n_scenes);
-            let batch = parser.parse_batch(batch?, room, &mut handed_out)?;
-            total.merge(&batch.report);
-            progress.advance(batch.report.n_scenes);
-            if total.n_rejects() > 0 {
-                progress.note(&format!("{} rejected", total.n_rejects()));
+        let parse_all = || -> Result<(), Error> {
+            for batch in units {
+                let room = config.limit.map(|limit| limit - total.n_scenes);
+                let batch = parser.parse_batch(batch?, room, &mut handed_out)?;
+                total.merge(&batch.report);
+                progress.advance(batch.report.n_scenes);
+                if total.n_rejects() > 0 {
+                    progress.note(&format!("{} rejected", total.n_rejects()));
+                }
+                let sent = scene_sender.send(IngestBatch { units_done: total.n_units, ..batch });
+                if sent.is_err() || config.limit.is_some_and(|limit| total.n_scenes >= limit) {
+                    break;
+                }
             }
-            let sent = scene_sender.send(IngestBatch { units_done: total.n_units, ..batch });
-            if sent.is_err() || config.limit.is_some_and(|limit| total.n_scenes >= limit) {
-                break;
-            }
-        }
+            Ok(())
+        };
+        let parsed = parse_all();
         drop(scene_sender);
+        // What could not be stored came first.
         storer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)).map_err(Error::Sink)?;
+        parsed?;
         // The receiver is gone by now, which ends the reader.
         Ok::<_, Error>(reader.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
     })?;

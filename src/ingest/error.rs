@@ -31,14 +31,6 @@ pub enum Error {
         /// What is wrong.
         detail: String,
     },
-    /// A table that many scenes are read from does not have the columns of its format.
-    #[error("{file}: {detail}")]
-    Table {
-        /// The table, within its container.
-        file: String,
-        /// What is missing or wrong, and what was expected.
-        detail: String,
-    },
     /// A map cannot be read.
     #[error("map {file}{}: {detail}", at_place(.place))]
     Map {

@@ -23,7 +23,8 @@ pub struct PathFingerprint {
     pub hash: String,
 }
 
-/// The fingerprint of a file, or of all files below a folder with their names.
+/// The fingerprint of a file, or of all files below a folder with their names. What cannot be opened in a folder counts by its name:
+/// whoever reads it says why.
 pub fn fingerprint_path(path: &Path) -> Result<PathFingerprint> {
     if !fs_err::metadata(path)?.is_dir() {
         let (n_bytes, hash) = hash_file(path)?;
@@ -32,7 +33,9 @@ pub fn fingerprint_path(path: &Path) -> Result<PathFingerprint> {
     let mut files = Vec::new();
     list_files(path, &mut files)?;
     files.sort();
-    let hashes: Vec<(u64, blake3::Hash)> = files.par_iter().map(|file| hash_file(file)).collect::<Result<_>>()?;
+    let hashes: Vec<(u64, blake3::Hash)> = (files.par_iter())
+        .map(|file| if fs_err::File::open(file).is_ok() { hash_file(file) } else { Ok((0, blake3::hash(b"unopened"))) })
+        .collect::<Result<_>>()?;
     let mut hasher = blake3::Hasher::new();
     for (file, (_, hash)) in files.iter().zip(&hashes) {
         let name = file.strip_prefix(path).context("a folder lists only what lies below it")?.to_string_lossy();
@@ -62,7 +65,7 @@ fn list_files(folder: &Path, files: &mut Vec<PathBuf>) -> Result<()> {
         // A link to a folder counts by the file it names, if any: following it could go round in circles.
         if entry.file_type()?.is_dir() {
             list_files(&entry.path(), files)?;
-        } else if fs_err::metadata(entry.path())?.is_file() {
+        } else if fs_err::metadata(entry.path()).map_or(true, |metadata| metadata.is_file()) {
             files.push(entry.path());
         }
     }
@@ -102,6 +105,20 @@ mod tests {
         assert_ne!(of("a").hash, of("d").hash);
         assert_eq!((of("a/x.csv").n_bytes, of("a/x.csv").n_files), (1, 1));
         assert_eq!(of("a/x.csv"), of("d/y.csv"), "a file's own name is not its content");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_cannot_be_opened_counts_by_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        fs_err::write(folder.path().join("x.csv"), "1").unwrap();
+        let of = || fingerprint_path(folder.path()).unwrap();
+        let without = of();
+        std::os::unix::fs::symlink("nowhere", folder.path().join("y.csv")).unwrap();
+        let dangling = of();
+        assert_ne!(without.hash, dangling.hash);
+        fs_err::write(folder.path().join("nowhere"), "2").unwrap();
+        assert_ne!(of().hash, dangling.hash);
     }
 
     #[test]

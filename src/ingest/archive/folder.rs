@@ -33,7 +33,7 @@ fn visit_folder(
     ancestors.push(canonical);
     for name in sorted_names(&folder)? {
         let path = folder.join(&name);
-        // A dangling link counts as a file, and is an error only where that file is wanted.
+        // A dangling link counts as a file, which cannot be opened where it is wanted.
         let is_folder = fs_err::metadata(&path).is_ok_and(|metadata| metadata.is_dir());
         below.push(name);
         let flow = if is_folder {

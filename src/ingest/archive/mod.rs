@@ -58,7 +58,8 @@ fn visit_input(input: &Path, wanted: &dyn Fn(&str) -> bool, visit: &mut Visitor<
     if fs_err::metadata(input)?.is_dir() {
         return folder::visit(input, wanted, visit);
     }
-    let folder = input.parent().unwrap_or_else(|| Path::new(""));
+    // A bare name lies in the current folder, whose name may tell the place.
+    let folder = input.parent().filter(|folder| *folder != Path::new("")).unwrap_or_else(|| Path::new("."));
     let name = input.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     visit_file(folder, &name, input, wanted, visit)
 }
@@ -85,19 +86,26 @@ fn visit_file(
         if !wanted(&entry.path) {
             return Ok(ControlFlow::Continue(()));
         }
-        visit(&entry, &mut io::BufReader::with_capacity(BUFFER_BYTES, gunzip(open(path)?)))
+        match open(path) {
+            Ok(file) => visit(&entry, &mut io::BufReader::with_capacity(BUFFER_BYTES, gunzip(file))),
+            Err(error) => visit(&entry, &mut Unopened::because(error)),
+        }
     } else {
         if !wanted(name) {
             return Ok(ControlFlow::Continue(()));
         }
         let size = fs_err::metadata(path).ok().map(|metadata| metadata.len());
-        visit(&Entry { path: clean_name(name), container: root.to_owned(), size }, &mut open(path)?)
+        let entry = Entry { path: clean_name(name), container: root.to_owned(), size };
+        match open(path) {
+            Ok(mut file) => visit(&entry, &mut file),
+            Err(error) => visit(&entry, &mut Unopened::because(error)),
+        }
     }
 }
 
 const BUFFER_BYTES: usize = 128 * 1024;
 
-fn open(path: &Path) -> Result<io::BufReader<fs_err::File>, Error> {
+fn open(path: &Path) -> io::Result<io::BufReader<fs_err::File>> {
     Ok(io::BufReader::with_capacity(BUFFER_BYTES, fs_err::File::open(path)?))
 }
 
@@ -128,6 +136,12 @@ fn damaged(container: &Path, after: Option<&str>, error: &io::Error) -> Error {
 
 /// Stands for an entry that could not be opened: the first read gives the reason.
 struct Unopened(Option<io::Error>);
+
+impl Unopened {
+    fn because(error: io::Error) -> io::BufReader<Self> {
+        io::BufReader::new(Self(Some(error)))
+    }
+}
 
 impl Read for Unopened {
     fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {

@@ -14,7 +14,8 @@ const MAX_EXTENSION_BYTES: u64 = 64 * 1024;
 
 /// Visits the regular files of the tar stream `reader`, which is the file `path`.
 ///
-/// A stream cannot be entered again behind a damaged place, so damage between entries is an error.
+/// A stream cannot be entered again behind a damaged place, so damage between entries is an error. So is an end without the mark that
+/// ends archives, and a checksum of the compression, behind that mark, that does not agree.
 pub(super) fn visit(
     path: &Path,
     reader: impl Read,
@@ -22,7 +23,7 @@ pub(super) fn visit(
     visit: &mut Visitor<'_>,
 ) -> Result<ControlFlow<()>, Error> {
     let mut previous: Option<String> = None;
-    let mut archive = tar::Archive::new(io::BufReader::with_capacity(BUFFER_BYTES, reader));
+    let mut archive = tar::Archive::new(Tail { inner: io::BufReader::with_capacity(BUFFER_BYTES, reader), n_zeros: 0 });
     let entries = archive.entries().map_err(|error| damaged(path, None, &error))?.raw(true);
     let mut long_name: Option<String> = None;
     for entry in entries {
@@ -53,7 +54,31 @@ pub(super) fn visit(
         }
         previous = Some(name);
     }
+    let mut tail = archive.into_inner();
+    io::copy(&mut tail, &mut io::sink()).map_err(|error| damaged(path, previous.as_deref(), &error))?;
+    if tail.n_zeros < END_BYTES {
+        let error = io::Error::new(io::ErrorKind::UnexpectedEof, "the end mark of the archive is missing");
+        return Err(damaged(path, previous.as_deref(), &error));
+    }
     Ok(ControlFlow::Continue(()))
+}
+
+/// Zeros behind the last entry, at least.
+const END_BYTES: u64 = 512;
+
+/// A stream that knows with how many zeros it ends so far.
+struct Tail<R> {
+    inner: R,
+    n_zeros: u64,
+}
+
+impl<R: Read> Read for Tail<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let n = self.inner.read(buffer)?;
+        let n_zeros = buffer[..n].iter().rev().take_while(|byte| **byte == 0).count();
+        self.n_zeros = n_zeros as u64 + if n_zeros == n { self.n_zeros } else { 0 };
+        Ok(n)
+    }
 }
 
 fn read_extension(file: &mut impl Read) -> io::Result<Vec<u8>> {

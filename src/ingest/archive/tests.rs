@@ -177,6 +177,42 @@ fn containers_that_are_cut_short_are_errors_that_name_them() {
 }
 
 #[test]
+fn the_end_of_an_archive_is_checked() {
+    let tar = tar_of(&[("a.csv", "first"), ("b.csv", "second")]);
+    let mut wrong_checksum = gz(&tar);
+    let at = wrong_checksum.len() - 8;
+    wrong_checksum[at] ^= 1;
+    for (name, bytes, n_seen) in [
+        // Between two entries, where nothing of a file is missing.
+        ("a.tar", tar[..1024].to_vec(), 1),
+        ("a.tar", Vec::new(), 0),
+        ("a.tar.gz", wrong_checksum, 2),
+    ] {
+        let folder = folder_of(&[(name, &bytes)]);
+        let (seen, result) = visit_all(&[folder.path().to_owned()], &|_| true);
+        assert_eq!(seen.len(), n_seen);
+        let message = result.unwrap_err().to_string();
+        assert!(message.contains(name) && message.contains("cut short"), "{message}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_file_that_cannot_be_opened_fails_when_it_is_read() {
+    let folder = folder_of(&[("a.csv", b"1"), ("c.csv", b"3")]);
+    for name in ["b.csv", "b.csv.gz"] {
+        std::os::unix::fs::symlink("nowhere", folder.path().join(name)).unwrap();
+        let (seen, result) = visit_all(&[folder.path().to_owned()], &|_| true);
+        result.unwrap();
+        assert_eq!(
+            seen.iter().map(|(path, text)| (path.as_str(), text.is_ok())).collect::<Vec<_>>(),
+            [("a.csv", true), ("b.csv", false), ("c.csv", true)]
+        );
+        fs_err::remove_file(folder.path().join(name)).unwrap();
+    }
+}
+
+#[test]
 fn a_missing_input_is_named() {
     let (_, result) = visit_all(&["no/such/folder".into()], &|_| true);
     assert!(result.unwrap_err().to_string().contains("no/such/folder"));

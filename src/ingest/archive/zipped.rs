@@ -21,11 +21,12 @@ pub(super) fn visit(
         }
         let entry = |size| Entry { path: name.clone(), container: path.to_owned(), size };
         let flow = match archive.by_index(index) {
+            Ok(file) if file.is_symlink() => continue,
             Ok(file) => {
                 let entry = entry(Some(file.size()));
                 visit(&entry, &mut io::BufReader::with_capacity(BUFFER_BYTES, file))?
             }
-            Err(error) => visit(&entry(None), &mut io::BufReader::new(Unopened(Some(to_io(error)))))?,
+            Err(error) => visit(&entry(None), &mut Unopened::because(to_io(error)))?,
         };
         if flow.is_break() {
             return Ok(flow);

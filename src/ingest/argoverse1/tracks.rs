@@ -13,6 +13,9 @@ use std::collections::HashMap;
 
 const COLUMNS: [&str; 6] = ["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME"];
 
+/// Most tracks of a file; real ones have hundreds at most, and each takes memory for all timesteps.
+const MAX_TRACKS: usize = 10_000;
+
 /// Nominal time between timesteps, seconds. The actual times are uneven and used for velocities.
 const DT_S: f64 = 0.1;
 
@@ -86,8 +89,9 @@ impl Table {
         let bytes = unit.bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&unit.bytes);
         let mut lines = lines_of(bytes).zip(1..).filter(|(line, _)| !line.is_empty());
         let mut cells = Vec::new();
-        split_cells(lines.next().map_or(&[][..], |(header, _)| header), &mut cells);
-        let (columns, n_columns) = (find_columns(unit, &cells)?, cells.len());
+        let (header, header_line) = lines.next().unwrap_or((b"", 1));
+        split_cells(header, &mut cells);
+        let (columns, n_columns) = (find_columns(unit, header_line, &cells)?, cells.len());
         let mut table = Self { rows: Vec::with_capacity(bytes.len() / 96), tracks: Vec::new(), city: String::new() };
         let mut known: HashMap<&[u8], usize> = HashMap::new();
         for (line, number) in lines {
@@ -141,6 +145,9 @@ impl Table {
         }
         let track_idx = match known.get(track_id) {
             Some(track_idx) => *track_idx,
+            None if self.tracks.len() == MAX_TRACKS => {
+                return Err(unit.reject_at("too_many_tracks", line, format!("more than {MAX_TRACKS} tracks")));
+            }
             None => {
                 let id = String::from_utf8_lossy(track_id).into_owned();
                 self.tracks.push(TrackHead { id, role: role_of(object_type) });
@@ -162,7 +169,7 @@ fn role_of(object_type: &[u8]) -> TrackRole {
 }
 
 /// Where the columns of the format stand in this file.
-fn find_columns(unit: &RawUnit, header: &[&[u8]]) -> Result<[usize; COLUMNS.len()], Reject> {
+fn find_columns(unit: &RawUnit, line: u64, header: &[&[u8]]) -> Result<[usize; COLUMNS.len()], Reject> {
     let find = |name: &str| header.iter().position(|field| field.trim_ascii() == name.as_bytes());
     let missing: Vec<&str> = COLUMNS.into_iter().filter(|name| find(name).is_none()).collect();
     if !missing.is_empty() {
@@ -173,7 +180,7 @@ fn find_columns(unit: &RawUnit, header: &[&[u8]]) -> Result<[usize; COLUMNS.len(
             shorten(&found.join(",")),
             COLUMNS.join(",")
         );
-        return Err(unit.reject_at("bad_header", 1, detail));
+        return Err(unit.reject_at("bad_header", line, detail));
     }
     Ok(COLUMNS.map(|name| find(name).unwrap_or_default()))
 }

@@ -28,6 +28,12 @@ impl Case {
     fn goes_on_with(&self, line: &[u8], columns: &Columns) -> bool {
         columns.case_id == Some(0) && line.strip_prefix(self.id.as_slice()).is_some_and(|rest| rest.starts_with(b","))
     }
+
+    /// With the rows of another one behind its own.
+    fn with_rows_of(mut self, other: Option<Self>) -> Self {
+        self.rows.extend(other.into_iter().flat_map(|other| other.rows));
+        self
+    }
 }
 
 /// Emits the cases of a table that has been read up to its header; `table` is a unit to start each from.
@@ -41,6 +47,8 @@ pub(super) fn split_cases(
 ) -> ControlFlow<()> {
     let mut seen: BTreeSet<String> = BTreeSet::new();
     let mut current: Option<Case> = None;
+    // The case before, while the current one has nothing but rows that are not whole: either case may go on.
+    let mut held: Option<Case> = None;
     loop {
         let (number, line) = match lines.next() {
             Ok(Some(line)) => line,
@@ -48,16 +56,33 @@ pub(super) fn split_cases(
             // The case that is being read is not whole.
             Err(error) => {
                 let rest = current.as_ref().map_or("the file", |_| "the current case and the rest of the file");
-                return emit(Err(table.reject("unreadable", format!("{error}; {rest} is left out"))));
+                let earlier = "cases before were read; where the file is damaged, so may they be";
+                if let Some(done) = held.take() {
+                    emit_case(done, table, emit)?;
+                }
+                return emit(Err(table.reject("unreadable", format!("{error}; {rest} is left out ({earlier})"))));
             }
         };
-        let begun = match &current {
-            None => Some(CaseId::of(line, columns).text()),
-            Some(case) if case.goes_on_with(line, columns) => None,
+        if let Some(before) = held.take() {
+            let whole = CaseId::of(line, columns).whole();
+            if before.goes_on_with(line, columns) || whole == Some(&before.id) {
+                // The rows that were not whole stood amid it.
+                let broken = current.take();
+                seen.remove(&broken.as_ref().map_or_else(String::new, |broken| plain_case_id(&broken.id)));
+                current = Some(before.with_rows_of(broken));
+            } else if whole.is_some() {
+                emit_case(before, table, emit)?;
+            } else {
+                held = Some(before);
+            }
+        }
+        let (begun, is_broken) = match &current {
+            None => (Some(CaseId::of(line, columns).text()), false),
+            Some(case) if case.goes_on_with(line, columns) => (None, false),
             Some(case) => match CaseId::of(line, columns) {
-                CaseId::Whole(id) => (id != case.id).then_some(id),
-                CaseId::Broken(Some(id)) => (id != case.id && !seen.contains(&plain_case_id(id))).then_some(id),
-                CaseId::Broken(None) => None,
+                CaseId::Whole(id) => ((id != case.id).then_some(id), false),
+                CaseId::Broken(Some(id)) => ((id != case.id && !seen.contains(&plain_case_id(id))).then_some(id), true),
+                CaseId::Broken(None) => (None, false),
             },
         };
         if let Some(id) = begun {
@@ -68,8 +93,14 @@ pub(super) fn split_cases(
             let flaw = (!seen.insert(plain_case_id(&id))).then_some("case_not_contiguous");
             // Cases of a table are of similar size.
             let rows = Vec::with_capacity(current.as_ref().map_or(0, |case| case.rows.len().min(MAX_GUESSED_BYTES)));
-            if let Some(done) = current.replace(Case { id, first_line: number, rows, flaw }) {
-                emit_case(done, table, emit)?;
+            match current.replace(Case { id, first_line: number, rows, flaw }) {
+                Some(before) if is_broken => {
+                    if let Some(done) = held.replace(before) {
+                        emit_case(done, table, emit)?;
+                    }
+                }
+                Some(done) => emit_case(done, table, emit)?,
+                None => {}
             }
         }
         if let Some(case) = &mut current {
@@ -82,7 +113,7 @@ pub(super) fn split_cases(
             }
         }
     }
-    current.map_or(ControlFlow::Continue(()), |case| emit_case(case, table, emit))
+    held.into_iter().chain(current).try_for_each(|case| emit_case(case, table, emit))
 }
 
 /// The case that a row says it is of.
@@ -104,6 +135,13 @@ impl<'a> CaseId<'a> {
             return Self::Whole(id);
         }
         Self::Broken(id.filter(|id| cells.next().is_some() && decimal::number(id).is_some()))
+    }
+
+    const fn whole(&self) -> Option<&'a [u8]> {
+        match self {
+            Self::Whole(id) => Some(id),
+            Self::Broken(_) => None,
+        }
     }
 
     /// Empty where the row does not tell.
@@ -134,7 +172,9 @@ fn emit_case(case: Case, table: &RawUnit, emit: &mut EmitUnit<'_>) -> ControlFlo
     }
     emit(match case.flaw {
         Some("case_not_contiguous") => {
-            let detail = format!("case {id} appears again; rows of a case must stand together");
+            let detail = format!(
+                "case {id} appears again, and its first rows were taken for all of it; sort the table by case_id"
+            );
             reject("case_not_contiguous", detail)
         }
         Some(flaw) => reject(flaw, format!("case {id} has more than {} MiB", MAX_CASE_BYTES >> 20)),
@@ -195,6 +235,11 @@ mod tests {
         let units =
             split(&[HEADER, &row("1.0", 1), &broken, &row("1.0", 2), "2.0,1,1\n", &row("2.0", 1), "1.0,1\n"].concat());
         assert_eq!(units, [Ok(("1.0".to_owned(), 2, 6)), Ok(("2.0".to_owned(), 8, 3))]);
+        // Amid a case with another number, which no case has, or has later.
+        let amid =
+            [HEADER, &row("1.0", 1), "9.0,1,1\n9.0\n", &row("1.0", 2), &row("9.0", 1), "3.0,1,\n4.0,2,\n"].concat();
+        let whole = |id: &str, line, n| Ok((id.to_owned(), line, n));
+        assert_eq!(split(&amid), [whole("1.0", 2, 4), whole("9.0", 6, 1), whole("3.0", 7, 1), whole("4.0", 8, 1)]);
     }
 
     #[test]

@@ -11,9 +11,10 @@
 //! |---|---|
 //! | `malformed_row` | too few or too many columns, or a cell that is no number, no whole number, or no id |
 //! | `non_finite` | a number is NaN or infinite |
-//! | `out_of_range` | a position beyond 1000 km, a speed beyond 1 km/s, a frame that no recording has |
+//! | `out_of_range` | a position beyond 1000 km, a speed beyond 1 km/s, a size beyond 1 km, a frame that no recording has |
 //! | `bad_timestamp` | `timestamp_ms` is not 100 times `frame_id`, the recordings being at 10 Hz |
 //! | `duplicate_frame` | a track is twice at the same frame |
+//! | `too_many_tracks` | more than 100,000 tracks, which no recording has |
 //! | `unknown_agent_type`, `inconsistent_agent_type` | not a type of the format; two types in one track |
 //! | `bad_case_id`, `case_not_contiguous` | no usable id; a case goes on after another one began |
 //! | `frame_out_of_range` | the frames of a case span more than 40, or those of a recording more than a day |

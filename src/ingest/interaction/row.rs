@@ -13,6 +13,9 @@ const MS_PER_FRAME: i64 = 100;
 const MAX_COORDINATE_M: f64 = 1e6;
 const MAX_SPEED_MPS: f64 = 1e3;
 const MAX_FRAME: i64 = 100_000_000;
+const MAX_SIZE_M: f64 = 1e3;
+/// Less is no size.
+const MIN_SIZE_M: f64 = 1e-3;
 
 /// One agent at one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,8 +81,13 @@ impl<'a> Row<'a> {
             }
             None => [None; 3],
         };
+        if let Some(size_m) = [length_m, width_m].into_iter().flatten().find(|size_m| *size_m > MAX_SIZE_M) {
+            return Err(("out_of_range", format!("length or width is {size_m} m")));
+        }
         let extent = match (length_m, width_m) {
-            (Some(length_m), Some(width_m)) if length_m > 0.0 && width_m > 0.0 => Some(Extent { length_m, width_m }),
+            (Some(length_m), Some(width_m)) if length_m.min(width_m) >= MIN_SIZE_M => {
+                Some(Extent { length_m, width_m })
+            }
             _ => None,
         };
         let mark = |index, name| optional(index, name).map(|mark| mark.is_some_and(|mark| mark != 0.0));
@@ -144,7 +152,9 @@ mod tests {
         assert_eq!((row.is_to_predict, row.is_interesting), (true, false));
         let row = parse("P7,3.0,300.0,pedestrian/bicycle,1,2,3,4,,,,0,1").unwrap();
         assert_eq!((row.frame_id, row.heading_rad, row.extent, row.is_interesting), (3, None, None, true));
-        assert_eq!(parse("7,3,300,car,1,2,3,0,0,0.0,1.8,,").unwrap().extent, None);
+        for length in ["0.0", "-1", "1e-60"] {
+            assert_eq!(parse(&format!("7,3,300,car,1,2,3,0,0,{length},1.8,,")).unwrap().extent, None);
+        }
     }
 
     #[test]
@@ -154,6 +164,7 @@ mod tests {
             ("7,3,300,car,1,2,3,4,0,4,2,1,0,9", "malformed_row", "14 columns"),
             ("7,3,300,car,one,2,3,4,0,4,2,1,0", "malformed_row", "column x is \"one\", expected a number"),
             ("7,3,300,car,,2,3,4,0,4,2,1,0", "malformed_row", "column x is \"\""),
+            ("7,3,300,car,1,2,3,4,0,1e39,2,1,0", "out_of_range", "length or width"),
             ("7,3.5,300,car,1,2,3,4,0,4,2,1,0", "malformed_row", "column frame_id is \"3.5\", expected a whole number"),
             (",3,300,car,1,2,3,4,0,4,2,1,0", "malformed_row", "column track_id"),
             ("7,3,300,car,1,NaN,3,4,0,4,2,1,0", "non_finite", "column y is \"NaN\""),

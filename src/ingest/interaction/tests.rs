@@ -208,7 +208,7 @@ fn a_flaw_costs_its_case_and_no_other() {
 }
 
 #[test]
-fn tables_without_their_columns_are_errors_that_name_them() {
+fn tables_without_their_columns_are_rejected() {
     let cases = [
         ("train/SIM_A_train.csv", V1_2.replace(",psi_rad", ""), "no column psi_rad"),
         ("train/SIM_A_train.csv", V1_2.replace(',', ";"), "not `;`"),
@@ -218,9 +218,23 @@ fn tables_without_their_columns_are_errors_that_name_them() {
     ];
     for (name, text, expected) in cases {
         let folder = folder_of(&[(name, &text)]);
-        let message = read_units(&config(folder.path())).unwrap_err().to_string();
-        assert!(message.contains(name) && message.contains("line 1") && message.contains(expected), "{message}");
+        let scenes = read_scenes(&config(folder.path()));
+        assert_eq!(outcomes(&scenes), ["bad_header"]);
+        let detail = &scenes[0].as_ref().unwrap_err().detail;
+        assert!(detail.starts_with(name) && detail.contains("line 1") && detail.contains(expected), "{detail}");
     }
+    // What is no table at all costs nobody else anything.
+    let table = [V1_2, &car("1.0,", 7, 1..=40)].concat();
+    let scenes = scenes_of(&[("notes.csv", "to do:\n"), ("train/SIM_A_train.csv", &table)]);
+    assert_eq!(outcomes(&scenes), ["bad_header", "interaction/train/SIM_A/1"]);
+}
+
+#[test]
+fn recordings_of_one_place_are_told_apart_by_their_files() {
+    let table = [V1_1, &car("", 1, 1..=40)].concat();
+    let scenes = scenes_of(&[("SIM_A_train.csv", &table), ("SIM_A_val.csv", &table)]);
+    let expected = ["interaction/train/SIM_A/SIM_A_train@1", "interaction/val/SIM_A/SIM_A_val@1"];
+    assert_eq!(outcomes(&scenes), expected);
 }
 
 #[test]

@@ -56,6 +56,9 @@ pub(super) fn read_tracks(tables: &[Table<'_>]) -> Result<Vec<RecordedTrack>, Re
                 None => *by_id.entry(row.track_id).or_insert(builders.len()),
             };
             if index == builders.len() {
+                if index == MAX_TRACKS {
+                    return Err(reject(("too_many_tracks", format!("more than {MAX_TRACKS} tracks"))));
+                }
                 builders.push(Builder::new(&row).map_err(reject)?);
             }
             builders[index].add(&row, table.file, number).map_err(reject)?;
@@ -81,6 +84,9 @@ fn class_of(agent_type: &[u8]) -> Option<AgentClass> {
         _ => None,
     }
 }
+
+/// Most tracks of a recording; each takes some kilobytes while it is read, and real ones have thousands.
+const MAX_TRACKS: usize = 100_000;
 
 /// A track that is being read.
 struct Builder<'a> {

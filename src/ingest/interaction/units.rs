@@ -52,8 +52,10 @@ impl UnitReader for TableReader<'_> {
             Err(error) => return Ok(emit(Err(unit.reject("unreadable", error)))),
         };
         let is_pedestrians = file.recording.as_ref().is_some_and(|part| part.is_pedestrians);
-        let columns = Columns::of(&header, is_pedestrians)
-            .map_err(|detail| Error::Table { file: entry.container.join(&entry.path).display().to_string(), detail })?;
+        let columns = match Columns::of(&header, is_pedestrians) {
+            Ok(columns) => columns,
+            Err(detail) => return Ok(emit(Err(unit.reject("bad_header", detail)))),
+        };
 
         if columns.case_id.is_some() {
             Horizon::within(self.source.config, CASE_HORIZON)?;
@@ -70,7 +72,7 @@ impl UnitReader for TableReader<'_> {
             let is_too_large = error.kind() == io::ErrorKind::FileTooLarge;
             return Ok(emit(Err(unit.reject(if is_too_large { "too_large" } else { "unreadable" }, error))));
         }
-        let part = file.recording.unwrap_or(RecordingPart { number: file.place, is_pedestrians });
+        let part = file.recording.unwrap_or_else(|| RecordingPart { number: stem(&entry.path), is_pedestrians });
         unit.case_id.clone_from(&part.number);
         Ok(self.recordings.add(unit, &part, emit))
     }
@@ -78,4 +80,10 @@ impl UnitReader for TableReader<'_> {
     fn finish(&mut self, emit: &mut EmitUnit<'_>) -> Result<ControlFlow<()>, Error> {
         Ok(self.recordings.flush(emit))
     }
+}
+
+/// The name of a file without folders and what follows the last point.
+fn stem(path: &str) -> String {
+    let name = path.rsplit('/').next().unwrap_or(path);
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned()
 }
