@@ -7,10 +7,11 @@
 Needs no packages. Works on the largest table of cases of an INTERACTION v1.2 archive, which is unpacked first so that reading does
 not stop halfway in other tables. Seconds are those of the stage in the run folder's timings.json, processor seconds those of
 the whole process, start included; each the median of `--rounds`. Samples are made by a given denoiser with four evaluations:
-they need not be good to be measured. SCRATCH is emptied.
+they need not be good to be measured. Threads are compared by whole runs over all of the archive. SCRATCH is emptied.
 """
 
 import argparse
+import os
 import shutil
 import zipfile
 
@@ -20,6 +21,7 @@ SCENES = (500, 1000, 2000, 4000)
 AGENTS = (2, 4, 8, 16, 32)
 EVALUATED_SCENES = (8, 16, 32)
 SAMPLES = (2, 4, 8, 16)
+STAGES = ("ingest", "mine", "generate", "evaluate")
 
 
 class Bench:
@@ -79,6 +81,23 @@ class Bench:
         (folder / "scenes").symlink_to(source / "scenes")
         return folder
 
+    def whole_run(self, threads):
+        """Seconds of the stages of a run over the whole archive, with 480 samples by ten evaluations: medians."""
+        config = self.arguments.work / "whole.toml"
+        config.write_text(
+            '[run]\nseed = 1\n[ingest]\ndataset = "interaction"\ninputs = ["%s"]\n[mine]\nbehaviors = [{ kind = "cut_in" }]\n'
+            '[train.denoiser]\ncheckpoint = "%s"\n[generate]\nsampler = { kind = "dpmpp_2m", n_steps = 10 }\n'
+            '[[generate.sweeps]]\nname = "plain"\nn_scenes = 40\nn_samples = 12\n[evaluate]\nkeep = "all"\n'
+            % (self.arguments.interaction, self.arguments.denoiser)
+        )
+        rounds = []
+        for _ in range(self.arguments.rounds):
+            output = bench.fresh(self.arguments.work / "whole")
+            bench.measure([self.arguments.djinn, "--threads", threads, "run", config, "--output", output, "--quiet"])
+            folder = output / "whole" / "main"
+            rounds.append([bench.stage(folder, stage)["seconds"] for stage in STAGES])
+        return [bench.middle(seconds) for seconds in zip(*rounds)]
+
     def evaluate(self, folder, threads=2):
         return self.stage("evaluate", folder, 'evaluate.keep="all"', threads=threads)
 
@@ -101,6 +120,7 @@ def main():
     by_scenes(job)
     by_agents(job)
     by_samples(job)
+    by_threads(job)
     shutil.rmtree(arguments.work)
     bench.conclude()
 
@@ -151,6 +171,16 @@ def by_samples(job):
     print("Evaluation, with verdicts, metrics and the corpus:\n")
     header = ["scenes", "samples a scene", "threads", *(f"evaluate {u}" for u in UNITS), "samples per CPU s"]
     bench.table([*header, "generate s (4 evaluations)"], rows)
+
+
+def by_threads(job):
+    n_cores = os.cpu_count() or 1
+    counts = sorted({2**i for i in range(n_cores.bit_length())} | {n_cores})
+    measured = [job.whole_run(threads) for threads in counts]
+    rows = [[threads, *(f"{s:.2f}" for s in seconds)] for threads, seconds in zip(counts, measured)]
+    rows.append(["ratio", *(f"{first / last:.2f}" for first, last in zip(measured[0], measured[-1]))])
+    print("Threads, seconds of the stages (all scenes with maps; cut-ins with negatives; 480 samples by ten evaluations):\n")
+    bench.table(["threads", *STAGES], rows)
 
 
 if __name__ == "__main__":
