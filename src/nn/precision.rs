@@ -8,8 +8,8 @@ use candle_core::{DType, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The precision of the matrix products of linear maps. Parameters, activations, sums, gradients and the optimizer are `f32`
-/// throughout.
+/// The precision of the matrix products of linear maps. Parameters, sums, the optimizer and whatever others than these products read
+/// are `f32` throughout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {

@@ -29,10 +29,14 @@ impl Case {
         columns.case_id == Some(0) && line.strip_prefix(self.id.as_slice()).is_some_and(|rest| rest.starts_with(b","))
     }
 
-    /// With the rows of another one behind its own.
-    fn with_rows_of(mut self, other: Option<Self>) -> Self {
-        self.rows.extend(other.into_iter().flat_map(|other| other.rows));
-        self
+    fn push(&mut self, line: &[u8]) {
+        if self.rows.len() + line.len() > MAX_CASE_BYTES {
+            self.flaw = self.flaw.or(Some("too_large"));
+        }
+        if self.flaw.is_none() {
+            self.rows.extend_from_slice(line);
+            self.rows.push(b'\n');
+        }
     }
 }
 
@@ -45,75 +49,88 @@ pub(super) fn split_cases(
     table: &RawUnit,
     emit: &mut EmitUnit<'_>,
 ) -> ControlFlow<()> {
-    let mut seen: BTreeSet<String> = BTreeSet::new();
-    let mut current: Option<Case> = None;
-    // The case before, while the current one has nothing but rows that are not whole: either case may go on.
-    let mut held: Option<Case> = None;
+    let mut cases = Cases { columns, seen: BTreeSet::new(), current: None, held: None };
+    let mut done = |case: Case| emit_case(case, table, emit);
     loop {
-        let (number, line) = match lines.next() {
-            Ok(Some(line)) => line,
-            Ok(None) => break,
+        match lines.next() {
+            Ok(Some((number, line))) => cases.add(number, line, &mut done)?,
+            Ok(None) => return cases.held.into_iter().chain(cases.current).try_for_each(done),
             // The case that is being read is not whole.
             Err(error) => {
-                let rest = current.as_ref().map_or("the file", |_| "the current case and the rest of the file");
-                let earlier = "cases before were read; where the file is damaged, so may they be";
-                if let Some(done) = held.take() {
-                    emit_case(done, table, emit)?;
-                }
-                return emit(Err(table.reject("unreadable", format!("{error}; {rest} is left out ({earlier})"))));
-            }
-        };
-        if let Some(before) = held.take() {
-            let whole = CaseId::of(line, columns).whole();
-            if before.goes_on_with(line, columns) || whole == Some(&before.id) {
-                // The rows that were not whole stood amid it.
-                let broken = current.take();
-                seen.remove(&broken.as_ref().map_or_else(String::new, |broken| plain_case_id(&broken.id)));
-                current = Some(before.with_rows_of(broken));
-            } else if whole.is_some() {
-                emit_case(before, table, emit)?;
-            } else {
-                held = Some(before);
-            }
-        }
-        let (begun, is_broken) = match &current {
-            None => (Some(CaseId::of(line, columns).text()), false),
-            Some(case) if case.goes_on_with(line, columns) => (None, false),
-            Some(case) => match CaseId::of(line, columns) {
-                CaseId::Whole(id) => ((id != case.id).then_some(id), false),
-                CaseId::Broken(Some(id)) => ((id != case.id && !seen.contains(&plain_case_id(id))).then_some(id), true),
-                CaseId::Broken(None) => (None, false),
-            },
-        };
-        if let Some(id) = begun {
-            if line.is_empty() {
-                continue;
-            }
-            let id = id.to_vec();
-            let flaw = (!seen.insert(plain_case_id(&id))).then_some("case_not_contiguous");
-            // Cases of a table are of similar size.
-            let rows = Vec::with_capacity(current.as_ref().map_or(0, |case| case.rows.len().min(MAX_GUESSED_BYTES)));
-            match current.replace(Case { id, first_line: number, rows, flaw }) {
-                Some(before) if is_broken => {
-                    if let Some(done) = held.replace(before) {
-                        emit_case(done, table, emit)?;
-                    }
-                }
-                Some(done) => emit_case(done, table, emit)?,
-                None => {}
-            }
-        }
-        if let Some(case) = &mut current {
-            if case.rows.len() + line.len() > MAX_CASE_BYTES {
-                case.flaw = case.flaw.or(Some("too_large"));
-            }
-            if case.flaw.is_none() {
-                case.rows.extend_from_slice(line);
-                case.rows.push(b'\n');
+                let rest = cases.current.map_or("the file", |_| "the current case and the rest of the file");
+                let detail =
+                    format!("{error}; {rest} is left out, and where the file is damaged, so may what came before be");
+                return emit(Err(table.reject("unreadable", detail)));
             }
         }
     }
-    held.into_iter().chain(current).try_for_each(|case| emit_case(case, table, emit))
+}
+
+/// The cases of a table while it is read.
+struct Cases<'a> {
+    columns: &'a Columns,
+    /// The ids that have begun.
+    seen: BTreeSet<String>,
+    current: Option<Case>,
+    /// The case before, while the current one has nothing but rows that are not whole: either may go on.
+    held: Option<Case>,
+}
+
+impl Cases<'_> {
+    /// Takes a line in. Cases that it ends are `done`.
+    fn add(&mut self, number: u64, line: &[u8], done: &mut dyn FnMut(Case) -> ControlFlow<()>) -> ControlFlow<()> {
+        let goes_on = |case: &Option<Case>| case.as_ref().is_some_and(|case| case.goes_on_with(line, self.columns));
+        if self.held.is_some() || !goes_on(&self.current) {
+            let id = CaseId::of(line, self.columns);
+            if goes_on(&self.held) || self.held.as_ref().is_some_and(|before| id.whole() == Some(&before.id)) {
+                self.join_held();
+            } else if id.whole().is_some()
+                && let Some(before) = self.held.take()
+            {
+                done(before)?;
+            }
+            self.begin_with(number, line, &id, done)?;
+        }
+        if let Some(case) = &mut self.current {
+            case.push(line);
+        }
+        ControlFlow::Continue(())
+    }
+
+    /// The rows that were not whole stood amid the case before, which goes on.
+    fn join_held(&mut self) {
+        let broken = std::mem::replace(&mut self.current, self.held.take());
+        if let (Some(case), Some(broken)) = (&mut self.current, broken) {
+            self.seen.remove(&plain_case_id(&broken.id));
+            case.rows.extend(broken.rows);
+        }
+    }
+
+    /// Begins another case if the line is not of the current one.
+    fn begin_with(
+        &mut self,
+        number: u64,
+        line: &[u8],
+        id: &CaseId<'_>,
+        done: &mut dyn FnMut(Case) -> ControlFlow<()>,
+    ) -> ControlFlow<()> {
+        let begins = match (&self.current, id) {
+            (None, _) => !line.is_empty(),
+            (Some(case), CaseId::Whole(id)) => *id != case.id,
+            (Some(case), CaseId::Broken(Some(id))) => *id != case.id && !self.seen.contains(&plain_case_id(id)),
+            (Some(_), CaseId::Broken(None)) => false,
+        };
+        if !begins {
+            return ControlFlow::Continue(());
+        }
+        let flaw = (!self.seen.insert(plain_case_id(id.text()))).then_some("case_not_contiguous");
+        // Cases of a table are of similar size.
+        let n_guessed = self.current.as_ref().map_or(0, |case| case.rows.len().min(MAX_GUESSED_BYTES));
+        let case = Case { id: id.text().to_vec(), first_line: number, rows: Vec::with_capacity(n_guessed), flaw };
+        let before = self.current.replace(case);
+        let ended = if id.whole().is_some() { before } else { std::mem::replace(&mut self.held, before) };
+        ended.map_or(ControlFlow::Continue(()), done)
+    }
 }
 
 /// The case that a row says it is of.
