@@ -105,8 +105,10 @@ impl RecordingSource for Interaction<'_> {
     }
 
     fn map_of(&self, path: &str) -> Option<MapId> {
-        let place = TrackFile::of_path(path)?.place;
-        (!place.is_empty()).then(|| map_id(Dataset::Interaction, &place))
+        let file = TrackFile::of_path(path)?;
+        // A name without anything that tracks are named by may be of another table altogether, of which no map is to be missed.
+        let is_certain = !file.place.is_empty() && (file.recording.is_some() || file.place != path::stem(path));
+        is_certain.then(|| map_id(Dataset::Interaction, &file.place))
     }
 }
 

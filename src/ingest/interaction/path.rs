@@ -85,6 +85,12 @@ impl TrackFile {
     }
 }
 
+/// The name of a file without folders and what follows its last point.
+pub(super) fn stem(path: &str) -> &str {
+    let name = path.rsplit_once('/').map_or(path, |(_, name)| name);
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
 /// The place whose map the file at `path` is, by its exact name: `<place>.osm` or `<place>.osm_xy`.
 pub(super) fn place_of_map(path: &str) -> Option<&str> {
     let name = path.rsplit_once('/').map_or(path, |(_, name)| name);

@@ -269,6 +269,8 @@ fn only_what_is_asked_for_is_read() {
     assert!(source.is_map("maps/SIM_B.osm_xy") && !source.is_map("maps/SIM_A.osm") && !source.is_map("a.csv"));
     assert_eq!(source.map_of("x/SIM_B_val.csv"), Some(map_id(Dataset::Interaction, "SIM_B")));
     assert_eq!(source.map_of("vehicle_tracks_000.csv"), None);
+    assert_eq!(source.map_of("SIM_B/vehicle_tracks_000.csv"), Some(map_id(Dataset::Interaction, "SIM_B")));
+    assert_eq!(source.map_of("train/notes.csv"), None);
 }
 
 /// Number of scenes by split and place; panics on a reject.

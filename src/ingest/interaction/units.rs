@@ -2,7 +2,7 @@
 
 use super::cases::split_cases;
 use super::columns::Columns;
-use super::path::{RecordingPart, TrackFile};
+use super::path::{RecordingPart, TrackFile, stem};
 use super::recordings::Recordings;
 use super::{CASE_HORIZON, Interaction};
 use crate::ingest::archive::Entry;
@@ -72,7 +72,8 @@ impl UnitReader for TableReader<'_> {
             let is_too_large = error.kind() == io::ErrorKind::FileTooLarge;
             return Ok(emit(Err(unit.reject(if is_too_large { "too_large" } else { "unreadable" }, error))));
         }
-        let part = file.recording.unwrap_or_else(|| RecordingPart { number: stem(&entry.path), is_pedestrians });
+        let part =
+            file.recording.unwrap_or_else(|| RecordingPart { number: stem(&entry.path).to_owned(), is_pedestrians });
         unit.case_id.clone_from(&part.number);
         Ok(self.recordings.add(unit, &part, emit))
     }
@@ -80,10 +81,4 @@ impl UnitReader for TableReader<'_> {
     fn finish(&mut self, emit: &mut EmitUnit<'_>) -> Result<ControlFlow<()>, Error> {
         Ok(self.recordings.flush(emit))
     }
-}
-
-/// The name of a file without folders and what follows the last point.
-fn stem(path: &str) -> String {
-    let name = path.rsplit('/').next().unwrap_or(path);
-    name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned()
 }
