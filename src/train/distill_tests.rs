@@ -142,7 +142,7 @@ fn endings_m(trained: &TrainedDenoiser, levels: &[f64]) -> Vec<f64> {
     let bound = trained.denoiser.bind(&batch, 64).unwrap();
     let repeated = batch.repeated(64).unwrap();
     let mut noise = NoiseSource::new((0..64).map(Seed).collect());
-    let sampler = SamplerConfig::Consistency(ConsistencyConfig { levels: levels.to_vec() });
+    let sampler = SamplerConfig::Consistency(ConsistencyConfig { sigma_max: None, levels: levels.to_vec() });
     let dims = &repeated.x0.dims()[1..];
     let x = sampler.sample(&trained.spec.edm, &bound, dims, &repeated.x0, &mut noise, &mut |_| ()).unwrap();
     let y = repeated.decode(&x).unwrap().narrow(2, 11, 1).unwrap().narrow(3, 1, 1).unwrap();

@@ -14,13 +14,16 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConsistencyConfig {
+    /// The noise level of the first evaluation. Left out: the denoiser's σ_max. Far above the data's scale hardly anything is decided,
+    /// and an answer given from lower is as good as one that was drawn there from another answer.
+    pub sigma_max: Option<f64>,
     /// Noise levels of the evaluations after the first one, decreasing; none: a single evaluation.
     pub levels: Vec<f64>,
 }
 
 impl Default for ConsistencyConfig {
     fn default() -> Self {
-        Self { levels: vec![0.8] }
+        Self { sigma_max: None, levels: vec![0.8] }
     }
 }
 
@@ -33,10 +36,13 @@ impl ConsistencyConfig {
 
     /// Says what makes no sense.
     pub(super) fn validate(&self) -> std::result::Result<(), String> {
-        let is_decreasing = self.levels.windows(2).all(|pair| pair[0] > pair[1]);
-        match is_decreasing && self.levels.iter().all(|level| level.is_finite() && *level > 0.0) {
+        let all: Vec<f64> = self.sigma_max.iter().chain(&self.levels).copied().collect();
+        let is_decreasing = all.windows(2).all(|pair| pair[0] > pair[1]);
+        match is_decreasing && all.iter().all(|level| level.is_finite() && *level > 0.0) {
             true => Ok(()),
-            false => Err(format!("sampler.levels are {:?}, expected decreasing positive noise levels", self.levels)),
+            false => {
+                Err(format!("sampler.sigma_max and levels are {all:?}, expected decreasing positive noise levels"))
+            }
         }
     }
 }
@@ -87,7 +93,7 @@ mod tests {
         let (ending, edm) = (GaussianEnding { mean: 1.5, std: 0.4 }, Edm::default());
         for levels in [vec![], vec![0.8], vec![5.0, 0.8, 0.1]] {
             let n_evaluations = levels.len() + 1;
-            let sampler = SamplerConfig::Consistency(ConsistencyConfig { levels });
+            let sampler = SamplerConfig::Consistency(ConsistencyConfig { levels, ..ConsistencyConfig::default() });
             assert_eq!((sampler.n_steps(), sampler.n_evaluations()), (n_evaluations, n_evaluations));
             let mut noise = NoiseSource::new((0..20_000).map(Seed).collect());
             let like = Tensor::zeros(1, DType::F32, &Device::Cpu).unwrap();
@@ -104,12 +110,19 @@ mod tests {
 
     #[test]
     fn schedules_begin_where_editing_begins() {
-        let config = ConsistencyConfig { levels: vec![3.0, 0.8] };
+        let config = ConsistencyConfig { levels: vec![3.0, 0.8], ..ConsistencyConfig::default() };
         assert_eq!(config.schedule(80.0), [80.0, 3.0, 0.8, 0.0]);
         assert_eq!(config.schedule(1.6), [1.6, 0.8, 0.0]);
         assert!(config.validate().is_ok());
         for levels in [vec![0.8, 3.0], vec![1.0, 1.0], vec![0.0], vec![f64::NAN]] {
-            assert!(ConsistencyConfig { levels }.validate().is_err());
+            assert!(ConsistencyConfig { levels, ..ConsistencyConfig::default() }.validate().is_err());
         }
+        // From a level of its own.
+        let lower = ConsistencyConfig { sigma_max: Some(24.0), levels: vec![0.8] };
+        assert!(lower.validate().is_ok());
+        assert!(ConsistencyConfig { sigma_max: Some(0.5), ..lower.clone() }.validate().is_err());
+        let (sampler, edm) = (SamplerConfig::Consistency(lower), Edm::default());
+        assert_eq!(sampler.schedule(&edm, sampler.sigma_start(&edm)), [24.0, 0.8, 0.0]);
+        assert_eq!((sampler.name().as_str(), sampler.n_evaluations()), ("consistency-0.8-from-24", 2));
     }
 }

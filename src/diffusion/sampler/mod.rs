@@ -98,7 +98,7 @@ impl SamplerConfig {
             Self::Heun(config) => config.grid,
             Self::Euler(config) => config.grid,
             Self::Dpmpp2m(config) => config.grid,
-            Self::Consistency(_) => StepGrid { sigma_max: None, sigma_min: None, rho: None },
+            Self::Consistency(config) => StepGrid { sigma_max: config.sigma_max, sigma_min: None, rho: None },
         }
     }
 
