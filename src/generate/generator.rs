@@ -140,6 +140,12 @@ impl<'a> Generator<'a> {
             let why = format!("edit.tau is {tau}, expected at most the denoiser's largest noise level {sigma_max}");
             return Err(Error::Config(format!("sweep {}: {why}", sweep.name)));
         }
+        let sampler = sweep.sampler(self.config);
+        let levels = sampler.schedule(&self.spec().edm, sampler.sigma_start(&self.spec().edm));
+        if levels.len() != sampler.n_steps() + 1 || levels[0] > sigma_max {
+            let why = format!("the sampler begins or goes on above the denoiser's largest noise level {sigma_max}");
+            return Err(Error::Config(format!("sweep {}: {why}", sweep.name)));
+        }
         let Some(behavior) = &sweep.behavior else { return Ok(()) };
         let Some(mined) = self.behavior(sweep) else {
             let known: Vec<&str> = self.behaviors.iter().map(|behavior| behavior.id()).collect();

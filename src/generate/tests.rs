@@ -207,6 +207,9 @@ fn models_must_fit_each_other_and_the_sweeps() {
     assert!(refusal(SWEEPS, &[]).unwrap().contains("no classifier of drift"));
     assert_eq!(refusal(&SWEEPS.replace("[0.0, 3.0]", "[0.0]"), &[]), None);
     assert!(refusal(&SWEEPS.replace("'drift'", "'drifts'"), &[]).unwrap().contains("among the mined ones (drift)"));
+    let sampler = "n_scenes = 5\n    sampler = { kind = 'heun', n_steps = 4, grid = { sigma_max = 400 } }";
+    let beyond = SWEEPS.replace("n_scenes = 5", sampler);
+    assert!(refusal(&beyond, &[classifier()]).unwrap().contains("above the denoiser's largest noise level 80"));
     let mut foreign = classifier();
     foreign.spec.normalizer.lateral_unit_m *= 1.01;
     assert!(refusal(SWEEPS, &[foreign]).unwrap().contains("another normalization"));

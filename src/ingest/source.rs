@@ -67,7 +67,7 @@ pub trait UnitReader {
     /// Reads one entry.
     ///
     /// # Errors
-    /// When the entry cannot be read, or is a table that lacks columns.
+    /// When it cannot go on with the configuration; an entry that cannot be read is a reject.
     fn read(
         &mut self,
         entry: &Entry,

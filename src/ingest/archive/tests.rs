@@ -182,6 +182,15 @@ fn the_end_of_an_archive_is_checked() {
     let mut wrong_checksum = gz(&tar);
     let at = wrong_checksum.len() - 8;
     wrong_checksum[at] ^= 1;
+    // What follows the mark, or the compressed stream, is no part of the archive.
+    for (name, bytes) in [
+        ("a.tar", [&tar[..], b"signed"].concat()),
+        ("a.tar.gz", [gz(&tar), vec![0; 600]].concat()),
+        ("a.tar.gz", [gz(&tar), b"signed by somebody".to_vec()].concat()),
+    ] {
+        let folder = folder_of(&[(name, &bytes)]);
+        assert_eq!(texts(folder.path()).len(), 2);
+    }
     for (name, bytes, n_seen) in [
         // Between two entries, where nothing of a file is missing.
         ("a.tar", tar[..1024].to_vec(), 1),

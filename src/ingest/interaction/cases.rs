@@ -10,6 +10,9 @@ use std::ops::ControlFlow;
 /// Largest case that is kept together; usual ones have 20 to 200 kB.
 const MAX_CASE_BYTES: usize = 64 * 1024 * 1024;
 
+/// Most cases of nothing but rows that are not whole that may turn out to be parts of another one.
+const MAX_HELD: usize = 16;
+
 /// Most bytes that are set aside for a case before it is read.
 const MAX_GUESSED_BYTES: usize = 1024 * 1024;
 
@@ -49,7 +52,7 @@ pub(super) fn split_cases(
     table: &RawUnit,
     emit: &mut EmitUnit<'_>,
 ) -> ControlFlow<()> {
-    let mut cases = Cases { columns, seen: BTreeSet::new(), current: None, held: None };
+    let mut cases = Cases { columns, seen: BTreeSet::new(), current: None, held: Vec::new() };
     let mut done = |case: Case| emit_case(case, table, emit);
     loop {
         match lines.next() {
@@ -57,7 +60,11 @@ pub(super) fn split_cases(
             Ok(None) => return cases.held.into_iter().chain(cases.current).try_for_each(done),
             // The case that is being read is not whole.
             Err(error) => {
-                let rest = cases.current.map_or("the file", |_| "the current case and the rest of the file");
+                let rest = match (cases.held.is_empty(), cases.current) {
+                    (true, None) => "the file",
+                    (true, Some(_)) => "the current case and the rest of the file",
+                    (false, _) => "the last cases and the rest of the file",
+                };
                 let detail =
                     format!("{error}; {rest} is left out, and where the file is damaged, so may what came before be");
                 return emit(Err(table.reject("unreadable", detail)));
@@ -72,22 +79,22 @@ struct Cases<'a> {
     /// The ids that have begun.
     seen: BTreeSet<String>,
     current: Option<Case>,
-    /// The case before, while the current one has nothing but rows that are not whole: either may go on.
-    held: Option<Case>,
+    /// While the current case has nothing but rows that are not whole: the case before all of these, which may go on, and those of them
+    /// that say they are of further cases.
+    held: Vec<Case>,
 }
 
 impl Cases<'_> {
     /// Takes a line in. Cases that it ends are `done`.
     fn add(&mut self, number: u64, line: &[u8], done: &mut dyn FnMut(Case) -> ControlFlow<()>) -> ControlFlow<()> {
-        let goes_on = |case: &Option<Case>| case.as_ref().is_some_and(|case| case.goes_on_with(line, self.columns));
-        if self.held.is_some() || !goes_on(&self.current) {
+        let goes_on = |case: Option<&Case>| case.is_some_and(|case| case.goes_on_with(line, self.columns));
+        if !self.held.is_empty() || !goes_on(self.current.as_ref()) {
             let id = CaseId::of(line, self.columns);
-            if goes_on(&self.held) || self.held.as_ref().is_some_and(|before| id.whole() == Some(&before.id)) {
+            let before = self.held.first();
+            if goes_on(before) || before.is_some_and(|before| id.whole() == Some(&before.id)) {
                 self.join_held();
-            } else if id.whole().is_some()
-                && let Some(before) = self.held.take()
-            {
-                done(before)?;
+            } else if id.whole().is_some() {
+                self.held.drain(..).try_for_each(&mut *done)?;
             }
             self.begin_with(number, line, &id, done)?;
         }
@@ -99,10 +106,13 @@ impl Cases<'_> {
 
     /// The rows that were not whole stood amid the case before, which goes on.
     fn join_held(&mut self) {
-        let broken = std::mem::replace(&mut self.current, self.held.take());
-        if let (Some(case), Some(broken)) = (&mut self.current, broken) {
+        let mut held = self.held.drain(..).chain(self.current.take());
+        self.current = held.next();
+        for broken in held {
             self.seen.remove(&plain_case_id(&broken.id));
-            case.rows.extend(broken.rows);
+            if let Some(case) = &mut self.current {
+                case.rows.extend(broken.rows);
+            }
         }
     }
 
@@ -128,8 +138,13 @@ impl Cases<'_> {
         let n_guessed = self.current.as_ref().map_or(0, |case| case.rows.len().min(MAX_GUESSED_BYTES));
         let case = Case { id: id.text().to_vec(), first_line: number, rows: Vec::with_capacity(n_guessed), flaw };
         let before = self.current.replace(case);
-        let ended = if id.whole().is_some() { before } else { std::mem::replace(&mut self.held, before) };
-        ended.map_or(ControlFlow::Continue(()), done)
+        if id.whole().is_some() {
+            return before.map_or(ControlFlow::Continue(()), done);
+        }
+        self.held.extend(before);
+        // Not a table any more: nothing is waited for.
+        let n_given_up = if self.held.len() > MAX_HELD { self.held.len() } else { 0 };
+        self.held.drain(..n_given_up).try_for_each(done)
     }
 }
 
@@ -254,9 +269,10 @@ mod tests {
         assert_eq!(units, [Ok(("1.0".to_owned(), 2, 6)), Ok(("2.0".to_owned(), 8, 3))]);
         // Amid a case with another number, which no case has, or has later.
         let amid =
-            [HEADER, &row("1.0", 1), "9.0,1,1\n9.0\n", &row("1.0", 2), &row("9.0", 1), "3.0,1,\n4.0,2,\n"].concat();
+            [HEADER, &row("1.0", 1), "9.0,1,1\n9.0\n8.0,1\n", &row("1.0", 2), &row("9.0", 1), "3.0,1,\n4.0,2,\n"]
+                .concat();
         let whole = |id: &str, line, n| Ok((id.to_owned(), line, n));
-        assert_eq!(split(&amid), [whole("1.0", 2, 4), whole("9.0", 6, 1), whole("3.0", 7, 1), whole("4.0", 8, 1)]);
+        assert_eq!(split(&amid), [whole("1.0", 2, 5), whole("9.0", 7, 1), whole("3.0", 8, 1), whole("4.0", 9, 1)]);
     }
 
     #[test]

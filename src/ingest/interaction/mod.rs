@@ -23,7 +23,7 @@
 //! | `no_rows`, `bad_header`, `unreadable`, `too_large` | of a whole file or case |
 //!
 //! Tolerated: columns in any order and unknown ones, CRLF, byte order marks, empty lines, a missing last line end, whole
-//! numbers printed as floats, sizes that change along a track (the first counts) or are not positive (taken as unknown).
+//! numbers printed as floats, sizes that change along a track (the first counts) or are below a millimetre (taken as unknown).
 
 mod cases;
 mod columns;

@@ -29,7 +29,7 @@ pub(super) struct Row<'a> {
     pub(super) velocity: Vec2,
     /// Absent for pedestrians.
     pub(super) heading_rad: Option<f64>,
-    /// Absent for pedestrians, and where length or width is not positive.
+    /// Absent for pedestrians, and where length or width is less than a millimetre.
     pub(super) extent: Option<Extent>,
     pub(super) is_interesting: bool,
     pub(super) is_to_predict: bool,
