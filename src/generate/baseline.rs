@@ -19,7 +19,7 @@ pub enum SweepModel {
     #[default]
     Denoiser,
     /// The denoiser of `[train.distill]`, in few evaluations: with
-    /// `sampler = { kind = "consistency", sigma_max = 40, levels = [0.1] }`, for example.
+    /// `sampler = { kind = "consistency", sigma_max = 24, levels = [4.0] }`, for example.
     Distilled,
     /// Scene Transformer of `[train.baseline]`: samples are its joint futures, the likeliest first, with their probabilities.
     Baseline,
@@ -59,7 +59,7 @@ impl SweepConfig {
             }
             (SweepModel::Distilled, false) => {
                 return Err("a distilled denoiser answers with a sample and not with a mean, which other samplers take for one: what \
-                            they make is far too wide; give the sweep sampler = { kind = \"consistency\", sigma_max = 40, levels = [0.1] }"
+                            they make is far too wide; give the sweep sampler = { kind = \"consistency\", sigma_max = 24, levels = [4.0] }"
                     .to_owned());
             }
             _ => {}

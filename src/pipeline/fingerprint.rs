@@ -27,14 +27,14 @@ pub struct PathFingerprint {
 /// whoever reads it says why.
 pub fn fingerprint_path(path: &Path) -> Result<PathFingerprint> {
     if !fs_err::metadata(path)?.is_dir() {
-        let (n_bytes, hash) = hash_file(path)?;
+        let (n_bytes, hash) = hash_file(fs_err::File::open(path)?)?;
         return Ok(PathFingerprint { n_bytes, n_files: 1, hash: short_hex(&hash) });
     }
     let mut files = Vec::new();
     list_files(path, &mut files)?;
     files.sort();
     let hashes: Vec<(u64, blake3::Hash)> = (files.par_iter())
-        .map(|file| if fs_err::File::open(file).is_ok() { hash_file(file) } else { Ok((0, blake3::hash(b"unopened"))) })
+        .map(|file| fs_err::File::open(file).map_or_else(|_| Ok((0, blake3::hash(b"unopened"))), hash_file))
         .collect::<Result<_>>()?;
     let mut hasher = blake3::Hasher::new();
     for (file, (_, hash)) in files.iter().zip(&hashes) {
@@ -72,8 +72,7 @@ fn list_files(folder: &Path, files: &mut Vec<PathBuf>) -> Result<()> {
     Ok(())
 }
 
-fn hash_file(path: &Path) -> Result<(u64, blake3::Hash)> {
-    let mut file = fs_err::File::open(path)?;
+fn hash_file(mut file: fs_err::File) -> Result<(u64, blake3::Hash)> {
     let n_bytes = file.metadata()?.len();
     let mut hasher = blake3::Hasher::new();
     hasher.update(&n_bytes.to_le_bytes());
