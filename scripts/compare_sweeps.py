@@ -3,7 +3,7 @@
     pip install polars numpy
     python scripts/compare_sweeps.py output/few_evaluations_small/main --with heun_50
 
-Prints a Markdown table: for each unguided sweep its means over scenes, and the relative difference to the reference on the same
+Prints a Markdown table: for each unguided sweep of the same scenes its means over them, and the relative difference to the reference on the same
 scenes with the middle 95 % of 10,000 draws of scenes with replacement (paired bootstrap, fixed seed).
 """
 
@@ -43,6 +43,9 @@ def main():
     sweeps = metrics["sweep"].unique(maintain_order=True).to_list()
     if arguments.reference not in sweeps:
         parser.error(f"no sweep {arguments.reference!r} without guidance in {arguments.run}; there are {', '.join(sweeps)}")
+    scenes = {sweep: set(by_scene(metrics, sweep, DIFFERENCES[0])["scene_id"]) for sweep in sweeps}
+    # Sweeps that ask for a behavior choose scenes of their own.
+    sweeps = [sweep for sweep in sweeps if scenes[sweep] == scenes[arguments.reference]]
     header = ["sweep", *DIFFERENCES, *RATES]
     print("| " + " | ".join(header) + " |\n" + "|---" * len(header) + "|")
     for sweep in sweeps:

@@ -49,8 +49,9 @@ Examples:
 
 /// Of `train distill`.
 pub(super) const TRAIN_DISTILL: &str = "\
-The result has the same network, and samples in one to three evaluations:
-sweeps with model = \"distilled\" and sampler = { kind = \"consistency\", levels = [0.8] }.
+The result has the same network, and samples in one to three evaluations. Sweeps of it have
+model = \"distilled\" and the sampler of train.distill.method: { kind = \"euler\", n_steps = 2, grid = … }
+after { kind = \"steps\", n_steps = 2, grid = … }, else { kind = \"consistency\", levels = [0.8] }.
 
 Examples:
   djinn train distill --config pipelines/few_evaluations.toml --output output/try

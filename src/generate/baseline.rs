@@ -2,82 +2,16 @@
 
 use super::conditioning::Conditioned;
 use super::{Error, Generator, SweepConfig};
-use crate::diffusion::SamplerConfig;
 use crate::model::TrainedSceneTransformer;
 use crate::scene::Scene;
 use crate::tensor::{FutureValidity, SceneView};
 use candle_core::Tensor;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use std::ops::Range;
-
-/// Which model the samples of a sweep come from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum SweepModel {
-    /// The denoiser: samples are independent draws, as many as wanted.
-    #[default]
-    Denoiser,
-    /// The denoiser of `[train.distill]`, in few evaluations: with
-    /// `sampler = { kind = "consistency", sigma_max = 24, levels = [4.0] }`, for example.
-    Distilled,
-    /// Scene Transformer of `[train.baseline]`: samples are its joint futures, the likeliest first, with their probabilities.
-    Baseline,
-}
 
 /// What the provenance of the baseline's samples says in place of a guidance.
 pub(super) const GUIDANCE_KIND: &str = "scene_transformer";
 /// What it says in place of a sampler: one forward pass for all samples.
 pub(super) const SAMPLER: &str = "forward-1";
-
-impl SweepConfig {
-    /// Whether its samples are of the distilled denoiser.
-    pub fn uses_distilled(&self) -> bool {
-        self.model == SweepModel::Distilled
-    }
-
-    /// Whether its samples are joint futures of the baseline.
-    pub fn uses_baseline(&self) -> bool {
-        self.model == SweepModel::Baseline
-    }
-
-    /// Says what the model cannot do, sampled in this way.
-    pub(super) fn check_model(&self, sampler: &SamplerConfig) -> Result<(), String> {
-        let beyond = [
-            (self.is_guided(), "strengths other than 0"),
-            (!self.objectives.is_empty(), "objectives"),
-            (self.classifier_free.is_some(), "classifier_free"),
-            (self.edit.is_some(), "edit"),
-        ];
-        match (self.model, matches!(sampler, SamplerConfig::Consistency(_))) {
-            (SweepModel::Denoiser, true) => {
-                return Err(
-                    "sampler.kind = \"consistency\" makes blurred samples of an ordinary denoiser; use it with \
-                            model = \"distilled\""
-                        .to_owned(),
-                );
-            }
-            (SweepModel::Distilled, false) => {
-                return Err("a distilled denoiser answers with a sample and not with a mean, which other samplers take for one: what \
-                            they make is far too wide; give the sweep sampler = { kind = \"consistency\", sigma_max = 24, levels = [4.0] }"
-                    .to_owned());
-            }
-            _ => {}
-        }
-        if self.uses_distilled() && self.guides_through_network() {
-            return Err("objective_guidance.gradient = \"through_network\" supposes the mean that a distilled denoiser does not \
-                        give; use \"clean\""
-                .to_owned());
-        }
-        match beyond.iter().find(|(is_asked, _)| self.uses_baseline() && *is_asked) {
-            Some((_, what)) => Err(format!(
-                "model = \"baseline\" cannot be combined with {what}: Scene Transformer predicts in one pass, in which nothing \
-                 can be guided; use a sweep of the denoiser"
-            )),
-            None => Ok(()),
-        }
-    }
-}
 
 impl<'g> Generator<'g> {
     /// The model of a sweep of the baseline; `None` for sweeps of the denoiser.

@@ -2,7 +2,7 @@
 
 use super::{Error, GenerateConfig, SweepConfig};
 use crate::behavior::Behavior;
-use crate::model::{DenoiserSpec, TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
+use crate::model::{DenoiserSpec, Distillation, TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::keep_freed_memory;
 use crate::scene::{Scene, SceneId};
 use crate::seed::Seed;
@@ -122,13 +122,14 @@ impl<'a> Generator<'a> {
         let is_alike = own.edm == spec.edm
             && (own.n_history, own.n_timesteps) == (spec.n_history, spec.n_timesteps)
             && same_scales(&own.normalizer, &spec.normalizer);
-        match is_alike {
-            true => Ok(()),
-            false => Err(Error::Config(format!(
+        if !is_alike {
+            return Err(Error::Config(format!(
                 "sweep {}: the distilled denoiser has other scales or timesteps than the denoiser; distill it again from this one",
                 sweep.name
-            ))),
+            )));
         }
+        let distillation = own.distillation.as_ref().unwrap_or(&Distillation::Consistency);
+        sweep.check_distillation(self.config, distillation, &own.edm)
     }
 
     fn check(&self, sweep: &SweepConfig) -> Result<(), Error> {

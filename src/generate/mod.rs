@@ -26,13 +26,13 @@ mod sample;
 mod select;
 mod settings;
 mod sweep_guidance;
+mod sweep_model;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
 mod tests;
 mod verify;
 
-pub use baseline::SweepModel;
 pub use conditioning::{ClassifierFreeConfig, EditConfig, EditNoise};
 pub use config::{GenerateConfig, PairRanking, PairSelectionConfig, SweepConfig};
 pub use error::Error;
@@ -50,4 +50,5 @@ pub use request::{
 pub use sample::{RejectedSample, ShardOutput};
 pub use select::SelectConfig;
 pub use sweep_guidance::{ClassifierInput, ClassifierScope};
+pub use sweep_model::SweepModel;
 pub use verify::{Verdict, verify};

@@ -7,7 +7,7 @@ use super::testing::*;
 use super::*;
 use crate::behavior::Behavior;
 use crate::guidance::testing::{N_HISTORY, scene};
-use crate::model::TrainedClassifier;
+use crate::model::{Distillation, TrainedClassifier};
 use crate::progress::Silent;
 use crate::scene::Scene;
 use crate::store::{SceneIndexEntry, as_stored};
@@ -177,7 +177,7 @@ fn configurations_that_make_no_sense_are_refused() {
         (sweep(&sweep("")), "taken by another"),
         (sweep("strenghts = [1.0]"), "strenghts"),
         (format!("batch_size = 0\n{}", sweep("")), "batch_size is 0"),
-        (sweep("model = 'distilled'"), "kind = \"consistency\""),
+        (sweep("model = 'distilled'"), "does not answer with a mean"),
         (format!("sampler = {{ kind = 'consistency', levels = [] }}\n{}", sweep("")), "an ordinary denoiser"),
         (
             format!(
@@ -213,6 +213,36 @@ fn models_must_fit_each_other_and_the_sweeps() {
     let mut foreign = classifier();
     foreign.spec.normalizer.lateral_unit_m *= 1.01;
     assert!(refusal(SWEEPS, &[foreign]).unwrap().contains("another normalization"));
+}
+
+#[test]
+fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
+    let refusal = |distillation: Option<Distillation>, rest: &str| {
+        let (denoiser, mut distilled) = (denoiser(0), denoiser(0));
+        distilled.spec.distillation = distillation;
+        let config = config(&format!("[[sweeps]]\nname = 'a'\nn_scenes = 2\nmodel = 'distilled'\n{rest}"));
+        let models = Models { denoiser: &denoiser, classifiers: &[], distilled: Some(&distilled), baseline: None };
+        Generator::new(&config, models, &[], &load, &Device::Cpu).err().map(|error| error.to_string())
+    };
+    let steps = || Some(Distillation::Steps { sigmas: vec![30.0, 2.0, 0.0] });
+    let euler = |last: f64| {
+        format!("sampler = {{ kind = 'euler', n_steps = 2, grid = {{ sigma_max = 30, sigma_min = {last} }} }}")
+    };
+    let jumps = "sampler = { kind = 'consistency', levels = [2.0] }";
+    assert_eq!(refusal(steps(), &euler(2.0)), None);
+    assert_eq!(refusal(Some(Distillation::Consistency), jumps), None);
+    for (distillation, sampler, part) in [
+        (steps(), euler(3.0), "[30.0, 2.0, 0.0], the sweep through [30.0, 3.0, 0.0]"),
+        (steps(), jumps.to_owned(), "kind = \"euler\""),
+        (Some(Distillation::Consistency), euler(2.0), "kind = \"consistency\""),
+    ] {
+        let message = refusal(distillation, &sampler).unwrap();
+        assert!(message.contains("sweep a") && message.contains(part), "{message}");
+    }
+    // Edits begin at one of its levels.
+    assert_eq!(refusal(steps(), &format!("{}\nedit = {{ tau = 2.0 }}", euler(2.0))), None);
+    let between = refusal(steps(), &format!("{}\nedit = {{ tau = 5.0 }}", euler(2.0))).unwrap();
+    assert!(between.contains("edits a tau"), "{between}");
 }
 
 #[test]

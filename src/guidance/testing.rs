@@ -90,5 +90,6 @@ pub(crate) fn denoiser_spec(parametrization: StateParametrization) -> DenoiserSp
         steps: 0,
         seed: 0,
         scenes: String::new(),
+        distillation: None,
     }
 }

@@ -14,7 +14,7 @@ const MAX_LANE_DISTANCE_M: f64 = 5.0;
 
 /// Beyond these a state is a fault of the recording, whatever the dataset: places are within kilometres of their origin. Single
 /// precision, in which scenes are stored, would not hold much more.
-const MAX_COORDINATE_M: f64 = 1e6;
+pub(super) const MAX_COORDINATE_M: f64 = 1e6;
 const MAX_SPEED_MPS: f64 = 1e6;
 
 /// Puts a recorded scene into the frame of its ego and keeps the agents and lanes that the configuration asks for.

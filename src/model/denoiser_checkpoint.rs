@@ -37,6 +37,22 @@ pub struct DenoiserSpec {
     pub seed: u64,
     /// Fingerprint of the scenes it was trained on.
     pub scenes: String,
+    /// What it was distilled to; `None` for an ordinary denoiser.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distillation: Option<Distillation>,
+}
+
+/// What a denoiser was distilled to, which decides how it is sampled.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Distillation {
+    /// Its answer is where the probability-flow equation ends, from any noise level.
+    Consistency,
+    /// Its answer leads to the next of these noise levels in one Euler step.
+    Steps {
+        /// The noise levels at which it can be asked, and 0.
+        sigmas: Vec<f64>,
+    },
 }
 
 /// The one value of `DenoiserSpec::kind`.

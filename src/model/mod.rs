@@ -16,7 +16,7 @@ mod trunk;
 
 pub use behavior_classifier::{BehaviorClassifier, BehaviorClassifierConfig, log_sigmoid};
 pub use classifier_checkpoint::{ClassifierKind, ClassifierSpec, TrainedClassifier};
-pub use denoiser_checkpoint::{DenoiserKind, DenoiserSpec, TrainedDenoiser};
+pub use denoiser_checkpoint::{DenoiserKind, DenoiserSpec, Distillation, TrainedDenoiser};
 pub use network::{NetworkConfig, SceneNetwork};
 pub use scene_denoiser::{BoundDenoiser, SceneDenoiser};
 pub use scene_transformer::{JointFutures, SceneTransformer, SceneTransformerConfig};

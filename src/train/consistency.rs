@@ -1,7 +1,8 @@
 //! Tuning a denoiser into a consistency model (ECT, Geng et al. 2024): the loss.
 
+use super::latent_error::{pseudo_huber, squared_error};
 use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
-use crate::diffusion::{Denoiser, NoiseSource, rows_like};
+use crate::diffusion::{Denoiser, NoiseDistribution, NoiseSource, rows_like};
 use crate::model::SceneDenoiser;
 use crate::tensor::SceneBatch;
 use candle_core::Tensor;
@@ -11,6 +12,49 @@ use std::collections::BTreeMap;
 
 /// The noise levels at which held-out losses are given.
 const EVALUATION_SIGMAS: [f64; 3] = [0.2, 0.8, 10.0];
+/// The gap of the last stage is at least such a part of the noise level, lest single precision lose it.
+const MAX_SHRINKING: f64 = 1e5;
+
+/// Consistency tuning: answers at two noise levels of one noise shall agree.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ConsistencyTuning {
+    /// How near to each other the two noise levels are.
+    pub gap: LevelGap,
+    /// Distribution of the upper noise level.
+    pub noise: NoiseDistribution,
+}
+
+impl Default for ConsistencyTuning {
+    fn default() -> Self {
+        // Wider than for training from nothing: a consistency model has to answer from pure noise, too.
+        Self { gap: LevelGap::default(), noise: NoiseDistribution { p_mean: -0.5, p_std: 2.0 } }
+    }
+}
+
+impl ConsistencyTuning {
+    /// Says what makes no sense, by the name of the setting.
+    pub(super) fn validate(&self) -> Result<(), String> {
+        let LevelGap { ratio, n_stages, widening, widening_decay } = self.gap;
+        let shrunk = ratio.powf(n_stages as f64);
+        let expected = [
+            ("ratio", ratio, ratio.is_finite() && ratio > 1.0, "a number beyond 1"),
+            ("n_stages", n_stages as f64, n_stages > 0, "a positive number"),
+            ("widening", widening, widening.is_finite() && widening >= 0.0, "0 or more"),
+            ("widening_decay", widening_decay, widening_decay.is_finite() && widening_decay >= 0.0, "0 or more"),
+            (
+                "ratio to the power of gap.n_stages",
+                shrunk,
+                shrunk <= MAX_SHRINKING,
+                "100000 at most: nearer levels cannot be told apart",
+            ),
+        ];
+        match expected.iter().find(|(_, _, is_sound, _)| !is_sound) {
+            Some((name, value, _, expected)) => Err(format!("gap.{name} is {value}, expected {expected}")),
+            None => Ok(()),
+        }
+    }
+}
 
 /// How near to each other the two noise levels are whose answers shall agree.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -53,7 +97,9 @@ pub struct ConsistencyTask<'a> {
     pub denoiser: &'a SceneDenoiser,
     /// The same parameters without gradients: it answers at the lower noise level, and in evaluations.
     pub frozen: &'a SceneDenoiser,
-    /// Settings.
+    /// The levels.
+    pub tuning: ConsistencyTuning,
+    /// Other settings.
     pub training: &'a DistillTraining,
     /// Draws batches.
     pub draws: SceneDraws<'a>,
@@ -89,32 +135,21 @@ impl ConsistencyTask<'_> {
                 (batch.x0.broadcast_mul(&is_end)? + answered.broadcast_mul(&(1.0 - &is_end)?)?)?
             }
         };
-        let error = (upper - lower)?.broadcast_mul(&latent)?;
-        let mut squared = error.sqr()?;
-        if self.training.path_loss > 0.0
-            && let Some(path) = batch.unit_path()?
-        {
-            let path_error = path.matmul(&error)?.broadcast_mul(&latent)?;
-            squared = (squared + (path_error.sqr()? * self.training.path_loss)?)?;
-        }
-        let state_dim = self.draws.collator.normalizer.state_dim as f64;
-        let n_latent = (latent.flatten_from(1)?.sum(1)? * state_dim)?.maximum(1.0)?;
-        let mean = squared.flatten_from(1)?.sum(1)?.div(&n_latent)?;
+        let squared = squared_error(batch, &upper, &lower, self.training.path_loss)?;
+        let distance = pseudo_huber(batch, &squared, self.training.huber)?;
         let weights: Vec<f64> = levels.iter().map(|(t, r)| 1.0 / (t - r)).collect();
-        let weights = rows_like(weights, &mean)?.flatten_all()?;
-        let c = self.training.huber;
-        // The tiny number keeps the slope finite where both answers are the same.
-        Ok(((((mean + (c * c + 1e-12))?.sqrt()? - c)? * weights)?).mean_all()?)
+        let weights = rows_like(weights, &distance)?.flatten_all()?;
+        Ok((distance * weights)?.mean_all()?)
     }
 }
 
 impl TrainTask for ConsistencyTask<'_> {
     fn loss(&self, step: u64) -> Result<Tensor, Error> {
         let DrawnBatch { batch, seeds, mut rngs } = self.draws.training_batch(step)?;
-        let stage = self.training.gap.stage(step, self.training.fit.steps);
+        let stage = self.tuning.gap.stage(step, self.training.fit.steps);
         let levels: Vec<(f64, f64)> = (rngs.iter_mut())
-            .map(|rng| self.training.noise.draw(rng))
-            .map(|t| (t, self.training.gap.lower(t, stage)))
+            .map(|rng| self.tuning.noise.draw(rng))
+            .map(|t| (t, self.tuning.gap.lower(t, stage)))
             .collect();
         self.disagreement(self.denoiser, &batch, &levels, &mut NoiseSource::new(seeds))
     }
@@ -125,13 +160,13 @@ impl TrainTask for ConsistencyTask<'_> {
 
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
         // Always with the gap of the last stage, so that evaluations of all stages compare.
-        let last = self.training.gap.n_stages.saturating_sub(1);
+        let last = self.tuning.gap.n_stages.saturating_sub(1);
         let mut sums = [0.0; EVALUATION_SIGMAS.len()];
         for chunk in self.draws.held_out_chunks() {
             let batch = self.draws.predictive_batch(chunk)?;
             for (sum, sigma) in sums.iter_mut().zip(EVALUATION_SIGMAS) {
                 let seeds = chunk.iter().map(|idx| self.draws.seed.derive("evaluation", &[*idx as u64])).collect();
-                let levels = vec![(sigma, self.training.gap.lower(sigma, last)); chunk.len()];
+                let levels = vec![(sigma, self.tuning.gap.lower(sigma, last)); chunk.len()];
                 let loss = self.disagreement(self.frozen, &batch, &levels, &mut NoiseSource::new(seeds))?;
                 *sum += f64::from(loss.to_scalar::<f32>()?) * chunk.len() as f64;
             }

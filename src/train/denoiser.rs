@@ -110,5 +110,6 @@ fn describe(
         steps: training.fit.steps,
         seed: seed.0,
         scenes: data.fingerprint.clone(),
+        distillation: None,
     })
 }

@@ -1,5 +1,6 @@
 //! Training the denoiser: the paper's loss over p(𝒪), p_train and the recorded scenes.
 
+use super::latent_error::squared_error;
 use super::{DenoiserTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::{Denoiser, NoiseSource, rows_like};
 use crate::model::SceneDenoiser;
@@ -38,14 +39,7 @@ impl DenoisingTask<'_> {
         let noise = noise.draw_like(&batch.x0)?.broadcast_mul(&sigma_rows)?;
         let x = (&batch.x0 + noise)?.broadcast_mul(&latent)?;
         let x0_hat = denoiser.bind(batch, 1)?.denoise(&x, &sigma_rows.flatten_all()?)?;
-        let error = (x0_hat - &batch.x0)?.broadcast_mul(&latent)?;
-        let mut squared = error.sqr()?;
-        if self.training.path_loss > 0.0
-            && let Some(path) = batch.unit_path()?
-        {
-            let path_error = path.matmul(&error)?.broadcast_mul(&latent)?;
-            squared = (squared + (path_error.sqr()? * self.training.path_loss)?)?;
-        }
+        let squared = squared_error(batch, &x0_hat, &batch.x0, self.training.path_loss)?;
         let weighted = squared.broadcast_mul(&rows_like(weight, &batch.x0)?)?;
         let n_latent = (latent.sum_all()? * self.draws.collator.normalizer.state_dim as f64)?.maximum(1.0)?;
         Ok(weighted.sum_all()?.div(&n_latent)?)

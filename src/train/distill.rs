@@ -1,6 +1,9 @@
 //! From a denoiser's checkpoint to that of a consistency model.
 
-use super::{Ahead, ConsistencyTask, DenoiserOutcome, DistillTraining, Error, SceneDraws, TrainingData, fit};
+use super::{
+    Ahead, ConsistencyTask, DenoiserOutcome, DistillMethod, DistillTraining, Error, SceneDraws, StepDistillationTask,
+    TrainingData, fit,
+};
 use crate::model::{DenoiserSpec, SceneDenoiser};
 use crate::nn::{Checkpoint, Params};
 use crate::progress::Progress;
@@ -30,9 +33,11 @@ pub fn distill_denoiser(
         steps: training.fit.steps,
         seed: seed.0,
         scenes: data.fingerprint.clone(),
+        distillation: Some(training.method.distillation(&teacher.metadata.edm)),
         ..teacher.metadata.clone()
     };
     check_shape(&spec, data)?;
+    check_levels(&training.method, &spec)?;
     let mut params = Params::new(device);
     let build = |params: &mut Params| {
         SceneDenoiser::new(params, &spec.network, spec.normalizer.state_dim, spec.edm, seed.derive("weights", &[]))
@@ -52,10 +57,34 @@ pub fn distill_denoiser(
         device,
         ahead: Ahead::default(),
     };
-    let task = ConsistencyTask { denoiser: &denoiser, frozen: &frozen, training, draws };
-    let outcome = fit(&training.fit, &mut params, &task, dir, progress)?;
+    let (denoiser, frozen) = (&denoiser, &frozen);
+    let outcome = match &training.method {
+        DistillMethod::Consistency(tuning) => {
+            let task = ConsistencyTask { denoiser, frozen, tuning: *tuning, training, draws };
+            fit(&training.fit, &mut params, &task, dir, progress)?
+        }
+        DistillMethod::Steps(steps) => {
+            let mut kept = Params::new(device).frozen();
+            let taught_by = build(&mut kept)?;
+            kept.load(&teacher.tensors)?;
+            let task = StepDistillationTask { denoiser, frozen, teacher: &taught_by, steps, training, draws };
+            fit(&training.fit, &mut params, &task, dir, progress)?
+        }
+    };
     let fingerprint = spec.write(&params, &dir.join("model.safetensors"))?;
     Ok(DenoiserOutcome { fingerprint, n_parameters: params.n_parameters(), spec, statistics: outcome.statistics })
+}
+
+/// Fails where the student would be asked at more noise than its teacher knows.
+fn check_levels(method: &DistillMethod, spec: &DenoiserSpec) -> Result<(), Error> {
+    match method {
+        DistillMethod::Steps(steps) if steps.sigmas(&spec.edm)[0] > spec.edm.sigma_max => Err(Error::Config(format!(
+            "train.distill.method: the steps begin at {}, expected at most the denoiser's largest noise level {}",
+            steps.sigmas(&spec.edm)[0],
+            spec.edm.sigma_max
+        ))),
+        _ => Ok(()),
+    }
 }
 
 /// Fails where the scenes are not such as the teacher was trained on. The first one stands for all: batches refuse others.

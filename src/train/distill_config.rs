@@ -1,23 +1,53 @@
 //! The `[train.distill]` section: how does a denoiser become one that needs few evaluations?
 
-use super::{Error, FitConfig, LearningRateDecay, LevelGap};
-use crate::diffusion::NoiseDistribution;
+use super::{ConsistencyTuning, Error, FitConfig, LearningRateDecay, StepDistillation};
+use crate::diffusion::Edm;
+use crate::model::Distillation;
 use crate::scene::Split;
 use crate::tensor::TaskWeights;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The gap of the last stage is at least such a part of the noise level, lest single precision lose it.
-const MAX_SHRINKING: f64 = 1e5;
+/// How a denoiser becomes one that needs few evaluations.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum DistillMethod {
+    /// A consistency model, which jumps from any noise level to the end: for sweeps with `sampler = { kind = "consistency" }`.
+    Consistency(ConsistencyTuning),
+    /// A few large steps that lead where many small ones of the denoiser lead: for sweeps with `sampler = { kind = "euler" }` of the
+    /// same `n_steps` and `grid`.
+    Steps(StepDistillation),
+}
 
-/// How to tune a trained denoiser into a consistency model of the same network, scales and masks.
+impl Default for DistillMethod {
+    fn default() -> Self {
+        Self::Consistency(ConsistencyTuning::default())
+    }
+}
+
+impl DistillMethod {
+    /// What the checkpoint says of it.
+    pub fn distillation(&self, edm: &Edm) -> Distillation {
+        match self {
+            Self::Consistency(_) => Distillation::Consistency,
+            Self::Steps(steps) => Distillation::Steps { sigmas: steps.sigmas(edm) },
+        }
+    }
+
+    fn validate(&self) -> Result<(), String> {
+        match self {
+            Self::Consistency(tuning) => tuning.validate(),
+            Self::Steps(steps) => steps.validate(),
+        }
+    }
+}
+
+/// How to distill a trained denoiser into one of the same network, scales and masks that needs few evaluations.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DistillTrainingConfig {
-    /// How near to each other the two noise levels are whose answers shall agree.
-    pub gap: LevelGap,
-    /// Distribution of the upper noise level.
-    pub noise: NoiseDistribution,
+    /// What it is tuned to.
+    pub method: DistillMethod,
     /// Below about this disagreement the loss is quadratic, above it linear; 0: linear throughout.
     pub huber: f64,
     /// Weight of the squared disagreement of what diffused motion adds up to (motion parametrization only).
@@ -55,9 +85,7 @@ pub struct DistillTrainingConfig {
 impl Default for DistillTrainingConfig {
     fn default() -> Self {
         Self {
-            gap: LevelGap::default(),
-            // Wider than for training from nothing: a consistency model has to answer from pure noise, too.
-            noise: NoiseDistribution { p_mean: -0.5, p_std: 2.0 },
+            method: DistillMethod::default(),
             huber: 0.01,
             path_loss: 0.1,
             tasks: TaskWeights::default(),
@@ -81,10 +109,8 @@ impl Default for DistillTrainingConfig {
 /// The same with every value decided.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DistillTraining {
-    /// How near to each other the two noise levels are.
-    pub gap: LevelGap,
-    /// Distribution of the upper noise level.
-    pub noise: NoiseDistribution,
+    /// What the denoiser is tuned to.
+    pub method: DistillMethod,
     /// Where the loss turns from quadratic to linear.
     pub huber: f64,
     /// Weight of the disagreement of paths.
@@ -105,22 +131,15 @@ impl DistillTrainingConfig {
     /// # Errors
     /// When a value makes no sense, naming it.
     pub fn resolve(&self) -> Result<DistillTraining, Error> {
-        let positive: [(&str, f64); 8] = [
+        let positive: [(&str, f64); 6] = [
             ("steps", self.steps as f64),
             ("batch_size", self.batch_size as f64),
             ("learning_rate", self.learning_rate),
             ("clip_norm", self.clip_norm),
             ("evaluate_every", self.evaluate_every as f64),
             ("save_every", self.save_every as f64),
-            ("gap.n_stages", self.gap.n_stages as f64),
-            ("gap.ratio (beyond 1)", self.gap.ratio - 1.0),
         ];
-        let not_negative = [
-            ("huber", self.huber),
-            ("path_loss", self.path_loss),
-            ("gap.widening", self.gap.widening),
-            ("gap.widening_decay", self.gap.widening_decay),
-        ];
+        let not_negative = [("huber", self.huber), ("path_loss", self.path_loss)];
         let refuse = |name: &str, value: f64, expected: &str| {
             Err(Error::Config(format!("train.distill.{name} is {value}, expected {expected}")))
         };
@@ -130,14 +149,7 @@ impl DistillTrainingConfig {
         if let Some((name, value)) = not_negative.iter().find(|(_, value)| !value.is_finite() || *value < 0.0) {
             return refuse(name, *value, "0 or more");
         }
-        let shrunk = self.gap.ratio.powf(self.gap.n_stages as f64);
-        if shrunk > MAX_SHRINKING {
-            return refuse(
-                "gap.ratio to the power of gap.n_stages",
-                shrunk,
-                "100000 at most: nearer levels cannot be told apart",
-            );
-        }
+        self.method.validate().map_err(|why| Error::Config(format!("train.distill.method: {why}")))?;
         if !(0.0..1.0).contains(&self.ema_decay) {
             return refuse("ema_decay", self.ema_decay, "0 (none) up to below 1");
         }
@@ -146,8 +158,7 @@ impl DistillTrainingConfig {
             return Err(Error::Config(message.to_owned()));
         }
         Ok(DistillTraining {
-            gap: self.gap,
-            noise: self.noise,
+            method: self.method.clone(),
             huber: self.huber,
             path_loss: self.path_loss,
             tasks: self.tasks,

@@ -1,9 +1,9 @@
 //! Tuning reaches every parameter, and turns answers that are means into answers that are samples.
 
 use super::*;
-use crate::diffusion::sampler::ConsistencyConfig;
+use crate::diffusion::sampler::{ConsistencyConfig, HeunConfig, StepGrid};
 use crate::diffusion::{NoiseSource, SamplerConfig};
-use crate::model::{DenoiserSpec, NetworkConfig, SceneDenoiser, TrainedDenoiser};
+use crate::model::{DenoiserSpec, Distillation, NetworkConfig, SceneDenoiser, TrainedDenoiser};
 use crate::nn::{Checkpoint, Params, read_checkpoint};
 use crate::progress::Silent;
 use crate::scene::testing::{Drive, scene};
@@ -83,8 +83,18 @@ fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
     read_checkpoint(&dir.join("model.safetensors"), &Device::Cpu).unwrap()
 }
 
-fn distillation(steps: u64) -> DistillTraining {
+fn consistency() -> DistillMethod {
+    DistillMethod::default()
+}
+
+/// Two steps, for data that is decided at far lower noise than traffic is.
+fn two_steps() -> StepDistillation {
+    StepDistillation { grid: StepGrid { sigma_max: Some(20.0), sigma_min: Some(0.8), rho: None }, ..Default::default() }
+}
+
+fn distillation(steps: u64, method: DistillMethod) -> DistillTraining {
     let config = DistillTrainingConfig {
+        method,
         tasks: only_predictive(),
         steps,
         learning_rate: 3e-3,
@@ -99,15 +109,16 @@ fn distillation(steps: u64) -> DistillTraining {
 fn every_parameter_receives_a_gradient_in_every_stage() {
     let dir = tempfile::tempdir().unwrap();
     let teacher = teacher(1, dir.path());
-    let (spec, training) = (&teacher.metadata, distillation(60));
+    let (spec, training) = (&teacher.metadata, distillation(60, consistency()));
     let mut params = Params::new(&Device::Cpu);
     let build = |params: &mut Params| SceneDenoiser::new(params, &spec.network, 3, spec.edm, Seed(1)).unwrap();
     let denoiser = build(&mut params);
     // Layers that begin at zero would hide what lies before them.
     let frozen = build(&mut params.frozen());
     let masks = MaskSampler::new(&training.tasks).unwrap();
-    let draws = SceneDraws {
-        collator: &spec.collator(),
+    let collator = spec.collator();
+    let draws = || SceneDraws {
+        collator: &collator,
         dataset: &Forks,
         train: &[0, 1, 2, 3],
         held_out: &[],
@@ -117,24 +128,35 @@ fn every_parameter_receives_a_gradient_in_every_stage() {
         device: &Device::Cpu,
         ahead: Ahead::default(),
     };
-    let task = ConsistencyTask { denoiser: &denoiser, frozen: &frozen, training: &training, draws };
-    for step in [0, 59] {
+    let (denoiser, frozen, training) = (&denoiser, &frozen, &training);
+    let tuning = ConsistencyTuning::default();
+    let tuned = ConsistencyTask { denoiser, frozen, tuning, training, draws: draws() };
+    let steps = two_steps();
+    let stepped = StepDistillationTask { denoiser, frozen, teacher: frozen, steps: &steps, training, draws: draws() };
+    let tasks: [(&str, &dyn TrainTask); 2] = [("consistency", &tuned), ("steps", &stepped)];
+    for ((method, task), step) in tasks.into_iter().flat_map(|task| [0, 59].map(|step| (task, step))) {
         let gradients = task.loss(step).unwrap().backward().unwrap();
         for (name, var) in params.iter() {
             // Nothing here reads a map or attends over agents.
             if name.contains("lane") {
                 continue;
             }
-            let gradient = gradients.get(var.as_tensor()).unwrap_or_else(|| panic!("{name} has no gradient at {step}"));
+            let place = format!("{name} ({method}, step {step})");
+            let gradient = gradients.get(var.as_tensor()).unwrap_or_else(|| panic!("no gradient of {place}"));
             let values = gradient.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-            assert!(values.iter().all(|g| g.is_finite()), "the gradient of {name} is not finite at {step}");
-            assert!(values.iter().any(|g| *g != 0.0), "the gradient of {name} is zero at {step}");
+            assert!(values.iter().all(|g| g.is_finite()), "the gradient of {place} is not finite");
+            assert!(values.iter().any(|g| *g != 0.0), "the gradient of {place} is zero");
         }
     }
 }
 
+/// Jumps to the end, by way of these noise levels.
+fn jumps(levels: &[f64]) -> SamplerConfig {
+    SamplerConfig::Consistency(ConsistencyConfig { sigma_max: None, levels: levels.to_vec() })
+}
+
 /// Where the car ends sideways in 64 samples of a few evaluations, metres.
-fn endings_m(trained: &TrainedDenoiser, levels: &[f64]) -> Vec<f64> {
+fn endings_m(trained: &TrainedDenoiser, sampler: &SamplerConfig) -> Vec<f64> {
     let forked = fork(0);
     let mask = ObservationMask::predictive(1, 12, 4);
     let view = SceneView { scene: &forked, ego_idx: 0, mask: &mask };
@@ -142,40 +164,73 @@ fn endings_m(trained: &TrainedDenoiser, levels: &[f64]) -> Vec<f64> {
     let bound = trained.denoiser.bind(&batch, 64).unwrap();
     let repeated = batch.repeated(64).unwrap();
     let mut noise = NoiseSource::new((0..64).map(Seed).collect());
-    let sampler = SamplerConfig::Consistency(ConsistencyConfig { sigma_max: None, levels: levels.to_vec() });
     let dims = &repeated.x0.dims()[1..];
     let x = sampler.sample(&trained.spec.edm, &bound, dims, &repeated.x0, &mut noise, &mut |_| ()).unwrap();
     let y = repeated.decode(&x).unwrap().narrow(2, 11, 1).unwrap().narrow(3, 1, 1).unwrap();
     y.flatten_all().unwrap().to_vec1::<f32>().unwrap().into_iter().map(f64::from).collect()
 }
 
-#[test]
-fn a_single_evaluation_takes_one_way_of_a_fork_and_not_the_middle() {
+/// The denoiser of [`teacher`], and what becomes of it when it is distilled.
+fn distilled(training: &DistillTraining) -> (TrainedDenoiser, TrainedDenoiser) {
     let dirs = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let checkpoint = teacher(400, dirs[0].path());
     let outcome =
-        distill_denoiser(&distillation(800), &data(), &checkpoint, Seed(4), dirs[1].path(), &Device::Cpu, &Silent)
-            .unwrap();
+        distill_denoiser(training, &data(), &checkpoint, Seed(4), dirs[1].path(), &Device::Cpu, &Silent).unwrap();
     let read = |dir: &Path| TrainedDenoiser::read(&dir.join("model.safetensors"), &Device::Cpu).unwrap();
     let (denoiser, distilled) = (read(dirs[0].path()), read(dirs[1].path()));
     assert_eq!((&distilled.spec, &distilled.fingerprint), (&outcome.spec, &outcome.fingerprint));
     assert_eq!(distilled.spec.normalizer, denoiser.spec.normalizer);
-    // Both ways end some 4 m to the side.
+    assert_eq!(denoiser.spec.distillation, None);
+    (denoiser, distilled)
+}
+
+/// How many end on one of both ways, each of which ends some 4 m to the side.
+fn n_on_a_way(endings: &[f64]) -> usize {
     let way_m = fork(0).state(0, 11).unwrap().position.y;
     assert!((3.0..6.0).contains(&way_m), "{way_m}");
-    let on_a_way = |endings: &[f64]| endings.iter().filter(|y| (y.abs() - way_m).abs() < 0.4 * way_m).count();
-    let (mean, sample) = (endings_m(&denoiser, &[]), endings_m(&distilled, &[]));
-    assert!(on_a_way(&mean) < 16, "an ordinary denoiser answers with the middle: {} {mean:?}", on_a_way(&mean));
-    assert!(on_a_way(&sample) > 40, "{} of 64 on a way: {sample:?}", on_a_way(&sample));
-    let n_left = sample.iter().filter(|y| **y > 0.0).count();
+    endings.iter().filter(|y| (y.abs() - way_m).abs() < 0.4 * way_m).count()
+}
+
+fn assert_both_ways_are_taken(endings: &[f64]) {
+    assert!(n_on_a_way(endings) > 40, "{} of 64 on a way: {endings:?}", n_on_a_way(endings));
+    let n_left = endings.iter().filter(|y| **y > 0.0).count();
     assert!((16..=48).contains(&n_left), "{n_left} of 64 to the left");
-    let twice = endings_m(&distilled, &[0.8]);
-    assert!(on_a_way(&twice) >= on_a_way(&sample) - 4, "{} of 64 with a second evaluation", on_a_way(&twice));
+}
+
+#[test]
+fn a_single_evaluation_takes_one_way_of_a_fork_and_not_the_middle() {
+    let (denoiser, distilled) = distilled(&distillation(800, consistency()));
+    assert_eq!(distilled.spec.distillation, Some(Distillation::Consistency));
+    let mean = endings_m(&denoiser, &jumps(&[]));
+    assert!(n_on_a_way(&mean) < 16, "an ordinary denoiser answers with the middle: {mean:?}");
+    let sample = endings_m(&distilled, &jumps(&[]));
+    assert_both_ways_are_taken(&sample);
+    let twice = endings_m(&distilled, &jumps(&[0.8]));
+    assert!(n_on_a_way(&twice) >= n_on_a_way(&sample) - 4, "{} of 64 with a second one", n_on_a_way(&twice));
+}
+
+#[test]
+fn one_large_step_leads_where_many_small_ones_lead() {
+    let steps = StepDistillation { n_steps: 1, teacher_steps: 12, ..two_steps() };
+    let (denoiser, distilled) = distilled(&distillation(600, DistillMethod::Steps(steps.clone())));
+    let sigmas = steps.sigmas(&denoiser.spec.edm);
+    assert_eq!(distilled.spec.distillation, Some(Distillation::Steps { sigmas }));
+    let grid = StepGrid { sigma_min: None, ..steps.grid };
+    let many = endings_m(&denoiser, &SamplerConfig::Heun(HeunConfig { grid, ..HeunConfig::with_steps(20) }));
+    let (before, after) = (endings_m(&denoiser, &steps.sampler()), endings_m(&distilled, &steps.sampler()));
+    // The same noise leads to the same way.
+    let n_same = |endings: &[f64]| endings.iter().zip(&many).filter(|(a, b)| (**a - **b).abs() < 1.5).count();
+    assert!(n_same(&before) < 20, "without training {} of 64 end where many steps lead", n_same(&before));
+    assert!(n_same(&after) >= 50, "{} of 64 end where many steps lead: {after:?} {many:?}", n_same(&after));
+    assert_both_ways_are_taken(&after);
 }
 
 #[test]
 fn settings_that_make_no_sense_are_named() {
-    let gap = |gap: LevelGap| DistillTrainingConfig { gap, ..Default::default() };
+    let gap = |gap: LevelGap| DistillTrainingConfig {
+        method: DistillMethod::Consistency(ConsistencyTuning { gap, ..Default::default() }),
+        ..Default::default()
+    };
     for (config, name) in [
         (DistillTrainingConfig { steps: 0, ..Default::default() }, "steps"),
         (DistillTrainingConfig { huber: -1.0, ..Default::default() }, "huber"),

@@ -95,6 +95,7 @@ fn compare(options: &Options) -> Result<()> {
         steps: 0,
         seed: SEED.0,
         scenes: String::new(),
+        distillation: None,
     };
     let mut params = Params::new(&Device::Cpu);
     let denoiser = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, SEED)?;

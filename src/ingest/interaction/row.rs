@@ -2,6 +2,7 @@
 
 use super::columns::Columns;
 use crate::geometry::Vec2;
+use crate::ingest::assemble::MAX_COORDINATE_M;
 use crate::ingest::cells::split_cells;
 use crate::ingest::decimal;
 use crate::scene::Extent;
@@ -9,8 +10,7 @@ use crate::scene::Extent;
 /// INTERACTION is recorded at 10 Hz, and `timestamp_ms` counts from the start of the recording.
 const MS_PER_FRAME: i64 = 100;
 
-/// Beyond these, a value is a fault of the recording: places are within kilometres of their origin.
-const MAX_COORDINATE_M: f64 = 1e6;
+/// Beyond these, a value is a fault of the recording.
 const MAX_SPEED_MPS: f64 = 1e3;
 const MAX_FRAME: i64 = 100_000_000;
 const MAX_SIZE_M: f64 = 1e3;

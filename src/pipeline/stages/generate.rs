@@ -4,11 +4,13 @@ use super::mine::MineConfig;
 use super::request_rounds::Fulfilment;
 use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledWith};
 use super::train_denoiser::checkpoint_file;
+use crate::diffusion::Edm;
 use crate::generate::{self, GenerateConfig, Generator, Models, Plan, ResolvedGeneration, Shortfall, SweepConfig};
 use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::store::SceneStore;
+use crate::train::DistillTrainingConfig;
 use serde_json::{Value, json};
 
 /// The stage.
@@ -19,6 +21,8 @@ pub struct Generate<'a> {
     pub mine: MineConfig,
     /// The behavior that the pipeline's classifier is trained for, where the pipeline trains one.
     pub classified_behavior: Option<&'a str>,
+    /// How the pipeline distills its denoiser, where it does so.
+    pub distill: Option<&'a DistillTrainingConfig>,
     /// Where the scenes and models are.
     pub layout: &'a Layout,
 }
@@ -35,7 +39,15 @@ impl Stage for Generate<'_> {
     fn check(&self) -> Result<()> {
         self.config.validate()?;
         let mined = self.mine.build()?;
+        // The denoiser's own constants may not be known yet. Sweeps and distillation see the same ones here; they are checked again when
+        // both models are there.
+        let edm = Edm::default();
+        let distillation = self.distill.filter(|config| config.checkpoint.is_none());
+        let distillation = distillation.map(|config| config.method.distillation(&edm));
         for sweep in &self.config.resolve()?.config.sweeps {
+            if let Some(distillation) = &distillation {
+                sweep.check_distillation(self.config, distillation, &edm)?;
+            }
             let Some(behavior) = sweep.behavior.as_deref() else { continue };
             let Some(found) = mined.iter().find(|known| known.id() == behavior) else {
                 let known: Vec<&str> = mined.iter().map(|known| known.id()).collect();

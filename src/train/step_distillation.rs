@@ -1,0 +1,249 @@
+//! Distilling a denoiser onto a few large steps: each answer leads where many small steps of the teacher lead.
+
+use super::latent_error::{pseudo_huber, squared_error};
+use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
+use crate::diffusion::sampler::{Dpmpp2mConfig, EulerConfig, StepGrid};
+use crate::diffusion::{Denoiser, Edm, NoiseSource, SamplerConfig, Step, rows_like};
+use crate::model::SceneDenoiser;
+use crate::tensor::SceneBatch;
+use candle_core::Tensor;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Onto which steps a denoiser is distilled, and how its teacher takes each of them.
+///
+/// The student is asked at the levels of Euler's sampler σ_0 > σ_1 > … > 0. From noise at σ_0 the teacher goes down, each
+/// interval in `teacher_steps` steps of DPM-Solver++(2M), and the student learns the answer with which a single Euler step lands where the
+/// teacher does: (x_{k+1} - (σ_{k+1} / σ_k) x_k) / (1 - σ_{k+1} / σ_k) (Salimans and Ho 2022, progressive distillation, in one
+/// stage). What is learned is a function of the noise and not a mean over endings, so its samples are no narrower than the teacher's.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct StepDistillation {
+    /// Number of steps N, of one evaluation each.
+    pub n_steps: usize,
+    /// The noise levels they begin at.
+    pub grid: StepGrid,
+    /// Steps of the teacher for each of them.
+    pub teacher_steps: usize,
+    /// The noise level of the teacher's last step, which leads to 0.
+    pub teacher_sigma_min: f64,
+}
+
+impl Default for StepDistillation {
+    fn default() -> Self {
+        let grid = StepGrid { sigma_max: Some(30.0), sigma_min: Some(2.5), rho: None };
+        Self { n_steps: 2, grid, teacher_steps: 5, teacher_sigma_min: 0.08 }
+    }
+}
+
+impl StepDistillation {
+    /// The sampler that the student is made for.
+    pub const fn sampler(&self) -> SamplerConfig {
+        SamplerConfig::Euler(EulerConfig { n_steps: self.n_steps, grid: self.grid })
+    }
+
+    /// Says what makes no sense, by the name of the setting.
+    pub(super) fn validate(&self) -> Result<(), String> {
+        if self.teacher_steps == 0 {
+            return Err("teacher_steps is 0, expected at least 1".to_owned());
+        }
+        self.sampler().validate()?;
+        let (sigmas, found) = (self.sigmas(&Edm::default()), self.teacher_sigma_min);
+        let last = sigmas[sigmas.len() - 2];
+        match found > 0.0 && found < last {
+            true => Ok(()),
+            false => Err(format!(
+                "teacher_sigma_min is {found}, expected a positive number below the last level of the steps, {last}"
+            )),
+        }
+    }
+
+    /// The noise levels at which the student is asked, and 0.
+    pub fn sigmas(&self, edm: &Edm) -> Vec<f64> {
+        self.sampler().schedule(edm, self.sampler().sigma_start(edm))
+    }
+
+    /// The noise levels that the teacher goes through: every `teacher_steps`-th of them is one of the student's.
+    fn teacher_sigmas(&self, edm: &Edm) -> Vec<f64> {
+        let schedule = |from, sigma_min, n_steps| Edm { sigma_min, ..*edm }.schedule_from(from, n_steps);
+        let intervals = self.sigmas(edm);
+        let intervals = intervals.windows(2).flat_map(|pair| match pair[1] {
+            0.0 => schedule(pair[0], self.teacher_sigma_min, self.teacher_steps),
+            to => schedule(pair[0], to, self.teacher_steps + 1).into_iter().take(self.teacher_steps).collect(),
+        });
+        intervals.collect()
+    }
+
+    /// Where `teacher` goes from `x` (B, …), a state at the first of the student's noise levels: its states at all of them.
+    ///
+    /// It is solved in one go. A solver of several steps begins with one of first order; begun anew at each level, it would make samples
+    /// too much alike.
+    fn states(&self, edm: &Edm, teacher: &dyn Denoiser, x: Tensor) -> candle_core::Result<Vec<Tensor>> {
+        let solver = SamplerConfig::Dpmpp2m(Dpmpp2mConfig::default());
+        let mut states = vec![x.clone()];
+        let mut observer = |step: &Step<'_>| {
+            if (step.step_idx + 1).is_multiple_of(self.teacher_steps) {
+                states.push(step.x.clone());
+            }
+        };
+        // The solver adds no noise.
+        solver.integrate(&self.teacher_sigmas(edm), teacher, x, &mut NoiseSource::new(Vec::new()), &mut observer)?;
+        Ok(states)
+    }
+}
+
+/// The answer with which one Euler step goes from `x` at noise level `from` to `next` at `to`.
+fn answer(x: &Tensor, next: &Tensor, from: f64, to: f64) -> candle_core::Result<Tensor> {
+    let ratio = to / from;
+    (next - (x * ratio)?)? / (1.0 - ratio)
+}
+
+/// Distillation of a `SceneDenoiser` onto a few steps, on the scenes of a dataset.
+pub struct StepDistillationTask<'a> {
+    /// The denoiser with trainable parameters.
+    pub denoiser: &'a SceneDenoiser,
+    /// The same parameters without gradients, for evaluations.
+    pub frozen: &'a SceneDenoiser,
+    /// Whose steps are learned.
+    pub teacher: &'a SceneDenoiser,
+    /// The steps.
+    pub steps: &'a StepDistillation,
+    /// Other settings.
+    pub training: &'a DistillTraining,
+    /// Draws batches.
+    pub draws: SceneDraws<'a>,
+}
+
+impl StepDistillationTask<'_> {
+    /// For each of the student's levels the mean distance over rows between its answer on the teacher's way and the answer that
+    /// leads where the teacher goes on to.
+    fn distances(
+        &self,
+        denoiser: &SceneDenoiser,
+        batch: &SceneBatch,
+        noise: &mut NoiseSource,
+    ) -> Result<Vec<Tensor>, Error> {
+        let edm = denoiser.edm();
+        let sigmas = self.steps.sigmas(edm);
+        let student = denoiser.bind(batch, 1)?;
+        let x = (noise.draw_like(&batch.x0)?.broadcast_mul(&batch.latent.unsqueeze(3)?)? * sigmas[0])?;
+        let states = self.steps.states(edm, &self.teacher.bind(batch, 1)?, x)?;
+        let intervals = states.windows(2).zip(sigmas.windows(2)).map(|(states, levels)| {
+            let (x, from) = (&states[0], levels[0]);
+            let target = answer(x, &states[1], from, levels[1])?;
+            let sigma = rows_like(vec![from; x.dim(0)?], x)?.flatten_all()?;
+            let squared = squared_error(batch, &student.denoise(x, &sigma)?, &target, self.training.path_loss)?;
+            Ok(pseudo_huber(batch, &squared, self.training.huber)?.mean_all()?)
+        });
+        intervals.collect()
+    }
+}
+
+impl TrainTask for StepDistillationTask<'_> {
+    fn loss(&self, step: u64) -> Result<Tensor, Error> {
+        let DrawnBatch { batch, seeds, .. } = self.draws.training_batch(step)?;
+        let distances = self.distances(self.denoiser, &batch, &mut NoiseSource::new(seeds))?;
+        Ok(Tensor::stack(&distances, 0)?.mean_all()?)
+    }
+
+    fn prepare(&self, step: u64) -> Result<(), Error> {
+        self.draws.prepare(step)
+    }
+
+    fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
+        let sigmas = self.steps.sigmas(self.frozen.edm());
+        let mut sums = vec![0.0; sigmas.len() - 1];
+        for chunk in self.draws.held_out_chunks() {
+            let batch = self.draws.predictive_batch(chunk)?;
+            let seeds = chunk.iter().map(|idx| self.draws.seed.derive("evaluation", &[*idx as u64])).collect();
+            for (sum, distance) in
+                sums.iter_mut().zip(self.distances(self.frozen, &batch, &mut NoiseSource::new(seeds))?)
+            {
+                *sum += f64::from(distance.to_scalar::<f32>()?) * chunk.len() as f64;
+            }
+        }
+        let n = self.draws.held_out.len().max(1) as f64;
+        let named = |(sigma, sum): (&f64, f64)| (format!("held_out_distance_at_sigma_{sigma:.3}"), sum / n);
+        Ok(sigmas.iter().zip(sums).map(named).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Device;
+
+    /// Data N(1.5, 0.4²): the probability-flow equation keeps (x - 1.5) / √(0.4² + σ²).
+    struct Gaussian;
+
+    const MEAN: f64 = 1.5;
+    const STD: f64 = 0.4;
+
+    impl Denoiser for Gaussian {
+        fn denoise(&self, x: &Tensor, sigma: &Tensor) -> candle_core::Result<Tensor> {
+            let shrink =
+                crate::diffusion::sigma_rows(sigma)?.into_iter().map(|s| (STD / s.hypot(STD)).powi(2)).collect();
+            (x - MEAN)?.broadcast_mul(&rows_like(shrink, x)?)? + MEAN
+        }
+    }
+
+    #[test]
+    fn the_levels_are_those_of_the_sampler_and_the_teacher_goes_between_them() {
+        let edm = Edm::default();
+        let steps = StepDistillation {
+            grid: StepGrid { sigma_max: Some(30.0), sigma_min: Some(4.0), rho: None },
+            teacher_steps: 3,
+            ..StepDistillation::default()
+        };
+        assert_eq!(steps.sigmas(&edm), [30.0, 4.0, 0.0]);
+        let levels = steps.teacher_sigmas(&edm);
+        assert_eq!((levels.len(), levels[0], levels[3], levels[5], levels[6]), (7, 30.0, 4.0, 0.08, 0.0));
+        // Evenly spaced in σ^(1/7): the middle one of three between 4 and 0.08.
+        let middle = ((4f64.powf(1.0 / 7.0) + 0.08f64.powf(1.0 / 7.0)) / 2.0).powi(7);
+        assert!((levels[4] - middle).abs() < 1e-12);
+        assert!(levels.windows(2).all(|pair| pair[0] > pair[1]), "{levels:?}");
+        let single = StepDistillation { n_steps: 1, ..steps };
+        assert_eq!((single.sigmas(&edm), single.teacher_sigmas(&edm).len()), (vec![30.0, 0.0], 4));
+    }
+
+    #[test]
+    fn an_euler_step_with_the_learned_answer_lands_where_the_exact_solution_does() {
+        struct Answer(Tensor);
+        impl Denoiser for Answer {
+            fn denoise(&self, _: &Tensor, _: &Tensor) -> candle_core::Result<Tensor> {
+                Ok(self.0.clone())
+            }
+        }
+        let edm = Edm::default();
+        let x = Tensor::from_vec(vec![-40.0, -3.0, 0.0, 20.0, 60.0], (5, 1), &Device::Cpu).unwrap();
+        let steps =
+            StepDistillation { n_steps: 3, teacher_steps: 300, teacher_sigma_min: 1e-3, ..StepDistillation::default() };
+        let states = steps.states(&edm, &Gaussian, x.clone()).unwrap();
+        let sigmas = steps.sigmas(&edm);
+        assert_eq!((states.len(), sigmas.len()), (4, 4));
+        let values = |x: &Tensor| x.flatten_all().unwrap().to_vec1::<f64>().unwrap();
+        for (states, levels) in states.windows(2).zip(sigmas.windows(2)) {
+            let learned = Answer(answer(&states[0], &states[1], levels[0], levels[1]).unwrap());
+            let euler = SamplerConfig::Euler(EulerConfig::default());
+            let mut no_noise = NoiseSource::new(Vec::new());
+            let landed = euler.integrate(levels, &learned, states[0].clone(), &mut no_noise, &mut |_| ()).unwrap();
+            let gain = levels[1].hypot(STD) / sigmas[0].hypot(STD);
+            let exact = ((&x - MEAN).unwrap() * gain).unwrap() + MEAN;
+            for (landed, exact) in values(&landed).iter().zip(values(&exact.unwrap())) {
+                // What second order, and the last step, leave of an error.
+                assert!((landed - exact).abs() < 2e-3 * exact.abs().max(1.0), "{levels:?}: {landed}, exactly {exact}");
+            }
+        }
+    }
+
+    #[test]
+    fn settings_that_make_no_sense_are_named() {
+        let refusal = |steps: StepDistillation| steps.validate().unwrap_err();
+        let default = StepDistillation::default;
+        assert!(refusal(StepDistillation { teacher_steps: 0, ..default() }).contains("teacher_steps is 0"));
+        assert!(refusal(StepDistillation { n_steps: 0, ..default() }).contains("n_steps is 0"));
+        assert!(refusal(StepDistillation { teacher_sigma_min: 2.5, ..default() }).contains("of the steps, 2.5"));
+        assert!(default().validate().is_ok());
+    }
+}
