@@ -3,8 +3,8 @@
     pip install polars numpy
     python scripts/compare_sweeps.py output/few_evaluations_small/main --with heun_50
 
-Prints a Markdown table: for each unguided sweep of the same scenes its means over them, and the relative difference to the reference on the same
-scenes with the middle 95 % of 10,000 draws of scenes with replacement (paired bootstrap, fixed seed).
+Prints a Markdown table: for each unguided sweep of the same scenes its means over them, and the relative difference to the
+reference with the middle 95 % of 10,000 draws of scenes with replacement (paired bootstrap, fixed seed).
 """
 
 import argparse

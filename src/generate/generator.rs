@@ -116,7 +116,8 @@ impl<'a> Generator<'a> {
         Ok(scene)
     }
 
-    /// Refuses a distilled denoiser that is not of the denoiser's kind: scenes would mean something else to it.
+    /// Refuses a distilled denoiser that is not of the denoiser's kind, to which scenes would mean something else, and one in the place of
+    /// the other.
     fn check_distilled(&self, sweep: &SweepConfig) -> Result<(), Error> {
         let (own, spec) = (&self.denoiser(sweep)?.spec, self.spec());
         let is_alike = own.edm == spec.edm
@@ -128,8 +129,17 @@ impl<'a> Generator<'a> {
                 sweep.name
             )));
         }
-        let distillation = own.distillation.as_ref().unwrap_or(&Distillation::Consistency);
-        sweep.check_distillation(self.config, distillation, &own.edm)
+        match (sweep.uses_distilled(), &own.distillation) {
+            (true, distillation) => {
+                let distillation = distillation.as_ref().unwrap_or(&Distillation::Consistency);
+                sweep.check_distillation(self.config, distillation, &own.edm)
+            }
+            (false, None) => Ok(()),
+            (false, Some(_)) => Err(Error::Config(format!(
+                "sweep {}: the denoiser is a distilled one; give it as train.distill.checkpoint, and the sweep model = \"distilled\"",
+                sweep.name
+            ))),
+        }
     }
 
     fn check(&self, sweep: &SweepConfig) -> Result<(), Error> {

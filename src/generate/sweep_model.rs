@@ -70,8 +70,8 @@ impl SweepConfig {
         }
     }
 
-    /// Refuses noise levels that a denoiser was not distilled to: what it answers there means something else. Sweeps of other models
-    /// are not looked at.
+    /// Refuses noise levels that the distilled denoiser was not made for: what it answers there means something else. Sweeps of
+    /// other models are not looked at.
     ///
     /// # Errors
     /// When there are such.

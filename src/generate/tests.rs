@@ -243,6 +243,13 @@ fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
     assert_eq!(refusal(steps(), &format!("{}\nedit = {{ tau = 2.0 }}", euler(2.0))), None);
     let between = refusal(steps(), &format!("{}\nedit = {{ tau = 5.0 }}", euler(2.0))).unwrap();
     assert!(between.contains("edits a tau"), "{between}");
+    // A distilled one in the place of the denoiser.
+    let mut denoiser = denoiser(0);
+    denoiser.spec.distillation = steps();
+    let config = config("[[sweeps]]\nname = 'a'\nn_scenes = 2");
+    let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline: None };
+    let message = Generator::new(&config, models, &[], &load, &Device::Cpu).err().unwrap().to_string();
+    assert!(message.contains("the denoiser is a distilled one"), "{message}");
 }
 
 #[test]

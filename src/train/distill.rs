@@ -1,4 +1,4 @@
-//! From a denoiser's checkpoint to that of a consistency model.
+//! From a denoiser's checkpoint to that of one which needs few evaluations.
 
 use super::{
     Ahead, ConsistencyTask, DenoiserOutcome, DistillMethod, DistillTraining, Error, SceneDraws, StepDistillationTask,
@@ -13,10 +13,10 @@ use candle_core::Device;
 use std::path::Path;
 
 /// Tunes the denoiser `teacher` in `dir` (resuming what is there) and writes it to `dir/model.safetensors`: a checkpoint of the
-/// same network, scales and limits, that answers with samples where the teacher answers with means.
+/// same network, scales and limits, whose answers lead to samples in few evaluations.
 ///
 /// # Errors
-/// When there is no scene to train on, scenes are not of the teacher's shape, or training fails.
+/// When there is no scene to train on, scenes are not of the teacher's shape, the method does not fit it, or training fails.
 pub fn distill_denoiser(
     training: &DistillTraining,
     data: &TrainingData<'_>,
@@ -37,7 +37,7 @@ pub fn distill_denoiser(
         ..teacher.metadata.clone()
     };
     check_shape(&spec, data)?;
-    check_levels(&training.method, &spec)?;
+    training.method.check(&teacher.metadata)?;
     let mut params = Params::new(device);
     let build = |params: &mut Params| {
         SceneDenoiser::new(params, &spec.network, spec.normalizer.state_dim, spec.edm, seed.derive("weights", &[]))
@@ -73,18 +73,6 @@ pub fn distill_denoiser(
     };
     let fingerprint = spec.write(&params, &dir.join("model.safetensors"))?;
     Ok(DenoiserOutcome { fingerprint, n_parameters: params.n_parameters(), spec, statistics: outcome.statistics })
-}
-
-/// Fails where the student would be asked at more noise than its teacher knows.
-fn check_levels(method: &DistillMethod, spec: &DenoiserSpec) -> Result<(), Error> {
-    match method {
-        DistillMethod::Steps(steps) if steps.sigmas(&spec.edm)[0] > spec.edm.sigma_max => Err(Error::Config(format!(
-            "train.distill.method: the steps begin at {}, expected at most the denoiser's largest noise level {}",
-            steps.sigmas(&spec.edm)[0],
-            spec.edm.sigma_max
-        ))),
-        _ => Ok(()),
-    }
 }
 
 /// Fails where the scenes are not such as the teacher was trained on. The first one stands for all: batches refuse others.

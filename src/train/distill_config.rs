@@ -2,7 +2,7 @@
 
 use super::{ConsistencyTuning, Error, FitConfig, LearningRateDecay, StepDistillation};
 use crate::diffusion::Edm;
-use crate::model::Distillation;
+use crate::model::{DenoiserSpec, Distillation};
 use crate::scene::Split;
 use crate::tensor::TaskWeights;
 use schemars::JsonSchema;
@@ -34,12 +34,28 @@ impl DistillMethod {
         }
     }
 
-    fn validate(&self) -> Result<(), String> {
-        match self {
+    /// Says what makes no sense whatever the denoiser.
+    fn validate(&self) -> Result<(), Error> {
+        let checked = match self {
             Self::Consistency(tuning) => tuning.validate(),
             Self::Steps(steps) => steps.validate(),
-        }
+        };
+        checked.map_err(|why| refused(&why))
     }
+
+    /// Fails where the method does not fit the denoiser.
+    pub(super) fn check(&self, teacher: &DenoiserSpec) -> Result<(), Error> {
+        let Self::Steps(steps) = self else { return Ok(()) };
+        if teacher.distillation.is_some() {
+            let why = "the denoiser is a distilled one, whose answers are no means to take steps with; distill an ordinary one";
+            return Err(refused(why));
+        }
+        steps.check_levels(&teacher.edm).map_err(|why| refused(&why))
+    }
+}
+
+fn refused(why: &str) -> Error {
+    Error::Config(format!("train.distill.method: {why}"))
 }
 
 /// How to distill a trained denoiser into one of the same network, scales and masks that needs few evaluations.
@@ -149,7 +165,7 @@ impl DistillTrainingConfig {
         if let Some((name, value)) = not_negative.iter().find(|(_, value)| !value.is_finite() || *value < 0.0) {
             return refuse(name, *value, "0 or more");
         }
-        self.method.validate().map_err(|why| Error::Config(format!("train.distill.method: {why}")))?;
+        self.method.validate()?;
         if !(0.0..1.0).contains(&self.ema_decay) {
             return refuse("ema_decay", self.ema_decay, "0 (none) up to below 1");
         }

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 /// The student is asked at the levels of Euler's sampler σ_0 > σ_1 > … > 0. From noise at σ_0 the teacher goes down, each
 /// interval in `teacher_steps` steps of DPM-Solver++(2M), and the student learns the answer with which a single Euler step lands where the
 /// teacher does: (x_{k+1} - (σ_{k+1} / σ_k) x_k) / (1 - σ_{k+1} / σ_k) (Salimans and Ho 2022, progressive distillation, in one
-/// stage). What is learned is a function of the noise and not a mean over endings, so its samples are no narrower than the teacher's.
+/// stage). What is learned is a function of the noise and not a mean over endings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct StepDistillation {
@@ -43,14 +43,30 @@ impl StepDistillation {
         SamplerConfig::Euler(EulerConfig { n_steps: self.n_steps, grid: self.grid })
     }
 
-    /// Says what makes no sense, by the name of the setting.
+    /// Says what makes no sense whatever the denoiser, by the name of the setting.
     pub(super) fn validate(&self) -> Result<(), String> {
         if self.teacher_steps == 0 {
             return Err("teacher_steps is 0, expected at least 1".to_owned());
         }
         self.sampler().validate()?;
-        let (sigmas, found) = (self.sigmas(&Edm::default()), self.teacher_sigma_min);
-        let last = sigmas[sigmas.len() - 2];
+        let last = if self.n_steps == 1 { self.grid.sigma_max } else { self.grid.sigma_min };
+        self.check_last(last.unwrap_or(f64::INFINITY))
+    }
+
+    /// Says what makes no sense for a denoiser of these constants.
+    pub(super) fn check_levels(&self, edm: &Edm) -> Result<(), String> {
+        let sigmas = self.sigmas(edm);
+        let (first, most) = (sigmas[0], edm.sigma_max);
+        if first > most {
+            return Err(format!(
+                "the steps begin at {first}, expected at most the denoiser's largest noise level {most}"
+            ));
+        }
+        self.check_last(sigmas[sigmas.len() - 2])
+    }
+
+    fn check_last(&self, last: f64) -> Result<(), String> {
+        let found = self.teacher_sigma_min;
         match found > 0.0 && found < last {
             true => Ok(()),
             false => Err(format!(
@@ -245,5 +261,12 @@ mod tests {
         assert!(refusal(StepDistillation { n_steps: 0, ..default() }).contains("n_steps is 0"));
         assert!(refusal(StepDistillation { teacher_sigma_min: 2.5, ..default() }).contains("of the steps, 2.5"));
         assert!(default().validate().is_ok());
+        let edm = |sigma_max, sigma_min| Edm { sigma_max, sigma_min, ..Edm::default() };
+        assert!(default().check_levels(&edm(80.0, 0.002)).is_ok());
+        assert!(default().check_levels(&edm(20.0, 0.002)).unwrap_err().contains("begin at 30, expected at most"));
+        // A denoiser's own last level, where the grid names none.
+        let open = StepDistillation { grid: StepGrid { sigma_min: None, ..default().grid }, ..default() };
+        assert!(open.validate().is_ok() && open.check_levels(&edm(80.0, 0.5)).is_ok());
+        assert!(open.check_levels(&edm(80.0, 0.002)).unwrap_err().contains("of the steps, 0.002"));
     }
 }
