@@ -4,7 +4,8 @@
     python scripts/compare_sweeps.py output/few_evaluations_small/main --with heun_50
 
 Prints a Markdown table: for each unguided sweep of the same scenes its means over them, and the relative difference to the
-reference with the middle 95 % of 10,000 draws of scenes with replacement (paired bootstrap, fixed seed).
+reference with the middle 95 % of 10,000 draws of scenes with replacement (paired bootstrap, fixed seed). The last column is how
+far agents end from where they end in the reference's sample of the same number, metres: near 0 where noise becomes the same sample.
 """
 
 import argparse
@@ -34,6 +35,24 @@ def difference(metrics, sweep, reference, metric):
     return f"{a.mean():.3f} ({a.mean() / b.mean() - 1:+.1%}, {low:+.1%} to {high:+.1%}; {len(a)} scenes)"
 
 
+def endings(run, sweeps):
+    """Last positions (N, 2) of the agents of each sample, by sweep, scene and number."""
+    columns = ["sweep", "scene_id", "sample_idx", "tracks"]
+    found = {}
+    for path in sorted((run / "samples").glob("samples-*.parquet")):
+        samples = pl.read_parquet(path, columns=columns).filter(pl.col("sweep").is_in(sweeps))
+        for row in samples.iter_rows(named=True):
+            last = [(track["x_m"][-1], track["y_m"][-1]) for track in row["tracks"] if track["valid"][-1]]
+            found[row["sweep"], row["scene_id"], row["sample_idx"]] = np.reshape(last, (-1, 2))
+    return found
+
+
+def distance_m(endings, sweep, reference):
+    pairs = ((ours, endings.get((reference, *rest))) for (name, *rest), ours in endings.items() if name == sweep)
+    distances = [np.linalg.norm(a - b, axis=1).mean() for a, b in pairs if b is not None and a.shape == b.shape and len(a)]
+    return np.mean(distances)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=pathlib.Path, help="folder of a run that was evaluated")
@@ -46,11 +65,13 @@ def main():
     scenes = {sweep: set(by_scene(metrics, sweep, DIFFERENCES[0])["scene_id"]) for sweep in sweeps}
     # Sweeps that ask for a behavior choose scenes of their own.
     sweeps = [sweep for sweep in sweeps if scenes[sweep] == scenes[arguments.reference]]
-    header = ["sweep", *DIFFERENCES, *RATES]
+    last = endings(arguments.run, sweeps)
+    header = ["sweep", *DIFFERENCES, *RATES, "from the reference (m)"]
     print("| " + " | ".join(header) + " |\n" + "|---" * len(header) + "|")
     for sweep in sweeps:
         cells = [difference(metrics, sweep, arguments.reference, metric) for metric in DIFFERENCES]
         cells += [f"{by_scene(metrics, sweep, metric)['value'].mean():.1%}" for metric in RATES]
+        cells.append(f"{distance_m(last, sweep, arguments.reference):.2f}")
         print("| " + " | ".join([sweep, *cells]) + " |")
 
 

@@ -6,6 +6,7 @@ use super::select::Candidate;
 use super::{Cell, ClassifierFreeConfig, Error, Generator, Level, ShardPlan, SweepConfig};
 use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
+use crate::nn::in_pool;
 use crate::progress::Progress;
 use crate::scene::{Scene, SceneId, TrackId};
 use crate::seed::Seed;
@@ -107,7 +108,7 @@ impl Generator<'_> {
                 }
                 let cells = members.iter().map(|at| (&shard.cells[*at], &conditioned[*at])).collect();
                 let batch = Batch { sweep, cells, samples: samples.clone(), level };
-                let mut draws = self.sample(&batch, progress)?.into_iter();
+                let mut draws = in_pool(self.device, || self.sample(&batch, progress))?.into_iter();
                 for at in members {
                     let own = samples.clone().zip(draws.by_ref().take(samples.len()));
                     sampled[at].extend(own.map(|(sample_idx, draw)| Sampled { level, sample_idx, draw }));

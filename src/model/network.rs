@@ -78,6 +78,8 @@ pub struct Known {
     input: Tensor,
     lanes: LaneKeys,
     valid: Tensor,
+    /// 1 where somebody reads the result: at valid states that are not known, (B, A, T).
+    read: Tensor,
 }
 
 impl Known {
@@ -93,6 +95,7 @@ impl Known {
             input: self.input.index_select(&rows, 0)?,
             lanes: self.lanes.clone(),
             valid: self.valid.index_select(&rows, 0)?,
+            read: self.read.index_select(&rows, 0)?,
         })
     }
 }
@@ -118,7 +121,7 @@ impl SceneNetwork {
     }
 
     /// Encodes what does not change between calls: known states `context` (B, A, T, D), agent features (B, A, T, C),
-    /// lane polylines (M, L, F) with `lane_valid` (M, L), and `valid` (B, A, T).
+    /// lane polylines (M, L, F) with `lane_valid` (M, L), `valid` (B, A, T) and `latent` (B, A, T), where results are read.
     ///
     /// # Errors
     /// Fails when shapes do not fit the network.
@@ -127,18 +130,20 @@ impl SceneNetwork {
         context: &Tensor,
         features: &Tensor,
         valid: &Tensor,
-        lanes: &Tensor,
-        lane_valid: &Tensor,
+        latent: &Tensor,
+        lanes: (&Tensor, &Tensor),
     ) -> Result<Known> {
+        let (lanes, lane_valid) = lanes;
         let encoded = self.known.lanes(lanes, lane_valid)?;
         Ok(Known {
             input: self.known.states(context, features, valid)?,
             lanes: self.trunk.project_keys(&encoded, lane_valid)?,
             valid: valid.clone(),
+            read: (valid * latent)?,
         })
     }
 
-    /// F_θ for scaled noisy states `x` (B, A, T, D), zero where not latent, at `c_noise` (B): (B, A, T, D).
+    /// F_θ for scaled noisy states `x` (B, A, T, D), zero where not latent, at `c_noise` (B): (B, A, T, D), zero there, too.
     ///
     /// # Errors
     /// Fails when shapes do not fit.
@@ -148,7 +153,7 @@ impl SceneNetwork {
         let noise = sinusoidal(c_noise, self.encoding, NOISE_PERIODS.0, NOISE_PERIODS.1)?;
         let noise = self.input_noise.forward(&noise)?.unsqueeze(1)?.unsqueeze(1)?;
         let hidden = (latent + &known.input)?.broadcast_add(&noise)?.relu()?;
-        let h = self.trunk.forward(self.input_out.forward_valid(&hidden, valid)?, valid, &known.lanes)?;
-        self.output.forward_valid(&self.norm_out.forward_for_products(&h)?, valid)
+        let h = self.trunk.forward(self.input_out.forward_valid(&hidden, valid)?, valid, &known.read, &known.lanes)?;
+        self.output.forward_valid(&self.norm_out.forward_for_products(&h)?, &known.read)
     }
 }

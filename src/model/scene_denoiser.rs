@@ -44,8 +44,8 @@ impl SceneDenoiser {
             &batch.context,
             &batch.features,
             &batch.valid,
-            &batch.lanes,
-            &batch.lane_valid,
+            &batch.latent,
+            (&batch.lanes, &batch.lane_valid),
         )?;
         let latent = batch.latent.unsqueeze(3)?;
         let path = if self.path_input { batch.unit_path()? } else { None };

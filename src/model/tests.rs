@@ -171,7 +171,13 @@ fn outputs_and_gradients_are_those_of_pytorch() {
 
     let input = |name: &str| &golden[&format!("input.{name}")];
     let known = network
-        .encode_known(input("context"), input("features"), input("valid"), input("lanes"), input("lane_valid"))
+        .encode_known(
+            input("context"),
+            input("features"),
+            input("valid"),
+            input("valid"),
+            (input("lanes"), input("lane_valid")),
+        )
         .unwrap();
     let x = candle_core::Var::from_tensor(input("x")).unwrap();
     let output = network.forward(x.as_tensor(), &known, input("c_noise")).unwrap();

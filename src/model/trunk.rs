@@ -88,13 +88,15 @@ impl Trunk {
     }
 
     /// Features (B, A, T, width) to features of the same shape, with `valid` (B, A, T). B is a multiple of the number of
-    /// maps M: each map belongs to B / M rows that follow each other.
+    /// maps M: each map belongs to B / M rows that follow each other. Results mean something where `read` (B, A, T) is 1: the
+    /// last layer does no more than it must elsewhere.
     ///
     /// # Errors
     /// Fails when shapes do not fit, or the map was projected by another trunk.
-    pub(super) fn forward(&self, mut h: Tensor, valid: &Tensor, lanes: &LaneKeys) -> Result<Tensor> {
+    pub(super) fn forward(&self, mut h: Tensor, valid: &Tensor, read: &Tensor, lanes: &LaneKeys) -> Result<Tensor> {
         let mut lane_keys = lanes.keys.iter();
-        for layer in &self.layers {
+        let n_layers = self.layers.len();
+        for (i, layer) in self.layers.iter().enumerate() {
             let normed = layer.norm_mix.forward_for_products(&h)?;
             let mixed = match (&layer.mixing, lane_keys.as_slice().first()) {
                 (Mixing::Own(attention, axis), _) => attention.forward(&normed, *axis, valid)?,
@@ -106,7 +108,8 @@ impl Trunk {
             };
             h = (h + mixed)?;
             let normed = layer.norm_feed.forward_for_products(&h)?;
-            h = (&h + layer.feed_forward.forward_valid(&normed, valid)?)?;
+            let fed = if i + 1 == n_layers { read } else { valid };
+            h = (&h + layer.feed_forward.forward_valid(&normed, fed)?)?;
         }
         Ok(h)
     }

@@ -16,6 +16,7 @@ mod memory;
 mod mlp;
 pub mod ops;
 mod params;
+mod pool;
 mod precision;
 
 pub use adam::Adam;
@@ -29,6 +30,7 @@ pub use linear::Linear;
 pub use memory::keep_freed_memory;
 pub use mlp::Mlp;
 pub use params::{Init, Params, Scope};
+pub use pool::in_pool;
 pub use precision::Precision;
 
 #[cfg(test)]

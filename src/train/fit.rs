@@ -1,7 +1,7 @@
 //! One training loop for every model: steps, warm-up, clipping, averages, evaluation, and a state to resume from.
 
 use super::Error;
-use crate::nn::{Adam, Ema, Params, keep_freed_memory, read_checkpoint, write_checkpoint};
+use crate::nn::{Adam, Ema, Params, in_pool, keep_freed_memory, read_checkpoint, write_checkpoint};
 use crate::progress::Progress;
 use candle_core::Tensor;
 use fs_err as fs;
@@ -62,7 +62,7 @@ impl FitConfig {
 }
 
 /// What is trained.
-pub trait TrainTask {
+pub trait TrainTask: Sync {
     /// The loss of the batch of `step`, a scalar. It must depend on the parameters and `step` alone, so that a resumed
     /// run takes the same steps.
     ///
@@ -138,7 +138,7 @@ pub fn fit(
     progress.start("train", config.steps, "steps");
     progress.advance(first_step);
     while run.position.step < config.steps {
-        run.step(config, params, task)?;
+        in_pool(params.device(), || run.step(config, params, task))?;
         let step = run.position.step;
         let is_last = step == config.steps;
         if step.is_multiple_of(config.log_every) || is_last {

@@ -8,7 +8,7 @@ use candle_core::{Device, Tensor};
 use djinn::diffusion::sampler::HeunConfig;
 use djinn::diffusion::{Denoiser, Edm, LossWeight, NoiseDistribution, NoiseSource, SamplerConfig, rows_like};
 use djinn::model::{DenoiserKind, DenoiserSpec, NetworkConfig, SceneDenoiser};
-use djinn::nn::{Adam, Params, Precision, keep_freed_memory};
+use djinn::nn::{Adam, Params, Precision, in_pool, keep_freed_memory};
 use djinn::scene::{ObservationMask, Split};
 use djinn::seed::Seed;
 use djinn::store::SceneStore;
@@ -21,7 +21,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
-type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
+type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>>;
 
 const SEED: Seed = Seed(1);
 /// What both networks may differ by, of the largest output.
@@ -166,19 +166,19 @@ fn compare(options: &Options) -> Result<()> {
         println!("in {precision}:");
         let mut table = Table::default();
         for (round, noisy) in batches.iter().enumerate() {
-            let (ours, elapsed) = timed(|| forward(noisy));
+            let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, || forward(noisy)));
             ours?;
             table.add("forward", elapsed, peer.ask(&format!("{precision} forward {round}"))?);
         }
         table.print("forward", &format!("forward, {} scenes", options.batch_size));
         for (round, noisy) in batches.iter().enumerate() {
-            let (ours, elapsed) = timed(|| step(noisy));
+            let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, || step(noisy)));
             ours?;
             table.add("train", elapsed, peer.ask(&format!("{precision} train {round}"))?);
         }
         table.print("train", &format!("training step, {} scenes", options.batch_size));
         for _ in 0..4 {
-            let (ours, elapsed) = timed(sample);
+            let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, sample));
             ours?;
             let request = format!("{precision} sample {} {}", options.n_futures, options.n_steps);
             table.add("sample", elapsed, peer.ask(&request)?);

@@ -1,6 +1,13 @@
 //! Loops over slices, written so that the compiler can use vector instructions: how are numbers summed, and exponentials
 //! and sines taken, fast and with the same result on every machine?
 
+/// Runs loops with the widest vectors that this processor has, where the program itself is compiled for any. Each number comes from
+/// the same operations in the same order, whatever the width.
+#[inline(always)]
+pub(super) fn vectorized<R>(loops: impl FnOnce() -> R) -> R {
+    pulp::Arch::new().dispatch(loops)
+}
+
 /// Partial sums that a reduction keeps: a multiple of every vector width, and fixed.
 const N_LANES: usize = 16;
 
@@ -83,20 +90,24 @@ fn exp_of_non_positive(x: f32) -> f32 {
 
 /// Replaces every row of `scores` (rows of `n_keys`) by its softmax.
 pub(super) fn softmax_rows(scores: &mut [f32], n_keys: usize) {
-    for row in scores.chunks_exact_mut(n_keys) {
-        let max = max(row);
-        row.iter_mut().for_each(|x| *x = exp_of_non_positive(*x - max));
-        let scale = 1.0 / sum(row, |x| x);
-        row.iter_mut().for_each(|x| *x *= scale);
-    }
+    vectorized(|| {
+        for row in scores.chunks_exact_mut(n_keys) {
+            let max = max(row);
+            row.iter_mut().for_each(|x| *x = exp_of_non_positive(*x - max));
+            let scale = 1.0 / sum(row, |x| x);
+            row.iter_mut().for_each(|x| *x *= scale);
+        }
+    });
 }
 
 /// Replaces every row of `grad`, the gradient at softmax `weights`, by the gradient at the scores, times `scale`.
 pub(super) fn softmax_rows_backward(grad: &mut [f32], weights: &[f32], n_keys: usize, scale: f32) {
-    for (grad, weights) in grad.chunks_exact_mut(n_keys).zip(weights.chunks_exact(n_keys)) {
-        let mean = sum_pairs(grad, weights, |g, w| g * w);
-        grad.iter_mut().zip(weights).for_each(|(g, w)| *g = (*g - mean) * w * scale);
-    }
+    vectorized(|| {
+        for (grad, weights) in grad.chunks_exact_mut(n_keys).zip(weights.chunks_exact(n_keys)) {
+            let mean = sum_pairs(grad, weights, |g, w| g * w);
+            grad.iter_mut().zip(weights).for_each(|(g, w)| *g = (*g - mean) * w * scale);
+        }
+    });
 }
 
 /// (sin 2πx, cos 2πx) to 1e-7 for |x| < 2⁴⁹: the argument is reduced in double precision before it loses digits.

@@ -4,7 +4,7 @@ use candle_core::{CpuStorage, CustomOp3, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
 use super::host::{gradient, slice, values};
-use super::kernels::{sum, sum_pairs};
+use super::kernels::{sum, sum_pairs, vectorized};
 
 /// Rows of one task.
 const N_ROWS: usize = 128;
@@ -37,6 +37,7 @@ impl FusedLayerNorm {
     }
 
     /// Gradients of some rows: fills `dx` and returns what the rows add to the gradients of weight and bias.
+    #[inline(always)]
     fn backward(&self, dx: &mut [f32], x: &[f32], grad: &[f32], weight: &[f32]) -> (Vec<f32>, Vec<f32>) {
         let dim = weight.len();
         let (mut dw, mut db) = (vec![0.0; dim], vec![0.0; dim]);
@@ -75,12 +76,14 @@ impl CustomOp3 for FusedLayerNorm {
         let dim = weight.len();
         let mut y = vec![0.0; x.len()];
         y.par_chunks_mut(N_ROWS * dim).zip(x.par_chunks(N_ROWS * dim)).for_each(|(y, x)| {
-            for (y, x) in y.chunks_exact_mut(dim).zip(x.chunks_exact(dim)) {
-                let (mean, scale) = self.moments(x);
-                for ((y, x), (w, b)) in y.iter_mut().zip(x).zip(weight.iter().zip(bias)) {
-                    *y = (x - mean) * scale * w + b;
+            vectorized(|| {
+                for (y, x) in y.chunks_exact_mut(dim).zip(x.chunks_exact(dim)) {
+                    let (mean, scale) = self.moments(x);
+                    for ((y, x), (w, b)) in y.iter_mut().zip(x).zip(weight.iter().zip(bias)) {
+                        *y = (x - mean) * scale * w + b;
+                    }
                 }
-            }
+            });
         });
         Ok((CpuStorage::F32(y), x_layout.shape().clone()))
     }
@@ -100,7 +103,7 @@ impl CustomOp3 for FusedLayerNorm {
             let (x, weight, grad) = (values(x)?, values(weight)?, values(&grad)?);
             let tasks = dx.par_chunks_mut(N_ROWS * dim).zip(x.par_chunks(N_ROWS * dim));
             let tasks = tasks.zip(grad.par_chunks(N_ROWS * dim));
-            tasks.map(|((dx, x), grad)| self.backward(dx, x, grad, &weight)).collect()
+            tasks.map(|((dx, x), grad)| vectorized(|| self.backward(dx, x, grad, &weight))).collect()
         };
         // The parts are added in their order, whichever thread made them.
         let (mut dw, mut db) = (vec![0.0; dim], vec![0.0; dim]);

@@ -7,6 +7,7 @@ use std::marker::PhantomData;
 use super::Activation;
 use super::gemm::{Factors, Into, Matrix};
 use super::host::{gradient, slice, values};
+use super::kernels::vectorized;
 use super::rows::{gather, spans, valid_rows};
 use crate::nn::precision::Precision;
 
@@ -149,12 +150,14 @@ impl<F: Factors> CustomOp3 for FusedLinear<F> {
             let x = F::of(gather(x, n_in, span.rows));
             span.write(|y| {
                 F::product(y, Into::Replace, Matrix::new(&x, n_in), Matrix::new(&weight, n_out));
-                for y in y.chunks_exact_mut(n_out) {
-                    match self.activation {
-                        Activation::None => y.iter_mut().zip(bias).for_each(|(y, b)| *y += b),
-                        Activation::Relu => y.iter_mut().zip(bias).for_each(|(y, b)| *y = (*y + b).max(0.0)),
+                vectorized(|| {
+                    for y in y.chunks_exact_mut(n_out) {
+                        match self.activation {
+                            Activation::None => y.iter_mut().zip(bias).for_each(|(y, b)| *y += b),
+                            Activation::Relu => y.iter_mut().zip(bias).for_each(|(y, b)| *y = (*y + b).max(0.0)),
+                        }
                     }
-                }
+                });
             });
         });
         Ok((CpuStorage::F32(y), shape.into()))

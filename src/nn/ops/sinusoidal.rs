@@ -6,7 +6,7 @@ use candle_core::{CpuStorage, CustomOp1, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
 use super::host::{slice, values};
-use super::kernels::{sin_cos_of_cycles, sum_pairs};
+use super::kernels::{sin_cos_of_cycles, sum_pairs, vectorized};
 
 /// Numbers that one task encodes.
 const N_NUMBERS: usize = 64;
@@ -39,12 +39,14 @@ impl CustomOp1 for FusedSinusoidal {
         let n = self.frequencies.len();
         let mut y = vec![0.0; x.len() * 2 * n];
         y.par_chunks_mut(N_NUMBERS * 2 * n).zip(x.par_chunks(N_NUMBERS)).for_each(|(y, x)| {
-            for (y, x) in y.chunks_exact_mut(2 * n).zip(x) {
-                let (sines, cosines) = y.split_at_mut(n);
-                for ((sin, cos), f) in sines.iter_mut().zip(cosines).zip(&self.frequencies) {
-                    (*sin, *cos) = sin_cos_of_cycles(f64::from(*x) * f);
+            vectorized(|| {
+                for (y, x) in y.chunks_exact_mut(2 * n).zip(x) {
+                    let (sines, cosines) = y.split_at_mut(n);
+                    for ((sin, cos), f) in sines.iter_mut().zip(cosines).zip(&self.frequencies) {
+                        (*sin, *cos) = sin_cos_of_cycles(f64::from(*x) * f);
+                    }
                 }
-            }
+            });
         });
         let mut shape = layout.dims().to_vec();
         shape.push(2 * n);

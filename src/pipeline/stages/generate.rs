@@ -21,7 +21,7 @@ pub struct Generate<'a> {
     pub mine: MineConfig,
     /// The behavior that the pipeline's classifier is trained for, where the pipeline trains one.
     pub classified_behavior: Option<&'a str>,
-    /// How the pipeline distills its denoiser, where it does so.
+    /// How the pipeline distills its denoiser, where it does so itself.
     pub distill: Option<&'a DistillTrainingConfig>,
     /// Where the scenes and models are.
     pub layout: &'a Layout,

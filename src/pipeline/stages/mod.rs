@@ -81,7 +81,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             config: generate.as_ref()?,
             mine: definitions(),
             classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
-            distill: train.distill.as_ref(),
+            distill: train.distill.as_ref().filter(|_| layout.distilled.parent() == layout.scenes.parent()),
             layout,
         }),
         StageId::Evaluate => Box::new(Evaluate {
