@@ -39,7 +39,6 @@ impl SweepConfig {
             (self.classifier_free.is_some(), "classifier_free"),
             (self.edit.is_some(), "edit"),
         ];
-        let is_few = matches!(sampler, SamplerConfig::Consistency(_) | SamplerConfig::Euler(_));
         match (self.model, sampler) {
             (SweepModel::Denoiser, SamplerConfig::Consistency(_)) => {
                 return Err(
@@ -48,7 +47,7 @@ impl SweepConfig {
                         .to_owned(),
                 );
             }
-            (SweepModel::Distilled, _) if !is_few => {
+            (SweepModel::Distilled, SamplerConfig::Heun(_) | SamplerConfig::Dpmpp2m(_)) => {
                 return Err("a distilled denoiser does not answer with a mean, which other samplers take for one: what they make is far too \
                             wide; give the sweep sampler = { kind = \"euler\", n_steps = 2, grid = … } as in train.distill.method, or \
                             { kind = \"consistency\", sigma_max = 24, levels = [4.0] } for a consistency model"

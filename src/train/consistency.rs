@@ -161,19 +161,15 @@ impl TrainTask for ConsistencyTask<'_> {
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
         // Always with the gap of the last stage, so that evaluations of all stages compare.
         let last = self.tuning.gap.n_stages.saturating_sub(1);
-        let mut sums = [0.0; EVALUATION_SIGMAS.len()];
-        for chunk in self.draws.held_out_chunks() {
-            let batch = self.draws.predictive_batch(chunk)?;
-            for (sum, sigma) in sums.iter_mut().zip(EVALUATION_SIGMAS) {
-                let seeds = chunk.iter().map(|idx| self.draws.seed.derive("evaluation", &[*idx as u64])).collect();
-                let levels = vec![(sigma, self.tuning.gap.lower(sigma, last)); chunk.len()];
-                let loss = self.disagreement(self.frozen, &batch, &levels, &mut NoiseSource::new(seeds))?;
-                *sum += f64::from(loss.to_scalar::<f32>()?) * chunk.len() as f64;
-            }
-        }
-        let n = self.draws.held_out.len().max(1) as f64;
-        let named = |(sigma, sum): (f64, f64)| (format!("held_out_disagreement_at_sigma_{sigma}"), sum / n);
-        Ok(EVALUATION_SIGMAS.into_iter().zip(sums).map(named).collect())
+        let means = self.draws.held_out_means(EVALUATION_SIGMAS.len(), |batch, seeds| {
+            let disagreement = |sigma: f64| {
+                let levels = vec![(sigma, self.tuning.gap.lower(sigma, last)); seeds.len()];
+                self.disagreement(self.frozen, batch, &levels, &mut NoiseSource::new(seeds.to_vec()))
+            };
+            EVALUATION_SIGMAS.into_iter().map(disagreement).collect()
+        })?;
+        let named = |(sigma, mean): (f64, f64)| (format!("held_out_disagreement_at_sigma_{sigma}"), mean);
+        Ok(EVALUATION_SIGMAS.into_iter().zip(means).map(named).collect())
     }
 }
 

@@ -5,7 +5,7 @@ use super::Error;
 use crate::scene::{ObservationMask, Scene};
 use crate::seed::{Seed, SeededRng};
 use crate::tensor::{Collator, FutureValidity, MaskSampler, SceneBatch, SceneView};
-use candle_core::Device;
+use candle_core::{Device, Tensor};
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -122,6 +122,28 @@ impl SceneDraws<'_> {
             Ok(Drawn { ego_idx: scene.ego_idx, mask, scene })
         };
         self.collate(&indices.iter().map(predictive).collect::<Result<Vec<_>, Error>>()?)
+    }
+
+    /// The means over held-out scenes of `n` figures of a batch, each of which is a scalar and a mean over the batch's scenes. The seeds are
+    /// those of its rows, and the same whenever it is evaluated.
+    ///
+    /// # Errors
+    /// When a scene cannot be loaded, or a figure cannot be computed.
+    pub fn held_out_means(
+        &self,
+        n: usize,
+        figures: impl Fn(&SceneBatch, &[Seed]) -> Result<Vec<Tensor>, Error>,
+    ) -> Result<Vec<f64>, Error> {
+        let mut sums = vec![0.0; n];
+        for chunk in self.held_out_chunks() {
+            let batch = self.predictive_batch(chunk)?;
+            let seeds: Vec<Seed> = chunk.iter().map(|idx| self.seed.derive("evaluation", &[*idx as u64])).collect();
+            for (sum, figure) in sums.iter_mut().zip(figures(&batch, &seeds)?) {
+                *sum += f64::from(figure.to_scalar::<f32>()?) * chunk.len() as f64;
+            }
+        }
+        let n_scenes = self.held_out.len().max(1) as f64;
+        Ok(sums.into_iter().map(|sum| sum / n_scenes).collect())
     }
 
     /// Which scenes make the batch of `step`: consecutive entries of a shuffle that each epoch has its own of.

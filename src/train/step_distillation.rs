@@ -109,7 +109,8 @@ impl StepDistillation {
     }
 }
 
-/// The answer with which one Euler step goes from `x` at noise level `from` to `next` at `to`.
+/// The answer with which one Euler step goes from `x` (B, …) at noise level `from` to `next` (B, …) at `to`:
+/// (next - r x) / (1 - r) with r = to / from.
 fn answer(x: &Tensor, next: &Tensor, from: f64, to: f64) -> candle_core::Result<Tensor> {
     let ratio = to / from;
     (next - (x * ratio)?)? / (1.0 - ratio)
@@ -169,19 +170,11 @@ impl TrainTask for StepDistillationTask<'_> {
 
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
         let sigmas = self.steps.sigmas(self.frozen.edm());
-        let mut sums = vec![0.0; sigmas.len() - 1];
-        for chunk in self.draws.held_out_chunks() {
-            let batch = self.draws.predictive_batch(chunk)?;
-            let seeds = chunk.iter().map(|idx| self.draws.seed.derive("evaluation", &[*idx as u64])).collect();
-            for (sum, distance) in
-                sums.iter_mut().zip(self.distances(self.frozen, &batch, &mut NoiseSource::new(seeds))?)
-            {
-                *sum += f64::from(distance.to_scalar::<f32>()?) * chunk.len() as f64;
-            }
-        }
-        let n = self.draws.held_out.len().max(1) as f64;
-        let named = |(sigma, sum): (&f64, f64)| (format!("held_out_distance_at_sigma_{sigma:.3}"), sum / n);
-        Ok(sigmas.iter().zip(sums).map(named).collect())
+        let means = self.draws.held_out_means(sigmas.len() - 1, |batch, seeds| {
+            self.distances(self.frozen, batch, &mut NoiseSource::new(seeds.to_vec()))
+        })?;
+        let named = |(sigma, mean): (&f64, f64)| (format!("held_out_distance_at_sigma_{sigma:.3}"), mean);
+        Ok(sigmas.iter().zip(means).map(named).collect())
     }
 }
 

@@ -132,6 +132,19 @@ mod tests {
     use super::*;
 
     #[test]
+    fn vectors_of_any_width_give_the_same_bits() {
+        let numbers: Vec<f32> = (0..1003).map(|i| ((i * 7919) % 1009) as f32 * 0.37 - 180.0).collect();
+        let loops = |numbers: &[f32]| -> Vec<u32> {
+            let exp = numbers.iter().map(|x| exp_of_non_positive(-x.abs()));
+            let sin_cos = numbers.iter().flat_map(|x| <[f32; 2]>::from(sin_cos_of_cycles(f64::from(*x))));
+            let sums =
+                [sum(numbers, |x| x * x), sum_pairs(&numbers[1..], &numbers[..1002], |a, b| a * b + 0.1), max(numbers)];
+            exp.chain(sin_cos).chain(sums).map(f32::to_bits).collect()
+        };
+        assert_eq!(vectorized(|| loops(&numbers)), loops(&numbers));
+    }
+
+    #[test]
     fn sums_take_every_entry_once() {
         for n in [0, 1, 15, 16, 17, 40] {
             let a: Vec<f32> = (0..n).map(|i| i as f32).collect();

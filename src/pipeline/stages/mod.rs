@@ -81,6 +81,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             config: generate.as_ref()?,
             mine: definitions(),
             classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
+            // A folder of models that the command line names may hold one that was distilled otherwise.
             distill: train.distill.as_ref().filter(|_| layout.distilled.parent() == layout.scenes.parent()),
             layout,
         }),
