@@ -83,16 +83,11 @@ impl TrainTask for JointFuturesTask<'_> {
     }
 
     fn evaluate(&self) -> std::result::Result<BTreeMap<String, f64>, Error> {
-        let mut sums = [0.0; 2];
-        for chunk in self.draws.held_out_chunks() {
-            let batch = self.draws.predictive_batch(chunk)?;
-            let JointLoss { regression, mode } = JointLoss::new(&self.frozen.forward(&batch)?, &batch)?;
-            for (sum, part) in sums.iter_mut().zip([regression, mode]) {
-                *sum += f64::from(part.to_scalar::<f32>()?) * chunk.len() as f64;
-            }
-        }
-        let n = self.draws.held_out.len().max(1) as f64;
-        let [regression, mode] = sums.map(|sum| sum / n);
-        Ok(BTreeMap::from([("held_out_error_of_best".to_owned(), regression), ("held_out_mode_loss".to_owned(), mode)]))
+        let names = ["held_out_error_of_best", "held_out_mode_loss"];
+        let means = self.draws.held_out_means(names.len(), |batch, _| {
+            let JointLoss { regression, mode } = JointLoss::new(&self.frozen.forward(batch)?, batch)?;
+            Ok(vec![regression, mode])
+        })?;
+        Ok(names.into_iter().map(str::to_owned).zip(means).collect())
     }
 }

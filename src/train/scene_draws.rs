@@ -106,11 +106,6 @@ impl SceneDraws<'_> {
         Ok(DrawnBatch { batch: self.collate(&drawn)?, seeds, rngs })
     }
 
-    /// The held-out scenes, a batch at a time.
-    pub fn held_out_chunks(&self) -> impl Iterator<Item = &[usize]> {
-        self.held_out.chunks(self.batch_size)
-    }
-
     /// The scenes of these indices with their histories observed, each around its own ego agent.
     ///
     /// # Errors
@@ -124,8 +119,8 @@ impl SceneDraws<'_> {
         self.collate(&indices.iter().map(predictive).collect::<Result<Vec<_>, Error>>()?)
     }
 
-    /// The means over held-out scenes of `n` figures of a batch, each of which is a scalar and a mean over the batch's scenes. The seeds are
-    /// those of its rows, and the same whenever it is evaluated.
+    /// The means of `n` scalar figures over batches of held-out scenes, which count by their number of scenes. Figures are given a batch
+    /// and the seeds of its rows, which are the same whenever it is evaluated.
     ///
     /// # Errors
     /// When a scene cannot be loaded, or a figure cannot be computed.
@@ -135,7 +130,7 @@ impl SceneDraws<'_> {
         figures: impl Fn(&SceneBatch, &[Seed]) -> Result<Vec<Tensor>, Error>,
     ) -> Result<Vec<f64>, Error> {
         let mut sums = vec![0.0; n];
-        for chunk in self.held_out_chunks() {
+        for chunk in self.held_out.chunks(self.batch_size) {
             let batch = self.predictive_batch(chunk)?;
             let seeds: Vec<Seed> = chunk.iter().map(|idx| self.seed.derive("evaluation", &[*idx as u64])).collect();
             for (sum, figure) in sums.iter_mut().zip(figures(&batch, &seeds)?) {
