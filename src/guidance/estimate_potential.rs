@@ -60,8 +60,13 @@ mod tests {
     fn batch(scene: &Scene, parametrization: StateParametrization, mask: &ObservationMask) -> SceneBatch {
         let mut fit = NormalizerFit::default();
         fit.add(scene);
-        let collator =
-            Collator { normalizer: fit.finish(parametrization, 3), n_timesteps: 12, max_agents: 4, max_lanes: 4 };
+        let collator = Collator {
+            normalizer: fit.finish(parametrization, 3),
+            n_timesteps: 12,
+            max_agents: 4,
+            max_lanes: 4,
+            sight: None,
+        };
         let view = SceneView { scene, ego_idx: 0, mask };
         collator.collate(&[view], FutureValidity::Everything, &Device::Cpu).unwrap()
     }

@@ -242,7 +242,7 @@ mod tests {
         let mut fit = NormalizerFit::default();
         fit.add(&scene);
         let normalizer = fit.finish(parametrization, 3);
-        let collator = Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 4 };
+        let collator = Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 4, sight: None };
         let collate = |mask: &ObservationMask| {
             let view = SceneView { scene: &scene, ego_idx: 0, mask };
             let batch = collator.collate(&[view], FutureValidity::Everything, &Device::Cpu).unwrap();

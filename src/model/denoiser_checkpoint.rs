@@ -4,7 +4,7 @@ use super::{NetworkConfig, SceneDenoiser};
 use crate::diffusion::Edm;
 use crate::nn::{Error, Params, read_checkpoint, write_checkpoint};
 use crate::seed::Seed;
-use crate::tensor::{Collator, Normalizer};
+use crate::tensor::{Collator, Normalizer, Sight};
 use candle_core::Device;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -82,6 +82,7 @@ impl DenoiserSpec {
             n_timesteps: self.n_timesteps,
             max_agents: self.max_agents,
             max_lanes: self.max_lanes,
+            sight: self.network.geometry.as_ref().map(|geometry| Sight::new(geometry.n_lanes)),
         }
     }
 

@@ -3,8 +3,12 @@
 mod behavior_classifier;
 mod classifier_checkpoint;
 mod denoiser_checkpoint;
+mod geometric_network;
+#[cfg(test)]
+mod geometric_tests;
 mod known_input;
 mod network;
+mod relations;
 mod scene_denoiser;
 mod scene_transformer;
 mod scene_transformer_checkpoint;
@@ -17,7 +21,7 @@ mod trunk;
 pub use behavior_classifier::{BehaviorClassifier, BehaviorClassifierConfig, log_sigmoid};
 pub use classifier_checkpoint::{ClassifierKind, ClassifierSpec, TrainedClassifier};
 pub use denoiser_checkpoint::{DenoiserKind, DenoiserSpec, Distillation, TrainedDenoiser};
-pub use network::{NetworkConfig, SceneNetwork};
+pub use network::{GeometryConfig, NetworkConfig, SceneNetwork};
 pub use scene_denoiser::{BoundDenoiser, SceneDenoiser};
 pub use scene_transformer::{JointFutures, SceneTransformer, SceneTransformerConfig};
 pub use scene_transformer_checkpoint::{SceneTransformerKind, SceneTransformerSpec, TrainedSceneTransformer};

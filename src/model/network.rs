@@ -26,6 +26,33 @@ pub struct NetworkConfig {
     pub latent_periods: [f64; 2],
     /// Whether the network also sees the residuals that diffused motion adds up to (motion parametrization only).
     pub path_input: bool,
+    /// What makes the geometric network of it, which is told where noisy agents are and what surrounds them there (motion
+    /// parametrization only); left out, it is the paper's. The geometric network has no use for `encoding`,
+    /// `latent_periods` and `path_input`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub geometry: Option<GeometryConfig>,
+}
+
+/// What the geometric network is told.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct GeometryConfig {
+    /// Timesteps of a token.
+    pub patch: usize,
+    /// Pieces of lanes around its path that an agent is shown.
+    pub n_lanes: usize,
+    /// Neighbors that an agent is shown at each token, nearest first.
+    pub n_neighbors: usize,
+    /// Lanes that an agent is shown at each token, nearest first.
+    pub n_nearest_lanes: usize,
+    /// Features of a neighbor, and of a lane, at a token.
+    pub relation_width: usize,
+}
+
+impl Default for GeometryConfig {
+    fn default() -> Self {
+        Self { patch: 3, n_lanes: 24, n_neighbors: 6, n_nearest_lanes: 3, relation_width: 48 }
+    }
 }
 
 impl Default for NetworkConfig {
@@ -38,6 +65,7 @@ impl Default for NetworkConfig {
             encoding: 256,
             latent_periods: [0.01, 10.0],
             path_input: false,
+            geometry: None,
         }
     }
 }
@@ -46,8 +74,8 @@ impl NetworkConfig {
     /// The same network with the paper's encodings of diffused states, and without the input of paths.
     #[must_use]
     pub fn without_paths(self) -> Self {
-        let Self { latent_periods, path_input, .. } = Self::default();
-        Self { latent_periods, path_input, ..self }
+        let Self { latent_periods, path_input, geometry, .. } = Self::default();
+        Self { latent_periods, path_input, geometry, ..self }
     }
 }
 

@@ -1,18 +1,31 @@
 //! D_θ: the preconditioned network as a denoiser of scenes.
 
+use super::geometric_network::{GeometricNetwork, KnownTokens};
 use super::network::{Known, NetworkConfig, SceneNetwork};
 use crate::diffusion::{Denoiser, Edm, rows_like, sigma_rows};
+use crate::nn::ops::mode_filter;
 use crate::nn::{Params, Scope};
 use crate::seed::Seed;
 use crate::tensor::SceneBatch;
 use candle_core::{Result, Tensor};
 
-/// DJINN's denoiser, D_θ(x; σ) = c_skip(σ) x + c_out(σ) F_θ(c_in(σ) x, …, c_noise(σ)).
+/// A denoiser of scenes, with DJINN's network or the geometric one.
+///
+/// DJINN's is D_θ(x; σ) = c_skip(σ) x + c_out(σ) F_θ(c_in(σ) x, …, c_noise(σ)). The geometric one has factors of its own for each
+/// mode of an agent's motion, whose variance Λ is known: D_θ(x; σ) = W x + Uᵀ c_out(σ, Λ) U F_θ(…) with W = Uᵀ w(σ, Λ) U, where
+/// w = λ / (λ + σ²), λ = min(Λ, σ_data²), and c_out² = (1 - w)² Λ + w² σ², so that what F_θ has to say has unit variance (EDM's
+/// requirement, its equation 139). The cap keeps W from trusting large modes more than EDM does.
 #[derive(Debug, Clone)]
 pub struct SceneDenoiser {
-    network: SceneNetwork,
+    network: Network,
     edm: Edm,
-    path_input: bool,
+}
+
+#[derive(Debug, Clone)]
+enum Network {
+    /// DJINN's, and whether it sees the residuals that motion adds up to.
+    Scene(Box<SceneNetwork>, bool),
+    Geometric(Box<GeometricNetwork>),
 }
 
 impl SceneDenoiser {
@@ -21,11 +34,14 @@ impl SceneDenoiser {
     /// # Errors
     /// Fails when the configuration is no network.
     pub fn new(params: &mut Params, config: &NetworkConfig, state_dim: usize, edm: Edm, seed: Seed) -> Result<Self> {
-        Ok(Self {
-            network: SceneNetwork::new(&mut Scope::root(params, seed), config, state_dim)?,
-            edm,
-            path_input: config.path_input,
-        })
+        let mut scope = Scope::root(params, seed);
+        let network = match &config.geometry {
+            None => Network::Scene(Box::new(SceneNetwork::new(&mut scope, config, state_dim)?), config.path_input),
+            Some(geometry) => {
+                Network::Geometric(Box::new(GeometricNetwork::new(&mut scope, config, geometry, state_dim)?))
+            }
+        };
+        Ok(Self { network, edm })
     }
 
     /// The constants of its diffusion.
@@ -40,48 +56,78 @@ impl SceneDenoiser {
     /// # Errors
     /// Fails when the batch does not fit the network.
     pub fn bind(&self, batch: &SceneBatch, n_samples: usize) -> Result<BoundDenoiser<'_>> {
-        let known = self.network.encode_known(
-            &batch.context,
-            &batch.features,
-            &batch.valid,
-            &batch.latent,
-            (&batch.lanes, &batch.lane_valid),
-        )?;
-        let latent = batch.latent.unsqueeze(3)?;
-        let path = if self.path_input { batch.unit_path()? } else { None };
-        if self.path_input && path.is_none() {
-            candle_core::bail!("path_input needs the motion parametrization");
-        }
-        let observed_motion = batch.observed_motion.clone();
-        if n_samples == 1 {
-            return Ok(BoundDenoiser { denoiser: self, known, latent, observed_motion, path });
-        }
-        let repeated = batch.latent.unsqueeze(1)?.repeat((1, n_samples, 1, 1))?.flatten(0, 1)?.unsqueeze(3)?;
-        let repeat = |tensor: Tensor| -> Result<Tensor> {
-            let (shape, inner) = (tensor.dims().to_vec(), tensor.unsqueeze(1)?);
-            let wide: Vec<usize> = [shape[0], n_samples].into_iter().chain(shape[1..].iter().copied()).collect();
-            inner.broadcast_as(wide)?.contiguous()?.flatten(0, 1)
+        let latent = repeated(&batch.latent.unsqueeze(3)?, n_samples)?;
+        let observed_motion = batch.observed_motion.as_ref().map(|motion| repeated(motion, n_samples)).transpose()?;
+        let path = batch.unit_path()?.map(|path| repeated(&path, n_samples)).transpose()?;
+        let network = match &self.network {
+            Network::Scene(network, path_input) => {
+                if *path_input && path.is_none() {
+                    candle_core::bail!("path_input needs the motion parametrization");
+                }
+                let known = network.encode_known(
+                    &batch.context,
+                    &batch.features,
+                    &batch.valid,
+                    &batch.latent,
+                    (&batch.lanes, &batch.lane_valid),
+                )?;
+                let known = if n_samples == 1 { known } else { known.repeated(n_samples)? };
+                Bound::Scene { network, known, path: path.filter(|_| *path_input) }
+            }
+            Network::Geometric(network) => {
+                let known = network.encode_known(batch)?;
+                let (known, batch) = match n_samples {
+                    1 => (known, batch.clone()),
+                    n => (known.repeated(n)?, batch.repeated(n)?),
+                };
+                let Some(path) = path else {
+                    candle_core::bail!("the geometric network needs the motion parametrization");
+                };
+                Bound::Geometric(Box::new(BoundGeometric { network, known, batch, path }))
+            }
         };
-        Ok(BoundDenoiser {
-            denoiser: self,
-            known: known.repeated(n_samples)?,
-            latent: repeated,
-            observed_motion: observed_motion.map(repeat).transpose()?,
-            path: path.map(repeat).transpose()?,
-        })
+        Ok(BoundDenoiser { edm: &self.edm, network, latent, observed_motion })
     }
+}
+
+/// Every row of `tensor` `n` times in a row.
+fn repeated(tensor: &Tensor, n: usize) -> Result<Tensor> {
+    if n == 1 {
+        return Ok(tensor.clone());
+    }
+    let (shape, inner) = (tensor.dims().to_vec(), tensor.unsqueeze(1)?);
+    let wide: Vec<usize> = [shape[0], n].into_iter().chain(shape[1..].iter().copied()).collect();
+    inner.broadcast_as(wide)?.contiguous()?.flatten(0, 1)
 }
 
 /// A denoiser bound to observed states and maps. Its estimate is zero wherever a state is not latent.
 #[derive(Debug, Clone)]
 pub struct BoundDenoiser<'a> {
-    denoiser: &'a SceneDenoiser,
-    known: Known,
+    edm: &'a Edm,
+    network: Bound<'a>,
     latent: Tensor,
     /// What the network sees in the place of x where states are observed, (B, A, T, D).
     observed_motion: Option<Tensor>,
-    /// What makes residuals of unit variance out of white motion, (B, A, T, T), where the network sees them.
-    path: Option<Tensor>,
+}
+
+#[derive(Debug, Clone)]
+enum Bound<'a> {
+    Scene {
+        network: &'a SceneNetwork,
+        known: Known,
+        /// What makes residuals of unit variance out of white motion, (B, A, T, T), where the network sees them.
+        path: Option<Tensor>,
+    },
+    Geometric(Box<BoundGeometric<'a>>),
+}
+
+#[derive(Debug, Clone)]
+struct BoundGeometric<'a> {
+    network: &'a GeometricNetwork,
+    known: KnownTokens,
+    /// The batch, one row for each sample.
+    batch: SceneBatch,
+    path: Tensor,
 }
 
 impl BoundDenoiser<'_> {
@@ -89,27 +135,87 @@ impl BoundDenoiser<'_> {
     pub const fn latent(&self) -> &Tensor {
         &self.latent
     }
+
+    /// `scaled` states with what observed agents were seen to do in the places of observed states.
+    fn moved(&self, scaled: &Tensor) -> Result<Tensor> {
+        match &self.observed_motion {
+            Some(motion) => scaled + motion,
+            None => Ok(scaled.clone()),
+        }
+    }
 }
 
 impl Denoiser for BoundDenoiser<'_> {
     fn denoise(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {
-        let edm = &self.denoiser.edm;
+        let edm = self.edm;
         let sigmas = sigma_rows(sigma)?;
         let rows = |value: &dyn Fn(f64) -> f64| rows_like(sigmas.iter().map(|s| value(*s)).collect(), x);
         let c_noise = rows(&|s| edm.c_noise(s))?.flatten_all()?;
         let x = x.broadcast_mul(&self.latent)?;
         let scaled = x.broadcast_mul(&rows(&|s| edm.c_in(s))?)?;
-        let moved = match &self.observed_motion {
-            Some(motion) => (&scaled + motion)?,
-            None => scaled.clone(),
+        let estimate = match &self.network {
+            Bound::Scene { network, known, path } => {
+                let moved = self.moved(&scaled)?;
+                let seen = match path {
+                    Some(path) => Tensor::cat(&[&moved, &path.matmul(&scaled)?], 3)?,
+                    None => moved,
+                };
+                let f_x = network.forward(&seen, known, &c_noise)?;
+                let skipped = x.broadcast_mul(&rows(&|s| edm.c_skip(s))?)?;
+                (skipped + f_x.broadcast_mul(&rows(&|s| edm.c_out(s))?)?)?
+            }
+            Bound::Geometric(bound) => {
+                let BoundGeometric { network, known, batch, path } = &**bound;
+                let variance = rows(&|s| s * s)?;
+                let factors = ModeFactors::new(batch, &variance, edm.sigma_data)?;
+                let skipped = factors.skip(&x)?;
+                // Sums of smooth motion are some two times as large as those of white motion.
+                let path_of_skipped = (path.matmul(&skipped)? * 0.5)?;
+                let seen =
+                    Tensor::cat(&[&self.moved(&scaled)?, &path.matmul(&scaled)?, &skipped, &path_of_skipped], 3)?;
+                let poses = batch.decode(&skipped.detach())?;
+                let f_x = network.forward(&seen, &poses, batch, known, &c_noise)?;
+                (skipped + factors.out(&f_x)?)?
+            }
         };
-        let seen = match &self.path {
-            Some(path) => Tensor::cat(&[&moved, &path.matmul(&scaled)?], 3)?,
-            None => moved,
-        };
-        let f_x = self.denoiser.network.forward(&seen, &self.known, &c_noise)?;
-        let skipped = x.broadcast_mul(&rows(&|s| edm.c_skip(s))?)?;
-        let estimate = (skipped + f_x.broadcast_mul(&rows(&|s| edm.c_out(s))?)?)?;
         estimate.broadcast_mul(&self.latent)
+    }
+}
+
+/// The preconditioning of each mode of motion at one noise level a row.
+struct ModeFactors<'a> {
+    /// U, (B, A, D, T, T).
+    modes: &'a Tensor,
+    /// w and c_out, (B, A, D, T).
+    skip: Tensor,
+    out: Tensor,
+}
+
+impl<'a> ModeFactors<'a> {
+    /// At noise of `variance` σ² (B, 1, 1, 1).
+    fn new(batch: &'a SceneBatch, variance: &Tensor, sigma_data: f64) -> Result<Self> {
+        let Some(surroundings) = &batch.surroundings else {
+            candle_core::bail!("the batch was collated without what surrounds its agents");
+        };
+        let of_modes = &surroundings.variances;
+        let trusted = of_modes.minimum(sigma_data * sigma_data)?;
+        let skip = trusted.div(&trusted.broadcast_add(variance)?)?;
+        let missed = ((1.0 - &skip)?.sqr()? * of_modes)?;
+        let out = (missed + skip.sqr()?.broadcast_mul(variance)?)?.sqrt()?;
+        Ok(Self { modes: &surroundings.modes, skip, out })
+    }
+
+    /// W x, for `x` (B, A, T, D).
+    fn skip(&self, x: &Tensor) -> Result<Tensor> {
+        self.scale(x, &self.skip)
+    }
+
+    /// Uᵀ c_out U f.
+    fn out(&self, f_x: &Tensor) -> Result<Tensor> {
+        self.scale(f_x, &self.out)
+    }
+
+    fn scale(&self, x: &Tensor, factors: &Tensor) -> Result<Tensor> {
+        mode_filter(x, &self.modes, factors)
     }
 }

@@ -63,6 +63,7 @@ impl SceneTransformerSpec {
             n_timesteps: self.n_timesteps,
             max_agents: self.max_agents,
             max_lanes: self.max_lanes,
+            sight: None,
         }
     }
 

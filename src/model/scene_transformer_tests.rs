@@ -50,7 +50,7 @@ fn collate(scenes: &[&Scene]) -> SceneBatch {
     let mut fit = NormalizerFit::default();
     fit.add(&cars(3, 0.0));
     let normalizer = fit.finish(StateParametrization::Motion, 3);
-    let collator = Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 16 };
+    let collator = Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 16, sight: None };
     let masks: Vec<_> = scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), 12, 4)).collect();
     let views: Vec<_> = scenes.iter().zip(&masks).map(|(scene, mask)| SceneView { scene, ego_idx: 0, mask }).collect();
     collator.collate(&views, FutureValidity::Recorded, &Device::Cpu).unwrap()

@@ -18,6 +18,7 @@ fn config() -> NetworkConfig {
         encoding: 8,
         latent_periods: [1.0, 100.0],
         path_input: true,
+        geometry: None,
     }
 }
 
@@ -36,7 +37,7 @@ fn collate(scenes: &[&Scene]) -> SceneBatch {
     let mut fit = NormalizerFit::default();
     fit.add(&cars(3));
     let normalizer = fit.finish(StateParametrization::Motion, 3);
-    let collator = Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 16 };
+    let collator = Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 16, sight: None };
     let masks: Vec<_> = scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), 12, 4)).collect();
     let views: Vec<_> = scenes.iter().zip(&masks).map(|(scene, mask)| SceneView { scene, ego_idx: 0, mask }).collect();
     collator.collate(&views, FutureValidity::Recorded, &Device::Cpu).unwrap()
@@ -162,6 +163,7 @@ fn outputs_and_gradients_are_those_of_pytorch() {
         layers: "TAMT".to_owned(),
         latent_periods: NetworkConfig::default().latent_periods,
         path_input: false,
+        geometry: None,
         ..config()
     };
     let mut params = Params::new(&Device::Cpu);

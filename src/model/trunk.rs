@@ -46,6 +46,30 @@ pub(super) struct LaneKeys {
     keys: Vec<Tensor>,
     /// 1 where a polyline is no padding, (M, L).
     valid: Tensor,
+    /// Whether each agent has a map of its own (M = B A), and not each scene.
+    of_agents: bool,
+}
+
+impl LaneKeys {
+    /// The same, read as one map for each agent.
+    pub(super) fn of_agents(self) -> Self {
+        Self { of_agents: true, ..self }
+    }
+
+    /// The maps of agents for rows `rows` (B') of `n_rows` B.
+    ///
+    /// # Errors
+    /// Fails when the device runs out of memory.
+    pub(super) fn repeated(&self, rows: &Tensor, n_rows: usize) -> Result<Self> {
+        let repeat = |tensor: &Tensor| {
+            let dims = tensor.dims();
+            let n_agents = dims[0] / n_rows.max(1);
+            let split: Vec<usize> = [n_rows, n_agents].into_iter().chain(dims[1..].iter().copied()).collect();
+            tensor.reshape(split)?.index_select(rows, 0)?.flatten(0, 1)
+        };
+        let keys = self.keys.iter().map(repeat).collect::<Result<_>>()?;
+        Ok(Self { keys, valid: repeat(&self.valid)?, of_agents: self.of_agents })
+    }
 }
 
 impl Trunk {
@@ -84,7 +108,7 @@ impl Trunk {
             Mixing::Map(attention) => Some(attention.project_keys(lanes)),
             Mixing::Own(..) => None,
         });
-        Ok(LaneKeys { keys: map_layers.collect::<Result<_>>()?, valid: valid.clone() })
+        Ok(LaneKeys { keys: map_layers.collect::<Result<_>>()?, valid: valid.clone(), of_agents: false })
     }
 
     /// Features (B, A, T, width) to features of the same shape, with `valid` (B, A, T). B is a multiple of the number of
@@ -102,7 +126,16 @@ impl Trunk {
                 (Mixing::Own(attention, axis), _) => attention.forward(&normed, *axis, valid)?,
                 (Mixing::Map(attention), Some(keys)) => {
                     lane_keys.next();
-                    attention.forward_with_keys(&normed, valid, keys, &lanes.valid)?
+                    match lanes.of_agents {
+                        false => attention.forward_with_keys(&normed, valid, keys, &lanes.valid)?,
+                        true => {
+                            let (b, a, n, width) = normed.dims4()?;
+                            let (own, own_valid) =
+                                (normed.reshape((b * a, 1, n, width))?, valid.reshape((b * a, 1, n))?);
+                            let read = attention.forward_with_keys(&own, &own_valid, keys, &lanes.valid)?;
+                            read.reshape((b, a, n, width))?
+                        }
+                    }
                 }
                 (Mixing::Map(_), None) => candle_core::bail!("the known inputs were encoded by another network"),
             };

@@ -3,10 +3,13 @@
 use super::features::lane_polylines;
 use super::hidden_states::generated_timesteps;
 use super::motion::MotionChain;
+use super::motion_modes::{ModeTable, MotionModes};
 use super::reference::Reference;
+use super::scene_batch::Surroundings;
+use super::surroundings::{AgentPath, RowSurroundings, SurroundingsLayout, agent_attributes};
 use super::{FeatureLayout, Normalizer, SceneBatch, StateParametrization};
 use crate::geometry::{Transform2, Vec2, angle_difference, unwrap_angles};
-use crate::scene::{ObservationMask, Scene};
+use crate::scene::{AgentClass, ObservationMask, Scene, Track};
 use candle_core::{Device, Result, Tensor};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -19,6 +22,9 @@ pub enum FutureValidity {
     /// Every stretch of hidden states that follows or precedes an observed state of the agent, whatever was recorded in it:
     /// for sampling. Where the mask shows that the agent was not tracked, it stays absent.
     Everything,
+    /// The same stretches as for sampling, of which those that were recorded are scored: for training a network that is told
+    /// the same in training as when sampling. What was not recorded goes on with the last motion that was.
+    Continued,
 }
 
 /// A scene as one row of a batch: seen from which agent, with which states observed.
@@ -40,12 +46,20 @@ pub struct AgentFrame {
     /// Indices of the scene's tracks, in the order of the batch's agent axis.
     pub agents: Vec<usize>,
     mask: ObservationMask,
+    /// Whether headings that recordings do not hold follow from the motion instead of being generated.
+    derives_headings: bool,
 }
 
 impl AgentFrame {
     /// Whether the mask observes this state of the scene's track.
     pub fn observed(&self, track_idx: usize, timestep: usize) -> bool {
         timestep < self.mask.n_timesteps() && self.mask.is_observed(track_idx, timestep)
+    }
+
+    /// Whether the heading of this track follows from its motion: INTERACTION records none of those who walk or ride a bicycle,
+    /// and what was derived for them while they stand is noise.
+    pub(super) fn derives_heading(&self, track: &Track) -> bool {
+        self.derives_headings && track.class == AgentClass::PedestrianOrCyclist
     }
 
     /// The place on the batch's agent axis of the scene's track, if it is in the batch.
@@ -65,6 +79,23 @@ pub struct Collator {
     pub max_agents: usize,
     /// At most so many lane polylines a row, nearest first.
     pub max_lanes: usize,
+    /// What is looked up around each agent, for networks that see it.
+    pub sight: Option<Sight>,
+}
+
+/// How far agents see, and what is remembered of it between batches.
+#[derive(Debug, Clone)]
+pub struct Sight {
+    /// Pieces of lanes that each agent is shown.
+    pub n_lanes: usize,
+    modes: Arc<ModeTable>,
+}
+
+impl Sight {
+    /// Sight of `n_lanes` pieces of lanes an agent.
+    pub fn new(n_lanes: usize) -> Self {
+        Self { n_lanes, modes: Arc::default() }
+    }
 }
 
 impl Collator {
@@ -84,13 +115,111 @@ impl Collator {
         let n_agents = frames.iter().map(|frame| frame.agents.len()).max().unwrap_or(0).max(1);
         let n_lanes = lanes.iter().map(Vec::len).max().unwrap_or(0).max(1);
         let mut rows = Buffers::new([views.len(), n_agents, self.n_timesteps, n_lanes], &self.normalizer);
+        let mut surroundings = self.sight.as_ref().map(|_| SurroundingsBuffers::default());
         for (row, (view, frame)) in views.iter().zip(&frames).enumerate() {
             for (slot, agent_idx) in frame.agents.iter().enumerate() {
-                self.write_agent(&mut rows, row * n_agents + slot, view, frame, *agent_idx, validity);
+                let modes = self.write_agent(&mut rows, row * n_agents + slot, view, frame, *agent_idx, validity);
+                if let Some(buffers) = &mut surroundings {
+                    buffers.modes.push((row * n_agents + slot, modes));
+                }
             }
             rows.write_lanes(row, &lanes[row]);
         }
-        rows.into_batch(frames, device)
+        let mut batch = rows.into_batch(frames, device)?;
+        if let (Some(sight), Some(buffers)) = (&self.sight, surroundings) {
+            batch.surroundings = Some(self.surroundings(sight, views, &batch.frames, buffers, n_agents, device)?);
+        }
+        Ok(batch)
+    }
+
+    /// What surrounds the agents of each row.
+    fn surroundings(
+        &self,
+        sight: &Sight,
+        views: &[SceneView<'_>],
+        frames: &[Arc<AgentFrame>],
+        buffers: SurroundingsBuffers,
+        n_agents: usize,
+        device: &Device,
+    ) -> Result<Surroundings> {
+        let (n_rows, t, d) = (views.len(), self.n_timesteps, self.normalizer.state_dim);
+        let seen: Vec<(RowSurroundings, Vec<(Vec2, f64)>)> =
+            views.par_iter().zip(frames).map(|(view, frame)| self.look_around(sight, view, frame)).collect();
+        let n_lanes =
+            seen.iter().flat_map(|(row, _)| &row.agents).map(|agent| agent.lanes.len()).max().unwrap_or(0).max(1);
+        let n = n_rows * n_agents;
+        let (piece, attribute) = (SurroundingsLayout::PIECE, SurroundingsLayout::AGENT);
+        let mut origin = vec![0.0f32; n * 2];
+        let mut attributes = vec![0.0f32; n * attribute];
+        let mut lanes = vec![0.0f32; n * n_lanes * piece];
+        let mut lane_valid = vec![0.0f32; n * n_lanes];
+        for (row, (surroundings, poses)) in seen.iter().enumerate() {
+            for (slot, (position, heading_rad)) in poses.iter().enumerate() {
+                let at = row * n_agents + slot;
+                origin[at * 2..at * 2 + 2].copy_from_slice(&[position.x as f32, position.y as f32]);
+                let track = &views[row].scene.tracks[frames[row].agents[slot]];
+                attributes[at * attribute..(at + 1) * attribute].copy_from_slice(&agent_attributes(track));
+                for i in 0..surroundings.agents[slot].lanes.len() {
+                    if let Some(features) = surroundings.piece_features(slot, i, *position, *heading_rad) {
+                        let lane = at * n_lanes + i;
+                        lanes[lane * piece..(lane + 1) * piece].copy_from_slice(&features);
+                        lane_valid[lane] = 1.0;
+                    }
+                }
+            }
+        }
+        let mut modes = vec![0.0f32; n * d * t * t];
+        let mut variances = vec![0.0f32; n * d * t];
+        for (at, of_agent) in buffers.modes {
+            let Some(MotionModes { vectors, variances: of_modes }) = of_agent else { continue };
+            modes[at * d * t * t..(at + 1) * d * t * t].copy_from_slice(&vectors);
+            variances[at * d * t..(at + 1) * d * t].copy_from_slice(&of_modes);
+        }
+        Ok(Surroundings {
+            origin: Tensor::from_vec(origin, (n_rows, n_agents, 2), device)?,
+            attributes: Tensor::from_vec(attributes, (n_rows, n_agents, attribute), device)?,
+            lanes: Tensor::from_vec(lanes, (n_rows, n_agents, n_lanes, piece), device)?,
+            lane_valid: Tensor::from_vec(lane_valid, (n_rows, n_agents, n_lanes), device)?,
+            modes: Tensor::from_vec(modes, (n_rows, n_agents, d, t, t), device)?,
+            variances: Tensor::from_vec(variances, (n_rows, n_agents, d, t), device)?,
+            rows: seen.into_iter().map(|(row, _)| Arc::new(row)).collect(),
+        })
+    }
+
+    /// What the agents of a row have around them, and where each of them is: its own frame in the row's ego frame.
+    fn look_around(
+        &self,
+        sight: &Sight,
+        view: &SceneView<'_>,
+        frame: &AgentFrame,
+    ) -> (RowSurroundings, Vec<(Vec2, f64)>) {
+        let scene = view.scene;
+        let present = scene.current_timestep();
+        let paths: Vec<AgentPath<'_>> = (frame.agents.iter())
+            .map(|agent_idx| {
+                let track = &scene.tracks[*agent_idx];
+                let observed = |t: usize| frame.observed(*agent_idx, t) && track.trajectory.is_valid(t);
+                let reference = Reference::new(track, scene.dt_s, present, observed);
+                let position = |t: usize| reference.at(t).map(|pose| frame.ego_from_scene.point(pose.position));
+                let anchor = reference.anchor_timestep();
+                // Five places from the anchor to the end of the row tell where the path leads.
+                let path = (0..=4).filter_map(|i| position(anchor + (self.n_timesteps - 1 - anchor) * i / 4)).collect();
+                AgentPath {
+                    track,
+                    origin: position(anchor).unwrap_or(Vec2::ZERO),
+                    heading_rad: match reference.at(anchor) {
+                        Some(_) => frame.ego_from_scene.heading(reference.frame_heading_rad()),
+                        None => 0.0,
+                    },
+                    speed_mps: reference.anchor_speed_mps(),
+                    path,
+                }
+            })
+            .collect();
+        let lanes = scene.lanes.transformed(&frame.ego_from_scene);
+        let horizon_s = (self.n_timesteps - scene.n_history.min(self.n_timesteps)) as f64 * scene.dt_s;
+        let surroundings = RowSurroundings::new(&lanes, &paths, sight.n_lanes, scene.dt_s, horizon_s);
+        (surroundings, paths.into_iter().map(|path| (path.origin, path.heading_rad)).collect())
     }
 
     fn frame(&self, view: &SceneView<'_>) -> AgentFrame {
@@ -109,7 +238,7 @@ impl Collator {
             agents.truncate(self.max_agents);
             agents.sort_unstable();
         }
-        AgentFrame { ego_from_scene, agents, mask: view.mask.clone() }
+        AgentFrame { ego_from_scene, agents, mask: view.mask.clone(), derives_headings: self.sight.is_some() }
     }
 
     /// Writes every entry of one agent; `at` is its place in (B, A).
@@ -121,13 +250,14 @@ impl Collator {
         frame: &AgentFrame,
         agent_idx: usize,
         validity: FutureValidity,
-    ) {
+    ) -> Option<MotionModes> {
         let normalizer = &self.normalizer;
         let track = &view.scene.tracks[agent_idx];
         let observed = |timestep: usize| frame.observed(agent_idx, timestep) && track.trajectory.is_valid(timestep);
         let reference = Reference::new(track, view.scene.dt_s, view.scene.current_timestep(), observed);
         let is_observed_at_all = reference.at(0).is_some();
         let residual = normalizer.parametrization != StateParametrization::Scene;
+        let derives_heading = frame.derives_heading(track);
         let ego_heading = frame.ego_from_scene.rotation_rad;
         // An agent never observed has no frame of its own: it is diffused in the ego frame, in scene units.
         let (frame_heading, unit) = if residual && is_observed_at_all {
@@ -142,7 +272,9 @@ impl Collator {
         let recorded = |timestep: usize| track.trajectory.is_valid(timestep);
         let latent: Vec<bool> = match validity {
             FutureValidity::Recorded => (0..self.n_timesteps).map(|t| recorded(t) && !shown(t)).collect(),
-            FutureValidity::Everything => generated_timesteps(self.n_timesteps, shown, recorded),
+            FutureValidity::Everything | FutureValidity::Continued => {
+                generated_timesteps(self.n_timesteps, shown, recorded)
+            }
         };
         let entries: Vec<(usize, bool)> = (0..self.n_timesteps)
             .filter_map(|t| if observed(t) { Some((t, true)) } else { latent[t].then_some((t, false)) })
@@ -174,6 +306,8 @@ impl Collator {
             rows.write_base(entry, position, heading, normalizer, *is_observed || (residual && is_observed_at_all));
             rows.observed[entry] = f32::from(u8::from(*is_observed));
             rows.latent[entry] = f32::from(u8::from(!*is_observed));
+            let is_scored = !*is_observed && (validity != FutureValidity::Continued || recorded(*timestep));
+            rows.scored[entry] = f32::from(u8::from(is_scored));
             let features = &mut rows.features[entry * FeatureLayout::AGENT..(entry + 1) * FeatureLayout::AGENT];
             let state = track.trajectory.get(*timestep);
             if let Some(state) = state.filter(|_| *is_observed) {
@@ -188,7 +322,9 @@ impl Collator {
             features[6] = f32::from(u8::from(!is_observed_at_all));
             if let Some(state) = state.filter(|_| !*is_observed) {
                 let offset = (frame.ego_from_scene.point(state.position) - position).rotated(-frame_heading);
-                let turn = if residual && is_observed_at_all {
+                let turn = if derives_heading {
+                    0.0
+                } else if residual && is_observed_at_all {
                     angle_difference(recorded_headings[i], heading)
                 } else {
                     recorded_headings[i]
@@ -200,14 +336,34 @@ impl Collator {
             let timesteps = |wanted: bool| -> Vec<usize> {
                 entries.iter().filter(|(_, is_observed)| *is_observed == wanted).map(|(t, _)| *t).collect()
             };
-            let chain = MotionChain::new(&timesteps(true), &timesteps(false));
-            let motion = chain.encode(|timestep| residuals[timestep]);
+            let (observed, latent) = (timesteps(true), timesteps(false));
+            let chain = MotionChain::new(&observed, &latent);
+            let mut motion = chain.encode(|timestep| residuals[timestep]);
+            if validity == FutureValidity::Continued {
+                for i in 1..motion.len() {
+                    if residuals[motion[i].0].is_none() {
+                        motion[i].1 = motion[i - 1].1;
+                    }
+                }
+            }
             rows.write_x0(at, motion, &unit);
             rows.write_path(at, &chain.matrix(self.n_timesteps));
-            rows.write_observed_motion(at, reference.observed_motion(), &unit);
+            let seen = |(t, [along, across, turn]): (usize, [f64; 3])| {
+                (t, [along, across, if derives_heading { 0.0 } else { turn }])
+            };
+            rows.write_observed_motion(at, reference.observed_motion().map(seen), &unit);
+            if let (Some(sight), Some(covariance)) = (&self.sight, &normalizer.motion_covariance) {
+                let sigma_data = Normalizer::SIGMA_DATA;
+                let mut modes = sight.modes.modes(covariance, &observed, &latent, self.n_timesteps, sigma_data);
+                if derives_heading {
+                    modes.clear_from(2, self.n_timesteps);
+                }
+                return Some(modes);
+            }
         } else {
             rows.write_x0(at, residuals.into_iter().enumerate().filter_map(|(t, r)| Some((t, r?))), &unit);
         }
+        None
     }
 
     /// Recorded headings in the ego frame, continuous along time; 0 where there is no recorded state.
@@ -234,6 +390,13 @@ impl Collator {
     }
 }
 
+/// What is gathered of agents' surroundings while a batch is written.
+#[derive(Default)]
+struct SurroundingsBuffers {
+    /// Modes of motion by place in (B, A).
+    modes: Vec<(usize, Option<MotionModes>)>,
+}
+
 /// The batch's tensors while they are written on the host.
 struct Buffers {
     shape: [usize; 5],
@@ -241,6 +404,7 @@ struct Buffers {
     context: Vec<f32>,
     observed: Vec<f32>,
     latent: Vec<f32>,
+    scored: Vec<f32>,
     features: Vec<f32>,
     lanes: Vec<f32>,
     lane_valid: Vec<f32>,
@@ -263,6 +427,7 @@ impl Buffers {
             context: vec![0.0; n_entries * state_dim],
             observed: vec![0.0; n_entries],
             latent: vec![0.0; n_entries],
+            scored: vec![0.0; n_entries],
             features: vec![0.0; n_entries * FeatureLayout::AGENT],
             lanes: vec![0.0; n_rows * n_lanes * FeatureLayout::LANE],
             lane_valid: vec![0.0; n_rows * n_lanes],
@@ -325,6 +490,7 @@ impl Buffers {
             context: Tensor::from_vec(self.context, (b, a, t, d), device)?,
             observed: Tensor::from_vec(self.observed, (b, a, t), device)?,
             latent: Tensor::from_vec(self.latent, (b, a, t), device)?,
+            scored: Tensor::from_vec(self.scored, (b, a, t), device)?,
             valid: Tensor::from_vec(valid, (b, a, t), device)?,
             features: Tensor::from_vec(self.features, (b, a, t, FeatureLayout::AGENT), device)?,
             lanes: Tensor::from_vec(self.lanes, (b, l, FeatureLayout::LANE), device)?,
@@ -336,6 +502,7 @@ impl Buffers {
                 .map(|motion| Tensor::from_vec(motion, (b, a, t, d), device))
                 .transpose()?,
             path: self.path.map(|path| Tensor::from_vec(path, (b, a, t, t), device)).transpose()?,
+            surroundings: None,
             frames: frames.into_iter().map(Arc::new).collect(),
         })
     }

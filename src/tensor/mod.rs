@@ -1,20 +1,27 @@
 //! From scenes to tensors and back: which numbers does the network see, in which frame, at which scale?
 
 mod collate;
+mod eigen;
 mod features;
 mod hidden_states;
+mod lane_pieces;
 mod mask_sampler;
 mod motion;
+mod motion_modes;
 mod normalizer;
 mod pair_features;
 mod reference;
 mod scene_batch;
+mod surroundings;
 #[cfg(test)]
 mod tests;
 
-pub use collate::{AgentFrame, Collator, FutureValidity, SceneView};
+pub use collate::{AgentFrame, Collator, FutureValidity, SceneView, Sight};
 pub use features::{FeatureLayout, LANE_POINTS};
+pub use lane_pieces::{LanePiece, LanePoint, PIECE_POINTS};
 pub use mask_sampler::{MaskSampler, MaskTask, TaskWeights};
+pub use motion_modes::MotionCovariance;
 pub use normalizer::{Normalizer, NormalizerFit, StateParametrization};
 pub use pair_features::PairFeatures;
-pub use scene_batch::SceneBatch;
+pub use scene_batch::{SceneBatch, Surroundings};
+pub use surroundings::{AgentSurroundings, RowSurroundings, SeenPiece, SurroundingsLayout};

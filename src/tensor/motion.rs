@@ -71,6 +71,25 @@ impl MotionChain {
         encoded
     }
 
+    /// The covariance of the numbers z in the order of the chain, row by row, where `residual` gives that of the residuals of
+    /// two latent timesteps.
+    pub(super) fn covariance(&self, residual: impl Fn(usize, usize) -> f64) -> Vec<f64> {
+        // z is (r - carry r') / scale, with r' at the timestep before in the chain.
+        let terms = |link: &Link| {
+            let carried = link.from.map(|from| (self.links[from].timestep, -link.carry / link.scale));
+            [Some((link.timestep, link.scale.recip())), carried]
+        };
+        let pair = |a: &Link, b: &Link| {
+            let (a, b) = (terms(a), terms(b));
+            a.iter()
+                .flatten()
+                .flat_map(|x| b.iter().flatten().map(move |y| (x, y)))
+                .map(|((t, x), (u, y))| x * y * residual(*t, *u))
+                .sum::<f64>()
+        };
+        self.links.iter().flat_map(|a| self.links.iter().map(move |b| pair(a, b))).collect()
+    }
+
     /// The matrix G of r = G z over `n_timesteps`, row by row; zero at timesteps that are not latent.
     pub(super) fn matrix(&self, n_timesteps: usize) -> Vec<f32> {
         let mut matrix = vec![0.0; n_timesteps * n_timesteps];

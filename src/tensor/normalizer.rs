@@ -1,14 +1,12 @@
 //! Training-set constants that bring what is diffused to a standard deviation of σ_data = 0.5.
 
 use super::motion::MotionChain;
+use super::motion_modes::MotionCovariance;
 use super::reference::Reference;
 use crate::geometry::{angle_difference, unwrap_angles};
-use crate::scene::{ObservationMask, Scene};
+use crate::scene::{AgentClass, ObservationMask, Scene};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-/// σ_data: the standard deviation of every diffused feature (paper, Appendix A).
-const SIGMA_DATA: f64 = 0.5;
 
 /// What is diffused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
@@ -53,9 +51,16 @@ pub struct Normalizer {
     pub velocity_unit_mps: f64,
     /// Metres per unit of an agent's size.
     pub extent_unit_m: f64,
+    /// How diffused motion is correlated along time (motion parametrization only); checkpoints written before it was
+    /// gathered have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion_covariance: Option<MotionCovariance>,
 }
 
 impl Normalizer {
+    /// σ_data: the standard deviation of every diffused feature (paper, Appendix A).
+    pub const SIGMA_DATA: f64 = 0.5;
+
     /// Units of (x, y, heading) in the ego frame.
     pub const fn scene_units(&self) -> [f64; 3] {
         [self.position_unit_m, self.position_unit_m, self.heading_unit_rad]
@@ -96,10 +101,15 @@ impl RootMeanSquare {
 
     /// The unit in which the values have a root mean square of σ_data; 1 when there were none.
     fn unit(&self) -> f64 {
-        let unit = (self.sum / self.n.max(1) as f64).sqrt() / SIGMA_DATA;
+        let unit = (self.sum / self.n.max(1) as f64).sqrt() / Normalizer::SIGMA_DATA;
         if unit > 1e-6 { unit } else { 1.0 }
     }
 }
+
+/// Share of motion that decides its unit: what lies beyond are jumps of recordings, which must not shrink all the rest.
+const KEPT_SHARE: f64 = 0.995;
+/// At most so many motions are kept for the constants that follow from all of them: enough for three digits.
+const MAX_MOTIONS: usize = 2_000_000;
 
 /// Gathers the constants over training scenes, one after the other.
 #[derive(Debug, Clone, Default)]
@@ -107,7 +117,9 @@ pub struct NormalizerFit {
     position: RootMeanSquare,
     heading: RootMeanSquare,
     residual: [RootMeanSquare; 3],
-    motion: [RootMeanSquare; 3],
+    /// Motions of each agent, with the timesteps since the history ended, from 0; NaN where nothing is known.
+    motions: Vec<Vec<(usize, [f32; 3])>>,
+    n_motions: usize,
     velocity: RootMeanSquare,
     extent: RootMeanSquare,
 }
@@ -146,12 +158,27 @@ impl NormalizerFit {
             let mut values = residuals.iter().map(|(_, residual)| *residual);
             let motion = MotionChain::new(&observed, &latent).encode(|_| values.next());
             add_all(&mut self.residual, residuals.iter().map(|(_, residual)| residual));
-            add_all(&mut self.motion, motion.iter().map(|(_, motion)| motion));
+            let is_present = observed.last() == Some(&scene.current_timestep());
+            if is_present && self.n_motions < MAX_MOTIONS && !motion.is_empty() {
+                self.n_motions += motion.len();
+                // Headings that were derived tell nothing of how agents turn.
+                let turns = track.class != AgentClass::PedestrianOrCyclist;
+                let elapsed = |(t, z): (usize, [f64; 3])| {
+                    let [along, across, turn] = z.map(|z| z as f32);
+                    (t - scene.n_history, [along, across, if turns { turn } else { f32::NAN }])
+                };
+                self.motions.push(motion.into_iter().map(elapsed).collect());
+            }
         }
     }
 
     /// The constants.
     pub fn finish(&self, parametrization: StateParametrization, state_dim: usize) -> Normalizer {
+        let limits: [f64; 3] = std::array::from_fn(|dim| self.limit(dim));
+        let motion_units: [f64; 3] = std::array::from_fn(|dim| self.motion_unit(dim, limits[dim]));
+        let motion_covariance = (parametrization == StateParametrization::Motion)
+            .then(|| self.covariance(&limits[..state_dim], &motion_units))
+            .flatten();
         Normalizer {
             parametrization,
             state_dim,
@@ -160,12 +187,53 @@ impl NormalizerFit {
             longitudinal_unit_m: self.residual[0].unit(),
             lateral_unit_m: self.residual[1].unit(),
             residual_heading_unit_rad: self.residual[2].unit(),
-            motion_longitudinal_unit_m: self.motion[0].unit(),
-            motion_lateral_unit_m: self.motion[1].unit(),
-            motion_heading_unit_rad: self.motion[2].unit(),
+            motion_longitudinal_unit_m: motion_units[0],
+            motion_lateral_unit_m: motion_units[1],
+            motion_heading_unit_rad: motion_units[2],
             velocity_unit_mps: self.velocity.unit(),
             extent_unit_m: self.extent.unit(),
+            motion_covariance,
         }
+    }
+
+    /// The magnitude of motion that `KEPT_SHARE` of all motions do not exceed.
+    fn limit(&self, dim: usize) -> f64 {
+        let mut sizes: Vec<f32> = self.known_motion(dim).map(f32::abs).collect();
+        if sizes.is_empty() {
+            return f64::INFINITY;
+        }
+        let rank = ((sizes.len() - 1) as f64 * KEPT_SHARE).ceil() as usize;
+        f64::from(*sizes.select_nth_unstable_by(rank, f32::total_cmp).1)
+    }
+
+    fn motion_unit(&self, dim: usize, limit: f64) -> f64 {
+        let mut moment = RootMeanSquare::default();
+        self.known_motion(dim).for_each(|z| moment.add(f64::from(z).clamp(-limit, limit)));
+        moment.unit()
+    }
+
+    fn known_motion(&self, dim: usize) -> impl Iterator<Item = f32> + '_ {
+        self.motions.iter().flatten().map(move |(_, z)| z[dim]).filter(|z| !z.is_nan())
+    }
+
+    /// The covariance of motion, cut off at `limits`, in `units`; `None` without any.
+    fn covariance(&self, limits: &[f64], units: &[f64; 3]) -> Option<MotionCovariance> {
+        let n_timesteps = self.motions.iter().flatten().map(|(elapsed, _)| elapsed + 1).max()?;
+        let of_dim = |(dim, limit): (usize, &f64)| {
+            let mut sums = vec![0.0; n_timesteps * n_timesteps];
+            let mut counts = vec![0u32; n_timesteps * n_timesteps];
+            let scaled = |z: &[f32; 3]| f64::from(z[dim]).clamp(-limit, *limit) / units[dim];
+            for motion in self.motions.iter().filter(|motion| motion.iter().all(|(_, z)| !z[dim].is_nan())) {
+                for (i, a) in motion {
+                    for (j, b) in motion {
+                        sums[i * n_timesteps + j] += scaled(a) * scaled(b);
+                        counts[i * n_timesteps + j] += 1;
+                    }
+                }
+            }
+            sums.iter().zip(counts).map(|(sum, n)| sum / f64::from(n.max(1))).collect()
+        };
+        Some(MotionCovariance { n_timesteps, values: limits.iter().enumerate().map(of_dim).collect() })
     }
 }
 

@@ -34,6 +34,16 @@ impl<'a> Reference<'a> {
         self.observed.get(self.anchor).map_or(0.0, |(_, state)| state.heading_rad)
     }
 
+    /// The timestep of the state that the agent's own frame is taken from; 0 for an agent never observed.
+    pub(super) fn anchor_timestep(&self) -> usize {
+        self.observed.get(self.anchor).map_or(0, |(timestep, _)| *timestep)
+    }
+
+    /// Speed in that state, meters per second.
+    pub(super) fn anchor_speed_mps(&self) -> f64 {
+        self.observed.get(self.anchor).map_or(0.0, |(_, state)| state.velocity.norm())
+    }
+
     /// What an agent was seen to do: for each observed timestep but the first, its motion from the observed state before,
     /// per timestep, beyond that of constant velocity in its own frame: (longitudinal and lateral metres, radians).
     pub(super) fn observed_motion(&self) -> impl Iterator<Item = (usize, [f64; 3])> + '_ {

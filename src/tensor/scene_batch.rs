@@ -1,6 +1,6 @@
 //! A batch of scenes as tensors, and the way back from samples to scenes.
 
-use super::AgentFrame;
+use super::{AgentFrame, RowSurroundings};
 use crate::geometry::{Vec2, wrap_angle};
 use crate::scene::{Scene, State, Track, Trajectory};
 use candle_core::{D, Result, Tensor};
@@ -22,6 +22,8 @@ pub struct SceneBatch {
     pub observed: Tensor,
     /// 1 where the state is to be generated, (B, A, T).
     pub latent: Tensor,
+    /// 1 where the state is to be generated and known, so that a loss can be taken of it, (B, A, T).
+    pub scored: Tensor,
     /// 1 where the state is observed or latent, (B, A, T).
     pub valid: Tensor,
     /// What observed agents were seen to do, in units of x, (B, A, T, D), zero except on observed entries: the network
@@ -44,6 +46,43 @@ pub struct SceneBatch {
     pub path: Option<Tensor>,
     /// Which agents and frame each row has.
     pub frames: Vec<Arc<AgentFrame>>,
+    /// What surrounds each agent, where the collator looks for it.
+    pub surroundings: Option<Surroundings>,
+}
+
+/// What surrounds the agents of a batch: B scenes, A agents, L pieces of lanes, T timesteps, D dimensions of a diffused state.
+#[derive(Debug, Clone)]
+pub struct Surroundings {
+    /// Where each agent's own frame has its origin, in the row's ego frame, (B, A, 2), meters. Its rotation is that of decoding.
+    pub origin: Tensor,
+    /// Attributes of agents, (B, A, `SurroundingsLayout::AGENT`).
+    pub attributes: Tensor,
+    /// Pieces of lanes in each agent's own frame, (B, A, L, `SurroundingsLayout::PIECE`).
+    pub lanes: Tensor,
+    /// 1 where a piece is no padding, (B, A, L).
+    pub lane_valid: Tensor,
+    /// Modes of each agent's motion, (B, A, D, T, T): orthonormal rows over the latent timesteps.
+    pub modes: Tensor,
+    /// Variance of x along each mode, (B, A, D, T); 0 in rows without a mode.
+    pub variances: Tensor,
+    /// The same lanes as geometry, and sizes.
+    pub rows: Vec<Arc<RowSurroundings>>,
+}
+
+impl Surroundings {
+    /// Every row `n` times in a row; `rows` (B n) are the indices of its source.
+    fn repeated(&self, rows: &Tensor, n: usize) -> Result<Self> {
+        let repeat = |tensor: &Tensor| tensor.index_select(rows, 0);
+        Ok(Self {
+            origin: repeat(&self.origin)?,
+            attributes: repeat(&self.attributes)?,
+            lanes: repeat(&self.lanes)?,
+            lane_valid: repeat(&self.lane_valid)?,
+            modes: repeat(&self.modes)?,
+            variances: repeat(&self.variances)?,
+            rows: self.rows.iter().flat_map(|row| std::iter::repeat_n(row, n)).cloned().collect(),
+        })
+    }
 }
 
 impl SceneBatch {
@@ -65,6 +104,7 @@ impl SceneBatch {
             context: repeat(&self.context)?,
             observed: repeat(&self.observed)?,
             latent: repeat(&self.latent)?,
+            scored: repeat(&self.scored)?,
             valid: repeat(&self.valid)?,
             features: repeat(&self.features)?,
             lanes: repeat(&self.lanes)?,
@@ -75,6 +115,7 @@ impl SceneBatch {
             observed_motion: self.observed_motion.as_ref().map(repeat).transpose()?,
             path: self.path.as_ref().map(repeat).transpose()?,
             frames: self.frames.iter().flat_map(|frame| std::iter::repeat_n(frame, n)).cloned().collect(),
+            surroundings: self.surroundings.as_ref().map(|around| around.repeated(&rows, n)).transpose()?,
         })
     }
 
@@ -153,6 +194,7 @@ impl AgentFrame {
                 };
             }
             if let Some(slot) = slot {
+                let with_heading = with_heading && !self.derives_heading(track);
                 derive_motion(&mut entries, &latent[slot], source.dt_s, with_heading);
             }
             track.trajectory = Trajectory::new(entries);

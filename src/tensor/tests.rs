@@ -17,7 +17,7 @@ fn collator(scene: &Scene, parametrization: StateParametrization) -> Collator {
     let mut fit = NormalizerFit::default();
     fit.add(scene);
     let normalizer = fit.finish(parametrization, 3);
-    Collator { normalizer, n_timesteps: scene.n_timesteps, max_agents: 8, max_lanes: 16 }
+    Collator { normalizer, n_timesteps: scene.n_timesteps, max_agents: 8, max_lanes: 16, sight: None }
 }
 
 fn collate(collator: &Collator, scene: &Scene, ego_idx: usize, mask: &ObservationMask) -> SceneBatch {

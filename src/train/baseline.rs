@@ -1,7 +1,7 @@
 //! From scenes to a Scene Transformer checkpoint: constants, network, training, file.
 
 use super::training_data::{SceneConstants, TrainingData};
-use super::{Ahead, BaselineTraining, Error, FitStatistics, JointFuturesTask, SceneDraws, fit};
+use super::{Ahead, Balance, BaselineTraining, Error, FitStatistics, JointFuturesTask, SceneDraws, fit};
 use crate::model::{SceneTransformer, SceneTransformerKind, SceneTransformerSpec};
 use crate::nn::Params;
 use crate::progress::Progress;
@@ -64,7 +64,7 @@ pub fn train_baseline(
     let draws = SceneDraws {
         collator: &spec.collator(),
         dataset: data.dataset,
-        train: &data.train,
+        train: &data.groups(Balance::Scenes),
         held_out: &held_out,
         masks: &masks,
         batch_size: training.batch_size,

@@ -39,8 +39,13 @@ impl SceneDataset for Forks {
 fn batch(parametrization: StateParametrization, n_rows: usize) -> SceneBatch {
     let mut fit = NormalizerFit::default();
     (0..4).for_each(|idx| fit.add(&fork(idx)));
-    let collator =
-        Collator { normalizer: fit.finish(parametrization, 3), n_timesteps: 12, max_agents: 8, max_lanes: 16 };
+    let collator = Collator {
+        normalizer: fit.finish(parametrization, 3),
+        n_timesteps: 12,
+        max_agents: 8,
+        max_lanes: 16,
+        sight: None,
+    };
     let scenes: Vec<Scene> = (0..n_rows).map(fork).collect();
     let mask = ObservationMask::predictive(2, 12, 4);
     let views: Vec<_> = scenes.iter().map(|scene| SceneView { scene, ego_idx: 0, mask: &mask }).collect();
@@ -148,6 +153,7 @@ fn both_ways_of_a_fork_are_found_with_even_odds_and_the_checkpoint_reads_back() 
     let data = TrainingData {
         dataset: &dataset,
         train: (0..32).collect(),
+        places: vec![0; 32],
         held_out: (32..40).collect(),
         state_dim: 3,
         fingerprint: "scenes".to_owned(),

@@ -84,6 +84,7 @@ impl ClassificationTask<'_> {
             n_timesteps: self.spec.n_timesteps,
             max_agents: 2,
             max_lanes: 0,
+            sight: None,
         };
         Ok(collator.collate(&views, FutureValidity::Recorded, self.device)?)
     }

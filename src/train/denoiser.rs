@@ -56,7 +56,7 @@ pub fn train_denoiser(
     let draws = SceneDraws {
         collator: &spec.collator(),
         dataset: data.dataset,
-        train: &data.train,
+        train: &data.groups(training.balance),
         held_out: &held_out,
         masks: &masks,
         batch_size: training.batch_size,

@@ -24,7 +24,7 @@ pub struct DenoisingTask<'a> {
 }
 
 impl DenoisingTask<'_> {
-    /// λ(σ) |D(x0 + σ ε; σ) - x0|², averaged over the valid latent scalars of the batch; one σ a row.
+    /// λ(σ) |D(x0 + σ ε; σ) - x0|², averaged over the scored scalars of the batch; one σ a row.
     fn weighted_error(
         &self,
         denoiser: &SceneDenoiser,
@@ -41,8 +41,8 @@ impl DenoisingTask<'_> {
         let x0_hat = denoiser.bind(batch, 1)?.denoise(&x, &sigma_rows.flatten_all()?)?;
         let squared = squared_error(batch, &x0_hat, &batch.x0, self.training.path_loss)?;
         let weighted = squared.broadcast_mul(&rows_like(weight, &batch.x0)?)?;
-        let n_latent = (latent.sum_all()? * self.draws.collator.normalizer.state_dim as f64)?.maximum(1.0)?;
-        Ok(weighted.sum_all()?.div(&n_latent)?)
+        let n_scored = (batch.scored.sum_all()? * self.draws.collator.normalizer.state_dim as f64)?.maximum(1.0)?;
+        Ok(weighted.sum_all()?.div(&n_scored)?)
     }
 }
 

@@ -1,8 +1,8 @@
 //! From a denoiser's checkpoint to that of one which needs few evaluations.
 
 use super::{
-    Ahead, ConsistencyTask, DenoiserOutcome, DistillMethod, DistillTraining, Error, SceneDraws, StepDistillationTask,
-    TrainingData, fit,
+    Ahead, Balance, ConsistencyTask, DenoiserOutcome, DistillMethod, DistillTraining, Error, SceneDraws,
+    StepDistillationTask, TrainingData, fit,
 };
 use crate::model::{DenoiserSpec, SceneDenoiser};
 use crate::nn::{Checkpoint, Params};
@@ -46,10 +46,11 @@ pub fn distill_denoiser(
     params.load(&teacher.tensors)?;
     let frozen = build(&mut params.frozen())?;
     let held_out = data.chosen_held_out(training.n_eval_scenes, seed);
+    let balance = if spec.network.geometry.is_some() { Balance::Places } else { Balance::Scenes };
     let draws = SceneDraws {
         collator: &spec.collator(),
         dataset: data.dataset,
-        train: &data.train,
+        train: &data.groups(balance),
         held_out: &held_out,
         masks: &masks,
         batch_size: training.batch_size,

@@ -40,6 +40,7 @@ fn data() -> TrainingData<'static> {
     TrainingData {
         dataset: &Forks,
         train: (0..32).collect(),
+        places: vec![0; 32],
         held_out: (32..40).collect(),
         state_dim: 3,
         fingerprint: "scenes".to_owned(),
@@ -69,6 +70,7 @@ fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
             encoding: 16,
             latent_periods: [1.0, 100.0],
             path_input: false,
+            geometry: None,
         }),
         state_parametrization: Some(StateParametrization::Residual),
         path_loss: Some(0.0),
@@ -117,10 +119,11 @@ fn every_parameter_receives_a_gradient_in_every_stage() {
     let frozen = build(&mut params.frozen());
     let masks = MaskSampler::new(&training.tasks).unwrap();
     let collator = spec.collator();
+    let train = [vec![0, 1, 2, 3]];
     let draws = || SceneDraws {
         collator: &collator,
         dataset: &Forks,
-        train: &[0, 1, 2, 3],
+        train: &train,
         held_out: &[],
         masks: &masks,
         batch_size: 8,

@@ -4,7 +4,7 @@ use super::Error;
 use crate::tensor::SceneBatch;
 use candle_core::Tensor;
 
-/// The squared error of `answer` (B, A, T, D) at each latent scalar of `batch`, 0 elsewhere. With `path_loss`, and where motion
+/// The squared error of `answer` (B, A, T, D) at each scored scalar of `batch`, 0 elsewhere. With `path_loss`, and where motion
 /// is diffused, the squared error of what motion adds up to is added with that weight.
 pub(super) fn squared_error(
     batch: &SceneBatch,
@@ -12,24 +12,24 @@ pub(super) fn squared_error(
     target: &Tensor,
     path_loss: f64,
 ) -> Result<Tensor, Error> {
-    let latent = batch.latent.unsqueeze(3)?;
-    let error = (answer - target)?.broadcast_mul(&latent)?;
+    let scored = batch.scored.unsqueeze(3)?;
+    let error = (answer - target)?.broadcast_mul(&scored)?;
     let squared = error.sqr()?;
     if path_loss > 0.0
         && let Some(path) = batch.unit_path()?
     {
-        let path_error = path.matmul(&error)?.broadcast_mul(&latent)?;
+        let path_error = path.matmul(&error)?.broadcast_mul(&scored)?;
         return Ok((squared + (path_error.sqr()? * path_loss)?)?);
     }
     Ok(squared)
 }
 
-/// Of each row of `squared` (B, A, T, D) √(m + c²) - c, where m is the mean over the row's latent scalars: quadratic for small
+/// Of each row of `squared` (B, A, T, D) √(m + c²) - c, where m is the mean over the row's scored scalars: quadratic for small
 /// errors and linear above c (pseudo-Huber, as Song and Dhariwal 2023 train consistency models). (B).
 pub(super) fn pseudo_huber(batch: &SceneBatch, squared: &Tensor, c: f64) -> Result<Tensor, Error> {
     let state_dim = squared.dim(3)? as f64;
-    let n_latent = (batch.latent.flatten_from(1)?.sum(1)? * state_dim)?.maximum(1.0)?;
-    let mean = squared.flatten_from(1)?.sum(1)?.div(&n_latent)?;
+    let n_scored = (batch.scored.flatten_from(1)?.sum(1)? * state_dim)?.maximum(1.0)?;
+    let mean = squared.flatten_from(1)?.sum(1)?.div(&n_scored)?;
     // The tiny number keeps the slope finite where both are the same.
     Ok(((mean + (c * c + 1e-12))?.sqrt()? - c)?)
 }

@@ -42,7 +42,7 @@ pub use error::Error;
 pub use fit::{FitConfig, FitOutcome, FitStatistics, LearningRateDecay, TrainTask, fit};
 pub use joint_futures::{JointFuturesTask, JointLoss};
 pub use pair_examples::{MinedEvent, PairExample, PairExamples};
-pub use preset::{DenoiserTraining, DenoiserTrainingConfig, Preset};
+pub use preset::{Balance, DenoiserTraining, DenoiserTrainingConfig, Preset};
 pub use scene_draws::{Ahead, DrawnBatch, SceneDataset, SceneDraws};
 pub use step_distillation::{StepDistillation, StepDistillationTask};
 pub use training_data::TrainingData;

@@ -21,6 +21,17 @@ pub enum Preset {
     Paper,
 }
 
+/// What counts the same in training.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum Balance {
+    /// Every scene: places with many scenes are seen more often.
+    #[default]
+    Scenes,
+    /// Every place: scenes of places with few of them are seen more often.
+    Places,
+}
+
 /// How to train the denoiser. What is left out is the preset's.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, Default)]
 #[serde(deny_unknown_fields, default)]
@@ -46,6 +57,8 @@ pub struct DenoiserTrainingConfig {
     pub splits: Vec<Split>,
     /// Places to train on; empty means all.
     pub places: Vec<String>,
+    /// Whether every scene counts the same, or every place: `scenes` or `places`.
+    pub balance: Option<Balance>,
     /// Optimizer steps in all.
     pub steps: Option<u64>,
     /// Scenes a step.
@@ -95,6 +108,8 @@ pub struct DenoiserTraining {
     pub path_loss: f64,
     /// How often each observation task is drawn.
     pub tasks: TaskWeights,
+    /// What counts the same.
+    pub balance: Balance,
     /// Scenes a step.
     pub batch_size: usize,
     /// At most so many agents a scene.
@@ -175,6 +190,7 @@ impl DenoiserTrainingConfig {
             loss_weight: self.loss_weight,
             path_loss,
             tasks: self.tasks,
+            balance: self.balance.unwrap_or(base.balance),
             batch_size: self.batch_size.unwrap_or(base.batch_size),
             max_agents: self.max_agents.unwrap_or(base.max_agents),
             max_lanes: self.max_lanes.unwrap_or(base.max_lanes),
@@ -196,6 +212,7 @@ impl Preset {
             encoding,
             latent_periods: [1.0, 100.0],
             path_input: true,
+            geometry: None,
         };
         // What a network has to say of a path as a whole, it says at higher noise levels than of its details.
         let noise = NoiseDistribution { p_mean: -0.5, p_std: 1.4 };
@@ -219,6 +236,7 @@ impl Preset {
                 loss_weight: LossWeight::default(),
                 path_loss: if parametrization == StateParametrization::Motion { 0.1 } else { 0.0 },
                 tasks: TaskWeights::default(),
+                balance: Balance::default(),
                 batch_size,
                 max_agents,
                 max_lanes,

@@ -7,6 +7,7 @@ use crate::seed::{Seed, SeededRng};
 use crate::tensor::{Collator, FutureValidity, MaskSampler, SceneBatch, SceneView};
 use candle_core::{Device, Tensor};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Scenes by index, such as a store's.
@@ -32,8 +33,8 @@ pub struct SceneDraws<'a> {
     pub collator: &'a Collator,
     /// The scenes.
     pub dataset: &'a dyn SceneDataset,
-    /// Indices of the scenes to train on.
-    pub train: &'a [usize],
+    /// Indices of the scenes to train on, in groups that count the same.
+    pub train: &'a [Vec<usize>],
     /// Indices of the held-out scenes to evaluate on.
     pub held_out: &'a [usize],
     /// Draws masks.
@@ -51,8 +52,8 @@ pub struct SceneDraws<'a> {
 /// What was made before it was asked for. It changes when things are computed, never what.
 #[derive(Default)]
 pub struct Ahead {
-    /// The last epoch and its shuffle.
-    shuffle: Mutex<Option<(u64, Arc<[usize]>)>>,
+    /// The last epoch of each group and its shuffle.
+    shuffles: Mutex<BTreeMap<usize, (u64, Arc<[usize]>)>>,
     /// A step and its batch.
     batch: Mutex<Option<(u64, DrawnBatch)>>,
 }
@@ -141,23 +142,34 @@ impl SceneDraws<'_> {
         Ok(sums.into_iter().map(|sum| sum / n_scenes).collect())
     }
 
-    /// Which scenes make the batch of `step`: consecutive entries of a shuffle that each epoch has its own of.
+    /// Which scenes make the batch of `step`: the groups take turns, each with consecutive entries of a shuffle that each of its
+    /// epochs has its own of.
     fn batch_indices(&self, step: u64) -> Vec<usize> {
-        let (n, batch_size) = (self.train.len() as u64, self.batch_size as u64);
+        let (n_groups, batch_size) = (self.train.len() as u64, self.batch_size as u64);
         (step * batch_size..(step + 1) * batch_size)
-            .map(|position| self.shuffle_of(position / n)[(position % n) as usize])
+            .map(|position| {
+                let (group, turn) = ((position % n_groups) as usize, position / n_groups);
+                let n = self.train[group].len() as u64;
+                self.shuffle_of(group, turn / n)[(turn % n) as usize]
+            })
             .collect()
     }
 
-    /// The scenes to train on, in the order of an epoch.
-    fn shuffle_of(&self, epoch: u64) -> Arc<[usize]> {
-        let mut shuffle = self.ahead.shuffle.lock().unwrap_or_else(PoisonError::into_inner);
-        match &*shuffle {
+    /// The scenes of a group, in the order of one of its epochs.
+    fn shuffle_of(&self, group: usize, epoch: u64) -> Arc<[usize]> {
+        let mut shuffles = self.ahead.shuffles.lock().unwrap_or_else(PoisonError::into_inner);
+        match shuffles.get(&group) {
             Some((of_epoch, order)) if *of_epoch == epoch => order.clone(),
             _ => {
-                let mut order = self.train.to_vec();
-                self.seed.derive("epoch", &[epoch]).rng().shuffle(&mut order);
-                shuffle.insert((epoch, order.into())).1.clone()
+                let mut order = self.train[group].clone();
+                let seed = match group {
+                    0 => self.seed.derive("epoch", &[epoch]),
+                    _ => self.seed.derive("epoch of group", &[group as u64, epoch]),
+                };
+                seed.rng().shuffle(&mut order);
+                let order: Arc<[usize]> = order.into();
+                shuffles.insert(group, (epoch, order.clone()));
+                order
             }
         }
     }
@@ -172,7 +184,9 @@ impl SceneDraws<'_> {
     fn collate(&self, drawn: &[Drawn]) -> Result<SceneBatch, Error> {
         let views: Vec<SceneView<'_>> =
             drawn.iter().map(|d| SceneView { scene: &d.scene, ego_idx: d.ego_idx, mask: &d.mask }).collect();
-        Ok(self.collator.collate(&views, FutureValidity::Recorded, self.device)?)
+        // Networks that see their surroundings are told the same as when sampling; the paper's are trained as it says.
+        let validity = if self.collator.sight.is_some() { FutureValidity::Continued } else { FutureValidity::Recorded };
+        Ok(self.collator.collate(&views, validity, self.device)?)
     }
 }
 

@@ -76,6 +76,7 @@ fn train_from(
     let data = TrainingData {
         dataset,
         train: (0..n - 8).collect(),
+        places: vec![0; n - 8],
         held_out: (n - 8..n).collect(),
         state_dim: 3,
         fingerprint: "scenes".to_owned(),
@@ -126,10 +127,11 @@ fn a_batch_made_in_advance_is_the_one_that_would_be_drawn() {
     let training = training(1);
     let spec = train(&dataset, &training, dir.path()).unwrap().spec;
     let (collator, masks) = (spec.collator(), MaskSampler::new(&training.tasks).unwrap());
+    let train = [vec![0, 1, 2, 3, 4, 5, 6, 7, 8, 9]];
     let draws = || SceneDraws {
         collator: &collator,
         dataset: &dataset,
-        train: &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9],
+        train: &train,
         held_out: &[],
         masks: &masks,
         batch_size: 4,

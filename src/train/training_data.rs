@@ -1,9 +1,10 @@
 //! The scenes of a training run, and the constants that are gathered from them.
 
-use super::{Error, SceneDataset};
+use super::{Balance, Error, SceneDataset};
 use crate::progress::Progress;
 use crate::seed::Seed;
 use crate::tensor::{Normalizer, NormalizerFit, StateParametrization};
+use std::collections::BTreeMap;
 
 /// Scenes to gather the normalization constants from: enough for three digits.
 const N_NORMALIZER_SCENES: usize = 2_000;
@@ -14,6 +15,8 @@ pub struct TrainingData<'a> {
     pub dataset: &'a dyn SceneDataset,
     /// Indices of the scenes to train on.
     pub train: Vec<usize>,
+    /// The place of each of them, by number.
+    pub places: Vec<usize>,
     /// Indices of held-out scenes; those evaluated on are chosen from them.
     pub held_out: Vec<usize>,
     /// Dimensions of a diffused state.
@@ -35,6 +38,16 @@ pub(super) struct SceneConstants {
 }
 
 impl TrainingData<'_> {
+    /// The scenes to train on, in groups that count the same; no group is empty.
+    pub(super) fn groups(&self, balance: Balance) -> Vec<Vec<usize>> {
+        let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        for (idx, place) in self.train.iter().zip(&self.places) {
+            let group = if balance == Balance::Places { *place } else { 0 };
+            groups.entry(group).or_default().push(*idx);
+        }
+        groups.into_values().collect()
+    }
+
     /// The held-out scenes to evaluate on, at most `n`.
     pub(super) fn chosen_held_out(&self, n: usize, seed: Seed) -> Vec<usize> {
         let mut held_out = self.held_out.clone();

@@ -90,6 +90,7 @@ fn batch(scene: &Scene) -> Result<SceneBatch> {
         n_timesteps: N_TIMESTEPS,
         max_agents: scene.tracks.len(),
         max_lanes: N_LANES,
+        sight: None,
     };
     let mask = ObservationMask::predictive(scene.tracks.len(), N_TIMESTEPS, N_HISTORY);
     collator.collate(&[SceneView { scene, ego_idx: 0, mask: &mask }], FutureValidity::Everything, &Device::Cpu)

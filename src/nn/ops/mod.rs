@@ -13,6 +13,8 @@ mod host;
 mod kernels;
 mod layer_norm;
 mod linear;
+mod mode_filter;
+mod pool;
 mod rows;
 mod sinusoidal;
 
@@ -179,6 +181,33 @@ pub fn sinusoidal(x: &Tensor, frequencies: &[f64]) -> Result<Tensor> {
         Backend::Fused => sinusoidal::fused(x, frequencies),
         Backend::Kernels => cuda::sinusoidal(x, frequencies),
         Backend::Plain => sinusoidal::reference(x, frequencies),
+    }
+}
+
+/// Uᵀ g U x for the states `x` (B, A, T, D), each agent and dimension with `modes` U (B, A, D, T, T), one mode a row, and
+/// `gains` g (B, A, D, T) of its own. Differentiable in `x` alone.
+///
+/// # Errors
+/// When shapes do not fit.
+pub fn mode_filter(x: &Tensor, modes: &Tensor, gains: &Tensor) -> Result<Tensor> {
+    let (b, a, t, d) = x.dims4()?;
+    if modes.dims() != [b, a, d, t, t] || gains.dims() != [b, a, d, t] {
+        bail!("mode_filter: x {:?}, modes {:?} and gains {:?} do not fit", x.dims(), modes.dims(), gains.dims());
+    }
+    match backend(x) {
+        Backend::Fused => mode_filter::fused(x, modes, gains),
+        Backend::Kernels | Backend::Plain => mode_filter::reference(x, &modes.detach(), &gains.detach()),
+    }
+}
+
+/// The largest positive of K entries in each feature, or 0 where none is: `x` (.., K, F) to (.., F).
+///
+/// # Errors
+/// When the device fails.
+pub fn pool_positive(x: &Tensor) -> Result<Tensor> {
+    match backend(x) {
+        Backend::Fused => pool::fused(x),
+        Backend::Kernels | Backend::Plain => pool::reference(x),
     }
 }
 

@@ -70,7 +70,13 @@ pub(super) fn training_data<'a>(
     };
     // Argoverse 1 has no headings of its own: they are derived from the positions, and so are those of its samples.
     let default_state_dim = if store.index()[*first].dataset == Dataset::Argoverse1 { 2 } else { 3 };
+    let mut names: Vec<&str> = train.iter().map(|idx| store.index()[*idx].place.as_str()).collect();
+    let of_scenes = names.clone();
+    names.sort_unstable();
+    names.dedup();
+    let places = of_scenes.iter().map(|name| names.partition_point(|other| other < name)).collect();
     Ok(TrainingData {
+        places,
         state_dim: state_dim.unwrap_or(default_state_dim),
         fingerprint: store.fingerprint().to_owned(),
         dataset: store,

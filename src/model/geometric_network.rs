@@ -1,0 +1,238 @@
+//! F_θ of the geometric denoiser: a transformer over short stretches of motion that is told, at every noise level, where each
+//! agent's estimate is and what surrounds it there.
+//!
+//! Beside what DJINN's own network sees it sees the lanes around each agent in the agent's frame, and for each token its own
+//! pose, its nearest neighbors and its nearest lanes at the pose of the estimate (`relations`). A token is a stretch of
+//! `patch` timesteps of one agent.
+
+use super::relations::{self, Counts, Relations};
+use super::trunk::{LaneKeys, Trunk, TrunkConfig};
+use super::{GeometryConfig, NetworkConfig};
+use crate::nn::ops::pool_positive;
+use crate::nn::{LayerNorm, Linear, Mlp, Scope, sinusoidal};
+use crate::tensor::{SceneBatch, SurroundingsLayout};
+use candle_core::{D, Result, Tensor};
+
+/// Features of the encodings of noise level and time.
+const ENCODING: usize = 32;
+/// Shortest and longest encoding periods of the noise level, in units of c_noise: it spans 2.7 of them.
+const NOISE_PERIODS: (f64, f64) = (0.2, 20.0);
+/// Shortest and longest encoding periods of time, in tokens.
+const TOKEN_PERIODS: (f64, f64) = (2.0, 200.0);
+/// Meters per unit of positions in an agent's frame.
+const POSITION_M: f64 = 10.0;
+/// Meters per unit of positions in the ego frame.
+const EGO_POSITION_M: f64 = 50.0;
+/// Known features of a timestep: pose of the reference in the agent's frame (4), observed velocity (2), valid, observed,
+/// latent.
+const KNOWN: usize = 9;
+
+/// Known features of an agent beside its attributes: origin and rotation of its frame in the ego frame (4), size (2), whether it
+/// is never observed.
+const AGENT_CONSTANTS: usize = 7;
+
+/// The network.
+#[derive(Debug, Clone)]
+pub(super) struct GeometricNetwork {
+    geometry: GeometryConfig,
+    state_dim: usize,
+    latent: Linear,
+    known: Linear,
+    agent: Linear,
+    time: Linear,
+    noise: Linear,
+    own: Linear,
+    neighbors: Mlp,
+    lanes: Mlp,
+    pooled: Linear,
+    input_out: Linear,
+    lane_encoder: Mlp,
+    trunk: Trunk,
+    norm_out: LayerNorm,
+    output: Mlp,
+}
+
+/// Everything that F_θ computes from what does not change between calls.
+#[derive(Debug, Clone)]
+pub(super) struct KnownTokens {
+    /// The known part of the input of each token, (B, A, N, width).
+    input: Tensor,
+    lanes: LaneKeys,
+    /// 1 where a token holds a state that is observed or latent, (B, A, N).
+    valid: Tensor,
+    /// 1 where somebody reads the result, (B, A, N).
+    read: Tensor,
+}
+
+impl GeometricNetwork {
+    /// A network for states of `state_dim` dimensions, with parameters below `scope`.
+    ///
+    /// # Errors
+    /// Fails when the layer string holds other letters than T, A and M, or sizes do not fit.
+    pub(super) fn new(
+        scope: &mut Scope<'_>,
+        config: &NetworkConfig,
+        geometry: &GeometryConfig,
+        state_dim: usize,
+    ) -> Result<Self> {
+        let NetworkConfig { width, n_heads, feed_forward, .. } = *config;
+        let GeometryConfig { patch, relation_width, .. } = *geometry;
+        if patch == 0 {
+            candle_core::bail!("tokens of no timesteps");
+        }
+        let mut input = scope.enter("input");
+        let latent = Linear::new(&mut input, "latent", patch * 4 * state_dim, width)?;
+        let known = Linear::new(&mut input, "known", patch * KNOWN, width)?;
+        let agent = Linear::new(&mut input, "agent", SurroundingsLayout::AGENT + AGENT_CONSTANTS, width)?;
+        let time = Linear::new(&mut input, "time", ENCODING, width)?;
+        let noise = Linear::new(&mut input, "noise", ENCODING, width)?;
+        let own = Linear::new(&mut input, "own", relations::OWN, width)?;
+        let neighbors = Mlp::new(&mut input, "neighbors", &[relations::NEIGHBOR, relation_width, relation_width])?;
+        let lanes = Mlp::new(&mut input, "lanes", &[relations::LANE, relation_width, relation_width])?;
+        let pooled = Linear::new(&mut input, "pooled", 2 * relation_width, width)?;
+        let input_out = Linear::new(&mut input, "out", width, width)?;
+        let lane_encoder = Mlp::new(scope, "lane_encoder", &[SurroundingsLayout::PIECE, width, width])?;
+        let trunk = Trunk::new(scope, "trunk", TrunkConfig { layers: &config.layers, width, n_heads, feed_forward })?;
+        let norm_out = LayerNorm::new(scope, "norm_out", width)?;
+        let output = Mlp::new(scope, "output", &[width, width, patch * state_dim])?;
+        Ok(Self {
+            geometry: geometry.clone(),
+            state_dim,
+            latent,
+            known,
+            agent,
+            time,
+            noise,
+            own,
+            neighbors,
+            lanes,
+            pooled,
+            input_out,
+            lane_encoder,
+            trunk,
+            norm_out,
+            output,
+        })
+    }
+
+    /// Encodes what does not change between calls.
+    ///
+    /// # Errors
+    /// Fails when the batch was collated without what surrounds its agents, or does not fit the network.
+    pub(super) fn encode_known(&self, batch: &SceneBatch) -> Result<KnownTokens> {
+        let Some(surroundings) = &batch.surroundings else {
+            candle_core::bail!("the batch was collated without what surrounds its agents");
+        };
+        let (b, a, _) = batch.valid.dims3()?;
+        let any = |mask: &Tensor| self.tokens(&mask.unsqueeze(3)?)?.max(D::Minus1);
+        let (valid, read) = (any(&batch.valid)?, any(&batch.latent)?);
+
+        let states = self.known.forward_valid(&self.tokens(&known_features(batch)?)?, &valid)?;
+        let origin = (&surroundings.origin * (1.0 / EGO_POSITION_M))?;
+        // Sizes and whether an agent is never observed, of any timestep.
+        let constants = batch.features.narrow(3, 4, 3)?.max(2)?;
+        let agent = Tensor::cat(&[&surroundings.attributes, &origin, &batch.rotation, &constants], 2)?;
+        let agent = self.agent.forward(&agent)?.unsqueeze(2)?;
+        let n = valid.dim(2)?;
+        let present: Vec<f32> = (0..n).map(|token| token as f32).collect();
+        let time =
+            sinusoidal(&Tensor::from_vec(present, n, valid.device())?, ENCODING, TOKEN_PERIODS.0, TOKEN_PERIODS.1)?;
+        let time = self.time.forward(&time)?.unsqueeze(0)?.unsqueeze(0)?;
+        let input = states.broadcast_add(&agent)?.broadcast_add(&time)?;
+
+        let (_, _, l, f) = surroundings.lanes.dims4()?;
+        let lane_valid = surroundings.lane_valid.reshape((b * a, l))?;
+        let lanes = self.lane_encoder.forward_valid(&surroundings.lanes.reshape((b * a, l, f))?, &lane_valid)?;
+        Ok(KnownTokens { input, lanes: self.trunk.project_keys(&lanes, &lane_valid)?.of_agents(), valid, read })
+    }
+
+    /// F_θ for the noisy states of `seen` (B, A, T, 4 D), of which the estimate has `poses` (B, A, T, 3), at `c_noise` (B):
+    /// (B, A, T, D).
+    ///
+    /// # Errors
+    /// Fails when shapes do not fit.
+    pub(super) fn forward(
+        &self,
+        seen: &Tensor,
+        poses: &Tensor,
+        batch: &SceneBatch,
+        known: &KnownTokens,
+        c_noise: &Tensor,
+    ) -> Result<Tensor> {
+        let valid = &known.valid;
+        let counts = Counts {
+            patch: self.geometry.patch,
+            neighbors: self.geometry.n_neighbors,
+            lanes: self.geometry.n_nearest_lanes,
+        };
+        let relations = Relations::new(batch, poses, counts)?;
+        let latent = self.latent.forward_valid(&self.tokens(seen)?, valid)?;
+        let noise = sinusoidal(c_noise, ENCODING, NOISE_PERIODS.0, NOISE_PERIODS.1)?;
+        let noise = self.noise.forward(&noise)?.unsqueeze(1)?.unsqueeze(1)?;
+        let own = self.own.forward_valid(&relations.own, valid)?;
+        let neighbors = pool(&self.neighbors, &relations.neighbors, &relations.neighbor_valid)?;
+        let lanes = pool(&self.lanes, &relations.lanes, &relations.lane_valid)?;
+        let pooled = self.pooled.forward_valid(&Tensor::cat(&[&neighbors, &lanes], 3)?, valid)?;
+        let hidden = (((latent + &known.input)? + own)? + pooled)?.broadcast_add(&noise)?.relu()?;
+        let h = self.trunk.forward(self.input_out.forward_valid(&hidden, valid)?, valid, &known.read, &known.lanes)?;
+        let f_x = self.output.forward_valid(&self.norm_out.forward_for_products(&h)?, &known.read)?;
+        let (b, a, n, _) = f_x.dims4()?;
+        f_x.reshape((b, a, n * self.geometry.patch, self.state_dim))?.narrow(2, 0, batch.valid.dim(2)?)
+    }
+
+    /// (B, A, T, F) to tokens (B, A, N, patch · F); what the last token lacks is zero.
+    fn tokens(&self, x: &Tensor) -> Result<Tensor> {
+        let (b, a, t, f) = x.dims4()?;
+        let n = t.div_ceil(self.geometry.patch);
+        let missing = n * self.geometry.patch - t;
+        let padded = if missing > 0 { x.pad_with_zeros(2, 0, missing)? } else { x.contiguous()? };
+        padded.reshape((b, a, n, self.geometry.patch * f))
+    }
+}
+
+impl KnownTokens {
+    /// The same for each row taken `n` times in a row.
+    ///
+    /// # Errors
+    /// Fails when the device runs out of memory.
+    pub(super) fn repeated(&self, n: usize) -> Result<Self> {
+        let n_rows = self.valid.dim(0)?;
+        let rows: Vec<u32> = (0..n_rows * n).map(|row| (row / n) as u32).collect();
+        let rows = Tensor::from_vec(rows, n_rows * n, self.valid.device())?;
+        Ok(Self {
+            input: self.input.index_select(&rows, 0)?,
+            lanes: self.lanes.repeated(&rows, n_rows)?,
+            valid: self.valid.index_select(&rows, 0)?,
+            read: self.read.index_select(&rows, 0)?,
+        })
+    }
+}
+
+/// The largest of what a perceptron makes of each valid entry of (.., K, F), and 0 without any: (.., width).
+fn pool(perceptron: &Mlp, entries: &Tensor, valid: &Tensor) -> Result<Tensor> {
+    // Entries that are not valid are exactly 0, which no entry is below.
+    pool_positive(&perceptron.forward_valid(entries, valid)?)
+}
+
+/// What is known of each state, in the agent's own frame: (B, A, T, `KNOWN`).
+fn known_features(batch: &SceneBatch) -> Result<Tensor> {
+    let Some(surroundings) = &batch.surroundings else {
+        candle_core::bail!("the batch was collated without what surrounds its agents");
+    };
+    let cos = batch.rotation.narrow(2, 0, 1)?.unsqueeze(2)?;
+    let sin = batch.rotation.narrow(2, 1, 1)?.unsqueeze(2)?;
+    let turned = |v: &Tensor| -> Result<[Tensor; 2]> {
+        let (x, y) = (v.narrow(3, 0, 1)?, v.narrow(3, 1, 1)?);
+        Ok([(x.broadcast_mul(&cos)? + y.broadcast_mul(&sin)?)?, (y.broadcast_mul(&cos)? - x.broadcast_mul(&sin)?)?])
+    };
+    let position = batch.base.narrow(3, 0, 2)?.broadcast_sub(&surroundings.origin.unsqueeze(2)?)?;
+    let [along, across] = turned(&(position * (1.0 / POSITION_M))?)?;
+    let heading = batch.base.narrow(3, 2, 1)?;
+    let heading = Tensor::cat(&[heading.cos()?, heading.sin()?], 3)?;
+    let [ahead, aside] = turned(&heading)?;
+    let [forward, sideways] = turned(&batch.features.narrow(3, 0, 2)?)?;
+    let masks = [&batch.valid, &batch.observed, &batch.latent];
+    let [valid, observed, latent] = [masks[0].unsqueeze(3)?, masks[1].unsqueeze(3)?, masks[2].unsqueeze(3)?];
+    let features = Tensor::cat(&[&along, &across, &ahead, &aside, &forward, &sideways], 3)?.broadcast_mul(&valid)?;
+    Tensor::cat(&[&features, &valid, &observed, &latent], 3)
+}

@@ -1,0 +1,219 @@
+//! How is diffused motion correlated along time, and in which independent modes does it move?
+//!
+//! The motion of traffic is smooth: of the numbers that the motion parametrization diffuses, neighbors in time say nearly the
+//! same. A denoiser that knows their covariance C = Uᵀ Λ U averages white noise away before a network sees it.
+
+use super::eigen::{Eigen, symmetric_eigen};
+use super::motion::MotionChain;
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Variances below this are taken for it: recordings have outliers in modes in which hardly anything ever moves.
+const MIN_VARIANCE: f64 = 1e-4;
+
+/// Covariance of an agent's diffused motion z along time in training traffic, in units of x: entry (i, j) is that of the
+/// timesteps i + 1 and j + 1 after the last observed one, when nothing later is observed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MotionCovariance {
+    /// Number of timesteps N.
+    pub n_timesteps: usize,
+    /// One N x N matrix for each diffused dimension, row by row.
+    pub values: Vec<Vec<f64>>,
+}
+
+impl MotionCovariance {
+    /// Covariance of the residual r (the sum of z) at `i` and `j` timesteps after the last observed one, counted from 1.
+    /// Beyond N timesteps motion is taken to go on as in the last of them.
+    fn sums(&self, dim: usize, n: usize) -> Vec<f64> {
+        let at = |i: usize| i.min(self.n_timesteps.saturating_sub(1));
+        let z = |i: usize, j: usize| self.values[dim][at(i) * self.n_timesteps + at(j)];
+        let mut sums = vec![0.0; n * n];
+        for i in 0..n {
+            let mut row = 0.0;
+            for j in 0..n {
+                row += z(i, j);
+                sums[i * n + j] = row + if i > 0 { sums[(i - 1) * n + j] } else { 0.0 };
+            }
+        }
+        sums
+    }
+}
+
+/// Modes of one agent's motion: for each diffused dimension an orthonormal basis of the latent timesteps and the variance along
+/// each of its vectors.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct MotionModes {
+    /// (D, T, T), one mode a row; zero where a timestep is not latent, and in rows without a mode.
+    pub(super) vectors: Vec<f32>,
+    /// (D, T); zero in rows without a mode.
+    pub(super) variances: Vec<f32>,
+}
+
+impl MotionModes {
+    /// Leaves the dimensions from `dim` on without modes: nothing is generated in them.
+    pub(super) fn clear_from(&mut self, dim: usize, n_timesteps: usize) {
+        if let Some(vectors) = self.vectors.get_mut(dim * n_timesteps * n_timesteps..) {
+            vectors.fill(0.0);
+        }
+        if let Some(variances) = self.variances.get_mut(dim * n_timesteps..) {
+            variances.fill(0.0);
+        }
+    }
+}
+
+/// A stretch of latent timesteps without an observed one in between.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+struct Stretch {
+    /// Timesteps from the observed state that the stretch is counted from, ascending, from 1.
+    offsets: Vec<usize>,
+    /// Timesteps between the observed states at its two ends; `None` where there is one at one end only.
+    gap: Option<usize>,
+}
+
+/// Computes modes, and remembers those of stretches that it has seen.
+#[derive(Debug, Default)]
+pub(super) struct ModeTable {
+    known: Mutex<HashMap<Stretch, Arc<Vec<Eigen>>>>,
+}
+
+impl ModeTable {
+    /// The modes of an agent that is observed at `observed` and generated at `latent` timesteps, both ascending, of
+    /// `n_timesteps`. An agent that is never observed has the variance `sigma_data`² everywhere.
+    pub(super) fn modes(
+        &self,
+        covariance: &MotionCovariance,
+        observed: &[usize],
+        latent: &[usize],
+        n_timesteps: usize,
+        sigma_data: f64,
+    ) -> MotionModes {
+        let n_dims = covariance.values.len();
+        let size = n_timesteps * n_timesteps;
+        let mut modes = MotionModes { vectors: vec![0.0; n_dims * size], variances: vec![0.0; n_dims * n_timesteps] };
+        if observed.is_empty() {
+            for (dim, t) in (0..n_dims).flat_map(|dim| latent.iter().map(move |t| (dim, *t))) {
+                modes.vectors[dim * size + t * n_timesteps + t] = 1.0;
+                modes.variances[dim * n_timesteps + t] = sigma_data.powi(2) as f32;
+            }
+            return modes;
+        }
+        for (timesteps, stretch) in stretches(observed, latent) {
+            let eigen = self.of_stretch(covariance, stretch);
+            for (dim, Eigen { values, vectors }) in eigen.iter().enumerate() {
+                for ((slot, value), vector) in timesteps.iter().zip(values).zip(vectors.chunks(timesteps.len())) {
+                    modes.variances[dim * n_timesteps + slot] = value.max(MIN_VARIANCE) as f32;
+                    for (t, component) in timesteps.iter().zip(vector) {
+                        modes.vectors[dim * size + slot * n_timesteps + t] = *component as f32;
+                    }
+                }
+            }
+        }
+        modes
+    }
+
+    fn of_stretch(&self, covariance: &MotionCovariance, stretch: Stretch) -> Arc<Vec<Eigen>> {
+        let known = |table: &Mutex<HashMap<Stretch, Arc<Vec<Eigen>>>>| {
+            table.lock().unwrap_or_else(PoisonError::into_inner).get(&stretch).cloned()
+        };
+        if let Some(eigen) = known(&self.known) {
+            return eigen;
+        }
+        let eigen = Arc::new(
+            (0..covariance.values.len())
+                .map(|dim| symmetric_eigen(stretch.covariance(covariance, dim), stretch.offsets.len()))
+                .collect::<Vec<_>>(),
+        );
+        // Masks drawn at random hardly ever repeat long stretches: what is remembered stays bounded.
+        let mut table = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if table.len() < 4096 {
+            table.insert(stretch, eigen.clone());
+        }
+        eigen
+    }
+}
+
+impl Stretch {
+    /// Covariance of the motion z of this stretch, row by row: that of free motion, given where it ends if that is observed.
+    fn covariance(&self, covariance: &MotionCovariance, dim: usize) -> Vec<f64> {
+        let last = self.offsets.last().copied().unwrap_or(0);
+        let n = self.gap.unwrap_or(last).max(last);
+        let sums = covariance.sums(dim, n);
+        let free = |i: usize, j: usize| sums[(i - 1) * n + j - 1];
+        let residual = |i: usize, j: usize| match self.gap {
+            Some(gap) => free(i, j) - free(i, gap) * free(gap, j) / free(gap, gap).max(MIN_VARIANCE),
+            None => free(i, j),
+        };
+        let observed: Vec<usize> = [0].into_iter().chain(self.gap).collect();
+        MotionChain::new(&observed, &self.offsets).covariance(residual)
+    }
+}
+
+/// The latent timesteps between observed ones, each stretch in the order in which it is counted from an observed state.
+fn stretches(observed: &[usize], latent: &[usize]) -> Vec<(Vec<usize>, Stretch)> {
+    let mut found: Vec<(Vec<usize>, Stretch)> = Vec::new();
+    let mut rest = latent;
+    while let Some(first) = rest.first() {
+        let next = observed.partition_point(|t| t < first);
+        let n = observed.get(next).map_or(rest.len(), |after| rest.partition_point(|t| t < after));
+        let (these, others) = rest.split_at(n);
+        rest = others;
+        let stretch = match (next.checked_sub(1).map(|i| observed[i]), observed.get(next)) {
+            (Some(before), after) => {
+                let offsets = these.iter().map(|t| t - before).collect();
+                (these.to_vec(), Stretch { offsets, gap: after.map(|after| after - before) })
+            }
+            (None, Some(after)) => {
+                let backward: Vec<usize> = these.iter().rev().copied().collect();
+                let offsets = backward.iter().map(|t| after - t).collect();
+                (backward, Stretch { offsets, gap: None })
+            }
+            (None, None) => continue,
+        };
+        found.push(stretch);
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// White motion: z independent, with variance 2.
+    fn white(n: usize) -> MotionCovariance {
+        let values = (0..n * n).map(|k| if k / n == k % n { 2.0 } else { 0.0 }).collect();
+        MotionCovariance { n_timesteps: n, values: vec![values] }
+    }
+
+    #[test]
+    fn white_motion_stays_white_in_every_stretch() {
+        // A Brownian path given its end is the bridge that the chain is made of: its motion is white again.
+        let table = ModeTable::default();
+        let modes = table.modes(&white(6), &[3, 8], &[0, 1, 2, 4, 5, 7, 9, 11], 12, 0.5);
+        for t in 0..12 {
+            let expected = if [3, 6, 8, 10].contains(&t) { 0.0 } else { 2.0 };
+            assert!((modes.variances[t] - expected).abs() < 1e-5, "{t}: {:?}", modes.variances);
+            let norm: f32 = modes.vectors[t * 12..(t + 1) * 12].iter().map(|v| v * v).sum();
+            assert!((norm - if expected > 0.0 { 1.0 } else { 0.0 }).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn modes_diagonalize_the_covariance_of_free_motion() {
+        // Constant acceleration: z_t = a t, so that one mode holds all the variance.
+        let n = 5;
+        let values = (0..n * n).map(|k| ((k / n + 1) * (k % n + 1)) as f64).collect();
+        let covariance = MotionCovariance { n_timesteps: n, values: vec![values] };
+        let modes = ModeTable::default().modes(&covariance, &[0], &[1, 2, 3, 4, 5], 6, 0.5);
+        let total: f32 = modes.variances.iter().sum();
+        let largest = modes.variances.iter().copied().fold(0.0, f32::max);
+        assert!((total - 55.0).abs() < 1e-3 && (largest - 55.0).abs() < 1e-3, "{:?}", modes.variances);
+    }
+
+    #[test]
+    fn who_is_never_observed_is_white() {
+        let modes = ModeTable::default().modes(&white(3), &[], &[1, 3], 4, 0.5);
+        assert_eq!(modes.variances, [0.0, 0.25, 0.0, 0.25]);
+    }
+}
