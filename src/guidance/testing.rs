@@ -90,6 +90,7 @@ pub(crate) fn denoiser_spec(parametrization: StateParametrization) -> DenoiserSp
         steps: 0,
         seed: 0,
         scenes: String::new(),
+        changed_losses: Vec::new(),
         distillation: None,
     }
 }

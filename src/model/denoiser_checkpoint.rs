@@ -37,9 +37,48 @@ pub struct DenoiserSpec {
     pub seed: u64,
     /// Fingerprint of the scenes it was trained on.
     pub scenes: String,
+    /// What its loss on held-out scenes became of changes to what it was told; empty where nobody measured it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub changed_losses: Vec<ChangedLoss>,
     /// What it was distilled to; `None` for an ordinary denoiser.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distillation: Option<Distillation>,
+}
+
+/// The loss of a denoiser on held-out scenes of which something was changed before it saw them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ChangedLoss {
+    /// What was changed.
+    pub change: SceneChange,
+    /// Noise level.
+    pub sigma: f64,
+    /// The loss.
+    pub loss: f64,
+}
+
+/// A change to a scene that a network that looks at its surroundings must notice.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SceneChange {
+    /// None.
+    AsRecorded,
+    /// Lanes turned by 90 degrees around the ego agent.
+    MapTurned,
+    /// Lanes shifted by 4 m to the left of the ego agent.
+    MapShifted,
+    /// No lanes.
+    NoMap,
+    /// None, with a loss of the ego agent's states only.
+    EgoOnly,
+    /// Nobody but the ego agent, with a loss of its states only.
+    EgoAlone,
+}
+
+impl SceneChange {
+    /// Every change.
+    pub const ALL: [Self; 6] =
+        [Self::AsRecorded, Self::MapTurned, Self::MapShifted, Self::NoMap, Self::EgoOnly, Self::EgoAlone];
 }
 
 /// What a denoiser was distilled to, which decides how it is sampled.

@@ -45,6 +45,7 @@ pub struct AgentFrame {
     pub ego_from_scene: Transform2,
     /// Indices of the scene's tracks, in the order of the batch's agent axis.
     pub agents: Vec<usize>,
+    ego_idx: usize,
     mask: ObservationMask,
     /// Whether headings that recordings do not hold follow from the motion instead of being generated.
     derives_headings: bool,
@@ -54,6 +55,11 @@ impl AgentFrame {
     /// Whether the mask observes this state of the scene's track.
     pub fn observed(&self, track_idx: usize, timestep: usize) -> bool {
         timestep < self.mask.n_timesteps() && self.mask.is_observed(track_idx, timestep)
+    }
+
+    /// The place on the batch's agent axis of the ego agent, if it is in the batch.
+    pub fn ego_slot(&self) -> Option<usize> {
+        self.slot(self.ego_idx)
     }
 
     /// Whether the heading of this track follows from its motion: INTERACTION records none of those who walk or ride a bicycle,
@@ -238,7 +244,13 @@ impl Collator {
             agents.truncate(self.max_agents);
             agents.sort_unstable();
         }
-        AgentFrame { ego_from_scene, agents, mask: view.mask.clone(), derives_headings: self.sight.is_some() }
+        AgentFrame {
+            ego_from_scene,
+            agents,
+            ego_idx: view.ego_idx,
+            mask: view.mask.clone(),
+            derives_headings: self.sight.is_some(),
+        }
     }
 
     /// Writes every entry of one agent; `at` is its place in (B, A).

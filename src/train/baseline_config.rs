@@ -175,7 +175,7 @@ fn network(preset: Preset) -> SceneTransformerConfig {
     };
     match preset {
         Preset::Tiny => smaller("TAM", "TA", 32, 2, 16),
-        Preset::Small => smaller("TATM TA", "TA", 96, 4, 32),
-        Preset::Paper => SceneTransformerConfig::default(),
+        Preset::Small | Preset::PaperSmall => smaller("TATM TA", "TA", 96, 4, 32),
+        Preset::Large | Preset::Paper => SceneTransformerConfig::default(),
     }
 }

@@ -1,5 +1,6 @@
 //! From scenes to a denoiser checkpoint: constants, network, training, file.
 
+use super::changed_losses::changed_losses;
 use super::training_data::{SceneConstants, TrainingData};
 use super::{Ahead, DenoiserTraining, DenoisingTask, Error, FitStatistics, SceneDraws, fit};
 use crate::model::{DenoiserKind, DenoiserSpec, SceneDenoiser};
@@ -53,8 +54,9 @@ pub fn train_denoiser(
     }
     let frozen = SceneDenoiser::new(&mut params.frozen(), network, state_dim, spec.edm, seed)?;
     let held_out = data.chosen_held_out(training.n_eval_scenes, seed);
+    let collator = spec.collator();
     let draws = SceneDraws {
-        collator: &spec.collator(),
+        collator: &collator,
         dataset: data.dataset,
         train: &data.groups(training.balance),
         held_out: &held_out,
@@ -66,6 +68,7 @@ pub fn train_denoiser(
     };
     let task = DenoisingTask { denoiser: &denoiser, frozen: &frozen, training, draws };
     let outcome = fit(&training.fit, &mut params, &task, dir, progress)?;
+    spec.changed_losses = changed_losses(&task, progress)?;
     let fingerprint = spec.write(&params, &dir.join("model.safetensors"))?;
     Ok(DenoiserOutcome { fingerprint, n_parameters: params.n_parameters(), spec, statistics: outcome.statistics })
 }
@@ -110,6 +113,7 @@ fn describe(
         steps: training.fit.steps,
         seed: seed.0,
         scenes: data.fingerprint.clone(),
+        changed_losses: Vec::new(),
         distillation: None,
     })
 }

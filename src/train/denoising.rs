@@ -25,7 +25,7 @@ pub struct DenoisingTask<'a> {
 
 impl DenoisingTask<'_> {
     /// λ(σ) |D(x0 + σ ε; σ) - x0|², averaged over the scored scalars of the batch; one σ a row.
-    fn weighted_error(
+    pub(super) fn weighted_error(
         &self,
         denoiser: &SceneDenoiser,
         batch: &SceneBatch,

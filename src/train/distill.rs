@@ -33,6 +33,7 @@ pub fn distill_denoiser(
         steps: training.fit.steps,
         seed: seed.0,
         scenes: data.fingerprint.clone(),
+        changed_losses: Vec::new(),
         distillation: Some(training.method.distillation(&teacher.metadata.edm)),
         ..teacher.metadata.clone()
     };

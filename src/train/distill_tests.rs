@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::diffusion::sampler::{ConsistencyConfig, HeunConfig, StepGrid};
-use crate::diffusion::{NoiseSource, SamplerConfig};
+use crate::diffusion::{NoiseDistribution, NoiseSource, SamplerConfig};
 use crate::model::{DenoiserSpec, Distillation, NetworkConfig, SceneDenoiser, TrainedDenoiser};
 use crate::nn::{Checkpoint, Params, read_checkpoint};
 use crate::progress::Silent;
@@ -62,6 +62,7 @@ fn only_predictive() -> TaskWeights {
 fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
     let config = DenoiserTrainingConfig {
         preset: Preset::Tiny,
+        noise: Some(NoiseDistribution { p_mean: -0.5, p_std: 1.4 }),
         network: Some(NetworkConfig {
             layers: "TT".to_owned(),
             width: 32,

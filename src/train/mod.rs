@@ -4,6 +4,7 @@ mod baseline;
 mod baseline_config;
 #[cfg(test)]
 mod baseline_tests;
+mod changed_losses;
 mod classification;
 #[cfg(test)]
 mod classification_tests;

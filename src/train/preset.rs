@@ -2,7 +2,7 @@
 
 use super::{Error, FitConfig, LearningRateDecay};
 use crate::diffusion::{Edm, LossWeight, NoiseDistribution};
-use crate::model::NetworkConfig;
+use crate::model::{GeometryConfig, NetworkConfig};
 use crate::scene::Split;
 use crate::tensor::{StateParametrization, TaskWeights};
 use schemars::JsonSchema;
@@ -12,11 +12,15 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
-    /// 4 layers, 32 wide: trains in a minute, for tests and first looks.
+    /// The geometric network with 4 layers, 32 wide: trains in a minute, for tests and first looks.
     Tiny,
-    /// 7 layers, 96 wide, motion parametrization: for a laptop.
+    /// The geometric network with 7 layers, 96 wide: for a laptop.
     #[default]
     Small,
+    /// The geometric network with 13 layers, 256 wide: for a GPU.
+    Large,
+    /// The paper's network with 7 layers, 96 wide, motion parametrization: what `small` is compared with.
+    PaperSmall,
     /// The paper's 15 layers, 256 wide, with its parametrization, batch size and learning rate.
     Paper,
 }
@@ -36,7 +40,7 @@ pub enum Balance {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, Default)]
 #[serde(deny_unknown_fields, default)]
 pub struct DenoiserTrainingConfig {
-    /// Size of the network: `tiny`, `small` or `paper`.
+    /// Size of the network: `tiny`, `small`, `large`, `paper_small` or `paper`.
     pub preset: Preset,
     /// The network, where the preset's does not fit.
     pub network: Option<NetworkConfig>,
@@ -172,6 +176,9 @@ impl DenoiserTrainingConfig {
                            state_parametrization = \"motion\"";
             return Err(Error::Config(message.to_owned()));
         }
+        if let Some(geometry) = &network.geometry {
+            check_geometry(geometry, parametrization)?;
+        }
         let [shortest, longest] = network.latent_periods;
         if !(shortest > 0.0 && longest >= shortest && longest.is_finite()) {
             let message = format!(
@@ -200,80 +207,146 @@ impl DenoiserTrainingConfig {
     }
 }
 
+/// Fails where a geometric network cannot be what is asked for.
+fn check_geometry(geometry: &GeometryConfig, parametrization: StateParametrization) -> Result<(), Error> {
+    if parametrization != StateParametrization::Motion {
+        let message = "train.denoiser.network.geometry needs state_parametrization = \"motion\"";
+        return Err(Error::Config(message.to_owned()));
+    }
+    let GeometryConfig { patch, n_lanes, n_neighbors, n_nearest_lanes, relation_width } = *geometry;
+    let ranges = [
+        ("patch", patch, 1..=100),
+        ("n_lanes", n_lanes, 1..=200),
+        ("n_neighbors", n_neighbors, 1..=200),
+        ("n_nearest_lanes", n_nearest_lanes, 1..=200),
+        ("relation_width", relation_width, 1..=4096),
+    ];
+    match ranges.iter().find(|(_, value, range)| !range.contains(value)) {
+        Some((key, value, range)) => Err(Error::Config(format!(
+            "train.denoiser.network.geometry.{key} is {value}, expected {} to {}",
+            range.start(),
+            range.end()
+        ))),
+        None => Ok(()),
+    }
+}
+
 impl Preset {
     /// Everything that it decides for the denoiser.
     pub(super) fn settings(self) -> DenoiserTraining {
-        // Diffused motion is of unit size: encodings with periods below 1 would show the network noise and little else.
-        let network = |layers: &str, width, n_heads, encoding| NetworkConfig {
-            layers: layers.to_owned(),
-            width,
-            n_heads,
-            feed_forward: 4 * width,
-            encoding,
-            latent_periods: [1.0, 100.0],
-            path_input: true,
-            geometry: None,
-        };
-        // What a network has to say of a path as a whole, it says at higher noise levels than of its details.
-        let noise = NoiseDistribution { p_mean: -0.5, p_std: 1.4 };
-        let fit = |steps, learning_rate, warmup_steps, decay, ema_decay, every| FitConfig {
-            steps,
-            learning_rate,
-            warmup_steps,
-            decay,
-            clip_norm: 5.0,
-            ema_decay,
-            evaluate_every: every,
-            save_every: every / 2,
-            log_every: 20,
-        };
-        let common =
-            |network, noise, parametrization, batch_size, max_agents, max_lanes, n_eval_scenes, fit| DenoiserTraining {
-                network,
-                parametrization,
-                edm: Edm::default(),
-                noise,
-                loss_weight: LossWeight::default(),
-                path_loss: if parametrization == StateParametrization::Motion { 0.1 } else { 0.0 },
-                tasks: TaskWeights::default(),
-                balance: Balance::default(),
-                batch_size,
-                max_agents,
-                max_lanes,
-                n_eval_scenes,
-                fit,
-            };
         match self {
-            Self::Tiny => common(
-                network("TATM", 32, 2, 16),
-                noise,
-                StateParametrization::Motion,
-                8,
-                12,
-                32,
-                16,
-                fit(400, 2e-3, 20, LearningRateDecay::Cosine, 0.99, 200),
-            ),
-            Self::Small => common(
-                network("TATM TAT", 96, 4, 32),
-                noise,
-                StateParametrization::Motion,
-                8,
-                16,
-                48,
-                48,
-                fit(8_000, 1e-3, 200, LearningRateDecay::Cosine, 0.99, 500),
-            ),
-            Self::Paper => common(
-                NetworkConfig::default(),
-                NoiseDistribution::default(),
-                StateParametrization::Scene,
-                32,
-                64,
-                256,
-                200,
-                fit(200_000, 3e-4, 133, LearningRateDecay::Constant, 0.0, 5_000),
-            ),
+            Self::Tiny => DenoiserTraining {
+                network: geometric("TMAT", 32, 2),
+                batch_size: 8,
+                max_agents: 12,
+                max_lanes: 32,
+                n_eval_scenes: 16,
+                fit: schedule(400, 2e-3, 20, 200),
+                ..base()
+            },
+            Self::Small => DenoiserTraining {
+                network: geometric("TMATMAT", 96, 4),
+                batch_size: 16,
+                max_agents: 20,
+                max_lanes: 48,
+                n_eval_scenes: 48,
+                fit: FitConfig { ema_decay: 0.995, ..schedule(8_000, 1.5e-3, 200, 500) },
+                ..base()
+            },
+            Self::Large => DenoiserTraining {
+                network: geometric("TMATMATMATMAT", 256, 8),
+                batch_size: 64,
+                max_agents: 64,
+                max_lanes: 256,
+                n_eval_scenes: 200,
+                fit: FitConfig { ema_decay: 0.999, ..schedule(200_000, 5e-4, 1_000, 5_000) },
+                ..base()
+            },
+            // Diffused motion is of unit size: encodings with periods below 1 would show the network noise and little else.
+            Self::PaperSmall => DenoiserTraining {
+                network: NetworkConfig {
+                    layers: "TATM TAT".to_owned(),
+                    width: 96,
+                    n_heads: 4,
+                    feed_forward: 4 * 96,
+                    encoding: 32,
+                    latent_periods: [1.0, 100.0],
+                    path_input: true,
+                    geometry: None,
+                },
+                noise: NoiseDistribution { p_mean: -0.5, p_std: 1.4 },
+                balance: Balance::Scenes,
+                batch_size: 8,
+                max_agents: 16,
+                max_lanes: 48,
+                n_eval_scenes: 48,
+                fit: schedule(8_000, 1e-3, 200, 500),
+                ..base()
+            },
+            Self::Paper => DenoiserTraining {
+                network: NetworkConfig::default(),
+                parametrization: StateParametrization::Scene,
+                noise: NoiseDistribution::default(),
+                path_loss: 0.0,
+                balance: Balance::Scenes,
+                batch_size: 32,
+                max_agents: 64,
+                max_lanes: 256,
+                n_eval_scenes: 200,
+                fit: FitConfig {
+                    decay: LearningRateDecay::Constant,
+                    ema_decay: 0.0,
+                    ..schedule(200_000, 3e-4, 133, 5_000)
+                },
+                ..base()
+            },
         }
+    }
+}
+
+/// What the presets have in common unless they say otherwise.
+fn base() -> DenoiserTraining {
+    DenoiserTraining {
+        network: NetworkConfig::default(),
+        parametrization: StateParametrization::Motion,
+        edm: Edm::default(),
+        // What a network has to say of a path as a whole, it says at higher noise levels than of its details.
+        noise: NoiseDistribution { p_mean: -0.3, p_std: 1.5 },
+        loss_weight: LossWeight::default(),
+        path_loss: 0.1,
+        tasks: TaskWeights::default(),
+        balance: Balance::Places,
+        batch_size: 8,
+        max_agents: 16,
+        max_lanes: 48,
+        n_eval_scenes: 48,
+        fit: schedule(8_000, 1e-3, 200, 500),
+    }
+}
+
+/// The geometric network with these layers.
+fn geometric(layers: &str, width: usize, n_heads: usize) -> NetworkConfig {
+    NetworkConfig {
+        layers: layers.to_owned(),
+        width,
+        n_heads,
+        feed_forward: 4 * width,
+        geometry: Some(GeometryConfig { relation_width: width / 2, ..GeometryConfig::default() }),
+        ..NetworkConfig::default()
+    }
+}
+
+/// A schedule with a cosine decay.
+fn schedule(steps: u64, learning_rate: f64, warmup_steps: u64, every: u64) -> FitConfig {
+    FitConfig {
+        steps,
+        learning_rate,
+        warmup_steps,
+        decay: LearningRateDecay::Cosine,
+        clip_norm: 5.0,
+        ema_decay: 0.99,
+        evaluate_every: every,
+        save_every: every / 2,
+        log_every: 20,
     }
 }

@@ -112,8 +112,16 @@ impl SceneDraws<'_> {
     /// # Errors
     /// When a scene cannot be loaded.
     pub fn predictive_batch(&self, indices: &[usize]) -> Result<SceneBatch, Error> {
+        self.changed_batch(indices, &|scene| scene)
+    }
+
+    /// The same of scenes as `change` leaves them.
+    ///
+    /// # Errors
+    /// When a scene cannot be loaded.
+    pub fn changed_batch(&self, indices: &[usize], change: &dyn Fn(Scene) -> Scene) -> Result<SceneBatch, Error> {
         let predictive = |idx: &usize| {
-            let scene = self.dataset.scene(*idx).map_err(Error::Scene)?;
+            let scene = change(self.dataset.scene(*idx).map_err(Error::Scene)?);
             let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
             Ok(Drawn { ego_idx: scene.ego_idx, mask, scene })
         };
@@ -130,9 +138,22 @@ impl SceneDraws<'_> {
         n: usize,
         figures: impl Fn(&SceneBatch, &[Seed]) -> Result<Vec<Tensor>, Error>,
     ) -> Result<Vec<f64>, Error> {
+        self.changed_means(n, &|scene| scene, figures)
+    }
+
+    /// The same of held-out scenes as `change` leaves them.
+    ///
+    /// # Errors
+    /// When a scene cannot be loaded, or a figure cannot be computed.
+    pub fn changed_means(
+        &self,
+        n: usize,
+        change: &dyn Fn(Scene) -> Scene,
+        figures: impl Fn(&SceneBatch, &[Seed]) -> Result<Vec<Tensor>, Error>,
+    ) -> Result<Vec<f64>, Error> {
         let mut sums = vec![0.0; n];
         for chunk in self.held_out.chunks(self.batch_size) {
-            let batch = self.predictive_batch(chunk)?;
+            let batch = self.changed_batch(chunk, change)?;
             let seeds: Vec<Seed> = chunk.iter().map(|idx| self.seed.derive("evaluation", &[*idx as u64])).collect();
             for (sum, figure) in sums.iter_mut().zip(figures(&batch, &seeds)?) {
                 *sum += f64::from(figure.to_scalar::<f32>()?) * chunk.len() as f64;

@@ -1,6 +1,7 @@
 //! Training learns, resumes to the same weights, and says what is wrong with its input.
 
 use super::*;
+use crate::diffusion::NoiseDistribution;
 use crate::model::{DenoiserSpec, NetworkConfig, TrainedDenoiser};
 use crate::nn::{Checkpoint, read_checkpoint};
 use crate::progress::Silent;
@@ -50,6 +51,7 @@ fn training(steps: u64) -> DenoiserTraining {
     };
     let config = DenoiserTrainingConfig {
         preset: Preset::Tiny,
+        noise: Some(NoiseDistribution { p_mean: -0.5, p_std: 1.4 }),
         network: Some(network),
         steps: Some(steps),
         learning_rate: Some(5e-3),

@@ -4,7 +4,7 @@ use super::Description;
 use crate::nn::read_checkpoint;
 use crate::pipeline::Result;
 use candle_core::Device;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::path::Path;
 
 pub(super) fn describe(path: &Path) -> Result<Option<Description>> {
@@ -24,7 +24,11 @@ pub(super) fn describe(path: &Path) -> Result<Option<Description>> {
         .with("n_tensors", checkpoint.tensors.len())
         .with("n_values", n_values);
     if let Value::Object(metadata) = checkpoint.metadata {
-        for (name, value) in metadata.into_iter().filter(|(name, _)| name != "kind") {
+        for (name, mut value) in metadata.into_iter().filter(|(name, _)| name != "kind") {
+            // Hundreds of numbers that nobody reads one by one.
+            if let Some(covariance) = value.get_mut("motion_covariance").filter(|found| found.is_object()) {
+                *covariance = json!(format!("of {} timesteps", covariance["n_timesteps"]));
+            }
             description = description.with(&name, value);
         }
     }
