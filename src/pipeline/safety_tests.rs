@@ -119,8 +119,10 @@ fn forget_list(root: &Path) {
     write_json_atomically(&root.join("train_denoiser.done.json"), &record).unwrap();
 }
 
-/// States in which a folder may be found.
-fn states() -> Vec<(&'static str, fn(&Path))> {
+/// A state in which a folder may be found: its name, and what brings a new folder into it.
+type State = (&'static str, fn(&Path));
+
+fn states() -> Vec<State> {
     fn finished(root: &Path) {
         run(root, &toy("old"), &[]).unwrap();
         took(root, Some(3.0));

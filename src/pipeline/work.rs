@@ -2,9 +2,9 @@
 //!
 //! A stage works in `<stage>.partial` in the output folder, which keeps a list of every file that is begun in it. Earlier
 //! outputs stay in their places meanwhile. Once the new ones are whole, `done.json` in the work folder says so: from then on
-//! they will come to their places, if not now, then when the folder is opened the next time ([`Work::complete_all`]). Whatever
-//! moment a process is killed at, the old outputs are in place, or the new ones are, or the new ones are about to be and
-//! nothing is lost.
+//! they will come to their places, if not now, then when the folder is opened the next time ([`Work::complete_all`]). Folders
+//! change places by one call where the system has it, so that whatever moment a process is killed at, each output is in its
+//! place: the old one or the new one.
 
 use super::claim;
 use super::failure::Result;
