@@ -3,6 +3,7 @@
 //! Modules in reading order; each may use only those above it (ARCHITECTURE.md, enforced by `tests/it/architecture.rs`).
 
 pub mod containment;
+pub mod files;
 pub mod geometry;
 pub mod progress;
 pub mod scene;

@@ -7,7 +7,8 @@ Examples:
   djinn run pipelines/quickstart.toml --dry-run       what it would do
   djinn inspect output/quickstart/main                what came of it
 
-The same command again resumes where it was interrupted, and redoes only what changed.
+The same command again resumes where it was interrupted, and redoes only what changed. Files that djinn did not
+write are never removed or replaced.
 
 Exit codes:
   0  done
@@ -20,10 +21,12 @@ pub(super) const RUN: &str = "\
 A pipeline file has one section a stage: [ingest], [mine], [train.denoiser], [train.distill],
 [train.classifier], [train.baseline], [generate], [evaluate], [report]. The stages whose sections are there run, in this order. Relative paths in it are relative to the
 current directory. Results go to <output>/<pipeline>/<run>/; stages whose configuration and inputs did not change are
-not run again.
+not run again. A model that took more than ten minutes to train is trained again only for a changed setting of its own
+section, or by --redo; the earlier one is moved aside.
 
 Examples:
   djinn run pipelines/cut_in_corpus.toml
+  djinn run pipelines/cut_in_corpus.toml --redo train_denoiser
   djinn run pipelines/cut_in_corpus.toml --run more --set run.seed=1 --set generate.sweeps.0.n_samples=8
   djinn run pipelines/cut_in_corpus.toml --set 'ingest.inputs=[\"/data/INTERACTION-v1_2.zip\"]' --dry-run";
 

@@ -3,9 +3,9 @@
 //! With a scenario come its states, its metric values, its recorded scene and its map; recordings and maps that several
 //! share come once. Aggregated metric values are over what a run sampled and hold for no other choice: they are left out.
 
-use super::out_folder::OutFolder;
 use super::rows::{Fingerprint, RowBytes, add_rows, fingerprint, texts};
 use super::{Error, Result};
+use crate::files::NewFolder;
 use crate::progress::Progress;
 use crate::scene::{LaneGraph, MapId};
 use crate::store::{
@@ -51,7 +51,7 @@ pub(super) fn copy(
     progress: &dyn Progress,
 ) -> Result<Outcome> {
     let schemas = inputs.iter().map(CorpusScan::scenario_schema).collect::<Result<Vec<_>, _>>()?;
-    let folder = OutFolder::begin(out)?;
+    let folder = NewFolder::begin(out, inputs.iter().map(|scan| ("corpus", scan.dir())))?;
     let mut copier = Copier {
         sink: CorpusSink::create(folder.path())?,
         schema: united(&schemas),

@@ -1,6 +1,6 @@
 //! What can go wrong with the tools for corpora, and what the user can do about it.
 
-use crate::store;
+use crate::{files, store};
 use std::path::{Path, PathBuf};
 
 /// A failure of a tool.
@@ -29,19 +29,8 @@ pub enum Error {
         hint: String,
     },
     /// A folder that must not be written into.
-    #[error("{} exists and is not empty: name a new folder", .dir.display())]
-    OutputExists {
-        /// The folder.
-        dir: PathBuf,
-    },
-    /// A folder of leftovers that holds what no tool of ours writes.
-    #[error("{} is in the way and holds {found:?}, which is not ours: move it away", .dir.display())]
-    ForeignLeftover {
-        /// The folder.
-        dir: PathBuf,
-        /// The first foreign entry.
-        found: String,
-    },
+    #[error(transparent)]
+    Files(files::Error),
     /// Two corpora hold different scenarios under one id.
     #[error("scenario {id} is in {} and in {}, with different content: they are not from the same run and cannot be told apart; filter one of them first", .first.display(), .second.display())]
     Conflict {
@@ -63,6 +52,15 @@ pub enum Error {
     /// A choice that cannot be.
     #[error("{0}")]
     Usage(String),
+}
+
+impl From<files::Error> for Error {
+    fn from(error: files::Error) -> Self {
+        match error {
+            files::Error::Io(error) => Self::Io(error),
+            error => Self::Files(error),
+        }
+    }
 }
 
 impl Error {

@@ -2,7 +2,7 @@
 //!
 //! Every tool reads a corpus from its beginning to its end, a few scenarios at a time, so that memory does not grow with
 //! states; what grows are hashes of ids. Tools that write make a new folder beside the final one and rename it when it is
-//! whole: what is under the final name is whole, always.
+//! whole ([`NewFolder`](crate::files::NewFolder)): what is under the final name is whole, always.
 
 mod condition;
 mod copy;
@@ -10,7 +10,6 @@ mod diff;
 mod error;
 mod filter;
 mod merge;
-mod out_folder;
 mod rows;
 mod sample;
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use super::testing::{AnyMap, recorded, records, write};
 use super::*;
+use crate::files;
 use crate::progress::Silent;
 use crate::store::testing::folder_bytes;
 use crate::store::{CorpusManifest, CorpusNotes, CorpusReader, CorpusWriter, ScenarioRecord};
@@ -174,7 +175,7 @@ fn a_filter_keeps_what_fulfils_all_conditions() {
     assert!(CorpusReader::open(&folder.path("none")).unwrap().is_empty());
     assert!(matches!(filtered(&a, &["gap < 6"], &folder.path("wrong")), Err(Error::UnknownColumn { .. })));
     assert!(!folder.path("wrong").exists());
-    assert!(matches!(filtered(&a, &["verified"], &folder.path("out")), Err(Error::OutputExists { .. })));
+    assert!(matches!(filtered(&a, &["verified"], &folder.path("out")), Err(Error::Files(files::Error::Exists { .. }))));
 }
 
 #[test]

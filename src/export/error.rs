@@ -1,6 +1,6 @@
 //! What can go wrong in an export, and what the user can do about it.
 
-use crate::store;
+use crate::{files, store};
 use std::path::PathBuf;
 
 /// A failure to export.
@@ -12,12 +12,9 @@ pub enum Error {
     /// The corpus cannot be read, or a file of ours cannot be written.
     #[error(transparent)]
     Store(#[from] store::Error),
-    /// The folder to write into holds something already.
-    #[error("{} is not empty: an export is written into a folder of its own, name another one or remove it", .dir.display())]
-    NotEmpty {
-        /// The folder.
-        dir: PathBuf,
-    },
+    /// A folder that must not be written into: an export has a folder of its own.
+    #[error(transparent)]
+    Files(files::Error),
     /// No scenario passes the selection.
     #[error("none of the {n_scenarios} scenarios of {} is {wanted}", .corpus.display())]
     NothingSelected {
@@ -52,6 +49,15 @@ pub enum Error {
         /// The cause.
         detail: String,
     },
+}
+
+impl From<files::Error> for Error {
+    fn from(error: files::Error) -> Self {
+        match error {
+            files::Error::Io(error) => Self::Io(error),
+            error => Self::Files(error),
+        }
+    }
 }
 
 impl Error {

@@ -2,9 +2,9 @@
 
 use super::index::Index;
 use super::{Error, ExportFormat, ExportOptions, ExportReport, Item, Outcome, Result, Selection, notice, text};
+use crate::files::NewFolder;
 use crate::progress::Progress;
 use crate::store::{CorpusReader, source_terms, write_atomically, write_json_atomically};
-use fs_err as fs;
 use std::io::Write;
 use std::path::Path;
 
@@ -18,10 +18,10 @@ pub const NOTICE_FILE: &str = "NOTICE.txt";
 pub const EXPORT_FILE: &str = "export.json";
 
 /// Exports the scenarios of the corpus in `corpus` that `selection` wants, in the corpus's order, into the folder `out`,
-/// which is made where it is missing. Scenarios are read and written one by one. The same corpus gives the same bytes.
+/// which must be new or empty and is there once it is whole. Scenarios are read and written one by one. The same corpus gives the same bytes.
 ///
 /// # Errors
-/// [`Error::NotEmpty`] when `out` holds something; [`Error::Store`] when the corpus cannot be read or lacks a scenario
+/// [`Error::Files`] when `out` holds something or overlaps the corpus; [`Error::Store`] when the corpus cannot be read or lacks a scenario
 /// that is asked for by its id; [`Error::NothingSelected`] and [`Error::NothingWritten`] when nothing would come out;
 /// [`Error::EgoIsReplayed`]; those of the file system.
 pub fn export_corpus(
@@ -35,11 +35,9 @@ pub fn export_corpus(
     if options.ego == super::EgoMotion::Free && !format.can_free_ego() {
         return Err(Error::EgoIsReplayed { format: format.name() });
     }
-    if out.exists() && fs::read_dir(out)?.next().is_some() {
-        return Err(Error::NotEmpty { dir: out.to_owned() });
-    }
     let reader = CorpusReader::open(corpus)?;
     let positions = positions(&reader, selection)?;
+    let folder = NewFolder::begin(out, [("corpus", corpus)])?;
     let limit = selection.limit.unwrap_or(usize::MAX);
     let mut report = ExportReport::new(format, selection, options.ego);
     let mut writer: Option<Writer> = None;
@@ -56,10 +54,9 @@ pub fn export_corpus(
         n_chosen += 1;
         let stem = stem(&record.scenario.id, n_chosen);
         let item = Item { record: &record, number: n_chosen, stem };
-        // The folder is made for the first scenario: a selection that wants nothing leaves nothing behind.
         let writer = match &mut writer {
             Some(writer) => writer,
-            none => none.insert(Writer::begin(format, out, options)?),
+            none => none.insert(Writer::begin(format, folder.path(), options)?),
         };
         writer.add(&item, &reader, &mut report)?;
         progress.advance(1);
@@ -69,7 +66,8 @@ pub fn export_corpus(
         let (corpus, n_scenarios) = (corpus.to_owned(), reader.len());
         return Err(Error::NothingSelected { corpus, n_scenarios, wanted: selection.words() });
     };
-    writer.finish(out, &report)?;
+    writer.finish(folder.path(), &report)?;
+    folder.commit()?;
     Ok(report)
 }
 
@@ -100,7 +98,6 @@ struct Writer {
 
 impl Writer {
     fn begin(format: ExportFormat, out: &Path, options: ExportOptions) -> Result<Self> {
-        fs::create_dir_all(out)?;
         let index = Index::begin(&out.join(INDEX_FILE), &out.join(TRACKS_FILE))?;
         Ok(Self { exporter: format.begin(out, options), index })
     }
@@ -127,7 +124,7 @@ impl Writer {
             let reasons: Vec<String> =
                 reasons.map(|(reason, left_out)| format!("{} {reason}", left_out.count)).collect();
             let (format, n_scenarios) = (report.format.name(), report.n_left_out());
-            // What was begun goes when it is dropped; the folder is the user's to use again.
+            // What was begun goes when it is dropped.
             return Err(Error::NothingWritten { format, n_scenarios, reasons: reasons.join(", ") });
         }
         self.exporter.finish()?;

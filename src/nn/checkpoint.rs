@@ -10,6 +10,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::error::Error;
+use crate::files::write_atomically;
 
 /// The entry of the safetensors metadata that holds ours, as JSON.
 const METADATA_KEY: &str = "djinn";
@@ -45,13 +46,8 @@ pub fn write_checkpoint<M: Serialize>(
     let bytes = safetensors::serialize(&on_host, Some(entries))
         .map_err(|source| Error::Format { path: path.to_owned(), source })?;
 
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".partial");
-    let mut file = fs_err::File::create(Path::new(&partial))?;
-    file.write_all(&bytes)?;
-    file.sync_all()?;
-    fs_err::rename(Path::new(&partial), path)?;
-    Ok(blake3::hash(&bytes).to_hex().to_string())
+    let stamp = write_atomically::<std::io::Error>(path, |file| file.write_all(&bytes))?;
+    Ok(stamp.checksum)
 }
 
 /// Reads the checkpoint at `path`, with its tensors on `device`.

@@ -4,11 +4,12 @@ use super::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use super::run::{CONFIG_FILE, RUN_FILE, RunManifest};
 use super::stages::EvaluationSummary;
 use super::{Classify, Failure, Result, StageId, StageRecord};
-use crate::report::{ComparedRun, Comparison, Fact, MetricTable, render_comparison};
+use crate::files::{Error, check_overlap, is_link};
+use crate::report::{ComparedRun, Comparison, Fact, MetricTable, PAGE_MARK, render_comparison};
 use crate::store::{read_json, write_atomically};
 use std::collections::BTreeMap;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Writes a page that sets the runs in two folders side by side.
 ///
@@ -16,11 +17,27 @@ use std::path::Path;
 /// When one of the folders is no run folder or holds files that cannot be read; those of the file system.
 pub fn write_comparison(a: &Path, b: &Path, page: &Path) -> Result<()> {
     let comparison = Comparison { a: read_run(a)?, b: read_run(b)? };
+    check_page(a, b, page)?;
     let text = render_comparison(&comparison);
     if let Some(folder) = page.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         fs_err::create_dir_all(folder).map_err(Failure::input)?;
     }
     write_atomically::<std::io::Error>(page, |file| file.write_all(text.as_bytes())).map_err(Failure::input)?;
+    Ok(())
+}
+
+/// Refuses a page in the place of what is compared, or of a file that is no page of ours.
+fn check_page(a: &Path, b: &Path, page: &Path) -> Result<()> {
+    check_overlap(page, [("run", a), ("run", b)])?;
+    if is_link(page) {
+        return Err(Error::Link { path: page.to_owned() }.into());
+    }
+    let is_there = page.symlink_metadata().is_ok();
+    let is_ours = || fs_err::read_to_string(page).is_ok_and(|text| text.contains(&format!("{PAGE_MARK}</title>")));
+    if is_there && !is_ours() {
+        let found = page.file_name().map(PathBuf::from).into_iter().collect();
+        return Err(Error::Foreign { path: page.to_owned(), found }.into());
+    }
     Ok(())
 }
 

@@ -32,6 +32,19 @@ pub fn fingerprint_path(path: &Path) -> Result<PathFingerprint> {
     }
     let mut files = Vec::new();
     list_files(path, &mut files)?;
+    fingerprint_listed(path, files)
+}
+
+/// The fingerprint of a file, or of those files in a folder that are named relative to it, whatever else it holds: the same
+/// as of the whole folder where that holds nothing else.
+pub(super) fn fingerprint_files(path: &Path, names: &[PathBuf]) -> Result<PathFingerprint> {
+    if !fs_err::metadata(path)?.is_dir() {
+        return fingerprint_path(path);
+    }
+    fingerprint_listed(path, names.iter().map(|name| path.join(name)).collect())
+}
+
+fn fingerprint_listed(path: &Path, mut files: Vec<PathBuf>) -> Result<PathFingerprint> {
     files.sort();
     let hashes: Vec<(u64, blake3::Hash)> = (files.par_iter())
         .map(|file| fs_err::File::open(file).map_or_else(|_| Ok((0, blake3::hash(b"unopened"))), hash_file))

@@ -1,9 +1,14 @@
 //! Which stages must run, which can be reused, which taken up where they stopped; and then: run them.
 
+use super::claim;
 use super::failure::{Failure, Result};
 use super::fingerprint::fingerprint_path;
-use super::record::{InputRecord, StageRecord, discard, forget_started};
+use super::keep::{Kept, kept};
+use super::older;
+use super::record::{InputRecord, StageRecord, started_path};
 use super::stage::{Stage, StageContext, StageId, StageInput};
+use super::work::Work;
+use crate::files::remove_if_present;
 use crate::progress::Progress;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -18,6 +23,19 @@ pub struct PlannedStage<'a> {
     pub expected: StageRecord,
     /// What is to be done.
     pub action: Action,
+    /// Whether it was done before, with other settings or inputs.
+    pub is_redone: bool,
+    /// Trained models that are moved aside for the new ones.
+    pub kept: Vec<Kept>,
+}
+
+impl PlannedStage<'_> {
+    /// What becomes of results that are there, where the stage is done again: why, and what stays.
+    pub fn redone(&self) -> Option<String> {
+        let Action::Run(why) = &self.action else { return None };
+        let kept = self.kept.iter().map(|Kept { name, as_name }| format!("; the present {name} is kept as {as_name}"));
+        self.is_redone.then(|| format!("{} is done again: {why}{}", self.expected.stage, kept.collect::<String>()))
+    }
 }
 
 /// What is to be done about a stage.
@@ -42,11 +60,20 @@ impl fmt::Display for Action {
     }
 }
 
-/// Decides about every stage, in order. `root` is the folder in which they write. Reads recordings to fingerprint them,
-/// and writes nothing.
-pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>) -> Result<Vec<PlannedStage<'a>>> {
+/// Decides about every stage, in order; those in `redo` are done again whatever is there. `root` is the folder in which they
+/// write. Reads recordings to fingerprint them, and writes nothing.
+///
+/// # Errors
+/// When a section cannot work, an input is missing, an output overlaps an input or holds files that the stage did not write,
+/// or a trained model would be replaced unasked.
+pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId]) -> Result<Vec<PlannedStage<'a>>> {
     // All sections are looked at before recordings are: their mistakes are found at once.
     stages.iter().try_for_each(|stage| stage.check())?;
+    if let Some(stage) = redo.iter().find(|id| !stages.iter().any(|stage| stage.id() == **id)) {
+        return Err(Failure::input_message(format_args!("--redo {stage}: the pipeline has no such stage")));
+    }
+    claim::check_overlaps(root, &stages)?;
+    claim::check_root(root)?;
     let mut planned: Vec<PlannedStage<'a>> = Vec::new();
     for stage in stages {
         let mut inputs = BTreeMap::new();
@@ -55,8 +82,27 @@ pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>) -> Result<Vec<Pla
             inputs.insert(input.name, record);
         }
         let expected = StageRecord::expected(stage.as_ref(), inputs)?;
-        let action = decide(root, &expected);
-        planned.push(PlannedStage { stage, expected, action });
+        let is_asked = redo.contains(&stage.id());
+        let action = decide(root, &expected, is_asked);
+        let is_redone = StageRecord::done(root, stage.id()).is_some();
+        let kept = match &action {
+            Action::Reuse => Vec::new(),
+            // That it was begun says that it was asked for.
+            Action::Resume => {
+                Work::check_ours(root, stage.id())?;
+                match StageRecord::started_in_place(root, stage.id()) {
+                    Some(_) => drop(older::unfinished(root, stage.outputs())?),
+                    None => claim::check_outputs(root, stage.id(), stage.outputs())?,
+                }
+                kept(root, &expected, "", true)?
+            }
+            Action::Run(why) => {
+                Work::check_ours(root, stage.id())?;
+                claim::check_outputs(root, stage.id(), stage.outputs())?;
+                kept(root, &expected, why, is_asked)?
+            }
+        };
+        planned.push(PlannedStage { stage, expected, action, is_redone, kept });
     }
     Ok(planned)
 }
@@ -69,16 +115,17 @@ pub fn execute(
     around: &mut dyn FnMut(StageId, Moment) -> anyhow::Result<()>,
 ) -> Result<Vec<StageRecord>> {
     let mut records = Vec::new();
-    for PlannedStage { stage, expected, action } in planned {
+    for PlannedStage { stage, expected, action, kept, .. } in planned {
         let record = if action == Action::Reuse {
-            forget_started(context.root, stage.id())?;
+            // An older version that was killed right after its last file left it behind.
+            remove_if_present(&started_path(context.root, stage.id()))?;
             // Planning has just read the same record.
-            StageRecord::done(context.root, stage.id()).unwrap_or(expected)
+            StageRecord::done(context.root, stage.id()).unwrap_or(expected).listing_files(context.root)?
         } else {
             around(stage.id(), Moment::Start)?;
             let named = Named { stage: stage.id(), inner: context.progress };
             let context = StageContext { progress: &named, ..*context };
-            let record = run_stage(stage.as_ref(), expected, &action, &context)
+            let record = run_stage(stage.as_ref(), expected, &action, &kept, &context)
                 .map_err(|failure| failure.context(format!("stage {} failed", stage.id())))?;
             around(stage.id(), Moment::End)?;
             record
@@ -133,14 +180,15 @@ fn run_stage(
     stage: &dyn Stage,
     expected: StageRecord,
     action: &Action,
+    kept: &[Kept],
     context: &StageContext<'_>,
 ) -> Result<StageRecord> {
-    if *action != Action::Resume {
-        discard(context.root, stage.id(), stage.outputs())?;
-        expected.write_started(context.root)?;
-    }
-    let summary = stage.run(context)?;
-    Ok(expected.write_done(context.root, stage.outputs(), summary)?)
+    let work = match action {
+        Action::Resume => Work::resume(context.root, &expected, stage.outputs())?,
+        _ => Work::begin(context.root, &expected)?,
+    };
+    let summary = stage.run(&StageContext { root: work.path(), ..*context })?;
+    work.finish(expected, stage.outputs(), summary, kept)
 }
 
 /// What a stage's input holds: a fingerprint of the stage that makes it, or of its content.
@@ -166,20 +214,25 @@ fn identify(root: &Path, planned: &[PlannedStage<'_>], input: &StageInput) -> Re
     Ok(InputRecord::Path { path: input.path.clone(), content })
 }
 
-fn decide(root: &Path, expected: &StageRecord) -> Action {
+fn decide(root: &Path, expected: &StageRecord, is_asked: bool) -> Action {
     let stage = expected.stage;
-    if let Some(done) = StageRecord::done(root, stage) {
-        if done.fingerprint != expected.fingerprint {
-            return Action::Run(expected.changes_since(&done));
-        }
-        return match done.damaged_output(root) {
-            Some(name) => Action::Run(format!("{name} is missing or was changed")),
-            None => Action::Reuse,
-        };
-    }
-    match StageRecord::started(root, stage) {
-        Some(started) if started.fingerprint == expected.fingerprint => Action::Resume,
-        Some(started) => Action::Run(expected.changes_since(&started)),
-        None => Action::Run("not done yet".to_owned()),
+    let done = StageRecord::done(root, stage);
+    let why = match &done {
+        Some(_) if is_asked => "it was asked for by --redo".to_owned(),
+        Some(done) if done.fingerprint != expected.fingerprint => expected.changes_since(done),
+        Some(done) => match done.damaged_output(root) {
+            Some(name) => format!("{name} is missing or was changed"),
+            None => return Action::Reuse,
+        },
+        None => match Work::started(root, stage).or_else(|| StageRecord::started_in_place(root, stage)) {
+            Some(started) if started.fingerprint != expected.fingerprint => expected.changes_since(&started),
+            _ => "not done yet".to_owned(),
+        },
+    };
+    let begun =
+        Work::started(root, stage).or_else(|| StageRecord::started_in_place(root, stage).filter(|_| done.is_none()));
+    match begun {
+        Some(begun) if begun.fingerprint == expected.fingerprint => Action::Resume,
+        _ => Action::Run(why),
     }
 }

@@ -3,6 +3,7 @@
 //! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code, [`graph`] decides what must run
 //! and runs it, [`run`] keeps the run folder, [`compare`] sets two of them side by side. Only this module (and the command line) uses `anyhow`.
 
+mod claim;
 mod clock;
 pub mod compare;
 pub mod config;
@@ -14,17 +15,22 @@ pub mod graph;
 #[cfg(test)]
 mod graph_tests;
 pub mod inspect;
+mod keep;
 pub mod layout;
 mod log;
+mod older;
 mod record;
 pub mod regenerate;
 pub mod run;
-mod run_lock;
+#[cfg(test)]
+mod safety_tests;
 mod stage;
 pub mod stages;
+mod work;
 
 pub use device::{Compute, DeviceChoice};
 pub use failure::{Blame, Classify, Failure, Result};
 pub use fingerprint::{PathFingerprint, fingerprint_path};
+pub use keep::Kept;
 pub use record::{InputRecord, StageRecord};
 pub use stage::{Stage, StageContext, StageId, StageInput};

@@ -1,15 +1,17 @@
 //! What does a stage leave behind so that the next run knows whether to redo it?
 //!
-//! `<stage>.started.json` is written before a stage touches its outputs and `<stage>.done.json` after they are whole.
-//! Both hold what the fingerprint was made from, so that a later run can say what changed.
+//! `<stage>.done.json` is written after its outputs are whole; [`work`](super::work) keeps the same of a stage at work. Both
+//! hold what the fingerprint was made from, so that a later run can say what changed, and the former every file that the
+//! stage wrote: these, and no others, may be removed when it is redone.
 
-use super::fingerprint::{PathFingerprint, fingerprint_path, fingerprint_value};
+use super::fingerprint::{PathFingerprint, fingerprint_files, fingerprint_path, fingerprint_value};
 use super::stage::{Stage, StageId};
-use crate::store::write_json_atomically;
+use crate::files::{files_below, is_link};
+use crate::store::{read_json, write_json_atomically};
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// What a stage was run on and, once it is done, what came of it.
@@ -28,6 +30,10 @@ pub struct StageRecord {
     /// What it wrote, by name within the output folder; empty until it is done.
     #[serde(default)]
     pub outputs: BTreeMap<String, PathFingerprint>,
+    /// Every file that it wrote, relative to the output folder and sorted. `None` until it is done, and in records of versions
+    /// that kept no list.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub files: Option<BTreeSet<PathBuf>>,
     /// What it says of its work; null until it is done.
     #[serde(default)]
     pub summary: Value,
@@ -77,42 +83,93 @@ impl StageRecord {
             inputs,
             fingerprint,
             outputs: BTreeMap::new(),
+            files: None,
             summary: Value::Null,
         })
     }
 
     /// The record of the finished stage in `root`, if there is one that can be read.
     pub fn done(root: &Path, stage: StageId) -> Option<Self> {
-        read(&done_path(root, stage))
+        read_json(&done_path(root, stage)).ok()
     }
 
-    /// The record of the unfinished stage in `root`, if there is one that can be read.
-    pub fn started(root: &Path, stage: StageId) -> Option<Self> {
-        read(&started_path(root, stage))
+    /// The record that an older version left of a stage that it did not finish: it worked in the places of outputs.
+    pub(super) fn started_in_place(root: &Path, stage: StageId) -> Option<Self> {
+        read_json(&started_path(root, stage)).ok()
     }
 
-    /// Announces that the stage begins to write.
-    pub fn write_started(&self, root: &Path) -> Result<()> {
-        write_json_atomically(&started_path(root, self.stage), self)?;
-        Ok(())
-    }
-
-    /// Declares the stage done, after all its outputs are whole.
-    pub fn write_done(mut self, root: &Path, outputs: &[&str], summary: Value) -> Result<Self> {
+    /// The record of the same stage once its outputs are whole in the folder `dir`; `written` are the files there that are
+    /// its own.
+    pub(super) fn finished(
+        mut self,
+        dir: &Path,
+        outputs: &[&str],
+        written: &BTreeSet<PathBuf>,
+        summary: Value,
+    ) -> Result<Self> {
+        let files = written.iter().filter(|file| outputs.iter().any(|name| file.starts_with(name)));
+        let files: BTreeSet<PathBuf> = files.cloned().collect();
         for name in outputs {
-            self.outputs.insert((*name).to_owned(), fingerprint_path(&root.join(name))?);
+            self.outputs.insert((*name).to_owned(), fingerprint_files(&dir.join(name), &below(&files, name))?);
         }
+        self.files = Some(files);
         self.summary = summary;
-        write_json_atomically(&done_path(root, self.stage), &self)?;
-        remove(&started_path(root, self.stage))?;
         Ok(self)
     }
 
-    /// The first output that is no longer as it was written.
+    /// The same record with the list of files, which older versions did not write, in its place in `root`. All outputs must
+    /// be as they were written.
+    pub(super) fn listing_files(mut self, root: &Path) -> Result<Self> {
+        if self.files.is_none() {
+            self.files = Some(self.owned(root)?);
+            write_json_atomically(&done_path(root, self.stage), &self)?;
+        }
+        Ok(self)
+    }
+
+    /// The files in `root` that the stage wrote, relative to it. Of an output of a version that kept no list, all files if
+    /// they are together what was written, and otherwise none: nobody can tell which are whose.
+    pub(super) fn owned(&self, root: &Path) -> Result<BTreeSet<PathBuf>> {
+        if let Some(files) = &self.files {
+            return Ok(files.clone());
+        }
+        let mut owned = BTreeSet::new();
+        for (name, written) in &self.outputs {
+            let place = root.join(name);
+            if is_link(&place) || !fingerprint_path(&place).is_ok_and(|now| now == *written) {
+                continue;
+            }
+            match place.is_dir() {
+                true => owned.extend(files_below(&place)?.into_iter().map(|file| Path::new(name).join(file))),
+                false => _ = owned.insert(PathBuf::from(name)),
+            }
+        }
+        Ok(owned)
+    }
+
+    /// The first output that is no longer as it was written. Files that somebody put beside ours do not count.
     pub fn damaged_output(&self, root: &Path) -> Option<&str> {
-        let intact =
-            |name: &str, written: &PathFingerprint| fingerprint_path(&root.join(name)).is_ok_and(|now| now == *written);
-        self.outputs.iter().find(|(name, written)| !intact(name, written)).map(|(name, _)| name.as_str())
+        let now = |name: &str| match &self.files {
+            Some(files) => fingerprint_files(&root.join(name), &below(files, name)),
+            None => fingerprint_path(&root.join(name)),
+        };
+        let is_intact = |(name, written): &(&String, &PathFingerprint)| now(name).is_ok_and(|now| now == **written);
+        self.outputs.iter().find(|output| !is_intact(output)).map(|(name, _)| name.as_str())
+    }
+
+    /// Whether a setting of the stage's own section differs from `earlier`. What presets come to is not the user's doing.
+    pub(super) fn section_differs(&self, earlier: &Self) -> bool {
+        let own = |record: &Self| {
+            let mut config = record.config.clone();
+            config.as_object_mut().map(|section| section.remove("resolved"));
+            config
+        };
+        own(self) != own(earlier)
+    }
+
+    /// Enough of the fingerprint to tell the runs of a stage apart.
+    pub(super) fn short_fingerprint(&self) -> &str {
+        self.fingerprint.get(..8).unwrap_or(&self.fingerprint)
     }
 
     /// What differs from `earlier`, in a few words: versions, keys of the section, inputs.
@@ -135,43 +192,19 @@ impl StageRecord {
     }
 }
 
-/// Removes the records and the outputs of a stage; the done record first, so that a kill halfway leaves no false claim.
-pub(super) fn discard(root: &Path, stage: StageId, outputs: &[&str]) -> Result<()> {
-    remove(&done_path(root, stage))?;
-    for name in outputs {
-        remove(&root.join(name))?;
-    }
-    remove(&started_path(root, stage))
+/// The files of an output, relative to it.
+fn below(files: &BTreeSet<PathBuf>, name: &str) -> Vec<PathBuf> {
+    files.iter().filter_map(|file| file.strip_prefix(name).ok().map(Path::to_owned)).collect()
 }
 
-/// Removes the announcement of a stage that is done: a kill right after its last file leaves it behind.
-pub(super) fn forget_started(root: &Path, stage: StageId) -> Result<()> {
-    remove(&started_path(root, stage))
-}
-
-fn done_path(root: &Path, stage: StageId) -> PathBuf {
+/// Where the record of a finished stage lies.
+pub(super) fn done_path(root: &Path, stage: StageId) -> PathBuf {
     root.join(format!("{stage}.done.json"))
 }
 
-fn started_path(root: &Path, stage: StageId) -> PathBuf {
+/// Where older versions kept the record of a stage at work.
+pub(super) fn started_path(root: &Path, stage: StageId) -> PathBuf {
     root.join(format!("{stage}.started.json"))
-}
-
-/// A record that is missing or cannot be read (from another version of the program, say) means: not done.
-fn read(path: &Path) -> Option<StageRecord> {
-    serde_json::from_slice(&fs_err::read(path).ok()?).ok()
-}
-
-fn remove(path: &Path) -> Result<()> {
-    let removed = match fs_err::symlink_metadata(path) {
-        Ok(metadata) if metadata.is_dir() => fs_err::remove_dir_all(path),
-        Ok(_) => fs_err::remove_file(path),
-        Err(error) => Err(error),
-    };
-    match removed {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
-        _ => Ok(()),
-    }
 }
 
 fn changed_keys(path: &str, earlier: &Value, now: &Value, changes: &mut Vec<String>) {

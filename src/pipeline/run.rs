@@ -4,6 +4,7 @@
 //! input fingerprints, state of every stage), `timings.json` and `log.txt`. Two runs of one pipeline on the same inputs
 //! differ in the last two alone: everything that tells one run from another is kept there.
 
+use super::claim;
 use super::clock::{peak_memory_bytes, utc_now};
 use super::config::PipelineConfig;
 use super::device::Compute;
@@ -11,10 +12,11 @@ use super::failure::Result;
 use super::graph::{Action, Moment, PlannedStage, execute};
 use super::log::Logged;
 use super::record::{InputRecord, StageRecord};
-use super::run_lock::RunLock;
 use super::stage::{StageContext, StageId};
+use super::work::Work;
+use crate::files::Lock;
 use crate::progress::Progress;
-use crate::store::{read_json, remove_partials, write_atomically, write_json_atomically};
+use crate::store::{read_json, write_atomically, write_json_atomically};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -101,7 +103,6 @@ pub fn run_stages(
 ) -> Result<Vec<StageRecord>> {
     let device = compute.open()?;
     let root = folder.root.as_path();
-    remove_partials(root)?;
     let logged = Logged::open(root, progress)?;
     logged.line(&format!("djinn {} begins in {}", env!("CARGO_PKG_VERSION"), root.display()));
     for PlannedStage { expected, action, .. } in &planned {
@@ -135,14 +136,21 @@ pub fn run_stages(
 /// A folder to write into, locked against other processes.
 pub struct RunFolder {
     root: PathBuf,
-    _lock: RunLock,
+    _lock: Lock,
 }
 
 impl RunFolder {
-    /// Makes the folder and takes its lock.
+    /// Makes the folder, takes its lock, and finishes what a killed process was about to finish.
+    ///
+    /// # Errors
+    /// When another process has the lock, or files of the folder that would be written are somebody else's.
     pub fn open(root: &Path) -> Result<Self> {
+        claim::check_root(root)?;
         fs_err::create_dir_all(root)?;
-        Ok(Self { root: root.to_owned(), _lock: RunLock::acquire(root)? })
+        let lock = Lock::in_folder(root)?;
+        claim::remove_leftovers(root)?;
+        Work::complete_all(root)?;
+        Ok(Self { root: root.to_owned(), _lock: lock })
     }
 }
 
@@ -173,6 +181,13 @@ impl StageState {
     fn done(record: &StageRecord) -> Self {
         Self { fingerprint: record.fingerprint.clone(), status: StageStatus::Done, outputs: record.outputs.clone() }
     }
+}
+
+/// How long the stage was at work in all in the folder `root`, seconds; `None` where that is not known, as when it was
+/// interrupted.
+pub(super) fn seconds_spent(root: &Path, stage: StageId) -> Option<f64> {
+    let timings: Timings = read_json(&root.join(TIMINGS_FILE)).ok()?;
+    timings.stages.get(stage.name())?.iter().map(|timing| timing.seconds).sum()
 }
 
 /// Keeps `timings.json`.

@@ -6,6 +6,7 @@ use candle_core::Device;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 /// The stages, in the order in which they run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -60,6 +61,11 @@ impl StageId {
         }
     }
 
+    /// Whether it trains a model, which may have cost hours.
+    pub const fn trains(self) -> bool {
+        matches!(self, Self::TrainDenoiser | Self::TrainDistill | Self::TrainClassifier | Self::TrainBaseline)
+    }
+
     /// The words of the command that runs this stage alone.
     pub const fn command(self) -> &'static str {
         match self {
@@ -80,6 +86,17 @@ impl StageId {
             Self::TrainBaseline => "train.baseline",
             other => other.name(),
         }
+    }
+}
+
+impl FromStr for StageId {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        Self::ALL.into_iter().find(|stage| stage.name() == name).ok_or_else(|| {
+            let known: Vec<&str> = Self::ALL.iter().map(|stage| stage.name()).collect();
+            format!("there is no such stage; there are {}", known.join(", "))
+        })
     }
 }
 
@@ -138,7 +155,7 @@ pub trait Stage {
 
 /// What a running stage is given.
 pub struct StageContext<'a> {
-    /// The folder in which it writes its outputs.
+    /// The folder in which it writes its outputs: not the run folder, to which they come once they are whole.
     pub root: &'a Path,
     /// What networks compute on.
     pub device: &'a Device,

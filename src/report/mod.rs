@@ -32,7 +32,7 @@ pub use card::{
 pub use comparison::{ComparedRun, Comparison};
 pub use distribution::{Distribution, DistributionSeries};
 pub use figures::{FigureFile, figures};
-pub use html::{render, render_comparison};
+pub use html::{PAGE_MARK, render, render_comparison};
 pub use model::{
     AcceptanceRow, BehaviorCount, BehaviorDoc, Chart, Curve, Fact, LeftOutRow, MetricDoc, MetricTable, MiningSummary,
     RealismRow, ReportModel, SamplingRow, TrainingSummary, ValidityRow, Warning,

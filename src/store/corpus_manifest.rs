@@ -1,9 +1,10 @@
 //! What a corpus says of itself: its tables, their sizes and hashes, and under which terms its sources came.
 
-use super::atomic::{FileStamp, read_json};
+use super::atomic::read_json;
 use super::corpus_layout::{CorpusTable, Partition};
 use super::scene_manifest::MANIFEST_FILE;
 use super::{Error, Result};
+use crate::files::FileStamp;
 use crate::scene::Dataset;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;

@@ -1,6 +1,6 @@
 //! How do rows become the files of a corpus: cut into partitions, in bounded memory, the same bytes however they come?
 
-use super::atomic::{remove_if_present, remove_partials, write_atomically, write_json_atomically};
+use super::atomic::write_json_atomically;
 use super::corpus_card::{CARD_FILE, card};
 use super::corpus_layout::{CorpusTable, NO_BEHAVIOR, Partition};
 use super::corpus_manifest::{CorpusManifest, CorpusNotes, FileEntry, PartitionCount, TableEntry, source_terms};
@@ -9,12 +9,13 @@ use super::scene_manifest::MANIFEST_FILE;
 use super::tables::columns::Columns;
 use super::tables::lane;
 use super::{Error, Result};
+use crate::files::{clear, write_atomically};
 use crate::scene::{Dataset, LaneGraph, MapId};
 use arrow::array::{RecordBatch, UInt32Array};
 use arrow::compute::{concat_batches, take_record_batch};
 use fs_err as fs;
 use std::collections::BTreeMap;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Rows that a file is given at a time: whatever the sizes of the batches that come, its pages break at the same rows.
@@ -39,21 +40,10 @@ struct Part {
 }
 
 impl CorpusSink {
-    /// Begins a corpus in `dir`, which is created where it is missing; the files of an earlier one are removed.
+    /// Begins a corpus in `dir`, which is created where it is missing. What an interrupted attempt left in it is removed, as
+    /// far as a list of ours names it; anything else is an error.
     pub(crate) fn create(dir: &Path) -> Result<Self> {
-        fs::create_dir_all(dir)?;
-        // The manifest first: without it, nobody takes the rest for a corpus.
-        remove_if_present(&dir.join(MANIFEST_FILE))?;
-        remove_if_present(&dir.join(CARD_FILE))?;
-        for table in CorpusTable::ALL {
-            // Earlier versions wrote every table as a file.
-            remove_if_present(&dir.join(format!("{}.parquet", table.name())))?;
-            match fs::remove_dir_all(dir.join(table.name())) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
-                _ => {}
-            }
-        }
-        remove_partials(dir)?;
+        clear(dir)?;
         let (parts, counts) = (BTreeMap::new(), BTreeMap::new());
         Ok(Self { dir: dir.to_owned(), parts, counts, manifest: CorpusManifest::empty() })
     }

@@ -1,6 +1,5 @@
 //! Writing a corpus from scenarios: the tables that users query, and the manifest that says they are whole.
 
-use super::atomic::remove_if_present;
 use super::corpus_layout::CorpusTable;
 use super::corpus_manifest::{CorpusManifest, CorpusNotes};
 use super::corpus_sink::CorpusSink;
@@ -8,6 +7,7 @@ use super::parquet_file::{self, ParquetFile};
 use super::tables::scenario::ScenarioRows;
 use super::tables::{metric, recording, sample, track};
 use super::{Error, MapSource, MetricRow, Result, ScenarioRecord};
+use crate::files::remove_if_present;
 use crate::scene::{MapId, Scene};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -32,15 +32,14 @@ pub struct CorpusWriter<'m> {
 }
 
 impl<'m> CorpusWriter<'m> {
-    /// Begins a corpus in `dir`, which is created where it is missing; the files of an earlier one are removed. Maps are
-    /// copied from `maps` as scenarios need them.
+    /// Begins a corpus in `dir`, which is created where it is missing. What an interrupted attempt left in it is removed, as
+    /// far as a list of ours names it. Maps are copied from `maps` as scenarios need them.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// [`Error::Files`] when the folder holds files of somebody else; those of the file system.
     pub fn create(dir: &Path, maps: &'m dyn MapSource) -> Result<Self> {
         let sink = CorpusSink::create(dir)?;
         let spool = dir.join(SPOOL_FILE);
-        remove_if_present(&spool)?;
         Ok(Self {
             dir: dir.to_owned(),
             maps,

@@ -1,6 +1,7 @@
 //! Is a corpus read back as it was written, and is damage found?
 
 use super::*;
+use crate::files::keep_list;
 use crate::scene::{LaneGraph, Scene};
 use crate::store::testing::{assessment, event, folder_bytes, map, record, scene};
 use crate::store::{CorpusReader, SceneStore, SceneWriter, SceneWriterOptions};
@@ -114,12 +115,14 @@ fn the_same_scenarios_give_the_same_bytes_however_they_come() {
 fn an_abandoned_corpus_is_no_corpus() {
     let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let (store, records) = store_and_records(store_dir.path());
-    write(dir.path(), &store, &records, 33);
-    let mut writer = CorpusWriter::create(dir.path(), &store).unwrap();
+    let corpus = dir.path().join("corpus");
+    keep_list(dir.path()).unwrap();
+    write(&corpus, &store, &records, 33);
+    let mut writer = CorpusWriter::create(&corpus, &store).unwrap();
     writer.write_scenarios(&records[..3]).unwrap();
     drop(writer);
-    assert_eq!(folder_bytes(dir.path()).len(), 0);
-    assert!(matches!(CorpusReader::open(dir.path()).err(), Some(Error::Unfinished { .. })));
+    assert_eq!(folder_bytes(&corpus).len(), 0);
+    assert!(matches!(CorpusReader::open(&corpus).err(), Some(Error::Unfinished { .. })));
 }
 
 #[test]
@@ -179,17 +182,23 @@ fn a_corpus_without_scenarios_has_its_columns() {
 }
 
 #[test]
-fn an_earlier_corpus_makes_place() {
+fn an_interrupted_corpus_makes_place_and_files_of_others_do_not() {
     let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let (store, records) = store_and_records(store_dir.path());
-    write(dir.path(), &store, &records, 33);
-    for file in ["tracks.parquet", "scenarios.spool", "scenarios.spool.partial"] {
-        fs_err::write(dir.path().join(file), "earlier").unwrap();
-    }
+    let corpus = dir.path().join("corpus");
+    keep_list(dir.path()).unwrap();
+    write(&corpus, &store, &records, 33);
     let other: Vec<ScenarioRecord> = records.into_iter().filter(|record| record.requested_behavior.is_none()).collect();
-    let manifest = write(dir.path(), &store, &other, 33);
+    let manifest = write(&corpus, &store, &other, 33);
     let n_files = manifest.all_files().count() + 2;
-    assert_eq!(folder_bytes(dir.path()).len(), n_files, "the files of the manifest, itself and the card");
+    assert_eq!(folder_bytes(&corpus).len(), n_files, "the files of the manifest, itself and the card");
+
+    let thesis = corpus.join("tracks/thesis.doc");
+    fs_err::write(&thesis, "years of work").unwrap();
+    let before = folder_bytes(&corpus);
+    let error = CorpusWriter::create(&corpus, &store).err().unwrap().to_string();
+    assert!(error.contains("thesis.doc"), "{error}");
+    assert!(folder_bytes(&corpus) == before);
 }
 
 #[test]

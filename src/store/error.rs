@@ -1,5 +1,6 @@
 //! What can go wrong with our own files, and what the user can do about it.
 
+use crate::files;
 use std::path::{Path, PathBuf};
 
 /// A failure to read or write one of our files.
@@ -8,6 +9,9 @@ pub enum Error {
     /// The file system refused; the message names the path.
     #[error(transparent)]
     Io(#[from] std::io::Error),
+    /// A folder that must not be written into.
+    #[error(transparent)]
+    Files(files::Error),
     /// A folder without its manifest, which is written last.
     #[error("{} has no manifest.json: the command that writes it did not finish, run the same command again", .dir.display())]
     Unfinished {
@@ -102,6 +106,15 @@ pub enum Error {
         /// The cause.
         source: polars::prelude::PolarsError,
     },
+}
+
+impl From<files::Error> for Error {
+    fn from(error: files::Error) -> Self {
+        match error {
+            files::Error::Io(error) => Self::Io(error),
+            error => Self::Files(error),
+        }
+    }
 }
 
 fn what_to_name(inside: Option<&Path>) -> String {

@@ -1,10 +1,10 @@
 //! `events.parquet`: what did mining find?
 
-use super::atomic::FileStamp;
 use super::parquet_file::ParquetFile;
 use super::tables::event::{self, EventNames};
 use super::{Result, parquet_file};
 use crate::behavior::{BehaviorEntry, BehaviorEvent};
+use crate::files::FileStamp;
 use std::path::{Path, PathBuf};
 
 /// Writes an event table, some scenes at a time, with memory for a row group.

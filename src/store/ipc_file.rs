@@ -1,8 +1,8 @@
 //! One Arrow file of ours: written batch by batch, read by mapping it into memory without copying.
 
-use super::atomic::{AtomicFile, FileStamp};
 use super::schema::TableSchema;
 use super::{Error, Result};
+use crate::files::{AtomicFile, FileStamp};
 use arrow::array::RecordBatch;
 use arrow::buffer::Buffer;
 use arrow::error::ArrowError;

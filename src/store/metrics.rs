@@ -1,8 +1,8 @@
 //! `metrics.parquet`: the values of metrics, one a row.
 
-use super::atomic::FileStamp;
 use super::tables::metric;
 use super::{MetricRow, Result, parquet_file};
+use crate::files::FileStamp;
 use std::path::Path;
 
 /// Writes a metric table, in the order given.

@@ -33,11 +33,9 @@ mod tables;
 pub(crate) mod testing;
 mod verdicts;
 
+pub use crate::files::{AtomicFile, FileStamp, remove_if_present, write_atomically};
 pub use assessment::Assessment;
-pub use atomic::{
-    AtomicFile, FileStamp, PARTIAL_SUFFIX, read_json, remove_if_present, remove_partials, write_atomically,
-    write_json_atomically,
-};
+pub use atomic::{read_json, write_json_atomically};
 pub(crate) use corpus_card::{CARD_FILE, card};
 pub(crate) use corpus_layout::NO_BEHAVIOR;
 pub use corpus_layout::{CorpusTable, Partition};

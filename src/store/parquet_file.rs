@@ -1,9 +1,9 @@
 //! One Parquet file of ours: how are tables written so that equal content gives equal bytes, and read so that a wrong file is named?
 
-use super::atomic::{AtomicFile, FileStamp};
 use super::schema::{SCHEMA_KEY, TableSchema};
 use super::{Error, Result};
 use crate::containment;
+use crate::files::{AtomicFile, FileStamp};
 use arrow::array::RecordBatch;
 use arrow::datatypes::{Schema, SchemaRef};
 use fs_err as fs;

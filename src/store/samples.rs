@@ -1,8 +1,8 @@
 //! Sample shards: the generated scenarios between the generate stage and the corpus.
 
-use super::atomic::FileStamp;
 use super::tables::sample;
 use super::{Error, MapSource, Result, ScenarioRecord, parquet_file};
+use crate::files::FileStamp;
 use arrow::array::{Array, StringArray};
 use arrow::util::display::array_value_to_string;
 use std::path::Path;

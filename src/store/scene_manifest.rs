@@ -1,8 +1,9 @@
 //! What a scene store says of itself: its shards, their sizes and hashes, and what the ingest reported.
 
-use super::atomic::{FileStamp, read_json};
+use super::atomic::read_json;
 use super::tables::{lane, scene};
 use super::{Error, Result};
+use crate::files::FileStamp;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::path::Path;

@@ -1,12 +1,13 @@
 //! Writing a scene store: shards that are whole or absent, and where to go on after an interruption.
 
-use super::atomic::{FileStamp, read_json, remove_if_present, remove_partials, write_json_atomically};
+use super::atomic::{read_json, write_json_atomically};
 use super::ipc_file::{self, IpcFile};
 use super::maps::MapTable;
 use super::scene_manifest::{MANIFEST_FILE, MapsEntry, SceneManifest, ShardEntry, ShardSidecar};
 use super::tables::columns::Columns;
 use super::tables::{lane, scene};
 use super::{Error, Result};
+use crate::files::{FileStamp, remove_if_present};
 use crate::scene::{LaneGraph, MapId, Scene};
 use fs_err as fs;
 use serde_json::Value;
@@ -263,9 +264,8 @@ fn finished_shard(dir: &Path, shard_idx: usize) -> Option<ShardSidecar> {
     is_whole.then_some(sidecar)
 }
 
-/// Removes the manifest, leftovers, and every shard file that is not to be kept. Other files in the folder stay.
+/// Removes the manifest and every shard file that is not to be kept. Other files in the folder stay.
 fn remove_store_files(dir: &Path, keep: &BTreeSet<String>) -> Result<()> {
-    remove_partials(dir)?;
     remove_if_present(&dir.join(MANIFEST_FILE))?;
     for entry in fs::read_dir(dir)? {
         let entry = entry?;

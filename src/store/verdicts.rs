@@ -1,8 +1,8 @@
 //! `verdicts.parquet`: what became of each generated scenario, one a row.
 
-use super::atomic::FileStamp;
 use super::tables::verdict;
 use super::{Result, VerdictRow, parquet_file};
+use crate::files::FileStamp;
 use std::path::Path;
 
 /// Writes a table of verdicts, in the order given.

@@ -4,15 +4,16 @@ use super::{
     ClassificationTask, Error, FitConfig, FitStatistics, LearningRateDecay, NoiseLevelReport, PairExamples, fit,
 };
 use crate::diffusion::NoiseDistribution;
+use crate::files::write_atomically;
 use crate::model::{BehaviorClassifierConfig, ClassifierKind, ClassifierSpec, DenoiserSpec};
 use crate::nn::Params;
 use crate::progress::Progress;
 use crate::scene::Split;
 use crate::seed::Seed;
 use candle_core::Device;
-use fs_err as fs;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// How to train the classifier of a behavior: the `[train.classifier]` section.
@@ -183,9 +184,8 @@ pub fn train_classifier(
         statistics: outcome.statistics,
         spec,
     };
-    let partial = dir.join("classifier.json.partial");
-    fs::write(&partial, serde_json::to_vec_pretty(&report).map_err(std::io::Error::from)?)?;
-    fs::rename(&partial, dir.join("classifier.json"))?;
+    let text = serde_json::to_vec_pretty(&report).map_err(std::io::Error::from)?;
+    write_atomically::<Error>(&dir.join("classifier.json"), |file| Ok(file.write_all(&text)?))?;
     Ok(report)
 }
 

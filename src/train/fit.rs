@@ -1,6 +1,7 @@
 //! One training loop for every model: steps, warm-up, clipping, averages, evaluation, and a state to resume from.
 
 use super::Error;
+use crate::files::write_atomically;
 use crate::nn::{Adam, Ema, Params, in_pool, keep_freed_memory, read_checkpoint, write_checkpoint};
 use crate::progress::Progress;
 use candle_core::Tensor;
@@ -286,10 +287,7 @@ impl Run {
             serde_json::to_writer(&mut text, line).map_err(std::io::Error::from)?;
             text.push(b'\n');
         }
-        let partial = self.dir.join("statistics.jsonl.partial");
-        let mut file = fs::File::create(&partial)?;
-        file.write_all(&text)?;
-        fs::rename(&partial, self.dir.join("statistics.jsonl"))?;
+        write_atomically::<Error>(&self.dir.join("statistics.jsonl"), |file| Ok(file.write_all(&text)?))?;
         Ok(())
     }
 

@@ -11,6 +11,7 @@ mod documents;
 mod export;
 mod report;
 mod requests;
+mod safety;
 mod schema;
 mod stages;
 mod support;

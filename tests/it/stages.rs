@@ -38,8 +38,14 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     assert!(plan.contains("#   generate          fresh (changed: generate.sweeps"), "{plan}");
     assert!(plan.contains("#   evaluate          fresh (changed: input samples)"), "{plan}");
 
-    // The stages one by one, into one folder, write the same files as the run.
+    // The stages one by one, into one folder, write the same files as the run, and leave alone what lies there already.
     let (config, alone) = (workspace.arg("small.toml"), workspace.arg("alone"));
+    let foreign = ["thesis.doc", "thesis.partial", "denoiser.doc", "run/thesis.doc", "scenes-00000.arrow.partial"];
+    for name in foreign {
+        let path = workspace.path("alone").join(name);
+        fs_err::create_dir_all(path.parent().unwrap()).unwrap();
+        fs_err::write(path, name).unwrap();
+    }
     for stage in ["ingest", "mine", "train denoiser", "train classifier", "generate", "evaluate", "report"] {
         let args: Vec<&str> = stage.split(' ').chain(["--config", &config, "--output", &alone, "-q"]).collect();
         let outcome = djinn(&args).expect(0);
@@ -47,7 +53,21 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     }
     let mut whole = before.clone();
     whole.retain(|name, _| !["config.toml", "run.json"].contains(&name.as_str()));
-    assert_same(&whole, &files(&workspace.path("alone")));
+    let mut found = files(&workspace.path("alone"));
+    assert!(foreign.iter().all(|name| found.remove(*name).as_deref() == Some(name.as_bytes())));
+    assert_same(&whole, &found);
+
+    // Predictions of somebody are none of a stage's business that writes none; and in the way of one that does.
+    let place = |name: &str| root.join(name).to_str().unwrap().to_owned();
+    let (scenes, samples, other) = (place("scenes"), place("samples"), workspace.arg("other"));
+    fs_err::create_dir_all(workspace.path("other/predictions")).unwrap();
+    fs_err::write(workspace.path("other/predictions/mine.csv"), "years of work").unwrap();
+    let evaluate = ["evaluate", "--scenes", &scenes, "--samples", &samples, "--output", &other, "-q"];
+    djinn(&evaluate).expect(0);
+    let with = [&evaluate[..], &["--set", "evaluate.predictions=[\"interaction\"]"]].concat();
+    let outcome = djinn(&with).expect(1);
+    assert!(outcome.stderr.contains("other/predictions: it holds mine.csv"), "{}", outcome.stderr);
+    assert_eq!(fs_err::read_to_string(workspace.path("other/predictions/mine.csv")).unwrap(), "years of work");
 
     // Everything can be inspected, as text and as JSON.
     for (name, kind) in [

@@ -10,7 +10,7 @@ use self::stages::{DenoiserArg, EvaluateArgs, GenerateArgs, IngestArgs, MineArgs
 pub(in crate::cli) use self::stages::{ReportArgs, StageArgs, TrainCommand};
 use super::help;
 use crate::nn::Precision;
-use crate::pipeline::DeviceChoice;
+use crate::pipeline::{DeviceChoice, StageId};
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -89,6 +89,9 @@ pub(in crate::cli) struct RunArgs {
     /// Print the resolved configuration and which stages would run, and write nothing
     #[arg(long)]
     pub(in crate::cli) dry_run: bool,
+    /// Run this stage again whatever is there, such as train_denoiser; a trained model is moved aside (may be repeated)
+    #[arg(long, value_name = "STAGE")]
+    pub(in crate::cli) redo: Vec<StageId>,
     /// The folder that holds the folders of all pipelines [default: run.output of the file, or output]
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) output: Option<PathBuf>,

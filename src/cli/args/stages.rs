@@ -32,6 +32,9 @@ pub(in crate::cli) struct StageArgs {
     /// Print the resolved configuration and whether the stage would run, and write nothing
     #[arg(long)]
     pub(in crate::cli) dry_run: bool,
+    /// Run the stage again whatever is there; a trained model is moved aside
+    #[arg(long)]
+    pub(in crate::cli) redo: bool,
     /// The folder to write into, under the names of a run folder; inputs that are not named are looked for here too
     #[arg(short, long, value_name = "DIR")]
     pub(in crate::cli) output: PathBuf,
@@ -133,7 +136,7 @@ pub(in crate::cli) struct ReportArgs {
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) from: Option<PathBuf>,
     /// Set two runs side by side instead, with their differences
-    #[arg(long, num_args = 2, value_names = ["RUN_A", "RUN_B"], conflicts_with_all = ["from", "config", "set", "dry_run"])]
+    #[arg(long, num_args = 2, value_names = ["RUN_A", "RUN_B"], conflicts_with_all = ["from", "config", "set", "dry_run", "redo"])]
     pub(in crate::cli) compare: Option<Vec<PathBuf>>,
     /// The page of the comparison [default: comparison.html]
     #[arg(long, value_name = "FILE", requires = "compare")]

@@ -22,7 +22,7 @@ use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::estimate::estimate;
 use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::{Failure, Result, StageId};
+use crate::pipeline::{Failure, Kept, Result, StageId};
 use std::fmt::Write;
 
 /// Sets up the worker threads: what the command line says, else the configuration.
@@ -40,9 +40,12 @@ fn print_dry_run(
 ) -> Result<()> {
     let mut text = config.to_toml()?;
     text.push_str("\n# Plan:\n");
-    for PlannedStage { expected, action, .. } in planned {
+    for PlannedStage { expected, action, kept, .. } in planned {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "#   {:<18}{action}", expected.stage.name());
+        for Kept { name, as_name } in kept {
+            let _ = writeln!(text, "#   {:<18}the present {name} is kept as {as_name}", "");
+        }
     }
     // Costs are those of the whole section, whatever of it is done already.
     if planned.iter().any(|planned| planned.expected.stage == StageId::Generate) {
@@ -53,8 +56,11 @@ fn print_dry_run(
     printer.data(&text)
 }
 
-/// Says what will be done with the stages.
+/// Says what will be done with the stages; of results that are there, always.
 fn announce(planned: &[PlannedStage<'_>], output: &OutputArgs, printer: &Printer) {
+    for redone in planned.iter().filter_map(PlannedStage::redone) {
+        printer.message(redone);
+    }
     if output.verbose {
         for PlannedStage { expected, action, .. } in planned {
             printer.message(format_args!("{}: {action}, fingerprint {}", expected.stage, expected.fingerprint));

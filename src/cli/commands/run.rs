@@ -21,11 +21,11 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
     let root = config.run.output.join(&config.run.name).join(&args.run);
     let layout = Layout::below(&root);
     if args.dry_run {
-        let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?)?;
+        let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?, &args.redo)?;
         return print_dry_run(&config, &layout, &planned, printer);
     }
     let folder = RunFolder::open(&root)?;
-    let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?)?;
+    let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?, &args.redo)?;
     announce(&planned, output, printer);
     let progress = TerminalProgress::new(output, *printer);
     let records = run_stages(&folder, Some(&config), config.run.compute(), planned, &progress)?;

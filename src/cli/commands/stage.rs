@@ -19,12 +19,13 @@ pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Pr
     let config = PipelineConfig::load(args.config.as_deref(), &overrides)?.with_section(id);
     use_threads(output, &config)?;
     let root = args.output.as_path();
+    let redo = if args.redo { vec![id] } else { Vec::new() };
     if args.dry_run {
-        let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?])?;
+        let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?], &redo)?;
         return print_dry_run(&config, &layout, &planned, printer);
     }
     let folder = RunFolder::open(root)?;
-    let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?])?;
+    let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?], &redo)?;
     announce(&planned, output, printer);
     let progress = TerminalProgress::new(output, *printer);
     let records = run_stages(&folder, None, config.run.compute(), planned, &progress)?;

@@ -4,6 +4,7 @@ use super::{Description, checkpoint, requests};
 use crate::pipeline::layout::SAMPLES;
 use crate::pipeline::run::{RUN_FILE, RunManifest, TIMINGS_FILE, Timings};
 use crate::pipeline::stages::SampleManifest;
+use crate::pipeline::work::Work;
 use crate::pipeline::{Result, StageId, StageRecord};
 use crate::store::{CorpusManifest, SceneManifest, SceneStore, TableEntry, read_json};
 use serde_json::{Map, Value, json};
@@ -13,7 +14,8 @@ use std::path::Path;
 /// A run folder, or a folder that stages wrote into one by one.
 pub(super) fn run(path: &Path) -> Result<Option<Description>> {
     let records: Vec<StageRecord> = StageId::ALL.into_iter().filter_map(|id| StageRecord::done(path, id)).collect();
-    let started: Vec<StageRecord> = StageId::ALL.into_iter().filter_map(|id| StageRecord::started(path, id)).collect();
+    let begun = |id: StageId| Work::started(path, id).or_else(|| StageRecord::started_in_place(path, id));
+    let started: Vec<StageRecord> = StageId::ALL.into_iter().filter_map(begun).collect();
     let manifest: Option<RunManifest> = read_json(&path.join(RUN_FILE)).ok();
     if !path.is_dir() || (records.is_empty() && started.is_empty() && manifest.is_none()) {
         return Ok(None);
@@ -44,7 +46,8 @@ pub(super) fn run(path: &Path) -> Result<Option<Description>> {
         stages.insert(record.stage.to_string(), state);
     }
     for record in started {
-        stages.insert(record.stage.to_string(), json!({ "status": "unfinished" }));
+        // What was begun again is still there as it was.
+        stages.entry(record.stage.to_string()).or_insert_with(|| json!({ "status": "unfinished" }));
     }
     let requests = requests::describe(&path.join(SAMPLES))?;
     description.entries.extend(requests.map(|requests| ("requests".to_owned(), requests)));

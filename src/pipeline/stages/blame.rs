@@ -1,7 +1,7 @@
 //! Whose failure is an error of each layer? Here, once, for all stages.
 
 use crate::pipeline::{Blame, Failure};
-use crate::{corpus, export, generate, ingest, nn, store, train};
+use crate::{corpus, export, files, generate, ingest, nn, store, train};
 use std::io::ErrorKind;
 
 impl From<ingest::Error> for Failure {
@@ -22,6 +22,7 @@ impl From<store::Error> for Failure {
     fn from(error: store::Error) -> Self {
         match error {
             store::Error::Io(io) if io.kind() == ErrorKind::NotFound => Self::input(io),
+            store::Error::Files(error) => error.into(),
             error @ (store::Error::Unfinished { .. }
             | store::Error::NoCorpus { .. }
             | store::Error::SchemaVersion { .. }
@@ -33,10 +34,21 @@ impl From<store::Error> for Failure {
     }
 }
 
+/// A refusal to write is for the user to act on.
+impl From<files::Error> for Failure {
+    fn from(error: files::Error) -> Self {
+        match error {
+            files::Error::Io(error) => Self::fault(error),
+            error => Self::input(error),
+        }
+    }
+}
+
 impl From<corpus::Error> for Failure {
     fn from(error: corpus::Error) -> Self {
         match error {
             corpus::Error::Store(error) => error.into(),
+            corpus::Error::Files(error) => error.into(),
             corpus::Error::Io(io) if io.kind() == ErrorKind::NotFound => Self::input(io),
             corpus::Error::Io(io) => Self::fault(io),
             error => Self::input(error),
@@ -48,6 +60,7 @@ impl From<export::Error> for Failure {
     fn from(error: export::Error) -> Self {
         match error {
             export::Error::Store(error) => Self::from(error),
+            export::Error::Files(error) => error.into(),
             export::Error::Io(io) => of_input_file(io),
             error @ export::Error::Encode { .. } => Self::fault(error),
             error => Self::input(error),

@@ -7,8 +7,8 @@ use crate::generate::{
 };
 use crate::pipeline::{Classify, Failure, Result};
 use crate::store::{
-    FileStamp, MapSource, ScenarioRecord, read_json, read_samples, remove_partials, write_atomically,
-    write_json_atomically, write_samples,
+    FileStamp, MapSource, ScenarioRecord, read_json, read_samples, write_atomically, write_json_atomically,
+    write_samples,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -84,7 +84,6 @@ impl SampleFolder {
     /// Makes the folder, or takes up an unfinished one.
     pub(super) fn open_for_writing(dir: &Path) -> Result<Self> {
         fs_err::create_dir_all(dir)?;
-        remove_partials(dir)?;
         Ok(Self { dir: dir.to_owned() })
     }
 

@@ -60,6 +60,9 @@ pub fn render(model: &ReportModel) -> String {
     page(&model.title, &facts(&model.facts), &sections, &scripts.unwrap_or_default())
 }
 
+/// How the titles of our pages end: by it, a page is known for ours.
+pub const PAGE_MARK: &str = " – djinn report";
+
 /// A whole page around its sections.
 fn page(title: &str, head: &Markup, sections: &[Section], scripts: &Markup) -> String {
     let page = html! {
@@ -68,7 +71,7 @@ fn page(title: &str, head: &Markup, sections: &[Section], scripts: &Markup) -> S
             head {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
-                title { (title) " – djinn report" }
+                title { (title) (PAGE_MARK) }
                 style { (PreEscaped(STYLE)) (PreEscaped(DRAWING_STYLE)) }
             }
             body {

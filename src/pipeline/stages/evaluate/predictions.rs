@@ -2,6 +2,7 @@
 
 use super::cells::Cell;
 use super::config::EvaluateConfig;
+use crate::files::clear;
 use crate::metrics::{ModeFit, Modes, ModesConfig, ModesOf, Representative};
 use crate::pipeline::Result;
 use crate::scene::{Dataset, Scene, SceneId};
@@ -42,13 +43,11 @@ pub(super) fn of_cell(cell: &Cell<'_>, samples: &[Scene], config: &EvaluateConfi
 }
 
 impl Predictions {
-    /// Begins the files in `dir`, which is emptied first. Nothing is written where no dataset is asked for.
+    /// Begins the files in `dir`, from which what an interrupted attempt left is removed. Nothing is written, and nothing
+    /// removed, where no dataset is asked for.
     pub(super) fn create(dir: &Path, datasets: &[Dataset]) -> Result<Self> {
-        if dir.exists() {
-            fs_err::remove_dir_all(dir)?;
-        }
         if !datasets.is_empty() {
-            fs_err::create_dir_all(dir)?;
+            clear(dir)?;
         }
         let mut predictions =
             Self { interaction: None, argoverse: Vec::new(), scenes: BTreeSet::new(), n_tracks_left_out: 0 };

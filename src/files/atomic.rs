@@ -1,0 +1,159 @@
+//! Files that are either whole or absent: how does a killed or failed write leave no damaged file under its final name?
+
+use super::written::{enter, sync_folder};
+use fs_err as fs;
+use serde::{Deserialize, Serialize};
+use std::ffi::OsString;
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// The ending of what is being written; such things are leftovers once their writer is gone.
+pub const PARTIAL_SUFFIX: &str = ".partial";
+
+/// Hexadecimal digits between the name and the ending.
+const N_DIGITS: usize = 16;
+
+/// Size and content hash of a written file.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FileStamp {
+    /// Length of the file, bytes.
+    pub n_bytes: u64,
+    /// BLAKE3 hash of the content, hexadecimal.
+    pub checksum: String,
+}
+
+impl FileStamp {
+    /// The stamp of these bytes.
+    pub fn of(bytes: &[u8]) -> Self {
+        Self { n_bytes: bytes.len() as u64, checksum: blake3::hash(bytes).to_hex().to_string() }
+    }
+}
+
+/// A file written beside its place, under a name that no other writer has, and renamed when whole. Dropping it without
+/// [`commit`](Self::commit) removes it. A folder above it that keeps a list of what is written there learns of it.
+#[derive(Debug)]
+pub struct AtomicFile {
+    /// `None` once committed.
+    file: Option<BufWriter<fs::File>>,
+    path: PathBuf,
+    partial: PathBuf,
+    hasher: blake3::Hasher,
+    n_bytes: u64,
+}
+
+impl AtomicFile {
+    /// Begins to write `path`, whose folder must exist.
+    ///
+    /// # Errors
+    /// Whatever the file system says.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        enter(path)?;
+        let partial = unique_partial(path);
+        let file = fs::File::options().write(true).create_new(true).open(&partial)?;
+        let file = BufWriter::with_capacity(1 << 20, file);
+        Ok(Self { file: Some(file), path: path.to_owned(), partial, hasher: blake3::Hasher::new(), n_bytes: 0 })
+    }
+
+    /// The final path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Bytes written so far.
+    pub const fn n_bytes(&self) -> u64 {
+        self.n_bytes
+    }
+
+    /// Brings the content to the disk and the file to its final name.
+    ///
+    /// # Errors
+    /// Whatever the file system says; nothing is then under the final name that was not before.
+    pub fn commit(mut self) -> io::Result<FileStamp> {
+        let Some(mut file) = self.file.take() else {
+            return Err(io::Error::other("the file is committed already"));
+        };
+        let renamed = (|| {
+            file.flush()?;
+            file.get_ref().sync_all()?;
+            drop(file);
+            fs::rename(&self.partial, &self.path)
+        })();
+        if let Err(error) = renamed {
+            discard(&self.partial);
+            return Err(error);
+        }
+        sync_folder(self.path.parent().unwrap_or(Path::new("")))?;
+        Ok(FileStamp { n_bytes: self.n_bytes, checksum: self.hasher.finalize().to_hex().to_string() })
+    }
+}
+
+impl Write for AtomicFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let Some(file) = &mut self.file else {
+            return Err(io::Error::other("the file is committed already"));
+        };
+        let n_written = file.write(bytes)?;
+        self.hasher.update(&bytes[..n_written]);
+        self.n_bytes += n_written as u64;
+        Ok(n_written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.as_mut().map_or(Ok(()), Write::flush)
+    }
+}
+
+impl Drop for AtomicFile {
+    fn drop(&mut self) {
+        if self.file.take().is_some() {
+            discard(&self.partial);
+        }
+    }
+}
+
+/// Writes a whole file through `write`.
+///
+/// # Errors
+/// Those of `write` and of the file system; nothing new is then under `path`.
+pub fn write_atomically<E: From<io::Error>>(
+    path: &Path,
+    write: impl FnOnce(&mut AtomicFile) -> std::result::Result<(), E>,
+) -> std::result::Result<FileStamp, E> {
+    let mut file = AtomicFile::create(path)?;
+    write(&mut file)?;
+    Ok(file.commit()?)
+}
+
+/// Removes a file if it is there.
+///
+/// # Errors
+/// Whatever the file system says, except that the file is missing.
+pub fn remove_if_present(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// A name beside `path` for what is to become it: `<name>.<16 hexadecimal digits>.partial`. The digits are drawn anew each
+/// time, so that no two writers share a name, on whatever machines they run.
+pub fn unique_partial(path: &Path) -> PathBuf {
+    // The keys of a hasher are what the standard library draws from the system's randomness.
+    let digits = RandomState::new().build_hasher().finish();
+    let mut name = path.file_name().map_or_else(OsString::new, OsString::from);
+    name.push(format!(".{digits:0N_DIGITS$x}{PARTIAL_SUFFIX}"));
+    path.with_file_name(name)
+}
+
+/// Whether `name` is one that [`unique_partial`] gives to a file called `whole`.
+pub fn is_partial_of(name: &str, whole: &str) -> bool {
+    let digits = (|| name.strip_prefix(whole)?.strip_prefix('.')?.strip_suffix(PARTIAL_SUFFIX))();
+    digits.is_some_and(|digits| digits.len() == N_DIGITS && digits.bytes().all(|byte| byte.is_ascii_hexdigit()))
+}
+
+/// Removes a file that is of no use to anybody. A failure only leaves a leftover.
+fn discard(partial: &Path) {
+    drop(fs::remove_file(partial));
+}

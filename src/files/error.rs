@@ -1,0 +1,109 @@
+//! Why may a command not write where it was asked to, and what can the user do about it?
+
+use std::fmt;
+use std::io;
+use std::path::PathBuf;
+
+/// A refusal to write.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The file system refused; the message names the path.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    /// An output that overlaps an input.
+    #[error(
+        "cannot write {}: it {relation} the input {name} ({}); nothing was changed; choose another output, or move the input",
+        .output.display(),
+        .input.display()
+    )]
+    Overlap {
+        /// What would be written.
+        output: PathBuf,
+        /// How it lies to the input.
+        relation: Relation,
+        /// What the input is to the command.
+        name: String,
+        /// Where the input is.
+        input: PathBuf,
+    },
+    /// A place that holds files which no list of ours names.
+    #[error(
+        "cannot write {}: it holds {}, which djinn did not write; nothing was changed; move that away, or choose another output",
+        .path.display(),
+        few(.found)
+    )]
+    Foreign {
+        /// The file or folder that would be written.
+        path: PathBuf,
+        /// What is there, relative to the folder.
+        found: Vec<PathBuf>,
+    },
+    /// A symbolic link in the place of an output.
+    #[error(
+        "cannot write {}: it is a symbolic link, which djinn did not make; nothing was changed; remove the link, or choose another output",
+        .path.display()
+    )]
+    Link {
+        /// The link.
+        path: PathBuf,
+    },
+    /// A place that another process writes to.
+    #[error("{} is in use by {holder}; wait for it, or choose another output", .path.display())]
+    Busy {
+        /// The file or folder.
+        path: PathBuf,
+        /// Who holds it.
+        holder: String,
+    },
+    /// A folder that must be new.
+    #[error("{} exists and is not empty: name a new folder", .path.display())]
+    Exists {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A path that ends in no name, such as `..`.
+    #[error("{} cannot name a new folder", .path.display())]
+    Unnamed {
+        /// The path.
+        path: PathBuf,
+    },
+}
+
+impl Error {
+    /// Whether the user can mend it; otherwise the machine failed.
+    pub fn is_refusal(&self) -> bool {
+        !matches!(self, Self::Io(_))
+    }
+}
+
+/// How an output lies to an input.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Relation {
+    /// They are the same file or folder.
+    Same,
+    /// The output lies inside the input.
+    Inside,
+    /// The output contains the input.
+    Contains,
+}
+
+impl fmt::Display for Relation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Same => "is",
+            Self::Inside => "lies inside",
+            Self::Contains => "contains",
+        })
+    }
+}
+
+/// The first few names, and how many more there are.
+fn few(found: &[PathBuf]) -> String {
+    const SHOWN: usize = 3;
+    let names: Vec<String> = found.iter().take(SHOWN).map(|path| path.display().to_string()).collect();
+    let more = found.len().saturating_sub(SHOWN);
+    if more == 0 { names.join(", ") } else { format!("{} and {more} more", names.join(", ")) }
+}
+
+/// The results of this module.
+pub type Result<T, E = Error> = std::result::Result<T, E>;

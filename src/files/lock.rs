@@ -1,0 +1,120 @@
+//! Does another process write to this place right now?
+
+use super::error::{Error, Result};
+use fs_err::File;
+use std::ffi::OsString;
+use std::fs::TryLockError;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Name of the lock file in a folder.
+pub const LOCK_FILE: &str = ".lock";
+
+/// A killed process may take a moment to be gone.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// The most that a lock file of ours holds: the number of a process.
+const MAX_BYTES: u64 = 20;
+
+/// The right to write to a place, until dropped. It is an advisory lock that the system takes back when the process ends,
+/// however it ends; so there are no stale locks. The file holds the number of the process, for messages.
+#[derive(Debug)]
+pub struct Lock {
+    file: File,
+    /// The file, where it goes with the lock.
+    temporary: Option<PathBuf>,
+}
+
+impl Lock {
+    /// Takes the lock on the folder `dir`, which must exist. The lock file stays in it, empty.
+    ///
+    /// # Errors
+    /// [`Error::Busy`] when another process has it; [`Error::Foreign`] when the lock file is not ours.
+    pub fn in_folder(dir: &Path) -> Result<Self> {
+        let path = dir.join(LOCK_FILE);
+        Ok(Self { file: acquire(&path, dir)?, temporary: None })
+    }
+
+    /// Takes the lock on `path`, which need not exist, by a file beside it that goes with the lock.
+    ///
+    /// # Errors
+    /// [`Error::Busy`] when another process has it; [`Error::Foreign`] when the lock file is not ours.
+    pub fn beside(path: &Path) -> Result<Self> {
+        let mut name = OsString::from(".");
+        name.push(path.file_name().ok_or_else(|| Error::Unnamed { path: path.to_owned() })?);
+        name.push(LOCK_FILE);
+        let lock = path.with_file_name(name);
+        loop {
+            let file = acquire(&lock, path)?;
+            // Whoever had the lock before may have removed the file after it was opened here.
+            if is_still_at(&file, &lock) {
+                return Ok(Self { file, temporary: Some(lock) });
+            }
+        }
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // Failing to clear the number does no harm: the lock itself goes with the file handle.
+        let _ = self.file.set_len(0);
+        if let Some(path) = &self.temporary {
+            let _ = fs_err::remove_file(path);
+        }
+    }
+}
+
+fn acquire(path: &Path, what: &Path) -> Result<File> {
+    let mut file = File::options().read(true).write(true).create(true).truncate(false).open(path)?;
+    let mut holder = String::new();
+    let is_ours = file.metadata()?.len() <= MAX_BYTES
+        && (&mut file).take(MAX_BYTES).read_to_string(&mut holder).is_ok()
+        && holder.bytes().all(|byte| byte.is_ascii_digit());
+    if !is_ours {
+        return Err(Error::Foreign {
+            path: what.to_owned(),
+            found: path.file_name().map(PathBuf::from).into_iter().collect(),
+        });
+    }
+    match try_lock_for(&file, PATIENCE) {
+        Ok(()) => {}
+        Err(TryLockError::WouldBlock) => {
+            let holder = if holder.is_empty() { "another process".to_owned() } else { format!("process {holder}") };
+            return Err(Error::Busy { path: what.to_owned(), holder });
+        }
+        // Some network file systems know no locks; working without one is better than not at all.
+        Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {}
+        Err(TryLockError::Error(error)) => return Err(error.into()),
+    }
+    file.set_len(0)?;
+    std::io::Seek::rewind(&mut file)?;
+    write!(file, "{}", std::process::id())?;
+    Ok(file)
+}
+
+fn try_lock_for(file: &File, patience: Duration) -> std::result::Result<(), TryLockError> {
+    let began = Instant::now();
+    loop {
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) if began.elapsed() < patience => std::thread::sleep(patience / 40),
+            outcome => return outcome,
+        }
+    }
+}
+
+#[cfg(unix)]
+fn is_still_at(file: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let identity = |metadata: std::fs::Metadata| (metadata.dev(), metadata.ino());
+    match (file.metadata(), fs_err::symlink_metadata(path)) {
+        (Ok(opened), Ok(there)) => identity(opened) == identity(there),
+        _ => false,
+    }
+}
+
+/// Open files cannot be removed here.
+#[cfg(not(unix))]
+fn is_still_at(_file: &File, _path: &Path) -> bool {
+    true
+}

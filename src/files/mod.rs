@@ -1,0 +1,27 @@
+//! What may a command write, and what may it remove? Whole files, lists of what is ours, locks, and overlaps.
+//!
+//! The rule: a command removes only files that a list of ours names. It refuses an output that overlaps an input or holds
+//! files of somebody else, and says so before it touches anything.
+
+mod atomic;
+mod error;
+mod exchange;
+mod lock;
+mod new_folder;
+mod overlap;
+#[cfg(test)]
+mod tests;
+mod written;
+
+pub use atomic::{
+    AtomicFile, FileStamp, PARTIAL_SUFFIX, is_partial_of, remove_if_present, unique_partial, write_atomically,
+};
+pub use error::{Error, Relation, Result};
+pub use exchange::exchange;
+pub use lock::{LOCK_FILE, Lock};
+pub use new_folder::NewFolder;
+pub use overlap::{check_overlap, resolve};
+pub use written::{
+    LIST_FILE, clear, enter_all, files_below, foreign, is_link, keep_list, list_above, listed, remove_leftovers,
+    remove_listed, sync_folder,
+};

@@ -1,0 +1,90 @@
+//! Does an output overlap an input, whatever links and dots the paths are written with?
+
+use super::error::{Error, Relation, Result};
+use std::ffi::OsString;
+use std::io;
+use std::path::{Component, Path, PathBuf};
+
+/// Links that are followed before a path is taken for a circle; Linux has the same limit.
+const MAX_LINKS: usize = 40;
+
+/// Refuses an output that is an input, lies inside one, or contains one. Neither needs to exist yet.
+///
+/// # Errors
+/// [`Error::Overlap`] for the first input that overlaps; those of the file system.
+pub fn check_overlap<'a>(output: &Path, inputs: impl IntoIterator<Item = (&'a str, &'a Path)>) -> Result<()> {
+    let resolved = resolve(output)?;
+    for (name, input) in inputs {
+        if let Some(relation) = relation(&resolved, &resolve(input)?) {
+            let (output, input) = (output.to_owned(), input.to_owned());
+            return Err(Error::Overlap { output, relation, name: name.to_owned(), input });
+        }
+    }
+    Ok(())
+}
+
+fn relation(output: &Path, input: &Path) -> Option<Relation> {
+    match (output.starts_with(input), input.starts_with(output)) {
+        (true, true) => Some(Relation::Same),
+        (true, false) => Some(Relation::Inside),
+        (false, true) => Some(Relation::Contains),
+        (false, false) => None,
+    }
+}
+
+/// Where a path leads: absolute, without links and dots. Unlike [`std::fs::canonicalize`] it needs no part of the path to
+/// exist: what is not there yet is no link.
+///
+/// # Errors
+/// When links go round in circles, or there is no current folder.
+pub fn resolve(path: &Path) -> io::Result<PathBuf> {
+    let mut at = std::env::current_dir()?;
+    let mut pending: Vec<Part> = parts(path);
+    let mut n_links = 0;
+    while let Some(part) = pending.pop() {
+        match part {
+            Part::Root(root) => at = root,
+            Part::Up => _ = at.pop(),
+            Part::Name(name) => {
+                at.push(name);
+                let Ok(target) = fs_err::read_link(&at) else { continue };
+                n_links += 1;
+                if n_links > MAX_LINKS {
+                    return Err(io::Error::other(format!(
+                        "{}: its symbolic links go round in circles",
+                        path.display()
+                    )));
+                }
+                at.pop();
+                pending.extend(parts(&target));
+            }
+        }
+    }
+    Ok(at)
+}
+
+enum Part {
+    Root(PathBuf),
+    Up,
+    Name(OsString),
+}
+
+/// The parts of a path, the last one first.
+fn parts(path: &Path) -> Vec<Part> {
+    let mut parts = Vec::new();
+    for component in path.components() {
+        match component {
+            Component::Prefix(prefix) => parts.push(Part::Root(prefix.as_os_str().into())),
+            // After a prefix, the root belongs to it.
+            Component::RootDir => match parts.last_mut() {
+                Some(Part::Root(root)) => root.push(component.as_os_str()),
+                _ => parts.push(Part::Root(component.as_os_str().into())),
+            },
+            Component::CurDir => {}
+            Component::ParentDir => parts.push(Part::Up),
+            Component::Normal(name) => parts.push(Part::Name(name.to_owned())),
+        }
+    }
+    parts.reverse();
+    parts
+}

@@ -1,0 +1,231 @@
+//! Is what others put somewhere left alone, and is what is ours found again?
+
+use super::*;
+use fs_err as fs;
+use std::collections::BTreeSet;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+fn write(path: &Path, text: &str) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    write_atomically::<io::Error>(path, |file| file.write_all(text.as_bytes())).unwrap();
+}
+
+fn put(path: &Path, text: &str) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, text).unwrap();
+}
+
+fn names(names: &[&str]) -> BTreeSet<PathBuf> {
+    names.iter().map(PathBuf::from).collect()
+}
+
+#[test]
+fn two_writers_of_one_file_do_not_share_a_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.txt");
+    let (mut one, mut two) = (AtomicFile::create(&path).unwrap(), AtomicFile::create(&path).unwrap());
+    for (file, text) in [(&mut one, "one"), (&mut two, "second")] {
+        file.write_all(text.as_bytes()).unwrap();
+    }
+    two.commit().unwrap();
+    assert_eq!(fs::read_to_string(&path).unwrap(), "second");
+    one.commit().unwrap();
+    assert_eq!(fs::read_to_string(&path).unwrap(), "one");
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn partial_names_are_told_from_names_of_others() {
+    let partial = unique_partial(Path::new("x/a.txt"));
+    let name = partial.file_name().unwrap().to_str().unwrap();
+    assert!(partial.parent() == Some(Path::new("x")) && is_partial_of(name, "a.txt"), "{name}");
+    for (name, whole) in [("a.txt.partial", "a.txt"), ("a.txt.0123456789abcdeg.partial", "a.txt"), (name, "b.txt")] {
+        assert!(!is_partial_of(name, whole), "{name}");
+    }
+}
+
+#[test]
+fn the_innermost_list_names_every_file_that_was_begun() {
+    let dir = tempfile::tempdir().unwrap();
+    let inner = dir.path().join("inner");
+    write(&dir.path().join("before.txt"), "");
+    fs::create_dir(&inner).unwrap();
+    keep_list(dir.path()).unwrap();
+    keep_list(&inner).unwrap();
+    write(&dir.path().join("folder/a.txt"), "a");
+    write(&inner.join("line\nbreak.txt"), "b");
+    drop(AtomicFile::create(&dir.path().join("given up.txt")).unwrap());
+    assert_eq!(listed(dir.path()).unwrap(), Some(names(&["folder/a.txt", "given up.txt"])));
+    assert_eq!(listed(&inner).unwrap(), Some(names(&["line\nbreak.txt"])));
+    assert_eq!(listed(&dir.path().join("folder")).unwrap(), None);
+}
+
+#[test]
+fn a_list_that_was_cut_off_or_leads_elsewhere_names_nothing_more() {
+    let dir = tempfile::tempdir().unwrap();
+    let kept = dir.path().join("kept");
+    put(&dir.path().join("thesis.doc"), "");
+    fs::create_dir(&kept).unwrap();
+    keep_list(&kept).unwrap();
+    write(&kept.join("a"), "");
+    let path = kept.join(LIST_FILE);
+    let list = fs::read_to_string(&path).unwrap();
+    fs::write(&path, format!("{list}\"../thesis.doc\"\n\"/etc/passwd\"\n\"b")).unwrap();
+    assert_eq!(listed(&kept).unwrap(), Some(names(&["a"])));
+}
+
+#[test]
+fn only_what_the_list_names_is_removed() {
+    let dir = tempfile::tempdir().unwrap();
+    let work = dir.path().join("work");
+    fs::create_dir(&work).unwrap();
+    keep_list(&work).unwrap();
+    write(&work.join("corpus/x/a.parquet"), "ours");
+    write(&work.join("corpus/y/b.parquet"), "ours");
+    let mut half = AtomicFile::create(&work.join("corpus/y/c.parquet")).unwrap();
+    half.write_all(b"half").unwrap();
+    std::mem::forget(half);
+    put(&work.join("corpus/y/thesis.doc"), "theirs");
+    put(&work.join("corpus/y/c.parquet.partial"), "theirs");
+    let theirs = names(&["corpus/y/c.parquet.partial", "corpus/y/thesis.doc"]);
+    let ours = listed(&work).unwrap().unwrap();
+    assert_eq!(foreign(&work, &ours).unwrap(), theirs.iter().cloned().collect::<Vec<_>>());
+    assert!(matches!(clear(&work.join("corpus")), Err(Error::Foreign { found, .. }) if found.len() == 2));
+    clear(&work.join("corpus/x")).unwrap();
+    assert_eq!(fs::read_dir(work.join("corpus/x")).unwrap().count(), 0);
+
+    remove_leftovers(&work).unwrap();
+    assert_eq!(foreign(&work, &BTreeSet::new()).unwrap().len(), 3, "b, and two of theirs");
+    assert_eq!(remove_listed(&work, &ours).unwrap(), theirs.iter().cloned().collect::<Vec<_>>());
+    assert_eq!(files_below(&work).unwrap().len(), 3, "two of theirs, and the list");
+    fs::remove_file(work.join("corpus/y/thesis.doc")).unwrap();
+    fs::remove_file(work.join("corpus/y/c.parquet.partial")).unwrap();
+    assert!(remove_listed(&work, &ours).unwrap().is_empty() && !work.exists());
+}
+
+#[test]
+fn overlaps_are_seen_through_dots_links_and_what_is_not_there_yet() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = resolve(dir.path()).unwrap();
+    let at = |name: &str| root.join(name);
+    put(&at("rec/part/x.csv"), "");
+    put(&at("recordings/x.csv"), "");
+    #[cfg(unix)]
+    for (target, link) in [
+        ("rec", "link"),
+        ("later/folder", "dangling"),
+        ("link/part", "chain"),
+        ("circle2", "circle1"),
+        ("circle1", "circle2"),
+    ] {
+        std::os::unix::fs::symlink(target, at(link)).unwrap();
+    }
+    for (output, input, expected) in [
+        ("rec", "rec", Some(Relation::Same)),
+        ("rec/new/deep", "rec", Some(Relation::Inside)),
+        ("rec", "rec/part/x.csv", Some(Relation::Contains)),
+        ("rec/../rec/./part", "rec/part", Some(Relation::Same)),
+        ("nowhere/../rec/out", "rec", Some(Relation::Inside)),
+        ("rec", "recordings", None),
+        ("rec/part", "rec/other", None),
+        ("out", "rec", None),
+        #[cfg(unix)]
+        ("link", "rec", Some(Relation::Same)),
+        #[cfg(unix)]
+        ("rec/out", "link", Some(Relation::Inside)),
+        #[cfg(unix)]
+        ("chain/../out", "rec", Some(Relation::Inside)),
+        #[cfg(unix)]
+        ("dangling/out", "later/folder", Some(Relation::Inside)),
+        #[cfg(unix)]
+        ("later", "dangling", Some(Relation::Contains)),
+    ] {
+        let (from, to) = (at(output), at(input));
+        let found = match check_overlap(&from, [("recordings", to.as_path())]) {
+            Err(Error::Overlap { relation, .. }) => Some(relation),
+            outcome => outcome.map(|()| None).unwrap(),
+        };
+        assert_eq!(found, expected, "{output} and {input}");
+    }
+    #[cfg(unix)]
+    assert!(resolve(&at("circle1/x")).unwrap_err().to_string().contains("in circles"));
+    assert!(resolve(Path::new("x/../y")).unwrap().ends_with("y") && resolve(Path::new("y")).unwrap().is_absolute());
+}
+
+#[test]
+fn a_refusal_says_what_is_where_and_what_to_do() {
+    let dir = tempfile::tempdir().unwrap();
+    put(&dir.path().join("rec/x.csv"), "");
+    let input = dir.path().join("rec");
+    let error = check_overlap(&input.join("out"), [("inputs.0", input.as_path())]).unwrap_err().to_string();
+    for part in ["rec/out", "lies inside the input inputs.0", "nothing was changed", "choose another output"] {
+        assert!(error.contains(part), "{error}");
+    }
+    let found = ["a", "b", "c", "d", "e"].map(PathBuf::from).to_vec();
+    let error = Error::Foreign { path: "figures".into(), found }.to_string();
+    assert!(error.contains("figures: it holds a, b, c and 2 more, which djinn did not write"), "{error}");
+}
+
+#[test]
+fn a_place_has_one_writer() {
+    let dir = tempfile::tempdir().unwrap();
+    let lock = Lock::in_folder(dir.path()).unwrap();
+    let busy = Lock::in_folder(dir.path()).unwrap_err().to_string();
+    assert!(busy.contains(&format!("in use by process {}", std::process::id())), "{busy}");
+    drop(lock);
+    Lock::in_folder(dir.path()).unwrap();
+
+    let out = dir.path().join("out");
+    let lock = Lock::beside(&out).unwrap();
+    assert!(matches!(Lock::beside(&out), Err(Error::Busy { .. })));
+    drop(lock);
+    drop(Lock::beside(&out).unwrap());
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "the lock of the folder alone");
+    // A file of this name that another program wrote is not emptied.
+    fs::write(dir.path().join(LOCK_FILE), "yarn lockfile v1").unwrap();
+    assert!(matches!(Lock::in_folder(dir.path()), Err(Error::Foreign { .. })));
+    assert_eq!(fs::read_to_string(dir.path().join(LOCK_FILE)).unwrap(), "yarn lockfile v1");
+}
+
+#[test]
+fn a_folder_appears_whole_or_not_at_all() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("new/out");
+    let folder = NewFolder::begin(&out, []).unwrap();
+    write(&folder.path().join("lanes.parquet"), "half");
+    assert!(!out.exists());
+    assert!(matches!(NewFolder::begin(&out, []), Err(Error::Busy { .. })));
+    drop(folder);
+    assert_eq!(fs::read_dir(dir.path().join("new")).unwrap().count(), 0);
+
+    // A killed process left its folder, in which somebody put something: ours goes, theirs stays.
+    let killed = NewFolder::begin(&out, []).unwrap();
+    write(&killed.path().join("lanes.parquet"), "half");
+    put(&killed.path().join("thesis.doc"), "years of work");
+    let left = dir.path().join("left");
+    fs::rename(killed.path(), &left).unwrap();
+    drop(killed);
+    let left_again = unique_partial(&out);
+    fs::rename(&left, &left_again).unwrap();
+    fs::create_dir(&out).unwrap();
+    let folder = NewFolder::begin(&out, []).unwrap();
+    assert!(left_again.join("thesis.doc").exists() && !left_again.join("lanes.parquet").exists());
+    write(&folder.path().join("manifest.json"), "whole");
+    folder.commit().unwrap();
+    assert_eq!(files_below(&out).unwrap(), [PathBuf::from("manifest.json")]);
+    assert!(matches!(NewFolder::begin(&out, []), Err(Error::Exists { .. })));
+    assert!(matches!(NewFolder::begin(&out.join("sub"), [("corpus", out.as_path())]), Err(Error::Overlap { .. })));
+}
+
+#[test]
+fn what_appears_meanwhile_is_not_replaced() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let folder = NewFolder::begin(&out, []).unwrap();
+    write(&folder.path().join("manifest.json"), "whole");
+    put(&out.join("thesis.doc"), "years of work");
+    assert!(matches!(folder.commit(), Err(Error::Exists { .. })));
+    assert_eq!(fs::read_to_string(out.join("thesis.doc")).unwrap(), "years of work");
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+}

@@ -1,0 +1,196 @@
+//! What of this folder is ours? A list in the folder names every file that was begun in it, before it is begun.
+//!
+//! A folder in which a command works keeps such a list ([`keep_list`]). Every [`AtomicFile`](super::AtomicFile) enters itself
+//! in the list of the innermost folder above it that has one, so that writers need not know of it. Whatever the list does not
+//! name was put there by somebody else and is left alone. Folders hold nothing: they go when they are empty.
+
+use super::atomic::is_partial_of;
+use super::error::{Error, Result};
+use fs_err as fs;
+use std::collections::BTreeSet;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+/// Name of the list in a folder that keeps one: a JSON string a line, relative to the folder.
+pub const LIST_FILE: &str = ".djinn-written";
+
+/// Begins the list of `dir`, which must exist.
+///
+/// # Errors
+/// Those of the file system, and that the folder keeps a list already.
+pub fn keep_list(dir: &Path) -> Result<()> {
+    fs::File::options().write(true).create_new(true).open(dir.join(LIST_FILE))?;
+    Ok(())
+}
+
+/// The files that the list of `dir` names, whether or not they came to be; `None` where the folder keeps no list.
+///
+/// # Errors
+/// Those of the file system.
+pub fn listed(dir: &Path) -> Result<Option<BTreeSet<PathBuf>>> {
+    let path = dir.join(LIST_FILE);
+    if is_link(&path) || !path.is_file() {
+        return Ok(None);
+    }
+    // A line that a kill cut off names a file that was not begun.
+    let lines = fs::read_to_string(path)?;
+    let names = lines.lines().filter_map(|line| serde_json::from_str::<PathBuf>(line).ok());
+    let stays_below = |name: &PathBuf| name.components().all(|part| matches!(part, std::path::Component::Normal(_)));
+    Ok(Some(names.filter(stays_below).collect()))
+}
+
+/// Enters a file that is about to be begun in the list of the innermost folder above it that keeps one.
+pub(super) fn enter(path: &Path) -> io::Result<()> {
+    match list_above(path) {
+        Some(dir) => enter_all(&dir, path.strip_prefix(&dir).ok().into_iter()),
+        None => Ok(()),
+    }
+}
+
+/// Enters files of `dir`, given relative to it, in its list.
+///
+/// # Errors
+/// Those of the file system.
+pub fn enter_all<'a>(dir: &Path, names: impl Iterator<Item = &'a Path>) -> io::Result<()> {
+    let mut lines = String::new();
+    for name in names {
+        lines.push_str(&serde_json::to_string(&name.to_string_lossy())?);
+        lines.push('\n');
+    }
+    // One write of a short text at the end of a file is not torn apart by other threads.
+    fs::File::options().append(true).open(dir.join(LIST_FILE))?.write_all(lines.as_bytes())
+}
+
+/// The innermost folder above `path` that keeps a list.
+pub fn list_above(path: &Path) -> Option<PathBuf> {
+    path.ancestors().skip(1).find(|dir| dir.join(LIST_FILE).is_file()).map(Path::to_owned)
+}
+
+/// Everything below `dir` that is no folder, relative to it and sorted; nothing where there is no such folder. Links are not
+/// followed: they count as files.
+///
+/// # Errors
+/// Those of the file system.
+pub fn files_below(dir: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    let mut pending = vec![PathBuf::new()];
+    while let Some(folder) = pending.pop() {
+        let entries = match fs::read_dir(dir.join(&folder)) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound && folder.as_os_str().is_empty() => break,
+            entries => entries?,
+        };
+        for entry in entries {
+            let entry = entry?;
+            let name = folder.join(entry.file_name());
+            if entry.file_type()?.is_dir() { pending.push(name) } else { found.push(name) }
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// What lies below `dir` and is not among `ours`: neither such a file nor the partial file of one, nor the list.
+///
+/// # Errors
+/// Those of the file system.
+pub fn foreign(dir: &Path, ours: &BTreeSet<PathBuf>) -> Result<Vec<PathBuf>> {
+    Ok(files_below(dir)?.into_iter().filter(|name| !is_ours(name, ours)).collect())
+}
+
+/// Removes those files below `dir` that are `ours`, and the folders that this leaves empty, `dir` included. Returns what
+/// stays.
+///
+/// # Errors
+/// Those of the file system.
+pub fn remove_listed(dir: &Path, ours: &BTreeSet<PathBuf>) -> Result<Vec<PathBuf>> {
+    let (removed, kept): (Vec<_>, Vec<_>) = files_below(dir)?.into_iter().partition(|name| is_ours(name, ours));
+    // The list last: until then, a second attempt knows what is ours.
+    let (list, files): (Vec<_>, Vec<_>) = removed.into_iter().partition(|name| name == Path::new(LIST_FILE));
+    for name in files.iter().chain(if kept.is_empty() { list.iter() } else { [].iter() }) {
+        fs::remove_file(dir.join(name))?;
+    }
+    remove_empty(dir)?;
+    Ok(kept)
+}
+
+/// Empties the folder `dir` of what the list in it or above it says was written there, so that a writer can begin anew;
+/// makes the folder where it is missing.
+///
+/// # Errors
+/// [`Error::Foreign`] when it holds anything else; those of the file system.
+pub fn clear(dir: &Path) -> Result<()> {
+    let mut ours = BTreeSet::new();
+    if let Some(keeper) = list_above(&dir.join(LIST_FILE)) {
+        let below = dir.strip_prefix(&keeper).unwrap_or(Path::new(""));
+        let names = listed(&keeper)?.unwrap_or_default();
+        ours = names.iter().filter_map(|name| name.strip_prefix(below).ok().map(Path::to_owned)).collect();
+    }
+    let found = foreign(dir, &ours)?;
+    if !found.is_empty() {
+        return Err(Error::Foreign { path: dir.to_owned(), found });
+    }
+    for name in files_below(dir)?.iter().filter(|name| name.as_path() != Path::new(LIST_FILE)) {
+        fs::remove_file(dir.join(name))?;
+    }
+    remove_empty(dir)?;
+    Ok(fs::create_dir_all(dir)?)
+}
+
+/// Removes the partial files of files that the list of `dir` names. Nobody must be writing there: they are leftovers then.
+///
+/// # Errors
+/// Those of the file system.
+pub fn remove_leftovers(dir: &Path) -> Result<()> {
+    let ours = listed(dir)?.unwrap_or_default();
+    for name in files_below(dir)? {
+        if !ours.contains(&name) && name != Path::new(LIST_FILE) && is_ours(&name, &ours) {
+            fs::remove_file(dir.join(name))?;
+        }
+    }
+    Ok(())
+}
+
+/// Whether the path is a symbolic link, wherever that leads.
+pub fn is_link(path: &Path) -> bool {
+    path.symlink_metadata().is_ok_and(|metadata| metadata.is_symlink())
+}
+
+/// Brings a folder's entries to the disk: a rename is there only once its folder is.
+///
+/// # Errors
+/// Those of the file system.
+pub fn sync_folder(dir: &Path) -> io::Result<()> {
+    // Elsewhere folders cannot be opened; the system orders renames by itself.
+    if cfg!(unix) {
+        let dir = if dir.as_os_str().is_empty() { Path::new(".") } else { dir };
+        fs::File::open(dir)?.sync_all()?;
+    }
+    Ok(())
+}
+
+fn is_ours(name: &Path, ours: &BTreeSet<PathBuf>) -> bool {
+    if ours.contains(name) || name == Path::new(LIST_FILE) {
+        return true;
+    }
+    let Some(file) = name.file_name().and_then(|file| file.to_str()) else { return false };
+    let whole = file.strip_suffix(super::PARTIAL_SUFFIX).and_then(|rest| rest.rsplit_once('.'));
+    whole.is_some_and(|(whole, _)| is_partial_of(file, whole) && ours.contains(&name.with_file_name(whole)))
+}
+
+/// Removes the folders below `dir` that hold no files, and `dir` itself if it holds none.
+fn remove_empty(dir: &Path) -> Result<()> {
+    let entries = match fs::read_dir(dir) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        entries => entries?,
+    };
+    for entry in entries {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            remove_empty(&entry.path())?;
+        }
+    }
+    match fs::remove_dir(dir) {
+        Err(error) if error.kind() != io::ErrorKind::DirectoryNotEmpty => Err(error.into()),
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,138 @@
+//! May a command write into this folder, and which of the files there are its own?
+
+use super::failure::{Failure, Result};
+use super::record::{StageRecord, done_path, started_path};
+use super::run::{CONFIG_FILE, RUN_FILE, TIMINGS_FILE};
+use super::stage::{Stage, StageId};
+use crate::files::{self, Error, check_overlap, foreign, is_link, is_partial_of};
+use crate::store::read_json;
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Refuses stages that would write over what one of them reads: an output that is an input, lies inside one, or contains
+/// one.
+pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Result<()> {
+    for writer in stages {
+        for reader in stages {
+            // What a stage makes is there to be read by later ones.
+            let inputs = reader.inputs().into_iter().filter(|input| input.producer != Some(writer.id()));
+            for input in inputs {
+                for name in writer.outputs() {
+                    check_overlap(&root.join(name), [(input.name.as_str(), input.path.as_path())]).map_err(
+                        |error| {
+                            let failure = Failure::from(error).context(format!("stage {} cannot run", writer.id()));
+                            match writer.id().trains() {
+                                true => failure.with_hint(
+                                    "to go on from a model of this folder, copy it elsewhere and name the copy",
+                                ),
+                                false => failure.with_hint("give recordings and results folders of their own"),
+                            }
+                        },
+                    )?;
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a folder in which a file that every command writes is somebody else's.
+pub(super) fn check_root(root: &Path) -> Result<()> {
+    let has_keys = |name: &str, keys: &[&str]| {
+        let value = read_json::<Value>(&root.join(name));
+        value.is_ok_and(|value| keys.iter().all(|key| value.get(key).is_some()))
+    };
+    let is_log = |name: &str| {
+        let text = fs_err::read_to_string(root.join(name)).unwrap_or_default();
+        text.is_empty()
+            || text.lines().next().is_some_and(|line| line.contains(" djinn ") && line.contains(" begins in "))
+    };
+    let log = super::log::LOG_FILE;
+    let mut found = Vec::new();
+    let mut check = |name: &str, is_ours: &dyn Fn() -> bool| {
+        let path = root.join(name);
+        if path.symlink_metadata().is_ok() && (is_link(&path) || !is_ours()) {
+            found.push(PathBuf::from(name));
+        }
+    };
+    check(RUN_FILE, &|| has_keys(RUN_FILE, &["djinn_version", "stages"]));
+    check(TIMINGS_FILE, &|| has_keys(TIMINGS_FILE, &["stages"]));
+    check(log, &|| is_log(log));
+    // It is written after the log is begun.
+    check(CONFIG_FILE, &|| root.join(RUN_FILE).exists() || (root.join(log).exists() && is_log(log)));
+    for stage in StageId::ALL {
+        for path in [done_path(root, stage), started_path(root, stage)] {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            check(&name, &|| has_keys(&name, &["stage", "fingerprint"]));
+        }
+    }
+    if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path: root.to_owned(), found }.into()) }
+}
+
+/// Removes half-written files of those that every command writes. The folder must be locked.
+pub(super) fn remove_leftovers(root: &Path) -> Result<()> {
+    let records = StageId::ALL.map(|stage| format!("{stage}.done.json"));
+    for entry in fs_err::read_dir(root)? {
+        let entry = entry?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let mut own = [CONFIG_FILE, RUN_FILE, TIMINGS_FILE].into_iter().chain(records.iter().map(String::as_str));
+        if entry.file_type()?.is_file() && own.any(|own| is_partial_of(&name, own)) {
+            fs_err::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// The files in `root` that the finished stage wrote, relative to it.
+pub(super) fn owned(root: &Path, stage: StageId) -> Result<BTreeSet<PathBuf>> {
+    Ok(StageRecord::done(root, stage).map(|record| record.owned(root)).transpose()?.unwrap_or_default())
+}
+
+/// Refuses the outputs of a stage whose places hold anything that the stage did not write.
+pub(super) fn check_outputs(root: &Path, stage: StageId, outputs: &[&str]) -> Result<()> {
+    let owned = owned(root, stage)?;
+    for name in outputs {
+        let place = root.join(name);
+        if place.symlink_metadata().is_err() {
+            continue;
+        }
+        if is_link(&place) {
+            return Err(Error::Link { path: place }.into());
+        }
+        let found = match place.is_dir() {
+            true => {
+                let ours = owned.iter().filter_map(|file| file.strip_prefix(name).ok().map(Path::to_owned)).collect();
+                foreign(&place, &ours)?
+            }
+            false if owned.contains(Path::new(name)) => Vec::new(),
+            false => vec![PathBuf::from(name)],
+        };
+        if !found.is_empty() {
+            return Err(foreign_output(root, stage, files::Error::Foreign { path: place, found }));
+        }
+    }
+    Ok(())
+}
+
+/// What is said of an output with files that no list names: older versions kept none.
+fn foreign_output(root: &Path, stage: StageId, error: Error) -> Failure {
+    let Error::Foreign { path, .. } = &error else { return error.into() };
+    let place = path.display();
+    let is_unlisted =
+        StageRecord::done(root, stage).map_or(done_path(root, stage).exists(), |record| record.files.is_none());
+    if is_unlisted {
+        let message = format!(
+            "cannot write {place}: a version of djinn that kept no list of its files wrote it, and it has changed since; nothing was changed now"
+        );
+        return Failure::input_message(message)
+            .with_hint("move away what you put there, or all of it, and run the same command again");
+    }
+    if StageRecord::started_in_place(root, stage).is_some() {
+        let message = format!(
+            "cannot write {place}: an older version of djinn, which kept no list of its files, began it with other settings or inputs and did not finish; nothing was changed now"
+        );
+        return Failure::input_message(message).with_hint("move it away or remove it, and run the same command again");
+    }
+    error.into()
+}

@@ -1,0 +1,397 @@
+//! Does running stages again lose anything: files of others, earlier outputs, trained models? On stages that write a few lines.
+
+use super::graph::{Action, PlannedStage, execute, plan};
+use super::record::StageRecord;
+use super::run::{RunFolder, StageTiming, TIMINGS_FILE, Timings};
+use super::{Blame, Failure, Result, Stage, StageContext, StageId, StageInput};
+use crate::files::write_atomically;
+use crate::progress::Silent;
+use crate::store::write_json_atomically;
+use fs_err as fs;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Trains a "model": a folder of two files, and a file beside it.
+#[derive(Clone, Default)]
+struct Toy {
+    text: String,
+    inputs: Vec<StageInput>,
+    fails: bool,
+    /// A file that somebody puts somewhere while the stage is at work.
+    put_meanwhile: Option<PathBuf>,
+    is_cheap: bool,
+}
+
+const OUTPUTS: &[&str] = &["denoiser", "mine.json"];
+
+impl Stage for Toy {
+    fn id(&self) -> StageId {
+        StageId::TrainDenoiser
+    }
+
+    fn version(&self) -> u32 {
+        1
+    }
+
+    fn check(&self) -> Result<()> {
+        Ok(())
+    }
+
+    fn config(&self) -> anyhow::Result<Value> {
+        Ok(json!({ "text": self.text }))
+    }
+
+    fn inputs(&self) -> Vec<StageInput> {
+        self.inputs.clone()
+    }
+
+    fn outputs(&self) -> &'static [&'static str] {
+        OUTPUTS
+    }
+
+    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
+        for name in ["denoiser/state.safetensors", "denoiser/deep/model.safetensors", "mine.json"] {
+            let path = context.root.join(name);
+            fs::create_dir_all(path.parent().unwrap())?;
+            write_atomically::<std::io::Error>(&path, |file| file.write_all(self.text.as_bytes()))?;
+            if self.fails {
+                return Err(Failure::input_message("broken off"));
+            }
+        }
+        if let Some(path) = &self.put_meanwhile {
+            put(path, FOREIGN);
+        }
+        Ok(json!({ "trained": !self.is_cheap }))
+    }
+}
+
+const FOREIGN: &str = "years of work";
+
+fn put(path: &Path, text: &str) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, text).unwrap();
+}
+
+fn toy(text: &str) -> Toy {
+    Toy { text: text.to_owned(), ..Toy::default() }
+}
+
+/// What was planned.
+struct Planned {
+    action: Action,
+    redone: Option<String>,
+}
+
+/// Runs the stage as the program does.
+fn run(root: &Path, toy: &Toy, redo: &[StageId]) -> Result<Planned> {
+    let _folder = RunFolder::open(root)?;
+    let mut planned: Vec<PlannedStage<'_>> = plan(root, vec![Box::new(toy.clone())], redo)?;
+    let first = planned.first_mut().unwrap();
+    let plan = Planned { action: first.action.clone(), redone: first.redone() };
+    let context = StageContext { root, device: &candle_core::Device::Cpu, progress: &Silent };
+    execute(planned, &context, &mut |_| Ok(()), &mut |_, _| Ok(()))?;
+    Ok(plan)
+}
+
+/// Every file by its name, except the lock.
+fn snapshot(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let names = crate::files::files_below(root).unwrap().into_iter().filter(|name| name != Path::new(".lock"));
+    names.map(|name| (name.clone(), fs::read(root.join(&name)).unwrap())).collect()
+}
+
+fn text(root: &Path, name: &str) -> String {
+    fs::read_to_string(root.join(name)).unwrap()
+}
+
+/// Writes how long the stage took.
+fn took(root: &Path, seconds: Option<f64>) {
+    let timing = StageTiming { started: String::new(), finished: None, seconds, n_threads: 1, peak_memory_bytes: None };
+    let timings = Timings { stages: BTreeMap::from([("train_denoiser".to_owned(), vec![timing])]) };
+    write_json_atomically(&root.join(TIMINGS_FILE), &timings).unwrap();
+}
+
+/// Makes a folder look as versions without lists left it.
+fn forget_list(root: &Path) {
+    let mut record = StageRecord::done(root, StageId::TrainDenoiser).unwrap();
+    record.files = None;
+    write_json_atomically(&root.join("train_denoiser.done.json"), &record).unwrap();
+}
+
+/// A state in which a folder may be found: its name, and what brings a new folder into it.
+type State = (&'static str, fn(&Path));
+
+fn states() -> Vec<State> {
+    fn finished(root: &Path) {
+        run(root, &toy("old"), &[]).unwrap();
+        took(root, Some(3.0));
+    }
+    fn broken(root: &Path) {
+        run(root, &Toy { fails: true, ..toy("old") }, &[]).err().unwrap();
+    }
+    fn in_place(root: &Path, text: &str) {
+        broken(root);
+        let work = root.join("train_denoiser.partial");
+        fs::rename(work.join("denoiser"), root.join("denoiser")).unwrap();
+        let started = fs::read_to_string(work.join("started.json")).unwrap().replace("old", text);
+        fs::write(root.join("train_denoiser.started.json"), started).unwrap();
+        fs::remove_dir_all(work).unwrap();
+    }
+    vec![
+        ("new", |_| {}),
+        ("finished", finished),
+        ("finished by an older version", |root| {
+            finished(root);
+            forget_list(root);
+        }),
+        ("interrupted", broken),
+        ("interrupted when done again", |root| {
+            finished(root);
+            run(root, &Toy { fails: true, ..toy("other") }, &[]).err().unwrap();
+        }),
+        ("interrupted by an older version", |root| in_place(root, "old")),
+        ("damaged", |root| {
+            finished(root);
+            fs::remove_file(root.join("denoiser/deep/model.safetensors")).unwrap();
+        }),
+    ]
+}
+
+/// Whatever the state of the folder and whatever is run in it, a file of somebody else stays where it is, byte for byte; and
+/// what is refused leaves everything as it was.
+#[test]
+fn files_of_others_survive_everywhere() {
+    let places = [
+        "thesis.doc",
+        "thesis.partial",
+        "denoiser",
+        "denoiser/thesis.doc",
+        "denoiser/deep/thesis.doc",
+        "denoiser/state.safetensors.partial",
+        "mine.json",
+        "mine.json.d/x",
+        "train_denoiser.partial",
+        "train_denoiser.partial/thesis.doc",
+        "train_denoiser.partial/denoiser/thesis.doc",
+        "train_denoiser.partial/replaced/thesis.doc",
+        "train_denoiser.done.json",
+        "train_denoiser.started.json",
+        "run.json",
+        "config.toml",
+        "log.txt",
+        ".lock",
+        "denoiser.earlier-00000000/thesis.doc",
+    ];
+    let (mut n_done, mut n_refused) = (0, 0);
+    for (state, prepare) in states() {
+        for place in places {
+            for (next, redo) in [("old", vec![]), ("next", vec![]), ("old", vec![StageId::TrainDenoiser])] {
+                let dir = tempfile::tempdir().unwrap();
+                let root = dir.path().join("run");
+                fs::create_dir(&root).unwrap();
+                prepare(&root);
+                let path = root.join(place);
+                let is_taken = path.symlink_metadata().is_ok() || path.parent().is_some_and(Path::is_file);
+                // What stands there is ours; the lock file is, whatever is in it.
+                if is_taken && place != ".lock" {
+                    continue;
+                }
+                put(&path, FOREIGN);
+                let before = snapshot(&root);
+                let outcome = run(&root, &toy(next), &redo);
+                let case = format!("{place} in a {state} folder, then {next} {redo:?}");
+                assert_eq!(fs::read_to_string(&path).unwrap(), FOREIGN, "{case}");
+                match outcome {
+                    Ok(_) => {
+                        n_done += 1;
+                        assert_eq!(text(&root, "denoiser/deep/model.safetensors"), next, "{case}");
+                    }
+                    Err(failure) => {
+                        n_refused += 1;
+                        assert_eq!(failure.blame, Blame::Input, "{case}: {failure:?}");
+                        assert!(format!("{failure:?}").contains("nothing was changed"), "{case}: {failure:?}");
+                        assert!(snapshot(&root) == before, "{case}: {failure:?}");
+                    }
+                }
+            }
+        }
+    }
+    assert!(n_done > 50 && n_refused > 100, "{n_done} done, {n_refused} refused");
+}
+
+#[test]
+fn an_output_that_is_read_is_refused_before_anything_happens() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("run");
+    fs::create_dir(&root).unwrap();
+    run(&root, &toy("old"), &[]).unwrap();
+    let before = snapshot(dir.path());
+    for input in ["denoiser/deep/model.safetensors", "denoiser", "", "../run/./denoiser/new", "mine.json"] {
+        let inputs = vec![StageInput::external("start_from", &root.join(input))];
+        let failure = run(&root, &Toy { inputs, ..toy("next") }, &[]).err().unwrap();
+        let said = format!("{failure:?}");
+        assert!(
+            failure.blame == Blame::Input && said.contains("start_from") && said.contains("nothing was changed"),
+            "{said}"
+        );
+        assert!(snapshot(dir.path()) == before, "{said}");
+    }
+}
+
+#[test]
+fn earlier_outputs_stay_until_the_new_ones_are_whole() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path();
+    run(root, &toy("old"), &[]).unwrap();
+    took(root, Some(3.0));
+    run(root, &Toy { fails: true, ..toy("next") }, &[]).err().unwrap();
+    assert_eq!((text(root, "denoiser/deep/model.safetensors"), text(root, "mine.json")), ("old".into(), "old".into()));
+    let planned = run(root, &toy("next"), &[]).unwrap();
+    assert_eq!(planned.action, Action::Resume);
+    assert_eq!(
+        (text(root, "denoiser/deep/model.safetensors"), text(root, "mine.json")),
+        ("next".into(), "next".into())
+    );
+    assert!(!root.join("train_denoiser.partial").exists());
+    // The old setting again, and what is there is old again.
+    assert!(matches!(run(root, &toy("old"), &[]).unwrap().action, Action::Run(_)));
+    assert_eq!(run(root, &toy("old"), &[]).unwrap().action, Action::Reuse);
+}
+
+#[test]
+fn what_appears_while_a_stage_works_is_not_replaced_and_the_work_not_lost() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path();
+    run(root, &Toy { is_cheap: true, ..toy("old") }, &[]).unwrap();
+    let thesis = root.join("denoiser/thesis.doc");
+    let next = Toy { is_cheap: true, put_meanwhile: Some(thesis.clone()), ..toy("next") };
+    let failure = run(root, &next, &[]).err().unwrap();
+    assert!(format!("{failure:?}").contains("thesis.doc"), "{failure:?}");
+    assert_eq!((text(root, "denoiser/thesis.doc"), text(root, "mine.json")), (FOREIGN.into(), "old".into()));
+    // Nothing is computed again once the file is out of the way.
+    fs::rename(&thesis, root.join("thesis.doc")).unwrap();
+    assert_eq!(run(root, &next, &[]).unwrap().action, Action::Reuse);
+    assert_eq!(text(root, "denoiser/deep/model.safetensors"), "next");
+}
+
+/// The steps by which outputs come to their places, each of which may be the last one before a kill.
+#[test]
+fn a_kill_while_outputs_come_to_their_places_loses_nothing() {
+    for is_cheap in [true, false] {
+        for n_steps in 0..=7 {
+            let dir = tempfile::tempdir().unwrap();
+            let root = dir.path();
+            let work = root.join("train_denoiser.partial");
+            run(root, &Toy { is_cheap, ..toy("old") }, &[]).unwrap();
+            took(root, Some(3.0));
+            let thesis = root.join("denoiser/thesis.doc");
+            run(root, &Toy { is_cheap, put_meanwhile: Some(thesis.clone()), ..toy("next") }, &[]).err().unwrap();
+            fs::remove_file(thesis).unwrap();
+            let keep: BTreeMap<String, String> = serde_json::from_str(&text(&work, "keep.json")).unwrap();
+            assert_eq!(keep.is_empty(), is_cheap);
+            let away = keep.get("denoiser").map_or(work.join("replaced/denoiser"), |name| root.join(name));
+            let (new, place) = (work.join("denoiser"), root.join("denoiser"));
+            let steps: [&dyn Fn(); 7] = [
+                &|| fs::remove_file(work.join("started.json")).unwrap(),
+                &|| {
+                    let mut list = fs::File::options().append(true).open(work.join(".djinn-written")).unwrap();
+                    for name in ["state.safetensors", "deep/model.safetensors"] {
+                        writeln!(list, "\"denoiser/{name}\"\n\"replaced/denoiser/{name}\"").unwrap();
+                    }
+                    fs::create_dir_all(work.join("replaced")).unwrap();
+                    write_atomically::<std::io::Error>(&new.join(".djinn-new"), |_| Ok(())).unwrap();
+                },
+                &|| {
+                    let aside = dir.path().join("aside");
+                    fs::rename(&new, &aside).unwrap();
+                    fs::rename(&place, &new).unwrap();
+                    fs::rename(&aside, &place).unwrap();
+                },
+                &|| fs::rename(&new, &away).unwrap(),
+                &|| fs::remove_file(place.join(".djinn-new")).unwrap(),
+                &|| fs::rename(work.join("mine.json"), root.join("mine.json")).unwrap(),
+                &|| fs::rename(work.join("done.json"), root.join("train_denoiser.done.json")).unwrap(),
+            ];
+            steps[..n_steps].iter().for_each(|step| step());
+            let model = text(root, "denoiser/deep/model.safetensors");
+            assert_eq!(model, if n_steps < 3 { "old" } else { "next" }, "{n_steps} steps");
+            let planned = run(root, &Toy { is_cheap, ..toy("next") }, &[]).unwrap();
+            assert_eq!(planned.action, Action::Reuse, "{n_steps} steps");
+            assert_eq!(text(root, "denoiser/deep/model.safetensors"), "next");
+            assert!(!work.exists(), "{n_steps} steps");
+            if !is_cheap {
+                assert_eq!(fs::read_to_string(away.join("deep/model.safetensors")).unwrap(), "old");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_model_that_took_hours_is_kept_unless_it_is_asked_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let (root, data) = (dir.path().join("run"), dir.path().join("data.csv"));
+    fs::create_dir(&root).unwrap();
+    fs::write(&data, "1").unwrap();
+    let toy = |text: &str| Toy { inputs: vec![StageInput::external("data", &data)], ..toy(text) };
+    let model = |folder: &str| text(&root, &format!("{folder}/deep/model.safetensors"));
+    run(&root, &toy("old"), &[]).unwrap();
+    fs::write(&data, "2").unwrap();
+    for seconds in [Some(7200.0), None] {
+        took(&root, seconds);
+        let before = snapshot(&root);
+        let failure = run(&root, &toy("old"), &[]).err().unwrap();
+        let said = format!("{failure:?}");
+        for part in ["changed: input data", "--redo train_denoiser", "train.denoiser.checkpoint", "nothing was changed"]
+        {
+            assert!(failure.blame == Blame::Input && said.contains(part), "{said}");
+        }
+        assert!(snapshot(&root) == before);
+    }
+    // Asked for by its name, or by a setting of its own section; then the old one is moved aside, with what it was.
+    let planned = run(&root, &toy("old"), &[StageId::TrainDenoiser]).unwrap();
+    let redone = planned.redone.unwrap();
+    let first = redone.split("kept as ").nth(1).unwrap();
+    assert!(
+        redone.starts_with("train_denoiser is done again: it was asked for") && first.starts_with("denoiser.earlier-")
+    );
+    assert_eq!(model(first), "old");
+    let record: Value = serde_json::from_str(&text(&root, &format!("{first}/record.json"))).unwrap();
+    assert_eq!(record["config"]["text"], "old");
+    took(&root, Some(7200.0));
+    let redone = run(&root, &toy("next"), &[]).unwrap().redone.unwrap();
+    let second = redone.split("kept as ").nth(1).unwrap().to_owned();
+    assert!(redone.contains("train.denoiser.text \"old\" -> \"next\"") && second != first, "{redone}");
+    assert_eq!((model("denoiser"), model(&second), model(first)), ("next".into(), "old".into(), "old".into()));
+    // Minutes are not worth a question.
+    took(&root, Some(60.0));
+    fs::write(&data, "3").unwrap();
+    assert!(run(&root, &toy("next"), &[]).unwrap().redone.unwrap().contains("kept as"));
+    // A training that was begun is not thrown away either.
+    run(&root, &Toy { fails: true, ..toy("third") }, &[]).err().unwrap();
+    run(&root, &toy("fourth"), &[]).unwrap();
+    let names = fs::read_dir(&root).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let unfinished: Vec<String> = names.filter(|name| name.starts_with("denoiser.unfinished-")).collect();
+    assert_eq!(text(&root, &format!("{}/state.safetensors", unfinished[0])), "third");
+    assert!(!root.join("train_denoiser.partial").exists());
+}
+
+#[test]
+fn folders_of_older_versions_are_taken_over_or_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path();
+    run(root, &toy("old"), &[]).unwrap();
+    took(root, Some(3.0));
+    forget_list(root);
+    let thesis = root.join("denoiser/thesis.doc");
+    put(&thesis, FOREIGN);
+    let failure = run(root, &toy("next"), &[]).err().unwrap();
+    let said = format!("{failure:?}");
+    assert!(said.contains("kept no list of its files") && said.contains("move away what you put there"), "{said}");
+    fs::remove_file(&thesis).unwrap();
+    // Looking at it is enough to list its files; then what is put beside them is told from them.
+    assert_eq!(run(root, &toy("old"), &[]).unwrap().action, Action::Reuse);
+    put(&thesis, FOREIGN);
+    assert_eq!(run(root, &toy("old"), &[]).unwrap().action, Action::Reuse);
+    assert!(format!("{:?}", run(root, &toy("next"), &[]).err().unwrap()).contains("thesis.doc"));
+}
