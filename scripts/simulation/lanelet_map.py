@@ -108,7 +108,7 @@ def junction_rules(made, lanelets, net, ids):
 
 def states_of(net, edge):
     """SUMO's letters of right of way of the connections out of an edge: M is major, m minor, s stop, w all-way stop."""
-    return {c.get("state") for c in net.connections if c.get("from") == edge}
+    return {c.get("state") for c in net.connections if c.get("from") == edge and not c.get("to").startswith(":")}
 
 
 def is_contested(net, junction):

@@ -9,7 +9,7 @@ from simulation.curves import length, unit
 # Maps lie around this point of the plane, so that no coordinate is negative.
 CENTER = np.array([1000.0, 1000.0])
 # How far lanes of a piece of road may drift apart, and how short pieces may become, meters.
-MAX_DRIFT_M, MIN_PIECE_M = 0.2, 15.0
+MAX_DRIFT_M, MIN_PIECE_M, END_PIECE_M = 0.2, 15.0, 36.0
 # Acceleration across the motion that speed limits allow for in bends; some drive a third faster.
 COMFORT_MPS2 = 2.2
 
@@ -125,13 +125,15 @@ def pieces(path, spread_m):
         return spread_m * np.abs(part - np.linspace(0.0, part[-1], len(part))).max()
 
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(path, axis=0).T)))
+    # Junctions cut off some meters of the first and the last piece.
+    last = np.searchsorted(along, along[-1] - END_PIECE_M)
     cuts = [0]
     while cuts[-1] < len(path) - 1:
+        least = along[cuts[-1]] + (MIN_PIECE_M if len(cuts) > 1 else END_PIECE_M)
         end = len(path) - 1
-        while drift_m(cuts[-1], end) > MAX_DRIFT_M and along[end - 1] - along[cuts[-1]] > MIN_PIECE_M:
-            end -= 1
-        # No stub is left behind.
-        cuts.append(len(path) - 1 if along[-1] - along[end] < MIN_PIECE_M else end)
+        while drift_m(cuts[-1], end) > MAX_DRIFT_M and along[end - 1] > least:
+            end = end - 1 if end <= last else last
+        cuts.append(end if along[end] >= least else len(path) - 1)
     return [path[a : b + 1] for a, b in zip(cuts, cuts[1:])]
 
 

@@ -2,16 +2,18 @@
 
 import numpy as np
 
-from simulation.curves import bend, left_of, shifted, slice_of, straight
+from simulation.curves import at, bend, left_of, shifted, slice_of, straight
 from simulation.plan import Plan
 
 HALF_M = 200.0
+# Radius of the corners where roads leave the street.
+CORNER_M = 6.5
 
 
 def street(plan, path, cuts, lanes, width, half_median_m, walked, speed_kmh):
     """Both directions of a road along `path`, cut into pieces at distances along it; nodes are `s0`, `s1`, and so on."""
     for k, cut in enumerate(cuts):
-        plan.node(f"s{k}", slice_of(path, min(cut, cuts[-1] - 0.5), cuts[-1])[0] if k < len(cuts) - 1 else slice_of(path, 0.0, cut)[-1])
+        plan.node(f"s{k}", at(path, cut), radius=CORNER_M)
     extra = {"sidewalkWidth": 2.2} if walked else {}
     for k in range(len(cuts) - 1):
         piece = slice_of(path, cuts[k], cuts[k + 1])
@@ -20,9 +22,9 @@ def street(plan, path, cuts, lanes, width, half_median_m, walked, speed_kmh):
         plan.edge(f"w{k}", f"s{k + 1}", f"s{k}", shifted(back, half_median_m), lanes[1], width, speed_kmh, priority=7, **extra)
 
 
-def side_road(plan, id, node, path, at, on_right, angle, length_m, width, speed_kmh, walked, lanes=(1, 1)):
+def side_road(plan, id, node, path, where, on_right, angle, length_m, width, speed_kmh, walked, lanes=(1, 1)):
     """A road that leaves the street at a node, on the right or the left of `path`, at an angle in degrees to it."""
-    along = slice_of(path, at - 0.5, at + 0.5)
+    along = slice_of(path, where - 0.5, where + 0.5)
     tangent = (along[-1] - along[0]) / np.hypot(*(along[-1] - along[0]))
     normal = -left_of(tangent) if on_right else left_of(tangent)
     turn = np.radians(angle)
@@ -46,10 +48,10 @@ def arterial(name, rng, lanes, bend_m, turns, half_view_m=62.0, side_angle=80.0)
     plan.cyclists = 0.04
     path = bent(turns, bend_m)
     width, half = rng.uniform(3.2, 3.6), rng.uniform(0.0, 1.2)
-    at = HALF_M + rng.uniform(-18.0, 18.0)
+    where = HALF_M + rng.uniform(-18.0, 18.0)
     on_right = bool(rng.random() < 0.5)
-    street(plan, path, [0.0, at, 2 * HALF_M], lanes, width, half, True, None)
-    side_road(plan, "side", "s1", path, at, on_right, side_angle, 150.0, rng.uniform(3.2, 3.6), 40, True)
+    street(plan, path, [0.0, where, 2 * HALF_M], lanes, width, half, True, None)
+    side_road(plan, "side", "s1", path, where, on_right, side_angle, 150.0, rng.uniform(3.2, 3.6), 40, True)
     east, west = routes(2)
     first, second = (east, west) if on_right else (west, east)
     for way, n in ((east, lanes[0]), (west, lanes[1])):
@@ -72,16 +74,16 @@ def driveway(name, rng, lanes, exits, bend_m=300.0, turns=(0.3, -0.3), half_view
     plan.cyclists = 0.08
     path = bent(turns, bend_m)
     width = rng.uniform(3.2, 3.6)
-    cuts = [0.0, *[HALF_M + at for at, _, _ in exits], 2 * HALF_M]
+    cuts = [0.0, *[HALF_M + where for where, _, _ in exits], 2 * HALF_M]
     street(plan, path, cuts, lanes, width, 0.0, True, None)
     east, west = routes(len(exits) + 1)
     for way, n_lanes in ((east, lanes[0]), (west, lanes[1])):
         plan.flow(" ".join(way), rng.uniform(420.0, 520.0) * n_lanes**0.5)
         plan.walk(way[0], way[-1], 70.0, (5.0, 80.0), (5.0, 80.0))
     n = len(exits) + 1
-    for k, (at, on_right, angle) in enumerate(exits):
+    for k, (where, on_right, angle) in enumerate(exits):
         id = f"lot{k}"
-        side_road(plan, id, f"s{k + 1}", path, HALF_M + at, on_right, angle, half_view_m + 70.0, rng.uniform(3.0, 3.3), 20, False)
+        side_road(plan, id, f"s{k + 1}", path, HALF_M + where, on_right, angle, half_view_m + 70.0, rng.uniform(3.0, 3.3), 20, False)
         for way in (east, west):
             # The street's pieces up to the exit, and those after it, in the direction of travel.
             cut = k + 1 if way is east else n - 1 - k
