@@ -4,7 +4,7 @@
     pip install eclipse-sumo==1.28.0 numpy
     python scripts/simulate_recordings.py --out sim.zip                        # 1,000 train and 60 val cases a place
     python scripts/simulate_recordings.py --out sim.zip --places 'SIM_Round*'  # roundabouts only
-    python scripts/simulate_recordings.py --out held.zip --places held-out --train-cases 0 --val-cases 100
+    python scripts/simulate_recordings.py --out held.zip --places held-out --cases 0 --val-cases 100
     python scripts/simulate_recordings.py --list                               # the places
     python scripts/simulate_recordings.py --check sim.zip                      # what is in it, measured anew
 
@@ -32,7 +32,6 @@ def arguments():
     parser.add_argument("--places", default="trained", metavar="NAMES",
                         help="names or patterns, comma-separated; `trained` are all but the held-out ones, `held-out` those (default: trained)")  # fmt: skip
     parser.add_argument("--cases", type=int, default=1000, metavar="N", help="train cases a place (default: 1000)")
-    parser.add_argument("--train-cases", type=int, metavar="N", help="the same as --cases")
     parser.add_argument("--val-cases", type=int, default=60, metavar="N", help="val cases a place, of other runs (default: 60)")
     parser.add_argument("--seed", type=int, default=1, help="what geometry and traffic are drawn from (default: 1)")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="parallel processes (default: 1)")
@@ -46,7 +45,7 @@ def chosen(patterns):
     names = set()
     for pattern in patterns.split(","):
         if pattern in ("trained", places.HELD_OUT):
-            found = [name for name, (family, _) in catalog.items() if (family == places.HELD_OUT) == (pattern == places.HELD_OUT)]
+            found = [name for name, (family, *_) in catalog.items() if (family == places.HELD_OUT) == (pattern == places.HELD_OUT)]
         else:
             found = fnmatch.filter(catalog, pattern.strip())
         if not found:
@@ -79,19 +78,20 @@ def print_counts(shelves):
     for shelf in shelves:
         outcomes = list(shelf.in_order())
         counts = sum((outcome.flaws for outcome in outcomes), collections.Counter())
-        print(f"{shelf.name:<24}{shelf.split:<7}{shelf.n_cases():>7}{len(outcomes):>6}" + " " * 13 + "".join(f"{counts[flaw]:>11}" for flaw in flaws))
+        left_out = "".join(f"{counts[flaw]:>11}" for flaw in flaws)
+        print(f"{shelf.name:<24}{shelf.split:<7}{shelf.n_cases():>7}{len(outcomes):>6}{'':13}{left_out}")
 
 
 def main():
     options = arguments()
     if options.list:
-        for name, (family, _) in places.catalog().items():
+        for name, (family, *_) in places.catalog().items():
             print(f"{name:<24}{family}")
         return
     if options.check:
         check.print_table(options.check, options.check_cases)
         return
-    n_cases = {"train": options.cases if options.train_cases is None else options.train_cases, "val": options.val_cases}
+    n_cases = {"train": options.cases, "val": options.val_cases}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.out.parent) as scratch:
         names = chosen(options.places)

@@ -8,7 +8,7 @@ from fixtures import interaction
 from fixtures.traffic import DT_S
 
 N_FRAMES, MIN_FRAMES = interaction.N_FRAMES, 5
-# Cases begin so many frames apart, plus or minus a random part: most of what one shows is not in the next.
+# Cases begin so many frames apart, plus or minus a random part: at most half of what one shows is in the next.
 STRIDE_FRAMES, JITTER_FRAMES = 25, 5
 MIN_AGENTS, MAX_AGENTS = 4, 32
 # Boxes that overlap by less are a graze, meters.

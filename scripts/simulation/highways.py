@@ -5,8 +5,8 @@ import numpy as np
 from simulation.curves import bend, eased, shifted, slice_of
 from simulation.plan import Plan
 
-AROUND_M = 220.0
-RAMP_M = 210.0
+# How far the highway and its ramps reach from (0, 0), meters.
+AROUND_M, RAMP_M = 220.0, 210.0
 
 
 def reference(rng, straightness):
@@ -18,30 +18,32 @@ def reference(rng, straightness):
     return np.concatenate([behind, bend([(half, after)])[1:]]), half
 
 
+def mainline(plan, path, half, cuts, middle, lanes, width):
+    """Three edges one after another: `in`, the one named `middle` between the two cuts, and `out`; `lanes` has a number for each."""
+    ends = [-AROUND_M, *cuts, AROUND_M]
+    parts = [slice_of(path, half + a, half + b) for a, b in zip(ends, ends[1:])]
+    for id, point in zip("wabe", [*(part[0] for part in parts), parts[-1][-1]]):
+        plan.node(id, point)
+    for id, start, end, part, n in zip(("in", middle, "out"), "wab", "abe", parts, lanes):
+        plan.edge(id, start, end, part, n, width, priority=3)
+
+
 def merge(name, rng, lanes, half_view_m=75.0, ramp_lanes=1, straightness=350.0):
     """`lanes` lanes and an on-ramp whose lane ends after an acceleration lane of 70 to 120 m."""
     plan = Plan(name, rng.uniform(-np.pi, np.pi), (half_view_m, 45.0), int(rng.choice([50, 60, 70])), highway=True)
     width, (path, half) = rng.uniform(3.3, 3.8), reference(rng, straightness)
     start, end = -rng.uniform(35.0, 55.0), rng.uniform(25.0, 50.0)
-    n_ramp = ramp_lanes
-    part = lambda a, b: slice_of(path, half + a, half + b)
-    plan.node("w", part(-AROUND_M, start)[0])
-    plan.node("a", part(start, end)[0])
-    plan.node("b", part(start, end)[-1])
-    plan.node("e", part(end, AROUND_M)[-1])
-    plan.edge("in", "w", "a", part(-AROUND_M, start), lanes, width, priority=3)
-    plan.edge("merge", "a", "b", part(start, end), lanes + n_ramp, width, priority=3)
-    plan.edge("out", "b", "e", part(end, AROUND_M), lanes, width, priority=3)
+    mainline(plan, path, half, (start, end), "merge", (lanes, lanes + ramp_lanes, lanes), width)
     ramp = slice_of(path, half - RAMP_M, half + start)
     away = 1.0 - eased(np.linspace(-RAMP_M, start, len(ramp)), -rng.uniform(180.0, 205.0), start - 4.0)
     ramp = shifted(ramp, lanes * width + rng.uniform(35.0, 80.0) * away)
     plan.node("r", ramp[0])
-    plan.edge("ramp", "r", "a", ramp, n_ramp, width, plan.speed_kmh * rng.uniform(0.75, 1.0), priority=2)
-    plan.connect("in", "merge", *[(i, i + n_ramp) for i in range(lanes)])
-    plan.connect("ramp", "merge", *[(i, i) for i in range(n_ramp)])
-    plan.connect("merge", "out", *[(i + n_ramp, i) for i in range(lanes)])
+    plan.edge("ramp", "r", "a", ramp, ramp_lanes, width, plan.speed_kmh * rng.uniform(0.75, 1.0), priority=2)
+    plan.connect("in", "merge", *[(i, i + ramp_lanes) for i in range(lanes)])
+    plan.connect("ramp", "merge", *[(i, i) for i in range(ramp_lanes)])
+    plan.connect("merge", "out", *[(i + ramp_lanes, i) for i in range(lanes)])
     plan.flow("in merge out", rng.uniform(850.0, 1050.0) * lanes, "random")
-    plan.flow("ramp merge out", rng.uniform(420.0, 600.0) * n_ramp, "random")
+    plan.flow("ramp merge out", rng.uniform(420.0, 600.0) * ramp_lanes, "random")
     plan.slow("out")
     return plan
 
@@ -51,19 +53,12 @@ def weave(name, rng, lanes, half_view_m=80.0):
     plan = Plan(name, rng.uniform(-np.pi, np.pi), (half_view_m, 45.0), int(rng.choice([50, 60, 70])), highway=True)
     width, (path, half) = rng.uniform(3.3, 3.8), reference(rng, 450.0)
     start, end = -rng.uniform(42.0, 62.0), rng.uniform(45.0, 65.0)
-    part = lambda a, b: slice_of(path, half + a, half + b)
-    plan.node("w", part(-AROUND_M, start)[0])
-    plan.node("a", part(start, end)[0])
-    plan.node("b", part(start, end)[-1])
-    plan.node("e", part(end, AROUND_M)[-1])
-    plan.edge("in", "w", "a", part(-AROUND_M, start), lanes, width, priority=3)
-    plan.edge("weave", "a", "b", part(start, end), lanes + 1, width, priority=3)
-    plan.edge("out", "b", "e", part(end, AROUND_M), lanes, width, priority=3)
+    mainline(plan, path, half, (start, end), "weave", (lanes, lanes + 1, lanes), width)
     for id, sign in (("on", -1.0), ("off", 1.0)):
-        near, far = (start, -RAMP_M) if sign < 0 else (end, RAMP_M)
-        ramp = slice_of(path, half + min(near, far), half + max(near, far))
-        at = np.linspace(min(near, far), max(near, far), len(ramp))
-        away = eased(sign * at, sign * near + 4.0, rng.uniform(180.0, 205.0))
+        low, high = (-RAMP_M, start) if sign < 0 else (end, RAMP_M)
+        ramp = slice_of(path, half + low, half + high)
+        where = np.linspace(low, high, len(ramp))
+        away = eased(sign * where, min(abs(low), abs(high)) + 4.0, rng.uniform(180.0, 205.0))
         ramp = shifted(ramp, lanes * width + rng.uniform(35.0, 80.0) * away)
         speed = plan.speed_kmh * rng.uniform(0.75, 1.0)
         plan.node(id, ramp[0] if sign < 0 else ramp[-1])

@@ -10,13 +10,12 @@ HELD_OUT = "held-out"
 
 
 def catalog():
-    """Place names to (family, maker); a maker takes the name and a generator of random numbers."""
+    """Place names to (family, maker, arguments, options); makers also take the name and a generator of random numbers."""
     places = {}
 
     def add(family, prefix, maker, variants):
         for letter, (args, options) in zip("ABCDEFGH", variants):
-            build = lambda name, rng, args=args, options=options: maker(name, rng, *args, **options)
-            places[f"SIM_{prefix}{letter}"] = (family, build)
+            places[f"SIM_{prefix}{letter}"] = (family, maker, args, options)
 
     add("merge", "Merge", highways.merge, [((2,), {}), ((3,), {}), ((2,), {"straightness": 160.0}), ((1,), {})])
     add("weave", "Weave", highways.weave, [((2,), {}), ((3,), {}), ((2,), {})])
@@ -70,5 +69,5 @@ def catalog():
 
 def plan_of(name, seed):
     """The plan of a place; it depends on the name and the seed alone."""
-    _, build = catalog()[name]
-    return build(name, np.random.default_rng([seed, zlib.crc32(name.encode())]))
+    _, maker, args, options = catalog()[name]
+    return maker(name, np.random.default_rng([seed, zlib.crc32(name.encode())]), *args, **options)

@@ -44,7 +44,7 @@ class Plan:
         self.flows, self.walks, self.with_sidewalk = [], [], set()
         # By edge: the pieces that it is cut into, the node that it starts at, and the lengths of its first and last piece.
         self.pieces, self.starts, self.outer_m = {}, {}, {}
-        # Share of cyclists among those who start in a route's lane 0, and the share of trucks.
+        # Shares of cyclists and of trucks among those who drive.
         self.cyclists, self.trucks = 0.0, 0.12
         # Edges on which traffic slows down at times, so that queues grow back into view.
         self.slow_edges = []
@@ -64,7 +64,10 @@ class Plan:
         self.nodes.append(f'<node id="{id}" x="{x:.3f}" y="{y:.3f}" type="{kind}"{written(attributes)}/>')
 
     def edge(self, id, start, end, left_edge, lanes, width, speed_kmh=None, **attributes):
-        """A one-way road of equal lanes; `left_edge` are the points of its left border in driving direction."""
+        """A one-way road of equal lanes; `left_edge` are the points of its left border in driving direction.
+
+        Its speed limit is lower than wanted where the bends are tight.
+        """
         speed = min((speed_kmh or self.speed_kmh) / 3.6, (COMFORT_MPS2 * smallest_radius(np.asarray(left_edge))) ** 0.5)
         parts = pieces(np.asarray(left_edge, float), (lanes - 1) * width)
         ids = [f"{id}.{k}" if k else id for k in range(len(parts))]
@@ -88,8 +91,11 @@ class Plan:
         self.links += [(start, end, a, b) for a, b in lanes]
 
     def connections(self):
-        """All connections and crossings; SUMO counts a sidewalk as the rightmost lane."""
-        lane = lambda edge, index: index + (edge in self.with_sidewalk)
+        """The XML of all connections and crossings; SUMO counts a sidewalk as the rightmost lane."""
+
+        def lane(edge, index):
+            return index + (edge in self.with_sidewalk)
+
         links = [(self.pieces[start][-1], end, a, b) for start, end, a, b in self.links] + self.joints
         return [
             f'<connection from="{start}" to="{end}" fromLane="{lane(start, a)}" toLane="{lane(end, b)}"/>'
@@ -97,17 +103,21 @@ class Plan:
         ] + self.crossings
 
     def crossing(self, node, edges, width):
+        """A crossing for people on foot over edges at a node, where vehicles give way to them."""
         ids = [edge if self.starts[edge] == node else self.pieces[edge][-1] for edge in edges]
         self.crossings.append(f'<crossing node="{node}" edges="{" ".join(ids)}" priority="true" width="{width:.1f}"/>')
 
     def flow(self, edges, per_hour, lane="best"):
+        """Vehicles along edges, given by their ids with spaces between."""
         self.flows.append(Flow(" ".join(piece for edge in edges.split() for piece in self.pieces[edge]), per_hour, lane))
 
     def walk(self, start, end, per_hour, start_m, end_m):
+        """People who walk between two edges; the ranges are distances from the outer ends, meters, cut to the outer pieces."""
         start_m, end_m = (np.minimum(span, room - 2.0) for span, room in ((start_m, self.outer_m[start][0]), (end_m, self.outer_m[end][1])))
         self.walks.append(Walk(start, self.pieces[end][-1], per_hour, tuple(start_m), tuple(end_m)))
 
     def slow(self, *edges):
+        """Lets traffic slow down at times on these edges."""
         self.slow_edges += [piece for edge in edges for piece in self.pieces[edge]]
 
 
@@ -150,4 +160,3 @@ def smallest_radius(path):
 
 def written(attributes):
     return "".join(f' {key}="{value}"' for key, value in attributes.items())
-

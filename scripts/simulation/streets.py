@@ -5,8 +5,9 @@ import numpy as np
 from simulation.curves import at, bend, left_of, shifted, slice_of, straight
 from simulation.plan import Plan
 
+# Half the length of a street, meters.
 HALF_M = 200.0
-# Radius of the corners where roads leave the street.
+# Radius of the corners where roads leave the street, meters.
 CORNER_M = 6.5
 
 
@@ -43,7 +44,7 @@ def routes(n_pieces):
 
 
 def arterial(name, rng, lanes, bend_m, turns, half_view_m=62.0, side_angle=80.0):
-    """A street of several lanes each way through bends of radius `bend_m`, with a side street and two speeds of traffic."""
+    """A street of several lanes each way through bends of radius `bend_m`, with a side street; lanes are changed to overtake and to turn."""
     plan = Plan(name, rng.uniform(-np.pi, np.pi), (half_view_m, half_view_m), int(rng.choice([50, 60])))
     plan.cyclists = 0.04
     path = bent(turns, bend_m)
@@ -95,10 +96,9 @@ def driveway(name, rng, lanes, exits, bend_m=300.0, turns=(0.3, -0.3), half_view
 
 def bent(turns, bend_m):
     """A path of 2 * HALF_M meters whose middle is at (0, 0); it turns by each of `turns` radians in and around the view."""
-    stretches, used = [], 0.0
     sides = [abs(turn) * bend_m for turn in turns]
     lead = HALF_M - sum(sides) / 2 - 10.0 * len(turns)
-    stretches.append((lead, 0.0))
+    stretches = [(lead, 0.0)]
     for turn, meters in zip(turns, sides):
         # Ten meters to take up the curvature and ten to lose it turn by as much as ten at full curvature.
         curvature = np.sign(turn) / bend_m
