@@ -5,6 +5,7 @@
     python scripts/simulate_recordings.py --out sim.zip                        # 1,000 train and 60 val cases a place
     python scripts/simulate_recordings.py --out sim.zip --places 'SIM_Round*'  # roundabouts only
     python scripts/simulate_recordings.py --out held.zip --places held-out --cases 0 --val-cases 100
+    python scripts/simulate_recordings.py --out big.zip --cases 50000 --jobs 8 --keep runs  # stop it at any time, and go on
     python scripts/simulate_recordings.py --list                               # the places
     python scripts/simulate_recordings.py --check sim.zip                      # what is in it, measured anew
 
@@ -35,6 +36,8 @@ def arguments():
     parser.add_argument("--val-cases", type=int, default=60, metavar="N", help="val cases a place, of other runs (default: 60)")
     parser.add_argument("--seed", type=int, default=1, help="what geometry and traffic are drawn from (default: 1)")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="parallel processes (default: 1)")
+    parser.add_argument("--keep", type=pathlib.Path, metavar="FOLDER",
+                        help="keep the rows of finished runs there, and go on from those that are there; empty it when this program changes")
     parser.add_argument("--check-cases", type=int, default=100, metavar="N", help="with --check: cases to measure of each table (default: 100)")
     return parser.parse_args()
 
@@ -73,7 +76,7 @@ class Progress:
 
 def print_counts(shelves):
     """Cases kept and left out, by place and reason."""
-    flaws = ("few", "many", "standstill", "appears", "motion", "overlap")
+    flaws = ("few", "many", "standstill", "appears", "motion", "overlap", "failed run")
     print(f"\n{'place':<24}{'split':<7}{'cases':>7}{'runs':>6}   left out: " + "".join(f"{flaw:>11}" for flaw in flaws))
     for shelf in shelves:
         outcomes = list(shelf.in_order())
@@ -92,10 +95,13 @@ def main():
         check.print_table(options.check, options.check_cases)
         return
     n_cases = {"train": options.cases, "val": options.val_cases}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
+    names = chosen(options.places)
+    for folder in {options.out.parent, options.keep or options.out.parent}:
+        folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.out.parent) as scratch:
-        names = chosen(options.places)
-        print_counts(archive.make(options.out, names, options.seed, n_cases, options.jobs, pathlib.Path(scratch), Progress().tell))
+        scratch = pathlib.Path(scratch)
+        shelves = archive.make(options.out, names, options.seed, n_cases, options.jobs, scratch, options.keep or scratch, Progress().tell)
+    print_counts(shelves)
 
 
 if __name__ == "__main__":

@@ -3,9 +3,11 @@
 import collections
 import concurrent.futures
 import dataclasses
+import json
 import multiprocessing
 import pathlib
 import shutil
+import sys
 import zipfile
 import zlib
 
@@ -30,6 +32,22 @@ class Outcome:
     path: pathlib.Path
     sizes: list
     flaws: collections.Counter
+
+    def note(self):
+        """Marks the run as done, for whoever goes on later."""
+        text = json.dumps({"sizes": self.sizes, "flaws": self.flaws})
+        unfinished = self.path.with_suffix(".json.part")
+        unfinished.write_text(text)
+        unfinished.rename(self.path.with_suffix(".json"))
+
+    @classmethod
+    def noted(cls, path):
+        """The outcome of a run that is done; `None` if it is not."""
+        note = path.with_suffix(".json")
+        if not note.exists():
+            return None
+        values = json.loads(note.read_text())
+        return cls(path, values["sizes"], collections.Counter(values["flaws"]))
 
 
 class Shelf:
@@ -63,10 +81,11 @@ class Shelf:
         return not self.is_full() and sum(done) + each * (self.next_run - len(done)) < self.n_wanted
 
 
-def make(out, names, seed, n_cases, jobs, scratch, tell):
+def make(out, names, seed, n_cases, jobs, scratch, kept, tell):
     """Writes the archive and returns the shelves, without their rows.
 
-    `n_cases` has the number of cases by split; `tell` is called with the cases done, those wanted, and a place.
+    `n_cases` has the number of cases by split. The rows of runs go to the folder `kept`; runs that are done there are not
+    simulated again. `tell` is called with the cases done, those wanted, and a place.
     """
     files = {}
     for name in names:
@@ -81,7 +100,7 @@ def make(out, names, seed, n_cases, jobs, scratch, tell):
             with archive.open(entry(f"{out.stem}/{path}"), "w") as target:
                 target.write(files[path].encode())
         n_written = 0
-        for shelf in filled(shelves, seed, jobs, scratch):
+        for shelf in filled(shelves, seed, jobs, scratch, kept):
             while n_written < len(shelves) and shelves[n_written].is_full():
                 write_table(archive, out.stem, shelves[n_written])
                 n_written += 1
@@ -90,7 +109,7 @@ def make(out, names, seed, n_cases, jobs, scratch, tell):
     return shelves
 
 
-def filled(shelves, seed, jobs, scratch):
+def filled(shelves, seed, jobs, scratch, kept):
     """Runs until all shelves are full; yields the shelf of each run that is done."""
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(jobs, mp_context=context) as pool:
@@ -98,7 +117,7 @@ def filled(shelves, seed, jobs, scratch):
         while True:
             for shelf in shelves:
                 while len(under_way) < jobs + 1 and shelf.needs_more():
-                    task = pool.submit(run, shelf.name, shelf.split, shelf.next_run, seed, scratch)
+                    task = pool.submit(run, shelf.name, shelf.split, shelf.next_run, seed, scratch, kept)
                     under_way[task] = (shelf, shelf.next_run)
                     shelf.next_run += 1
             if not under_way:
@@ -110,28 +129,39 @@ def filled(shelves, seed, jobs, scratch):
                 yield shelf
 
 
-def run(name, split, number, seed, scratch):
+def run(name, split, number, seed, scratch, kept):
     """Simulates one run in a process of its own and writes the rows of its cases."""
+    path = kept / f"{name}_{split}_{seed}_{number}.csv"
+    outcome = Outcome.noted(path)
+    if outcome is not None:
+        return outcome
+    outcome = Outcome(path, [], collections.Counter())
     rng = np.random.default_rng([seed, zlib.crc32(name.encode()), SPLITS.index(split), number])
     plan = places.plan_of(name, seed)
     net_file = scratch / f"{name}.net.xml"
     folder = scratch / f"{name}_{split}_{number}"
     folder.mkdir()
-    tracks = runs.simulate(plan, network.Network(net_file), net_file, rng, int(rng.integers(1 << 30)), folder)
-    outcome = Outcome(scratch / f"{name}_{split}_{number}.csv", [], collections.Counter())
+    try:
+        tracks = runs.simulate(plan, network.Network(net_file), net_file, rng, int(rng.integers(1 << 30)), folder)
+    except SystemExit as failure:
+        # One run among thousands in which SUMO gives up must not end them all.
+        print(f"\n{name}, {split} run {number}, is left out: {failure}", file=sys.stderr)
+        tracks, outcome.flaws["failed run"] = [], 1
     with open(outcome.path, "wb") as file:
-        for i, (_, case) in enumerate(cases.windows(tracks, round(runs.DURATION_S / DT_S), rng)):
+        found = cases.windows(tracks, round(runs.DURATION_S / DT_S), rng) if tracks else []
+        for i, case in enumerate(found):
             flaw = cases.flaw(case, plan)
             if flaw:
                 outcome.flaws[flaw] += 1
             else:
                 outcome.sizes.append(file.write(cases.rows(number * ID_STEP + i + 1, case).encode()))
     shutil.rmtree(folder)
+    outcome.note()
     return outcome
 
 
 def write_table(archive, top, shelf):
-    """Adds the table of a shelf to the archive, and removes the rows from the scratch folder."""
+    """Adds the table of a shelf to the archive."""
     n_left, header = shelf.n_wanted, f"case_id,{cases.interaction.COLUMNS}\n".encode()
     with archive.open(entry(f"{top}/{shelf.split}/{shelf.name}_{shelf.split}.csv"), "w", force_zip64=True) as target:
         target.write(header)
@@ -140,8 +170,6 @@ def write_table(archive, top, shelf):
                 for size in outcome.sizes[:n_left]:
                     target.write(source.read(size))
             n_left -= min(n_left, len(outcome.sizes))
-    for outcome in shelf.outcomes.values():
-        outcome.path.unlink()
 
 
 def entry(name):

@@ -29,7 +29,7 @@ def windows(tracks, n_frames, rng):
     while start + N_FRAMES <= n_frames:
         # Tracks are ordered by their first frames, and cut ones keep that order.
         cut = [track.window(start, start + N_FRAMES) for track in tracks if track.first < start + N_FRAMES and track.last > start]
-        yield start, [track for track in cut if len(track.rows) >= MIN_FRAMES]
+        yield [track for track in cut if len(track.rows) >= MIN_FRAMES]
         start += STRIDE_FRAMES + int(rng.integers(-JITTER_FRAMES, JITTER_FRAMES + 1))
 
 
