@@ -103,6 +103,9 @@ def make(out, names, seed, n_cases, jobs, scratch, kept, tell):
         for shelf in filled(shelves, seed, jobs, scratch, kept):
             while n_written < len(shelves) and shelves[n_written].is_full():
                 write_table(archive, out.stem, shelves[n_written])
+                if kept == scratch:
+                    for outcome in shelves[n_written].outcomes.values():
+                        outcome.path.unlink()
                 n_written += 1
             tell(sum(shelf.n_cases() for shelf in shelves), sum(shelf.n_wanted for shelf in shelves), shelf.name)
     unfinished.rename(out)
