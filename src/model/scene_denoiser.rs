@@ -216,6 +216,6 @@ impl<'a> ModeFactors<'a> {
     }
 
     fn scale(&self, x: &Tensor, factors: &Tensor) -> Result<Tensor> {
-        mode_filter(x, &self.modes, factors)
+        mode_filter(x, self.modes, factors)
     }
 }

@@ -53,10 +53,13 @@ pub struct SceneDraws<'a> {
 #[derive(Default)]
 pub struct Ahead {
     /// The last epoch of each group and its shuffle.
-    shuffles: Mutex<BTreeMap<usize, (u64, Arc<[usize]>)>>,
+    shuffles: Mutex<BTreeMap<usize, Shuffle>>,
     /// A step and its batch.
     batch: Mutex<Option<(u64, DrawnBatch)>>,
 }
+
+/// An epoch of a group, and the order of its scenes.
+type Shuffle = (u64, Arc<[usize]>);
 
 /// The batch of a training step.
 pub struct DrawnBatch {

@@ -95,6 +95,7 @@ fn compare(options: &Options) -> Result<()> {
         steps: 0,
         seed: SEED.0,
         scenes: String::new(),
+        changed_losses: Vec::new(),
         distillation: None,
     };
     let mut params = Params::new(&Device::Cpu);
@@ -103,7 +104,7 @@ fn compare(options: &Options) -> Result<()> {
     let draws = SceneDraws {
         collator: &spec.collator(),
         dataset: &store,
-        train: &train,
+        train: &[train],
         held_out: &[],
         masks: &MaskSampler::new(&TaskWeights::default()).ok_or("no task has a weight")?,
         batch_size: options.batch_size,
