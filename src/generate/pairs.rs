@@ -8,7 +8,7 @@ use crate::geometry::OrientedBox;
 use crate::model::TrainedClassifier;
 use crate::scene::{ObservationMask, Scene, TrackId};
 use crate::seed::Seed;
-use crate::tensor::{FutureValidity, SceneBatch, SceneView};
+use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
 
 /// The noise level at which histories are ranked: well above σ_data, so that the future is hidden, yet within what
@@ -38,7 +38,8 @@ impl Generator<'_> {
     ) -> Result<Vec<CandidatePair>, Error> {
         let mut candidates = possible_pairs(sweep, behavior, scene);
         // Both agents must be among those that the denoiser sees when the first one is at the center.
-        candidates.retain(|pair| proximity_rank(scene, pair.agents.0, pair.agents.1) < self.spec().max_agents);
+        let max_agents = self.spec().sampling_collator().max_agents;
+        candidates.retain(|pair| proximity_rank(scene, pair.agents.0, pair.agents.1) < max_agents);
         if let (PairRanking::Classifier, Some(classifier)) = (sweep.pairs.ranking, self.classifier(sweep)) {
             self.score(classifier, scene, &mut candidates)?;
         }
@@ -60,9 +61,8 @@ impl Generator<'_> {
         let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
         let view = |pair: &CandidatePair| SceneView { scene, ego_idx: pair.agents.0, mask: &mask };
         let views: Vec<SceneView<'_>> = candidates.iter().map(view).collect();
-        let mut collator = self.spec().collator();
         // The classifier sees no map.
-        collator.max_lanes = 0;
+        let collator = Collator { max_lanes: 0, sight: None, ..self.spec().sampling_collator() };
         let batch = collator.collate(&views, FutureValidity::Everything, self.device)?;
         let agents: Vec<(usize, usize)> = candidates.iter().map(|pair| pair.agents).collect();
         let features = classifier.spec.features(&batch, &slots(&batch, &agents)?)?;

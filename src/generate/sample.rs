@@ -168,7 +168,7 @@ impl Generator<'_> {
         }
         let agents: Vec<(usize, usize)> = batch.cells.iter().map(|(_, given)| given.agents).collect();
         let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
-        let tensors = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
+        let tensors = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
         let n_samples = batch.samples.len();
         let denoiser = self.denoiser(batch.sweep)?;
         let bound = denoiser.denoiser.bind(&tensors, n_samples)?;
@@ -226,7 +226,7 @@ impl Generator<'_> {
             .iter()
             .map(|(Wanted { scene, mask }, ego_idx)| SceneView { scene, ego_idx: *ego_idx, mask })
             .collect();
-        let extended = self.spec().collator().collate(&views, FutureValidity::Everything, self.device)?;
+        let extended = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
         match config.mask_velocity {
             true => without_wanted_velocities(extended, &base.repeated(batch.samples.len())?),
             false => Ok(extended),

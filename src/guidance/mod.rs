@@ -32,7 +32,7 @@ pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient
 pub use mask_change::MaskChange;
 pub use objectives::{
     AccelerationLimit, AdversarialTtc, Goal, GoalFrame, KeepDistance, NoCollision, ObjectiveConfig, RoadPoints,
-    SceneObjective, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,
+    SceneObjective, SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,
 };
 pub use scene_context::{ContextRow, SceneContext};
 

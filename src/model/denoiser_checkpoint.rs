@@ -114,7 +114,7 @@ pub struct TrainedDenoiser {
 }
 
 impl DenoiserSpec {
-    /// How scenes become batches for this denoiser.
+    /// How scenes become batches to train on.
     pub fn collator(&self) -> Collator {
         Collator {
             normalizer: self.normalizer.clone(),
@@ -123,6 +123,13 @@ impl DenoiserSpec {
             max_lanes: self.max_lanes,
             sight: self.network.geometry.as_ref().map(|geometry| Sight::new(geometry.n_lanes)),
         }
+    }
+
+    /// How scenes become batches to sample. The geometric network takes any number of agents, and nobody is left out: who is left out
+    /// ends where the past does.
+    pub fn sampling_collator(&self) -> Collator {
+        let max_agents = if self.network.geometry.is_some() { usize::MAX } else { self.max_agents };
+        Collator { max_agents, ..self.collator() }
     }
 
     /// Writes the checkpoint file and returns its fingerprint.

@@ -71,11 +71,12 @@ impl Default for NetworkConfig {
 }
 
 impl NetworkConfig {
-    /// The same network with the paper's encodings of diffused states, and without the input of paths.
+    /// The same size of network for states that are no motion: the paper's, with its encodings of diffused states, no wider than the
+    /// network itself.
     #[must_use]
     pub fn without_paths(self) -> Self {
         let Self { latent_periods, path_input, geometry, .. } = Self::default();
-        Self { latent_periods, path_input, geometry, ..self }
+        Self { latent_periods, path_input, geometry, encoding: self.encoding.min(self.width), ..self }
     }
 }
 

@@ -13,8 +13,8 @@ use candle_core::{Result, Tensor};
 ///
 /// DJINN's is D_θ(x; σ) = c_skip(σ) x + c_out(σ) F_θ(c_in(σ) x, …, c_noise(σ)). The geometric one has factors of its own for each
 /// mode of an agent's motion, whose variance Λ is known: D_θ(x; σ) = W x + Uᵀ c_out(σ, Λ) U F_θ(…) with W = Uᵀ w(σ, Λ) U, where
-/// w = λ / (λ + σ²), λ = min(Λ, σ_data²), and c_out² = (1 - w)² Λ + w² σ², so that what F_θ has to say has unit variance (EDM's
-/// requirement, its equation 139). The cap keeps W from trusting large modes more than EDM does.
+/// w = λ / (λ + σ²), λ = min(Λ, σ_data²), and c_out² = (1 - w)² Λ + w² σ², so that what F_θ has to say has unit variance (Karras
+/// et al. 2022, appendix B.6). The cap keeps W from trusting large modes more than EDM does.
 #[derive(Debug, Clone)]
 pub struct SceneDenoiser {
     network: Network,
@@ -58,12 +58,12 @@ impl SceneDenoiser {
     pub fn bind(&self, batch: &SceneBatch, n_samples: usize) -> Result<BoundDenoiser<'_>> {
         let latent = repeated(&batch.latent.unsqueeze(3)?, n_samples)?;
         let observed_motion = batch.observed_motion.as_ref().map(|motion| repeated(motion, n_samples)).transpose()?;
-        let path = batch.unit_path()?.map(|path| repeated(&path, n_samples)).transpose()?;
+        let unit_path = || match batch.unit_path()? {
+            Some(path) => repeated(&path, n_samples),
+            None => candle_core::bail!("a network that sees paths needs the motion parametrization"),
+        };
         let network = match &self.network {
             Network::Scene(network, path_input) => {
-                if *path_input && path.is_none() {
-                    candle_core::bail!("path_input needs the motion parametrization");
-                }
                 let known = network.encode_known(
                     &batch.context,
                     &batch.features,
@@ -72,7 +72,7 @@ impl SceneDenoiser {
                     (&batch.lanes, &batch.lane_valid),
                 )?;
                 let known = if n_samples == 1 { known } else { known.repeated(n_samples)? };
-                Bound::Scene { network, known, path: path.filter(|_| *path_input) }
+                Bound::Scene { network, known, path: path_input.then(unit_path).transpose()? }
             }
             Network::Geometric(network) => {
                 let known = network.encode_known(batch)?;
@@ -80,10 +80,7 @@ impl SceneDenoiser {
                     1 => (known, batch.clone()),
                     n => (known.repeated(n)?, batch.repeated(n)?),
                 };
-                let Some(path) = path else {
-                    candle_core::bail!("the geometric network needs the motion parametrization");
-                };
-                Bound::Geometric(Box::new(BoundGeometric { network, known, batch, path }))
+                Bound::Geometric(Box::new(BoundGeometric { network, known, batch, path: unit_path()? }))
             }
         };
         Ok(BoundDenoiser { edm: &self.edm, network, latent, observed_motion })

@@ -109,7 +109,7 @@ fn evaluations_per_second(
     let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
     let view = SceneView { scene: &scene, ego_idx: scene.ego_idx, mask: &mask };
     let time = || -> candle_core::Result<f64> {
-        let batch = spec.collator().collate(&[view], FutureValidity::Everything, &device)?;
+        let batch = spec.sampling_collator().collate(&[view], FutureValidity::Everything, &device)?;
         let n_rows = generate.batch_size;
         let bound = denoiser.bind(&batch, n_rows)?;
         let x = batch.repeated(n_rows)?.x0;

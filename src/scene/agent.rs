@@ -61,6 +61,17 @@ impl AgentClass {
         matches!(self, Self::Vehicle | Self::Bus | Self::Motorcyclist | Self::Unknown)
     }
 
+    /// Whether recordings hold its heading. INTERACTION, which alone has this class, records none of those who walk or ride a bicycle:
+    /// theirs is derived from motion, and noise while they stand.
+    pub const fn has_recorded_heading(self) -> bool {
+        !matches!(self, Self::PedestrianOrCyclist)
+    }
+
+    /// Whether it is a person without a car around them.
+    pub const fn is_vulnerable(self) -> bool {
+        matches!(self, Self::Pedestrian | Self::Cyclist | Self::PedestrianOrCyclist)
+    }
+
     /// The extent to assume where a recording gives none.
     pub const fn nominal_extent(self) -> Extent {
         let (length_m, width_m) = match self {

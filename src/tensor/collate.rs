@@ -1,18 +1,16 @@
 //! Builds batches: chooses agents, centers each scene on its ego agent, and writes states, masks and features.
 
+use super::batch_buffers::BatchBuffers;
 use super::features::lane_polylines;
 use super::hidden_states::generated_timesteps;
 use super::motion::MotionChain;
-use super::motion_modes::{ModeTable, MotionModes};
+use super::motion_modes::MotionModes;
 use super::reference::Reference;
-use super::scene_batch::Surroundings;
-use super::surroundings::{AgentPath, RowSurroundings, SurroundingsLayout, agent_attributes};
-use super::{FeatureLayout, Normalizer, SceneBatch, StateParametrization};
+use super::{AgentFrame, FeatureLayout, Normalizer, SceneBatch, Sight, StateParametrization};
 use crate::geometry::{Transform2, Vec2, angle_difference, unwrap_angles};
-use crate::scene::{AgentClass, ObservationMask, Scene, Track};
-use candle_core::{Device, Result, Tensor};
+use crate::scene::{ObservationMask, Scene};
+use candle_core::{Device, Result, bail};
 use rayon::prelude::*;
-use std::sync::Arc;
 
 /// Which of the states that are not observed are to be generated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,42 +36,6 @@ pub struct SceneView<'a> {
     pub mask: &'a ObservationMask,
 }
 
-/// The agents of a row and the frame its coordinates are in.
-#[derive(Debug, Clone, PartialEq)]
-pub struct AgentFrame {
-    /// From the scene frame to the row's ego frame.
-    pub ego_from_scene: Transform2,
-    /// Indices of the scene's tracks, in the order of the batch's agent axis.
-    pub agents: Vec<usize>,
-    ego_idx: usize,
-    mask: ObservationMask,
-    /// Whether headings that recordings do not hold follow from the motion instead of being generated.
-    derives_headings: bool,
-}
-
-impl AgentFrame {
-    /// Whether the mask observes this state of the scene's track.
-    pub fn observed(&self, track_idx: usize, timestep: usize) -> bool {
-        timestep < self.mask.n_timesteps() && self.mask.is_observed(track_idx, timestep)
-    }
-
-    /// The place on the batch's agent axis of the ego agent, if it is in the batch.
-    pub fn ego_slot(&self) -> Option<usize> {
-        self.slot(self.ego_idx)
-    }
-
-    /// Whether the heading of this track follows from its motion: INTERACTION records none of those who walk or ride a bicycle,
-    /// and what was derived for them while they stand is noise.
-    pub(super) fn derives_heading(&self, track: &Track) -> bool {
-        self.derives_headings && track.class == AgentClass::PedestrianOrCyclist
-    }
-
-    /// The place on the batch's agent axis of the scene's track, if it is in the batch.
-    pub fn slot(&self, track_idx: usize) -> Option<usize> {
-        self.agents.iter().position(|agent| *agent == track_idx)
-    }
-}
-
 /// Turns scenes into batches.
 #[derive(Debug, Clone)]
 pub struct Collator {
@@ -89,27 +51,15 @@ pub struct Collator {
     pub sight: Option<Sight>,
 }
 
-/// How far agents see, and what is remembered of it between batches.
-#[derive(Debug, Clone)]
-pub struct Sight {
-    /// Pieces of lanes that each agent is shown.
-    pub n_lanes: usize,
-    modes: Arc<ModeTable>,
-}
-
-impl Sight {
-    /// Sight of `n_lanes` pieces of lanes an agent.
-    pub fn new(n_lanes: usize) -> Self {
-        Self { n_lanes, modes: Arc::default() }
-    }
-}
-
 impl Collator {
     /// One row for each view, padded to the largest row.
     ///
     /// # Errors
     /// Fails when the device runs out of memory.
     pub fn collate(&self, views: &[SceneView<'_>], validity: FutureValidity, device: &Device) -> Result<SceneBatch> {
+        if self.sight.is_some() && self.normalizer.motion_covariance.is_none() {
+            bail!("agents are to see what surrounds them, but the normalizer knows no covariance of their motion");
+        }
         let frames: Vec<AgentFrame> = views.iter().map(|view| self.frame(view)).collect();
         let lanes: Vec<Vec<[f32; FeatureLayout::LANE]>> = views
             .par_iter()
@@ -120,112 +70,22 @@ impl Collator {
             .collect();
         let n_agents = frames.iter().map(|frame| frame.agents.len()).max().unwrap_or(0).max(1);
         let n_lanes = lanes.iter().map(Vec::len).max().unwrap_or(0).max(1);
-        let mut rows = Buffers::new([views.len(), n_agents, self.n_timesteps, n_lanes], &self.normalizer);
-        let mut surroundings = self.sight.as_ref().map(|_| SurroundingsBuffers::default());
+        let mut rows = BatchBuffers::new([views.len(), n_agents, self.n_timesteps, n_lanes], &self.normalizer);
+        let mut modes_of_agents: Vec<(usize, MotionModes)> = Vec::new();
         for (row, (view, frame)) in views.iter().zip(&frames).enumerate() {
             for (slot, agent_idx) in frame.agents.iter().enumerate() {
-                let modes = self.write_agent(&mut rows, row * n_agents + slot, view, frame, *agent_idx, validity);
-                if let Some(buffers) = &mut surroundings {
-                    buffers.modes.push((row * n_agents + slot, modes));
-                }
+                let at = row * n_agents + slot;
+                let modes = self.write_agent(&mut rows, at, view, frame, *agent_idx, validity);
+                modes_of_agents.extend(modes.map(|modes| (at, modes)));
             }
             rows.write_lanes(row, &lanes[row]);
         }
         let mut batch = rows.into_batch(frames, device)?;
-        if let (Some(sight), Some(buffers)) = (&self.sight, surroundings) {
-            batch.surroundings = Some(self.surroundings(sight, views, &batch.frames, buffers, n_agents, device)?);
+        if let Some(sight) = &self.sight {
+            let sizes = [n_agents, self.n_timesteps, self.normalizer.state_dim];
+            batch.surroundings = Some(sight.surroundings(views, &batch.frames, &modes_of_agents, sizes, device)?);
         }
         Ok(batch)
-    }
-
-    /// What surrounds the agents of each row.
-    fn surroundings(
-        &self,
-        sight: &Sight,
-        views: &[SceneView<'_>],
-        frames: &[Arc<AgentFrame>],
-        buffers: SurroundingsBuffers,
-        n_agents: usize,
-        device: &Device,
-    ) -> Result<Surroundings> {
-        let (n_rows, t, d) = (views.len(), self.n_timesteps, self.normalizer.state_dim);
-        let seen: Vec<(RowSurroundings, Vec<(Vec2, f64)>)> =
-            views.par_iter().zip(frames).map(|(view, frame)| self.look_around(sight, view, frame)).collect();
-        let n_lanes =
-            seen.iter().flat_map(|(row, _)| &row.agents).map(|agent| agent.lanes.len()).max().unwrap_or(0).max(1);
-        let n = n_rows * n_agents;
-        let (piece, attribute) = (SurroundingsLayout::PIECE, SurroundingsLayout::AGENT);
-        let mut origin = vec![0.0f32; n * 2];
-        let mut attributes = vec![0.0f32; n * attribute];
-        let mut lanes = vec![0.0f32; n * n_lanes * piece];
-        let mut lane_valid = vec![0.0f32; n * n_lanes];
-        for (row, (surroundings, poses)) in seen.iter().enumerate() {
-            for (slot, (position, heading_rad)) in poses.iter().enumerate() {
-                let at = row * n_agents + slot;
-                origin[at * 2..at * 2 + 2].copy_from_slice(&[position.x as f32, position.y as f32]);
-                let track = &views[row].scene.tracks[frames[row].agents[slot]];
-                attributes[at * attribute..(at + 1) * attribute].copy_from_slice(&agent_attributes(track));
-                for i in 0..surroundings.agents[slot].lanes.len() {
-                    if let Some(features) = surroundings.piece_features(slot, i, *position, *heading_rad) {
-                        let lane = at * n_lanes + i;
-                        lanes[lane * piece..(lane + 1) * piece].copy_from_slice(&features);
-                        lane_valid[lane] = 1.0;
-                    }
-                }
-            }
-        }
-        let mut modes = vec![0.0f32; n * d * t * t];
-        let mut variances = vec![0.0f32; n * d * t];
-        for (at, of_agent) in buffers.modes {
-            let Some(MotionModes { vectors, variances: of_modes }) = of_agent else { continue };
-            modes[at * d * t * t..(at + 1) * d * t * t].copy_from_slice(&vectors);
-            variances[at * d * t..(at + 1) * d * t].copy_from_slice(&of_modes);
-        }
-        Ok(Surroundings {
-            origin: Tensor::from_vec(origin, (n_rows, n_agents, 2), device)?,
-            attributes: Tensor::from_vec(attributes, (n_rows, n_agents, attribute), device)?,
-            lanes: Tensor::from_vec(lanes, (n_rows, n_agents, n_lanes, piece), device)?,
-            lane_valid: Tensor::from_vec(lane_valid, (n_rows, n_agents, n_lanes), device)?,
-            modes: Tensor::from_vec(modes, (n_rows, n_agents, d, t, t), device)?,
-            variances: Tensor::from_vec(variances, (n_rows, n_agents, d, t), device)?,
-            rows: seen.into_iter().map(|(row, _)| Arc::new(row)).collect(),
-        })
-    }
-
-    /// What the agents of a row have around them, and where each of them is: its own frame in the row's ego frame.
-    fn look_around(
-        &self,
-        sight: &Sight,
-        view: &SceneView<'_>,
-        frame: &AgentFrame,
-    ) -> (RowSurroundings, Vec<(Vec2, f64)>) {
-        let scene = view.scene;
-        let present = scene.current_timestep();
-        let paths: Vec<AgentPath<'_>> = (frame.agents.iter())
-            .map(|agent_idx| {
-                let track = &scene.tracks[*agent_idx];
-                let observed = |t: usize| frame.observed(*agent_idx, t) && track.trajectory.is_valid(t);
-                let reference = Reference::new(track, scene.dt_s, present, observed);
-                let position = |t: usize| reference.at(t).map(|pose| frame.ego_from_scene.point(pose.position));
-                let anchor = reference.anchor_timestep();
-                // Five places from the anchor to the end of the row tell where the path leads.
-                let path = (0..=4).filter_map(|i| position(anchor + (self.n_timesteps - 1 - anchor) * i / 4)).collect();
-                AgentPath {
-                    track,
-                    origin: position(anchor).unwrap_or(Vec2::ZERO),
-                    heading_rad: match reference.at(anchor) {
-                        Some(_) => frame.ego_from_scene.heading(reference.frame_heading_rad()),
-                        None => 0.0,
-                    },
-                    speed_mps: reference.anchor_speed_mps(),
-                    path,
-                }
-            })
-            .collect();
-        let lanes = scene.lanes.transformed(&frame.ego_from_scene);
-        let horizon_s = (self.n_timesteps - scene.n_history.min(self.n_timesteps)) as f64 * scene.dt_s;
-        let surroundings = RowSurroundings::new(&lanes, &paths, sight.n_lanes, scene.dt_s, horizon_s);
-        (surroundings, paths.into_iter().map(|path| (path.origin, path.heading_rad)).collect())
     }
 
     fn frame(&self, view: &SceneView<'_>) -> AgentFrame {
@@ -256,7 +116,7 @@ impl Collator {
     /// Writes every entry of one agent; `at` is its place in (B, A).
     fn write_agent(
         &self,
-        rows: &mut Buffers,
+        rows: &mut BatchBuffers,
         at: usize,
         view: &SceneView<'_>,
         frame: &AgentFrame,
@@ -365,8 +225,7 @@ impl Collator {
             };
             rows.write_observed_motion(at, reference.observed_motion().map(seen), &unit);
             if let (Some(sight), Some(covariance)) = (&self.sight, &normalizer.motion_covariance) {
-                let sigma_data = Normalizer::SIGMA_DATA;
-                let mut modes = sight.modes.modes(covariance, &observed, &latent, self.n_timesteps, sigma_data);
+                let mut modes = sight.modes_of_motion(covariance, &observed, &latent, self.n_timesteps);
                 if derives_heading {
                     modes.clear_from(2, self.n_timesteps);
                 }
@@ -399,140 +258,5 @@ impl Collator {
                 })
             })
             .collect()
-    }
-}
-
-/// What is gathered of agents' surroundings while a batch is written.
-#[derive(Default)]
-struct SurroundingsBuffers {
-    /// Modes of motion by place in (B, A).
-    modes: Vec<(usize, Option<MotionModes>)>,
-}
-
-/// The batch's tensors while they are written on the host.
-struct Buffers {
-    shape: [usize; 5],
-    x0: Vec<f32>,
-    context: Vec<f32>,
-    observed: Vec<f32>,
-    latent: Vec<f32>,
-    scored: Vec<f32>,
-    features: Vec<f32>,
-    lanes: Vec<f32>,
-    lane_valid: Vec<f32>,
-    base: Vec<f32>,
-    rotation: Vec<f32>,
-    unit: Vec<f32>,
-    path: Option<Vec<f32>>,
-    observed_motion: Option<Vec<f32>>,
-}
-
-impl Buffers {
-    fn new([n_rows, n_agents, n_timesteps, n_lanes]: [usize; 4], normalizer: &Normalizer) -> Self {
-        let state_dim = normalizer.state_dim;
-        let is_motion = normalizer.parametrization == StateParametrization::Motion;
-        let n_entries = n_rows * n_agents * n_timesteps;
-        // Padded agents keep rotation 0: whatever they hold decodes to zero.
-        Self {
-            shape: [n_rows, n_agents, n_timesteps, n_lanes, state_dim],
-            x0: vec![0.0; n_entries * state_dim],
-            context: vec![0.0; n_entries * state_dim],
-            observed: vec![0.0; n_entries],
-            latent: vec![0.0; n_entries],
-            scored: vec![0.0; n_entries],
-            features: vec![0.0; n_entries * FeatureLayout::AGENT],
-            lanes: vec![0.0; n_rows * n_lanes * FeatureLayout::LANE],
-            lane_valid: vec![0.0; n_rows * n_lanes],
-            base: vec![0.0; n_entries * 3],
-            rotation: vec![0.0; n_rows * n_agents * 2],
-            unit: vec![0.0; n_rows * n_agents * 3],
-            path: is_motion.then(|| vec![0.0; n_entries * n_timesteps]),
-            observed_motion: is_motion.then(|| vec![0.0; n_entries * state_dim]),
-        }
-    }
-
-    /// Writes the clean diffused states of the agent at `at` in (B, A), given by timestep in metres and radians.
-    fn write_x0(&mut self, at: usize, values: impl IntoIterator<Item = (usize, [f64; 3])>, unit: &[f64; 3]) {
-        write_entries(&mut self.x0, at, &self.shape, values, unit);
-    }
-
-    fn write_observed_motion(
-        &mut self,
-        at: usize,
-        values: impl IntoIterator<Item = (usize, [f64; 3])>,
-        unit: &[f64; 3],
-    ) {
-        if let Some(motion) = &mut self.observed_motion {
-            write_entries(motion, at, &self.shape, values, unit);
-        }
-    }
-
-    fn write_path(&mut self, at: usize, matrix: &[f32]) {
-        if let Some(path) = &mut self.path {
-            path[at * matrix.len()..(at + 1) * matrix.len()].copy_from_slice(matrix);
-        }
-    }
-
-    fn write_base(&mut self, entry: usize, position: Vec2, heading: f64, normalizer: &Normalizer, is_known: bool) {
-        let base = [position.x, position.y, heading];
-        self.base[entry * 3..entry * 3 + 3].copy_from_slice(&base.map(|value| value as f32));
-        if is_known {
-            let state_dim = normalizer.state_dim;
-            let context = &mut self.context[entry * state_dim..(entry + 1) * state_dim];
-            for ((slot, value), unit) in context.iter_mut().zip(base).zip(normalizer.scene_units()) {
-                *slot = (value / unit) as f32;
-            }
-        }
-    }
-
-    fn write_lanes(&mut self, row: usize, lanes: &[[f32; FeatureLayout::LANE]]) {
-        let n_lanes = self.shape[3];
-        for (i, lane) in lanes.iter().enumerate() {
-            let at = row * n_lanes + i;
-            self.lanes[at * FeatureLayout::LANE..(at + 1) * FeatureLayout::LANE].copy_from_slice(lane);
-            self.lane_valid[at] = 1.0;
-        }
-    }
-
-    fn into_batch(self, frames: Vec<AgentFrame>, device: &Device) -> Result<SceneBatch> {
-        let [b, a, t, l, d] = self.shape;
-        let valid: Vec<f32> = self.observed.iter().zip(&self.latent).map(|(o, l)| o + l).collect();
-        Ok(SceneBatch {
-            x0: Tensor::from_vec(self.x0, (b, a, t, d), device)?,
-            context: Tensor::from_vec(self.context, (b, a, t, d), device)?,
-            observed: Tensor::from_vec(self.observed, (b, a, t), device)?,
-            latent: Tensor::from_vec(self.latent, (b, a, t), device)?,
-            scored: Tensor::from_vec(self.scored, (b, a, t), device)?,
-            valid: Tensor::from_vec(valid, (b, a, t), device)?,
-            features: Tensor::from_vec(self.features, (b, a, t, FeatureLayout::AGENT), device)?,
-            lanes: Tensor::from_vec(self.lanes, (b, l, FeatureLayout::LANE), device)?,
-            lane_valid: Tensor::from_vec(self.lane_valid, (b, l), device)?,
-            base: Tensor::from_vec(self.base, (b, a, t, 3), device)?,
-            rotation: Tensor::from_vec(self.rotation, (b, a, 2), device)?,
-            unit: Tensor::from_vec(self.unit, (b, a, 3), device)?,
-            observed_motion: (self.observed_motion)
-                .map(|motion| Tensor::from_vec(motion, (b, a, t, d), device))
-                .transpose()?,
-            path: self.path.map(|path| Tensor::from_vec(path, (b, a, t, t), device)).transpose()?,
-            surroundings: None,
-            frames: frames.into_iter().map(Arc::new).collect(),
-        })
-    }
-}
-
-/// Writes values in metres and radians, by timestep, as those of the agent at `at` in (B, A) of a (B, A, T, D) buffer.
-fn write_entries(
-    buffer: &mut [f32],
-    at: usize,
-    [_, _, n_timesteps, _, state_dim]: &[usize; 5],
-    values: impl IntoIterator<Item = (usize, [f64; 3])>,
-    unit: &[f64; 3],
-) {
-    for (timestep, value) in values {
-        let entry = at * n_timesteps + timestep;
-        let slots = &mut buffer[entry * state_dim..(entry + 1) * state_dim];
-        for ((slot, value), unit) in slots.iter_mut().zip(value).zip(unit) {
-            *slot = (value / unit) as f32;
-        }
     }
 }

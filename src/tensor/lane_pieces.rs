@@ -108,7 +108,7 @@ fn cut(lane: &Lane, idx: u32, outlines: &Outlines) -> Vec<LanePiece> {
         attributes.is_intersection,
         attributes.has_traffic_control,
         attributes.one_way,
-        matches!(attributes.kind.as_str(), "crosswalk" | "walkway" | "pedestrian_crossing" | "bicycle_lane" | "BIKE"),
+        matches!(attributes.kind.as_str(), "crosswalk" | "walkway" | "bicycle_lane" | "BIKE"),
     ];
     (0..n_pieces)
         .filter_map(|i| {

@@ -1,5 +1,7 @@
 //! From scenes to tensors and back: which numbers does the network see, in which frame, at which scale?
 
+mod agent_frame;
+mod batch_buffers;
 mod collate;
 mod eigen;
 mod features;
@@ -12,11 +14,13 @@ mod normalizer;
 mod pair_features;
 mod reference;
 mod scene_batch;
+mod sight;
 mod surroundings;
 #[cfg(test)]
 mod tests;
 
-pub use collate::{AgentFrame, Collator, FutureValidity, SceneView, Sight};
+pub use agent_frame::AgentFrame;
+pub use collate::{Collator, FutureValidity, SceneView};
 pub use features::{FeatureLayout, LANE_POINTS};
 pub use lane_pieces::{LanePiece, LanePoint, PIECE_POINTS};
 pub use mask_sampler::{MaskSampler, MaskTask, TaskWeights};
@@ -24,4 +28,5 @@ pub use motion_modes::MotionCovariance;
 pub use normalizer::{Normalizer, NormalizerFit, StateParametrization};
 pub use pair_features::PairFeatures;
 pub use scene_batch::{SceneBatch, Surroundings};
+pub use sight::Sight;
 pub use surroundings::{AgentSurroundings, RowSurroundings, SeenPiece, SurroundingsLayout};

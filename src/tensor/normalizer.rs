@@ -4,7 +4,7 @@ use super::motion::MotionChain;
 use super::motion_modes::MotionCovariance;
 use super::reference::Reference;
 use crate::geometry::{angle_difference, unwrap_angles};
-use crate::scene::{AgentClass, ObservationMask, Scene};
+use crate::scene::{ObservationMask, Scene};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -162,7 +162,7 @@ impl NormalizerFit {
             if is_present && self.n_motions < MAX_MOTIONS && !motion.is_empty() {
                 self.n_motions += motion.len();
                 // Headings that were derived tell nothing of how agents turn.
-                let turns = track.class != AgentClass::PedestrianOrCyclist;
+                let turns = track.class.has_recorded_heading();
                 let elapsed = |(t, z): (usize, [f64; 3])| {
                     let [along, across, turn] = z.map(|z| z as f32);
                     (t - scene.n_history, [along, across, if turns { turn } else { f32::NAN }])

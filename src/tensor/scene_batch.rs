@@ -1,8 +1,7 @@
 //! A batch of scenes as tensors, and the way back from samples to scenes.
 
 use super::{AgentFrame, RowSurroundings};
-use crate::geometry::{Vec2, wrap_angle};
-use crate::scene::{Scene, State, Track, Trajectory};
+use crate::scene::Scene;
 use candle_core::{D, Result, Tensor};
 use std::sync::Arc;
 
@@ -166,64 +165,5 @@ impl SceneBatch {
                 Ok(self.frames[row].scene(sources[row], &states, &latent, with_heading))
             })
             .collect()
-    }
-}
-
-impl AgentFrame {
-    /// Puts decoded states (A, T, 3) of this row, in its ego frame, into a copy of `source`.
-    fn scene(&self, source: &Scene, states: &[Vec<Vec<f64>>], latent: &[Vec<u8>], with_heading: bool) -> Scene {
-        let n_timesteps = states.first().map_or(source.n_timesteps, Vec::len);
-        let scene_from_ego = self.ego_from_scene.inverse();
-        let mut tracks: Vec<Track> = source.tracks.clone();
-        for (agent_idx, track) in tracks.iter_mut().enumerate() {
-            let slot = self.agents.iter().position(|agent| *agent == agent_idx);
-            let mut entries: Vec<Option<State>> = vec![None; n_timesteps];
-            for (timestep, entry) in entries.iter_mut().enumerate() {
-                *entry = match slot {
-                    Some(slot) if latent[slot][timestep] != 0 => {
-                        let [x, y, heading_rad] = states[slot][timestep][..] else { continue };
-                        let state = State {
-                            position: Vec2::new(x, y),
-                            heading_rad: wrap_angle(heading_rad),
-                            velocity: Vec2::ZERO,
-                        };
-                        Some(state.transformed(&scene_from_ego))
-                    }
-                    _ if self.observed(agent_idx, timestep) => track.trajectory.get(timestep).copied(),
-                    _ => None,
-                };
-            }
-            if let Some(slot) = slot {
-                let with_heading = with_heading && !self.derives_heading(track);
-                derive_motion(&mut entries, &latent[slot], source.dt_s, with_heading);
-            }
-            track.trajectory = Trajectory::new(entries);
-        }
-        Scene { tracks, n_timesteps, ..source.clone() }
-    }
-}
-
-/// Distance below which motion says nothing of the heading, metres.
-const STANDING_STEP_M: f64 = 0.05;
-
-/// Velocities of generated entries by backward difference, and where wanted headings along the motion.
-fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, with_heading: bool) {
-    for timestep in 0..entries.len() {
-        if latent[timestep] == 0 {
-            continue;
-        }
-        let before = timestep.checked_sub(1).and_then(|t| entries[t]);
-        let after = entries.get(timestep + 1).copied().flatten();
-        let Some(state) = entries[timestep].as_mut() else { continue };
-        let step = match (before, after) {
-            (Some(before), _) => state.position - before.position,
-            (None, Some(after)) => after.position - state.position,
-            (None, None) => Vec2::ZERO,
-        };
-        state.velocity = step * (1.0 / dt_s);
-        if !with_heading {
-            let held = before.map_or(state.heading_rad, |before| before.heading_rad);
-            state.heading_rad = if step.norm() > STANDING_STEP_M { step.angle() } else { held };
-        }
     }
 }

@@ -84,10 +84,7 @@ impl RowSurroundings {
             let Extent { length_m, width_m } = agent.track.extent_or_nominal();
             AgentSurroundings {
                 half_size_m: [length_m / 2.0, width_m / 2.0].map(|half| half as f32),
-                is_vulnerable: matches!(
-                    agent.track.class,
-                    AgentClass::Pedestrian | AgentClass::Cyclist | AgentClass::PedestrianOrCyclist
-                ),
+                is_vulnerable: agent.track.class.is_vulnerable(),
                 lanes: pieces.seen_by(agent, n_lanes, horizon_s),
             }
         };

@@ -68,6 +68,7 @@ pub fn train_baseline(
         held_out: &held_out,
         masks: &masks,
         batch_size: training.batch_size,
+        with_context: false,
         seed,
         device,
         ahead: Ahead::default(),

@@ -1,7 +1,6 @@
 //! Does a denoiser look at the map and at other agents? Its loss on held-out scenes of which something was changed.
 
 use super::{DenoisingTask, Error};
-use crate::diffusion::NoiseSource;
 use crate::geometry::{Transform2, Vec2};
 use crate::model::{ChangedLoss, SceneChange};
 use crate::progress::Progress;
@@ -24,15 +23,13 @@ pub(super) fn changed_losses(task: &DenoisingTask<'_>, progress: &dyn Progress) 
     }
     let mut found = Vec::with_capacity(SceneChange::ALL.len() * SIGMAS.len());
     for change in SceneChange::ALL {
-        let losses = task.draws.changed_means(SIGMAS.len(), &|scene| changed(scene, change), |batch, seeds| {
+        let losses = task.draws.changed_means(SIGMAS.len(), &|scene| changed(scene, change), |drawn| {
+            let (batch, seeds) = (&drawn.batch, &drawn.seeds);
             let batch = match change {
                 SceneChange::EgoOnly | SceneChange::EgoAlone => of_egos(batch)?,
                 _ => batch.clone(),
             };
-            let loss = |sigma: f64| {
-                let sigmas = vec![sigma; seeds.len()];
-                task.weighted_error(task.frozen, &batch, &sigmas, &mut NoiseSource::new(seeds.to_vec()))
-            };
+            let loss = |sigma: f64| task.held_out_loss(&batch, sigma, seeds);
             SIGMAS.into_iter().map(loss).collect()
         })?;
         found.extend(SIGMAS.into_iter().zip(losses).map(|(sigma, loss)| ChangedLoss { change, sigma, loss }));

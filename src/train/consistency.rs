@@ -145,7 +145,7 @@ impl ConsistencyTask<'_> {
 
 impl TrainTask for ConsistencyTask<'_> {
     fn loss(&self, step: u64) -> Result<Tensor, Error> {
-        let DrawnBatch { batch, seeds, mut rngs } = self.draws.training_batch(step)?;
+        let DrawnBatch { batch, seeds, mut rngs, .. } = self.draws.training_batch(step)?;
         let stage = self.tuning.gap.stage(step, self.training.fit.steps);
         let levels: Vec<(f64, f64)> = (rngs.iter_mut())
             .map(|rng| self.tuning.noise.draw(rng))
@@ -161,10 +161,10 @@ impl TrainTask for ConsistencyTask<'_> {
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
         // Always with the gap of the last stage, so that evaluations of all stages compare.
         let last = self.tuning.gap.n_stages.saturating_sub(1);
-        let means = self.draws.held_out_means(EVALUATION_SIGMAS.len(), |batch, seeds| {
+        let means = self.draws.held_out_means(EVALUATION_SIGMAS.len(), |DrawnBatch { batch, seeds, .. }| {
             let disagreement = |sigma: f64| {
                 let levels = vec![(sigma, self.tuning.gap.lower(sigma, last)); seeds.len()];
-                self.disagreement(self.frozen, batch, &levels, &mut NoiseSource::new(seeds.to_vec()))
+                self.disagreement(self.frozen, batch, &levels, &mut NoiseSource::new(seeds.clone()))
             };
             EVALUATION_SIGMAS.into_iter().map(disagreement).collect()
         })?;

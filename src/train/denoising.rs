@@ -1,9 +1,11 @@
 //! Training the denoiser: the paper's loss over p(𝒪), p_train and the recorded scenes.
 
 use super::latent_error::squared_error;
+use super::objective_loss::{objective_costs, objective_loss};
 use super::{DenoiserTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::{Denoiser, NoiseSource, rows_like};
 use crate::model::SceneDenoiser;
+use crate::seed::Seed;
 use crate::tensor::SceneBatch;
 use candle_core::Tensor;
 use std::collections::BTreeMap;
@@ -24,33 +26,43 @@ pub struct DenoisingTask<'a> {
 }
 
 impl DenoisingTask<'_> {
-    /// λ(σ) |D(x0 + σ ε; σ) - x0|², averaged over the scored scalars of the batch; one σ a row.
-    pub(super) fn weighted_error(
-        &self,
-        denoiser: &SceneDenoiser,
-        batch: &SceneBatch,
-        sigmas: &[f64],
-        noise: &mut NoiseSource,
-    ) -> Result<Tensor, Error> {
-        let latent = batch.latent.unsqueeze(3)?;
-        let weight: Vec<f64> =
-            sigmas.iter().map(|s| denoiser.edm().loss_weight(self.training.loss_weight, *s)).collect();
+    /// D(x0 + σ ε; σ), one σ a row, with ε drawn from `seeds`.
+    fn estimate(denoiser: &SceneDenoiser, batch: &SceneBatch, sigmas: &[f64], seeds: &[Seed]) -> Result<Tensor, Error> {
         let sigma_rows = rows_like(sigmas.to_vec(), &batch.x0)?;
-        let noise = noise.draw_like(&batch.x0)?.broadcast_mul(&sigma_rows)?;
-        let x = (&batch.x0 + noise)?.broadcast_mul(&latent)?;
-        let x0_hat = denoiser.bind(batch, 1)?.denoise(&x, &sigma_rows.flatten_all()?)?;
-        let squared = squared_error(batch, &x0_hat, &batch.x0, self.training.path_loss)?;
+        let noise = NoiseSource::new(seeds.to_vec()).draw_like(&batch.x0)?.broadcast_mul(&sigma_rows)?;
+        let x = (&batch.x0 + noise)?.broadcast_mul(&batch.latent.unsqueeze(3)?)?;
+        Ok(denoiser.bind(batch, 1)?.denoise(&x, &sigma_rows.flatten_all()?)?)
+    }
+
+    /// λ(σ) |x0_hat - x0|², averaged over the scored scalars of the batch; one σ a row.
+    fn weighted_error(&self, batch: &SceneBatch, x0_hat: &Tensor, sigmas: &[f64]) -> Result<Tensor, Error> {
+        let edm = self.denoiser.edm();
+        let weight: Vec<f64> = sigmas.iter().map(|s| edm.loss_weight(self.training.loss_weight, *s)).collect();
+        let squared = squared_error(batch, x0_hat, &batch.x0, self.training.path_loss)?;
         let weighted = squared.broadcast_mul(&rows_like(weight, &batch.x0)?)?;
         let n_scored = (batch.scored.sum_all()? * self.draws.collator.normalizer.state_dim as f64)?.maximum(1.0)?;
         Ok(weighted.sum_all()?.div(&n_scored)?)
+    }
+
+    /// The loss of the frozen denoiser with every row at noise level `sigma`.
+    pub(super) fn held_out_loss(&self, batch: &SceneBatch, sigma: f64, seeds: &[Seed]) -> Result<Tensor, Error> {
+        let sigmas = vec![sigma; seeds.len()];
+        self.weighted_error(batch, &Self::estimate(self.frozen, batch, &sigmas, seeds)?, &sigmas)
     }
 }
 
 impl TrainTask for DenoisingTask<'_> {
     fn loss(&self, step: u64) -> Result<Tensor, Error> {
-        let DrawnBatch { batch, seeds, mut rngs } = self.draws.training_batch(step)?;
-        let sigmas: Vec<f64> = rngs.iter_mut().map(|rng| self.training.noise.draw(rng)).collect();
-        self.weighted_error(self.denoiser, &batch, &sigmas, &mut NoiseSource::new(seeds))
+        let mut drawn = self.draws.training_batch(step)?;
+        let sigmas: Vec<f64> = drawn.rngs.iter_mut().map(|rng| self.training.noise.draw(rng)).collect();
+        let x0_hat = Self::estimate(self.denoiser, &drawn.batch, &sigmas, &drawn.seeds)?;
+        let error = self.weighted_error(&drawn.batch, &x0_hat, &sigmas)?;
+        let is_low = |sigma: &f64| f32::from(u8::from(*sigma <= self.training.objectives_below_sigma));
+        let low: Vec<f32> = sigmas.iter().map(is_low).collect();
+        Ok(match objective_loss(&self.training.objectives, &x0_hat, &drawn, &low)? {
+            Some(cost) => (error + cost)?,
+            None => error,
+        })
     }
 
     fn prepare(&self, step: u64) -> Result<(), Error> {
@@ -58,14 +70,23 @@ impl TrainTask for DenoisingTask<'_> {
     }
 
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
-        let means = self.draws.held_out_means(EVALUATION_SIGMAS.len(), |batch, seeds| {
-            let loss = |sigma: f64| {
-                let sigmas = vec![sigma; seeds.len()];
-                self.weighted_error(self.frozen, batch, &sigmas, &mut NoiseSource::new(seeds.to_vec()))
-            };
-            EVALUATION_SIGMAS.into_iter().map(loss).collect()
+        let objectives = &self.training.objectives;
+        let losses = EVALUATION_SIGMAS.into_iter().map(|sigma| format!("held_out_loss_at_sigma_{sigma}"));
+        let costs = objectives.iter().map(|objective| format!("held_out_cost_of_{}", objective.objective().kind()));
+        let names: Vec<String> = losses.chain(costs).collect();
+        let means = self.draws.held_out_means(names.len(), |drawn| {
+            let DrawnBatch { batch, seeds, .. } = drawn;
+            let loss = |sigma: f64| self.held_out_loss(batch, sigma, seeds);
+            let mut figures = EVALUATION_SIGMAS.into_iter().map(loss).collect::<Result<Vec<_>, Error>>()?;
+            let sigmas = vec![self.training.objectives_below_sigma; seeds.len()];
+            if !objectives.is_empty() {
+                let x0_hat = Self::estimate(self.frozen, batch, &sigmas, seeds)?;
+                for cost in objective_costs(objectives, &x0_hat, drawn)? {
+                    figures.push(cost.mean_all()?);
+                }
+            }
+            Ok(figures)
         })?;
-        let named = |(sigma, mean): (f64, f64)| (format!("held_out_loss_at_sigma_{sigma}"), mean);
-        Ok(EVALUATION_SIGMAS.into_iter().zip(means).map(named).collect())
+        Ok(names.into_iter().zip(means).collect())
     }
 }

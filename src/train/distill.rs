@@ -55,6 +55,7 @@ pub fn distill_denoiser(
         held_out: &held_out,
         masks: &masks,
         batch_size: training.batch_size,
+        with_context: !training.objectives.is_empty(),
         seed,
         device,
         ahead: Ahead::default(),

@@ -1,7 +1,9 @@
 //! The `[train.distill]` section: how does a denoiser become one that needs few evaluations?
 
+use super::objective_loss::check_objectives;
 use super::{ConsistencyTuning, Error, FitConfig, LearningRateDecay, StepDistillation};
 use crate::diffusion::Edm;
+use crate::guidance::ObjectiveConfig;
 use crate::model::{DenoiserSpec, Distillation};
 use crate::scene::Split;
 use crate::tensor::TaskWeights;
@@ -68,6 +70,9 @@ pub struct DistillTrainingConfig {
     pub huber: f64,
     /// Weight of the squared disagreement of what diffused motion adds up to (motion parametrization only).
     pub path_loss: f64,
+    /// Objectives that samples are trained toward, beside being those of the denoiser (method `steps` only): each counts by its weight
+    /// and a cost of √(1 - 2 J) - 1 a scene.
+    pub objectives: Vec<ObjectiveConfig>,
     /// How often each observation task is drawn.
     pub tasks: TaskWeights,
     /// Splits to train on; empty means `train`, or everything unsplit where there is no such split.
@@ -104,6 +109,7 @@ impl Default for DistillTrainingConfig {
             method: DistillMethod::default(),
             huber: 0.01,
             path_loss: 0.1,
+            objectives: Vec::new(),
             tasks: TaskWeights::default(),
             splits: Vec::new(),
             places: Vec::new(),
@@ -131,6 +137,8 @@ pub struct DistillTraining {
     pub huber: f64,
     /// Weight of the disagreement of paths.
     pub path_loss: f64,
+    /// What samples are trained toward.
+    pub objectives: Vec<ObjectiveConfig>,
     /// How often each observation task is drawn.
     pub tasks: TaskWeights,
     /// Scenes a step.
@@ -166,6 +174,11 @@ impl DistillTrainingConfig {
             return refuse(name, *value, "0 or more");
         }
         self.method.validate()?;
+        check_objectives("train.distill.objectives", &self.objectives)?;
+        if !self.objectives.is_empty() && !matches!(self.method, DistillMethod::Steps(_)) {
+            let message = "train.distill.objectives need method = { kind = \"steps\" }: they judge where its steps end";
+            return Err(Error::Config(message.to_owned()));
+        }
         if !(0.0..1.0).contains(&self.ema_decay) {
             return refuse("ema_decay", self.ema_decay, "0 (none) up to below 1");
         }
@@ -177,6 +190,7 @@ impl DistillTrainingConfig {
             method: self.method.clone(),
             huber: self.huber,
             path_loss: self.path_loss,
+            objectives: self.objectives.clone(),
             tasks: self.tasks,
             batch_size: self.batch_size,
             n_eval_scenes: self.n_eval_scenes,

@@ -3,6 +3,7 @@
 use super::*;
 use crate::diffusion::sampler::{ConsistencyConfig, HeunConfig, StepGrid};
 use crate::diffusion::{NoiseDistribution, NoiseSource, SamplerConfig};
+use crate::guidance::{AgentSelector, ObjectiveConfig, SpeedLimit};
 use crate::model::{DenoiserSpec, Distillation, NetworkConfig, SceneDenoiser, TrainedDenoiser};
 use crate::nn::{Checkpoint, Params, read_checkpoint};
 use crate::progress::Silent;
@@ -128,6 +129,7 @@ fn every_parameter_receives_a_gradient_in_every_stage() {
         held_out: &[],
         masks: &masks,
         batch_size: 8,
+        with_context: false,
         seed: Seed(2),
         device: &Device::Cpu,
         ahead: Ahead::default(),
@@ -229,6 +231,32 @@ fn one_large_step_leads_where_many_small_ones_lead() {
     assert_both_ways_are_taken(&after);
 }
 
+fn speed_limit(weight: f64) -> ObjectiveConfig {
+    ObjectiveConfig::SpeedLimit(SpeedLimit {
+        weight,
+        agents: AgentSelector::default(),
+        limit_mps: 12.0,
+        tolerance_mps: 1.0,
+    })
+}
+
+#[test]
+fn objectives_shape_where_the_steps_end() {
+    let dir = tempfile::tempdir().unwrap();
+    let checkpoint = teacher(100, dir.path());
+    let final_cost = |weight: f64| {
+        let mut training = distillation(120, DistillMethod::Steps(two_steps()));
+        training.objectives = vec![speed_limit(weight)];
+        let dir = tempfile::tempdir().unwrap();
+        let outcome =
+            distill_denoiser(&training, &data(), &checkpoint, Seed(4), dir.path(), &Device::Cpu, &Silent).unwrap();
+        outcome.statistics.last().unwrap().evaluation["held_out_cost_of_speed_limit"]
+    };
+    // All recorded cars drive at 15 m/s, 3 m/s beyond the limit.
+    let (free, limited) = (final_cost(1e-6), final_cost(1.0));
+    assert!(free > 1.0 && limited < 0.3 * free, "{free} without the objective, {limited} with it");
+}
+
 #[test]
 fn settings_that_make_no_sense_are_named() {
     let gap = |gap: LevelGap| DistillTrainingConfig {
@@ -241,6 +269,7 @@ fn settings_that_make_no_sense_are_named() {
         (gap(LevelGap { ratio: 1.0, ..LevelGap::default() }), "gap.ratio"),
         (gap(LevelGap { n_stages: 0, ..LevelGap::default() }), "gap.n_stages"),
         (gap(LevelGap { n_stages: 24, ..LevelGap::default() }), "gap.n_stages"),
+        (DistillTrainingConfig { objectives: vec![speed_limit(1.0)], ..Default::default() }, "objectives need method"),
     ] {
         let message = config.resolve().unwrap_err().to_string();
         assert!(message.contains("train.distill.") && message.contains(name), "{message}");

@@ -84,7 +84,7 @@ impl TrainTask for JointFuturesTask<'_> {
 
     fn evaluate(&self) -> std::result::Result<BTreeMap<String, f64>, Error> {
         let names = ["held_out_error_of_best", "held_out_mode_loss"];
-        let means = self.draws.held_out_means(names.len(), |batch, _| {
+        let means = self.draws.held_out_means(names.len(), |DrawnBatch { batch, .. }| {
             let JointLoss { regression, mode } = JointLoss::new(&self.frozen.forward(batch)?, batch)?;
             Ok(vec![regression, mode])
         })?;

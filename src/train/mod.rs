@@ -21,6 +21,7 @@ mod error;
 mod fit;
 mod joint_futures;
 mod latent_error;
+mod objective_loss;
 mod pair_examples;
 mod preset;
 mod scene_draws;

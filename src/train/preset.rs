@@ -1,7 +1,9 @@
 //! The `[train.denoiser]` section: presets from a test's network to the paper's, and what overrides them.
 
+use super::objective_loss::check_objectives;
 use super::{Error, FitConfig, LearningRateDecay};
 use crate::diffusion::{Edm, LossWeight, NoiseDistribution};
+use crate::guidance::ObjectiveConfig;
 use crate::model::{GeometryConfig, NetworkConfig};
 use crate::scene::Split;
 use crate::tensor::{StateParametrization, TaskWeights};
@@ -55,6 +57,11 @@ pub struct DenoiserTrainingConfig {
     /// Weight of the squared error of what diffused motion adds up to, beside that of the motion itself (motion
     /// parametrization only). The best denoiser is the same at any weight; it decides what a network learns first.
     pub path_loss: Option<f64>,
+    /// Objectives that clean estimates are trained toward at low noise, beside the loss: each counts by its weight and a cost of
+    /// √(1 - 2 J) - 1 a scene.
+    pub objectives: Vec<ObjectiveConfig>,
+    /// The noise level σ up to which they count (default 0.3): above it an estimate is a mean of futures, which no rule of traffic binds.
+    pub objectives_below_sigma: Option<f64>,
     /// How often each observation task is drawn.
     pub tasks: TaskWeights,
     /// Splits to train on; empty means `train`, or everything unsplit where there is no such split.
@@ -110,6 +117,10 @@ pub struct DenoiserTraining {
     pub loss_weight: LossWeight,
     /// Weight of the error of paths in the loss.
     pub path_loss: f64,
+    /// What clean estimates are trained toward at low noise.
+    pub objectives: Vec<ObjectiveConfig>,
+    /// The noise level up to which they count.
+    pub objectives_below_sigma: f64,
     /// How often each observation task is drawn.
     pub tasks: TaskWeights,
     /// What counts the same.
@@ -144,7 +155,8 @@ impl DenoiserTrainingConfig {
             save_every: self.save_every.unwrap_or(base.fit.save_every),
             log_every: base.fit.log_every,
         };
-        let positive: [(&str, f64); 8] = [
+        let objectives_below_sigma = self.objectives_below_sigma.unwrap_or(base.objectives_below_sigma);
+        let positive: [(&str, f64); 9] = [
             ("steps", fit.steps as f64),
             ("learning_rate", fit.learning_rate),
             ("clip_norm", fit.clip_norm),
@@ -152,6 +164,7 @@ impl DenoiserTrainingConfig {
             ("save_every", fit.save_every as f64),
             ("batch_size", self.batch_size.unwrap_or(1) as f64),
             ("max_agents", self.max_agents.unwrap_or(1) as f64),
+            ("objectives_below_sigma", objectives_below_sigma),
             ("diffusion.sigma_data", self.diffusion.sigma_data),
         ];
         if let Some((name, value)) = positive.iter().find(|(_, value)| !value.is_finite() || *value <= 0.0) {
@@ -165,6 +178,7 @@ impl DenoiserTrainingConfig {
             let message = "train.denoiser.tasks are no weights: give numbers of at least 0, one of them positive";
             return Err(Error::Config(message.to_owned()));
         }
+        check_objectives("train.denoiser.objectives", &self.objectives)?;
         let parametrization = self.state_parametrization.unwrap_or(base.parametrization);
         // What suits diffused motion only is not carried over from the preset to another parametrization.
         let fits = parametrization == base.parametrization;
@@ -196,6 +210,8 @@ impl DenoiserTrainingConfig {
             noise: self.noise.unwrap_or(base.noise),
             loss_weight: self.loss_weight,
             path_loss,
+            objectives: self.objectives.clone(),
+            objectives_below_sigma,
             tasks: self.tasks,
             balance: self.balance.unwrap_or(base.balance),
             batch_size: self.batch_size.unwrap_or(base.batch_size),
@@ -314,6 +330,8 @@ fn base() -> DenoiserTraining {
         noise: NoiseDistribution { p_mean: -0.3, p_std: 1.5 },
         loss_weight: LossWeight::default(),
         path_loss: 0.1,
+        objectives: Vec::new(),
+        objectives_below_sigma: 0.3,
         tasks: TaskWeights::default(),
         balance: Balance::Places,
         batch_size: 8,

@@ -2,6 +2,7 @@
 //! scenes.
 
 use super::Error;
+use crate::guidance::{ContextRow, SceneContext};
 use crate::scene::{ObservationMask, Scene};
 use crate::seed::{Seed, SeededRng};
 use crate::tensor::{Collator, FutureValidity, MaskSampler, SceneBatch, SceneView};
@@ -41,6 +42,8 @@ pub struct SceneDraws<'a> {
     pub masks: &'a MaskSampler,
     /// Scenes of a batch.
     pub batch_size: usize,
+    /// Whether batches come with what objectives read.
+    pub with_context: bool,
     /// Seed of every draw.
     pub seed: Seed,
     /// Where tensors live.
@@ -61,10 +64,12 @@ pub struct Ahead {
 /// An epoch of a group, and the order of its scenes.
 type Shuffle = (u64, Arc<[usize]>);
 
-/// The batch of a training step.
+/// The batch of a training step, or of an evaluation.
 pub struct DrawnBatch {
     /// The scenes.
     pub batch: SceneBatch,
+    /// The same as objectives see it, where they were asked for.
+    pub context: Option<SceneContext>,
     /// The seed of each row.
     pub seeds: Vec<Seed>,
     /// The generator of each row, after what was drawn for its scene.
@@ -107,39 +112,31 @@ impl SceneDraws<'_> {
         let mut rngs: Vec<SeededRng> = seeds.iter().map(|seed| seed.derive("draws", &[]).rng()).collect();
         let drawn = indices.par_iter().zip(&mut rngs).map(|(idx, rng)| self.draw(*idx, rng));
         let drawn: Vec<Drawn> = drawn.collect::<Result<_, _>>()?;
-        Ok(DrawnBatch { batch: self.collate(&drawn)?, seeds, rngs })
+        self.collate(&drawn, seeds, rngs)
     }
 
-    /// The scenes of these indices with their histories observed, each around its own ego agent.
-    ///
-    /// # Errors
-    /// When a scene cannot be loaded.
-    pub fn predictive_batch(&self, indices: &[usize]) -> Result<SceneBatch, Error> {
-        self.changed_batch(indices, &|scene| scene)
-    }
-
-    /// The same of scenes as `change` leaves them.
-    ///
-    /// # Errors
-    /// When a scene cannot be loaded.
-    pub fn changed_batch(&self, indices: &[usize], change: &dyn Fn(Scene) -> Scene) -> Result<SceneBatch, Error> {
+    /// The scenes of these indices as `change` leaves them, with their histories observed, each around its own ego agent.
+    fn held_out_batch(&self, indices: &[usize], change: &dyn Fn(Scene) -> Scene) -> Result<DrawnBatch, Error> {
         let predictive = |idx: &usize| {
             let scene = change(self.dataset.scene(*idx).map_err(Error::Scene)?);
             let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
             Ok(Drawn { ego_idx: scene.ego_idx, mask, scene })
         };
-        self.collate(&indices.iter().map(predictive).collect::<Result<Vec<_>, Error>>()?)
+        let drawn = indices.iter().map(predictive).collect::<Result<Vec<_>, Error>>()?;
+        let seeds: Vec<Seed> = indices.iter().map(|idx| self.seed.derive("evaluation", &[*idx as u64])).collect();
+        let rngs = seeds.iter().map(|seed| seed.rng()).collect();
+        self.collate(&drawn, seeds, rngs)
     }
 
-    /// The means of `n` scalar figures over batches of held-out scenes, which count by their number of scenes. Figures are given a batch
-    /// and the seeds of its rows, which are the same whenever it is evaluated.
+    /// The means of `n` scalar figures over batches of held-out scenes, which count by their number of scenes. The seeds of a batch
+    /// are the same whenever it is evaluated.
     ///
     /// # Errors
     /// When a scene cannot be loaded, or a figure cannot be computed.
     pub fn held_out_means(
         &self,
         n: usize,
-        figures: impl Fn(&SceneBatch, &[Seed]) -> Result<Vec<Tensor>, Error>,
+        figures: impl Fn(&DrawnBatch) -> Result<Vec<Tensor>, Error>,
     ) -> Result<Vec<f64>, Error> {
         self.changed_means(n, &|scene| scene, figures)
     }
@@ -152,13 +149,11 @@ impl SceneDraws<'_> {
         &self,
         n: usize,
         change: &dyn Fn(Scene) -> Scene,
-        figures: impl Fn(&SceneBatch, &[Seed]) -> Result<Vec<Tensor>, Error>,
+        figures: impl Fn(&DrawnBatch) -> Result<Vec<Tensor>, Error>,
     ) -> Result<Vec<f64>, Error> {
         let mut sums = vec![0.0; n];
         for chunk in self.held_out.chunks(self.batch_size) {
-            let batch = self.changed_batch(chunk, change)?;
-            let seeds: Vec<Seed> = chunk.iter().map(|idx| self.seed.derive("evaluation", &[*idx as u64])).collect();
-            for (sum, figure) in sums.iter_mut().zip(figures(&batch, &seeds)?) {
+            for (sum, figure) in sums.iter_mut().zip(figures(&self.held_out_batch(chunk, change)?)?) {
                 *sum += f64::from(figure.to_scalar::<f32>()?) * chunk.len() as f64;
             }
         }
@@ -205,12 +200,20 @@ impl SceneDraws<'_> {
         Ok(Drawn { scene, ego_idx, mask })
     }
 
-    fn collate(&self, drawn: &[Drawn]) -> Result<SceneBatch, Error> {
+    fn collate(&self, drawn: &[Drawn], seeds: Vec<Seed>, rngs: Vec<SeededRng>) -> Result<DrawnBatch, Error> {
         let views: Vec<SceneView<'_>> =
             drawn.iter().map(|d| SceneView { scene: &d.scene, ego_idx: d.ego_idx, mask: &d.mask }).collect();
         // Networks that see their surroundings are told the same as when sampling; the paper's are trained as it says.
         let validity = if self.collator.sight.is_some() { FutureValidity::Continued } else { FutureValidity::Recorded };
-        Ok(self.collator.collate(&views, validity, self.device)?)
+        let batch = self.collator.collate(&views, validity, self.device)?;
+        let context = match self.with_context {
+            true => {
+                let rows = drawn.iter().map(|d| ContextRow { scene: &d.scene, ego_idx: d.ego_idx, roles: &[] });
+                Some(SceneContext::new(&batch, &rows.collect::<Vec<_>>())?)
+            }
+            false => None,
+        };
+        Ok(DrawnBatch { batch, context, seeds, rngs })
     }
 }
 

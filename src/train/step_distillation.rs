@@ -1,11 +1,11 @@
 //! Distilling a denoiser onto a few large steps: each answer leads where many small steps of the teacher lead.
 
 use super::latent_error::{pseudo_huber, squared_error};
+use super::objective_loss::{objective_costs, objective_loss};
 use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::sampler::{Dpmpp2mConfig, EulerConfig, StepGrid};
 use crate::diffusion::{Denoiser, Edm, NoiseSource, SamplerConfig, Step, rows_like};
 use crate::model::SceneDenoiser;
-use crate::tensor::SceneBatch;
 use candle_core::Tensor;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -17,6 +17,9 @@ use std::collections::BTreeMap;
 /// interval in `teacher_steps` steps of DPM-Solver++(2M), and the student learns the answer with which a single Euler step lands where the
 /// teacher does: (x_{k+1} - (σ_{k+1} / σ_k) x_k) / (1 - σ_{k+1} / σ_k) (Salimans and Ho 2022, progressive distillation, in one
 /// stage). What is learned is a function of the noise and not a mean over endings.
+///
+/// Objectives judge where the student's own steps end, and teach all of them (Clark et al. 2024, DRaFT); the distance to the teacher is
+/// then what keeps samples likely.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct StepDistillation {
@@ -133,35 +136,52 @@ pub struct StepDistillationTask<'a> {
 }
 
 impl StepDistillationTask<'_> {
-    /// For each of the student's levels the mean distance over rows between its answer on the teacher's way and the answer that
-    /// leads where the teacher goes on to.
-    fn distances(
-        &self,
-        denoiser: &SceneDenoiser,
-        batch: &SceneBatch,
-        noise: &mut NoiseSource,
-    ) -> Result<Vec<Tensor>, Error> {
+    /// What `denoiser` answers to noise drawn from `seeds`.
+    fn answers(&self, denoiser: &SceneDenoiser, drawn: &DrawnBatch) -> Result<Answers, Error> {
+        let (batch, mut noise) = (&drawn.batch, NoiseSource::new(drawn.seeds.clone()));
         let edm = denoiser.edm();
         let sigmas = self.steps.sigmas(edm);
         let student = denoiser.bind(batch, 1)?;
         let x = (noise.draw_like(&batch.x0)?.broadcast_mul(&batch.latent.unsqueeze(3)?)? * sigmas[0])?;
-        let states = self.steps.states(edm, &self.teacher.bind(batch, 1)?, x)?;
-        let intervals = states.windows(2).zip(sigmas.windows(2)).map(|(states, levels)| {
-            let (x, from) = (&states[0], levels[0]);
-            let target = answer(x, &states[1], from, levels[1])?;
-            let sigma = rows_like(vec![from; x.dim(0)?], x)?.flatten_all()?;
-            let squared = squared_error(batch, &student.denoise(x, &sigma)?, &target, self.training.path_loss)?;
-            Ok(pseudo_huber(batch, &squared, self.training.huber)?.mean_all()?)
-        });
-        intervals.collect()
+        let ask = |x: &Tensor, sigma: f64| student.denoise(x, &rows_like(vec![sigma; x.dim(0)?], x)?.flatten_all()?);
+        let states = self.steps.states(edm, &self.teacher.bind(batch, 1)?, x.clone())?;
+        let mut distances = Vec::with_capacity(sigmas.len() - 1);
+        // Where the student's own steps have led; they begin where the teacher's do.
+        let mut own = x;
+        for (step, (states, levels)) in states.windows(2).zip(sigmas.windows(2)).enumerate() {
+            let (x, from, to) = (&states[0], levels[0], levels[1]);
+            let answered = ask(x, from)?;
+            let target = answer(x, &states[1], from, to)?;
+            let squared = squared_error(batch, &answered, &target, self.training.path_loss)?;
+            distances.push(pseudo_huber(batch, &squared, self.training.huber)?.mean_all()?);
+            if !self.training.objectives.is_empty() {
+                let answered = if step == 0 { answered } else { ask(&own, from)? };
+                own = ((own * (to / from))? + (answered * (1.0 - to / from))?)?;
+            }
+        }
+        Ok(Answers { distances, sample: own })
     }
+}
+
+/// What a student answers.
+struct Answers {
+    /// For each of its levels the mean distance over rows between its answer on the teacher's way and the answer that leads where the
+    /// teacher goes on to.
+    distances: Vec<Tensor>,
+    /// Where its own steps end, (B, A, T, D), with the graph that leads through all of them; its start where there are no objectives.
+    sample: Tensor,
 }
 
 impl TrainTask for StepDistillationTask<'_> {
     fn loss(&self, step: u64) -> Result<Tensor, Error> {
-        let DrawnBatch { batch, seeds, .. } = self.draws.training_batch(step)?;
-        let distances = self.distances(self.denoiser, &batch, &mut NoiseSource::new(seeds))?;
-        Ok(Tensor::stack(&distances, 0)?.mean_all()?)
+        let drawn = self.draws.training_batch(step)?;
+        let Answers { distances, sample } = self.answers(self.denoiser, &drawn)?;
+        let distance = Tensor::stack(&distances, 0)?.mean_all()?;
+        let everywhere = vec![1.0; drawn.seeds.len()];
+        Ok(match objective_loss(&self.training.objectives, &sample, &drawn, &everywhere)? {
+            Some(wished) => (distance + wished)?,
+            None => distance,
+        })
     }
 
     fn prepare(&self, step: u64) -> Result<(), Error> {
@@ -170,11 +190,18 @@ impl TrainTask for StepDistillationTask<'_> {
 
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
         let sigmas = self.steps.sigmas(self.frozen.edm());
-        let means = self.draws.held_out_means(sigmas.len() - 1, |batch, seeds| {
-            self.distances(self.frozen, batch, &mut NoiseSource::new(seeds.to_vec()))
+        let objectives = &self.training.objectives;
+        let levels = sigmas[..sigmas.len() - 1].iter().map(|sigma| format!("held_out_distance_at_sigma_{sigma:.3}"));
+        let wishes = objectives.iter().map(|objective| format!("held_out_cost_of_{}", objective.objective().kind()));
+        let names: Vec<String> = levels.chain(wishes).collect();
+        let means = self.draws.held_out_means(names.len(), |drawn| {
+            let Answers { mut distances, sample } = self.answers(self.frozen, drawn)?;
+            for cost in objective_costs(objectives, &sample, drawn)? {
+                distances.push(cost.mean_all()?);
+            }
+            Ok(distances)
         })?;
-        let named = |(sigma, mean): (&f64, f64)| (format!("held_out_distance_at_sigma_{sigma:.3}"), mean);
-        Ok(sigmas.iter().zip(means).map(named).collect())
+        Ok(names.into_iter().zip(means).collect())
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::diffusion::NoiseDistribution;
+use crate::guidance::{AgentSelector, ObjectiveConfig, SpeedLimit};
 use crate::model::{DenoiserSpec, NetworkConfig, TrainedDenoiser};
 use crate::nn::{Checkpoint, read_checkpoint};
 use crate::progress::Silent;
@@ -38,6 +39,10 @@ impl SceneDataset for Arcs {
     fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
         self.0.get(idx).cloned().ok_or_else(|| format!("no scene {idx}").into())
     }
+}
+
+fn speed_limit(weight: f64, agents: AgentSelector) -> ObjectiveConfig {
+    ObjectiveConfig::SpeedLimit(SpeedLimit { weight, agents, limit_mps: 8.0, tolerance_mps: 1.0 })
 }
 
 fn training(steps: u64) -> DenoiserTraining {
@@ -99,6 +104,22 @@ fn the_held_out_loss_falls_and_the_checkpoint_reads_back() {
 }
 
 #[test]
+fn objectives_shape_clean_estimates() {
+    let final_cost = |weight: f64| {
+        let mut training = training(300);
+        training.objectives = vec![speed_limit(weight, AgentSelector::default())];
+        // As low as needs be for a network of this size to have a say in it.
+        training.objectives_below_sigma = 3.0;
+        let dir = tempfile::tempdir().unwrap();
+        let outcome = train(&Arcs::new(24), &training, dir.path()).unwrap();
+        outcome.statistics.last().unwrap().evaluation["held_out_cost_of_speed_limit"]
+    };
+    // One of the two cars always drives at 10 m/s.
+    let (free, limited) = (final_cost(1e-6), final_cost(50.0));
+    assert!(free > 0.3 && limited < 0.6 * free, "{free} without the objective, {limited} with it");
+}
+
+#[test]
 fn the_same_seed_gives_the_same_checkpoint_and_an_interruption_changes_nothing() {
     let dataset = Arcs::new(20);
     let (whole, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
@@ -137,6 +158,7 @@ fn a_batch_made_in_advance_is_the_one_that_would_be_drawn() {
         held_out: &[],
         masks: &masks,
         batch_size: 4,
+        with_context: false,
         seed: Seed(3),
         device: &Device::Cpu,
         ahead: Ahead::default(),
@@ -179,6 +201,14 @@ fn settings_that_make_no_sense_are_named() {
         (DenoiserTrainingConfig { learning_rate: Some(-1.0), ..Default::default() }, "learning_rate"),
         (DenoiserTrainingConfig { batch_size: Some(0), ..Default::default() }, "batch_size"),
         (DenoiserTrainingConfig { ema_decay: Some(1.0), ..Default::default() }, "ema_decay"),
+        (DenoiserTrainingConfig { objectives_below_sigma: Some(0.0), ..Default::default() }, "objectives_below_sigma"),
+        (
+            DenoiserTrainingConfig {
+                objectives: vec![speed_limit(-1.0, AgentSelector::default())],
+                ..Default::default()
+            },
+            "objectives: objective speed_limit: weight is -1",
+        ),
     ] {
         let message = config.resolve().unwrap_err().to_string();
         assert!(message.contains(name), "{message}");

@@ -59,7 +59,7 @@ behaviors = [{ kind = "cut_in" }]
 
 [train.denoiser]
 preset = "tiny"
-network = { layers = "TAM", width = 16, n_heads = 2, feed_forward = 16, encoding = 8 }
+network = { layers = "TAM", width = 16, n_heads = 2, feed_forward = 16, geometry = { relation_width = 8 } }
 steps = 12
 batch_size = 2
 warmup_steps = 2

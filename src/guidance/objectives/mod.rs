@@ -17,6 +17,7 @@ mod keep_distance;
 mod motion;
 mod no_collision;
 mod pairs;
+mod slip_limit;
 mod speed_limit;
 mod stay_on_road;
 mod stop_at_line;
@@ -32,6 +33,7 @@ pub use goal::{Goal, GoalFrame};
 pub use keep_distance::KeepDistance;
 pub(super) use motion::nothing;
 pub use no_collision::NoCollision;
+pub use slip_limit::SlipLimit;
 pub use speed_limit::SpeedLimit;
 pub use stay_on_road::{RoadPoints, StayOnRoad};
 pub use stop_at_line::StopAtLine;
@@ -75,6 +77,8 @@ pub enum ObjectiveConfig {
     Goal(Goal),
     /// Accelerate, brake and turn no harder than a limit.
     AccelerationLimit(AccelerationLimit),
+    /// Point where you drive.
+    SlipLimit(SlipLimit),
     /// Stay on the road.
     StayOnRoad(StayOnRoad),
     /// Do not drive into each other.
@@ -95,6 +99,7 @@ impl ObjectiveConfig {
             Self::SpeedLimit(objective) => objective,
             Self::Goal(objective) => objective,
             Self::AccelerationLimit(objective) => objective,
+            Self::SlipLimit(objective) => objective,
             Self::StayOnRoad(objective) => objective,
             Self::NoCollision(objective) => objective,
             Self::KeepDistance(objective) => objective,

@@ -16,6 +16,7 @@ fn all() -> Vec<ObjectiveConfig> {
             { kind = 'speed_limit', limit_mps = 4.0 },
             { kind = 'goal', agents = 'all', x_m = 30.0, y_m = 2.0, time_s = 1.0 },
             { kind = 'acceleration_limit', limit_mps2 = 0.5 },
+            { kind = 'slip_limit', limit_rad = 0.01, tolerance_mps = 0.1 },
             { kind = 'stay_on_road' },
             { kind = 'no_collision', margin_m = 1.0 },
             { kind = 'keep_distance', min_m = 9.0 },

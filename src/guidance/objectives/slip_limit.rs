@@ -1,0 +1,122 @@
+//! Point where you drive.
+
+use super::motion::{headings, integral, norm, penalty, positions, positive, rate};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use candle_core::{D, Result, Tensor};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Point where you drive: J = -½ Σ ∫ (max(|v⊥(t)| - ‖v(t)‖ sin β, 0) / τ)² dt over the chosen motorized agents.
+///
+/// v is the difference quotient of positions and v⊥ its part across the mean heading of both timesteps; ‖v‖ is
+/// rounded by 0.05 m/s at zero. Agents that are not motorized do not count: they step aside.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SlipLimit {
+    /// How much this objective counts beside others.
+    #[serde(default = "default_weight")]
+    pub weight: f64,
+    /// Whose slip: `all`, `ego` or a role.
+    #[serde(default)]
+    pub agents: AgentSelector,
+    /// The largest angle β between heading and motion, radians.
+    #[serde(default = "default_limit_rad")]
+    pub limit_rad: f64,
+    /// The excess of sideways speed τ that costs ½ a second, m/s.
+    #[serde(default = "default_tolerance_mps")]
+    pub tolerance_mps: f64,
+}
+
+const fn default_limit_rad() -> f64 {
+    0.2
+}
+
+const fn default_tolerance_mps() -> f64 {
+    0.5
+}
+
+impl SceneObjective for SlipLimit {
+    fn kind(&self) -> &'static str {
+        "slip_limit"
+    }
+
+    fn weight(&self) -> f64 {
+        self.weight
+    }
+
+    fn agents(&self) -> Vec<&AgentSelector> {
+        vec![&self.agents]
+    }
+
+    fn validate(&self) -> std::result::Result<(), String> {
+        positive(&[("limit_rad", self.limit_rad), ("tolerance_mps", self.tolerance_mps)])
+    }
+
+    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let velocity_mps = rate(&positions(states)?, context.dt_s)?;
+        let n = velocity_mps.dim(2)?;
+        // The direction halfway between two headings, without a choice of turns.
+        let halfway = |of: Tensor| of.narrow(2, 0, n)? + of.narrow(2, 1, n)?;
+        let (cos, sin) = (halfway(headings(states)?.cos()?)?, halfway(headings(states)?.sin()?)?);
+        let length = norm(&Tensor::cat(&[&cos, &sin], 3)?)?.unsqueeze(3)?;
+        let velocity = |dim: usize| velocity_mps.narrow(D::Minus1, dim, 1);
+        let across = ((velocity(1)? * cos)? - (velocity(0)? * sin)?)?.div(&length)?;
+        let allowed_mps = (norm(&velocity_mps)? * self.limit_rad.sin())?;
+        let values = penalty(&(across.squeeze(D::Minus1)?.abs()? - allowed_mps)?.relu()?, self.tolerance_mps)?;
+        let agents = (context.selected(&self.agents)? * &context.motorized)?;
+        integral(&values, &context.terms(1)?, &agents, context.dt_s)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Traffic, after_ascent, assert_gradients_match};
+    use super::*;
+    use candle_core::Var;
+
+    fn objective() -> SlipLimit {
+        SlipLimit { weight: 1.0, agents: AgentSelector::default(), limit_rad: 0.1, tolerance_mps: 0.5 }
+    }
+
+    /// One car at 10 m/s along x whose heading is `heading_rad` throughout.
+    fn turned(heading_rad: f64) -> Traffic {
+        let mut traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 10.0)]);
+        let mut states: Vec<f64> = traffic.states.flatten_all().unwrap().to_vec1().unwrap();
+        states.iter_mut().skip(2).step_by(3).for_each(|heading| *heading = heading_rad);
+        let states = Tensor::from_vec(states, traffic.states.shape(), traffic.states.device()).unwrap();
+        traffic.states = Var::from_tensor(&states).unwrap();
+        traffic
+    }
+
+    #[test]
+    fn the_cost_is_that_of_the_sideways_speed() {
+        let traffic = turned(0.3);
+        // One step from the last observed state on: as many as generated timesteps.
+        let seconds = traffic.n_generated() as f64 * traffic.context.dt_s;
+        let excess_mps = 10.0 * (0.3f64.sin() - 0.1f64.sin());
+        let expected = -0.5 * (excess_mps / 0.5).powi(2) * seconds;
+        let found = traffic.potential(&objective())[0];
+        assert!((found / expected - 1.0).abs() < 1e-3, "{found}, expected {expected}");
+        for allowed in [0.0, 0.09, -0.09] {
+            assert_eq!(turned(allowed).potential(&objective()), [0.0]);
+        }
+        // A turn that leads all the way around is none.
+        assert!(turned(std::f64::consts::TAU).potential(&objective())[0].abs() < 1e-9);
+        let mut walking = turned(0.3);
+        walking.context.motorized = walking.context.motorized.zeros_like().unwrap();
+        assert_eq!(walking.potential(&objective()), [0.0]);
+    }
+
+    #[test]
+    fn gradients_match_and_turn_cars_to_where_they_drive() {
+        let traffic = turned(0.3);
+        assert_gradients_match(&objective(), &traffic);
+        let car = &after_ascent(&objective(), &traffic, 300)[0][0];
+        for pair in car[traffic.generated()].windows(2) {
+            let [from, to] = pair else { unreachable!() };
+            let direction_rad = (to[1] - from[1]).atan2(to[0] - from[0]);
+            let slip_rad = (from[2] + to[2]) / 2.0 - direction_rad;
+            assert!(slip_rad.abs() < 0.12, "{slip_rad}");
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! The agents of a batch's row, the frame they are in, and the way back from its samples to scenes.
+
+use crate::geometry::{Transform2, Vec2, wrap_angle};
+use crate::scene::{ObservationMask, Scene, State, Track, Trajectory};
+
+/// The agents of a row and the frame its coordinates are in.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AgentFrame {
+    /// From the scene frame to the row's ego frame.
+    pub ego_from_scene: Transform2,
+    /// Indices of the scene's tracks, in the order of the batch's agent axis.
+    pub agents: Vec<usize>,
+    pub(super) ego_idx: usize,
+    pub(super) mask: ObservationMask,
+    /// Whether headings that recordings do not hold follow from the motion instead of being generated.
+    pub(super) derives_headings: bool,
+}
+
+impl AgentFrame {
+    /// Whether the mask observes this state of the scene's track.
+    pub fn observed(&self, track_idx: usize, timestep: usize) -> bool {
+        timestep < self.mask.n_timesteps() && self.mask.is_observed(track_idx, timestep)
+    }
+
+    /// The place on the batch's agent axis of the ego agent, if it is in the batch.
+    pub fn ego_slot(&self) -> Option<usize> {
+        self.slot(self.ego_idx)
+    }
+
+    /// Whether the heading of this track follows from its motion.
+    pub(super) fn derives_heading(&self, track: &Track) -> bool {
+        self.derives_headings && !track.class.has_recorded_heading()
+    }
+
+    /// The place on the batch's agent axis of the scene's track, if it is in the batch.
+    pub fn slot(&self, track_idx: usize) -> Option<usize> {
+        self.agents.iter().position(|agent| *agent == track_idx)
+    }
+
+    /// Puts decoded states (A, T, 3) of this row, in its ego frame, into a copy of `source`.
+    pub(super) fn scene(
+        &self,
+        source: &Scene,
+        states: &[Vec<Vec<f64>>],
+        latent: &[Vec<u8>],
+        with_heading: bool,
+    ) -> Scene {
+        let n_timesteps = states.first().map_or(source.n_timesteps, Vec::len);
+        let scene_from_ego = self.ego_from_scene.inverse();
+        let mut tracks: Vec<Track> = source.tracks.clone();
+        for (agent_idx, track) in tracks.iter_mut().enumerate() {
+            let slot = self.agents.iter().position(|agent| *agent == agent_idx);
+            let mut entries: Vec<Option<State>> = vec![None; n_timesteps];
+            for (timestep, entry) in entries.iter_mut().enumerate() {
+                *entry = match slot {
+                    Some(slot) if latent[slot][timestep] != 0 => {
+                        let [x, y, heading_rad] = states[slot][timestep][..] else { continue };
+                        let state = State {
+                            position: Vec2::new(x, y),
+                            heading_rad: wrap_angle(heading_rad),
+                            velocity: Vec2::ZERO,
+                        };
+                        Some(state.transformed(&scene_from_ego))
+                    }
+                    _ if self.observed(agent_idx, timestep) => track.trajectory.get(timestep).copied(),
+                    _ => None,
+                };
+            }
+            if let Some(slot) = slot {
+                let with_heading = with_heading && !self.derives_heading(track);
+                derive_motion(&mut entries, &latent[slot], source.dt_s, with_heading);
+            }
+            track.trajectory = Trajectory::new(entries);
+        }
+        Scene { tracks, n_timesteps, ..source.clone() }
+    }
+}
+
+/// Distance below which motion says nothing of the heading, metres.
+const STANDING_STEP_M: f64 = 0.05;
+
+/// Velocities of generated entries by backward difference, and where wanted headings along the motion.
+fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, with_heading: bool) {
+    for timestep in 0..entries.len() {
+        if latent[timestep] == 0 {
+            continue;
+        }
+        let before = timestep.checked_sub(1).and_then(|t| entries[t]);
+        let after = entries.get(timestep + 1).copied().flatten();
+        let Some(state) = entries[timestep].as_mut() else { continue };
+        let step = match (before, after) {
+            (Some(before), _) => state.position - before.position,
+            (None, Some(after)) => after.position - state.position,
+            (None, None) => Vec2::ZERO,
+        };
+        state.velocity = step * (1.0 / dt_s);
+        if !with_heading {
+            let held = before.map_or(state.heading_rad, |before| before.heading_rad);
+            state.heading_rad = if step.norm() > STANDING_STEP_M { step.angle() } else { held };
+        }
+    }
+}

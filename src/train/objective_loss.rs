@@ -1,0 +1,54 @@
+//! Objectives as a part of a loss: what clean estimates shall keep to, beside being likely.
+
+use super::{DrawnBatch, Error};
+use crate::guidance::ObjectiveConfig;
+use candle_core::Tensor;
+
+/// Fails where objectives cannot be trained toward: there are no roles in training.
+pub(super) fn check_objectives(key: &str, objectives: &[ObjectiveConfig]) -> Result<(), Error> {
+    match objectives.iter().find_map(|objective| Some((objective, objective.validate(&[]).err()?))) {
+        Some((objective, why)) => {
+            Err(Error::Config(format!("{key}: objective {}: {why}", objective.objective().kind())))
+        }
+        None => Ok(()),
+    }
+}
+
+/// √(1 - 2 J) - 1 of each objective J on the trajectories that `x0` (B, A, T, D) stands for, (B) each: J itself where little
+/// is wrong, and linear in lengths where much is, so that a few hopeless scenes do not outweigh all others.
+pub(super) fn objective_costs(
+    objectives: &[ObjectiveConfig],
+    x0: &Tensor,
+    drawn: &DrawnBatch,
+) -> Result<Vec<Tensor>, Error> {
+    let Some(context) = drawn.context.as_ref().filter(|_| !objectives.is_empty()) else { return Ok(Vec::new()) };
+    let states = drawn.batch.decode(x0)?;
+    let cost = |objective: &ObjectiveConfig| {
+        let potential = objective.objective().log_potential(&states, context)?;
+        Ok(((1.0 - (potential * 2.0)?)?.sqrt()? - 1.0)?)
+    };
+    objectives.iter().map(cost).collect()
+}
+
+/// The sum of weight · cost over `objectives`, as a mean over the rows where `counts` (B) is 1; `None` where nothing counts.
+pub(super) fn objective_loss(
+    objectives: &[ObjectiveConfig],
+    x0: &Tensor,
+    drawn: &DrawnBatch,
+    counts: &[f32],
+) -> Result<Option<Tensor>, Error> {
+    let n_rows: f32 = counts.iter().sum();
+    if objectives.is_empty() || n_rows == 0.0 {
+        return Ok(None);
+    }
+    let counts = Tensor::from_slice(counts, counts.len(), x0.device())?;
+    let mut total: Option<Tensor> = None;
+    for (objective, cost) in objectives.iter().zip(objective_costs(objectives, x0, drawn)?) {
+        let mean = ((cost * &counts)?.sum_all()? * (objective.objective().weight() / f64::from(n_rows)))?;
+        total = Some(match total {
+            Some(total) => (total + mean)?,
+            None => mean,
+        });
+    }
+    Ok(total)
+}
