@@ -3,8 +3,8 @@
 
     python3 scripts/check_readme_queries.py output/quickstart/main/corpus
 
-Takes the SQL and Python blocks of README.md with the corpus in place of the quickstart's, and those of the corpus's own card in its
-folder. What needs a package that is not installed (pip install duckdb polars pyarrow) is skipped, and said to be.
+Takes the SQL and Python blocks of README.md and schemas/README.md with the corpus in place of the quickstart's, and those of the
+corpus's own card in its folder. What needs a package that is not installed (pip install duckdb polars pyarrow) is skipped, and said to be.
 """
 
 import importlib.util
@@ -52,7 +52,8 @@ def run_python(text, place):
 
 def main():
     corpus = Path(sys.argv[1]).resolve()
-    documents = [(Path(__file__).resolve().parent.parent / "README.md", str(corpus)), (corpus / "README.md", ".")]
+    root = Path(__file__).resolve().parent.parent
+    documents = [(root / "README.md", str(corpus)), (root / "schemas/README.md", str(corpus)), (corpus / "README.md", ".")]
     texts = [(document.read_text(encoding="utf-8"), place) for document, place in documents]
     os.chdir(corpus)
     has_duckdb = is_installed("duckdb")

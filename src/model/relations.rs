@@ -314,6 +314,7 @@ fn lane_features(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tensor::{LanePiece, PIECE_FLAGS, SeenPiece};
 
     fn car() -> AgentSurroundings {
         AgentSurroundings { half_size_m: [2.0, 1.0], is_vulnerable: false, lanes: Vec::new() }
@@ -347,6 +348,28 @@ mod tests {
         let found = token_poses(&poses, &[1.0, 1.0, 1.0, 0.0, 0.0, 0.0], [1, 6, 3, 2], 0.1);
         let [Some(first), Some(second), None] = found[..] else { panic!("{found:?}") };
         assert!((first.x, second.x) == (1.0, 2.0) && (first.vx - 10.0).abs() < 1e-4 && (second.vx - 10.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn the_nearest_lanes_are_those_that_lead_the_agents_way() {
+        let piece = |lane: u32, y: f32, heading_rad: f32| LanePiece {
+            points: std::array::from_fn(|i| LanePoint { x: 2.0 * i as f32 - 9.0, y, heading_rad, edges_m: None }),
+            lane,
+            length_m: 18.0,
+            flags: [false; PIECE_FLAGS],
+        };
+        // One that leads back 1 m to the left counts 5 m; two pieces of one lane count once.
+        let pieces =
+            vec![piece(7, 1.0, std::f32::consts::PI), piece(8, -3.0, 0.0), piece(8, -2.0, 0.0), piece(9, 4.5, 0.0)];
+        let lanes = (0..4).map(|piece| SeenPiece { piece, reach_m: None }).collect();
+        let row = RowSurroundings { pieces, agents: vec![AgentSurroundings { lanes, ..car() }], dt_s: 0.1 };
+        let found = nearest_lanes(&pose(0.0, 0.0, 0.0), &row, 0, 3);
+        let offsets: Vec<f32> = found.iter().map(|features| features[1] * 5.0).collect();
+        for (found, expected) in offsets.iter().zip([2.0, -4.5, 1.0]) {
+            assert!((found - expected).abs() < 1e-5, "{offsets:?}");
+        }
+        assert_eq!(nearest_lanes(&pose(0.0, 0.0, 0.0), &row, 0, 2).len(), 2);
+        assert!(nearest_lanes(&pose(0.0, 0.0, 0.0), &row, 0, 9).len() == 3);
     }
 
     #[test]

@@ -13,7 +13,7 @@ const MAX_EDGE_M: f64 = 15.0;
 /// Outlines with a gap up to this between them are one road, meters.
 const GAP_M: f64 = 0.3;
 /// Yes-or-no attributes of a piece.
-pub(super) const PIECE_FLAGS: usize = 6;
+pub const PIECE_FLAGS: usize = 6;
 
 /// A point of a centerline, in the row's ego frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,7 +38,8 @@ pub struct LanePiece {
     pub lane: u32,
     /// Length along the lane, meters.
     pub length_m: f32,
-    pub(super) flags: [bool; PIECE_FLAGS],
+    /// Turns left, turns right, lies in an intersection, is under traffic control, leads one way, is not for cars.
+    pub flags: [bool; PIECE_FLAGS],
 }
 
 /// The pieces of all lanes of a scene, and how they follow each other.

@@ -22,7 +22,7 @@ mod tests;
 pub use agent_frame::AgentFrame;
 pub use collate::{Collator, FutureValidity, SceneView};
 pub use features::{FeatureLayout, LANE_POINTS};
-pub use lane_pieces::{LanePiece, LanePoint, PIECE_POINTS};
+pub use lane_pieces::{LanePiece, LanePoint, PIECE_FLAGS, PIECE_POINTS};
 pub use mask_sampler::{MaskSampler, MaskTask, TaskWeights};
 pub use motion_modes::MotionCovariance;
 pub use normalizer::{Normalizer, NormalizerFit, StateParametrization};

@@ -244,3 +244,23 @@ fn add_all<'a>(moments: &mut [RootMeanSquare; 3], values: impl Iterator<Item = &
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_jump_of_a_recording_decides_no_unit() {
+        // 999 motions of 1 m forward and back, none sideways, and one jump.
+        let mut motions: Vec<Vec<(usize, [f32; 3])>> =
+            (0..999).map(|i| vec![(0, [if i % 2 == 0 { 1.0 } else { -1.0 }, 0.0, f32::NAN])]).collect();
+        motions.push(vec![(0, [500.0, 0.0, f32::NAN])]);
+        let fit = NormalizerFit { motions, ..NormalizerFit::default() };
+        let normalizer = fit.finish(StateParametrization::Motion, 3);
+        // A root mean square of 1 m is σ_data units; what never moved, or is not known, keeps a unit of 1.
+        assert!((normalizer.motion_longitudinal_unit_m - 1.0 / Normalizer::SIGMA_DATA).abs() < 1e-9);
+        assert_eq!((normalizer.motion_lateral_unit_m, normalizer.motion_heading_unit_rad), (1.0, 1.0));
+        let covariance = normalizer.motion_covariance.unwrap();
+        assert!((covariance.values[0][0] - 0.25).abs() < 1e-9 && covariance.n_timesteps == 1);
+    }
+}

@@ -187,3 +187,78 @@ impl LanePieces {
         reach
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Polyline;
+    use crate::scene::testing::{Drive, scene};
+    use crate::scene::{Lane, LaneId};
+
+    /// A lane of 36 m: two pieces.
+    fn lane(id: i64, from: Vec2, to: Vec2) -> Lane {
+        Lane {
+            id: LaneId(id),
+            centerline: Polyline(vec![from, to]),
+            left: Polyline::default(),
+            right: Polyline::default(),
+            successors: Vec::new(),
+            predecessors: Vec::new(),
+            left_neighbor: None,
+            right_neighbor: None,
+            attributes: std::sync::Arc::default(),
+        }
+    }
+
+    /// A lane along x that another one continues, one beside it, one back on the far side, and one far away.
+    fn road() -> LaneGraph {
+        let at = Vec2::new;
+        let mut first = lane(1, at(0.0, 0.0), at(36.0, 0.0));
+        first.successors = vec![LaneId(2)];
+        first.left_neighbor = Some(LaneId(3));
+        LaneGraph::new(vec![
+            first,
+            lane(2, at(36.0, 0.0), at(72.0, 0.0)),
+            lane(3, at(0.0, 3.5), at(36.0, 3.5)),
+            lane(4, at(36.0, 7.0), at(0.0, 7.0)),
+            lane(5, at(0.0, 90.0), at(36.0, 90.0)),
+        ])
+    }
+
+    /// By lane and place in it, what an agent at (8, 0) that drives along x at 10 m/s is shown, with its reach.
+    fn shown(n_lanes: usize, horizon_s: f64) -> Vec<(u32, f32, Option<f32>)> {
+        let track = &scene(&[Drive::straight(8.0, 0.0, 0.0, 10.0)]).tracks[0];
+        let path = (0..=4).map(|i| Vec2::new(8.0 + 7.0 * f64::from(i), 0.0)).collect();
+        let agent = AgentPath { track, origin: Vec2::new(8.0, 0.0), heading_rad: 0.0, speed_mps: 10.0, path };
+        let row = RowSurroundings::new(&road(), &[agent], n_lanes, 0.1, horizon_s);
+        let shown = |seen: &SeenPiece| {
+            let piece = &row.pieces[seen.piece as usize];
+            (piece.lane, piece.points[0].x.round(), seen.reach_m.map(f32::round))
+        };
+        row.agents[0].lanes.iter().map(shown).collect()
+    }
+
+    #[test]
+    fn lanes_that_can_be_reached_come_first_with_the_way_to_them() {
+        let all = shown(9, 3.0);
+        let reached: Vec<_> = all.iter().take_while(|(_, _, reach)| reach.is_some()).copied().collect();
+        // Six of nine places are for those; a change of lanes counts 10 m. The lane back is near, and cannot be reached.
+        assert_eq!(
+            reached[..4],
+            [(0, 0.0, Some(-8.0)), (2, 0.0, Some(2.0)), (0, 18.0, Some(10.0)), (2, 18.0, Some(20.0))]
+        );
+        assert_eq!(reached[4..], [(1, 36.0, Some(28.0)), (1, 54.0, Some(46.0))]);
+        assert_eq!(all[6..], [(3, 36.0, None), (3, 18.0, None)]);
+        // 10 m/s for a second and a half, and then some, end before 46 m: there, but out of reach.
+        let far = shown(9, 1.5).into_iter().find(|(lane, x, _)| (*lane, *x) == (1, 54.0));
+        assert!(far.is_none_or(|(_, _, reach)| reach.is_none()));
+    }
+
+    #[test]
+    fn a_third_of_the_places_is_kept_for_what_is_near() {
+        let few = shown(3, 3.0);
+        assert_eq!((few[0].2, few[1].2), (Some(-8.0), Some(2.0)));
+        // The nearest of the rest, reached or not: the next piece of the agent's own lane.
+        assert_eq!(few[2..], [(0, 18.0, Some(10.0))]);
+    }
+}

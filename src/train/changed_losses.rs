@@ -84,3 +84,27 @@ fn of_egos(batch: &SceneBatch) -> Result<SceneBatch, Error> {
     let is_ego = Tensor::from_vec(is_ego, (n_rows, n_agents, 1), batch.scored.device())?;
     Ok(SceneBatch { scored: batch.scored.broadcast_mul(&is_ego)?, ..batch.clone() })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::testing::{Drive, scene};
+
+    #[test]
+    fn maps_turn_and_shift_around_the_ego_and_others_leave() {
+        // The ego drives along +y; a lane lies along x.
+        let made =
+            scene(&[Drive::straight(0.0, 0.0, std::f64::consts::FRAC_PI_2, 10.0), Drive::straight(5.0, 5.0, 0.0, 3.0)]);
+        let ego = made.state(0, made.current_timestep()).unwrap().position;
+        let before = made.lanes.lanes()[0].centerline.0[0] - ego;
+        let lane = |change: SceneChange| changed(made.clone(), change).lanes.lanes()[0].centerline.0[0] - ego;
+        let turned = before.rotated(std::f64::consts::FRAC_PI_2);
+        assert!(lane(SceneChange::MapTurned).distance(turned) < 1e-9);
+        // To the left of somebody who heads along +y is -x.
+        assert!(lane(SceneChange::MapShifted).distance(before + Vec2::new(-SHIFT_M, 0.0)) < 1e-9);
+        assert!(lane(SceneChange::AsRecorded).distance(before) == 0.0);
+        assert!(changed(made.clone(), SceneChange::NoMap).lanes.lanes().is_empty());
+        let alone = changed(Scene { ego_idx: 1, ..made.clone() }, SceneChange::EgoAlone);
+        assert_eq!((alone.tracks.len(), alone.ego_idx, &alone.tracks[0].id), (1, 0, &made.tracks[1].id));
+    }
+}

@@ -163,7 +163,7 @@ impl SceneDraws<'_> {
 
     /// Which scenes make the batch of `step`: the groups take turns, each with consecutive entries of a shuffle that each of its
     /// epochs has its own of.
-    fn batch_indices(&self, step: u64) -> Vec<usize> {
+    pub(super) fn batch_indices(&self, step: u64) -> Vec<usize> {
         let (n_groups, batch_size) = (self.train.len() as u64, self.batch_size as u64);
         (step * batch_size..(step + 1) * batch_size)
             .map(|position| {

@@ -3,13 +3,13 @@
 use super::*;
 use crate::diffusion::NoiseDistribution;
 use crate::guidance::{AgentSelector, ObjectiveConfig, SpeedLimit};
-use crate::model::{DenoiserSpec, NetworkConfig, TrainedDenoiser};
+use crate::model::{DenoiserSpec, GeometryConfig, NetworkConfig, TrainedDenoiser};
 use crate::nn::{Checkpoint, read_checkpoint};
 use crate::progress::Silent;
 use crate::scene::Scene;
 use crate::scene::testing::{Drive, scene};
 use crate::seed::Seed;
-use crate::tensor::MaskSampler;
+use crate::tensor::{MaskSampler, StateParametrization};
 use candle_core::Device;
 use std::path::Path;
 
@@ -213,4 +213,72 @@ fn settings_that_make_no_sense_are_named() {
         let message = config.resolve().unwrap_err().to_string();
         assert!(message.contains(name), "{message}");
     }
+}
+
+#[test]
+fn groups_count_the_same_however_many_scenes_they_have() {
+    let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(18));
+    let data = TrainingData {
+        dataset: &dataset,
+        train: (0..10).collect(),
+        places: vec![4, 4, 4, 4, 4, 4, 4, 4, 9, 9],
+        held_out: Vec::new(),
+        state_dim: 3,
+        fingerprint: String::new(),
+    };
+    assert_eq!(data.groups(Balance::Scenes), [(0..10).collect::<Vec<_>>()]);
+    let places = data.groups(Balance::Places);
+    assert_eq!(places, [(0..8).collect::<Vec<_>>(), vec![8, 9]]);
+    // Every second row is of the small place, whose two scenes take turns.
+    let spec = train(&dataset, &training(1), dir.path()).unwrap().spec;
+    let masks = MaskSampler::new(&training(1).tasks).unwrap();
+    let draws = SceneDraws {
+        collator: &spec.collator(),
+        dataset: &dataset,
+        train: &places,
+        held_out: &[],
+        masks: &masks,
+        batch_size: 4,
+        with_context: false,
+        seed: Seed(3),
+        device: &Device::Cpu,
+        ahead: Ahead::default(),
+    };
+    let drawn: Vec<usize> = (0..4).flat_map(|step| draws.batch_indices(step)).collect();
+    let (large, small): (Vec<_>, Vec<_>) = drawn.chunks(2).map(|pair| (pair[0], pair[1])).unzip();
+    let sorted = |mut indices: Vec<usize>| {
+        indices.sort_unstable();
+        indices
+    };
+    assert_eq!(sorted(large), (0..8).collect::<Vec<_>>());
+    assert!(small.chunks(2).all(|epoch| sorted(epoch.to_vec()) == [8, 9]), "{small:?}");
+}
+
+#[test]
+fn geometry_that_makes_no_sense_is_named() {
+    let geometric = |geometry: GeometryConfig| NetworkConfig { geometry: Some(geometry), ..NetworkConfig::default() };
+    let with =
+        |geometry: GeometryConfig| DenoiserTrainingConfig { network: Some(geometric(geometry)), ..Default::default() };
+    let patch = with(GeometryConfig { patch: 0, ..GeometryConfig::default() });
+    let lanes = with(GeometryConfig { n_lanes: 1_000_000, ..GeometryConfig::default() });
+    let residual = DenoiserTrainingConfig {
+        state_parametrization: Some(StateParametrization::Residual),
+        ..with(GeometryConfig::default())
+    };
+    for (config, expected) in [
+        (patch, "train.denoiser.network.geometry.patch is 0, expected 1 to 100"),
+        (lanes, "train.denoiser.network.geometry.n_lanes is 1000000, expected 1 to 200"),
+        (residual, "train.denoiser.network.geometry needs state_parametrization"),
+    ] {
+        let message = config.resolve().unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+    // A preset's own geometry is left out where it does not fit, and its encodings stay within the network's width.
+    let other = DenoiserTrainingConfig {
+        preset: Preset::Small,
+        state_parametrization: Some(StateParametrization::Residual),
+        ..Default::default()
+    };
+    let network = other.resolve().unwrap().network;
+    assert_eq!((network.geometry, network.encoding), (None, network.width));
 }

@@ -14,11 +14,19 @@ fn blocks(document: &str, language: &str) -> Vec<String> {
     document.split(&fence).skip(1).map(|rest| rest.split("```").next().unwrap_or_default().to_owned()).collect()
 }
 
+/// The pages that people read first.
+const PAGES: [&str; 4] = ["README.md", "pipelines/README.md", "configs/README.md", "schemas/README.md"];
+
+/// The blocks of `language` on all pages.
+fn blocks_of_pages(language: &str) -> Vec<String> {
+    let found: Vec<String> = PAGES.iter().flat_map(|page| blocks(&read(page), language)).collect();
+    assert!(!found.is_empty(), "no {language} on {PAGES:?}");
+    found
+}
+
 #[test]
-fn configurations_in_the_readme_are_valid() {
-    let blocks = blocks(&read("README.md"), "toml");
-    assert!(!blocks.is_empty());
-    for block in blocks {
+fn configurations_on_the_pages_are_valid() {
+    for block in blocks_of_pages("toml") {
         if let Err(error) = parse(None, &block, &[]) {
             panic!("{error}\n{block}");
         }
@@ -56,7 +64,7 @@ fn columns_in_the_example_queries_exist() {
     let known: Vec<String> =
         [columns("scenario"), columns("track"), columns("recording"), parameters.to_vec()].concat();
     let keywords = ["read_parquet", "hive_partitioning", "speed_mps", "deviation_m"];
-    for query in blocks(&read("README.md"), "sql") {
+    for query in blocks_of_pages("sql") {
         let code: String = query.lines().filter(|line| !line.starts_with("--")).collect::<Vec<_>>().join("\n");
         let unquoted: String = code.split('\'').step_by(2).collect::<Vec<_>>().join(" ");
         for word in unquoted.split(|c: char| !(c.is_alphanumeric() || c == '_')) {
@@ -65,7 +73,7 @@ fn columns_in_the_example_queries_exist() {
         }
     }
     // In Python, columns are texts; folders' columns have names of their own.
-    for block in blocks(&read("README.md"), "python") {
+    for block in blocks_of_pages("python") {
         for word in block.split('"').skip(1).step_by(2) {
             let is_name = word.contains('_') && word.chars().all(|c| c.is_lowercase() || c.is_numeric() || c == '_');
             let is_value = ["cut_in", "verified_rate"].contains(&word);
