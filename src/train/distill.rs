@@ -12,15 +12,24 @@ use crate::tensor::MaskSampler;
 use candle_core::Device;
 use std::path::Path;
 
-/// Tunes the denoiser `teacher` in `dir` (resuming what is there) and writes it to `dir/model.safetensors`: a checkpoint of the
+/// What distillation works on.
+#[derive(Clone, Copy)]
+pub struct DistillSource<'a> {
+    /// The denoiser that is distilled.
+    pub teacher: &'a Checkpoint<DenoiserSpec>,
+    /// Where training begins, if not at the denoiser: what became of it when it was distilled before.
+    pub start: Option<&'a Checkpoint<DenoiserSpec>>,
+}
+
+/// Tunes the denoiser of `source` in `dir` (resuming what is there) and writes it to `dir/model.safetensors`: a checkpoint of the
 /// same network, scales and limits, whose answers lead to samples in few evaluations.
 ///
 /// # Errors
-/// When there is no scene to train on, scenes are not of the teacher's shape, the method does not fit it, or training fails.
+/// When there is no scene to train on, scenes are not of the teacher's shape, the method or the start does not fit it, or training fails.
 pub fn distill_denoiser(
     training: &DistillTraining,
     data: &TrainingData<'_>,
-    teacher: &Checkpoint<DenoiserSpec>,
+    DistillSource { teacher, start }: DistillSource<'_>,
     seed: Seed,
     dir: &Path,
     device: &Device,
@@ -39,12 +48,15 @@ pub fn distill_denoiser(
     };
     check_shape(&spec, data)?;
     training.method.check(&teacher.metadata)?;
+    if let Some(start) = start {
+        check_start(&start.metadata, &spec)?;
+    }
     let mut params = Params::new(device);
     let build = |params: &mut Params| {
         SceneDenoiser::new(params, &spec.network, spec.normalizer.state_dim, spec.edm, seed.derive("weights", &[]))
     };
     let denoiser = build(&mut params)?;
-    params.load(&teacher.tensors)?;
+    params.load(&start.unwrap_or(teacher).tensors)?;
     let frozen = build(&mut params.frozen())?;
     let held_out = data.chosen_held_out(training.n_eval_scenes, seed);
     let balance = if spec.network.geometry.is_some() { Balance::Places } else { Balance::Scenes };
@@ -76,6 +88,21 @@ pub fn distill_denoiser(
     };
     let fingerprint = spec.write(&params, &dir.join("model.safetensors"))?;
     Ok(DenoiserOutcome { fingerprint, n_parameters: params.n_parameters(), spec, statistics: outcome.statistics })
+}
+
+/// Fails where `start` is not what a distillation to `wanted` may lead to.
+fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error> {
+    let differs = [
+        (start.network != wanted.network, "is of another network than the denoiser"),
+        (start.normalizer != wanted.normalizer, "has other scales than the denoiser"),
+        (start.distillation != wanted.distillation, "was distilled by another method, or onto other noise levels"),
+    ];
+    match differs.iter().find(|(differs, _)| *differs) {
+        Some((_, how)) => Err(Error::Config(format!(
+            "the checkpoint of train.distill.start_from {how}: compare `djinn inspect` with the settings"
+        ))),
+        None => Ok(()),
+    }
 }
 
 /// Fails where the scenes are not such as the teacher was trained on. The first one stands for all: batches refuse others.

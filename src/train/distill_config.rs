@@ -71,7 +71,7 @@ pub struct DistillTrainingConfig {
     /// Weight of the squared disagreement of what diffused motion adds up to (motion parametrization only).
     pub path_loss: f64,
     /// Objectives that samples are trained toward, beside being those of the denoiser (method `steps` only): each counts by its weight
-    /// and a cost of √(1 - 2 J) - 1 a scene.
+    /// and a cost of √(1 - 2 J) - 1 a scene, beyond that of the recording.
     pub objectives: Vec<ObjectiveConfig>,
     /// How often each observation task is drawn.
     pub tasks: TaskWeights,
@@ -99,6 +99,8 @@ pub struct DistillTrainingConfig {
     pub evaluate_every: u64,
     /// Steps between saved states.
     pub save_every: u64,
+    /// A checkpoint of the same denoiser, distilled onto the same steps, to start from: to train it toward other objectives.
+    pub start_from: Option<std::path::PathBuf>,
     /// A distilled checkpoint to use instead of training.
     pub checkpoint: Option<std::path::PathBuf>,
 }
@@ -123,6 +125,7 @@ impl Default for DistillTrainingConfig {
             n_eval_scenes: 48,
             evaluate_every: 500,
             save_every: 250,
+            start_from: None,
             checkpoint: None,
         }
     }

@@ -87,6 +87,10 @@ fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
     read_checkpoint(&dir.join("model.safetensors"), &Device::Cpu).unwrap()
 }
 
+fn from(teacher: &Checkpoint<DenoiserSpec>) -> DistillSource<'_> {
+    DistillSource { teacher, start: None }
+}
+
 fn consistency() -> DistillMethod {
     DistillMethod::default()
 }
@@ -181,7 +185,7 @@ fn distilled(training: &DistillTraining) -> (TrainedDenoiser, TrainedDenoiser) {
     let dirs = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let checkpoint = teacher(400, dirs[0].path());
     let outcome =
-        distill_denoiser(training, &data(), &checkpoint, Seed(4), dirs[1].path(), &Device::Cpu, &Silent).unwrap();
+        distill_denoiser(training, &data(), from(&checkpoint), Seed(4), dirs[1].path(), &Device::Cpu, &Silent).unwrap();
     let read = |dir: &Path| TrainedDenoiser::read(&dir.join("model.safetensors"), &Device::Cpu).unwrap();
     let (denoiser, distilled) = (read(dirs[0].path()), read(dirs[1].path()));
     assert_eq!((&distilled.spec, &distilled.fingerprint), (&outcome.spec, &outcome.fingerprint));
@@ -249,12 +253,36 @@ fn objectives_shape_where_the_steps_end() {
         training.objectives = vec![speed_limit(weight)];
         let dir = tempfile::tempdir().unwrap();
         let outcome =
-            distill_denoiser(&training, &data(), &checkpoint, Seed(4), dir.path(), &Device::Cpu, &Silent).unwrap();
+            distill_denoiser(&training, &data(), from(&checkpoint), Seed(4), dir.path(), &Device::Cpu, &Silent)
+                .unwrap();
         outcome.statistics.last().unwrap().evaluation["held_out_cost_of_speed_limit"]
     };
     // All recorded cars drive at 15 m/s, 3 m/s beyond the limit.
     let (free, limited) = (final_cost(1e-6), final_cost(1.0));
     assert!(free > 1.0 && limited < 0.3 * free, "{free} without the objective, {limited} with it");
+}
+
+#[test]
+fn distillation_can_start_from_what_was_distilled_before() {
+    let dirs = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    let checkpoint = teacher(100, dirs[0].path());
+    let distill = |training: &DistillTraining, start: Option<&Checkpoint<DenoiserSpec>>, dir: &Path| {
+        let source = DistillSource { teacher: &checkpoint, start };
+        distill_denoiser(training, &data(), source, Seed(4), dir, &Device::Cpu, &Silent)
+    };
+    let long = distillation(200, DistillMethod::Steps(two_steps()));
+    let first = distill(&long, None, dirs[1].path()).unwrap();
+    let start = read_checkpoint(&dirs[1].path().join("model.safetensors"), &Device::Cpu).unwrap();
+    let short = distillation(1, DistillMethod::Steps(two_steps()));
+    let last = |outcome: &DenoiserOutcome| outcome.statistics.last().unwrap().evaluation.values().sum::<f64>();
+    let (warm, cold) = (distill(&short, Some(&start), dirs[2].path()).unwrap(), tempfile::tempdir().unwrap());
+    let cold = distill(&short, None, cold.path()).unwrap();
+    assert!(last(&warm) < 0.8 * last(&cold), "{} and {} after one step", last(&warm), last(&cold));
+    assert!((last(&warm) / last(&first) - 1.0).abs() < 0.2, "{} from {}", last(&warm), last(&first));
+    // An ordinary denoiser is no such start.
+    let other = tempfile::tempdir().unwrap();
+    let message = distill(&short, Some(&checkpoint), other.path()).unwrap_err().to_string();
+    assert!(message.contains("train.distill.start_from was distilled by another method"), "{message}");
 }
 
 #[test]

@@ -38,7 +38,7 @@ pub use classifier_report::NoiseLevelReport;
 pub use consistency::{ConsistencyTask, ConsistencyTuning, LevelGap};
 pub use denoiser::{DenoiserOutcome, train_denoiser};
 pub use denoising::DenoisingTask;
-pub use distill::distill_denoiser;
+pub use distill::{DistillSource, distill_denoiser};
 pub use distill_config::{DistillMethod, DistillTraining, DistillTrainingConfig};
 pub use error::Error;
 pub use fit::{FitConfig, FitOutcome, FitStatistics, LearningRateDecay, TrainTask, fit};

@@ -14,20 +14,20 @@ pub(super) fn check_objectives(key: &str, objectives: &[ObjectiveConfig]) -> Res
     }
 }
 
-/// √(1 - 2 J) - 1 of each objective J on the trajectories that `x0` (B, A, T, D) stands for, (B) each: J itself where little
-/// is wrong, and linear in lengths where much is, so that a few hopeless scenes do not outweigh all others.
+/// What `x0` (B, A, T, D) costs by each objective J beyond what the recording costs by it, (B) each, at least 0. A cost is √(1 - 2 J) - 1:
+/// J itself where little is wrong, and linear in lengths where much is, so that a few hopeless scenes do not outweigh all others.
 pub(super) fn objective_costs(
     objectives: &[ObjectiveConfig],
     x0: &Tensor,
     drawn: &DrawnBatch,
 ) -> Result<Vec<Tensor>, Error> {
     let Some(context) = drawn.context.as_ref().filter(|_| !objectives.is_empty()) else { return Ok(Vec::new()) };
-    let states = drawn.batch.decode(x0)?;
-    let cost = |objective: &ObjectiveConfig| {
-        let potential = objective.objective().log_potential(&states, context)?;
+    let (states, recorded) = (drawn.batch.decode(x0)?, drawn.batch.decode(&drawn.batch.x0)?);
+    let cost = |objective: &ObjectiveConfig, states: &Tensor| -> Result<Tensor, Error> {
+        let potential = objective.objective().log_potential(states, context)?;
         Ok(((1.0 - (potential * 2.0)?)?.sqrt()? - 1.0)?)
     };
-    objectives.iter().map(cost).collect()
+    objectives.iter().map(|objective| Ok((cost(objective, &states)? - cost(objective, &recorded)?)?.relu()?)).collect()
 }
 
 /// The sum of weight · cost over `objectives`, as a mean over the rows where `counts` (B) is 1; `None` where nothing counts.

@@ -58,7 +58,7 @@ pub struct DenoiserTrainingConfig {
     /// parametrization only). The best denoiser is the same at any weight; it decides what a network learns first.
     pub path_loss: Option<f64>,
     /// Objectives that clean estimates are trained toward at low noise, beside the loss: each counts by its weight and a cost of
-    /// √(1 - 2 J) - 1 a scene.
+    /// √(1 - 2 J) - 1 a scene, beyond that of the recording.
     pub objectives: Vec<ObjectiveConfig>,
     /// The noise level σ up to which they count (default 0.3): above it an estimate is a mean of futures, which no rule of traffic binds.
     pub objectives_below_sigma: Option<f64>,

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::diffusion::NoiseDistribution;
-use crate::guidance::{AgentSelector, ObjectiveConfig, SpeedLimit};
+use crate::guidance::{AccelerationLimit, AgentSelector, ObjectiveConfig, SpeedLimit};
 use crate::model::{DenoiserSpec, GeometryConfig, NetworkConfig, TrainedDenoiser};
 use crate::nn::{Checkpoint, read_checkpoint};
 use crate::progress::Silent;
@@ -41,7 +41,8 @@ impl SceneDataset for Arcs {
     }
 }
 
-fn speed_limit(weight: f64, agents: AgentSelector) -> ObjectiveConfig {
+fn speed_limit(weight: f64) -> ObjectiveConfig {
+    let agents = AgentSelector::default();
     ObjectiveConfig::SpeedLimit(SpeedLimit { weight, agents, limit_mps: 8.0, tolerance_mps: 1.0 })
 }
 
@@ -106,17 +107,20 @@ fn the_held_out_loss_falls_and_the_checkpoint_reads_back() {
 #[test]
 fn objectives_shape_clean_estimates() {
     let final_cost = |weight: f64| {
-        let mut training = training(300);
-        training.objectives = vec![speed_limit(weight, AgentSelector::default())];
-        // As low as needs be for a network of this size to have a say in it.
-        training.objectives_below_sigma = 3.0;
+        let mut training = training(200);
+        // Nobody was recorded to turn that hard, but what is left of noise looks like it.
+        training.objectives = vec![ObjectiveConfig::AccelerationLimit(AccelerationLimit {
+            weight,
+            agents: AgentSelector::default(),
+            limit_mps2: 8.0,
+            tolerance_mps2: 1.0,
+        })];
         let dir = tempfile::tempdir().unwrap();
         let outcome = train(&Arcs::new(24), &training, dir.path()).unwrap();
-        outcome.statistics.last().unwrap().evaluation["held_out_cost_of_speed_limit"]
+        outcome.statistics.last().unwrap().evaluation["held_out_cost_of_acceleration_limit"]
     };
-    // One of the two cars always drives at 10 m/s.
-    let (free, limited) = (final_cost(1e-6), final_cost(50.0));
-    assert!(free > 0.3 && limited < 0.6 * free, "{free} without the objective, {limited} with it");
+    let (free, limited) = (final_cost(1e-6), final_cost(10.0));
+    assert!(free > 0.3 && limited < 0.7 * free, "{free} without the objective, {limited} with it");
 }
 
 #[test]
@@ -203,10 +207,7 @@ fn settings_that_make_no_sense_are_named() {
         (DenoiserTrainingConfig { ema_decay: Some(1.0), ..Default::default() }, "ema_decay"),
         (DenoiserTrainingConfig { objectives_below_sigma: Some(0.0), ..Default::default() }, "objectives_below_sigma"),
         (
-            DenoiserTrainingConfig {
-                objectives: vec![speed_limit(-1.0, AgentSelector::default())],
-                ..Default::default()
-            },
+            DenoiserTrainingConfig { objectives: vec![speed_limit(-1.0)], ..Default::default() },
             "objectives: objective speed_limit: weight is -1",
         ),
     ] {

@@ -8,7 +8,7 @@ use crate::pipeline::layout::{DISTILLED, Layout};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::seed::Seed;
 use crate::store::SceneStore;
-use crate::train::{DistillTrainingConfig, distill_denoiser};
+use crate::train::{DistillSource, DistillTrainingConfig, distill_denoiser};
 use serde_json::{Value, json};
 
 /// The stage.
@@ -44,10 +44,15 @@ impl Stage for TrainDistill<'_> {
     fn inputs(&self) -> Vec<StageInput> {
         match &self.config.checkpoint {
             Some(path) => vec![StageInput::external("checkpoint", &checkpoint_file(path))],
-            None => vec![
-                StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
-                StageInput::made_by(StageId::TrainDenoiser, "denoiser", &self.layout.denoiser),
-            ],
+            None => {
+                let made = [
+                    StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
+                    StageInput::made_by(StageId::TrainDenoiser, "denoiser", &self.layout.denoiser),
+                ];
+                let start = self.config.start_from.as_deref();
+                let start = start.map(|path| StageInput::external("start_from", &checkpoint_file(path)));
+                made.into_iter().chain(start).collect()
+            }
         }
     }
 
@@ -65,11 +70,14 @@ impl Stage for TrainDistill<'_> {
         let training = self.config.resolve()?;
         let store = SceneStore::open(&self.layout.scenes)?;
         let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&self.layout.denoiser), context.device)?;
+        let start = self.config.start_from.as_deref().map(checkpoint_file);
+        let start = start.map(|path| read_checkpoint::<DenoiserSpec>(&path, context.device)).transpose()?;
         let state_dim = Some(teacher.metadata.normalizer.state_dim);
         let config = self.config;
         let data = training_data(&store, (&config.splits, &config.places), state_dim, "train.distill")?;
+        let source = DistillSource { teacher: &teacher, start: start.as_ref() };
         let seed = Seed(self.seed);
-        let outcome = distill_denoiser(&training, &data, &teacher, seed, &dir, context.device, context.progress)?;
+        let outcome = distill_denoiser(&training, &data, source, seed, &dir, context.device, context.progress)?;
         let model = (outcome.fingerprint.as_str(), training.fit.steps, outcome.n_parameters);
         Ok(training_summary(&data, model, &outcome.statistics))
     }
