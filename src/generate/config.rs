@@ -7,6 +7,7 @@ use super::{
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
 use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
+use crate::metrics::Group;
 use crate::scene::Split;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -187,6 +188,14 @@ impl GenerateConfig {
         }
         let mut names = BTreeSet::new();
         for (i, sweep) in self.sweeps.iter().enumerate() {
+            // Tables name groups of traffic by one word, which is a sweep's name for what it guides or edits.
+            if Group::RESERVED.contains(&sweep.name.as_str()) {
+                let name = format!("sweeps.{i}.name");
+                return refuse(
+                    &name,
+                    &format!("is \"{}\", which tables call other traffic: choose another", sweep.name),
+                );
+            }
             if !names.insert(&sweep.name) {
                 return refuse(&format!("sweeps.{i}.name"), &format!("{:?} is taken by another sweep", sweep.name));
             }

@@ -16,7 +16,7 @@ impl Generator<'_> {
     ) -> Result<ScenarioRecord, Error> {
         let classifier = self.guiding_classifier(sweep, level.strength);
         let (checkpoint, kind, sampler) = match self.baseline(sweep)? {
-            Some(model) => (&model.fingerprint, baseline::GUIDANCE_KIND.to_owned(), baseline::SAMPLER.to_owned()),
+            Some(model) => (&model.fingerprint, GuidanceTag::BASELINE.to_owned(), baseline::SAMPLER.to_owned()),
             None => {
                 let kind = self.guidance_kind(sweep, level);
                 (&self.denoiser(sweep)?.fingerprint, kind, sweep.sampler(self.config).name())

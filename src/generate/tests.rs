@@ -175,6 +175,7 @@ fn configurations_that_make_no_sense_are_refused() {
         (sweep("n_samples = 0"), "n_samples is 0"),
         (sweep("behavior = 'drift'\nstrengths = [nan]"), "a strength is NaN"),
         (sweep(&sweep("")), "taken by another"),
+        (sweep("").replace("'a'", "'recorded'"), "sweeps.0.name is \"recorded\", which tables call other traffic"),
         (sweep("strenghts = [1.0]"), "strenghts"),
         (format!("batch_size = 0\n{}", sweep("")), "batch_size is 0"),
         (sweep("model = 'distilled'"), "does not answer with a mean"),

@@ -48,6 +48,7 @@ mod probability_penalty;
 mod probable_miss_rate;
 mod road;
 mod sample_group;
+mod series;
 mod spec;
 mod validity;
 
@@ -77,6 +78,7 @@ pub use plausibility::RecordedRanges;
 pub use probability_penalty::{Displacement, PenalizedMinimum, Penalty};
 pub use probable_miss_rate::ProbableMissRate;
 pub use sample_group::SampleGroup;
+pub use series::{Group, SeriesKey};
 pub use spec::{Direction, MetricSpec};
 pub use validity::{Check, Judged, LocalFit, ValidityConfig, ValidityRate, Violation};
 

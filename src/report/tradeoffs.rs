@@ -1,8 +1,10 @@
 //! What does guidance cost? Curves over its strength: yield, collisions, departures from the road and from recorded motion.
 
-use super::model::{Chart, Curve, RealismRow, ReportModel, SamplingRow};
+use super::model::{Chart, Curve, ReportModel};
 use super::number::setting;
 use super::wilson::wilson_interval;
+use crate::evaluate::{RealismRow, SamplingRow};
+use crate::metrics::Group;
 
 const STRENGTH: &str = "guidance strength α";
 
@@ -83,7 +85,7 @@ fn sweeps(rows: &[SamplingRow]) -> Vec<Sweep<'_>> {
             offroad_rate: row.offroad_rate,
             n_evaluations: row.n_evaluations,
         };
-        match points.iter_mut().find(|point| point.strength.to_bits() == row.strength.to_bits()) {
+        match points.iter_mut().find(|point| point.strength == row.strength) {
             Some(point) => *point = together(point, &new),
             None => points.push(new),
         }
@@ -158,7 +160,7 @@ fn levels(name: &str, sweeps: &[&Sweep<'_>], value: impl Fn(&Sweep<'_>) -> Optio
 /// What a metric says of the recordings that a sweep continues, over all places.
 pub(super) fn recorded_value(model: &ReportModel, sweep: &str, metric: &str) -> Option<f64> {
     let is_it = |row: &&crate::store::MetricRow| {
-        row.group == "recorded"
+        row.group == Group::Recorded
             && row.sweep == sweep
             && row.metric == metric
             && row.place.is_empty()
@@ -168,7 +170,7 @@ pub(super) fn recorded_value(model: &ReportModel, sweep: &str, metric: &str) -> 
 }
 
 fn realism_of<'a>(model: &'a ReportModel, sweep: &'a Sweep<'_>) -> impl Iterator<Item = &'a RealismRow> {
-    model.realism.iter().filter(|row| row.sweep == sweep.name && row.group != "constant_velocity")
+    model.realism.iter().filter(|row| row.sweep == sweep.name && row.group != Group::ConstantVelocity)
 }
 
 /// One chart for each quantity of motion: its distance from the recording, with that of the constant velocity as a level.
@@ -188,7 +190,7 @@ fn distances(model: &ReportModel, sweeps: &[&Sweep<'_>]) -> Vec<Chart> {
         };
         let constant_velocity = |sweep: &Sweep<'_>| {
             let mut rows = model.realism.iter().filter(|row| row.sweep == sweep.name && row.quantity == quantity);
-            rows.find(|row| row.group == "constant_velocity")?.wasserstein
+            rows.find(|row| row.group == Group::ConstantVelocity)?.wasserstein
         };
         over_strength(
             &format!("Distance from the recording: {quantity}"),
@@ -204,7 +206,7 @@ fn yield_over_distance(model: &ReportModel, sweeps: &[&Sweep<'_>]) -> Chart {
     let of_sweep = |sweep: &&Sweep<'_>| {
         let mut curve = Curve::new(sweep.name, Vec::new());
         for point in &sweep.points {
-            let at_strength = realism_of(model, sweep).filter(|row| row.strength.to_bits() == point.strength.to_bits());
+            let at_strength = realism_of(model, sweep).filter(|row| row.strength == point.strength);
             let divergences: Vec<f64> = at_strength.filter_map(|row| row.jensen_shannon).collect();
             if divergences.is_empty() {
                 continue;

@@ -14,11 +14,11 @@ mod train_classifier;
 mod train_denoiser;
 mod train_distill;
 
-pub use evaluate::{Evaluate, EvaluateConfig, EvaluationSummary, GateResult, GatesConfig, Keep};
+pub use evaluate::Evaluate;
 pub use generate::Generate;
 pub use ingest::Ingest;
 pub use mine::{Mine, MineConfig};
-pub use report::{About, Report, ReportConfig};
+pub use report::{About, Report};
 pub(in crate::pipeline) use sample_folder::{FoundShard, find_shard, shard_name};
 pub use sample_folder::{SampleFolder, SampleManifest, SampleSettings, SampleSidecar, SampledWith, read_requests};
 pub use train_baseline::TrainBaseline;
@@ -32,6 +32,7 @@ use super::failure::{Failure, Result};
 use super::layout::Layout;
 use super::record::StageRecord;
 use super::stage::{Stage, StageId};
+use crate::evaluate::GateResult;
 
 /// The stages whose sections the configuration has, in the order in which they run.
 pub fn of_pipeline<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Result<Vec<Box<dyn Stage + 'a>>> {

@@ -2,9 +2,9 @@
 
 use super::cells::Cell;
 use super::config::EvaluateConfig;
+use super::error::Result;
 use crate::files::clear;
 use crate::metrics::{ModeFit, Modes, ModesConfig, ModesOf, Representative};
-use crate::pipeline::Result;
 use crate::scene::{Dataset, Scene, SceneId};
 use crate::seed::Seed;
 use crate::store::{ArgoversePredictions, InteractionPredictions};
@@ -21,12 +21,11 @@ pub(super) struct Predictions {
 }
 
 /// The modes that a cell offers as its scene's prediction: those of the ego in Argoverse 1, of everybody jointly else. Where
-/// there are no more samples than modes, the samples themselves. `None` for guided cells and datasets that were not asked for.
+/// there are no more samples than modes, the samples themselves. `None` for cells of what is no forecast and datasets that were not asked for.
 pub(super) fn of_cell(cell: &Cell<'_>, samples: &[Scene], config: &EvaluateConfig, seed: Seed) -> Option<Modes> {
     let first = samples.first()?;
     let dataset = first.source.dataset;
-    let is_guided = cell.records[0].scenario.provenance.guidance.strength != 0.0;
-    if is_guided || !config.predictions.contains(&dataset) {
+    if !cell.records[0].scenario.provenance.is_unguided() || !config.predictions.contains(&dataset) {
         return None;
     }
     let defaults = ModesConfig::default();
@@ -88,5 +87,27 @@ impl Predictions {
             argoverse.finish()?;
         }
         Ok((self.scenes.len(), self.n_tracks_left_out))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::testing::{record, recorded};
+    use crate::scene::GuidanceTag;
+
+    #[test]
+    fn only_forecasts_become_predictions() {
+        let config = EvaluateConfig { predictions: vec![Dataset::Interaction], ..EvaluateConfig::default() };
+        let is_predicted = |kind: &str, strength: f64, edit_tau: Option<f64>| {
+            let mut record = record(strength, false, false, recorded());
+            record.scenario.provenance.guidance.kind = kind.to_owned();
+            record.scenario.provenance.edit_tau = edit_tau;
+            let cell = Cell { records: vec![&record], with_references: false };
+            of_cell(&cell, &[recorded()], &config, Seed(1)).is_some()
+        };
+        assert!(is_predicted(GuidanceTag::NONE, 0.0, None) && is_predicted(GuidanceTag::BASELINE, 0.0, None));
+        assert!(!is_predicted("classifier:cut_in", 2.0, None));
+        assert!(!is_predicted(GuidanceTag::NONE, 0.0, Some(0.4)), "it starts from an edited recording");
     }
 }

@@ -6,12 +6,36 @@ use crate::metrics::{
     ALL, Direction, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, PreventableRate, SampleGroup,
     ValidityRate,
 };
-use crate::report::MetricDoc;
 use crate::scene::{Scene, TrackId};
 use crate::seed::Seed;
+use serde::{Deserialize, Serialize};
 
 /// Share of samples that hold the behavior that was asked for, with the roles that were asked for.
 pub(super) const BEHAVIOR_RATE: &str = "behavior_rate";
+
+/// How to read a metric.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MetricDoc {
+    /// Its name in the tables.
+    pub metric: String,
+    /// Its unit; `1` for shares and counts.
+    pub unit: String,
+    /// Which way is better.
+    pub direction: Direction,
+    /// Its definition.
+    pub description: String,
+}
+
+impl From<MetricSpec> for MetricDoc {
+    fn from(spec: MetricSpec) -> Self {
+        Self {
+            metric: spec.id.to_owned(),
+            unit: spec.unit.to_owned(),
+            direction: spec.direction,
+            description: spec.description.to_owned(),
+        }
+    }
+}
 
 /// Everything that is measured, in the order of tables.
 pub(super) struct Measures<'a> {
