@@ -3,7 +3,7 @@
 use super::error::{Error, Result};
 use super::gates::GatesConfig;
 use super::measures::known_ids;
-use crate::metrics::{CarefulDriverConfig, ModesConfig, ValidityConfig};
+use crate::metrics::{CarefulDriverConfig, MetricSettings, ModesConfig, ValidityConfig};
 use crate::scene::Dataset;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -64,6 +64,11 @@ pub enum Keep {
 }
 
 impl EvaluateConfig {
+    /// The settings that metrics judge by.
+    pub fn metric_settings(&self) -> MetricSettings {
+        MetricSettings { validity: self.validity.clone(), careful_driver: self.careful_driver.clone() }
+    }
+
     /// Refuses what makes no sense.
     ///
     /// # Errors
@@ -83,14 +88,13 @@ impl EvaluateConfig {
                 }
             }
         }
-        self.validity.validate().map_err(|why| refuse(format!("evaluate.validity.{why}")))?;
-        self.careful_driver.validate().map_err(|why| refuse(format!("evaluate.careful_driver.{why}")))?;
-        if self.duplicate_distance_m.is_nan() || self.duplicate_distance_m < 0.0 {
-            let found = self.duplicate_distance_m;
-            return Err(refuse(format!(
-                "evaluate.duplicate_distance_m is {found}, expected a number that is not negative"
-            )));
+        self.metric_settings().validate().map_err(|why| refuse(format!("evaluate.{why}")))?;
+        let distance_m = self.duplicate_distance_m;
+        if !distance_m.is_finite() || distance_m < 0.0 {
+            let key = "evaluate.duplicate_distance_m";
+            return Err(refuse(format!("{key} is {distance_m}, expected a number that is not negative")));
         }
+        self.gates.validate(&self.metrics)?;
         let known = known_ids();
         let Some(unknown) = self.metrics.iter().find(|name| !known.contains(&name.as_str())) else { return Ok(()) };
         let nearest = known.iter().min_by_key(|name| strsim::damerau_levenshtein(unknown, name));
@@ -119,9 +123,15 @@ mod tests {
     #[test]
     fn limits_must_be_numbers() {
         let check = |text: &str| toml::from_str::<EvaluateConfig>(text).expect("readable").validate();
-        for wrong in
-            ["duplicate_distance_m = -1.0", "[validity]\nmax_jerk_mps3 = nan", "[careful_driver]\nramp_s = 0.0"]
-        {
+        for wrong in [
+            "duplicate_distance_m = -1.0",
+            "duplicate_distance_m = inf",
+            "[validity]\nwindow_s = 700.0",
+            "[validity]\nwindow_s = 0.0",
+            "[validity]\nmax_jerk_mps3 = inf",
+            "[validity]\nmax_jerk_mps3 = nan",
+            "[careful_driver]\nramp_s = 0.0",
+        ] {
             assert!(check(wrong).is_err(), "{wrong}");
         }
         assert!(check("[validity]\nskip = [\"jerk\"]").is_ok());

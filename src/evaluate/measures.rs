@@ -2,10 +2,7 @@
 
 use super::config::EvaluateConfig;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
-use crate::metrics::{
-    ALL, Direction, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, PreventableRate, SampleGroup,
-    ValidityRate,
-};
+use crate::metrics::{ALL, Direction, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, SampleGroup};
 use crate::scene::{Scene, TrackId};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
@@ -44,23 +41,6 @@ pub(super) struct Measures<'a> {
     behaviors: &'a [Box<dyn Behavior>],
 }
 
-/// A metric of the list as it is.
-struct Listed(&'static dyn Metric);
-
-impl Metric for Listed {
-    fn spec(&self) -> MetricSpec {
-        self.0.spec()
-    }
-
-    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
-        self.0.evaluate(group)
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        self.0.modes()
-    }
-}
-
 /// The behavior that was asked for, and of whom.
 #[derive(Clone, Copy)]
 pub(super) struct Requested<'a> {
@@ -78,17 +58,8 @@ pub(super) fn known_ids() -> Vec<&'static str> {
 impl<'a> Measures<'a> {
     pub(super) fn new(config: &'a EvaluateConfig, behaviors: &'a [Box<dyn Behavior>]) -> Self {
         let chosen = |id: &str| config.metrics.is_empty() || config.metrics.iter().any(|name| name == id);
-        // Those whose limits are configured take the place of those with defaults.
-        let configured = |metric: &'static dyn Metric| -> Box<dyn Metric> {
-            let validity = ValidityRate { limits: Some(config.validity.clone()) };
-            let preventable = PreventableRate { driver: Some(config.careful_driver.clone()) };
-            match metric.spec().id {
-                id if id == validity.spec().id => Box::new(validity),
-                id if id == preventable.spec().id => Box::new(preventable),
-                _ => Box::new(Listed(metric)),
-            }
-        };
-        let metrics = ALL.iter().copied().filter(|metric| chosen(metric.spec().id)).map(configured).collect();
+        let metrics = config.metric_settings().metrics();
+        let metrics = metrics.into_iter().filter(|metric| chosen(metric.spec().id)).collect();
         Self { metrics, modes: config.modes.as_ref(), behaviors }
     }
 

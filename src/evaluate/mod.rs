@@ -9,6 +9,8 @@ mod config;
 mod error;
 mod evaluation;
 mod gates;
+#[cfg(test)]
+mod gates_tests;
 mod judge;
 mod measures;
 mod metric_rows;

@@ -207,6 +207,15 @@ impl GenerateConfig {
     }
 }
 
+impl GenerateConfig {
+    /// Whether sweeps select, or requests accept, by metrics of which `is_such` holds.
+    pub fn selects_by(&self, is_such: impl Fn(&str) -> bool) -> bool {
+        let mut of_sweeps = self.sweeps.iter().filter_map(|sweep| sweep.select.as_ref());
+        of_sweeps.any(|select| select.names_metric(&is_such))
+            || self.requests.iter().flat_map(|request| request.limits.keys()).any(|id| is_such(id))
+    }
+}
+
 impl SweepConfig {
     /// How noise becomes a sample of this sweep.
     pub fn sampler<'a>(&'a self, config: &'a GenerateConfig) -> &'a SamplerConfig {

@@ -4,6 +4,7 @@ use super::mine::MineConfig;
 use super::sample_folder::SampleManifest;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::evaluate::{EvaluateConfig, Evaluation, LeftOutRow, Shard, left_out_by_sweep};
+use crate::generate::GenerateConfig;
 use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS, VERDICTS};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::store::{
@@ -22,6 +23,8 @@ pub struct Evaluate<'a> {
     pub pipeline: &'a str,
     /// Whether there are recorded events to compare scenarios with.
     pub has_events: bool,
+    /// What generates the scenarios, and whether there are maps, where the pipeline does both itself.
+    pub generated: Option<(&'a GenerateConfig, bool)>,
     /// Where the scenes, events and samples are.
     pub layout: &'a Layout,
 }
@@ -32,11 +35,15 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn check(&self) -> Result<()> {
-        Ok(self.config.validate()?)
+        self.config.validate()?;
+        match self.generated {
+            Some((generate, has_maps)) => Ok(self.config.gates.check_generated(generate, has_maps)?),
+            None => Ok(()),
+        }
     }
 
     fn config(&self) -> anyhow::Result<Value> {

@@ -32,7 +32,8 @@ use super::failure::{Failure, Result};
 use super::layout::Layout;
 use super::record::StageRecord;
 use super::stage::{Stage, StageId};
-use crate::evaluate::GateResult;
+use crate::evaluate::{EvaluateConfig, GateResult};
+use crate::ingest::IngestConfig;
 
 /// The stages whose sections the configuration has, in the order in which they run.
 pub fn of_pipeline<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Result<Vec<Box<dyn Stage + 'a>>> {
@@ -81,6 +82,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
         StageId::Generate => Box::new(Generate {
             config: generate.as_ref()?,
             mine: definitions(),
+            metric_settings: evaluate.as_ref().map(EvaluateConfig::metric_settings).unwrap_or_default(),
             classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
             // A folder of models that the command line names may hold one that was distilled otherwise.
             distill: train.distill.as_ref().filter(|_| layout.distilled.parent() == layout.scenes.parent()),
@@ -91,6 +93,9 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             mine: definitions(),
             pipeline: &run.name,
             has_events: has_events(config, layout),
+            // Samples that the command line names may come of another configuration.
+            generated: (generate.as_ref().zip(ingest.as_ref().map(IngestConfig::wants_maps)))
+                .filter(|_| layout.samples.parent() == layout.scenes.parent()),
             layout,
         }),
         StageId::Report => Box::new(Report {
@@ -110,8 +115,8 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
 
 /// Whether there are recorded events to compare scenarios with, or will be when the pipeline has mined them.
 fn has_events(config: &PipelineConfig, layout: &Layout) -> bool {
-    let is_run_folder = layout.events.parent() == layout.scenes.parent();
-    layout.events.exists() || (is_run_folder && config.ingest.is_some() && config.mine.is_some())
+    layout.events.exists()
+        || (layout.events.parent() == layout.scenes.parent() && config.ingest.is_some() && config.mine.is_some())
 }
 
 /// The stages to report on: those of the pipeline, or where the configuration has no other section, those whose outputs

@@ -42,7 +42,7 @@ impl Stage for Report<'_> {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn check(&self) -> Result<()> {
