@@ -58,7 +58,7 @@ impl Default for ValidityConfig {
     fn default() -> Self {
         Self {
             skip: Vec::new(),
-            motion_of: vec![Dataset::Interaction, Dataset::Argoverse2],
+            motion_of: Dataset::ALL.into_iter().filter(|dataset| dataset.facts().has_clean_motion).collect(),
             window_s: 0.7,
             max_acceleration_mps2: 5.0,
             max_deceleration_mps2: 9.0,

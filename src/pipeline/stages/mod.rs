@@ -48,10 +48,9 @@ pub fn of_pipeline<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Result
 /// One stage, with its defaults if the configuration has no section for it.
 pub fn alone<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Result<Box<dyn Stage + 'a>> {
     build(id, config, layout).ok_or_else(|| {
-        Failure::input_message(format_args!("the configuration has no section [{}]", id.section())).with_hint(format!(
-            "name a pipeline file with --config, or set values with --set {}.key=value",
-            id.section()
-        ))
+        Failure::input_message(format_args!("the configuration has no section [{}]", id.facts().section)).with_hint(
+            format!("name a pipeline file with --config, or set values with --set {}.key=value", id.facts().section),
+        )
     })
 }
 
@@ -122,28 +121,8 @@ fn has_events(config: &PipelineConfig, layout: &Layout) -> bool {
 /// The stages to report on: those of the pipeline, or where the configuration has no other section, those whose outputs
 /// are there.
 fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
-    let has_section = |id: StageId| match id {
-        StageId::Ingest => config.ingest.is_some(),
-        StageId::Mine => config.mine.is_some(),
-        StageId::TrainDenoiser => config.train.denoiser.is_some(),
-        StageId::TrainDistill => config.train.distill.is_some(),
-        StageId::TrainClassifier => config.train.classifier.is_some(),
-        StageId::TrainBaseline => config.train.baseline.is_some(),
-        StageId::Generate => config.generate.is_some(),
-        StageId::Evaluate => config.evaluate.is_some(),
-        StageId::Report => false,
-    };
-    let is_there = |id: StageId| match id {
-        StageId::Ingest => layout.scenes.exists(),
-        StageId::Mine => layout.events.exists(),
-        StageId::TrainDenoiser => layout.denoiser.exists(),
-        StageId::TrainDistill => layout.distilled.exists(),
-        StageId::TrainClassifier => layout.classifier.exists(),
-        StageId::TrainBaseline => layout.baseline.exists(),
-        StageId::Generate => layout.samples.exists(),
-        StageId::Evaluate => layout.metrics.exists(),
-        StageId::Report => false,
-    };
-    let in_pipeline: Vec<StageId> = StageId::ALL.into_iter().filter(|id| has_section(*id)).collect();
-    if in_pipeline.is_empty() { StageId::ALL.into_iter().filter(|id| is_there(*id)).collect() } else { in_pipeline }
+    let is_configured = |id: &StageId| *id != StageId::Report && (id.facts().is_configured)(config);
+    let is_there = |id: &StageId| id.output(layout).is_some_and(|(_, path)| path.exists());
+    let in_pipeline: Vec<StageId> = StageId::ALL.into_iter().filter(is_configured).collect();
+    if in_pipeline.is_empty() { StageId::ALL.into_iter().filter(is_there).collect() } else { in_pipeline }
 }

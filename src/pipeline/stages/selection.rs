@@ -1,7 +1,7 @@
 //! Which scenes of a store does a model train on, and which are held out?
 
 use crate::pipeline::{Failure, Result as StageResult};
-use crate::scene::{Dataset, Scene, Split};
+use crate::scene::{Scene, Split};
 use crate::store::{SceneIndexEntry, SceneStore};
 use crate::train::{FitStatistics, SceneDataset, TrainingData};
 use serde_json::{Value, json};
@@ -68,8 +68,8 @@ pub(super) fn training_data<'a>(
     let Some(first) = train.first() else {
         return Err(Failure::input_message(format_args!("no scene is of the splits and places of {section}")));
     };
-    // Argoverse 1 has no headings of its own: they are derived from the positions, and so are those of its samples.
-    let default_state_dim = if store.index()[*first].dataset == Dataset::Argoverse1 { 2 } else { 3 };
+    // Where headings are derived from the positions, so are those of samples.
+    let default_state_dim = if store.index()[*first].dataset.facts().has_headings { 3 } else { 2 };
     let mut names: Vec<&str> = train.iter().map(|idx| store.index()[*idx].place.as_str()).collect();
     let of_scenes = names.clone();
     names.sort_unstable();
@@ -105,6 +105,7 @@ pub(super) fn training_summary(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Dataset;
     use crate::scene::SceneId;
 
     fn index(splits: &[(Split, &str)]) -> Vec<SceneIndexEntry> {

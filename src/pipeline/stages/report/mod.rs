@@ -56,19 +56,9 @@ impl Stage for Report<'_> {
     }
 
     fn inputs(&self) -> Vec<StageInput> {
-        let path = |stage: StageId| match stage {
-            StageId::Ingest => Some(("scenes", &self.layout.scenes)),
-            StageId::Mine => Some(("events", &self.layout.events)),
-            StageId::TrainDenoiser => Some(("denoiser", &self.layout.denoiser)),
-            StageId::TrainDistill => Some(("distilled", &self.layout.distilled)),
-            StageId::TrainClassifier => Some(("classifier", &self.layout.classifier)),
-            StageId::TrainBaseline => Some(("baseline", &self.layout.baseline)),
-            StageId::Generate => Some(("samples", &self.layout.samples)),
-            StageId::Evaluate => Some(("metrics", &self.layout.metrics)),
-            StageId::Report => None,
-        };
-        let inputs = self.parts.iter().filter_map(|stage| path(*stage).map(|(name, path)| (*stage, name, path)));
-        inputs.map(|(stage, name, path)| StageInput::made_by(stage, name, path)).collect()
+        let input =
+            |stage: &StageId| stage.output(self.layout).map(|(name, path)| StageInput::made_by(*stage, name, path));
+        self.parts.iter().filter_map(input).collect()
     }
 
     fn outputs(&self) -> &'static [&'static str] {
