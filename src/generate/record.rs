@@ -1,6 +1,6 @@
 //! How does a sample become a scenario: what it came from, what is found in it, and under which id?
 
-use super::{Cell, Error, Generator, Level, SweepConfig, Verdict, baseline, verify};
+use super::{Cell, Error, Generator, Level, SweepConfig, Verification, baseline, verify};
 use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
 use crate::store::{ScenarioRecord, as_stored};
 
@@ -39,7 +39,7 @@ impl Generator<'_> {
         let scene = as_stored(generated);
         let verdict = match self.behavior(sweep) {
             Some(behavior) => verify(behavior, &cell.roles, recorded, &scene),
-            None => Verdict::default(),
+            None => Verification::default(),
         };
         Ok(ScenarioRecord {
             scenario: Scenario { id: scenario_id(&sweep.name, &provenance), scene, observed, provenance },

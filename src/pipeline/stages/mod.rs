@@ -8,11 +8,11 @@ mod mine;
 mod report;
 mod request_rounds;
 mod sample_folder;
-mod selection;
 mod train_baseline;
 mod train_classifier;
 mod train_denoiser;
 mod train_distill;
+mod training_scenes;
 
 pub use evaluate::Evaluate;
 pub use generate::Generate;
