@@ -26,6 +26,8 @@ pub mod guidance;
 pub mod generate;
 pub mod train;
 
+pub mod evaluate;
+
 pub mod export;
 pub mod report;
 

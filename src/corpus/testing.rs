@@ -1,5 +1,6 @@
 //! Corpora for the tests of the tools: arbitrary scenarios, the same for the same seeds.
 
+use crate::metrics::Group;
 use crate::scene::{LaneGraph, LaneId, MapId, Scene};
 use crate::store::testing::{map, record, scene};
 use crate::store::{
@@ -49,7 +50,7 @@ pub(super) fn write(dir: &Path, records: &[ScenarioRecord]) -> CorpusManifest {
     let mut writer = CorpusWriter::create(dir, &maps).unwrap();
     writer.write_scenarios(records).unwrap();
     let metric = |record: Option<&ScenarioRecord>| MetricRow {
-        group: "guided".to_owned(),
+        group: Group::Sweep("guided".to_owned()),
         sweep: "guided".to_owned(),
         strength: 2.0,
         place: String::new(),

@@ -4,7 +4,7 @@ use super::index::Index;
 use super::{Error, ExportFormat, ExportOptions, ExportReport, Item, Outcome, Result, Selection, notice, text};
 use crate::files::NewFolder;
 use crate::progress::Progress;
-use crate::store::{CorpusReader, source_terms, write_atomically, write_json_atomically};
+use crate::store::{CorpusReader, write_atomically, write_json_atomically};
 use std::io::Write;
 use std::path::Path;
 
@@ -110,7 +110,7 @@ impl Writer {
                 report.count_written(scenario_id, &written);
                 let dataset = item.scene().source.dataset;
                 let terms = reader.manifest().sources.get(dataset.name());
-                let terms = terms.map_or_else(|| source_terms(dataset).to_owned(), Clone::clone);
+                let terms = terms.map_or_else(|| dataset.facts().terms.to_owned(), Clone::clone);
                 report.sources.insert(dataset.name().to_owned(), terms);
             }
             Outcome::LeftOut(reason) => report.count_left_out(scenario_id, reason),

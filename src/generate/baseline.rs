@@ -8,9 +8,7 @@ use crate::tensor::{FutureValidity, SceneView};
 use candle_core::Tensor;
 use std::ops::Range;
 
-/// What the provenance of the baseline's samples says in place of a guidance.
-pub(super) const GUIDANCE_KIND: &str = "scene_transformer";
-/// What it says in place of a sampler: one forward pass for all samples.
+/// What the provenance of the baseline's samples says in place of a sampler: one forward pass for all samples.
 pub(super) const SAMPLER: &str = "forward-1";
 
 impl<'g> Generator<'g> {

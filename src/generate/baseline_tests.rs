@@ -4,6 +4,7 @@ use super::testing::{Drift, config, denoiser, difference_m, index, load};
 use super::*;
 use crate::behavior::Behavior;
 use crate::guidance::testing::scene;
+use crate::metrics::MetricSettings;
 use crate::model::{SceneTransformer, SceneTransformerConfig, SceneTransformerKind, SceneTransformerSpec};
 use crate::model::{TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::Params;
@@ -54,7 +55,7 @@ fn generate(toml: &str, baseline: Option<&TrainedSceneTransformer>) -> Result<Ve
     let (denoiser, config) = (denoiser(0), config(toml));
     let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
     let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline };
-    let generator = Generator::new(&config, models, &behaviors, &load, &Device::Cpu)?;
+    let generator = Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu)?;
     let plan = generator.plan(&index(4))?;
     let mut records = Vec::new();
     for shard in &plan.shards {

@@ -7,6 +7,7 @@ use super::{
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
 use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
+use crate::metrics::Group;
 use crate::scene::Split;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -187,6 +188,14 @@ impl GenerateConfig {
         }
         let mut names = BTreeSet::new();
         for (i, sweep) in self.sweeps.iter().enumerate() {
+            // Tables name groups of traffic by one word, which is a sweep's name for what it guides or edits.
+            if Group::RESERVED.contains(&sweep.name.as_str()) {
+                let name = format!("sweeps.{i}.name");
+                return refuse(
+                    &name,
+                    &format!("is \"{}\", which tables call other traffic: choose another", sweep.name),
+                );
+            }
             if !names.insert(&sweep.name) {
                 return refuse(&format!("sweeps.{i}.name"), &format!("{:?} is taken by another sweep", sweep.name));
             }
@@ -195,6 +204,15 @@ impl GenerateConfig {
             }
         }
         self.resolve().map(drop)
+    }
+}
+
+impl GenerateConfig {
+    /// Whether sweeps select, or requests accept, by metrics of which `is_such` holds.
+    pub fn selects_by(&self, is_such: impl Fn(&str) -> bool) -> bool {
+        let mut of_sweeps = self.sweeps.iter().filter_map(|sweep| sweep.select.as_ref());
+        of_sweeps.any(|select| select.names_metric(&is_such))
+            || self.requests.iter().flat_map(|request| request.limits.keys()).any(|id| is_such(id))
     }
 }
 

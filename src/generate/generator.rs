@@ -2,6 +2,7 @@
 
 use super::{Error, GenerateConfig, SweepConfig};
 use crate::behavior::Behavior;
+use crate::metrics::MetricSettings;
 use crate::model::{DenoiserSpec, Distillation, TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::keep_freed_memory;
 use crate::scene::{Scene, SceneId};
@@ -31,11 +32,12 @@ pub struct Generator<'a> {
     pub(super) models: Models<'a>,
     pub(super) behaviors: &'a [Box<dyn Behavior>],
     pub(super) scenes: &'a SceneLoader<'a>,
+    pub(super) metric_settings: MetricSettings,
     pub(super) device: &'a Device,
 }
 
 impl<'a> Generator<'a> {
-    /// A generator whose `config` fits its `models` and the mined `behaviors`.
+    /// A generator whose `config` fits its `models` and the mined `behaviors`. Selections and limits judge by `metric_settings`.
     ///
     /// # Errors
     /// When it does not.
@@ -44,11 +46,12 @@ impl<'a> Generator<'a> {
         models: Models<'a>,
         behaviors: &'a [Box<dyn Behavior>],
         scenes: &'a SceneLoader<'a>,
+        metric_settings: MetricSettings,
         device: &'a Device,
     ) -> Result<Self, Error> {
         config.validate()?;
         keep_freed_memory();
-        let generator = Self { config, models, behaviors, scenes, device };
+        let generator = Self { config, models, behaviors, scenes, metric_settings, device };
         for sweep in &config.sweeps {
             generator.check(sweep)?;
         }

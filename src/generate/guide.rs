@@ -10,7 +10,7 @@ use crate::guidance::{
     MaskChange, ObjectiveSum, SceneContext,
 };
 use crate::model::TrainedClassifier;
-use crate::scene::{ObservationMask, Scene};
+use crate::scene::{GuidanceTag, ObservationMask, Scene};
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
 
@@ -100,7 +100,7 @@ impl<'g> Generator<'g> {
             let fixed = if varies_weight { String::new() } else { format!("({weight})") };
             parts.push(format!("classifier_free{fixed}"));
         }
-        if parts.is_empty() { "none".to_owned() } else { parts.join("+") }
+        if parts.is_empty() { GuidanceTag::NONE.to_owned() } else { parts.join("+") }
     }
 
     /// Calls `sample` with `inner`, guided as the sweep says. The strength multiplies classifier and objectives alike; each

@@ -51,4 +51,4 @@ pub use sample::{RejectedSample, ShardOutput};
 pub use select::SelectConfig;
 pub use sweep_guidance::{ClassifierInput, ClassifierScope};
 pub use sweep_model::SweepModel;
-pub use verify::{Verdict, verify};
+pub use verify::{Verification, verify};

@@ -1,6 +1,6 @@
 //! How does a sample become a scenario: what it came from, what is found in it, and under which id?
 
-use super::{Cell, Error, Generator, Level, SweepConfig, Verdict, baseline, verify};
+use super::{Cell, Error, Generator, Level, SweepConfig, Verification, baseline, verify};
 use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
 use crate::store::{ScenarioRecord, as_stored};
 
@@ -16,7 +16,7 @@ impl Generator<'_> {
     ) -> Result<ScenarioRecord, Error> {
         let classifier = self.guiding_classifier(sweep, level.strength);
         let (checkpoint, kind, sampler) = match self.baseline(sweep)? {
-            Some(model) => (&model.fingerprint, baseline::GUIDANCE_KIND.to_owned(), baseline::SAMPLER.to_owned()),
+            Some(model) => (&model.fingerprint, GuidanceTag::BASELINE.to_owned(), baseline::SAMPLER.to_owned()),
             None => {
                 let kind = self.guidance_kind(sweep, level);
                 (&self.denoiser(sweep)?.fingerprint, kind, sweep.sampler(self.config).name())
@@ -39,7 +39,7 @@ impl Generator<'_> {
         let scene = as_stored(generated);
         let verdict = match self.behavior(sweep) {
             Some(behavior) => verify(behavior, &cell.roles, recorded, &scene),
-            None => Verdict::default(),
+            None => Verification::default(),
         };
         Ok(ScenarioRecord {
             scenario: Scenario { id: scenario_id(&sweep.name, &provenance), scene, observed, provenance },

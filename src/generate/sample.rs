@@ -117,7 +117,7 @@ impl Generator<'_> {
         }
         for (((cell, scene), given), sampled) in shard.cells.iter().zip(&scenes).zip(&conditioned).zip(sampled) {
             for Sampled { level, sample_idx, draw } in
-                select(sweep, (scene, &cell.roles), sampled, &mut output.unselected)
+                self.select(sweep, (scene, &cell.roles), sampled, &mut output.unselected)
             {
                 match draw {
                     Ok(draw) => {
@@ -257,6 +257,38 @@ impl Generator<'_> {
         }
         Ok(sampler.sample(edm, denoiser, row_dims, &tensors.x0, &mut noise, &mut observer)?)
     }
+
+    /// The samples of one cell without those that the sweep's selection leaves out, strength by strength.
+    fn select(
+        &self,
+        sweep: &SweepConfig,
+        (recorded, asked): (&Scene, &[(String, TrackId)]),
+        sampled: Vec<Sampled>,
+        unselected: &mut BTreeMap<String, u64>,
+    ) -> Vec<Sampled> {
+        let Some(select) = &sweep.select else { return sampled };
+        let mut left_out = vec![None; sampled.len()];
+        for level in sweep.levels() {
+            let (places, candidates): (Vec<usize>, Vec<Candidate<'_>>) = (sampled.iter().enumerate())
+                .filter(|(_, sample)| sample.level == level)
+                .filter_map(|(place, sample)| Some((place, sample.draw.as_ref().ok()?)))
+                .map(|(place, draw)| (place, Candidate { scene: &draw.scene, objectives: &draw.wishes, asked }))
+                .unzip();
+            for (place, verdict) in
+                places.into_iter().zip(select.verdicts(recorded, &candidates, &self.metric_settings))
+            {
+                left_out[place] = verdict;
+            }
+        }
+        let kept = sampled.into_iter().zip(left_out).filter_map(|(sample, why)| match why {
+            Some(why) => {
+                *unselected.entry(why).or_default() += 1;
+                None
+            }
+            None => Some(sample),
+        });
+        kept.collect()
+    }
 }
 
 /// The seed of a sample's noise. It depends on the run's seed, the scene and the sample alone: the strengths of a scene start
@@ -279,35 +311,6 @@ fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
         (Some(only), None) => Ok((only, only)),
         (Some(first), Some(second)) => Ok((first, second)),
     }
-}
-
-/// The samples of one cell without those that the sweep's selection leaves out, strength by strength.
-fn select(
-    sweep: &SweepConfig,
-    (recorded, asked): (&Scene, &[(String, TrackId)]),
-    sampled: Vec<Sampled>,
-    unselected: &mut BTreeMap<String, u64>,
-) -> Vec<Sampled> {
-    let Some(select) = &sweep.select else { return sampled };
-    let mut left_out = vec![None; sampled.len()];
-    for level in sweep.levels() {
-        let (places, candidates): (Vec<usize>, Vec<Candidate<'_>>) = (sampled.iter().enumerate())
-            .filter(|(_, sample)| sample.level == level)
-            .filter_map(|(place, sample)| Some((place, sample.draw.as_ref().ok()?)))
-            .map(|(place, draw)| (place, Candidate { scene: &draw.scene, objectives: &draw.wishes, asked }))
-            .unzip();
-        for (place, verdict) in places.into_iter().zip(select.verdicts(recorded, &candidates)) {
-            left_out[place] = verdict;
-        }
-    }
-    let kept = sampled.into_iter().zip(left_out).filter_map(|(sample, why)| match why {
-        Some(why) => {
-            *unselected.entry(why).or_default() += 1;
-            None
-        }
-        None => Some(sample),
-    });
-    kept.collect()
 }
 
 /// A scene whose every state is a number.

@@ -1,7 +1,7 @@
 //! Which samples become scenarios? Rejection by limits of metrics and objectives, and the best of many.
 
 use super::Limit;
-use crate::metrics::{ALL, Direction, SampleGroup, by_id};
+use crate::metrics::{ALL, Direction, MetricSettings, SampleGroup, by_id};
 use crate::scene::{Scene, TrackId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -48,8 +48,8 @@ pub(super) struct Candidate<'a> {
 
 impl Candidate<'_> {
     /// The value of what a selection names; `None` where it is not defined for the sample.
-    fn value(&self, id: &str, recorded: &Scene) -> Option<f64> {
-        if let Some(metric) = by_id(id) {
+    fn value(&self, id: &str, recorded: &Scene, settings: &MetricSettings) -> Option<f64> {
+        if let Some(metric) = settings.by_id(id) {
             let alone = SampleGroup::equally_likely(recorded, std::slice::from_ref(self.scene));
             return metric.evaluate(&SampleGroup { asked: self.asked, ..alone });
         }
@@ -58,9 +58,9 @@ impl Candidate<'_> {
     }
 
     /// The same, turned so that less is better; what is not defined is the worst.
-    fn cost(&self, id: &str, recorded: &Scene) -> f64 {
+    fn cost(&self, id: &str, recorded: &Scene, settings: &MetricSettings) -> f64 {
         let sign = if direction(id) == Direction::HigherIsBetter { -1.0 } else { 1.0 };
-        self.value(id, recorded).map_or(f64::INFINITY, |value| sign * value)
+        self.value(id, recorded, settings).map_or(f64::INFINITY, |value| sign * value)
     }
 }
 
@@ -68,6 +68,11 @@ impl SelectConfig {
     /// Whether samples are judged by objectives of the sweep.
     pub(super) fn names_objectives(&self) -> bool {
         self.ids().any(|id| by_id(id).is_none())
+    }
+
+    /// Whether it judges by metrics of which `is_such` holds.
+    pub(super) fn names_metric(&self, is_such: impl Fn(&str) -> bool) -> bool {
+        self.ids().any(|id| is_such(id))
     }
 
     fn ids(&self) -> impl Iterator<Item = &String> {
@@ -118,22 +123,29 @@ impl SelectConfig {
         }
     }
 
-    /// For each sample of one recorded scene why it is left out; `None` where it is kept. A metric that is not defined for a
+    /// For each sample of one recorded scene why it is left out; `None` where it is kept. Metrics judge by `settings`. A metric that is not defined for a
     /// sample makes it the worst; [`Limit`] says what that means to limits.
-    pub(super) fn verdicts(&self, recorded: &Scene, samples: &[Candidate<'_>]) -> Vec<Option<String>> {
+    pub(super) fn verdicts(
+        &self,
+        recorded: &Scene,
+        samples: &[Candidate<'_>],
+        settings: &MetricSettings,
+    ) -> Vec<Option<String>> {
         let mut verdicts: Vec<Option<String>> = samples
             .iter()
             .map(|sample| {
                 self.limits.iter().find_map(|(id, limit)| {
                     let higher_is_better = direction(id) == Direction::HigherIsBetter;
-                    limit.broken_by(sample.value(id, recorded), higher_is_better).map(|why| format!("{id} {why}"))
+                    limit
+                        .broken_by(sample.value(id, recorded, settings), higher_is_better)
+                        .map(|why| format!("{id} {why}"))
                 })
             })
             .collect();
         let Some(best) = self.best else { return verdicts };
         let mut ranked: Vec<(Vec<f64>, usize)> = (0..samples.len())
             .filter(|i| verdicts[*i].is_none())
-            .map(|i| (self.by.iter().map(|id| samples[i].cost(id, recorded)).collect(), i))
+            .map(|i| (self.by.iter().map(|id| samples[i].cost(id, recorded, settings)).collect(), i))
             .collect();
         ranked.sort_by(|(a, i), (b, j)| {
             let first_difference = a.iter().zip(b).map(|(a, b)| a.total_cmp(b)).find(|order| order.is_ne());
@@ -154,6 +166,7 @@ fn direction(id: &str) -> Direction {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::metrics::{Check, ValidityConfig};
     use crate::scene::testing::{Drive, scene};
 
     /// A car that drives on at 10 m/s, and futures of it at other speeds; ADE and FDE grow with the difference.
@@ -174,11 +187,15 @@ mod tests {
     fn the_best_are_kept_and_the_first_of_equals() {
         let (recorded, samples) = samples();
         let samples = candidates(&samples);
-        let verdicts = select("best = 1\nby = ['min_fde_m']").verdicts(&recorded, &samples);
+        let verdicts = select("best = 1\nby = ['min_fde_m']").verdicts(&recorded, &samples, &MetricSettings::default());
         let kept: Vec<usize> = (0..4).filter(|i| verdicts[*i].is_none()).collect();
         assert_eq!(kept, [1]);
         assert_eq!(verdicts[3].as_deref(), Some("not among the best 1"));
-        let verdicts = select("best = 3\nby = ['collision_rate', 'min_ade_m']").verdicts(&recorded, &samples);
+        let verdicts = select("best = 3\nby = ['collision_rate', 'min_ade_m']").verdicts(
+            &recorded,
+            &samples,
+            &MetricSettings::default(),
+        );
         assert_eq!(verdicts.iter().map(Option::is_some).collect::<Vec<_>>(), [false, false, true, false]);
     }
 
@@ -190,8 +207,11 @@ mod tests {
             by_id("min_fde_m").unwrap().evaluate(&group).unwrap()
         };
         let limit = f64::midpoint(fde_m(0), fde_m(1));
-        let verdicts = select(&format!("best = 3\nby = ['min_ade_m']\nlimits = {{ min_fde_m = {limit} }}"))
-            .verdicts(&recorded, &candidates(&samples));
+        let verdicts = select(&format!("best = 3\nby = ['min_ade_m']\nlimits = {{ min_fde_m = {limit} }}")).verdicts(
+            &recorded,
+            &candidates(&samples),
+            &MetricSettings::default(),
+        );
         assert_eq!(verdicts.iter().map(Option::is_some).collect::<Vec<_>>(), [true, false, true, false]);
         assert_eq!(verdicts[0], Some(format!("min_fde_m beyond {limit}")));
     }
@@ -214,7 +234,8 @@ mod tests {
         let samples: Vec<Candidate<'_>> =
             scenes.iter().map(|scene| Candidate { scene, objectives: &[], asked: &asked }).collect();
         let kept = |limits: &str| -> Vec<usize> {
-            let verdicts = select(&format!("limits = {{ {limits} }}")).verdicts(&recorded, &samples);
+            let verdicts =
+                select(&format!("limits = {{ {limits} }}")).verdicts(&recorded, &samples, &MetricSettings::default());
             (0..3).filter(|i| verdicts[*i].is_none()).collect()
         };
         assert_eq!(kept("pair_min_ttc_s = { at_most = 2 }"), [0, 1], "the third never collides");
@@ -222,6 +243,24 @@ mod tests {
         assert_eq!(kept("pair_min_ttc_s = [1, 2]"), [1]);
         assert_eq!(kept("pair_min_distance_m = [3.5, 5.5001]"), [1, 2]);
         assert_eq!(kept("pair_min_distance_m = { at_most = 4 }, scene_max_drac_mps2 = { at_least = 1 }"), [0]);
+    }
+
+    #[test]
+    fn validity_is_judged_by_the_limits_that_are_set() {
+        // Two cars in a row, the second one stopping at once or in time: the first passes through it.
+        let at = |speed_mps: f64| {
+            scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(10.0 - 0.3 * speed_mps, 0.0, 0.0, speed_mps)])
+        };
+        let scenes = [0.0, 10.0].map(at);
+        let kept = |skip: &[Check]| -> Vec<usize> {
+            let validity = ValidityConfig { skip: skip.to_vec(), ..ValidityConfig::default() };
+            let settings = MetricSettings { validity, ..MetricSettings::default() };
+            let verdicts =
+                select("limits = { validity_rate = 1.0 }").verdicts(&at(10.0), &candidates(&scenes), &settings);
+            (0..2).filter(|i| verdicts[*i].is_none()).collect()
+        };
+        assert_eq!(kept(&[]), [1]);
+        assert_eq!(kept(&[Check::Collision]), [0, 1]);
     }
 
     #[test]
@@ -236,7 +275,7 @@ mod tests {
         let samples: Vec<Candidate<'_>> =
             scenes.iter().zip(values).map(|(scene, objectives)| Candidate { scene, objectives, asked: &[] }).collect();
         let kept = |toml: &str| -> Vec<usize> {
-            let verdicts = select(toml).verdicts(&recorded, &samples);
+            let verdicts = select(toml).verdicts(&recorded, &samples, &MetricSettings::default());
             (0..4).filter(|i| verdicts[*i].is_none()).collect()
         };
         assert_eq!(kept("best = 2\nby = ['objectives']"), [1, 3], "sums -4, -1.5, -9, -2.4");

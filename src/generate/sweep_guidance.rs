@@ -1,6 +1,6 @@
 //! What guides a sweep? The questions that a sweep's configuration answers, and what makes no sense in it.
 
-use super::{ObserveConfig, SelectConfig, SweepConfig};
+use super::{Level, ObserveConfig, SelectConfig, SweepConfig};
 use crate::behavior;
 use crate::guidance::CleanGradient;
 use crate::tensor::MaskTask;
@@ -37,6 +37,12 @@ impl SweepConfig {
     /// Whether some of its samples are guided.
     pub fn is_guided(&self) -> bool {
         self.strengths.iter().any(|strength| *strength != 0.0)
+    }
+
+    /// Whether some of its samples are forecasts: neither guided nor leaning toward wanted states nor edited.
+    pub fn has_unguided(&self) -> bool {
+        let is_plain = |level: &Level| level.strength == 0.0 && level.weight == 0.0;
+        self.edit.is_none() && self.levels().iter().any(is_plain)
     }
 
     /// Whether some of its samples are guided by the classifier of its behavior.

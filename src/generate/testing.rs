@@ -5,6 +5,7 @@ use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
 use crate::guidance::testing::{denoiser_spec, scene};
+use crate::metrics::MetricSettings;
 use crate::model::{
     BehaviorClassifierConfig, ClassifierKind, ClassifierSpec, DenoiserSpec, SceneDenoiser, TrainedClassifier,
     TrainedDenoiser,
@@ -107,7 +108,7 @@ pub(super) fn with_generator<T>(config: &GenerateConfig, n_nan: usize, use_it: i
     let (denoiser, classifiers) = (denoiser(n_nan), [classifier()]);
     let models = Models { denoiser: &denoiser, classifiers: &classifiers, distilled: None, baseline: None };
     let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
-    use_it(&Generator::new(config, models, &behaviors, &load, &Device::Cpu).unwrap())
+    use_it(&Generator::new(config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu).unwrap())
 }
 
 /// The same for a configuration that may be refused.
@@ -118,7 +119,7 @@ pub(super) fn with_generator_result<T>(
     let (denoiser, classifiers) = (denoiser(0), [classifier()]);
     let models = Models { denoiser: &denoiser, classifiers: &classifiers, distilled: None, baseline: None };
     let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
-    use_it(&Generator::new(config, models, &behaviors, &load, &Device::Cpu)?)
+    use_it(&Generator::new(config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu)?)
 }
 
 pub(super) fn index(n: usize) -> Vec<SceneIndexEntry> {

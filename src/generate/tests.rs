@@ -7,6 +7,7 @@ use super::testing::*;
 use super::*;
 use crate::behavior::Behavior;
 use crate::guidance::testing::{N_HISTORY, scene};
+use crate::metrics::MetricSettings;
 use crate::model::{Distillation, TrainedClassifier};
 use crate::progress::Silent;
 use crate::scene::Scene;
@@ -132,7 +133,8 @@ fn the_plan_does_not_depend_on_the_order_of_scenes() {
         let positions: Vec<usize> = entries.iter().map(|(position, _)| *position).collect();
         let reversed: Vec<SceneIndexEntry> = entries.into_iter().map(|(_, entry)| entry).collect();
         let moved = move |idx: usize| load(positions[idx]);
-        let reversed_generator = Generator { scenes: &moved, ..*generator };
+        let metric_settings = generator.metric_settings.clone();
+        let reversed_generator = Generator { scenes: &moved, metric_settings, ..*generator };
         assert_eq!(ids(&plan), ids(&reversed_generator.plan(&reversed).unwrap()));
     });
 }
@@ -175,6 +177,7 @@ fn configurations_that_make_no_sense_are_refused() {
         (sweep("n_samples = 0"), "n_samples is 0"),
         (sweep("behavior = 'drift'\nstrengths = [nan]"), "a strength is NaN"),
         (sweep(&sweep("")), "taken by another"),
+        (sweep("").replace("'a'", "'recorded'"), "sweeps.0.name is \"recorded\", which tables call other traffic"),
         (sweep("strenghts = [1.0]"), "strenghts"),
         (format!("batch_size = 0\n{}", sweep("")), "batch_size is 0"),
         (sweep("model = 'distilled'"), "does not answer with a mean"),
@@ -201,7 +204,9 @@ fn models_must_fit_each_other_and_the_sweeps() {
         let (denoiser, config) = (denoiser(0), config(toml));
         let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
         let models = Models { denoiser: &denoiser, classifiers, distilled: None, baseline: None };
-        Generator::new(&config, models, &behaviors, &load, &Device::Cpu).err().map(|error| error.to_string())
+        Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu)
+            .err()
+            .map(|error| error.to_string())
     };
     assert_eq!(refusal(SWEEPS, &[classifier()]), None);
     assert!(refusal(SWEEPS, &[]).unwrap().contains("no classifier of drift"));
@@ -222,7 +227,9 @@ fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
         distilled.spec.distillation = distillation;
         let config = config(&format!("[[sweeps]]\nname = 'a'\nn_scenes = 2\nmodel = 'distilled'\n{rest}"));
         let models = Models { denoiser: &denoiser, classifiers: &[], distilled: Some(&distilled), baseline: None };
-        Generator::new(&config, models, &[], &load, &Device::Cpu).err().map(|error| error.to_string())
+        Generator::new(&config, models, &[], &load, MetricSettings::default(), &Device::Cpu)
+            .err()
+            .map(|error| error.to_string())
     };
     let steps = || Some(Distillation::Steps { sigmas: vec![30.0, 2.0, 0.0] });
     let euler = |last: f64| {
@@ -248,7 +255,8 @@ fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
     denoiser.spec.distillation = steps();
     let config = config("[[sweeps]]\nname = 'a'\nn_scenes = 2");
     let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline: None };
-    let message = Generator::new(&config, models, &[], &load, &Device::Cpu).err().unwrap().to_string();
+    let message =
+        Generator::new(&config, models, &[], &load, MetricSettings::default(), &Device::Cpu).err().unwrap().to_string();
     assert!(message.contains("the denoiser is a distilled one"), "{message}");
 }
 

@@ -5,7 +5,7 @@ use crate::scene::{Scene, TrackId};
 
 /// What the miner says of a scenario.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Verdict {
+pub struct Verification {
     /// Whether the behavior happens with the requested roles.
     pub verified: bool,
     /// All positive events of the behavior; those with the requested roles come first.
@@ -15,14 +15,19 @@ pub struct Verdict {
 }
 
 /// Checks `generated`, a continuation of `recorded`, for `behavior` with the requested `roles`; without roles, of anybody.
-pub fn verify(behavior: &dyn Behavior, roles: &[(String, TrackId)], recorded: &Scene, generated: &Scene) -> Verdict {
+pub fn verify(
+    behavior: &dyn Behavior,
+    roles: &[(String, TrackId)],
+    recorded: &Scene,
+    generated: &Scene,
+) -> Verification {
     let is_requested = |event: &BehaviorEvent| roles.is_empty() || event.roles == roles;
     let (mut events, others): (Vec<_>, Vec<_>) =
         positive_events(behavior, generated).into_iter().partition(is_requested);
     let verified = !events.is_empty();
     events.extend(others);
     let recorded_event = positive_events(behavior, recorded).iter().any(is_requested);
-    Verdict { verified, events, recorded_event }
+    Verification { verified, events, recorded_event }
 }
 
 /// The positive events of `behavior` in `scene`.

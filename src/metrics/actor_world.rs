@@ -4,7 +4,7 @@ use super::displacement::{displacements_m, final_displacement_m, mean};
 use super::miss_rate::is_miss;
 use super::sample_group::{future, present_agents};
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
-use crate::scene::{Dataset, Scene, TrackRole};
+use crate::scene::{Benchmark, MissRule, Scene, TrackRole};
 
 /// Agents whose centers are closer than this collide, metres (Argoverse 2).
 const COLLISION_M: f64 = 1.0;
@@ -54,7 +54,7 @@ impl Metric for ActorWorld {
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
         let recorded = group.recorded;
-        if recorded.source.dataset != Dataset::Argoverse2 {
+        if recorded.source.dataset.facts().benchmark != Benchmark::ArgoverseWorlds {
             return None;
         }
         let agents = scored_agents(recorded);
@@ -74,7 +74,7 @@ impl Metric for ActorWorld {
                 let last = future(recorded).last()?;
                 over_agents(&|agent| {
                     let (truth, sampled) = (recorded.state(agent, last)?, world.state(agent, last)?);
-                    Some(as_figure(is_miss(Dataset::Argoverse2, truth, sampled)))
+                    Some(as_figure(is_miss(MissRule::Radial, truth, sampled)))
                 })
             }
             Self::CollisionRate => over_agents(&|agent| {

@@ -1,7 +1,7 @@
 //! How far is a sampled agent from where it was recorded?
 
 use super::sample_group::{future, present_agents};
-use crate::scene::{AgentClass, Dataset, Scene};
+use crate::scene::{AgentClass, Benchmark, Scene};
 
 /// Which agents a joint metric scores, of those tracked at present. Most papers, DJINN among them, count all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,7 +28,7 @@ impl ScoredAgents {
 
 fn is_target(recorded: &Scene, agent_idx: usize) -> bool {
     let track = &recorded.tracks[agent_idx];
-    recorded.source.dataset == Dataset::Interaction
+    recorded.source.dataset.facts().benchmark == Benchmark::InteractionJoint
         && track.class == AgentClass::Vehicle
         && (0..recorded.n_timesteps).all(|timestep| track.trajectory.is_valid(timestep))
 }

@@ -78,7 +78,13 @@ fn miss_share(recorded: &Scene, sample: &Scene, targets: &[usize]) -> Option<f64
     let last = future(recorded).last()?;
     let misses: Option<Vec<bool>> = targets
         .iter()
-        .map(|agent| Some(is_miss(recorded.source.dataset, recorded.state(*agent, last)?, sample.state(*agent, last)?)))
+        .map(|agent| {
+            Some(is_miss(
+                recorded.source.dataset.facts().miss_rule,
+                recorded.state(*agent, last)?,
+                sample.state(*agent, last)?,
+            ))
+        })
         .collect();
     Some(misses?.into_iter().filter(|is_miss| *is_miss).count() as f64 / targets.len() as f64)
 }

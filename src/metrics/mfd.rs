@@ -6,7 +6,8 @@ use super::{Direction, Metric, MetricSpec, SampleGroup};
 use crate::geometry::Vec2;
 
 /// MFD, the maximum final distance: of each agent the largest distance between its last positions in any two samples, averaged
-/// over agents. Defined for two samples and more; the recorded future does not matter.
+/// over the agents that were sampled. A scene may hold more of them than a denoiser continues; about those there is nothing to
+/// say. Defined for two samples and more; the recorded future does not matter.
 #[derive(Debug, Clone, Copy)]
 pub struct Mfd;
 
@@ -16,7 +17,7 @@ impl Metric for Mfd {
             id: "mfd_m",
             unit: "m",
             direction: Direction::Neither,
-            description: "largest distance between the last positions of an agent in two samples, mean over agents",
+            description: "largest distance between the last positions of an agent in two samples, mean over sampled agents",
         }
     }
 
@@ -32,7 +33,9 @@ impl Metric for Mfd {
             let pairs = ends.iter().enumerate().flat_map(|(i, a)| ends[i + 1..].iter().map(|b| a.distance(*b)));
             pairs.reduce(f64::max)
         };
-        let distances: Option<Vec<f64>> = present_agents(group.recorded).map(largest_m).collect();
+        let is_sampled =
+            |agent_idx: &usize| group.samples.iter().any(|sample| sample.state(*agent_idx, last).is_some());
+        let distances: Option<Vec<f64>> = present_agents(group.recorded).filter(is_sampled).map(largest_m).collect();
         mean(&distances?)
     }
 }

@@ -1,7 +1,7 @@
 //! Does no sample end where the ego went?
 
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
-use crate::scene::{Dataset, State};
+use crate::scene::{MissRule, State};
 
 /// Farthest miss along the motion of a slow and of a fast vehicle, metres, and the speeds these are, m/s (INTERACTION).
 const LONGITUDINAL_M: [f64; 2] = [1.0, 2.0];
@@ -36,7 +36,7 @@ impl Metric for MissRate {
         let truth = recorded.state(recorded.ego_idx, last)?;
         group.min_over_samples(|sample| {
             let sampled = sample.state(recorded.ego_idx, last)?;
-            Some(if is_miss(recorded.source.dataset, truth, sampled) { 1.0 } else { 0.0 })
+            Some(if is_miss(recorded.source.dataset.facts().miss_rule, truth, sampled) { 1.0 } else { 0.0 })
         })
     }
 
@@ -45,12 +45,12 @@ impl Metric for MissRate {
     }
 }
 
-/// Whether a sampled last state misses the recorded one, by the rule of the dataset.
-pub(super) fn is_miss(dataset: Dataset, truth: &State, sampled: &State) -> bool {
+/// Whether a sampled last state misses the recorded one.
+pub(super) fn is_miss(rule: MissRule, truth: &State, sampled: &State) -> bool {
     let error = (sampled.position - truth.position).rotated(-truth.heading_rad);
-    match dataset {
-        Dataset::Interaction => error.y.abs() > LATERAL_M || error.x.abs() > longitudinal_limit_m(truth.speed_mps()),
-        Dataset::Argoverse1 | Dataset::Argoverse2 => error.norm() > RADIAL_M,
+    match rule {
+        MissRule::AlongHeading => error.y.abs() > LATERAL_M || error.x.abs() > longitudinal_limit_m(truth.speed_mps()),
+        MissRule::Radial => error.norm() > RADIAL_M,
     }
 }
 
@@ -70,13 +70,13 @@ mod tests {
         // Facing north at 6.2 m/s: 1.5 m lengthwise is along y.
         let heading_rad = std::f64::consts::FRAC_PI_2;
         let truth = State { heading_rad, velocity: Vec2::new(0.0, 6.2), ..State::default() };
-        let misses = |dataset: Dataset, x: f64, y: f64| {
-            is_miss(dataset, &truth, &State { position: Vec2::new(x, y), ..State::default() })
+        let misses = |rule: MissRule, x: f64, y: f64| {
+            is_miss(rule, &truth, &State { position: Vec2::new(x, y), ..State::default() })
         };
-        assert!(!misses(Dataset::Interaction, 0.99, 1.49));
-        assert!(misses(Dataset::Interaction, 1.01, 0.0));
-        assert!(misses(Dataset::Interaction, 0.0, -1.51));
-        assert!(!misses(Dataset::Argoverse1, 1.4, 1.4));
-        assert!(misses(Dataset::Argoverse2, 1.5, 1.5));
+        assert!(!misses(MissRule::AlongHeading, 0.99, 1.49));
+        assert!(misses(MissRule::AlongHeading, 1.01, 0.0));
+        assert!(misses(MissRule::AlongHeading, 0.0, -1.51));
+        assert!(!misses(MissRule::Radial, 1.4, 1.4));
+        assert!(misses(MissRule::Radial, 1.5, 1.5));
     }
 }

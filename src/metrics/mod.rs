@@ -48,6 +48,8 @@ mod probability_penalty;
 mod probable_miss_rate;
 mod road;
 mod sample_group;
+mod series;
+mod settings;
 mod spec;
 mod validity;
 
@@ -77,6 +79,8 @@ pub use plausibility::RecordedRanges;
 pub use probability_penalty::{Displacement, PenalizedMinimum, Penalty};
 pub use probable_miss_rate::ProbableMissRate;
 pub use sample_group::SampleGroup;
+pub use series::{Group, SeriesKey};
+pub use settings::MetricSettings;
 pub use spec::{Direction, MetricSpec};
 pub use validity::{Check, Judged, LocalFit, ValidityConfig, ValidityRate, Violation};
 
@@ -90,6 +94,20 @@ pub trait Metric: Send + Sync {
     /// about the samples themselves, such as their variety, or how often they collide.
     fn modes(&self) -> Option<ModesOf> {
         None
+    }
+}
+
+impl<M: Metric + ?Sized> Metric for &M {
+    fn spec(&self) -> MetricSpec {
+        (**self).spec()
+    }
+
+    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
+        (**self).evaluate(group)
+    }
+
+    fn modes(&self) -> Option<ModesOf> {
+        (**self).modes()
     }
 }
 

@@ -28,7 +28,7 @@ impl Metric for ProbableMissRate {
         let (best, _) = group.best_sample(|sample| ego_fde_m(recorded, sample))?;
         let all_miss = group.min_over_samples(|sample| {
             let sampled = sample.state(recorded.ego_idx, last)?;
-            Some(if is_miss(recorded.source.dataset, truth, sampled) { 1.0 } else { 0.0 })
+            Some(if is_miss(recorded.source.dataset.facts().miss_rule, truth, sampled) { 1.0 } else { 0.0 })
         })?;
         if all_miss > 0.0 { Some(1.0) } else { Some(1.0 - group.probability(best)?) }
     }

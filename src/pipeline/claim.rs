@@ -22,7 +22,7 @@ pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Res
                     check_overlap(&root.join(name), [(input.name.as_str(), input.path.as_path())]).map_err(
                         |error| {
                             let failure = Failure::from(error).context(format!("stage {} cannot run", writer.id()));
-                            match writer.id().trains() {
+                            match writer.id().facts().trains {
                                 true => failure.with_hint(
                                     "to go on from a model of this folder, copy it elsewhere and name the copy",
                                 ),

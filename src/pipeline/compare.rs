@@ -2,8 +2,8 @@
 
 use super::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use super::run::{CONFIG_FILE, RUN_FILE, RunManifest};
-use super::stages::EvaluationSummary;
 use super::{Classify, Failure, Result, StageId, StageRecord};
+use crate::evaluate::EvaluationSummary;
 use crate::files::{Error, check_overlap, is_link};
 use crate::report::{ComparedRun, Comparison, Fact, MetricTable, PAGE_MARK, render_comparison};
 use crate::store::{read_json, write_atomically};

@@ -161,7 +161,8 @@ fn made_up_scene(n_history: usize, n_timesteps: usize, dt_s: f64) -> Scene {
     Scene {
         id: SceneId("made-up".to_owned()),
         source: SceneSource {
-            dataset: Dataset::Interaction,
+            // Any: nothing is asked of it.
+            dataset: Dataset::ALL[0],
             version: String::new(),
             split: Split::Unsplit,
             place: String::new(),

@@ -153,7 +153,7 @@ struct Named<'a> {
 
 impl Progress for Named<'_> {
     fn start(&self, phase: &str, total: u64, unit: &str) {
-        let stage = self.stage.command();
+        let stage = self.stage.facts().command;
         let is_whole = stage.split(' ').any(|word| word == phase);
         let name = if is_whole { stage.to_owned() } else { format!("{stage}: {phase}") };
         self.inner.start(&name, total, unit);
@@ -206,8 +206,10 @@ fn identify(root: &Path, planned: &[PlannedStage<'_>], input: &StageInput) -> Re
     let content = fingerprint_path(&input.path).map_err(|error| {
         let failure = Failure::input(error).context(format!("failed to read the input {}", input.name));
         match input.producer {
-            Some(producer) => failure
-                .with_hint(format!("`djinn {}` makes it; --help says how to name another place", producer.command())),
+            Some(producer) => failure.with_hint(format!(
+                "`djinn {}` makes it; --help says how to name another place",
+                producer.facts().command
+            )),
             None => failure.with_hint("relative paths are relative to the current directory"),
         }
     })?;

@@ -30,7 +30,7 @@ pub struct Kept {
 /// stage's own section.
 pub(super) fn kept(root: &Path, expected: &StageRecord, why: &str, is_asked: bool) -> Result<Vec<Kept>> {
     let stage = expected.stage;
-    let Some(earlier) = StageRecord::done(root, stage).filter(|_| stage.trains()) else { return Ok(Vec::new()) };
+    let Some(earlier) = StageRecord::done(root, stage).filter(|_| stage.facts().trains) else { return Ok(Vec::new()) };
     let there: Vec<&String> = earlier.outputs.keys().filter(|name| root.join(name).is_dir()).collect();
     if earlier.summary["trained"] != true || there.is_empty() {
         return Ok(Vec::new());
@@ -56,7 +56,7 @@ fn refusal(root: &Path, stage: StageId, why: &str, seconds: Option<f64>) -> Fail
     let redo = format!("--redo {stage}");
     Failure::input_message(message).with_hint(format!(
         "add {redo} to train anew (the model is moved aside), undo the change, or copy the model elsewhere and go on with it by {}.checkpoint",
-        stage.section()
+        stage.facts().section
     ))
 }
 

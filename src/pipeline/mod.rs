@@ -25,6 +25,7 @@ pub mod run;
 #[cfg(test)]
 mod safety_tests;
 mod stage;
+mod stage_facts;
 pub mod stages;
 mod work;
 
@@ -34,3 +35,4 @@ pub use fingerprint::{PathFingerprint, fingerprint_path};
 pub use keep::Kept;
 pub use record::{InputRecord, StageRecord};
 pub use stage::{Stage, StageContext, StageId, StageInput};
+pub use stage_facts::{StageFacts, StageOutput};

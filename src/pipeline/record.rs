@@ -178,7 +178,7 @@ impl StageRecord {
         if self.version != earlier.version {
             changes.push(format!("stage version {} -> {}", earlier.version, self.version));
         }
-        changed_keys(self.stage.section(), &earlier.config, &self.config, &mut changes);
+        changed_keys(self.stage.facts().section, &earlier.config, &self.config, &mut changes);
         let names: std::collections::BTreeSet<&String> = self.inputs.keys().chain(earlier.inputs.keys()).collect();
         for name in names {
             if self.inputs.get(name).map(InputRecord::identity) != earlier.inputs.get(name).map(InputRecord::identity) {

@@ -46,7 +46,8 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, device: &Dev
 
     let behaviors = settings.mine.build()?;
     let load = |idx: usize| Ok(store.scene(idx)?);
-    let generator = Generator::new(&resolved.config, models.borrowed(), &behaviors, &load, device)?;
+    let metric_settings = settings.metric_settings.unwrap_or_default();
+    let generator = Generator::new(&resolved.config, models.borrowed(), &behaviors, &load, metric_settings, device)?;
     let found = find_shard(&layout.samples, row.shard)?;
     let plan = match &found {
         FoundShard::OfSweep(plan) => plan,

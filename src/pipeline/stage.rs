@@ -48,44 +48,7 @@ impl StageId {
 
     /// The name in file names and messages.
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Ingest => "ingest",
-            Self::Mine => "mine",
-            Self::TrainDenoiser => "train_denoiser",
-            Self::TrainDistill => "train_distill",
-            Self::TrainClassifier => "train_classifier",
-            Self::TrainBaseline => "train_baseline",
-            Self::Generate => "generate",
-            Self::Evaluate => "evaluate",
-            Self::Report => "report",
-        }
-    }
-
-    /// Whether it trains a model, which may have cost hours.
-    pub const fn trains(self) -> bool {
-        matches!(self, Self::TrainDenoiser | Self::TrainDistill | Self::TrainClassifier | Self::TrainBaseline)
-    }
-
-    /// The words of the command that runs this stage alone.
-    pub const fn command(self) -> &'static str {
-        match self {
-            Self::TrainDenoiser => "train denoiser",
-            Self::TrainDistill => "train distill",
-            Self::TrainClassifier => "train classifier",
-            Self::TrainBaseline => "train baseline",
-            other => other.name(),
-        }
-    }
-
-    /// The section of a pipeline file that configures it.
-    pub const fn section(self) -> &'static str {
-        match self {
-            Self::TrainDenoiser => "train.denoiser",
-            Self::TrainDistill => "train.distill",
-            Self::TrainClassifier => "train.classifier",
-            Self::TrainBaseline => "train.baseline",
-            other => other.name(),
-        }
+        self.facts().name
     }
 }
 

@@ -234,7 +234,7 @@ impl Work {
     /// Makes place for new work. An unfinished training is moved aside: it may have cost hours.
     fn discard(&self) -> Result<()> {
         Self::check_ours(&self.root, self.stage)?;
-        if let Some(started) = Self::started(&self.root, self.stage).filter(|_| self.stage.trains()) {
+        if let Some(started) = Self::started(&self.root, self.stage).filter(|_| self.stage.facts().trains) {
             keep::keep_unfinished(&started, &self.dir, &self.root)?;
         }
         self.clean_up()

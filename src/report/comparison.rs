@@ -1,11 +1,12 @@
 //! How do two runs differ? Their settings, what came out, and their figures, side by side with differences.
 
-use super::model::{Fact, MetricTable, MiningSummary, RealismRow, ReportModel, SamplingRow};
+use super::model::{Chart, Fact, MetricTable, ReportModel};
 use super::number::{ABSENT, count, optional, percent, setting, share, value};
 use super::plain::{PlainRow, PlainTable};
 use super::tradeoffs::tradeoffs;
 use super::wilson::wilson_interval;
-use crate::report::model::Chart;
+use crate::evaluate::{BehaviorCount, MiningSummary, RealismRow, SamplingRow};
+use crate::metrics::SeriesKey;
 use crate::store::MetricRow;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -85,9 +86,7 @@ impl Comparison {
         let of = |run: &ComparedRun| run.mining.as_ref().map_or_else(Vec::new, |mining| mining.counts.clone());
         let rows = paired(of(&self.a), of(&self.b), |row| (row.behavior.clone(), row.split.clone(), row.place.clone()));
         for ((behavior, split, place), a, b) in rows {
-            let rate = |row: &super::model::BehaviorCount| {
-                (row.n_scenes > 0).then(|| row.n_scenes_with as f64 / row.n_scenes as f64)
-            };
+            let rate = |row: &BehaviorCount| (row.n_scenes > 0).then(|| row.n_scenes_with as f64 / row.n_scenes as f64);
             let (a, b) = (a.as_ref().and_then(rate), b.as_ref().and_then(rate));
             let text = |rate: Option<f64>| rate.map_or_else(|| ABSENT.to_owned(), percent);
             table.push(vec![behavior, split, place, text(a), text(b), points(a, b)]);
@@ -116,7 +115,7 @@ impl Comparison {
             "B",
         ];
         let mut table = PlainTable::new("Sampling by sweep, place and guidance strength", &columns);
-        let key = |row: &SamplingRow| (row.sweep.clone(), row.place.clone(), row.strength.to_bits());
+        let key = |row: &SamplingRow| (row.sweep.clone(), row.place.clone(), row.strength);
         for ((sweep, place, strength), a, b) in paired(self.a.sampling.clone(), self.b.sampling.clone(), key) {
             let both = |of: &dyn Fn(&SamplingRow) -> String| {
                 [&a, &b].map(|row| row.as_ref().map_or_else(|| ABSENT.to_owned(), of))
@@ -131,7 +130,7 @@ impl Comparison {
             };
             let is_apart = interval(&a).zip(interval(&b)).is_some_and(|(a, b)| a.high < b.low || b.high < a.low);
             let difference = format!("{}{}", points(rate(&a), rate(&b)), if is_apart { " *" } else { "" });
-            let mut cells = vec![sweep, place, setting(f64::from_bits(strength))];
+            let mut cells = vec![sweep, place, setting(strength)];
             cells.extend(both(&|row| count(row.n_scenarios)));
             cells.extend(both(&|row| asked(row, share(row.n_verified, row.n_scenarios))));
             cells.push(difference);
@@ -155,18 +154,17 @@ impl Comparison {
                 .cloned()
                 .collect()
         };
-        let group = |row: &MetricRow| (row.sweep.clone(), row.group.clone(), row.strength.to_bits());
-        let key = |row: &MetricRow| (group(row), row.metric.clone());
-        let mut tables: Vec<((String, String, u64), PlainTable)> = Vec::new();
-        for ((of_group, metric), a, b) in paired(overall(&self.a), overall(&self.b), key) {
-            let at = tables.iter().position(|(known, _)| *known == of_group).unwrap_or_else(|| {
-                let (sweep, name, strength) = &of_group;
-                let caption = match name.as_str() {
-                    "recorded" | "constant_velocity" => format!("{sweep}: {}", name.replace('_', " ")),
-                    _ => format!("{sweep}: {name}, α = {}", setting(f64::from_bits(*strength))),
+        let key = |row: &MetricRow| (row.series(), row.metric.clone());
+        let mut tables: Vec<(SeriesKey, PlainTable)> = Vec::new();
+        for ((series, metric), a, b) in paired(overall(&self.a), overall(&self.b), key) {
+            let at = tables.iter().position(|(known, _)| *known == series).unwrap_or_else(|| {
+                let SeriesKey { group, sweep, strength } = &series;
+                let caption = match group.is_generated() {
+                    false => format!("{sweep}: {group}"),
+                    true => format!("{sweep}: {}, α = {}", group.name(), setting(*strength)),
                 };
                 tables.push((
-                    of_group.clone(),
+                    series.clone(),
                     PlainTable::new(caption, &["Metric", "A", "B", "Difference", "Its standard error"]),
                 ));
                 tables.len() - 1
@@ -184,7 +182,7 @@ impl Comparison {
                 format!("{}{mark}", signed(difference)),
                 optional(error),
             ];
-            let is_reference = matches!(of_group.1.as_str(), "recorded" | "constant_velocity");
+            let is_reference = !series.group.is_generated();
             tables[at].1.rows.push(PlainRow { cells, is_reference });
         }
         tables.into_iter().map(|(_, table)| table).collect()
@@ -204,18 +202,18 @@ impl Comparison {
             "B",
         ];
         let mut table = PlainTable::new("Distance of motion from the recording", &columns);
-        let key = |row: &RealismRow| {
-            (row.group.clone(), row.sweep.clone(), row.strength.to_bits(), format!("{} ({})", row.quantity, row.unit))
-        };
-        for ((group, sweep, strength, quantity), a, b) in paired(self.a.realism.clone(), self.b.realism.clone(), key) {
+        let key = |row: &RealismRow| (row.series(), format!("{} ({})", row.quantity, row.unit));
+        for ((SeriesKey { group, sweep, strength }, quantity), a, b) in
+            paired(self.a.realism.clone(), self.b.realism.clone(), key)
+        {
             let both = |of: fn(&RealismRow) -> Option<f64>| [&a, &b].map(|row| row.as_ref().and_then(of));
             let ([w_a, w_b], [js_a, js_b]) = (both(|row| row.wasserstein), both(|row| row.jensen_shannon));
             let difference = signed(w_a.zip(w_b).map(|(a, b)| b - a));
-            let is_reference = group == "constant_velocity";
+            let is_reference = !group.is_generated();
             let cells = vec![
-                group.replace('_', " "),
+                group.to_string(),
                 sweep,
-                setting(f64::from_bits(strength)),
+                setting(strength),
                 quantity,
                 optional(w_a),
                 optional(w_b),

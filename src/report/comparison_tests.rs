@@ -1,8 +1,10 @@
 //! Do comparisons pair what belongs together, and mark what differs by more than chance?
 
 use super::comparison::{ComparedRun, Comparison};
-use super::model::{MetricTable, SamplingRow};
+use super::model::MetricTable;
 use super::plain::PlainTable;
+use crate::evaluate::SamplingRow;
+use crate::metrics::Group;
 use crate::store::MetricRow;
 
 fn sampling(strength: f64, n_verified: u64) -> SamplingRow {
@@ -24,7 +26,7 @@ fn sampling(strength: f64, n_verified: u64) -> SamplingRow {
 
 fn metric(name: &str, value: f64, std_error: f64) -> MetricRow {
     MetricRow {
-        group: "unguided".into(),
+        group: Group::Unguided,
         sweep: "cut_ins".into(),
         strength: 0.0,
         place: String::new(),

@@ -5,41 +5,44 @@
 //! script to be read: with one, scenes play and can be filtered.
 
 mod card;
+mod cautions;
+mod choice;
+#[cfg(test)]
+mod choice_tests;
+mod compared;
 mod comparison;
 #[cfg(test)]
 mod comparison_tests;
+mod config;
 mod distribution;
 mod figures;
+mod figures_of_scenarios;
+mod gallery;
 mod html;
 mod model;
 mod number;
 mod plain;
 mod quantities;
-mod summaries;
 mod svg;
-mod tally;
-#[cfg(test)]
-mod testing;
 mod tradeoffs;
 #[cfg(test)]
 mod tradeoffs_tests;
+mod training;
 mod wilson;
 
 pub use card::{
     Acceptance, CardKey, CardValue, DrawnAgent, DrawnLane, DrawnSample, Sample, SceneCard, ScenePanel, Verdict,
     ViewRect,
 };
+pub use cautions::cautions;
 pub use comparison::{ComparedRun, Comparison};
+pub use config::ReportConfig;
 pub use distribution::{Distribution, DistributionSeries};
 pub use figures::{FigureFile, figures};
+pub use gallery::{Drawings, Gallery};
 pub use html::{PAGE_MARK, render, render_comparison};
-pub use model::{
-    AcceptanceRow, BehaviorCount, BehaviorDoc, Chart, Curve, Fact, LeftOutRow, MetricDoc, MetricTable, MiningSummary,
-    RealismRow, ReportModel, SamplingRow, TrainingSummary, ValidityRow, Warning,
-};
+pub use model::{Chart, Curve, Fact, MetricTable, ReportModel, TrainingSummary, Warning};
 pub use plain::{PlainRow, PlainSection, PlainTable};
 pub use quantities::{MotionDistributions, event_distributions};
-pub use summaries::MiningTally;
-pub use tally::SamplingTally;
 pub use tradeoffs::tradeoffs;
 pub use wilson::{Interval, wilson_interval};

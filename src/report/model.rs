@@ -3,14 +3,12 @@
 use super::card::SceneCard;
 use super::distribution::Distribution;
 use super::plain::PlainSection;
-use crate::behavior::BehaviorEntry;
+use crate::evaluate::{AcceptanceRow, LeftOutRow, MetricDoc, MiningSummary, RealismRow, SamplingRow, ValidityRow};
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
-use crate::metrics::{Direction, MetricSpec};
 use crate::store::MetricRow;
 use crate::train::NoiseLevelReport;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 
 /// Everything that a report shows. Parts that a run did not produce are empty and their sections are left out.
 ///
@@ -84,49 +82,6 @@ pub struct Warning {
     pub message: String,
 }
 
-/// What the miner found in the recordings.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct MiningSummary {
-    /// The definition of each mined behavior.
-    pub definitions: Vec<BehaviorDoc>,
-    /// Counts by behavior, split and place.
-    pub counts: Vec<BehaviorCount>,
-}
-
-/// The definition of a behavior.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct BehaviorDoc {
-    /// Its name, such as `cut_in`.
-    pub behavior: String,
-    /// When it starts, when it is complete and what does not count.
-    pub definition: String,
-}
-
-impl From<&BehaviorEntry> for BehaviorDoc {
-    fn from(entry: &BehaviorEntry) -> Self {
-        Self { behavior: entry.id.to_owned(), definition: entry.description.to_owned() }
-    }
-}
-
-/// How often a behavior was found in one part of the recordings.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct BehaviorCount {
-    /// Its name.
-    pub behavior: String,
-    /// The split.
-    pub split: String,
-    /// The place.
-    pub place: String,
-    /// Scenes searched.
-    pub n_scenes: u64,
-    /// Scenes with at least one positive event.
-    pub n_scenes_with: u64,
-    /// Positive events.
-    pub n_positive: u64,
-    /// Hard negatives.
-    pub n_negative: u64,
-}
-
 /// How a network was trained.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TrainingSummary {
@@ -175,121 +130,6 @@ impl Curve {
     }
 }
 
-/// What one sweep gave at one guidance strength.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct SamplingRow {
-    /// The sweep's name in the configuration.
-    pub sweep: String,
-    /// The behavior asked for; `None` where none was.
-    pub behavior: Option<String>,
-    /// The place of the source scenes; empty for all.
-    pub place: String,
-    /// Guidance strength α; 0 is unguided.
-    pub strength: f64,
-    /// The sampler and its steps, such as `heun-20`.
-    pub sampler: String,
-    /// Source scenes.
-    pub n_scenes: u64,
-    /// Scenarios sampled.
-    pub n_scenarios: u64,
-    /// Scenarios in which the miner finds the behavior for the roles asked for.
-    pub n_verified: u64,
-    /// Verified scenarios whose recording does not hold the behavior for the same roles.
-    pub n_new: u64,
-    /// Scenarios in which agents collide, as the metric `collision_rate` defines it.
-    pub n_collision: u64,
-    /// Share of vehicles that leave the road, as the metric `offroad_rate` defines it; `None` without lanes.
-    pub offroad_rate: Option<f64>,
-    /// Denoiser evaluations of one scenario; the classifier is evaluated as often where it guides.
-    pub n_evaluations: u64,
-}
-
-/// What became of the scenarios of one sweep at one strength.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct AcceptanceRow {
-    /// The sweep.
-    pub sweep: String,
-    /// Guidance strength α; 0 is unguided.
-    pub strength: f64,
-    /// Scenarios sampled.
-    pub n_scenarios: u64,
-    /// In which the miner finds the behavior for the roles asked for.
-    pub n_verified: u64,
-    /// That pass every check of validity.
-    pub n_valid: u64,
-    /// That are both.
-    pub n_verified_valid: u64,
-    /// That are both, and no near-duplicates of accepted ones before.
-    pub n_accepted: u64,
-    /// That are in the corpus.
-    pub n_kept: u64,
-}
-
-/// How many samples of a sweep have one reason not to be accepted.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct LeftOutRow {
-    /// The stage that found it.
-    pub stage: String,
-    /// The sweep.
-    pub sweep: String,
-    /// Guidance strength α; `None` where samples of all strengths are counted together.
-    pub strength: Option<f64>,
-    /// The reason: `not_verified`, `near_duplicate`, the name of a check of validity, …
-    pub reason: String,
-    /// How many are not in the corpus for this reason before any other.
-    pub n_left_out: u64,
-    /// How many have it, alone or with others.
-    pub n_found: u64,
-}
-
-/// How many scenes of a group are valid, and how many fail each check.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct ValidityRow {
-    /// `recorded`, `constant_velocity`, `unguided`, or the sweep.
-    pub group: String,
-    /// The sweep.
-    pub sweep: String,
-    /// Guidance strength α; 0 is unguided.
-    pub strength: f64,
-    /// The place; empty for all.
-    pub place: String,
-    /// Scenes judged.
-    pub n: u64,
-    /// That pass every check.
-    pub n_valid: u64,
-    /// Check → how many fail it; those that nobody fails are missing.
-    pub violations: BTreeMap<String, u64>,
-    /// Mean share of motion within the recorded ranges.
-    pub plausibility: Option<f64>,
-}
-
-/// How far the distribution of a quantity of motion over a sweep is from that over its recordings.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct RealismRow {
-    /// What is compared with the recording: `constant_velocity`, `unguided`, or the sweep.
-    pub group: String,
-    /// The sweep.
-    pub sweep: String,
-    /// Guidance strength α; 0 is unguided.
-    pub strength: f64,
-    /// The quantity, such as `yaw rate`.
-    pub quantity: String,
-    /// Its unit.
-    pub unit: String,
-    /// Number of recorded values.
-    pub n_recorded: u64,
-    /// Number of values of the group.
-    pub n: u64,
-    /// Mean of the recorded values.
-    pub recorded_mean: Option<f64>,
-    /// Mean of the group's values.
-    pub mean: Option<f64>,
-    /// Wasserstein-1 distance in the quantity's unit.
-    pub wasserstein: Option<f64>,
-    /// Jensen-Shannon divergence in bits, 0 to 1.
-    pub jensen_shannon: Option<f64>,
-}
-
 /// Metric values with what is needed to read them.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MetricTable {
@@ -297,28 +137,4 @@ pub struct MetricTable {
     pub docs: Vec<MetricDoc>,
     /// Aggregated rows (those without a scene); rows of single scenes are passed over.
     pub rows: Vec<MetricRow>,
-}
-
-/// How to read a metric.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct MetricDoc {
-    /// Its name in the tables.
-    pub metric: String,
-    /// Its unit; `1` for shares and counts.
-    pub unit: String,
-    /// Which way is better.
-    pub direction: Direction,
-    /// Its definition.
-    pub description: String,
-}
-
-impl From<MetricSpec> for MetricDoc {
-    fn from(spec: MetricSpec) -> Self {
-        Self {
-            metric: spec.id.to_owned(),
-            unit: spec.unit.to_owned(),
-            direction: spec.direction,
-            description: spec.description.to_owned(),
-        }
-    }
 }

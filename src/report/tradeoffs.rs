@@ -1,8 +1,10 @@
 //! What does guidance cost? Curves over its strength: yield, collisions, departures from the road and from recorded motion.
 
-use super::model::{Chart, Curve, RealismRow, ReportModel, SamplingRow};
+use super::model::{Chart, Curve, ReportModel};
 use super::number::setting;
 use super::wilson::wilson_interval;
+use crate::evaluate::{RealismRow, SamplingRow};
+use crate::metrics::Group;
 
 const STRENGTH: &str = "guidance strength α";
 
@@ -20,7 +22,7 @@ struct Point {
 }
 
 /// The points of a sweep with more than one strength, by strength.
-struct Sweep<'a> {
+struct SweepCurve<'a> {
     name: &'a str,
     has_behavior: bool,
     points: Vec<Point>,
@@ -29,8 +31,8 @@ struct Sweep<'a> {
 /// Charts over guidance strength with a curve for each sweep that has several; none where no sweep has.
 pub fn tradeoffs(model: &ReportModel) -> Vec<Chart> {
     let sweeps = sweeps(&model.sampling);
-    let asked: Vec<&Sweep<'_>> = sweeps.iter().filter(|sweep| sweep.has_behavior).collect();
-    let all: Vec<&Sweep<'_>> = sweeps.iter().collect();
+    let asked: Vec<&SweepCurve<'_>> = sweeps.iter().filter(|sweep| sweep.has_behavior).collect();
+    let all: Vec<&SweepCurve<'_>> = sweeps.iter().collect();
     let recorded = |metric: &str| recorded_levels(model, &all, metric);
     let mut charts = vec![
         over_strength("Verified scenarios", "% of scenarios", share_curves(&asked, |point| point.n_verified)),
@@ -66,11 +68,11 @@ fn evaluations_per_verified(point: &Point) -> Option<f64> {
     (point.n_verified > 0).then(|| (point.n_evaluations * point.n_scenarios) as f64 / point.n_verified as f64)
 }
 
-fn sweeps(rows: &[SamplingRow]) -> Vec<Sweep<'_>> {
-    let mut sweeps: Vec<Sweep<'_>> = Vec::new();
+fn sweeps(rows: &[SamplingRow]) -> Vec<SweepCurve<'_>> {
+    let mut sweeps: Vec<SweepCurve<'_>> = Vec::new();
     for row in rows.iter().filter(|row| row.n_scenarios > 0) {
         let at = sweeps.iter().position(|sweep| sweep.name == row.sweep).unwrap_or_else(|| {
-            sweeps.push(Sweep { name: &row.sweep, has_behavior: row.behavior.is_some(), points: Vec::new() });
+            sweeps.push(SweepCurve { name: &row.sweep, has_behavior: row.behavior.is_some(), points: Vec::new() });
             sweeps.len() - 1
         });
         let points = &mut sweeps[at].points;
@@ -83,7 +85,7 @@ fn sweeps(rows: &[SamplingRow]) -> Vec<Sweep<'_>> {
             offroad_rate: row.offroad_rate,
             n_evaluations: row.n_evaluations,
         };
-        match points.iter_mut().find(|point| point.strength.to_bits() == row.strength.to_bits()) {
+        match points.iter_mut().find(|point| point.strength == row.strength) {
             Some(point) => *point = together(point, &new),
             None => points.push(new),
         }
@@ -118,15 +120,15 @@ fn over_strength(title: &str, y_label: &str, curves: Vec<Curve>) -> Chart {
     Chart { title: title.to_owned(), x_label: STRENGTH.to_owned(), y_label: y_label.to_owned(), log_x: false, curves }
 }
 
-fn curves(sweeps: &[&Sweep<'_>], value: impl Fn(&Point) -> Option<f64>) -> Vec<Curve> {
-    let points = |sweep: &Sweep<'_>| {
+fn curves(sweeps: &[&SweepCurve<'_>], value: impl Fn(&Point) -> Option<f64>) -> Vec<Curve> {
+    let points = |sweep: &SweepCurve<'_>| {
         sweep.points.iter().filter_map(|point| Some([point.strength, value(point)?])).collect::<Vec<_>>()
     };
     sweeps.iter().map(|sweep| Curve::new(sweep.name, points(sweep))).collect()
 }
 
 /// Shares of scenarios as percentages, with Wilson's 95 % intervals.
-fn share_curves(sweeps: &[&Sweep<'_>], n_hits: fn(&Point) -> u64) -> Vec<Curve> {
+fn share_curves(sweeps: &[&SweepCurve<'_>], n_hits: fn(&Point) -> u64) -> Vec<Curve> {
     let percent = |point: &Point| 100.0 * n_hits(point) as f64 / point.n_scenarios as f64;
     let mut curves = curves(sweeps, |point| Some(percent(point)));
     for (curve, sweep) in curves.iter_mut().zip(sweeps) {
@@ -140,13 +142,13 @@ fn share_curves(sweeps: &[&Sweep<'_>], n_hits: fn(&Point) -> u64) -> Vec<Curve> 
 }
 
 /// Level lines at what the metric says of the recordings that each sweep continues.
-fn recorded_levels(model: &ReportModel, sweeps: &[&Sweep<'_>], metric: &str) -> Vec<Curve> {
+fn recorded_levels(model: &ReportModel, sweeps: &[&SweepCurve<'_>], metric: &str) -> Vec<Curve> {
     levels("recorded", sweeps, |sweep| Some(100.0 * recorded_value(model, sweep.name, metric)?))
 }
 
 /// A level line for each sweep that has the value.
-fn levels(name: &str, sweeps: &[&Sweep<'_>], value: impl Fn(&Sweep<'_>) -> Option<f64>) -> Vec<Curve> {
-    let level = |sweep: &&Sweep<'_>| {
+fn levels(name: &str, sweeps: &[&SweepCurve<'_>], value: impl Fn(&SweepCurve<'_>) -> Option<f64>) -> Vec<Curve> {
+    let level = |sweep: &&SweepCurve<'_>| {
         let value = value(sweep)?;
         let ends = [sweep.points.first()?.strength, sweep.points.last()?.strength];
         let name = if sweeps.len() == 1 { name.to_owned() } else { format!("{name} ({})", sweep.name) };
@@ -158,7 +160,7 @@ fn levels(name: &str, sweeps: &[&Sweep<'_>], value: impl Fn(&Sweep<'_>) -> Optio
 /// What a metric says of the recordings that a sweep continues, over all places.
 pub(super) fn recorded_value(model: &ReportModel, sweep: &str, metric: &str) -> Option<f64> {
     let is_it = |row: &&crate::store::MetricRow| {
-        row.group == "recorded"
+        row.group == Group::Recorded
             && row.sweep == sweep
             && row.metric == metric
             && row.place.is_empty()
@@ -167,12 +169,12 @@ pub(super) fn recorded_value(model: &ReportModel, sweep: &str, metric: &str) -> 
     model.metrics.rows.iter().find(is_it).map(|row| row.value)
 }
 
-fn realism_of<'a>(model: &'a ReportModel, sweep: &'a Sweep<'_>) -> impl Iterator<Item = &'a RealismRow> {
-    model.realism.iter().filter(|row| row.sweep == sweep.name && row.group != "constant_velocity")
+fn realism_of<'a>(model: &'a ReportModel, sweep: &'a SweepCurve<'_>) -> impl Iterator<Item = &'a RealismRow> {
+    model.realism.iter().filter(|row| row.sweep == sweep.name && row.group != Group::ConstantVelocity)
 }
 
 /// One chart for each quantity of motion: its distance from the recording, with that of the constant velocity as a level.
-fn distances(model: &ReportModel, sweeps: &[&Sweep<'_>]) -> Vec<Chart> {
+fn distances(model: &ReportModel, sweeps: &[&SweepCurve<'_>]) -> Vec<Chart> {
     let mut quantities: Vec<(&str, &str)> = Vec::new();
     for row in sweeps.iter().flat_map(|sweep| realism_of(model, sweep)) {
         if !quantities.contains(&(row.quantity.as_str(), row.unit.as_str())) {
@@ -180,15 +182,15 @@ fn distances(model: &ReportModel, sweeps: &[&Sweep<'_>]) -> Vec<Chart> {
         }
     }
     let chart = |(quantity, unit): (&str, &str)| {
-        let of_sweep = |sweep: &&Sweep<'_>| {
+        let of_sweep = |sweep: &&SweepCurve<'_>| {
             let rows = realism_of(model, sweep).filter(|row| row.quantity == quantity);
             let mut points: Vec<[f64; 2]> = rows.filter_map(|row| Some([row.strength, row.wasserstein?])).collect();
             points.sort_by(|a, b| a[0].total_cmp(&b[0]));
             Curve::new(sweep.name, points)
         };
-        let constant_velocity = |sweep: &Sweep<'_>| {
+        let constant_velocity = |sweep: &SweepCurve<'_>| {
             let mut rows = model.realism.iter().filter(|row| row.sweep == sweep.name && row.quantity == quantity);
-            rows.find(|row| row.group == "constant_velocity")?.wasserstein
+            rows.find(|row| row.group == Group::ConstantVelocity)?.wasserstein
         };
         over_strength(
             &format!("Distance from the recording: {quantity}"),
@@ -200,11 +202,11 @@ fn distances(model: &ReportModel, sweeps: &[&Sweep<'_>]) -> Vec<Chart> {
 }
 
 /// What is got over what it costs in realism: each point a strength.
-fn yield_over_distance(model: &ReportModel, sweeps: &[&Sweep<'_>]) -> Chart {
-    let of_sweep = |sweep: &&Sweep<'_>| {
+fn yield_over_distance(model: &ReportModel, sweeps: &[&SweepCurve<'_>]) -> Chart {
+    let of_sweep = |sweep: &&SweepCurve<'_>| {
         let mut curve = Curve::new(sweep.name, Vec::new());
         for point in &sweep.points {
-            let at_strength = realism_of(model, sweep).filter(|row| row.strength.to_bits() == point.strength.to_bits());
+            let at_strength = realism_of(model, sweep).filter(|row| row.strength == point.strength);
             let divergences: Vec<f64> = at_strength.filter_map(|row| row.jensen_shannon).collect();
             if divergences.is_empty() {
                 continue;

@@ -1,7 +1,9 @@
 //! Are the curves over guidance strength those that one would draw by hand?
 
-use super::model::{MetricTable, RealismRow, ReportModel, SamplingRow};
+use super::model::{MetricTable, ReportModel};
 use super::tradeoffs::tradeoffs;
+use crate::evaluate::{RealismRow, SamplingRow};
+use crate::metrics::Group;
 use crate::store::MetricRow;
 
 fn row(place: &str, strength: f64, n_scenarios: u64, n_verified: u64, offroad_rate: Option<f64>) -> SamplingRow {
@@ -23,7 +25,7 @@ fn row(place: &str, strength: f64, n_scenarios: u64, n_verified: u64, offroad_ra
 
 fn model() -> ReportModel {
     let recorded = MetricRow {
-        group: "recorded".into(),
+        group: Group::Recorded,
         sweep: "cut_ins".into(),
         strength: 0.0,
         place: String::new(),
@@ -78,7 +80,7 @@ fn runs_without_several_strengths_have_no_curves() {
 #[test]
 fn yield_is_shown_over_the_mean_distance() {
     let realism = |strength: f64, quantity: &str, divergence: f64| RealismRow {
-        group: if strength == 0.0 { "unguided" } else { "cut_ins" }.into(),
+        group: if strength == 0.0 { Group::Unguided } else { Group::Sweep("cut_ins".into()) },
         sweep: "cut_ins".into(),
         strength,
         quantity: quantity.into(),
@@ -92,7 +94,7 @@ fn yield_is_shown_over_the_mean_distance() {
     };
     let rows = [(0.0, "a", 0.1), (0.0, "b", 0.3), (30.0, "a", 0.2), (30.0, "b", 0.6)];
     let mut rows = rows.map(|(s, q, d)| realism(s, q, d)).to_vec();
-    rows.insert(0, RealismRow { group: "constant_velocity".into(), ..realism(0.0, "b", 0.5) });
+    rows.insert(0, RealismRow { group: Group::ConstantVelocity, ..realism(0.0, "b", 0.5) });
     let model = ReportModel { realism: rows, ..model() };
     let charts = tradeoffs(&model);
     let find = |title: &str| charts.iter().find(|chart| chart.title.contains(title)).expect(title);

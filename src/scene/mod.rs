@@ -2,6 +2,7 @@
 
 mod agent;
 mod agent_ref;
+mod dataset;
 mod edit;
 mod ids;
 mod lane_graph;
@@ -17,11 +18,12 @@ mod trajectory;
 
 pub use agent::{AgentClass, Extent};
 pub use agent_ref::AgentRef;
+pub use dataset::{Benchmark, Dataset, DatasetFacts, MissRule};
 pub use edit::{Meet, ScaleSpeed, SceneEdit, SetPositions, Shift, ShiftTime, TimedPoint};
 pub use ids::{LaneId, MapId, SceneId, TrackId};
 pub use lane_graph::{Lane, LaneAttributes, LaneGraph, TurnDirection};
 pub use observation_mask::ObservationMask;
 pub use scenario::{GuidanceTag, Provenance, Scenario};
-pub use scene::{Dataset, Scene, SceneSource, Split};
+pub use scene::{Scene, SceneSource, Split};
 pub use track::{Track, TrackRole};
 pub use trajectory::{State, Trajectory};

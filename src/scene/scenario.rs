@@ -7,11 +7,19 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GuidanceTag {
     /// Name of the guidance, such as `none`, `classifier:cut_in` or `classifier_free`; parts that act together are joined by `+`.
+    /// Of the baseline, which cannot be guided, `scene_transformer`.
     pub kind: String,
     /// Strength α, or weight λ of classifier-free guidance where that is what varies within the sweep; 0 without guidance.
     pub strength: f64,
     /// The tracks the guidance acted on, as (role, track): empty without guidance.
     pub roles: Vec<(String, TrackId)>,
+}
+
+impl GuidanceTag {
+    /// The kind where nothing guides.
+    pub const NONE: &str = "none";
+    /// The kind of the baseline's joint futures.
+    pub const BASELINE: &str = "scene_transformer";
 }
 
 /// What a generated scenario came from.
@@ -40,6 +48,14 @@ pub struct Provenance {
     pub sampler: String,
     /// Every setting it was sampled with, as JSON text, objectives with their options among them.
     pub settings: String,
+}
+
+impl Provenance {
+    /// Whether it is a forecast: nothing guided it, whatever varies within its sweep, and it does not start from an edited
+    /// recording. The one definition of unguided traffic, for tables, comparisons and predictions.
+    pub fn is_unguided(&self) -> bool {
+        matches!(self.guidance.kind.as_str(), GuidanceTag::NONE | GuidanceTag::BASELINE) && self.edit_tau.is_none()
+    }
 }
 
 /// A generated scene with its provenance.

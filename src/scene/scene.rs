@@ -1,40 +1,9 @@
 //! A recorded traffic scene.
 
-use super::{LaneGraph, MapId, SceneId, State, Track, TrackId};
+use super::{Dataset, LaneGraph, MapId, SceneId, State, Track, TrackId};
 use crate::geometry::Transform2;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-
-/// The datasets that can be ingested.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Dataset {
-    /// INTERACTION, v1.1 recordings or v1.2 cases.
-    Interaction,
-    /// Argoverse 1 motion forecasting.
-    Argoverse1,
-    /// Argoverse 2 motion forecasting.
-    Argoverse2,
-}
-
-impl Dataset {
-    /// Every dataset.
-    pub const ALL: [Self; 3] = [Self::Interaction, Self::Argoverse1, Self::Argoverse2];
-
-    /// The name in tables, ids and configs.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Interaction => "interaction",
-            Self::Argoverse1 => "argoverse1",
-            Self::Argoverse2 => "argoverse2",
-        }
-    }
-
-    /// The dataset of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|dataset| dataset.name() == name)
-    }
-}
 
 /// Which part of a dataset a scene belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema)]

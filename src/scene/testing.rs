@@ -80,6 +80,23 @@ pub(crate) fn scene(drives: &[Drive]) -> Scene {
     }
 }
 
+/// What an unguided sample of a scene came from.
+pub(crate) fn provenance(scene_id: &str) -> Provenance {
+    Provenance {
+        scene_id: scene_id.into(),
+        observation: "predictive".to_owned(),
+        edit_tau: None,
+        checkpoint: "d".to_owned(),
+        classifier: None,
+        seed: 1,
+        sample_idx: 0,
+        probability: None,
+        guidance: GuidanceTag { kind: GuidanceTag::NONE.to_owned(), strength: 0.0, roles: Vec::new() },
+        sampler: "heun-10".to_owned(),
+        settings: String::new(),
+    }
+}
+
 /// Removes the states of a track at the timesteps where `gone` says so.
 pub(crate) fn without_states(mut scene: Scene, agent_idx: usize, gone: impl Fn(usize) -> bool) -> Scene {
     let trajectory = &scene.tracks[agent_idx].trajectory;

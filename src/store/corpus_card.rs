@@ -186,7 +186,7 @@ fn cell(text: &str) -> String {
 mod tests {
     use super::*;
     use crate::scene::Dataset;
-    use crate::store::{PartitionCount, source_terms};
+    use crate::store::PartitionCount;
 
     fn manifest(sources: &[(&str, &str)]) -> CorpusManifest {
         let count = PartitionCount {
@@ -208,7 +208,7 @@ mod tests {
     #[test]
     fn terms_are_carried_through_and_non_commercial_ones_come_first() {
         for dataset in [Dataset::Argoverse1, Dataset::Argoverse2] {
-            let text = card(&manifest(&[(dataset.name(), source_terms(dataset)), ("own", "CC0")]));
+            let text = card(&manifest(&[(dataset.name(), dataset.facts().terms), ("own", "CC0")]));
             let warning = text.find("**Non-commercial use only.**").unwrap();
             assert!(warning < text.find("7 generated scenarios").unwrap());
             assert!(text.contains("CC BY-NC-SA 4.0") && text.contains("- `own`: CC0"), "{text}");

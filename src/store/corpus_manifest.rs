@@ -5,7 +5,6 @@ use super::corpus_layout::{CorpusTable, Partition};
 use super::scene_manifest::MANIFEST_FILE;
 use super::{Error, Result};
 use crate::files::FileStamp;
-use crate::scene::Dataset;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -19,7 +18,7 @@ const FLAT_SCHEMA: &str = "corpus.v1";
 /// What a corpus says of itself beyond its tables.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct CorpusNotes {
-    /// Dataset → its license and citation. Datasets that are used and not named here get [`source_terms`].
+    /// Dataset → its license and citation. Datasets that are used and not named here get [their own](crate::scene::DatasetFacts::terms).
     pub sources: BTreeMap<String, String>,
     /// Anything else, such as the pipeline's name.
     pub notes: BTreeMap<String, String>,
@@ -236,18 +235,6 @@ impl FlatManifest {
             notes: self.notes,
             ..CorpusManifest::empty()
         }
-    }
-}
-
-/// The terms under which a dataset is published, which hold for what is made from it.
-pub const fn source_terms(dataset: Dataset) -> &'static str {
-    match dataset {
-        Dataset::Interaction => {
-            "INTERACTION dataset (Zhan et al. 2019): non-commercial use under the terms it was obtained with. Recordings of \
-             another origin in its format are under the terms of their maker."
-        }
-        Dataset::Argoverse1 => "Argoverse 1 (Chang et al. 2019): CC BY-NC-SA 4.0, non-commercial use only.",
-        Dataset::Argoverse2 => "Argoverse 2 (Wilson et al. 2021): CC BY-NC-SA 4.0, non-commercial use only.",
     }
 }
 

@@ -3,7 +3,7 @@
 use super::atomic::write_json_atomically;
 use super::corpus_card::{CARD_FILE, card};
 use super::corpus_layout::{CorpusTable, NO_BEHAVIOR, Partition};
-use super::corpus_manifest::{CorpusManifest, CorpusNotes, FileEntry, PartitionCount, TableEntry, source_terms};
+use super::corpus_manifest::{CorpusManifest, CorpusNotes, FileEntry, PartitionCount, TableEntry};
 use super::parquet_file::ParquetFile;
 use super::scene_manifest::MANIFEST_FILE;
 use super::tables::columns::Columns;
@@ -151,7 +151,8 @@ impl CorpusSink {
         }
         manifest.scenarios_by_partition = self.counts.into_values().collect();
         for name in manifest.scenarios_by_dataset.keys() {
-            let terms = Dataset::from_name(name).map_or("unknown: find them out before you use it", source_terms);
+            let terms = Dataset::from_name(name)
+                .map_or("unknown: find them out before you use it", |dataset| dataset.facts().terms);
             manifest.sources.insert(name.clone(), terms.to_owned());
         }
         manifest.sources.extend(about.sources.clone());

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::files::keep_list;
+use crate::metrics::Group;
 use crate::scene::{LaneGraph, Scene};
 use crate::store::testing::{assessment, event, folder_bytes, map, record, scene};
 use crate::store::{CorpusReader, SceneStore, SceneWriter, SceneWriterOptions};
@@ -48,7 +49,7 @@ fn recorded(store: &SceneStore, record: &ScenarioRecord) -> Scene {
 
 fn metric_row() -> MetricRow {
     MetricRow {
-        group: "recorded".to_owned(),
+        group: Group::Recorded,
         sweep: String::new(),
         strength: 0.0,
         place: "PIT".to_owned(),

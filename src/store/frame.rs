@@ -52,7 +52,7 @@ pub fn summarize_metrics(rows: &[MetricRow], by_place: bool) -> Result<Vec<Metri
     let summarize = || {
         let text = |of: fn(&MetricRow) -> &str| rows.iter().map(|row| of(row)).collect::<Vec<&str>>();
         let frame = df! {
-            "series" => text(|row| &row.group),
+            "series" => text(|row| row.group.name()),
             "sweep" => text(|row| &row.sweep),
             "strength" => rows.iter().map(|row| row.strength).collect::<Vec<_>>(),
             "place" => rows.iter().map(|row| if by_place { &row.place } else { "" }).collect::<Vec<&str>>(),
@@ -78,7 +78,7 @@ fn metric_summary(groups: &DataFrame, i: usize) -> PolarsResult<MetricRow> {
     let n = groups.column("n")?.u64()?.get(i).unwrap_or_default();
     let std = groups.column("std")?.f64()?.get(i).filter(|_| n >= 2);
     Ok(MetricRow {
-        group: text(groups, "series", i)?,
+        group: text(groups, "series", i)?.into(),
         sweep: text(groups, "sweep", i)?,
         strength: number(groups, "strength", i)?,
         place: text(groups, "place", i)?,
@@ -216,7 +216,7 @@ mod tests {
 
     fn row(group: &str, place: &str, value: f64) -> MetricRow {
         MetricRow {
-            group: group.to_owned(),
+            group: group.to_owned().into(),
             sweep: String::new(),
             strength: 0.0,
             place: place.to_owned(),
@@ -242,12 +242,12 @@ mod tests {
         ];
         let all = summarize_metrics(&rows, false).unwrap();
         assert_eq!(all.len(), 2);
-        assert_eq!((all[0].group.as_str(), all[0].n, all[0].value), ("recorded", 3, 3.0));
+        assert_eq!((all[0].group.name(), all[0].n, all[0].value), ("recorded", 3, 3.0));
         // Sample variance of 1, 2, 6 is 7.
         assert!((all[0].std_error.unwrap() - (7.0f64 / 3.0).sqrt()).abs() < 1e-12);
         assert_eq!((all[1].n, all[1].value, all[1].std_error), (1, 5.0, None));
         let by_place = summarize_metrics(&rows, true).unwrap();
-        let found: Vec<_> = by_place.iter().map(|row| (row.group.as_str(), row.place.as_str(), row.value)).collect();
+        let found: Vec<_> = by_place.iter().map(|row| (row.group.name(), row.place.as_str(), row.value)).collect();
         assert_eq!(found, [("recorded", "A", 3.5), ("unguided", "A", 5.0), ("recorded", "B", 2.0)]);
         assert_eq!(summarize_metrics(&[], true).unwrap(), []);
     }

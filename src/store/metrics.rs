@@ -29,6 +29,7 @@ pub fn read_metrics(path: &Path) -> Result<Vec<MetricRow>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::metrics::Group;
     use crate::scene::SceneId;
 
     #[test]
@@ -36,7 +37,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("metrics.parquet");
         let aggregate = MetricRow {
-            group: "guided".to_owned(),
+            group: Group::Sweep("guided".to_owned()),
             sweep: "guided".to_owned(),
             strength: 2.0,
             place: String::new(),

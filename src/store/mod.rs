@@ -39,7 +39,7 @@ pub use atomic::{read_json, write_json_atomically};
 pub(crate) use corpus_card::{CARD_FILE, card};
 pub(crate) use corpus_layout::NO_BEHAVIOR;
 pub use corpus_layout::{CorpusTable, Partition};
-pub use corpus_manifest::{CorpusManifest, CorpusNotes, FileEntry, PartitionCount, TableEntry, source_terms};
+pub use corpus_manifest::{CorpusManifest, CorpusNotes, FileEntry, PartitionCount, TableEntry};
 pub use corpus_reader::CorpusReader;
 pub(crate) use corpus_scan::{CorpusChunk, CorpusScan, united, widened};
 pub(crate) use corpus_sink::{CorpusSink, partitioned, taken};

@@ -2,6 +2,7 @@
 
 use super::{Assessment, RequestTag};
 use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::metrics::{Group, SeriesKey};
 use crate::scene::{Scenario, SceneId};
 use serde::{Deserialize, Serialize};
 
@@ -42,9 +43,9 @@ impl ScenarioRecord {
 /// One value of one metric: of a single scene or scenario, or aggregated over many.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MetricRow {
-    /// What was measured: `recorded`, `constant_velocity`, `unguided`, or the name of a sweep.
-    pub group: String,
-    /// The sweep; empty for recorded data and baselines.
+    /// Whose figure it is.
+    pub group: Group,
+    /// The sweep that is measured, or that continues these recordings.
     pub sweep: String,
     /// Guidance strength; 0 without guidance.
     pub strength: f64,
@@ -62,6 +63,13 @@ pub struct MetricRow {
     pub n: u64,
     /// Standard error of the mean, for aggregates over at least two values.
     pub std_error: Option<f64>,
+}
+
+impl MetricRow {
+    /// The series that it belongs to.
+    pub fn series(&self) -> SeriesKey {
+        SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), strength: self.strength }
+    }
 }
 
 /// What became of a generated scenario.

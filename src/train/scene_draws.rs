@@ -220,8 +220,8 @@ impl SceneDraws<'_> {
 /// The ego agent of a training step: the recording's focal agent where it has one, else a random motorized agent that
 /// is tracked throughout, else the scene's own choice.
 fn draw_ego(scene: &Scene, rng: &mut SeededRng) -> usize {
-    use crate::scene::{Dataset, TrackRole};
-    let is_labeled = scene.ego().role == TrackRole::Focal && scene.source.dataset != Dataset::Interaction;
+    use crate::scene::TrackRole;
+    let is_labeled = scene.ego().role == TrackRole::Focal && scene.source.dataset.facts().has_chosen_focal;
     let eligible: Vec<usize> = (0..scene.tracks.len())
         .filter(|idx| {
             let track = &scene.tracks[*idx];

@@ -157,6 +157,26 @@ fn tensors_and_noise_know_nothing_of_scenes() {
     }
 }
 
+/// What differs between datasets is a fact of the table in `scene::dataset`, or a format in the dataset's own folder: code that asks
+/// for a dataset by its name is silently wrong about the next one.
+#[test]
+fn datasets_are_told_apart_in_their_table_and_their_readers_alone() {
+    let table = sources().into_iter().find(|source| source.module == ["scene", "dataset"]).unwrap();
+    let listed = table.code.split("pub enum Dataset {").nth(1).unwrap().split('}').next().unwrap();
+    let variants: Vec<String> = listed.lines().map(|line| identifier(line.trim())).filter(|v| !v.is_empty()).collect();
+    assert!(variants.len() >= 3, "{variants:?}");
+    let mut faults = Vec::new();
+    for source in sources().iter().filter(|source| source.module.first().is_some_and(|module| module != "ingest")) {
+        for (at, matched) in source.code.match_indices("Dataset::") {
+            let named = identifier(&source.code[at + matched.len()..]);
+            if variants.contains(&named) {
+                faults.push(format!("{}: ask Dataset::facts instead of for Dataset::{named}", source.path.display()));
+            }
+        }
+    }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
 #[test]
 fn crates_are_named_only_where_the_table_allows() {
     let rows = table(&read("ARCHITECTURE.md"), "Crate");

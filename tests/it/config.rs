@@ -67,7 +67,7 @@ fn a_dry_run_prints_the_resolved_configuration_and_the_plan_and_writes_nothing()
 #[test]
 fn mistakes_name_the_place_and_the_nearest_name() {
     let workspace = Workspace::new();
-    let cases: [(&[&str], &[&str]); 9] = [
+    let cases: [(&[&str], &[&str]); 13] = [
         (
             &["--set", "ingest.max_agent=3"],
             &["--set ingest.max_agent=3", "unknown key `max_agent`", "did you mean `max_agents`"],
@@ -80,6 +80,16 @@ fn mistakes_name_the_place_and_the_nearest_name() {
         (&["--set", "ingest.inputs=[\"nowhere.zip\"]"], &["nowhere.zip", "relative to the current directory"]),
         (&["--set", "run.name=a/b"], &["a/b", "cannot name a folder"]),
         (&["--set", "train.denoiser.steps=0"], &["train.denoiser.steps"]),
+        (&["--set", "evaluate.gates.max_collision_rate=nan"], &["gates.max_collision_rate is NaN", "from 0 to 1"]),
+        (
+            &["--set", "evaluate.gates.max_collision_rate=0.0", "--set", "evaluate.metrics=[\"min_ade_m\"]"],
+            &["max_collision_rate is judged by collision_rate", "evaluate.metrics"],
+        ),
+        (
+            &["--set", "evaluate.gates.guidance_raises_rate=true", "--set", "generate.sweeps.1.strengths=[2.0]"],
+            &["guidance_raises_rate", "no sweep asks for a behavior at several strengths"],
+        ),
+        (&["--set", "generate.sweeps.0.name=unguided"], &["sweeps.0.name is \"unguided\"", "choose another"]),
     ];
     for (more, expected) in cases {
         let outcome = workspace.run("out", &[more, &["--dry-run"]].concat()).expect(1);

@@ -6,7 +6,7 @@ mod tests;
 use super::lane_bounds::LaneBounds;
 use super::{Error, Exporter, Item, Outcome, Result, Written};
 use crate::geometry::Vec2;
-use crate::scene::{AgentClass, Dataset, Lane, LaneGraph, State, TrackRole};
+use crate::scene::{AgentClass, Lane, LaneGraph, State, TrackRole};
 use crate::store::{AtomicFile, write_atomically};
 use arrow::array::{ArrayRef, BooleanArray, Float64Array, Int64Array, RecordBatch, StringArray};
 use parquet::arrow::ArrowWriter;
@@ -99,11 +99,9 @@ fn rows(item: &Item<'_>) -> Result<RecordBatch> {
         Arc::new(Float64Array::from_iter_values(states.iter().map(|(.., state)| of(state))))
     };
     let observed: BooleanArray = states.iter().map(|(_, timestep, _)| Some(*timestep < scene.n_history)).collect();
-    // The dataset has nanoseconds as floats; what is no Argoverse 2 scenario begins at 0.
-    let start_ns = match scene.source.dataset {
-        Dataset::Argoverse2 => scene.source.first_frame.parse::<f64>().unwrap_or_default(),
-        _ => 0.0,
-    };
+    // The format has nanoseconds as floats; scenes that do not say when they begin do so at 0.
+    let begins_at_ns = scene.source.dataset.facts().begins_at_ns;
+    let start_ns = scene.source.first_frame.parse::<f64>().ok().filter(|_| begins_at_ns).unwrap_or_default();
     let end_ns = start_ns + scene.n_timesteps.saturating_sub(1) as f64 * scene.dt_s * 1e9;
     let columns: Vec<(&str, ArrayRef)> = vec![
         ("observed", Arc::new(observed)),

@@ -6,7 +6,7 @@ use crate::geometry::Transform2;
 use crate::ingest::{AgentsPresent, IngestBatch, IngestConfig, ingest};
 use crate::progress::Silent;
 use crate::scene::testing::{Drive, scene as straight_scene, without_states};
-use crate::scene::{Extent, Scene, TrackId, Trajectory};
+use crate::scene::{Dataset, Extent, Scene, TrackId, Trajectory};
 use arrow::array::{Array, AsArray};
 use arrow::datatypes::{DataType, Float64Type, Int64Type};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;

@@ -3,7 +3,7 @@
 use crate::export::Item;
 use crate::export::text::number;
 use crate::export::xml::{Element, element, leaf};
-use crate::scene::{Dataset, Scene};
+use crate::scene::Scene;
 
 /// The files have no date of their own, and the format demands one.
 const DATE: &str = "1970-01-01";
@@ -12,7 +12,7 @@ const UNKNOWN_PLACE: i32 = -999;
 /// The format's latitude and longitude where they are not told.
 const UNKNOWN_COORDINATE: i32 = 999;
 
-/// Countries that places of INTERACTION are named for.
+/// Countries that places are named for.
 const COUNTRIES: [&str; 4] = ["USA", "CHN", "DEU", "BGR"];
 
 /// `<country>_<place>-1_<number>_T-1`: the map is the place's only one, and there is one prediction of each scenario.
@@ -24,14 +24,11 @@ pub(super) fn benchmark_id(scene: &Scene, number: usize) -> String {
 
 /// The country of a place; `ZAM`, which is no country, where it is not known or there is none.
 fn country(scene: &Scene) -> &'static str {
-    match scene.source.dataset {
-        // All cities of Argoverse are in the United States.
-        Dataset::Argoverse1 | Dataset::Argoverse2 => "USA",
-        Dataset::Interaction => {
-            let parts = || scene.source.place.split('_');
-            COUNTRIES.into_iter().find(|country| parts().any(|part| part == *country)).unwrap_or("ZAM")
-        }
-    }
+    let of_place = || {
+        let parts = || scene.source.place.split('_');
+        COUNTRIES.into_iter().find(|country| parts().any(|part| part == *country))
+    };
+    scene.source.dataset.facts().country.or_else(of_place).unwrap_or("ZAM")
 }
 
 /// The root with everything that stands before the lanelets.
@@ -73,6 +70,7 @@ fn tags(item: &Item<'_>) -> Vec<&'static str> {
 mod tests {
     use super::*;
     use crate::export::testing;
+    use crate::scene::Dataset;
 
     #[test]
     fn benchmark_ids_are_legal() {

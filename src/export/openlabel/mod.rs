@@ -6,7 +6,7 @@ use super::selection::is_accepted;
 use super::{Error, Exporter, Item, Outcome, Result, Written};
 use crate::behavior::{self, BehaviorEvent, EventLabel};
 use crate::scene::Scene;
-use crate::store::{source_terms, unit_of_name, write_json_atomically};
+use crate::store::{unit_of_name, write_json_atomically};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -65,7 +65,7 @@ fn document(item: &Item<'_>) -> Value {
             "schema_version": "1.0.0",
             "name": record.scenario.id,
             "annotator": "djinn",
-            "comment": format!("Generated from recordings. {}", source_terms(dataset)),
+            "comment": format!("Generated from recordings. {}", dataset.facts().terms),
         },
         "ontologies": {
             OURS: { "uri": ONTOLOGY_FILE },

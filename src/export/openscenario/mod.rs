@@ -13,7 +13,7 @@ use super::text::{number, plain};
 use super::xml::{Element, element};
 use super::{EgoMotion, Error, Exporter, Item, Outcome, Result, Written};
 use crate::scene::State;
-use crate::store::{source_terms, write_atomically};
+use crate::store::write_atomically;
 use entities::Body;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -162,7 +162,7 @@ fn header(item: &Item<'_>) -> Element {
         .child(property("sweep", &record.sweep))
         .child(property("present_s", &number(scene.current_timestep() as f64 * scene.dt_s)));
     let license =
-        super::xml::leaf("License", source_terms(dataset)).attr("name", format!("terms of {}", dataset.name()));
+        super::xml::leaf("License", dataset.facts().terms).attr("name", format!("terms of {}", dataset.name()));
     element("FileHeader")
         .attr("revMajor", 1)
         .attr("revMinor", 2)

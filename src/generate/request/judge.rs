@@ -112,7 +112,7 @@ impl Generator<'_> {
         let recorded = self.load(cell.scene_idx, &cell.scene_id)?;
         let asked = &record.scenario.provenance.guidance.roles;
         let candidate = Candidate { scene, objectives: &[], asked };
-        let verdicts = request.config.limits().verdicts(&recorded, &[candidate]);
+        let verdicts = request.config.limits().verdicts(&recorded, &[candidate], &self.metric_settings);
         let is_valid = verdicts.iter().all(Option::is_none);
         Ok(if is_valid { Finding::Hit(bucket) } else { Finding::BeyondLimits(bucket) })
     }

@@ -3,6 +3,7 @@
 use super::*;
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
+use crate::metrics::MetricSettings;
 use crate::store::ScenarioRecord;
 
 const OBJECTIVES: &str = "
@@ -73,7 +74,8 @@ fn objectives_alone_may_serve_a_behavior() {
     let (denoiser, config) = (denoiser(0), config(&toml));
     let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline: None };
     let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
-    let generator = Generator::new(&config, models, &behaviors, &load, &Device::Cpu).unwrap();
+    let generator =
+        Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu).unwrap();
     let plan = generator.plan(&index(12)).unwrap();
     let records = generator.generate(plan.shards.last().unwrap(), &Silent).unwrap().records;
     assert_eq!(kinds(&records), ["goal", "none"]);
@@ -147,7 +149,9 @@ fn guidance_that_makes_no_sense_is_refused() {
     let check = |agents: &str| {
         let config = config(&guided(&format!("behavior = 'drift'\n{}", speed(&format!(", agents = '{agents}'")))));
         let models = Models { denoiser: &models.0, classifiers: &models.1, distilled: None, baseline: None };
-        Generator::new(&config, models, &behaviors, &load, &Device::Cpu).err().map(|error| error.to_string())
+        Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu)
+            .err()
+            .map(|error| error.to_string())
     };
     assert_eq!(check("other"), None);
     assert!(check("others").unwrap().contains("nobody has the role"));

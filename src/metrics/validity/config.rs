@@ -5,6 +5,9 @@ use crate::scene::Dataset;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// The longest time that positions are fitted over, seconds: longer ones smooth away what the checks are for.
+const MAX_WINDOW_S: f64 = 5.0;
+
 /// The limits that a valid scenario keeps. A limit that is exceeded is a violation; a check that is not wanted is skipped by name.
 ///
 /// The defaults say what is possible, not what is comfortable: an emergency is what many scenarios are made for. They are wider than
@@ -55,7 +58,7 @@ impl Default for ValidityConfig {
     fn default() -> Self {
         Self {
             skip: Vec::new(),
-            motion_of: vec![Dataset::Interaction, Dataset::Argoverse2],
+            motion_of: Dataset::ALL.into_iter().filter(|dataset| dataset.facts().has_clean_motion).collect(),
             window_s: 0.7,
             max_acceleration_mps2: 5.0,
             max_deceleration_mps2: 9.0,
@@ -83,7 +86,7 @@ impl ValidityConfig {
     /// Says which limit makes no sense.
     ///
     /// # Errors
-    /// The key whose value is negative or no number, or a window without length.
+    /// The key whose value is negative or no number, or a window without length or as long as a scene.
     pub fn validate(&self) -> Result<(), String> {
         let limits = [
             ("window_s", self.window_s),
@@ -100,9 +103,14 @@ impl ValidityConfig {
             ("offroad_slack_m", self.offroad_slack_m),
             ("core_of_unknown_size", self.core_of_unknown_size),
         ];
-        match limits.iter().find(|(_, limit)| limit.is_nan() || *limit < 0.0) {
-            Some((key, limit)) => Err(format!("{key} is {limit}, expected a number that is not negative")),
-            None => Ok(()),
+        if let Some((key, limit)) = limits.iter().find(|(_, limit)| !limit.is_finite() || *limit < 0.0) {
+            return Err(format!("{key} is {limit}, expected a number that is not negative; `skip` leaves a check out"));
+        }
+        match self.window_s {
+            window_s if window_s == 0.0 || window_s > MAX_WINDOW_S => {
+                Err(format!("window_s is {window_s}, expected more than 0 and at most {MAX_WINDOW_S} s"))
+            }
+            _ => Ok(()),
         }
     }
 }

@@ -10,13 +10,15 @@ mod overrides;
 pub use load::{ConfigError, Place, parse};
 pub use overrides::Override;
 
+use crate::evaluate::EvaluateConfig;
 use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
 use crate::nn::Precision;
 use crate::pipeline::StageId;
 use crate::pipeline::device::{Compute, DeviceChoice};
 use crate::pipeline::failure::{Failure, Result};
-use crate::pipeline::stages::{EvaluateConfig, MineConfig, ReportConfig};
+use crate::pipeline::stages::MineConfig;
+use crate::report::ReportConfig;
 use crate::train::{BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

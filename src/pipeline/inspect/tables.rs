@@ -50,9 +50,9 @@ pub(super) fn metrics(path: &Path) -> Result<Option<Description>> {
     let is_overall = |row: &&MetricRow| row.place.is_empty() && row.scene_id.is_none() && row.scenario_id.is_none();
     let mut overall = BTreeMap::<String, BTreeMap<&str, Value>>::new();
     for row in rows.iter().filter(is_overall) {
-        let group = match row.group.as_str() {
-            "recorded" | "constant_velocity" => format!("{} of {}", row.group, row.sweep),
-            _ => format!("{} at strength {}", row.sweep, row.strength),
+        let group = match row.group.is_generated() {
+            false => format!("{} of {}", row.group.name(), row.sweep),
+            true => format!("{} at strength {}", row.sweep, row.strength),
         };
         overall.entry(group).or_default().insert(&row.metric, json!(row.value));
     }

@@ -1,7 +1,7 @@
 //! Whose failure is an error of each layer? Here, once, for all stages.
 
 use crate::pipeline::{Blame, Failure};
-use crate::{corpus, export, files, generate, ingest, nn, store, train};
+use crate::{corpus, evaluate, export, files, generate, ingest, nn, store, train};
 use std::io::ErrorKind;
 
 impl From<ingest::Error> for Failure {
@@ -52,6 +52,17 @@ impl From<corpus::Error> for Failure {
             corpus::Error::Io(io) if io.kind() == ErrorKind::NotFound => Self::input(io),
             corpus::Error::Io(io) => Self::fault(io),
             error => Self::input(error),
+        }
+    }
+}
+
+impl From<evaluate::Error> for Failure {
+    fn from(error: evaluate::Error) -> Self {
+        match error {
+            evaluate::Error::Store(error) => error.into(),
+            evaluate::Error::Files(error) => error.into(),
+            evaluate::Error::Config { message, advice } => Self::input_message(message).with_hint(advice),
+            error @ evaluate::Error::UnknownScene(_) => Self::input(error),
         }
     }
 }

@@ -6,9 +6,10 @@ use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledW
 use super::train_denoiser::checkpoint_file;
 use crate::diffusion::Edm;
 use crate::generate::{self, GenerateConfig, Generator, Models, Plan, ResolvedGeneration, Shortfall, SweepConfig};
+use crate::metrics::MetricSettings;
 use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::pipeline::layout::{Layout, SAMPLES};
-use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
+use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::store::SceneStore;
 use crate::train::DistillTrainingConfig;
 use serde_json::{Value, json};
@@ -19,6 +20,8 @@ pub struct Generate<'a> {
     pub config: &'a GenerateConfig,
     /// The definitions of the behaviors that scenarios are checked for.
     pub mine: MineConfig,
+    /// What the metrics of selections and limits judge by: as evaluation does.
+    pub metric_settings: MetricSettings,
     /// The behavior that the pipeline's classifier is trained for, where the pipeline trains one.
     pub classified_behavior: Option<&'a str>,
     /// How the pipeline distills its denoiser, where it does so itself.
@@ -38,6 +41,7 @@ impl Stage for Generate<'_> {
 
     fn check(&self) -> Result<()> {
         self.config.validate()?;
+        self.metric_settings.validate().map_err(|why| Failure::input_message(format_args!("evaluate.{why}")))?;
         let mined = self.mine.build()?;
         // The denoiser's own constants may not be known yet. Sweeps and distillation see the same ones here; they are checked again when
         // both models are there.
@@ -67,6 +71,9 @@ impl Stage for Generate<'_> {
     fn config(&self) -> anyhow::Result<Value> {
         let mut config = serde_json::to_value(self.config)?;
         config["behaviors"] = serde_json::to_value(&self.mine.behaviors)?;
+        if let Some(settings) = self.decisive_settings() {
+            config["metric_settings"] = serde_json::to_value(settings)?;
+        }
         Ok(config)
     }
 
@@ -116,9 +123,12 @@ impl Stage for Generate<'_> {
             baseline: baseline.as_ref(),
         };
         let load = |idx: usize| Ok(store.scene(idx)?);
-        let generator = Generator::new(&resolved.config, models, &behaviors, &load, device)?;
+        let generator =
+            Generator::new(&resolved.config, models, &behaviors, &load, self.metric_settings.clone(), device)?;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
-        folder.write_settings(&SampleSettings { mine: self.mine.clone(), generate: self.config.clone() })?;
+        let (mine, generate) = (self.mine.clone(), self.config.clone());
+        let metric_settings = self.decisive_settings().cloned();
+        folder.write_settings(&SampleSettings { mine, generate, metric_settings })?;
         let plan = match folder.plan() {
             Some(plan) => plan,
             None => plan_generation(&generator, resolved.n_sweeps, &store, &folder, context)?,
@@ -158,6 +168,13 @@ impl Stage for Generate<'_> {
 }
 
 impl Generate<'_> {
+    /// The settings of metrics, where samples are selected by one that they decide, and they are not the defaults.
+    fn decisive_settings(&self) -> Option<&MetricSettings> {
+        let settings = &self.metric_settings;
+        let decide = *settings != MetricSettings::default() && self.config.selects_by(|id| settings.decide(id));
+        decide.then_some(settings)
+    }
+
     /// Whether some sweep, of requests too, needs something. Unguided sampling needs no classifier, except to rank pairs: there
     /// it is used if some sweep is guided. A configuration that makes no sense needs nothing: it has been refused.
     fn needs(&self, what: fn(&SweepConfig) -> bool) -> bool {

@@ -1,9 +1,9 @@
 //! Scenes to an event table: the detectors run on every scene, in parallel, and their events are kept in order.
 
 use crate::behavior::{self, Behavior, BehaviorConfig, BehaviorEvent};
+use crate::evaluate::MiningTally;
 use crate::pipeline::layout::{EVENTS, Layout, MINE_SUMMARY};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
-use crate::report::MiningTally;
 use crate::scene::Split;
 use crate::store::{EventWriter, SceneIndexEntry, SceneStore, write_json_atomically};
 use rayon::prelude::*;

@@ -8,17 +8,17 @@ mod mine;
 mod report;
 mod request_rounds;
 mod sample_folder;
-mod selection;
 mod train_baseline;
 mod train_classifier;
 mod train_denoiser;
 mod train_distill;
+mod training_scenes;
 
-pub use evaluate::{Evaluate, EvaluateConfig, EvaluationSummary, GateResult, GatesConfig, Keep};
+pub use evaluate::Evaluate;
 pub use generate::Generate;
 pub use ingest::Ingest;
 pub use mine::{Mine, MineConfig};
-pub use report::{About, Report, ReportConfig};
+pub use report::{About, Report};
 pub(in crate::pipeline) use sample_folder::{FoundShard, find_shard, shard_name};
 pub use sample_folder::{SampleFolder, SampleManifest, SampleSettings, SampleSidecar, SampledWith, read_requests};
 pub use train_baseline::TrainBaseline;
@@ -32,6 +32,8 @@ use super::failure::{Failure, Result};
 use super::layout::Layout;
 use super::record::StageRecord;
 use super::stage::{Stage, StageId};
+use crate::evaluate::{EvaluateConfig, GateResult};
+use crate::ingest::IngestConfig;
 
 /// The stages whose sections the configuration has, in the order in which they run.
 pub fn of_pipeline<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Result<Vec<Box<dyn Stage + 'a>>> {
@@ -46,10 +48,9 @@ pub fn of_pipeline<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Result
 /// One stage, with its defaults if the configuration has no section for it.
 pub fn alone<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Result<Box<dyn Stage + 'a>> {
     build(id, config, layout).ok_or_else(|| {
-        Failure::input_message(format_args!("the configuration has no section [{}]", id.section())).with_hint(format!(
-            "name a pipeline file with --config, or set values with --set {}.key=value",
-            id.section()
-        ))
+        Failure::input_message(format_args!("the configuration has no section [{}]", id.facts().section)).with_hint(
+            format!("name a pipeline file with --config, or set values with --set {}.key=value", id.facts().section),
+        )
     })
 }
 
@@ -80,6 +81,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
         StageId::Generate => Box::new(Generate {
             config: generate.as_ref()?,
             mine: definitions(),
+            metric_settings: evaluate.as_ref().map(EvaluateConfig::metric_settings).unwrap_or_default(),
             classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
             // A folder of models that the command line names may hold one that was distilled otherwise.
             distill: train.distill.as_ref().filter(|_| layout.distilled.parent() == layout.scenes.parent()),
@@ -90,6 +92,9 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             mine: definitions(),
             pipeline: &run.name,
             has_events: has_events(config, layout),
+            // Samples that the command line names may come of another configuration.
+            generated: (generate.as_ref().zip(ingest.as_ref().map(IngestConfig::wants_maps)))
+                .filter(|_| layout.samples.parent() == layout.scenes.parent()),
             layout,
         }),
         StageId::Report => Box::new(Report {
@@ -109,35 +114,15 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
 
 /// Whether there are recorded events to compare scenarios with, or will be when the pipeline has mined them.
 fn has_events(config: &PipelineConfig, layout: &Layout) -> bool {
-    let is_run_folder = layout.events.parent() == layout.scenes.parent();
-    layout.events.exists() || (is_run_folder && config.ingest.is_some() && config.mine.is_some())
+    layout.events.exists()
+        || (layout.events.parent() == layout.scenes.parent() && config.ingest.is_some() && config.mine.is_some())
 }
 
 /// The stages to report on: those of the pipeline, or where the configuration has no other section, those whose outputs
 /// are there.
 fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
-    let has_section = |id: StageId| match id {
-        StageId::Ingest => config.ingest.is_some(),
-        StageId::Mine => config.mine.is_some(),
-        StageId::TrainDenoiser => config.train.denoiser.is_some(),
-        StageId::TrainDistill => config.train.distill.is_some(),
-        StageId::TrainClassifier => config.train.classifier.is_some(),
-        StageId::TrainBaseline => config.train.baseline.is_some(),
-        StageId::Generate => config.generate.is_some(),
-        StageId::Evaluate => config.evaluate.is_some(),
-        StageId::Report => false,
-    };
-    let is_there = |id: StageId| match id {
-        StageId::Ingest => layout.scenes.exists(),
-        StageId::Mine => layout.events.exists(),
-        StageId::TrainDenoiser => layout.denoiser.exists(),
-        StageId::TrainDistill => layout.distilled.exists(),
-        StageId::TrainClassifier => layout.classifier.exists(),
-        StageId::TrainBaseline => layout.baseline.exists(),
-        StageId::Generate => layout.samples.exists(),
-        StageId::Evaluate => layout.metrics.exists(),
-        StageId::Report => false,
-    };
-    let in_pipeline: Vec<StageId> = StageId::ALL.into_iter().filter(|id| has_section(*id)).collect();
-    if in_pipeline.is_empty() { StageId::ALL.into_iter().filter(|id| is_there(*id)).collect() } else { in_pipeline }
+    let is_configured = |id: &StageId| *id != StageId::Report && (id.facts().is_configured)(config);
+    let is_there = |id: &StageId| id.output(layout).is_some_and(|(_, path)| path.exists());
+    let in_pipeline: Vec<StageId> = StageId::ALL.into_iter().filter(is_configured).collect();
+    if in_pipeline.is_empty() { StageId::ALL.into_iter().filter(is_there).collect() } else { in_pipeline }
 }

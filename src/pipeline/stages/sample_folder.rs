@@ -5,6 +5,7 @@ use crate::generate::{
     GenerateConfig, Plan, Pool, RejectedSample, RequestSummary, Round, RoundShard, ShardOutput, ShardPlan, ShardTally,
     Shortfall,
 };
+use crate::metrics::MetricSettings;
 use crate::pipeline::{Classify, Failure, Result};
 use crate::store::{
     FileStamp, MapSource, ScenarioRecord, read_json, read_samples, write_atomically, write_json_atomically,
@@ -223,6 +224,9 @@ pub struct SampleSettings {
     pub mine: MineConfig,
     /// The section of the stage.
     pub generate: GenerateConfig,
+    /// What metrics judged by, where they decided what was kept and were not the defaults.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub metric_settings: Option<MetricSettings>,
 }
 
 impl SampleSettings {

@@ -1,7 +1,7 @@
 //! Scenes to a Scene Transformer, the baseline; or one that was trained elsewhere, taken over.
 
-use super::selection::{training_data, training_summary};
 use super::train_denoiser::{checkpoint_file, take_over};
+use super::training_scenes::{training_data, training_summary};
 use crate::model::TrainedSceneTransformer;
 use crate::pipeline::layout::{BASELINE, Layout};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};

@@ -1,7 +1,7 @@
 //! Mined pairs to the classifier that guides generation; or one that was trained elsewhere, taken over.
 
-use super::selection::Selection;
 use super::train_denoiser::{checkpoint_file, take_over};
+use super::training_scenes::TrainingScenes;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::model::{TrainedClassifier, TrainedDenoiser};
 use crate::pipeline::layout::{CLASSIFIER, Layout};
@@ -67,7 +67,8 @@ impl Stage for TrainClassifier<'_> {
             event.behavior == self.config.behavior || event.label == EventLabel::Positive
         })?;
         let roles = self.roles(&events)?;
-        let Selection { train, held_out } = Selection::new(store.index(), &self.config.splits, &self.config.places);
+        let TrainingScenes { train, held_out } =
+            TrainingScenes::new(store.index(), &self.config.splits, &self.config.places);
         let seed = Seed(self.config.seed);
         let gather = |scenes: &[usize], max_examples: usize, purpose: &str| {
             let mined = self.mined(&store, &events, scenes);

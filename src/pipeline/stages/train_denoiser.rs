@@ -1,6 +1,6 @@
 //! Scenes to a denoiser; or a denoiser that was trained elsewhere, taken over.
 
-use super::selection::{training_data, training_summary};
+use super::training_scenes::{training_data, training_summary};
 use crate::model::{DenoiserSpec, TrainedDenoiser};
 use crate::nn::read_checkpoint;
 use crate::pipeline::layout::{DENOISER, Layout};

@@ -1,7 +1,7 @@
 //! A denoiser and scenes to a denoiser that needs few evaluations; or one that was distilled elsewhere, taken over.
 
-use super::selection::{training_data, training_summary};
 use super::train_denoiser::{checkpoint_file, take_over};
+use super::training_scenes::{training_data, training_summary};
 use crate::model::{DenoiserSpec, TrainedDenoiser};
 use crate::nn::read_checkpoint;
 use crate::pipeline::layout::{DISTILLED, Layout};

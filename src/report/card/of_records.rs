@@ -132,7 +132,7 @@ fn facts_of_values(values: &[CardValue]) -> impl Iterator<Item = Fact> + '_ {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::testing::{record, recorded};
+    use crate::evaluate::testing::{record, recorded};
 
     fn metric() -> Vec<CardValue> {
         vec![CardValue { name: "offroad_rate".to_owned(), value: 0.25 }]

@@ -1,7 +1,8 @@
 //! What was read, what was left out and why, and which behaviors the recordings hold.
 
 use super::{Section, table};
-use crate::report::model::{MiningSummary, ReportModel};
+use crate::evaluate::MiningSummary;
+use crate::report::model::ReportModel;
 use crate::report::number::{count, share};
 use maud::{Markup, html};
 use std::collections::BTreeMap;

@@ -1,7 +1,8 @@
 //! What was asked for, what came out, and what it cost.
 
 use super::{Section, table};
-use crate::report::model::{ReportModel, SamplingRow};
+use crate::evaluate::SamplingRow;
+use crate::report::model::ReportModel;
 use crate::report::number::{ABSENT, count, percent, setting, share, value};
 use crate::report::svg::{Bar, bar_chart};
 use crate::report::tradeoffs::recorded_value;

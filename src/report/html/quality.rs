@@ -1,9 +1,10 @@
 //! How do generated scenes compare with the recording and with a simple baseline?
 
 use super::{Section, table};
-use crate::metrics::Direction;
+use crate::evaluate::{MetricDoc, RealismRow};
+use crate::metrics::{Direction, Group, SeriesKey};
 use crate::report::distribution::Distribution;
-use crate::report::model::{MetricDoc, MetricTable, RealismRow, ReportModel};
+use crate::report::model::{MetricTable, ReportModel};
 use crate::report::number::{ABSENT, count, optional, setting, uncertainty};
 use crate::report::svg::histogram;
 use crate::store::MetricRow;
@@ -47,21 +48,25 @@ fn place_table(place: &str, docs: &[&MetricDoc], rows: &[&MetricRow]) -> Markup 
         }
     };
     // Grouped in order of first appearance: the writer puts the recording and the baseline first.
-    let groups = distinct(rows.iter().map(|row| (row.group.clone(), row.sweep.clone(), row.strength.to_bits())));
     let body = html! {
-        @for (group, sweep, strength) in groups {
-            @let of_group: Vec<&MetricRow> = rows.iter().copied()
-                .filter(|row| row.group == group && row.sweep == sweep && row.strength.to_bits() == strength).collect();
-            @let generated = !matches!(group.as_str(), "recorded" | "constant_velocity");
-            tr class=[(!generated).then_some("reference")] {
-                th scope="row" { (group.replace('_', " ")) @if !sweep.is_empty() && sweep != group { " (" (sweep) ")" } }
-                td class="n" { (if generated { setting(f64::from_bits(strength)) } else { ABSENT.to_owned() }) }
-                td class="n" { (count(of_group.iter().map(|row| row.n).max().unwrap_or(0))) }
-                @for doc in docs { td class="n" { (cell(of_group.iter().find(|row| row.metric == doc.metric).copied())) } }
+        @for series in distinct(rows.iter().map(|row| row.series())) {
+            @let of_series: Vec<&MetricRow> = rows.iter().copied().filter(|row| row.series() == series).collect();
+            tr class=[(!series.group.is_generated()).then_some("reference")] {
+                (heading_of_series(&series))
+                td class="n" { (count(of_series.iter().map(|row| row.n).max().unwrap_or(0))) }
+                @for doc in docs { td class="n" { (cell(of_series.iter().find(|row| row.metric == doc.metric).copied())) } }
             }
         }
     };
     table(&format!("Metrics, {}", if place.is_empty() { "all places" } else { place }), &head, &body)
+}
+
+/// Group, sweep and strength, in two cells.
+pub(super) fn heading_of_series(SeriesKey { group, sweep, strength }: &SeriesKey) -> Markup {
+    html! {
+        th scope="row" { (group) @if !sweep.is_empty() && sweep != group.name() { " (" (sweep) ")" } }
+        td class="n" { (if group.is_generated() { setting(*strength) } else { ABSENT.to_owned() }) }
+    }
 }
 
 fn cell(row: Option<&MetricRow>) -> Markup {
@@ -116,7 +121,7 @@ pub(super) fn distributions(model: &ReportModel) -> Option<Section> {
 /// A row for each group, a column for each quantity.
 fn realism_table(rows: &[RealismRow]) -> Markup {
     let quantities = distinct(rows.iter().map(|row| (&row.quantity, &row.unit)));
-    let groups = distinct(rows.iter().map(|row| (&row.group, &row.sweep, row.strength.to_bits())));
+    let all_series = distinct(rows.iter().map(RealismRow::series));
     let head = html! {
         tr {
             th scope="col" { "Group" } th scope="col" class="n" { "Strength α" }
@@ -127,19 +132,17 @@ fn realism_table(rows: &[RealismRow]) -> Markup {
         rows.iter().find(|row| row.sweep == sweep && row.quantity == quantity).and_then(|row| row.recorded_mean)
     };
     let body = html! {
-        @for (i, (group, sweep, strength)) in groups.iter().enumerate() {
-            @if groups[..i].iter().all(|(_, before, _)| before != sweep) {
+        @for (i, series) in all_series.iter().enumerate() {
+            @let sweep = &series.sweep;
+            @if all_series[..i].iter().all(|before| before.sweep != *sweep) {
                 tr class="reference" {
-                    th scope="row" { "recorded (" (sweep) ")" } td class="n" { (ABSENT) }
+                    th scope="row" { (Group::Recorded) " (" (sweep) ")" } td class="n" { (ABSENT) }
                     @for (quantity, _) in &quantities { td class="n" { "0" small { " mean " (optional(recorded(sweep, quantity))) } } }
                 }
             }
-            @let find = |quantity: &String| rows.iter()
-                .find(|row| row.group == **group && row.sweep == **sweep && row.strength.to_bits() == *strength && row.quantity == *quantity);
-            @let generated = group.as_str() != "constant_velocity";
-            tr class=[(!generated).then_some("reference")] {
-                th scope="row" { (group.replace('_', " ")) @if sweep != group { " (" (sweep) ")" } }
-                td class="n" { (if generated { setting(f64::from_bits(*strength)) } else { ABSENT.to_owned() }) }
+            @let find = |quantity: &String| rows.iter().find(|row| row.series() == *series && row.quantity == *quantity);
+            tr class=[(!series.group.is_generated()).then_some("reference")] {
+                (heading_of_series(series))
                 @for (quantity, _) in &quantities {
                     td class="n" {
                         @let row = find(quantity);

@@ -1,8 +1,10 @@
 //! What was left out, and why? From samples to accepted scenarios, reason by reason, and what the checks say of the recordings.
 
+use super::quality::heading_of_series;
 use super::{Section, table};
+use crate::evaluate::{AcceptanceRow, LeftOutRow, ValidityRow};
 use crate::metrics::Check;
-use crate::report::model::{AcceptanceRow, LeftOutRow, ReportModel, ValidityRow};
+use crate::report::model::ReportModel;
 use crate::report::number::{ABSENT, count, optional, percent, setting, share};
 use maud::{Markup, html};
 
@@ -87,10 +89,8 @@ fn validity(rows: &[ValidityRow]) -> Markup {
     };
     let body = html! {
         @for row in &rows {
-            @let generated = !matches!(row.group.as_str(), "recorded" | "constant_velocity");
-            tr class=[(!generated).then_some("reference")] {
-                th scope="row" { (row.group.replace('_', " ")) @if row.sweep != row.group { " (" (row.sweep) ")" } }
-                td class="n" { (if generated { setting(row.strength) } else { ABSENT.to_owned() }) }
+            tr class=[(!row.group.is_generated()).then_some("reference")] {
+                (heading_of_series(&row.series()))
                 td class="n" { (count(row.n)) }
                 td class="n" { (share(row.n_valid, row.n)) }
                 td class="n" { (row.plausibility.map_or_else(|| optional(None), percent)) }

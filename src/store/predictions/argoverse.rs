@@ -2,7 +2,7 @@
 
 use super::predicted;
 use crate::metrics::Modes;
-use crate::scene::{Dataset, Scene, TrackRole};
+use crate::scene::{Benchmark, Scene, TrackRole};
 use crate::store::Result;
 use crate::store::parquet_file::ParquetFile;
 use crate::store::tables::prediction::{PredictionRow, encode, schema};
@@ -14,17 +14,16 @@ use std::path::Path;
 /// Of Argoverse 2 the focal and scored tracks are predicted, with the probability of the joint mode for each of them. Of
 /// Argoverse 1 it is the agent. Its benchmark took HDF5, which is not written here; the columns hold what that needs.
 pub struct ArgoversePredictions {
-    dataset: Dataset,
     file: ParquetFile,
 }
 
 impl ArgoversePredictions {
-    /// Begins the file for `dataset`.
+    /// Begins the file.
     ///
     /// # Errors
     /// Those of the file system.
-    pub fn create(path: &Path, dataset: Dataset) -> Result<Self> {
-        Ok(Self { dataset, file: ParquetFile::create(path, &schema(), schema().arrow())? })
+    pub fn create(path: &Path) -> Result<Self> {
+        Ok(Self { file: ParquetFile::create(path, &schema(), schema().arrow())? })
     }
 
     /// Adds the modes of a scene. Returns the number of tracks to predict that were left out, because a mode lacks a state of
@@ -33,9 +32,8 @@ impl ArgoversePredictions {
     /// # Errors
     /// Those of the file system.
     pub fn add(&mut self, recorded: &Scene, modes: &Modes) -> Result<usize> {
-        let is_target = |role: TrackRole| {
-            role == TrackRole::Focal || (role == TrackRole::Scored && self.dataset == Dataset::Argoverse2)
-        };
+        let has_worlds = recorded.source.dataset.facts().benchmark == Benchmark::ArgoverseWorlds;
+        let is_target = |role: TrackRole| role == TrackRole::Focal || (role == TrackRole::Scored && has_worlds);
         let mut n_left_out = 0;
         let mut rows = Vec::new();
         for (agent_idx, track) in recorded.tracks.iter().enumerate().filter(|(_, track)| is_target(track.role)) {
@@ -71,6 +69,7 @@ impl ArgoversePredictions {
 mod tests {
     use super::*;
     use crate::geometry::{Transform2, Vec2};
+    use crate::scene::Dataset;
     use crate::scene::testing::{self, Drive};
     use crate::store::parquet_file;
     use crate::store::tables::columns::Columns;
@@ -94,9 +93,10 @@ mod tests {
             ),
             (Dataset::Argoverse1, vec![("1", 0.75, 1004.0), ("1", 0.25, 1004.0)]),
         ] {
+            recorded.source.dataset = dataset;
             let dir = tempfile::tempdir().unwrap();
             let path = dir.path().join("predictions.parquet");
-            let mut predictions = ArgoversePredictions::create(&path, dataset).unwrap();
+            let mut predictions = ArgoversePredictions::create(&path).unwrap();
             assert_eq!(predictions.add(&recorded, &modes).unwrap(), 0);
             predictions.finish().unwrap();
             let batches = parquet_file::read(&path, &schema()).unwrap();

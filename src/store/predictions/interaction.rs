@@ -2,7 +2,7 @@
 
 use super::predicted;
 use crate::metrics::Modes;
-use crate::scene::{AgentClass, Dataset, Scene, State, TrackRole};
+use crate::scene::{AgentClass, Benchmark, Scene, State, TrackRole};
 use crate::store::{AtomicFile, Result};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -38,8 +38,8 @@ impl InteractionPredictions {
         let targets = targets(recorded);
         let source = &recorded.source;
         let first_frame: Option<i64> = source.first_frame.parse().ok();
-        let Some(first_frame) =
-            first_frame.filter(|_| source.dataset == Dataset::Interaction && source.version == "v1.2")
+        let Some(first_frame) = first_frame
+            .filter(|_| source.dataset.facts().benchmark == Benchmark::InteractionJoint && source.version == "v1.2")
         else {
             return Ok(targets.len());
         };

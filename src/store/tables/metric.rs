@@ -40,7 +40,7 @@ pub(crate) fn schema() -> TableSchema {
 /// These rows.
 pub(crate) fn encode(rows: &[MetricRow]) -> Result<RecordBatch> {
     let arrays = vec![
-        texts(rows.iter().map(|row| row.group.as_str())),
+        texts(rows.iter().map(|row| row.group.name())),
         texts(rows.iter().map(|row| row.sweep.as_str())),
         numbers::<Float64Type>(rows.iter().map(|row| row.strength)),
         texts(rows.iter().map(|row| row.place.as_str())),
@@ -60,7 +60,7 @@ pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<MetricRow>>
     let text = |name: &str, row: usize| columns.text(name, row).map(str::to_owned);
     let metric_row = |row: usize| {
         Ok(MetricRow {
-            group: text("series", row)?,
+            group: text("series", row)?.into(),
             sweep: text("sweep", row)?,
             strength: columns.number::<Float64Type>("strength", row)?,
             place: text("place", row)?,

@@ -3,10 +3,10 @@
 mod outcome;
 mod scenes;
 
+use djinn::evaluate::{BehaviorCount, BehaviorDoc, MiningSummary};
 use djinn::ingest::{IngestReport, RejectCount};
 use djinn::report::{
-    BehaviorCount, BehaviorDoc, Chart, Curve, Distribution, Fact, MiningSummary, PlainSection, PlainTable, ReportModel,
-    TrainingSummary, Warning,
+    Chart, Curve, Distribution, Fact, PlainSection, PlainTable, ReportModel, TrainingSummary, Warning,
 };
 use djinn::seed::Seed;
 use djinn::train::NoiseLevelReport;

@@ -1,16 +1,16 @@
 //! From the files of each stage to what the report says of it.
 
 use super::Report;
-use super::cautions::cautions;
-use super::drawings::{self, Gallery};
+use super::drawings::drawings;
+use crate::evaluate::EvaluationSummary;
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
 use crate::model::{TrainedDenoiser, TrainedSceneTransformer};
 use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use crate::pipeline::stages::train_denoiser::checkpoint_file;
-use crate::pipeline::stages::{EvaluationSummary, SampleManifest, read_requests};
+use crate::pipeline::stages::{SampleManifest, read_requests};
 use crate::pipeline::{Classify, Result, StageId};
-use crate::report::{Fact, MetricTable, ReportModel, TrainingSummary, Warning};
+use crate::report::{Drawings, Fact, MetricTable, ReportModel, TrainingSummary, Warning, cautions};
 use crate::store::{SceneManifest, read_json};
 use crate::train::{ClassifierReport, FitStatistics};
 use candle_core::Device;
@@ -164,7 +164,7 @@ fn add_samples(model: &mut ReportModel, stage: &Report<'_>) -> Result<()> {
     model
         .warnings
         .extend(model.requests.iter().filter_map(short_buckets).map(|message| warning(StageId::Generate, message)));
-    let Gallery { scenes, distributions } = drawings::gallery(stage, &manifest)?;
+    let Drawings { scenes, distributions } = drawings(stage, &manifest)?;
     model.scenes = scenes;
     model.distributions = distributions;
     Ok(())

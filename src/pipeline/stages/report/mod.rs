@@ -1,53 +1,15 @@
 //! What the stages left to the page that people read.
 
-mod cautions;
-mod choice;
-#[cfg(test)]
-mod choice_tests;
-mod compared;
 mod drawings;
-mod figures_of_scenarios;
 mod gather;
 
 use crate::pipeline::layout::{FIGURES, Layout, REPORT};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
-use crate::report::{figures, render};
+use crate::report::{ReportConfig, figures, render};
 use crate::store::write_atomically;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::{Value, json};
 use std::io::Write;
-
-/// What the report shows.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct ReportConfig {
-    /// Title of the page; empty: the pipeline's name.
-    pub title: String,
-    /// Verified scenarios that are drawn of each sweep that asks for a behavior: new ones first, of as many scenes as there are.
-    pub n_drawn: usize,
-    /// Scenarios that are drawn of such a sweep though they do not hold what was asked for.
-    pub n_failed_drawn: usize,
-    /// Scenes that are drawn of each sweep that asks for no behavior, at each strength; the same scenes in all of them.
-    pub n_scenes_drawn: usize,
-    /// Samples of each of these scenes that are drawn, one over the other.
-    pub n_samples_drawn: usize,
-    /// Recorded scenes, and scenarios of each kind, whose motion is compared.
-    pub n_compared: usize,
-}
-
-impl Default for ReportConfig {
-    fn default() -> Self {
-        Self {
-            title: String::new(),
-            n_drawn: 12,
-            n_failed_drawn: 3,
-            n_scenes_drawn: 2,
-            n_samples_drawn: 6,
-            n_compared: 300,
-        }
-    }
-}
 
 /// The stage.
 pub struct Report<'a> {
@@ -80,7 +42,7 @@ impl Stage for Report<'_> {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn check(&self) -> Result<()> {
@@ -94,19 +56,9 @@ impl Stage for Report<'_> {
     }
 
     fn inputs(&self) -> Vec<StageInput> {
-        let path = |stage: StageId| match stage {
-            StageId::Ingest => Some(("scenes", &self.layout.scenes)),
-            StageId::Mine => Some(("events", &self.layout.events)),
-            StageId::TrainDenoiser => Some(("denoiser", &self.layout.denoiser)),
-            StageId::TrainDistill => Some(("distilled", &self.layout.distilled)),
-            StageId::TrainClassifier => Some(("classifier", &self.layout.classifier)),
-            StageId::TrainBaseline => Some(("baseline", &self.layout.baseline)),
-            StageId::Generate => Some(("samples", &self.layout.samples)),
-            StageId::Evaluate => Some(("metrics", &self.layout.metrics)),
-            StageId::Report => None,
-        };
-        let inputs = self.parts.iter().filter_map(|stage| path(*stage).map(|(name, path)| (*stage, name, path)));
-        inputs.map(|(stage, name, path)| StageInput::made_by(stage, name, path)).collect()
+        let input =
+            |stage: &StageId| stage.output(self.layout).map(|(name, path)| StageInput::made_by(*stage, name, path));
+        self.parts.iter().filter_map(input).collect()
     }
 
     fn outputs(&self) -> &'static [&'static str] {

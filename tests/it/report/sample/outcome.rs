@@ -1,8 +1,9 @@
 //! What came out: scenarios that were asked for, found, accepted and measured.
 
+use djinn::evaluate::{AcceptanceRow, LeftOutRow, MetricDoc, RealismRow, SamplingRow, ValidityRow};
 use djinn::generate::{ArmSummary, BucketPart, BucketSummary, BudgetConfig, Ended, RequestSummary, Yield};
 use djinn::metrics::Direction;
-use djinn::report::{AcceptanceRow, LeftOutRow, MetricDoc, MetricTable, RealismRow, SamplingRow, ValidityRow};
+use djinn::report::MetricTable;
 use djinn::store::MetricRow;
 use std::collections::BTreeMap;
 
@@ -39,7 +40,7 @@ pub(super) fn left_out(name: &str) -> Vec<LeftOutRow> {
 
 pub(super) fn validity(name: &str) -> Vec<ValidityRow> {
     let row = |group: &str, strength, n_valid, n_collision: u64| ValidityRow {
-        group: group.into(),
+        group: group.to_owned().into(),
         sweep: name.into(),
         strength,
         place: String::new(),
@@ -121,7 +122,7 @@ pub(super) fn sampling(name: &str) -> Vec<SamplingRow> {
 
 pub(super) fn realism(name: &str) -> Vec<RealismRow> {
     let row = |group: &str, strength: f64, (quantity, unit): (&str, &str), distance: Option<f64>| RealismRow {
-        group: group.into(),
+        group: group.to_owned().into(),
         sweep: name.into(),
         strength,
         quantity: quantity.into(),
@@ -160,7 +161,7 @@ pub(super) fn metrics(name: &str) -> MetricTable {
                 continue; // one prediction has no spread
             }
             rows.push(MetricRow {
-                group: group.into(),
+                group: group.to_owned().into(),
                 sweep: group.into(),
                 strength,
                 place: name.into(),

@@ -4,7 +4,7 @@ use super::config::EvaluateConfig;
 use super::judge::{Judge, ReferenceJudgment};
 use super::measures::{Measures, Requested};
 use super::predictions;
-use crate::metrics::{Modes, MotionHistograms, SampleGroup, constant_velocity};
+use crate::metrics::{Modes, MotionHistograms, SampleGroup, SeriesKey, constant_velocity};
 use crate::scene::{Scene, Track, Trajectory};
 use crate::seed::Seed;
 use crate::store::{Assessment, ScenarioRecord};
@@ -67,11 +67,16 @@ fn is_same_question(a: &ScenarioRecord, b: &ScenarioRecord) -> bool {
     a.scene_id == b.scene_id && a.guidance.roles == b.guidance.roles
 }
 
-fn strength(record: &ScenarioRecord) -> u64 {
-    record.scenario.provenance.guidance.strength.to_bits()
+const fn strength(record: &ScenarioRecord) -> f64 {
+    record.scenario.provenance.guidance.strength
 }
 
 impl Cell<'_> {
+    /// The series of its samples, which are of `sweep`.
+    pub(super) fn series(&self, sweep: &str) -> SeriesKey {
+        SeriesKey::of(sweep, &self.records[0].scenario.provenance)
+    }
+
     /// How likely each sample is, where their model says so.
     pub(super) fn probabilities(&self) -> Option<Vec<f64>> {
         self.records.iter().map(|record| record.scenario.provenance.probability).collect()

@@ -1,26 +1,15 @@
 //! Are the scenarios chosen that a reviewer should see?
 
-use super::ReportConfig;
 use super::choice::{Choice, Chosen};
+use super::config::ReportConfig;
 use crate::scene::testing::{self, Drive};
-use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, SceneId};
+use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario};
 use crate::store::ScenarioRecord;
 
 fn record(sweep: &str, scene: &str, strength: f64, sample_idx: usize) -> ScenarioRecord {
     let recorded = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);
-    let provenance = Provenance {
-        scene_id: SceneId::from(scene),
-        observation: "predictive".into(),
-        edit_tau: None,
-        checkpoint: "d".into(),
-        classifier: None,
-        seed: 1,
-        sample_idx,
-        probability: None,
-        guidance: GuidanceTag { kind: "none".into(), strength, roles: vec![] },
-        sampler: "heun-10".into(),
-        settings: String::new(),
-    };
+    let guidance = GuidanceTag { kind: "classifier:cut_in".into(), strength, roles: vec![] };
+    let provenance = Provenance { sample_idx, guidance, ..testing::provenance(scene) };
     let observed = ObservationMask::predictive(1, recorded.n_timesteps, recorded.n_history);
     ScenarioRecord {
         scenario: Scenario {

@@ -1,18 +1,46 @@
 //! How many scenarios of each sweep, place and strength are there, verified, new, colliding, off the road?
 
-use super::model::SamplingRow;
 use crate::metrics::{CollisionRate, Metric, OffroadRate, SampleGroup};
 use crate::scene::{Scene, SceneId};
 use crate::store::ScenarioRecord;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
+/// What one sweep gave at one guidance strength.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SamplingRow {
+    /// The sweep's name in the configuration.
+    pub sweep: String,
+    /// The behavior asked for; `None` where none was.
+    pub behavior: Option<String>,
+    /// The place of the source scenes; empty for all.
+    pub place: String,
+    /// Guidance strength α; 0 is unguided.
+    pub strength: f64,
+    /// The sampler and its steps, such as `heun-20`.
+    pub sampler: String,
+    /// Source scenes.
+    pub n_scenes: u64,
+    /// Scenarios sampled.
+    pub n_scenarios: u64,
+    /// Scenarios in which the miner finds the behavior for the roles asked for.
+    pub n_verified: u64,
+    /// Verified scenarios whose recording does not hold the behavior for the same roles.
+    pub n_new: u64,
+    /// Scenarios in which agents collide, as the metric `collision_rate` defines it.
+    pub n_collision: u64,
+    /// Share of vehicles that leave the road, as the metric `offroad_rate` defines it; `None` without lanes.
+    pub offroad_rate: Option<f64>,
+    /// Denoiser evaluations of one scenario; the classifier is evaluated as often where it guides.
+    pub n_evaluations: u64,
+}
+
 /// Counts scenarios; rows come in the order in which their sweep, place and strength first appear.
-#[derive(Debug, Clone, Default)]
-pub struct SamplingTally {
+#[derive(Default)]
+pub(super) struct SamplingTally {
     rows: Vec<CountedRow>,
 }
 
-#[derive(Debug, Clone)]
 struct CountedRow {
     row: SamplingRow,
     scenes: BTreeSet<SceneId>,
@@ -22,13 +50,13 @@ struct CountedRow {
 
 impl SamplingTally {
     /// Counts a scenario that continues `recorded` and took `n_evaluations` evaluations of the denoiser.
-    pub fn add(&mut self, record: &ScenarioRecord, recorded: &Scene, n_evaluations: u64) {
+    pub(super) fn add(&mut self, record: &ScenarioRecord, recorded: &Scene, n_evaluations: u64) {
         let provenance = &record.scenario.provenance;
         let place = &recorded.source.place;
         let same = |counted: &CountedRow| {
             counted.row.sweep == record.sweep
                 && counted.row.place == *place
-                && counted.row.strength.to_bits() == provenance.guidance.strength.to_bits()
+                && counted.row.strength == provenance.guidance.strength
         };
         let at = self.rows.iter().position(same).unwrap_or_else(|| {
             let row = SamplingRow {
@@ -62,7 +90,7 @@ impl SamplingTally {
     }
 
     /// The rows.
-    pub fn finish(self) -> Vec<SamplingRow> {
+    pub(super) fn finish(self) -> Vec<SamplingRow> {
         let finished = |counted: CountedRow| SamplingRow {
             n_scenes: counted.scenes.len() as u64,
             offroad_rate: (counted.n_offroad > 0).then(|| counted.offroad_sum / counted.n_offroad as f64),
@@ -75,7 +103,7 @@ impl SamplingTally {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::testing::{record, recorded};
+    use crate::evaluate::testing::{record, recorded};
     use crate::scene::testing::{self, Drive};
 
     #[test]

@@ -4,8 +4,8 @@
 //! failed. Of other sweeps, scenes with several of their samples; the same scenes in all of these sweeps where they are there, so
 //! that what the sweeps differ in can be seen. What is kept of a sweep is bounded by the configuration, whatever its size.
 
-use super::ReportConfig;
-use crate::report::Verdict;
+use super::card::Verdict;
+use super::config::ReportConfig;
 use crate::scene::SceneId;
 use crate::store::ScenarioRecord;
 use std::collections::BTreeSet;
@@ -130,7 +130,7 @@ impl Galleries {
         }
         let is_same = |kept: &&mut Vec<ScenarioRecord>| {
             let other = &kept[0].scenario.provenance;
-            other.scene_id == *scene_id && other.guidance.strength.to_bits() == provenance.guidance.strength.to_bits()
+            other.scene_id == *scene_id && other.guidance.strength == provenance.guidance.strength
         };
         match self.kept.iter_mut().find(is_same) {
             Some(samples) if samples.len() < n_samples => samples.push(record.clone()),

@@ -1,8 +1,9 @@
 //! The `[evaluate]` section: what is measured, what is kept, what must hold.
 
+use super::error::{Error, Result};
+use super::gates::GatesConfig;
 use super::measures::known_ids;
-use crate::metrics::{CarefulDriverConfig, ModesConfig, ValidityConfig};
-use crate::pipeline::{Failure, Result};
+use crate::metrics::{CarefulDriverConfig, MetricSettings, ModesConfig, ValidityConfig};
 use crate::scene::Dataset;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -62,31 +63,18 @@ pub enum Keep {
     All,
 }
 
-/// Bounds that the results must keep. What is left out is not checked.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct GatesConfig {
-    /// At least so many scenarios, over all sweeps, hold the behavior that was asked for.
-    pub min_verified: Option<u64>,
-    /// At least so many of them where the recording does not hold it for the same agents.
-    pub min_new: Option<u64>,
-    /// At least so many scenarios, over all sweeps, are accepted: verified, valid and no near-duplicates.
-    pub min_accepted: Option<u64>,
-    /// Smallest share of valid scenarios of any sweep at any strength.
-    pub min_validity_rate: Option<f64>,
-    /// Largest collision rate of any sweep at any strength.
-    pub max_collision_rate: Option<f64>,
-    /// Largest off-road rate of any sweep at any strength.
-    pub max_offroad_rate: Option<f64>,
-    /// Whether unguided samples must be closer to the recording than a constant velocity, by minSceneADE, in every sweep.
-    pub beat_constant_velocity: bool,
-    /// Whether in every sweep that asks for a behavior the strongest guidance must find it more often than strength 0.
-    pub guidance_raises_rate: bool,
-}
-
 impl EvaluateConfig {
-    /// Refuses metrics that there are not, and modes that cannot be.
-    pub(super) fn validate(&self) -> Result<()> {
+    /// The settings that metrics judge by.
+    pub fn metric_settings(&self) -> MetricSettings {
+        MetricSettings { validity: self.validity.clone(), careful_driver: self.careful_driver.clone() }
+    }
+
+    /// Refuses what makes no sense.
+    ///
+    /// # Errors
+    /// [`Error::Config`] with the key, its value and what was expected.
+    pub fn validate(&self) -> Result<()> {
+        let refuse = |message: String| Error::Config { message, advice: "leave it out for its default".to_owned() };
         if let Some(modes) = &self.modes {
             for (key, is_wrong) in [
                 ("n_modes", modes.n_modes == 0),
@@ -96,28 +84,23 @@ impl EvaluateConfig {
                 ("min_std_m", modes.min_std_m.is_nan() || modes.min_std_m <= 0.0),
             ] {
                 if is_wrong {
-                    let message = format_args!("evaluate.modes.{key} is empty, zero or less");
-                    return Err(Failure::input_message(message).with_hint("leave it out for its default"));
+                    return Err(refuse(format!("evaluate.modes.{key} is empty, zero or less")));
                 }
             }
         }
-        let refuse = |why: String| Failure::input_message(why).with_hint("leave it out for its default");
-        self.validity.validate().map_err(|why| refuse(format!("evaluate.validity.{why}")))?;
-        self.careful_driver.validate().map_err(|why| refuse(format!("evaluate.careful_driver.{why}")))?;
-        if self.duplicate_distance_m.is_nan() || self.duplicate_distance_m < 0.0 {
-            let found = self.duplicate_distance_m;
-            return Err(refuse(format!(
-                "evaluate.duplicate_distance_m is {found}, expected a number that is not negative"
-            )));
+        self.metric_settings().validate().map_err(|why| refuse(format!("evaluate.{why}")))?;
+        let distance_m = self.duplicate_distance_m;
+        if !distance_m.is_finite() || distance_m < 0.0 {
+            let key = "evaluate.duplicate_distance_m";
+            return Err(refuse(format!("{key} is {distance_m}, expected a number that is not negative")));
         }
+        self.gates.validate(&self.metrics)?;
         let known = known_ids();
         let Some(unknown) = self.metrics.iter().find(|name| !known.contains(&name.as_str())) else { return Ok(()) };
-        let message = format!("evaluate.metrics: there is no metric {unknown}; known: {}", known.join(", "));
         let nearest = known.iter().min_by_key(|name| strsim::damerau_levenshtein(unknown, name));
-        let failure = Failure::input_message(message);
-        Err(match nearest {
-            Some(nearest) => failure.with_hint(format!("did you mean `{nearest}`?")),
-            None => failure,
+        Err(Error::Config {
+            message: format!("evaluate.metrics: there is no metric {unknown}; known: {}", known.join(", ")),
+            advice: nearest.map(|nearest| format!("did you mean `{nearest}`?")).unwrap_or_default(),
         })
     }
 }
@@ -140,9 +123,15 @@ mod tests {
     #[test]
     fn limits_must_be_numbers() {
         let check = |text: &str| toml::from_str::<EvaluateConfig>(text).expect("readable").validate();
-        for wrong in
-            ["duplicate_distance_m = -1.0", "[validity]\nmax_jerk_mps3 = nan", "[careful_driver]\nramp_s = 0.0"]
-        {
+        for wrong in [
+            "duplicate_distance_m = -1.0",
+            "duplicate_distance_m = inf",
+            "[validity]\nwindow_s = 700.0",
+            "[validity]\nwindow_s = 0.0",
+            "[validity]\nmax_jerk_mps3 = inf",
+            "[validity]\nmax_jerk_mps3 = nan",
+            "[careful_driver]\nramp_s = 0.0",
+        ] {
             assert!(check(wrong).is_err(), "{wrong}");
         }
         assert!(check("[validity]\nskip = [\"jerk\"]").is_ok());

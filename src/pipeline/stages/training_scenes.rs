@@ -1,7 +1,7 @@
 //! Which scenes of a store does a model train on, and which are held out?
 
 use crate::pipeline::{Failure, Result as StageResult};
-use crate::scene::{Dataset, Scene, Split};
+use crate::scene::{Scene, Split};
 use crate::store::{SceneIndexEntry, SceneStore};
 use crate::train::{FitStatistics, SceneDataset, TrainingData};
 use serde_json::{Value, json};
@@ -21,14 +21,14 @@ impl SceneDataset for SceneStore {
 
 /// Scenes by index, in the store's order.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Selection {
+pub(super) struct TrainingScenes {
     /// To train on.
     pub(super) train: Vec<usize>,
     /// Held out.
     pub(super) held_out: Vec<usize>,
 }
 
-impl Selection {
+impl TrainingScenes {
     /// Trains on the given splits (none: `train`, or everything unsplit where there is no such split) and places (none:
     /// all), and holds out the `val` scenes of these places.
     pub(super) fn new(index: &[SceneIndexEntry], splits: &[Split], places: &[String]) -> Self {
@@ -64,12 +64,12 @@ pub(super) fn training_data<'a>(
     state_dim: Option<usize>,
     section: &str,
 ) -> StageResult<TrainingData<'a>> {
-    let Selection { train, held_out } = Selection::new(store.index(), splits, places);
+    let TrainingScenes { train, held_out } = TrainingScenes::new(store.index(), splits, places);
     let Some(first) = train.first() else {
         return Err(Failure::input_message(format_args!("no scene is of the splits and places of {section}")));
     };
-    // Argoverse 1 has no headings of its own: they are derived from the positions, and so are those of its samples.
-    let default_state_dim = if store.index()[*first].dataset == Dataset::Argoverse1 { 2 } else { 3 };
+    // Where headings are derived from the positions, so are those of samples.
+    let default_state_dim = if store.index()[*first].dataset.facts().has_headings { 3 } else { 2 };
     let mut names: Vec<&str> = train.iter().map(|idx| store.index()[*idx].place.as_str()).collect();
     let of_scenes = names.clone();
     names.sort_unstable();
@@ -105,6 +105,7 @@ pub(super) fn training_summary(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Dataset;
     use crate::scene::SceneId;
 
     fn index(splits: &[(Split, &str)]) -> Vec<SceneIndexEntry> {
@@ -122,18 +123,18 @@ mod tests {
     #[test]
     fn train_and_val_are_kept_apart_and_places_are_honored() {
         let index = index(&[(Split::Train, "A"), (Split::Val, "A"), (Split::Train, "B"), (Split::Test, "A")]);
-        let all = Selection::new(&index, &[], &[]);
+        let all = TrainingScenes::new(&index, &[], &[]);
         assert_eq!((all.train, all.held_out), (vec![0, 2], vec![1]));
-        let only_a = Selection::new(&index, &[], &["A".to_owned()]);
+        let only_a = TrainingScenes::new(&index, &[], &["A".to_owned()]);
         assert_eq!((only_a.train, only_a.held_out), (vec![0], vec![1]));
-        let on_val = Selection::new(&index, &[Split::Train, Split::Val], &[]);
+        let on_val = TrainingScenes::new(&index, &[Split::Train, Split::Val], &[]);
         assert_eq!((on_val.train, on_val.held_out), (vec![0, 1, 2], vec![]));
     }
 
     #[test]
     fn unsplit_scenes_hold_out_a_twentieth() {
         let index = index(&[(Split::Unsplit, "A"); 40]);
-        let selection = Selection::new(&index, &[], &[]);
+        let selection = TrainingScenes::new(&index, &[], &[]);
         assert_eq!(selection.held_out, vec![19, 39]);
         assert_eq!(selection.train.len(), 38);
     }

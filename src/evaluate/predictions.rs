@@ -2,10 +2,10 @@
 
 use super::cells::Cell;
 use super::config::EvaluateConfig;
+use super::error::Result;
 use crate::files::clear;
 use crate::metrics::{ModeFit, Modes, ModesConfig, ModesOf, Representative};
-use crate::pipeline::Result;
-use crate::scene::{Dataset, Scene, SceneId};
+use crate::scene::{Benchmark, Dataset, Scene, SceneId};
 use crate::seed::Seed;
 use crate::store::{ArgoversePredictions, InteractionPredictions};
 use std::collections::BTreeSet;
@@ -20,13 +20,12 @@ pub(super) struct Predictions {
     n_tracks_left_out: usize,
 }
 
-/// The modes that a cell offers as its scene's prediction: those of the ego in Argoverse 1, of everybody jointly else. Where
-/// there are no more samples than modes, the samples themselves. `None` for guided cells and datasets that were not asked for.
+/// The modes that a cell offers as its scene's prediction: those of the ego where the benchmark predicts one agent, of everybody jointly else. Where
+/// there are no more samples than modes, the samples themselves. `None` for cells of what is no forecast and datasets that were not asked for.
 pub(super) fn of_cell(cell: &Cell<'_>, samples: &[Scene], config: &EvaluateConfig, seed: Seed) -> Option<Modes> {
     let first = samples.first()?;
     let dataset = first.source.dataset;
-    let is_guided = cell.records[0].scenario.provenance.guidance.strength != 0.0;
-    if is_guided || !config.predictions.contains(&dataset) {
+    if !cell.records[0].scenario.provenance.is_unguided() || !config.predictions.contains(&dataset) {
         return None;
     }
     let defaults = ModesConfig::default();
@@ -37,7 +36,10 @@ pub(super) fn of_cell(cell: &Cell<'_>, samples: &[Scene], config: &EvaluateConfi
         let probabilities = probabilities.into_iter().map(|probability| probability / sum).collect();
         return Some(Modes { samples: samples.to_vec(), probabilities });
     }
-    let of = if dataset == Dataset::Argoverse1 { ModesOf::Ego } else { ModesOf::Scene };
+    let of = match dataset.facts().benchmark {
+        Benchmark::ArgoverseFocal => ModesOf::Ego,
+        Benchmark::InteractionJoint | Benchmark::ArgoverseWorlds => ModesOf::Scene,
+    };
     let by = modes.by.first().copied().unwrap_or(Representative::Mean);
     Some(ModeFit::new(samples, &of.agents(first), modes, seed)?.modes(by))
 }
@@ -52,11 +54,11 @@ impl Predictions {
         let mut predictions =
             Self { interaction: None, argoverse: Vec::new(), scenes: BTreeSet::new(), n_tracks_left_out: 0 };
         for dataset in datasets {
-            match dataset {
-                Dataset::Interaction => predictions.interaction = Some(InteractionPredictions::new(dir)),
-                Dataset::Argoverse1 | Dataset::Argoverse2 => {
+            match dataset.facts().benchmark {
+                Benchmark::InteractionJoint => predictions.interaction = Some(InteractionPredictions::new(dir)),
+                Benchmark::ArgoverseFocal | Benchmark::ArgoverseWorlds => {
                     let path = dir.join(format!("{}.parquet", dataset.name()));
-                    predictions.argoverse.push((*dataset, ArgoversePredictions::create(&path, *dataset)?));
+                    predictions.argoverse.push((*dataset, ArgoversePredictions::create(&path)?));
                 }
             }
         }
@@ -69,8 +71,8 @@ impl Predictions {
             return Ok(());
         }
         let dataset = recorded.source.dataset;
-        self.n_tracks_left_out += match (dataset, &mut self.interaction) {
-            (Dataset::Interaction, Some(interaction)) => interaction.add(recorded, modes)?,
+        self.n_tracks_left_out += match (dataset.facts().benchmark, &mut self.interaction) {
+            (Benchmark::InteractionJoint, Some(interaction)) => interaction.add(recorded, modes)?,
             _ => match self.argoverse.iter_mut().find(|(of, _)| *of == dataset) {
                 Some((_, argoverse)) => argoverse.add(recorded, modes)?,
                 None => 0,
@@ -88,5 +90,27 @@ impl Predictions {
             argoverse.finish()?;
         }
         Ok((self.scenes.len(), self.n_tracks_left_out))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::testing::{record, recorded};
+    use crate::scene::GuidanceTag;
+
+    #[test]
+    fn only_forecasts_become_predictions() {
+        let config = EvaluateConfig { predictions: vec![Dataset::Interaction], ..EvaluateConfig::default() };
+        let is_predicted = |kind: &str, strength: f64, edit_tau: Option<f64>| {
+            let mut record = record(strength, false, false, recorded());
+            record.scenario.provenance.guidance.kind = kind.to_owned();
+            record.scenario.provenance.edit_tau = edit_tau;
+            let cell = Cell { records: vec![&record], with_references: false };
+            of_cell(&cell, &[recorded()], &config, Seed(1)).is_some()
+        };
+        assert!(is_predicted(GuidanceTag::NONE, 0.0, None) && is_predicted(GuidanceTag::BASELINE, 0.0, None));
+        assert!(!is_predicted("classifier:cut_in", 2.0, None));
+        assert!(!is_predicted(GuidanceTag::NONE, 0.0, Some(0.4)), "it starts from an edited recording");
     }
 }

@@ -2,39 +2,43 @@
 
 use super::config::EvaluateConfig;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
-use crate::metrics::{
-    ALL, Direction, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, PreventableRate, SampleGroup,
-    ValidityRate,
-};
-use crate::report::MetricDoc;
+use crate::metrics::{ALL, Direction, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, SampleGroup};
 use crate::scene::{Scene, TrackId};
 use crate::seed::Seed;
+use serde::{Deserialize, Serialize};
 
 /// Share of samples that hold the behavior that was asked for, with the roles that were asked for.
 pub(super) const BEHAVIOR_RATE: &str = "behavior_rate";
+
+/// How to read a metric.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MetricDoc {
+    /// Its name in the tables.
+    pub metric: String,
+    /// Its unit; `1` for shares and counts.
+    pub unit: String,
+    /// Which way is better.
+    pub direction: Direction,
+    /// Its definition.
+    pub description: String,
+}
+
+impl From<MetricSpec> for MetricDoc {
+    fn from(spec: MetricSpec) -> Self {
+        Self {
+            metric: spec.id.to_owned(),
+            unit: spec.unit.to_owned(),
+            direction: spec.direction,
+            description: spec.description.to_owned(),
+        }
+    }
+}
 
 /// Everything that is measured, in the order of tables.
 pub(super) struct Measures<'a> {
     metrics: Vec<Box<dyn Metric>>,
     modes: Option<&'a ModesConfig>,
     behaviors: &'a [Box<dyn Behavior>],
-}
-
-/// A metric of the list as it is.
-struct Listed(&'static dyn Metric);
-
-impl Metric for Listed {
-    fn spec(&self) -> MetricSpec {
-        self.0.spec()
-    }
-
-    fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
-        self.0.evaluate(group)
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        self.0.modes()
-    }
 }
 
 /// The behavior that was asked for, and of whom.
@@ -54,17 +58,8 @@ pub(super) fn known_ids() -> Vec<&'static str> {
 impl<'a> Measures<'a> {
     pub(super) fn new(config: &'a EvaluateConfig, behaviors: &'a [Box<dyn Behavior>]) -> Self {
         let chosen = |id: &str| config.metrics.is_empty() || config.metrics.iter().any(|name| name == id);
-        // Those whose limits are configured take the place of those with defaults.
-        let configured = |metric: &'static dyn Metric| -> Box<dyn Metric> {
-            let validity = ValidityRate { limits: Some(config.validity.clone()) };
-            let preventable = PreventableRate { driver: Some(config.careful_driver.clone()) };
-            match metric.spec().id {
-                id if id == validity.spec().id => Box::new(validity),
-                id if id == preventable.spec().id => Box::new(preventable),
-                _ => Box::new(Listed(metric)),
-            }
-        };
-        let metrics = ALL.iter().copied().filter(|metric| chosen(metric.spec().id)).map(configured).collect();
+        let metrics = config.metric_settings().metrics();
+        let metrics = metrics.into_iter().filter(|metric| chosen(metric.spec().id)).collect();
         Self { metrics, modes: config.modes.as_ref(), behaviors }
     }
 

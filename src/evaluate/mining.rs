@@ -1,11 +1,53 @@
-//! How do the results of the stages become parts of the report?
+//! Which behaviors do the recordings hold, and how often? Mined events counted by behavior, split and place.
 
-use super::model::{BehaviorCount, BehaviorDoc, Chart, Curve, Fact, MiningSummary, TrainingSummary};
-use crate::behavior::{ALL, BehaviorEvent, EventLabel};
+use crate::behavior::{ALL, BehaviorEntry, BehaviorEvent, EventLabel};
 use crate::scene::SceneId;
 use crate::store::SceneIndexEntry;
-use crate::train::FitStatistics;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
+
+/// What the miner found in the recordings.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct MiningSummary {
+    /// The definition of each mined behavior.
+    pub definitions: Vec<BehaviorDoc>,
+    /// Counts by behavior, split and place.
+    pub counts: Vec<BehaviorCount>,
+}
+
+/// The definition of a behavior.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BehaviorDoc {
+    /// Its name, such as `cut_in`.
+    pub behavior: String,
+    /// When it starts, when it is complete and what does not count.
+    pub definition: String,
+}
+
+impl From<&BehaviorEntry> for BehaviorDoc {
+    fn from(entry: &BehaviorEntry) -> Self {
+        Self { behavior: entry.id.to_owned(), definition: entry.description.to_owned() }
+    }
+}
+
+/// How often a behavior was found in one part of the recordings.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BehaviorCount {
+    /// Its name.
+    pub behavior: String,
+    /// The split.
+    pub split: String,
+    /// The place.
+    pub place: String,
+    /// Scenes searched.
+    pub n_scenes: u64,
+    /// Scenes with at least one positive event.
+    pub n_scenes_with: u64,
+    /// Positive events.
+    pub n_positive: u64,
+    /// Hard negatives.
+    pub n_negative: u64,
+}
 
 /// Counts mined events of each behavior by split and place, without keeping them.
 pub struct MiningTally<'a> {
@@ -73,30 +115,6 @@ impl<'a> MiningTally<'a> {
     }
 }
 
-impl TrainingSummary {
-    /// The curves of the training loop: the loss, and one chart for each figure of the evaluations.
-    pub fn of_fit(name: impl Into<String>, facts: Vec<Fact>, statistics: &[FitStatistics]) -> Self {
-        let chart = |title: &str, over: &str, points: Vec<[f64; 2]>| Chart {
-            title: title.replace('_', " "),
-            x_label: "training step".to_owned(),
-            y_label: title.to_owned(),
-            log_x: false,
-            curves: vec![Curve::new(over, points)],
-        };
-        let loss: Vec<[f64; 2]> = statistics.iter().filter_map(|line| Some([line.step as f64, line.loss?])).collect();
-        let figures: BTreeSet<&String> = statistics.iter().flat_map(|line| line.evaluation.keys()).collect();
-        let of_figure = |figure: &String| -> Vec<[f64; 2]> {
-            let value = |line: &FitStatistics| Some([line.step as f64, *line.evaluation.get(figure)?]);
-            statistics.iter().filter_map(value).collect()
-        };
-        // A network that was taken over as it is has no losses.
-        let mut charts: Vec<Chart> =
-            (!loss.is_empty()).then(|| chart("loss", "training scenes", loss)).into_iter().collect();
-        charts.extend(figures.into_iter().map(|figure| chart(figure, "held-out scenes", of_figure(figure))));
-        Self { name: name.into(), facts, charts }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -145,22 +163,5 @@ mod tests {
             .collect();
         assert_eq!(rows, [("train", 2, 1, 2, 1), ("val", 1, 0, 0, 0)]);
         assert_eq!(summary.definitions.len(), 1);
-    }
-
-    #[test]
-    fn every_figure_of_the_evaluations_has_a_chart() {
-        let line = |step, loss, ade: Option<f64>| FitStatistics {
-            step,
-            loss,
-            gradient_norm: None,
-            evaluation: ade.map(|ade| ("min_scene_ade_m".to_owned(), ade)).into_iter().collect(),
-        };
-        let summary =
-            TrainingSummary::of_fit("denoiser", vec![], &[line(10, Some(2.0), None), line(10, None, Some(0.5))]);
-        let points: Vec<_> = summary.charts.iter().map(|c| (c.y_label.as_str(), c.curves[0].points.clone())).collect();
-        assert_eq!(points, [("loss", vec![[10.0, 2.0]]), ("min_scene_ade_m", vec![[10.0, 0.5]])]);
-        let names: Vec<&str> = summary.charts.iter().map(|chart| chart.curves[0].name.as_str()).collect();
-        assert_eq!(names, ["training scenes", "held-out scenes"]);
-        assert!(TrainingSummary::of_fit("taken over", vec![], &[]).charts.is_empty());
     }
 }

@@ -1,8 +1,9 @@
 //! Whose motion, and which events, are compared with the recorded ones?
 
+use super::distribution::Distribution;
+use super::quantities::{MotionDistributions, event_distributions};
 use crate::behavior::{BehaviorEvent, EventLabel};
-use crate::report::{Distribution, MotionDistributions, event_distributions};
-use crate::scene::Scene;
+use crate::scene::{GuidanceTag, Provenance, Scene};
 use crate::store::ScenarioRecord;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -40,7 +41,7 @@ impl Compared {
     }
 
     pub(super) fn add(&mut self, record: &ScenarioRecord) {
-        let group = if record.scenario.provenance.guidance.strength == 0.0 { "unguided" } else { "guided" };
+        let group = kind_of_traffic(&record.scenario.provenance);
         let n_generated = self.n_generated.entry(group).or_default();
         if *n_generated < self.limit {
             *n_generated += 1;
@@ -70,5 +71,35 @@ impl Compared {
             return Vec::new();
         }
         event_distributions(&[("recorded events", &recorded), ("generated events", &generated)])
+    }
+}
+
+/// What generated traffic is compared by. What is edited and not guided is neither a forecast nor guided.
+fn kind_of_traffic(provenance: &Provenance) -> &'static str {
+    match provenance.guidance.kind.as_str() {
+        _ if provenance.is_unguided() => "unguided",
+        GuidanceTag::NONE => "edited",
+        _ => "guided",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::testing::{record, recorded};
+
+    #[test]
+    fn edited_scenarios_are_not_compared_as_unguided_traffic() {
+        let mut compared = Compared::new(9);
+        compared.add_recording("a", &recorded());
+        let mut guided = record(2.0, false, false, recorded());
+        compared.add(&guided);
+        guided.scenario.provenance.guidance.kind = GuidanceTag::NONE.to_owned();
+        compared.add(&guided);
+        guided.scenario.provenance.edit_tau = Some(0.4);
+        compared.add(&guided);
+        let motion = compared.motion();
+        let names: Vec<&str> = motion[0].series.iter().map(|series| series.name.as_str()).collect();
+        assert_eq!(names, ["recorded", "guided", "unguided", "edited"]);
     }
 }

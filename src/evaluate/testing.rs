@@ -1,18 +1,34 @@
 //! A scenario for tests of what is said and drawn of scenarios.
 
+use super::cells::{Cell, CellFigures};
+use super::config::EvaluateConfig;
+use super::judge::Judge;
+use super::measures::{Measures, MetricDoc};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::scene::testing::{self, Drive};
 use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, TrackId};
 use crate::store::ScenarioRecord;
 use std::collections::BTreeMap;
 
+/// A cell of one sample beside its recording, with its figures and what the metrics are.
+pub(super) fn evaluated_cell<'r>(
+    record: &'r ScenarioRecord,
+    recorded: &Scene,
+) -> (Cell<'r>, CellFigures, Vec<MetricDoc>) {
+    let config = EvaluateConfig::default();
+    let (measures, judge) = (Measures::new(&config, &[]), Judge::without_recordings(&config));
+    let cell = Cell { records: vec![record], with_references: true };
+    let figures = cell.evaluate(recorded, &measures, &judge, &config);
+    (cell, figures, measures.docs())
+}
+
 /// Two cars side by side.
-pub(super) fn recorded() -> Scene {
+pub(crate) fn recorded() -> Scene {
     testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(-3.0, 3.5, 0.0, 10.0)])
 }
 
 /// A sample of it that was asked for a cut-in of track 2 ahead of track 1.
-pub(super) fn record(strength: f64, verified: bool, recorded_event: bool, scene: Scene) -> ScenarioRecord {
+pub(crate) fn record(strength: f64, verified: bool, recorded_event: bool, scene: Scene) -> ScenarioRecord {
     let roles = vec![("ego".to_owned(), TrackId::from("1")), ("other".to_owned(), TrackId::from("2"))];
     let event = BehaviorEvent {
         behavior: "cut_in".into(),
@@ -24,17 +40,10 @@ pub(super) fn record(strength: f64, verified: bool, recorded_event: bool, scene:
         parameters: BTreeMap::from([("gap_m".to_owned(), 4.123)]),
     };
     let provenance = Provenance {
-        scene_id: scene.id.clone(),
-        observation: "predictive".into(),
-        edit_tau: None,
-        checkpoint: "d".into(),
         classifier: Some("c".into()),
-        seed: 1,
         sample_idx: 4,
-        probability: None,
         guidance: GuidanceTag { kind: "classifier:cut_in".into(), strength, roles },
-        sampler: "heun-20".into(),
-        settings: String::new(),
+        ..testing::provenance(&scene.id.0)
     };
     ScenarioRecord {
         scenario: Scenario {

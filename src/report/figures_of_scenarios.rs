@@ -1,23 +1,19 @@
 //! What do the metrics say of single scenarios?
 
-use crate::pipeline::Result;
-use crate::report::CardValue;
-use crate::store::{MetricRow, ScenarioRecord, read_metrics};
+use super::card::CardValue;
+use crate::store::{MetricRow, ScenarioRecord};
 use std::collections::BTreeMap;
-use std::path::Path;
 
 /// The metrics of some scenarios, by their ids, in the order of the table.
 #[derive(Debug, Default)]
 pub(super) struct FiguresOfScenarios(BTreeMap<String, Vec<CardValue>>);
 
 impl FiguresOfScenarios {
-    /// Reads those of `records` from a metric table.
-    pub(super) fn read<'a>(path: &Path, records: impl Iterator<Item = &'a ScenarioRecord>) -> Result<Self> {
+    /// Those of `records` among the rows of a metric table.
+    pub(super) fn new<'a>(rows: Vec<MetricRow>, records: impl Iterator<Item = &'a ScenarioRecord>) -> Self {
         let mut figures = Self(records.map(|record| (record.scenario.id.clone(), Vec::new())).collect());
-        if !figures.0.is_empty() {
-            figures.add(read_metrics(path)?);
-        }
-        Ok(figures)
+        figures.add(rows);
+        figures
     }
 
     fn add(&mut self, rows: Vec<MetricRow>) {
@@ -52,7 +48,7 @@ mod tests {
     #[test]
     fn means_are_over_the_scenarios_for_which_a_metric_is_defined() {
         let row = |id: &str, metric: &str, value: f64| MetricRow {
-            group: "g".into(),
+            group: crate::metrics::Group::Unguided,
             sweep: "s".into(),
             strength: 0.0,
             place: "X".into(),

@@ -1,12 +1,13 @@
 //! Which figures should a reviewer see before any other? Generated traffic that is clearly worse than it ought to be.
 
+use crate::metrics::Group;
 use crate::store::MetricRow;
 
 /// How far a rate of generated traffic may lie above that of the recording before it is pointed out.
 const RATE_MARGIN: f64 = 0.1;
 
 /// Sentences about the aggregates over all places, sweep by sweep in the order of the rows.
-pub(super) fn cautions(aggregates: &[MetricRow]) -> Vec<String> {
+pub fn cautions(aggregates: &[MetricRow]) -> Vec<String> {
     let rows: Vec<&MetricRow> = aggregates.iter().filter(|row| row.place.is_empty()).collect();
     let mut sweeps: Vec<&str> = Vec::new();
     for row in &rows {
@@ -21,11 +22,11 @@ fn of_sweep(sweep: &str, rows: &[&MetricRow]) -> Vec<String> {
     let of = |metric: &str| -> Vec<&MetricRow> {
         rows.iter().filter(|row| row.sweep == sweep && row.metric == metric).copied().collect()
     };
-    let group = |rows: &[&MetricRow], name: &str| rows.iter().find(|row| row.group == name).map(|row| row.value);
+    let group = |rows: &[&MetricRow], group: Group| rows.iter().find(|row| row.group == group).map(|row| row.value);
     let mut found = Vec::new();
 
     let errors = of("min_scene_ade_m");
-    if let (Some(own), Some(baseline)) = (group(&errors, "unguided"), group(&errors, "constant_velocity"))
+    if let (Some(own), Some(baseline)) = (group(&errors, Group::Unguided), group(&errors, Group::ConstantVelocity))
         && own >= baseline
     {
         found.push(format!(
@@ -39,8 +40,8 @@ fn of_sweep(sweep: &str, rows: &[&MetricRow]) -> Vec<String> {
         ("acceleration_violation_rate", "of vehicles break the acceleration limit"),
     ] {
         let rates = of(metric);
-        let Some(recorded) = group(&rates, "recorded") else { continue };
-        let generated = rates.iter().filter(|row| !matches!(row.group.as_str(), "recorded" | "constant_velocity"));
+        let Some(recorded) = group(&rates, Group::Recorded) else { continue };
+        let generated = rates.iter().filter(|row| row.group.is_generated());
         let worst = generated.max_by(|a, b| a.value.total_cmp(&b.value));
         if let Some(worst) = worst.filter(|row| row.value > recorded + RATE_MARGIN) {
             found.push(format!(
@@ -52,8 +53,8 @@ fn of_sweep(sweep: &str, rows: &[&MetricRow]) -> Vec<String> {
         }
     }
     let rates = of("behavior_rate");
-    if let Some(unguided) = group(&rates, "unguided") {
-        let guided = rates.iter().filter(|row| row.group == sweep);
+    if let Some(unguided) = group(&rates, Group::Unguided) {
+        let guided = rates.iter().filter(|row| matches!(row.group, Group::Sweep(_)));
         for row in guided.filter(|row| row.value <= unguided) {
             found.push(format!(
                 "Sweep {sweep}: guidance at strength {} does not raise the rate of the behavior ({:.1} % against {:.1} % unguided).",
@@ -72,7 +73,7 @@ mod tests {
 
     fn row(group: &str, strength: f64, metric: &str, value: f64) -> MetricRow {
         MetricRow {
-            group: group.to_owned(),
+            group: group.to_owned().into(),
             sweep: "cut_ins".to_owned(),
             strength,
             place: String::new(),

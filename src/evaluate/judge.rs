@@ -1,11 +1,11 @@
 //! What is to be said of a single scenario, apart from whether it does what was asked: could it have happened, how critical is it, is it new?
 
 use super::config::EvaluateConfig;
+use super::error::Result;
 use crate::behavior::BehaviorEvent;
 use crate::metrics::{
     CutInJudgment, EventSpace, Judged, MotionHistograms, PairCriticality, RecordedRanges, SceneCriticality, Violation,
 };
-use crate::pipeline::Result;
 use crate::scene::Scene;
 use crate::store::{Assessment, ScenarioRecord, SceneStore};
 use rayon::prelude::*;
@@ -45,6 +45,12 @@ impl<'a> Judge<'a> {
         behaviors.dedup();
         let spaces = behaviors.into_iter().filter_map(|behavior| EventSpace::new(behavior, recorded)).collect();
         Ok(Self { config, ranges: RecordedRanges::of(&all), spaces })
+    }
+
+    /// A judge who knows nothing of recorded traffic.
+    #[cfg(test)]
+    pub(super) fn without_recordings(config: &'a EvaluateConfig) -> Self {
+        Self { config, ranges: RecordedRanges::of(&MotionHistograms::default()), spaces: Vec::new() }
     }
 
     /// The judgment of a scenario, but for its neighbors in the corpus.

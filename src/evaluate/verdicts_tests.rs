@@ -1,15 +1,12 @@
 //! Tests of who is accepted and who is kept, and that everybody is counted.
 
 use super::config::{EvaluateConfig, Keep};
-use super::verdicts::Verdicts;
+use super::verdicts::{AcceptanceRow, LeftOutRow, Verdicts, left_out_by_sweep};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, Violation};
-use crate::pipeline::stages::{SampleManifest, SampleSidecar};
-use crate::report::{AcceptanceRow, LeftOutRow};
-use crate::scene::testing::{Drive, scene};
+use crate::scene::testing::{Drive, provenance, scene};
 use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, TrackId};
-use crate::store::{Assessment, FileStamp, ScenarioRecord};
-use std::collections::BTreeMap;
+use crate::store::{Assessment, ScenarioRecord};
 
 /// A scenario of two cars, the second one `offset_m` to the side.
 fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> ScenarioRecord {
@@ -33,17 +30,8 @@ fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> Scen
             id: id.to_owned(),
             observed: ObservationMask::predictive(2, scene.n_timesteps, scene.n_history),
             provenance: Provenance {
-                scene_id: scene.id.clone(),
-                observation: "predictive".to_owned(),
-                edit_tau: None,
-                checkpoint: String::new(),
-                classifier: None,
-                seed: 1,
-                sample_idx: 0,
-                probability: None,
-                guidance: GuidanceTag { kind: "none".to_owned(), strength: 2.0, roles },
-                sampler: "heun-2".to_owned(),
-                settings: String::new(),
+                guidance: GuidanceTag { kind: "classifier:cut_in".to_owned(), strength: 2.0, roles },
+                ..provenance(&scene.id.0)
             },
             scene,
         },
@@ -63,26 +51,25 @@ fn records() -> Vec<ScenarioRecord> {
 
 fn decided(keep: Keep) -> (Vec<ScenarioRecord>, Vec<String>, Vec<AcceptanceRow>, Vec<LeftOutRow>) {
     let config = EvaluateConfig { keep, ..EvaluateConfig::default() };
-    let mut verdicts = Verdicts::new(&config, &SampleManifest::default());
+    let mut verdicts = Verdicts::new(&config);
     let (mut all, mut kept) = (records(), Vec::new());
     for record in &mut all {
         if verdicts.decide(record) {
             kept.push(record.scenario.id.clone());
         }
     }
-    for (record, row) in all.iter().zip(verdicts.decided()) {
+    let (rows, left_out, decided) = verdicts.finish();
+    for (record, row) in all.iter().zip(&decided) {
         let is_accepted = record.assessment.as_ref().is_some_and(|assessment| assessment.accepted);
         assert_eq!(
             (&row.scenario_id, row.accepted, row.kept),
             (&record.scenario.id, is_accepted, kept.contains(&record.scenario.id))
         );
     }
-    let reasons: Vec<Vec<&str>> =
-        verdicts.decided().iter().map(|row| row.reasons.iter().map(String::as_str).collect()).collect();
+    let reasons: Vec<Vec<&str>> = decided.iter().map(|row| row.reasons.iter().map(String::as_str).collect()).collect();
     let expected: [&[&str]; 6] =
         [&["not_verified", "jerk"], &[], &["near_duplicate"], &["collision", "offroad"], &[], &[]];
     assert_eq!(reasons, expected);
-    let (rows, left_out) = verdicts.finish();
     (all, kept, rows, left_out)
 }
 
@@ -105,7 +92,7 @@ fn of_near_duplicates_the_first_accepted_one_stays() {
     assert_eq!(counts, expected);
     let n_left_out: u64 = left_out.iter().map(|row| row.n_left_out).sum();
     assert_eq!(n_left_out + row.n_kept, row.n_scenarios, "everybody is in the corpus or left out for one reason");
-    assert_eq!(Verdicts::left_out_by_sweep(&left_out)["cut_ins"].len(), 3);
+    assert_eq!(left_out_by_sweep(&left_out)["cut_ins"].len(), 3);
 }
 
 #[test]
@@ -116,7 +103,7 @@ fn what_is_kept_is_not_left_out_whatever_was_found() {
     let (all, kept, _, left_out) = decided(Keep::All);
     assert_eq!(kept.len(), all.len());
     assert!(left_out.iter().all(|row| row.n_left_out == 0 && row.n_found == 1));
-    assert!(Verdicts::left_out_by_sweep(&left_out).is_empty());
+    assert!(left_out_by_sweep(&left_out).is_empty());
 }
 
 #[test]
@@ -129,21 +116,11 @@ fn what_generation_left_out_is_counted_too() {
         seed: 1,
         reason: "track 3 is not finite at timestep 12".to_owned(),
     };
-    let shard = SampleSidecar {
-        file: String::new(),
-        stamp: FileStamp { n_bytes: 0, checksum: String::new() },
-        sweep: "cut_ins".to_owned(),
-        n_evaluations: 3,
-        n_scenarios: 0,
-        n_verified: 0,
-        rejected: vec![rejected(0), rejected(1)],
-        unselected: BTreeMap::new(),
-        request: None,
-    };
-    let unselected = BTreeMap::from([("cut_ins".to_owned(), BTreeMap::from([("not among the best 2".to_owned(), 4)]))]);
-    let manifest = SampleManifest { shards: vec![shard], unselected, ..SampleManifest::default() };
     let config = EvaluateConfig::default();
-    let (_, left_out) = Verdicts::new(&config, &manifest).finish();
+    let mut verdicts = Verdicts::new(&config);
+    [0, 1].map(rejected).iter().for_each(|rejected| verdicts.count_rejected(rejected));
+    verdicts.count_unselected("cut_ins", "not among the best 2", 4);
+    let (_, left_out, _) = verdicts.finish();
     let counts: Vec<_> = left_out.iter().map(|row| (row.reason.as_str(), row.strength, row.n_left_out)).collect();
     assert_eq!(counts, [("not_finite", Some(2.0), 2), ("selection: not among the best 2", None, 4)]);
 }

@@ -1,10 +1,10 @@
 //! Which scenarios are accepted, which become the corpus, and why are the others left out? Decided one by one, in the order of the samples.
 
 use super::config::{EvaluateConfig, Keep};
+use crate::generate::RejectedSample;
 use crate::metrics::{PairPath, PathIndex};
-use crate::pipeline::stages::SampleManifest;
-use crate::report::{AcceptanceRow, LeftOutRow};
 use crate::store::{RequestOutcome, ScenarioRecord, VerdictRow};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Why a scenario of which nothing was asked is not accepted.
@@ -16,6 +16,53 @@ const NEAR_DUPLICATE: &str = "near_duplicate";
 /// Why a sample is no scenario.
 const NOT_FINITE: &str = "not_finite";
 
+/// What became of the scenarios of one sweep at one strength.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct AcceptanceRow {
+    /// The sweep.
+    pub sweep: String,
+    /// Guidance strength α; 0 is unguided.
+    pub strength: f64,
+    /// Scenarios sampled.
+    pub n_scenarios: u64,
+    /// In which the miner finds the behavior for the roles asked for.
+    pub n_verified: u64,
+    /// That pass every check of validity.
+    pub n_valid: u64,
+    /// That are both.
+    pub n_verified_valid: u64,
+    /// That are both, and no near-duplicates of accepted ones before.
+    pub n_accepted: u64,
+    /// That are in the corpus.
+    pub n_kept: u64,
+}
+
+/// How many samples of a sweep have one reason not to be accepted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LeftOutRow {
+    /// The stage that found it.
+    pub stage: String,
+    /// The sweep.
+    pub sweep: String,
+    /// Guidance strength α; `None` where samples of all strengths are counted together.
+    pub strength: Option<f64>,
+    /// The reason: `not_verified`, `near_duplicate`, the name of a check of validity, …
+    pub reason: String,
+    /// How many are not in the corpus for this reason before any other.
+    pub n_left_out: u64,
+    /// How many have it, alone or with others.
+    pub n_found: u64,
+}
+
+/// Of each sweep why samples of it are not in the corpus, and how many, each for its first reason.
+pub fn left_out_by_sweep(rows: &[LeftOutRow]) -> BTreeMap<String, BTreeMap<String, u64>> {
+    let mut by_sweep: BTreeMap<String, BTreeMap<String, u64>> = BTreeMap::new();
+    for row in rows.iter().filter(|row| row.n_left_out > 0) {
+        *by_sweep.entry(row.sweep.clone()).or_default().entry(row.reason.clone()).or_default() += row.n_left_out;
+    }
+    by_sweep
+}
+
 /// Decides and counts.
 pub(super) struct Verdicts<'a> {
     config: &'a EvaluateConfig,
@@ -26,24 +73,19 @@ pub(super) struct Verdicts<'a> {
 }
 
 impl<'a> Verdicts<'a> {
-    /// Nothing decided yet; what generation itself left out is counted already.
-    pub(super) fn new(config: &'a EvaluateConfig, samples: &SampleManifest) -> Self {
-        let mut verdicts = Self {
-            config,
-            accepted: PathIndex::default(),
-            rows: Vec::new(),
-            left_out: Vec::new(),
-            decided: Vec::new(),
-        };
-        for rejected in samples.shards.iter().flat_map(|shard| &shard.rejected) {
-            verdicts.count(("generate", &rejected.sweep, Some(rejected.strength)), NOT_FINITE, 1, true);
-        }
-        for (sweep, reasons) in &samples.unselected {
-            for (reason, n) in reasons {
-                verdicts.count(("generate", sweep, None), &format!("selection: {reason}"), *n, true);
-            }
-        }
-        verdicts
+    /// Nothing decided yet.
+    pub(super) fn new(config: &'a EvaluateConfig) -> Self {
+        Self { config, accepted: PathIndex::default(), rows: Vec::new(), left_out: Vec::new(), decided: Vec::new() }
+    }
+
+    /// Counts a sample that came to nothing.
+    pub(super) fn count_rejected(&mut self, rejected: &RejectedSample) {
+        self.count(("generate", &rejected.sweep, Some(rejected.strength)), NOT_FINITE, 1, true);
+    }
+
+    /// Counts `n` samples of `sweep` that its selection left out for `reason`.
+    pub(super) fn count_unselected(&mut self, sweep: &str, reason: &str, n: u64) {
+        self.count(("generate", sweep, None), &format!("selection: {reason}"), n, true);
     }
 
     /// Completes the judgment of a record and says whether it becomes part of the corpus. Records must come in the order of the samples:
@@ -103,27 +145,13 @@ impl<'a> Verdicts<'a> {
         is_kept
     }
 
-    /// What was decided, scenario by scenario, in their order.
-    pub(super) fn decided(&self) -> &[VerdictRow] {
-        &self.decided
-    }
-
-    /// The counts, in the order of first appearance.
-    pub(super) fn finish(self) -> (Vec<AcceptanceRow>, Vec<LeftOutRow>) {
-        (self.rows, self.left_out)
-    }
-
-    /// Of each sweep why samples of it are not kept, and how many, each for its first reason.
-    pub(super) fn left_out_by_sweep(left_out: &[LeftOutRow]) -> BTreeMap<String, BTreeMap<String, u64>> {
-        let mut by_sweep: BTreeMap<String, BTreeMap<String, u64>> = BTreeMap::new();
-        for row in left_out.iter().filter(|row| row.n_left_out > 0) {
-            *by_sweep.entry(row.sweep.clone()).or_default().entry(row.reason.clone()).or_default() += row.n_left_out;
-        }
-        by_sweep
+    /// The counts, in the order of first appearance, and what was decided, scenario by scenario in their order.
+    pub(super) fn finish(self) -> (Vec<AcceptanceRow>, Vec<LeftOutRow>, Vec<VerdictRow>) {
+        (self.rows, self.left_out, self.decided)
     }
 
     fn row(&mut self, sweep: &str, strength: f64) -> &mut AcceptanceRow {
-        let is_same = |row: &AcceptanceRow| row.sweep == sweep && row.strength.to_bits() == strength.to_bits();
+        let is_same = |row: &AcceptanceRow| row.sweep == sweep && row.strength == strength;
         let at = self.rows.iter().position(is_same).unwrap_or_else(|| {
             self.rows.push(AcceptanceRow { sweep: sweep.to_owned(), strength, ..AcceptanceRow::default() });
             self.rows.len() - 1
@@ -133,10 +161,7 @@ impl<'a> Verdicts<'a> {
 
     fn count(&mut self, (stage, sweep, strength): (&str, &str, Option<f64>), reason: &str, n: u64, is_first: bool) {
         let is_same = |row: &LeftOutRow| {
-            row.stage == stage
-                && row.sweep == sweep
-                && row.strength.map(f64::to_bits) == strength.map(f64::to_bits)
-                && row.reason == reason
+            row.stage == stage && row.sweep == sweep && row.strength == strength && row.reason == reason
         };
         let at = self.left_out.iter().position(is_same).unwrap_or_else(|| {
             let (stage, sweep, reason) = (stage.to_owned(), sweep.to_owned(), reason.to_owned());

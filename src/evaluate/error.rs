@@ -1,0 +1,29 @@
+//! What can stop an evaluation.
+
+use crate::scene::SceneId;
+use crate::{files, store};
+
+/// A failure of evaluation.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A setting that makes no sense.
+    #[error("{message}; {advice}")]
+    Config {
+        /// The key, its value and what was expected.
+        message: String,
+        /// What to do about it.
+        advice: String,
+    },
+    /// A sample of a scene that the store does not hold.
+    #[error("scene {0} of the samples is not among the scenes; give the scenes that the samples were generated from")]
+    UnknownScene(SceneId),
+    /// A file of ours could not be read or written.
+    #[error(transparent)]
+    Store(#[from] store::Error),
+    /// The folder of predictions must not be written into.
+    #[error(transparent)]
+    Files(#[from] files::Error),
+}
+
+/// The result of evaluation.
+pub type Result<T, E = Error> = std::result::Result<T, E>;

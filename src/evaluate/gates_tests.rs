@@ -1,0 +1,260 @@
+//! Tests of every gate: met, at its edge, unmet, and without anything to judge.
+
+use super::evaluation::EvaluationSummary;
+use super::gates::GatesConfig;
+use super::{GateResult, SamplingRow, ValidityRow};
+use crate::generate::GenerateConfig;
+use crate::metrics::{Group, SeriesKey};
+use crate::store::MetricRow;
+use std::collections::BTreeMap;
+
+const SWEEP: &str = "cut_ins";
+
+fn series(group: Group, strength: f64) -> SeriesKey {
+    SeriesKey { group, sweep: SWEEP.to_owned(), strength }
+}
+
+fn unguided() -> SeriesKey {
+    series(Group::Unguided, 0.0)
+}
+
+fn guided() -> SeriesKey {
+    series(Group::Sweep(SWEEP.to_owned()), 2.0)
+}
+
+/// 10 scenarios of a sweep that asks for a cut-in, of `generated` series, with these means over all places and no others.
+fn found(generated: &[SeriesKey], means: &[(SeriesKey, &str, f64)]) -> EvaluationSummary {
+    let validity_row = |SeriesKey { group, sweep, strength }: &SeriesKey, place: &str| ValidityRow {
+        group: group.clone(),
+        sweep: sweep.clone(),
+        strength: *strength,
+        place: place.to_owned(),
+        n: 5,
+        n_valid: 5,
+        violations: BTreeMap::new(),
+        plausibility: None,
+    };
+    let mean =
+        |(SeriesKey { group, sweep, strength }, metric, value): &(SeriesKey, &str, f64), place: &str| MetricRow {
+            group: group.clone(),
+            sweep: sweep.clone(),
+            strength: *strength,
+            place: place.to_owned(),
+            scene_id: None,
+            scenario_id: None,
+            metric: (*metric).to_owned(),
+            value: *value,
+            n: 5,
+            std_error: None,
+        };
+    let sampling = SamplingRow {
+        sweep: SWEEP.to_owned(),
+        behavior: Some("cut_in".to_owned()),
+        place: "X".to_owned(),
+        strength: 0.0,
+        sampler: "heun-10".to_owned(),
+        n_scenes: 5,
+        n_scenarios: 10,
+        n_verified: 4,
+        n_new: 3,
+        n_collision: 0,
+        offroad_rate: None,
+        n_evaluations: 19,
+    };
+    // A place by itself, where all is well, decides nothing.
+    let of_place = means.iter().map(|row| mean(&(row.0.clone(), row.1, 0.5), "X"));
+    EvaluationSummary {
+        n_scenarios: 10,
+        n_verified: 4,
+        n_new: 3,
+        n_valid: 8,
+        n_accepted: 2,
+        n_kept: 2,
+        gates: Vec::new(),
+        sampling: vec![sampling],
+        docs: Vec::new(),
+        aggregates: of_place.chain(means.iter().map(|row| mean(row, ""))).collect(),
+        realism: Vec::new(),
+        acceptance: Vec::new(),
+        left_out: Vec::new(),
+        validity: ["", "X"]
+            .iter()
+            .flat_map(|place| generated.iter().map(move |key| validity_row(key, place)))
+            .collect(),
+    }
+}
+
+fn gates(toml: &str) -> GatesConfig {
+    toml::from_str(toml).expect("readable")
+}
+
+fn results(toml: &str, found: &EvaluationSummary) -> Vec<GateResult> {
+    let results = gates(toml).check(found);
+    assert!(!results.is_empty(), "{toml}: a gate that is set says something");
+    results
+}
+
+/// Whether the only result is met, and what it says.
+fn only(toml: &str, found: &EvaluationSummary) -> (bool, String) {
+    let results = results(toml, found);
+    assert_eq!(results.len(), 1, "{results:?}");
+    (results[0].met, format!("{}: {}", results[0].gate, results[0].detail))
+}
+
+#[test]
+fn counts_are_met_at_their_bound_and_unmet_above() {
+    let found = found(&[], &[]);
+    for (gate, n) in [("min_verified", 4), ("min_new", 3), ("min_accepted", 2)] {
+        for (required, met) in [(0, true), (n - 1, true), (n, true), (n + 1, false)] {
+            let expected = format!("{gate}: at least {required} required, {n} found");
+            assert_eq!(only(&format!("{gate} = {required}"), &found), (met, expected));
+        }
+    }
+    let nothing = EvaluationSummary { n_verified: 0, ..found };
+    assert_eq!(only("min_verified = 1", &nothing), (false, "min_verified: at least 1 required, 0 found".to_owned()));
+}
+
+#[test]
+fn rates_are_met_at_their_bound_and_unmet_beyond() {
+    for (gate, metric, is_least) in [
+        ("max_collision_rate", "collision_rate", false),
+        ("max_offroad_rate", "offroad_rate", false),
+        ("min_validity_rate", "validity_rate", true),
+    ] {
+        let found = found(&[guided()], &[(guided(), metric, 0.25), (series(Group::Recorded, 0.0), metric, 0.9)]);
+        for (bound, met) in [(0.2, is_least), (0.25, true), (0.3, !is_least)] {
+            let (is_met, text) = only(&format!("{gate} = {bound}"), &found);
+            assert_eq!(is_met, met, "{text}");
+            assert!(text.starts_with(&format!("{gate} (cut_ins, strength 2): at ")) && text.ends_with(" 0.2500 found"));
+        }
+    }
+}
+
+#[test]
+fn rates_without_data_are_not_met() {
+    for (gate, metric) in [
+        ("max_collision_rate = 1", "collision_rate"),
+        ("max_offroad_rate = 1", "offroad_rate"),
+        ("min_validity_rate = 0", "validity_rate"),
+    ] {
+        let (met, text) = only(gate, &found(&[], &[]));
+        assert!(!met && text.ends_with("cannot be judged: there are no scenarios"), "{text}");
+        let baseline = (series(Group::ConstantVelocity, 0.0), metric, 0.0);
+        let (met, text) = only(gate, &found(&[guided()], &[baseline]));
+        assert!(!met && text.ends_with(&format!("cannot be judged: {metric} is not defined for any scene of it")));
+        // One series alone is not all of them.
+        let partial = results(gate, &found(&[unguided(), guided()], &[(unguided(), metric, 0.5)]));
+        assert_eq!(partial.iter().map(|result| result.met).collect::<Vec<_>>(), [true, false]);
+        let (met, _) = only(gate, &found(&[guided()], &[(guided(), metric, f64::NAN)]));
+        assert!(!met, "no number keeps no bound");
+    }
+}
+
+#[test]
+fn the_baseline_is_beaten_by_less_and_not_by_as_much() {
+    let gate = "beat_constant_velocity = true";
+    let baseline = || (series(Group::ConstantVelocity, 0.0), "min_scene_ade_m", 0.5);
+    for (own, met) in [(0.4, true), (0.5, false), (0.6, false)] {
+        let means = [(unguided(), "min_scene_ade_m", own), (guided(), "min_scene_ade_m", 9.0), baseline()];
+        let (is_met, text) = only(gate, &found(&[unguided(), guided()], &means));
+        assert_eq!(
+            (is_met, text),
+            (met, format!("beat_constant_velocity (cut_ins): minSceneADE {own:.3} m against 0.500 m"))
+        );
+    }
+    for (generated, means, why) in [
+        (vec![guided()], vec![baseline()], "no sweep has unguided samples"),
+        (vec![], vec![], "no sweep has unguided samples"),
+        (vec![unguided()], vec![baseline()], "min_scene_ade_m is not defined for any scene of it"),
+        (
+            vec![unguided()],
+            vec![(unguided(), "min_scene_ade_m", 0.1)],
+            "min_scene_ade_m is not defined for any scene of it",
+        ),
+    ] {
+        let (met, text) = only(gate, &found(&generated, &means));
+        assert!(!met && text.ends_with(&format!("cannot be judged: {why}")), "{text}");
+    }
+}
+
+#[test]
+fn the_strongest_guidance_must_find_more_than_strength_0() {
+    let gate = "guidance_raises_rate = true";
+    // Edited scenarios at strength 0 are no unguided traffic, and yet what guidance of edited ones is compared with.
+    for zero in [unguided(), series(Group::Sweep(SWEEP.to_owned()), 0.0)] {
+        let strongest = series(Group::Sweep(SWEEP.to_owned()), 10.0);
+        for (rate, met) in [(0.3, true), (0.2, false), (0.1, false)] {
+            let means = [(zero.clone(), 0.2), (guided(), 0.9), (strongest.clone(), rate)];
+            let means = means.map(|(series, rate)| (series, "behavior_rate", rate));
+            let (is_met, text) = only(gate, &found(&[zero.clone(), guided(), strongest.clone()], &means));
+            let expected =
+                format!("guidance_raises_rate (cut_ins): {rate:.4} at strength 10 against 0.2000 at strength 0");
+            assert_eq!((is_met, text), (met, expected));
+        }
+    }
+    let weaker = series(Group::Sweep(SWEEP.to_owned()), 1.0);
+    for (generated, why) in [
+        (vec![], "no sweep asks for a behavior at several strengths"),
+        (vec![guided()], "no sweep asks for a behavior at several strengths"),
+        (vec![weaker, guided()], "it has no samples at strength 0"),
+        (vec![unguided(), guided()], "behavior_rate is not defined for any scene of it"),
+    ] {
+        let (met, text) = only(gate, &found(&generated, &[]));
+        assert!(!met && text.ends_with(&format!("cannot be judged: {why}")), "{text}");
+    }
+    let mut continued = found(&[unguided(), guided()], &[]);
+    continued.sampling[0].behavior = None;
+    let (met, text) = only(gate, &continued);
+    assert!(!met && text.ends_with("no sweep asks for a behavior at several strengths"), "{text}");
+}
+
+#[test]
+fn bounds_must_be_shares_and_their_metrics_measured() {
+    let ade_only = ["min_ade_m".to_owned()];
+    for gate in ["max_collision_rate", "max_offroad_rate", "min_validity_rate"] {
+        for bound in ["nan", "inf", "-inf", "-0.1", "1.1"] {
+            let why = gates(&format!("{gate} = {bound}")).validate(&[]).unwrap_err().to_string();
+            assert!(why.starts_with(&format!("evaluate.gates.{gate} is ")) && why.contains("from 0 to 1"), "{why}");
+        }
+        for bound in ["0", "1.0", "0.5"] {
+            gates(&format!("{gate} = {bound}")).validate(&[]).unwrap();
+            let why = gates(&format!("{gate} = {bound}")).validate(&ade_only).unwrap_err().to_string();
+            assert!(why.contains(&gate[4..]) && why.contains("evaluate.metrics leaves out"), "{why}");
+        }
+    }
+    let why = gates("beat_constant_velocity = true").validate(&ade_only).unwrap_err().to_string();
+    assert!(why.contains("min_scene_ade_m, which evaluate.metrics leaves out"), "{why}");
+    // The miner finds behaviors whatever is measured.
+    gates("guidance_raises_rate = true\nmin_new = 1").validate(&ade_only).unwrap();
+}
+
+#[test]
+fn gates_that_the_sweeps_leave_nothing_to_judge_by_are_refused() {
+    let refusal = |gate: &str, sweep: &str, has_maps: bool| {
+        let generate = format!("[[sweeps]]\nname = 's'\nn_scenes = 1\n{sweep}");
+        let generate: GenerateConfig = toml::from_str(&generate).expect("readable");
+        gates(gate).check_generated(&generate, has_maps).err().map(|error| error.to_string())
+    };
+    for (gate, sweep, why) in [
+        ("beat_constant_velocity = true", "strengths = [0.0]", None),
+        ("beat_constant_velocity = true", "edit = { tau = 0.4 }", Some("no sweep has unguided samples")),
+        (
+            "beat_constant_velocity = true",
+            "behavior = 'cut_in'\nstrengths = [2.0]",
+            Some("no sweep has unguided samples"),
+        ),
+        ("max_offroad_rate = 1", "", None),
+        ("max_collision_rate = 1", "", None),
+    ] {
+        let found = refusal(gate, sweep, true);
+        assert_eq!(found.is_some(), why.is_some(), "{found:?}");
+        assert!(why.is_none_or(|why| found.as_ref().is_some_and(|found| found.contains(why))), "{found:?}");
+    }
+    assert!(refusal("max_offroad_rate = 1", "", false).expect("no maps").contains("ingest.maps"));
+    let raises = |strengths: &str| {
+        refusal("guidance_raises_rate = true", &format!("behavior = 'cut_in'\nstrengths = {strengths}"), true)
+    };
+    assert_eq!(raises("[0.0, 10.0]"), None);
+    assert!(raises("[5.0, 10.0]").expect("no zero").contains("sweep s has no strength 0"));
+    assert!(raises("[0.0]").expect("one strength").contains("no sweep asks for a behavior at several strengths"));
+}

@@ -1,0 +1,136 @@
+//! How many scenarios of each sweep are valid, and how many of the recordings they continue are? Counted by check.
+
+use super::cells::Cell;
+use super::judge::ReferenceJudgment;
+use crate::metrics::{Group, SeriesKey, Violation};
+use crate::scene::Scene;
+use crate::store::Assessment;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// How many scenes of a group are valid, and how many fail each check.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ValidityRow {
+    /// Whose scenes they are.
+    pub group: Group,
+    /// The sweep that is judged, or that continues these recordings.
+    pub sweep: String,
+    /// Guidance strength α; 0 is unguided.
+    pub strength: f64,
+    /// The place; empty for all.
+    pub place: String,
+    /// Scenes judged.
+    pub n: u64,
+    /// That pass every check.
+    pub n_valid: u64,
+    /// Check → how many fail it; those that nobody fails are missing.
+    pub violations: BTreeMap<String, u64>,
+    /// Mean share of motion within the recorded ranges.
+    pub plausibility: Option<f64>,
+}
+
+impl ValidityRow {
+    /// The series that it counts.
+    pub fn series(&self) -> SeriesKey {
+        SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), strength: self.strength }
+    }
+}
+
+/// Counts group by group, in order of first appearance.
+#[derive(Default)]
+pub(super) struct ValidityTable {
+    rows: Vec<ValidityRow>,
+    /// Sum and number of the plausibilities of each row.
+    plausibilities: Vec<(f64, u64)>,
+}
+
+impl ValidityTable {
+    /// Counts the scenarios of a cell of `sweep`, and its recording and baseline where they are measured.
+    pub(super) fn add(
+        &mut self,
+        sweep: &str,
+        (cell, recorded): (&Cell<'_>, &Scene),
+        references: Option<&[ReferenceJudgment; 2]>,
+        assessments: &[Assessment],
+    ) {
+        let own = cell.series(sweep);
+        let reference = |group| SeriesKey::reference(group, sweep);
+        let reference_keys = [Group::Recorded, Group::ConstantVelocity].map(reference);
+        // All places together first, and each by itself.
+        for place in ["", &recorded.source.place] {
+            for (key, judgment) in reference_keys.iter().zip(references.into_iter().flatten()) {
+                self.count(key, place, &judgment.violations, judgment.plausibility);
+            }
+            for assessment in assessments {
+                self.count(&own, place, &assessment.violations, assessment.plausibility);
+            }
+        }
+    }
+
+    fn count(&mut self, key: &SeriesKey, place: &str, violations: &[Violation], plausibility: Option<f64>) {
+        let is_same = |row: &ValidityRow| row.place == place && row.series() == *key;
+        let at = self.rows.iter().position(is_same).unwrap_or_else(|| {
+            let SeriesKey { group, sweep, strength } = key.clone();
+            let (place, violations) = (place.to_owned(), BTreeMap::new());
+            let (n, n_valid, plausibility) = (0, 0, None);
+            self.rows.push(ValidityRow { group, sweep, strength, place, n, n_valid, violations, plausibility });
+            self.plausibilities.push((0.0, 0));
+            self.rows.len() - 1
+        });
+        let row = &mut self.rows[at];
+        row.n += 1;
+        row.n_valid += u64::from(violations.is_empty());
+        for violation in violations {
+            *row.violations.entry(violation.check.id().to_owned()).or_default() += 1;
+        }
+        if let Some(plausibility) = plausibility {
+            self.plausibilities[at].0 += plausibility;
+            self.plausibilities[at].1 += 1;
+        }
+    }
+
+    /// The rows: of all places together, then place by place.
+    pub(super) fn finish(self) -> Vec<ValidityRow> {
+        let mut rows: Vec<ValidityRow> = self
+            .rows
+            .into_iter()
+            .zip(self.plausibilities)
+            .map(|(row, (sum, n))| ValidityRow { plausibility: (n > 0).then(|| sum / n as f64), ..row })
+            .collect();
+        rows.sort_by(|a, b| a.place.cmp(&b.place));
+        rows
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::metric_rows::MetricRows;
+    use crate::evaluate::realism::RealismTable;
+    use crate::evaluate::testing::{evaluated_cell, record, recorded};
+    use crate::scene::GuidanceTag;
+
+    /// The tables of single scenes, of realism and of validity must not disagree on what is unguided.
+    #[test]
+    fn every_table_puts_edited_scenarios_with_their_sweep() {
+        let groups = |edit_tau: Option<f64>| -> Vec<Group> {
+            let mut record = record(0.0, false, false, recorded());
+            record.scenario.provenance.guidance.kind = GuidanceTag::NONE.to_owned();
+            record.scenario.provenance.edit_tau = edit_tau;
+            let (cell, figures, docs) = evaluated_cell(&record, &recorded());
+            let (mut validity, mut realism) = (ValidityTable::default(), RealismTable::default());
+            validity.add("s", (&cell, &recorded()), figures.references_judged.as_ref(), &figures.assessments);
+            realism.add("s", &cell, &figures.motion);
+            let mut rows = MetricRows::new(docs);
+            rows.add("s", &cell, &recorded(), figures);
+            let last = |groups: Vec<Group>| groups.last().cloned().expect("rows");
+            vec![
+                last(validity.finish().into_iter().map(|row| row.group).collect()),
+                last(realism.finish().into_iter().map(|row| row.group).collect()),
+                last(rows.of_scenes().into_iter().map(|row| row.group).collect()),
+            ]
+        };
+        assert_eq!(groups(None), vec![Group::Unguided; 3]);
+        assert_eq!(groups(Some(0.4)), vec![Group::Sweep("s".to_owned()); 3]);
+    }
+}

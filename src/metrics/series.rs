@@ -1,0 +1,121 @@
+//! Whose figures are these? The groups of traffic that tables set side by side, each at a guidance strength.
+
+use crate::scene::Provenance;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// Traffic whose figures stand together in tables. Tables name it by a word, under `group` or `series`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "String", into = "String")]
+pub enum Group {
+    /// The recordings that a sweep continues.
+    Recorded,
+    /// The same with every agent carried on as it moved at present.
+    ConstantVelocity,
+    /// Samples of a sweep that are forecasts: [`Provenance::is_unguided`].
+    Unguided,
+    /// The other samples of the sweep of this name.
+    Sweep(String),
+}
+
+impl Group {
+    /// The words that sweeps cannot be called by.
+    pub const RESERVED: [&str; 3] = ["recorded", "constant_velocity", "unguided"];
+
+    /// The group of a sample of `sweep`.
+    pub fn of(sweep: &str, provenance: &Provenance) -> Self {
+        if provenance.is_unguided() { Self::Unguided } else { Self::Sweep(sweep.to_owned()) }
+    }
+
+    /// The word for it in tables.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Recorded => Self::RESERVED[0],
+            Self::ConstantVelocity => Self::RESERVED[1],
+            Self::Unguided => Self::RESERVED[2],
+            Self::Sweep(name) => name,
+        }
+    }
+
+    /// Whether it was generated; what was not is what generated traffic is compared with.
+    pub const fn is_generated(&self) -> bool {
+        matches!(self, Self::Unguided | Self::Sweep(_))
+    }
+}
+
+impl From<String> for Group {
+    fn from(name: String) -> Self {
+        let known = [Self::Recorded, Self::ConstantVelocity, Self::Unguided];
+        known.into_iter().find(|group| group.name() == name).unwrap_or(Self::Sweep(name))
+    }
+}
+
+impl From<Group> for String {
+    fn from(group: Group) -> Self {
+        group.name().to_owned()
+    }
+}
+
+/// The name as people read it.
+impl fmt::Display for Group {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.name().replace('_', " "))
+    }
+}
+
+/// What tells the series of figures in a table apart.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SeriesKey {
+    /// Whose figures.
+    pub group: Group,
+    /// The sweep that is measured, or that continues these recordings.
+    pub sweep: String,
+    /// Guidance strength α, or the weight λ where that is what varies; 0 for what was not generated.
+    pub strength: f64,
+}
+
+impl SeriesKey {
+    /// The series of a sample of `sweep`.
+    pub fn of(sweep: &str, provenance: &Provenance) -> Self {
+        let group = Group::of(sweep, provenance);
+        Self { group, sweep: sweep.to_owned(), strength: provenance.guidance.strength }
+    }
+
+    /// That of `group`, which was not generated, beside the samples of `sweep`.
+    pub fn reference(group: Group, sweep: &str) -> Self {
+        Self { group, sweep: sweep.to_owned(), strength: 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::testing::provenance;
+
+    #[test]
+    fn groups_keep_their_words_in_tables() {
+        for name in ["recorded", "constant_velocity", "unguided", "cut_ins"] {
+            let group = Group::from(name.to_owned());
+            assert_eq!((group.name(), serde_json::to_string(&group).unwrap()), (name, format!("\"{name}\"")));
+            assert_eq!(matches!(group, Group::Sweep(_)), !Group::RESERVED.contains(&name));
+        }
+        assert_eq!(Group::ConstantVelocity.to_string(), "constant velocity");
+    }
+
+    #[test]
+    fn what_was_edited_or_pushed_is_of_its_sweep() {
+        let group = |kind: &str, strength: f64, edit_tau: Option<f64>| {
+            let mut provenance = Provenance { edit_tau, ..provenance("a") };
+            (provenance.guidance.kind, provenance.guidance.strength) = (kind.to_owned(), strength);
+            SeriesKey::of("s", &provenance).group
+        };
+        assert_eq!(group("none", 0.0, None), Group::Unguided);
+        assert_eq!(group("scene_transformer", 0.0, None), Group::Unguided);
+        let own = Group::Sweep("s".to_owned());
+        assert_eq!(group("none", 0.0, Some(0.4)), own, "it starts from an edited recording");
+        assert_eq!(group("classifier:cut_in", 2.0, None), own);
+        // The strength is that of what varies within the sweep; something else may act all the same.
+        assert_eq!(group("classifier:cut_in(2)", 0.0, None), own);
+        assert_eq!(group("classifier_free(0.5)", 0.0, None), own);
+    }
+}

@@ -1,0 +1,73 @@
+//! By which settings do metrics judge? The same for evaluation, for selections of sweeps and for limits of requests.
+
+use super::{ALL, CarefulDriverConfig, Metric, PreventableRate, ValidityConfig, ValidityRate};
+use serde::{Deserialize, Serialize};
+
+/// The settings of the metrics that have some. The others have one definition.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct MetricSettings {
+    /// What `validity_rate` judges by.
+    pub validity: ValidityConfig,
+    /// Who drives in `preventable_rate`.
+    pub careful_driver: CarefulDriverConfig,
+}
+
+impl MetricSettings {
+    /// Every metric, in the order of tables.
+    pub fn metrics(&self) -> Vec<Box<dyn Metric>> {
+        ALL.iter().map(|metric| self.configured(*metric).unwrap_or_else(|| Box::new(*metric))).collect()
+    }
+
+    /// The metric of this name. `None` when there is no such metric.
+    pub fn by_id(&self, id: &str) -> Option<Box<dyn Metric>> {
+        let metric = super::by_id(id)?;
+        Some(self.configured(metric).unwrap_or_else(|| Box::new(metric)))
+    }
+
+    /// Whether the value of the metric of this name depends on them.
+    pub fn decide(&self, id: &str) -> bool {
+        super::by_id(id).is_some_and(|metric| self.configured(metric).is_some())
+    }
+
+    /// The metric by these settings; `None` where it has none.
+    fn configured(&self, metric: &dyn Metric) -> Option<Box<dyn Metric>> {
+        let validity = ValidityRate { limits: Some(self.validity.clone()) };
+        let preventable = PreventableRate { driver: Some(self.careful_driver.clone()) };
+        match metric.spec().id {
+            id if id == validity.spec().id => Some(Box::new(validity)),
+            id if id == preventable.spec().id => Some(Box::new(preventable)),
+            _ => None,
+        }
+    }
+
+    /// Says which setting makes no sense.
+    ///
+    /// # Errors
+    /// Its key below `evaluate`, its value and what was expected.
+    pub fn validate(&self) -> Result<(), String> {
+        self.validity.validate().map_err(|why| format!("validity.{why}"))?;
+        self.careful_driver.validate().map_err(|why| format!("careful_driver.{why}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::{Check, SampleGroup};
+    use crate::scene::testing::{Drive, scene};
+
+    #[test]
+    fn metrics_with_settings_judge_by_them() {
+        // The first car passes through one that stands in its way, which is all that is wrong with them.
+        let crash = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(10.0, 0.0, 0.0, 0.0)]);
+        let group = SampleGroup::equally_likely(&crash, std::slice::from_ref(&crash));
+        let rate = |settings: &MetricSettings| settings.by_id("validity_rate").expect("known").evaluate(&group);
+        let lenient = ValidityConfig { skip: vec![Check::Collision], ..ValidityConfig::default() };
+        let lenient = MetricSettings { validity: lenient, ..MetricSettings::default() };
+        assert_eq!((rate(&MetricSettings::default()), rate(&lenient)), (Some(0.0), Some(1.0)));
+        let ids: Vec<&str> = lenient.metrics().iter().map(|metric| metric.spec().id).collect();
+        assert_eq!(ids, ALL.iter().map(|metric| metric.spec().id).collect::<Vec<_>>());
+        assert!(lenient.decide("validity_rate") && lenient.decide("preventable_rate"));
+        assert!(!lenient.decide("min_ade_m") && !lenient.decide("objectives"));
+    }
+}

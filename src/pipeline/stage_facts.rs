@@ -1,0 +1,119 @@
+//! What is known of each stage, in one table: names, its section, what it makes for others.
+
+use super::config::PipelineConfig;
+use super::layout::Layout;
+use super::stage::StageId;
+use std::path::Path;
+
+/// What is known of a stage, apart from what it does ([`Stage`](super::Stage)).
+pub struct StageFacts {
+    /// The name in file names and messages.
+    pub name: &'static str,
+    /// The words of the command that runs it alone.
+    pub command: &'static str,
+    /// The section of a pipeline file that configures it.
+    pub section: &'static str,
+    /// Whether it trains a model, which may have cost hours.
+    pub trains: bool,
+    /// Whether a configuration has its section.
+    pub is_configured: fn(&PipelineConfig) -> bool,
+    /// What other stages call what it makes, and where that is; `None` where it is for people.
+    pub output: Option<StageOutput>,
+}
+
+/// What other stages read of a stage.
+pub struct StageOutput {
+    /// Its name among their inputs.
+    pub name: &'static str,
+    /// Where it is.
+    pub path: fn(&Layout) -> &Path,
+}
+
+const fn output(name: &'static str, path: fn(&Layout) -> &Path) -> Option<StageOutput> {
+    Some(StageOutput { name, path })
+}
+
+impl StageId {
+    /// What is known of it.
+    pub const fn facts(self) -> StageFacts {
+        match self {
+            Self::Ingest => StageFacts {
+                name: "ingest",
+                command: "ingest",
+                section: "ingest",
+                trains: false,
+                is_configured: |config| config.ingest.is_some(),
+                output: output("scenes", |layout| &layout.scenes),
+            },
+            Self::Mine => StageFacts {
+                name: "mine",
+                command: "mine",
+                section: "mine",
+                trains: false,
+                is_configured: |config| config.mine.is_some(),
+                output: output("events", |layout| &layout.events),
+            },
+            Self::TrainDenoiser => StageFacts {
+                name: "train_denoiser",
+                command: "train denoiser",
+                section: "train.denoiser",
+                trains: true,
+                is_configured: |config| config.train.denoiser.is_some(),
+                output: output("denoiser", |layout| &layout.denoiser),
+            },
+            Self::TrainDistill => StageFacts {
+                name: "train_distill",
+                command: "train distill",
+                section: "train.distill",
+                trains: true,
+                is_configured: |config| config.train.distill.is_some(),
+                output: output("distilled", |layout| &layout.distilled),
+            },
+            Self::TrainClassifier => StageFacts {
+                name: "train_classifier",
+                command: "train classifier",
+                section: "train.classifier",
+                trains: true,
+                is_configured: |config| config.train.classifier.is_some(),
+                output: output("classifier", |layout| &layout.classifier),
+            },
+            Self::TrainBaseline => StageFacts {
+                name: "train_baseline",
+                command: "train baseline",
+                section: "train.baseline",
+                trains: true,
+                is_configured: |config| config.train.baseline.is_some(),
+                output: output("baseline", |layout| &layout.baseline),
+            },
+            Self::Generate => StageFacts {
+                name: "generate",
+                command: "generate",
+                section: "generate",
+                trains: false,
+                is_configured: |config| config.generate.is_some(),
+                output: output("samples", |layout| &layout.samples),
+            },
+            Self::Evaluate => StageFacts {
+                name: "evaluate",
+                command: "evaluate",
+                section: "evaluate",
+                trains: false,
+                is_configured: |config| config.evaluate.is_some(),
+                output: output("metrics", |layout| &layout.metrics),
+            },
+            Self::Report => StageFacts {
+                name: "report",
+                command: "report",
+                section: "report",
+                trains: false,
+                is_configured: |config| config.report.is_some(),
+                output: None,
+            },
+        }
+    }
+
+    /// Where what it makes for other stages is, and what they call it.
+    pub fn output(self, layout: &Layout) -> Option<(&'static str, &Path)> {
+        self.facts().output.map(|output| (output.name, (output.path)(layout)))
+    }
+}

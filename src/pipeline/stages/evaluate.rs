@@ -1,0 +1,130 @@
+//! Generated scenarios to metrics and the corpus: the files around [`Evaluation`].
+
+use super::mine::MineConfig;
+use super::sample_folder::SampleManifest;
+use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::evaluate::{EvaluateConfig, Evaluation, LeftOutRow, Shard, left_out_by_sweep};
+use crate::generate::GenerateConfig;
+use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS, VERDICTS};
+use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
+use crate::store::{
+    CorpusNotes, CorpusWriter, SceneStore, read_events, write_json_atomically, write_metrics, write_verdicts,
+};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+
+/// The stage.
+pub struct Evaluate<'a> {
+    /// Its section.
+    pub config: &'a EvaluateConfig,
+    /// The definitions of the behaviors that are counted.
+    pub mine: MineConfig,
+    /// Name of the pipeline, for the corpus.
+    pub pipeline: &'a str,
+    /// Whether there are recorded events to compare scenarios with.
+    pub has_events: bool,
+    /// What generates the scenarios, and whether there are maps, where the pipeline does both itself.
+    pub generated: Option<(&'a GenerateConfig, bool)>,
+    /// Where the scenes, events and samples are.
+    pub layout: &'a Layout,
+}
+
+impl Stage for Evaluate<'_> {
+    fn id(&self) -> StageId {
+        StageId::Evaluate
+    }
+
+    fn version(&self) -> u32 {
+        5
+    }
+
+    fn check(&self) -> Result<()> {
+        self.config.validate()?;
+        match self.generated {
+            Some((generate, has_maps)) => Ok(self.config.gates.check_generated(generate, has_maps)?),
+            None => Ok(()),
+        }
+    }
+
+    fn config(&self) -> anyhow::Result<Value> {
+        let mut config = serde_json::to_value(self.config)?;
+        config["behaviors"] = serde_json::to_value(&self.mine.behaviors)?;
+        config["pipeline"] = json!(self.pipeline);
+        Ok(config)
+    }
+
+    fn inputs(&self) -> Vec<StageInput> {
+        let mut inputs = vec![
+            StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
+            StageInput::made_by(StageId::Generate, "samples", &self.layout.samples),
+        ];
+        if self.has_events {
+            inputs.push(StageInput::made_by(StageId::Mine, "events", &self.layout.events));
+        }
+        inputs
+    }
+
+    fn outputs(&self) -> &'static [&'static str] {
+        match self.config.predictions.is_empty() {
+            true => &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS],
+            false => &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS, PREDICTIONS],
+        }
+    }
+
+    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
+        self.check()?;
+        let path = |name: &str| context.root.join(name);
+        let behaviors = self.mine.build()?;
+        let store = SceneStore::open(&self.layout.scenes)?;
+        let samples = SampleManifest::read(&self.layout.samples)?;
+        let is_positive = |event: &BehaviorEvent| event.label == EventLabel::Positive;
+        let recorded_events = match self.has_events {
+            true => read_events(&self.layout.events, is_positive)?,
+            false => Vec::new(),
+        };
+        let mut evaluation = Evaluation::new(self.config, &behaviors, &store, &recorded_events, &path(PREDICTIONS))?;
+        evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
+        let mut corpus = CorpusWriter::create(&path(CORPUS), &store)?;
+        context.progress.start("evaluate", samples.n_scenarios, "scenarios");
+        for shard in &samples.shards {
+            let records = SampleManifest::read_shard(&self.layout.samples, shard, &store)?;
+            let n_records = records.len() as u64;
+            let (sweep, n_evaluations) = (shard.sweep.as_str(), shard.n_evaluations);
+            let kept = evaluation.add(Shard { sweep, n_evaluations, records })?;
+            kept.recordings.iter().try_for_each(|recorded| corpus.write_recording(recorded))?;
+            corpus.write_scenarios(&kept.records)?;
+            context.progress.advance(n_records);
+        }
+        context.progress.finish();
+        let found = evaluation.finish()?;
+        let summary = &found.summary;
+        write_verdicts(&path(VERDICTS), &found.verdicts)?;
+        let all = [summary.aggregates.as_slice(), &found.of_scenes, &found.of_scenarios].concat();
+        write_metrics(&path(METRICS), &all)?;
+        corpus.write_metrics(&summary.aggregates)?;
+        corpus.write_metrics(&found.of_kept_scenarios())?;
+        corpus.finish(&self.notes(&summary.left_out))?;
+        write_json_atomically(&path(METRICS_SUMMARY), summary)?;
+        Ok(json!({
+            "n_scenarios": summary.n_scenarios,
+            "n_verified": summary.n_verified,
+            "n_new": summary.n_new,
+            "n_valid": summary.n_valid,
+            "n_accepted": summary.n_accepted,
+            "n_kept": summary.n_kept,
+            "predictions": { "n_scenes": found.n_predicted_scenes, "n_tracks_left_out": found.n_tracks_left_out },
+            "gates": summary.gates,
+        }))
+    }
+}
+
+impl Evaluate<'_> {
+    /// What the corpus says of itself.
+    fn notes(&self, left_out: &[LeftOutRow]) -> CorpusNotes {
+        let notes = BTreeMap::from([
+            ("pipeline".to_owned(), self.pipeline.to_owned()),
+            ("made_by".to_owned(), format!("djinn {}", env!("CARGO_PKG_VERSION"))),
+        ]);
+        CorpusNotes { sources: BTreeMap::new(), notes, left_out: left_out_by_sweep(left_out) }
+    }
+}

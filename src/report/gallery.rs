@@ -1,0 +1,130 @@
+//! Which scenes are drawn, and which motion and events are compared? From all samples of a run, one after the other.
+
+use super::card::{Acceptance, SceneCard};
+use super::choice::{Choice, Chosen};
+use super::compared::Compared;
+use super::config::ReportConfig;
+use super::distribution::Distribution;
+use super::figures_of_scenarios::FiguresOfScenarios;
+use crate::behavior::BehaviorEvent;
+use crate::evaluate::{Error, Result};
+use crate::scene::{Scene, SceneId};
+use crate::store::{MetricRow, ScenarioRecord, SceneStore, VerdictRow};
+use std::collections::BTreeMap;
+
+/// What the report shows of single scenes.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Drawings {
+    /// The scenes that are drawn.
+    pub scenes: Vec<SceneCard>,
+    /// Motion and events, recorded and generated.
+    pub distributions: Vec<Distribution>,
+}
+
+/// Looks at the samples of a run and keeps what is drawn of them. What it keeps is bounded by its configuration.
+pub struct Gallery<'a> {
+    store: &'a SceneStore,
+    choice: Choice<'a>,
+    compared: Compared,
+}
+
+impl<'a> Gallery<'a> {
+    /// Nothing chosen yet of samples that continue scenes of `store`.
+    pub fn new(config: &'a ReportConfig, store: &'a SceneStore) -> Self {
+        Self { store, choice: Choice::new(config), compared: Compared::new(config.n_compared) }
+    }
+
+    /// Looks at the next scenario, in the order of the samples.
+    ///
+    /// # Errors
+    /// When its recording cannot be read.
+    pub fn offer(&mut self, record: &ScenarioRecord) -> Result<()> {
+        let scene_id = &record.scenario.provenance.scene_id;
+        if self.compared.wants_recording(&scene_id.0)
+            && let Some(idx) = self.store.position(scene_id)
+        {
+            self.compared.add_recording(&scene_id.0, &self.store.scene(idx)?);
+        }
+        self.compared.add(record);
+        self.choice.offer(record);
+        Ok(())
+    }
+
+    /// Whether a recorded event is one of a behavior that was asked for.
+    pub fn wants_event(&self, event: &BehaviorEvent) -> bool {
+        self.compared.wants_event(event)
+    }
+
+    /// Draws what was chosen, with what `metrics` and `verdicts` say of it (nothing where they are empty). Events are compared
+    /// with the `recorded_events` that are [wanted](Self::wants_event), where they are known.
+    ///
+    /// # Errors
+    /// When a recording is missing or cannot be read.
+    pub fn finish(
+        self,
+        recorded_events: Option<&[BehaviorEvent]>,
+        metrics: Vec<MetricRow>,
+        verdicts: Vec<VerdictRow>,
+    ) -> Result<Drawings> {
+        let Self { store, choice, compared } = self;
+        let mut distributions = compared.motion();
+        distributions.extend(recorded_events.map(|events| compared.events(events)).into_iter().flatten());
+        let chosen = choice.finish();
+        let figures = FiguresOfScenarios::new(metrics, records(&chosen));
+        let decisions = decisions(verdicts, records(&chosen));
+        let mut scenes = Vec::new();
+        for chosen in &chosen {
+            scenes.extend(card(chosen, store, &figures, &decisions)?);
+        }
+        Ok(Drawings { scenes, distributions })
+    }
+}
+
+fn records(chosen: &[Chosen]) -> impl Iterator<Item = &ScenarioRecord> {
+    chosen.iter().flat_map(|chosen| match chosen {
+        Chosen::Alone(record) => std::slice::from_ref(record.as_ref()),
+        Chosen::Together(records) => records.as_slice(),
+    })
+}
+
+/// Which of `records` were accepted, and why others were not, by their ids.
+fn decisions<'r>(
+    verdicts: Vec<VerdictRow>,
+    records: impl Iterator<Item = &'r ScenarioRecord>,
+) -> BTreeMap<String, Acceptance> {
+    let mut reasons: BTreeMap<String, Vec<String>> =
+        verdicts.into_iter().map(|row| (row.scenario_id, row.reasons)).collect();
+    let of_record = |record: &ScenarioRecord| {
+        let (id, reasons) = reasons.remove_entry(&record.scenario.id)?;
+        Some((id, Acceptance { reasons }))
+    };
+    records.filter_map(of_record).collect()
+}
+
+fn card(
+    chosen: &Chosen,
+    store: &SceneStore,
+    figures: &FiguresOfScenarios,
+    decisions: &BTreeMap<String, Acceptance>,
+) -> Result<Option<SceneCard>> {
+    Ok(match chosen {
+        Chosen::Alone(record) => {
+            let recorded = recording(&record.scenario.provenance.scene_id, store)?;
+            let id = &record.scenario.id;
+            Some(SceneCard::of_record(record, &recorded, &figures.of(id), decisions.get(id)))
+        }
+        Chosen::Together(records) => match records.first() {
+            Some(first) => {
+                let recorded = recording(&first.scenario.provenance.scene_id, store)?;
+                let ids: Vec<&str> = records.iter().map(|record| record.scenario.id.as_str()).collect();
+                SceneCard::of_samples(records, &recorded, &figures.mean_of(&ids))
+            }
+            None => None,
+        },
+    })
+}
+
+fn recording(scene_id: &SceneId, store: &SceneStore) -> Result<Scene> {
+    let idx = store.position(scene_id).ok_or_else(|| Error::UnknownScene(scene_id.clone()))?;
+    Ok(store.scene(idx)?)
+}

@@ -1,0 +1,129 @@
+//! What is known of each dataset, in one table: names, terms, what it records, and by which rules its benchmark judges.
+
+use serde::{Deserialize, Serialize};
+
+/// The datasets that can be ingested. What differs between them beyond their formats is in [`Dataset::facts`]: code asks for the fact,
+/// never for the dataset.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Dataset {
+    /// INTERACTION, v1.1 recordings or v1.2 cases.
+    Interaction,
+    /// Argoverse 1 motion forecasting.
+    Argoverse1,
+    /// Argoverse 2 motion forecasting.
+    Argoverse2,
+}
+
+/// What is known of a dataset.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DatasetFacts {
+    /// The name in tables, ids and configurations.
+    pub name: &'static str,
+    /// The terms under which it is published, which hold for what is made from it.
+    pub terms: &'static str,
+    /// The country of all its places, by its three letters; `None` where names of places tell it.
+    pub country: Option<&'static str>,
+    /// Whether headings of vehicles are recorded. Where they are not, they follow from positions.
+    pub has_headings: bool,
+    /// Whether positions are good enough to judge motion by: accelerations, jerks, curvature.
+    pub has_clean_motion: bool,
+    /// Whether the focal agent is the dataset's choice of whom to predict.
+    pub has_chosen_focal: bool,
+    /// Whether the first frame of a scene is the time at which it begins, in nanoseconds.
+    pub begins_at_ns: bool,
+    /// When a prediction of the last state is a miss.
+    pub miss_rule: MissRule,
+    /// Whom its benchmark predicts, and in which form.
+    pub benchmark: Benchmark,
+}
+
+/// When a sampled last state misses the recorded one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MissRule {
+    /// INTERACTION's: by distances along and across the recorded heading, the former growing with the speed.
+    AlongHeading,
+    /// Argoverse's: by the distance.
+    Radial,
+}
+
+/// A benchmark: whom it predicts, and the form in which it takes predictions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Benchmark {
+    /// INTERACTION's of many agents: joint futures of the vehicles that are recorded throughout, as CSV.
+    InteractionJoint,
+    /// Argoverse 1's: futures of the focal agent, as Parquet.
+    ArgoverseFocal,
+    /// Argoverse 2's: worlds, which are joint futures of the focal and the scored agents, as Parquet.
+    ArgoverseWorlds,
+}
+
+impl Dataset {
+    /// Every dataset.
+    pub const ALL: [Self; 3] = [Self::Interaction, Self::Argoverse1, Self::Argoverse2];
+
+    /// What is known of it.
+    pub const fn facts(self) -> &'static DatasetFacts {
+        match self {
+            Self::Interaction => &DatasetFacts {
+                name: "interaction",
+                terms: "INTERACTION dataset (Zhan et al. 2019): non-commercial use under the terms it was obtained with. \
+                        Recordings of another origin in its format are under the terms of their maker.",
+                country: None,
+                has_headings: true,
+                has_clean_motion: true,
+                has_chosen_focal: false,
+                begins_at_ns: false,
+                miss_rule: MissRule::AlongHeading,
+                benchmark: Benchmark::InteractionJoint,
+            },
+            Self::Argoverse1 => &DatasetFacts {
+                name: "argoverse1",
+                terms: "Argoverse 1 (Chang et al. 2019): CC BY-NC-SA 4.0, non-commercial use only.",
+                country: Some("USA"),
+                has_headings: false,
+                // Those of a tracker, unfiltered and at uneven times.
+                has_clean_motion: false,
+                has_chosen_focal: true,
+                begins_at_ns: false,
+                miss_rule: MissRule::Radial,
+                benchmark: Benchmark::ArgoverseFocal,
+            },
+            Self::Argoverse2 => &DatasetFacts {
+                name: "argoverse2",
+                terms: "Argoverse 2 (Wilson et al. 2021): CC BY-NC-SA 4.0, non-commercial use only.",
+                country: Some("USA"),
+                has_headings: true,
+                has_clean_motion: true,
+                has_chosen_focal: true,
+                begins_at_ns: true,
+                miss_rule: MissRule::Radial,
+                benchmark: Benchmark::ArgoverseWorlds,
+            },
+        }
+    }
+
+    /// The name in tables, ids and configurations.
+    pub const fn name(self) -> &'static str {
+        self.facts().name
+    }
+
+    /// The dataset of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|dataset| dataset.name() == name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_those_of_configurations() {
+        for dataset in Dataset::ALL {
+            assert_eq!(serde_json::to_value(dataset).unwrap(), dataset.name());
+            assert_eq!(Dataset::from_name(dataset.name()), Some(dataset));
+        }
+        assert_eq!(Dataset::from_name("argoverse"), None);
+    }
+}
