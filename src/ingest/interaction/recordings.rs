@@ -1,8 +1,7 @@
 //! Which two files are one v1.1 recording?
 //!
 //! `vehicle_tracks_NNN.csv` and `pedestrian_tracks_NNN.csv` of a folder belong together, and not every recording has
-//! both: a first pass over all files tells which. A file is held back until its counterpart comes, the folder is left, or too much is
-//! held; one that has no counterpart is not held at all.
+//! both. A file is held back until its counterpart comes, the folder is left, or too much is held.
 
 use super::path::RecordingPart;
 use crate::ingest::{Companion, EmitUnit, RawUnit};
@@ -20,17 +19,11 @@ pub(super) struct Recordings {
     /// By number of the recording.
     held: BTreeMap<String, Part>,
     n_held_bytes: u64,
-    /// How many files each recording has, as far as they were announced.
-    n_announced: BTreeMap<(Folder, String), usize>,
     /// The recordings that were emitted.
     done: BTreeSet<(Folder, String)>,
 }
 
 type Folder = (std::path::PathBuf, String);
-
-fn folder_of(container: &std::path::Path, path: &str) -> Folder {
-    (container.to_owned(), path.rsplit_once('/').map_or("", |(folder, _)| folder).to_owned())
-}
 
 #[derive(Debug)]
 struct Part {
@@ -39,12 +32,6 @@ struct Part {
 }
 
 impl Recordings {
-    /// Tells of the file at `path` in `container`, which will be added later.
-    pub(super) fn announce(&mut self, container: &std::path::Path, path: &str, part: &RecordingPart) {
-        let key = (folder_of(container, path), part.number.clone());
-        *self.n_announced.entry(key).or_default() += 1;
-    }
-
     /// Takes a file in, and emits its recording if that is whole.
     pub(super) fn add(&mut self, unit: RawUnit, part: &RecordingPart, emit: &mut EmitUnit<'_>) -> ControlFlow<()> {
         let RecordingPart { number, is_pedestrians } = part;
@@ -64,10 +51,6 @@ impl Recordings {
             let companion = Some(Companion { file: pedestrians.file, bytes: pedestrians.bytes });
             return emit(Ok(RawUnit { companion, ..vehicles }));
         }
-        if self.n_announced.get(&key) == Some(&1) {
-            self.done.insert(key);
-            return emit(Ok(unit));
-        }
         self.n_held_bytes += unit.n_bytes();
         self.held.insert(number.clone(), Part { unit, is_pedestrians: *is_pedestrians });
         if self.n_held_bytes > MAX_HELD_BYTES { self.flush(emit) } else { ControlFlow::Continue(()) }
@@ -80,10 +63,10 @@ impl Recordings {
         path: &str,
         emit: &mut EmitUnit<'_>,
     ) -> ControlFlow<()> {
-        let folder = folder_of(container, path);
-        if self.folder != folder {
+        let folder = path.rsplit_once('/').map_or("", |(folder, _)| folder);
+        if self.folder.0 != container || self.folder.1 != folder {
             self.flush(emit)?;
-            self.folder = folder;
+            self.folder = (container.to_owned(), folder.to_owned());
         }
         ControlFlow::Continue(())
     }
@@ -105,10 +88,7 @@ mod tests {
 
     /// Adds files in this order and lists what comes out: `vehicles+pedestrians` of each unit, or the reason of a reject.
     fn add_all(paths: &[&str]) -> Vec<String> {
-        add_to(Recordings::default(), paths)
-    }
-
-    fn add_to(mut recordings: Recordings, paths: &[&str]) -> Vec<String> {
+        let mut recordings = Recordings::default();
         let mut seen = Vec::new();
         let mut emit = |unit: Result<RawUnit, crate::ingest::Reject>| {
             seen.push(match unit {
@@ -145,27 +125,6 @@ mod tests {
             "B/vehicle_tracks_000.csv+B/pedestrian_tracks_000.csv",
         ];
         assert_eq!(add_all(&paths), expected);
-    }
-
-    #[test]
-    fn what_has_no_counterpart_is_not_held() {
-        let paths = [
-            "A/pedestrian_tracks_001.csv",
-            "A/pedestrian_tracks_002.csv",
-            "A/vehicle_tracks_000.csv",
-            "A/vehicle_tracks_001.csv",
-        ];
-        let mut recordings = Recordings::default();
-        for path in paths {
-            let file = super::super::path::TrackFile::of_path(path).unwrap();
-            recordings.announce(std::path::Path::new("data"), path, &file.recording.unwrap());
-        }
-        let expected = [
-            "A/pedestrian_tracks_002.csv",
-            "A/vehicle_tracks_000.csv",
-            "A/vehicle_tracks_001.csv+A/pedestrian_tracks_001.csv",
-        ];
-        assert_eq!(add_to(recordings, &paths), expected);
     }
 
     #[test]

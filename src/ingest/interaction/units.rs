@@ -32,29 +32,19 @@ impl<'a> TableReader<'a> {
         Self { source, recordings: Recordings::default(), surveys: Vec::new(), pass: None, n_entries_of_pass: 0 }
     }
 
-    /// The first pass: what there is in a table of cases, and that there is a file of a recording.
-    fn survey(&mut self, entry: &Entry, file: TrackFile, reader: &mut dyn BufRead) -> Survey {
+    /// What there is in a table of cases; nothing in other files.
+    fn survey(reader: &mut dyn BufRead) -> Survey {
         let mut lines = Lines::new(reader);
-        let is_pedestrians = file.recording.as_ref().is_some_and(|part| part.is_pedestrians);
         let columns = match lines.next() {
-            Ok(Some((_, header))) => Columns::of(header, is_pedestrians).ok(),
+            Ok(Some((_, header))) => Columns::of(header, false).ok(),
             // This is told in the next pass.
             Ok(None) | Err(_) => None,
         };
-        match columns {
-            Some(columns) if columns.case_id.is_some() => Survey::of(&mut lines, &columns, MAX_GATHERED_BYTES),
-            Some(_) => {
-                self.recordings.announce(&entry.container, &entry.path, &part_of(file, entry));
-                Survey::default()
-            }
+        match columns.filter(|columns| columns.case_id.is_some()) {
+            Some(columns) => Survey::of(&mut lines, &columns, MAX_GATHERED_BYTES),
             None => Survey::default(),
         }
     }
-}
-
-/// Which part of which recording a file is.
-fn part_of(file: TrackFile, entry: &Entry) -> RecordingPart {
-    file.recording.unwrap_or_else(|| RecordingPart { number: stem(&entry.path).to_owned(), is_pedestrians: false })
 }
 
 impl UnitReader for TableReader<'_> {
@@ -68,8 +58,7 @@ impl UnitReader for TableReader<'_> {
             return Ok(ControlFlow::Continue(()));
         };
         let Some(pass) = self.pass else {
-            let survey = self.survey(entry, file, reader);
-            self.surveys.push(survey);
+            self.surveys.push(Self::survey(reader));
             return Ok(ControlFlow::Continue(()));
         };
         let entry_idx = self.n_entries_of_pass;
@@ -119,7 +108,8 @@ impl UnitReader for TableReader<'_> {
         if let Cow::Owned(plain) = without_quotes(&unit.bytes) {
             unit.bytes = plain;
         }
-        let part = part_of(file, entry);
+        let part =
+            file.recording.unwrap_or_else(|| RecordingPart { number: stem(&entry.path).to_owned(), is_pedestrians });
         unit.case_id.clone_from(&part.number);
         Ok(self.recordings.add(unit, &part, emit))
     }
