@@ -7,7 +7,7 @@
 
 use crate::geometry::Vec2;
 
-/// Spectral density of the acceleration, m²/s³: velocities change by about half a meter per second within a second. Of 0.1, 0.3, 1 and 3
+/// Spectral density of the acceleration, m²/s³: velocities change by about half a meter per second within a second. Of 0.3, 1, 3 and 10
 /// the one under which the tracks of the train split are most likely together.
 const ACCELERATION_DENSITY_M2PS3: f64 = 0.3;
 
