@@ -117,6 +117,8 @@ class Subject:
         folder = bench.fresh(self.work / name)
         # Argoverse 1 keeps its maps elsewhere, and what pandas does has none.
         settings = [] if maps else ["--set", 'ingest.maps="none"']
+        # Nor does pandas smooth.
+        settings += ["--set", "ingest.smooth_tracks=false"]
         command = [self.djinn, "ingest", source, "--dataset", self.dataset, "--output", folder, "--quiet"]
         return bench.measure([*command, *settings, *more])
 

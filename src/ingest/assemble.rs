@@ -163,7 +163,11 @@ fn fill_headings(
     let entries = track.trajectory.entries().iter().enumerate().map(|(timestep, state)| {
         state.map(|state| if timestep < gap.until_timestep { State { heading_rad, ..state } } else { state })
     });
-    track.trajectory = Trajectory::new(entries.collect());
+    let filled = Trajectory::new(entries.collect());
+    track.trajectory = match track.trajectory.derivation() {
+        Some(derivation) => filled.derived(derivation.clone()),
+        None => filled,
+    };
 }
 
 #[cfg(test)]

@@ -40,6 +40,10 @@ pub struct IngestConfig {
     /// INTERACTION v1.1 recordings: the last share of each recording becomes the val split; scenes across the cut are dropped.
     #[serde(default = "default_holdout_share")]
     pub holdout_share: f64,
+    /// Argoverse 1: whether tracks, which are recorded with decimeters of noise and at uneven times, are smoothed and brought to even
+    /// times. Default true; false keeps a recorded position a timestep, as benchmarks compare with.
+    #[serde(default = "default_smooth_tracks")]
+    pub smooth_tracks: bool,
     /// Agents of a scene: the nearest to the ego at present are kept, the ego always.
     #[serde(default = "default_max_agents")]
     pub max_agents: usize,
@@ -96,6 +100,7 @@ impl IngestConfig {
             n_future: None,
             window_stride: default_window_stride(),
             holdout_share: default_holdout_share(),
+            smooth_tracks: default_smooth_tracks(),
             max_agents: default_max_agents(),
             agents_present: AgentsPresent::AtCurrent,
             keep_static: false,
@@ -157,6 +162,10 @@ const fn default_window_stride() -> usize {
 
 const fn default_holdout_share() -> f64 {
     0.2
+}
+
+const fn default_smooth_tracks() -> bool {
+    true
 }
 
 const fn default_max_agents() -> usize {

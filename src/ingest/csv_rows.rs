@@ -1,5 +1,6 @@
 //! How are the lines of a large table read without holding the table?
 
+use super::quotes::append_plain;
 use memchr::memchr;
 use std::io::{self, BufRead, Read};
 
@@ -7,12 +8,12 @@ use std::io::{self, BufRead, Read};
 const MAX_LINE_BYTES: usize = 64 * 1024;
 
 /// The lines of a stream with their numbers. Lines end in LF or CRLF, the last one may lack its end, and a byte order
-/// mark at the start is passed over.
+/// mark at the start is passed over. Quotes around cells are taken away.
 pub(crate) struct Lines<'a> {
     reader: &'a mut dyn BufRead,
     /// Bytes of the reader's buffer that were handed out as a line and are to be passed over.
     n_shown: usize,
-    /// A line that does not lie in the reader's buffer as a whole.
+    /// A line that does not lie in the reader's buffer as a whole, or not without quotes.
     line: Vec<u8>,
     number: u64,
 }
@@ -40,8 +41,13 @@ impl<'a> Lines<'a> {
             self.n_shown = end + 1;
             self.number += 1;
             // The buffer is full still, so that nothing is read here.
-            let line = &self.reader.fill_buf()?[..end];
-            return Ok(Some((self.number, clean(line, self.number))));
+            let line = clean(&self.reader.fill_buf()?[..end], self.number);
+            if memchr(b'"', line).is_none() {
+                return Ok(Some((self.number, line)));
+            }
+            self.line.clear();
+            append_plain(line, &mut self.line);
+            return Ok(Some((self.number, &self.line)));
         }
         self.line.clear();
         let n = Read::take(&mut *self.reader, MAX_LINE_BYTES as u64 + 1).read_until(b'\n', &mut self.line)?;
@@ -52,6 +58,10 @@ impl<'a> Lines<'a> {
         if n > MAX_LINE_BYTES {
             let message = format!("line {} is longer than {} KiB", self.number, MAX_LINE_BYTES / 1024);
             return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+        }
+        if memchr(b'"', &self.line).is_some() {
+            let quoted = std::mem::take(&mut self.line);
+            append_plain(clean(&quoted, self.number), &mut self.line);
         }
         Ok(Some((self.number, clean(&self.line, self.number))))
     }
@@ -121,6 +131,7 @@ mod tests {
         assert_eq!(lines(b"\xef\xbb\xbfa,b\r\n1,2\r\n\r\n3,4").unwrap(), ["a,b", "1,2", "", "3,4"]);
         assert_eq!(lines(b"a\nb\n").unwrap(), ["a", "b"]);
         assert!(lines(b"").unwrap().is_empty());
+        assert_eq!(lines(b"\"a\",b\r\n1,\"2\"").unwrap(), ["a,b", "1,2"]);
     }
 
     #[test]

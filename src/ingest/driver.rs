@@ -140,8 +140,21 @@ fn read_batches(config: &IngestConfig, source: &dyn RecordingSource, mut sender:
         let n_bytes = unit.as_ref().map_or(0, |unit| source.n_bytes_parsed(unit));
         sender.push(unit, n_bytes)
     };
-    let result = visit_entries(&config.inputs, &is_wanted, &mut |entry, reader| units.read(entry, reader, &mut emit))
-        .and_then(|()| units.finish(&mut emit).map(drop));
+    let mut read_all = || -> Result<(), Error> {
+        loop {
+            seen.take();
+            let mut is_stopped = false;
+            visit_entries(&config.inputs, &is_wanted, &mut |entry, reader| {
+                let flow = units.read(entry, reader, &mut emit)?;
+                is_stopped = flow.is_break();
+                Ok(flow)
+            })?;
+            if is_stopped || !units.next_pass() {
+                return units.finish(&mut emit).map(drop);
+            }
+        }
+    };
+    let result = read_all();
     sender.finish(result);
     seen.into_inner()
 }

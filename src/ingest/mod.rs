@@ -20,6 +20,7 @@ mod lane_index;
 mod lane_topology;
 pub mod lanelet2;
 mod map_catalog;
+mod quotes;
 mod raw;
 mod report;
 mod source;

@@ -26,6 +26,8 @@ pub struct RawUnit {
     pub bytes: Vec<u8>,
     /// Line of the file at which `bytes` begin, counted from 1.
     pub first_line: u64,
+    /// The lines of the file that the rows in `bytes` stand in, where they do not stand together; else empty.
+    pub lines: Vec<u64>,
     /// A second file that belongs to the first: the pedestrians of a recording, the map of a scenario.
     pub companion: Option<Companion>,
 }

@@ -75,7 +75,13 @@ pub trait UnitReader {
         emit: &mut EmitUnit<'_>,
     ) -> Result<ControlFlow<()>, Error>;
 
-    /// Emits what was held back, after the last entry.
+    /// Whether all entries are to be read once more, asked after the last one. A reader that must know a whole table before it
+    /// emits any of it reads it twice rather than hold it.
+    fn next_pass(&mut self) -> bool {
+        false
+    }
+
+    /// Emits what was held back, after the last entry of the last pass.
     ///
     /// # Errors
     /// As [`UnitReader::read`].

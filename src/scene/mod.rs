@@ -26,4 +26,4 @@ pub use observation_mask::ObservationMask;
 pub use scenario::{GuidanceTag, Provenance, Scenario};
 pub use scene::{Scene, SceneSource, Split};
 pub use track::{Track, TrackRole};
-pub use trajectory::{State, Trajectory};
+pub use trajectory::{Derivation, RecordedPosition, State, Trajectory};

@@ -34,16 +34,47 @@ impl State {
     }
 }
 
+/// What of a recorded trajectory was derived rather than recorded.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Derivation {
+    /// One entry a timestep: whether the heading is held because no motion tells it. The headings of a trajectory with a
+    /// derivation follow from its motion elsewhere.
+    pub held_headings: Vec<bool>,
+    /// Where the states were smoothed, what was recorded, by ascending time; else empty.
+    pub recorded: Vec<RecordedPosition>,
+}
+
+/// Where an agent was recorded, at a time of its own: recordings need not be at even times, while timesteps are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RecordedPosition {
+    /// Seconds after the present.
+    pub time_s: f64,
+    /// Centre of the agent in the scene frame, metres.
+    pub position: Vec2,
+}
+
 /// One entry a timestep; timesteps at which the agent was not tracked hold nothing.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Trajectory {
     states: Vec<Option<State>>,
+    derivation: Option<Box<Derivation>>,
 }
 
 impl Trajectory {
     /// A trajectory from one optional state a timestep.
     pub const fn new(states: Vec<Option<State>>) -> Self {
-        Self { states }
+        Self { states, derivation: None }
+    }
+
+    /// The trajectory, marked as derived in this way.
+    #[must_use]
+    pub fn derived(self, derivation: Derivation) -> Self {
+        Self { derivation: Some(Box::new(derivation)), ..self }
+    }
+
+    /// What was derived, where not all was recorded.
+    pub fn derivation(&self) -> Option<&Derivation> {
+        self.derivation.as_deref()
     }
 
     /// Number of timesteps, tracked or not.
@@ -86,6 +117,9 @@ impl Trajectory {
     pub fn into_frame(mut self, to_from_here: &Transform2) -> Self {
         for state in self.states.iter_mut().flatten() {
             *state = state.transformed(to_from_here);
+        }
+        for recorded in self.derivation.iter_mut().flat_map(|derivation| &mut derivation.recorded) {
+            recorded.position = to_from_here.point(recorded.position);
         }
         self
     }

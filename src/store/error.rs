@@ -31,7 +31,7 @@ pub enum Error {
     SchemaVersion {
         /// The file.
         path: PathBuf,
-        /// The schema that this version reads, such as `scene.v1`.
+        /// The schema that this version reads, such as `scene.v2`.
         expected: String,
         /// What the file says it holds; empty when it says nothing.
         found: String,

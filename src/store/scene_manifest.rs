@@ -42,7 +42,7 @@ pub struct MapsEntry {
 /// What is known of a finished shard; written after it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShardSidecar {
-    /// Schema of the scenes, such as `scene.v1`.
+    /// Schema of the scenes, such as `scene.v2`.
     pub schema: String,
     /// The shard.
     pub shard: ShardEntry,
@@ -55,7 +55,7 @@ pub struct ShardSidecar {
 /// The manifest of a scene store.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SceneManifest {
-    /// Schema of the scenes, such as `scene.v1`.
+    /// Schema of the scenes, such as `scene.v2`.
     pub scene_schema: String,
     /// Schema of the maps, such as `lane.v1`.
     pub lane_schema: String,
@@ -100,10 +100,10 @@ impl SceneManifest {
         }
         // The version first: other versions may have other fields.
         let value: Value = read_json(&path)?;
-        for (key, expected) in [("scene_schema", scene::schema().id()), ("lane_schema", lane::schema().id())] {
+        for (key, schema) in [("scene_schema", scene::schema()), ("lane_schema", lane::schema())] {
             let found = value.get(key).and_then(Value::as_str).unwrap_or_default();
-            if found != expected {
-                return Err(Error::SchemaVersion { path, expected, found: found.to_owned() });
+            if schema.readable_version(found).is_none() {
+                return Err(Error::SchemaVersion { path, expected: schema.id(), found: found.to_owned() });
             }
         }
         serde_json::from_value(value).map_err(Error::json(&path))

@@ -8,7 +8,7 @@ use serde::Serialize;
 use std::path::Path;
 use std::sync::Arc;
 
-/// The key in a file's metadata under which its schema is named, such as `scene.v1`.
+/// The key in a file's metadata under which its schema is named, such as `scene.v2`.
 pub const SCHEMA_KEY: &str = "djinn.schema";
 
 /// Frame of coordinates near zero: origin at the ego's position at the present, x axis along its heading there.
@@ -61,7 +61,7 @@ impl TableSchema {
         ]
     }
 
-    /// Name and version, such as `scene.v1`.
+    /// Name and version, such as `scene.v2`.
     pub fn id(&self) -> String {
         format!("{}.v{}", self.name, self.version)
     }
@@ -86,12 +86,13 @@ impl TableSchema {
     /// later columns must be nullable for older files to be readable; raise the number when one is not.
     pub fn oldest_readable(&self) -> u32 {
         match self.name {
+            "scene" => 1,
             "scenario" => 2,
             _ => self.version,
         }
     }
 
-    /// The version that `id` (such as `scene.v1`) names, when it is one of this table that can be read.
+    /// The version that `id` (such as `scene.v2`) names, when it is one of this table that can be read.
     pub fn readable_version(&self, id: &str) -> Option<u32> {
         let version = id.strip_prefix(self.name)?.strip_prefix(".v")?.parse().ok()?;
         (self.oldest_readable()..=self.version).contains(&version).then_some(version)

@@ -1,6 +1,8 @@
 //! Argoverse 1 motion forecasting: one CSV file a scene, one vector map a city.
 
+mod even_times;
 mod kinematics;
+mod smoother;
 mod tracks;
 mod vector_map;
 
@@ -26,6 +28,9 @@ pub(super) struct Argoverse1<'a> {
     horizon: Horizon,
 }
 
+/// Time between timesteps, seconds. That between rows is uneven.
+const DT_S: f64 = 0.1;
+
 impl<'a> Argoverse1<'a> {
     pub(super) fn new(config: &'a IngestConfig) -> Result<Self, Error> {
         Ok(Self { config, horizon: Horizon::within(config, RECORDED)? })
@@ -42,7 +47,7 @@ impl RecordingSource for Argoverse1<'_> {
     }
 
     fn parse(&self, unit: &RawUnit) -> Vec<Result<RawScene, Reject>> {
-        vec![tracks::parse(unit, self.horizon)]
+        vec![tracks::parse(unit, self.horizon, self.config.smooth_tracks)]
     }
 
     fn is_map(&self, path: &str) -> bool {

@@ -1,14 +1,18 @@
 //! Argoverse 1 recordings: from the rows of a CSV file to the tracks of a scene.
 
-use super::RECORDED;
-use super::kinematics::derive_states;
+use super::even_times::{Row, smoothed_states};
+use super::kinematics::{DerivedStates, derive_states};
+use super::{DT_S, RECORDED};
 use crate::geometry::Vec2;
 use crate::ingest::cells::split_cells;
 use crate::ingest::csv_rows::lines_of;
 use crate::ingest::decimal;
+use crate::ingest::quotes::{printable, without_quotes};
 use crate::ingest::raw::{HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use crate::ingest::source::Horizon;
-use crate::scene::{AgentClass, Dataset, SceneId, SceneSource, Split, Track, TrackId, TrackRole, Trajectory};
+use crate::scene::{
+    AgentClass, Dataset, Derivation, SceneId, SceneSource, Split, Track, TrackId, TrackRole, Trajectory,
+};
 use std::collections::HashMap;
 
 const COLUMNS: [&str; 6] = ["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME"];
@@ -16,11 +20,9 @@ const COLUMNS: [&str; 6] = ["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "C
 /// Most tracks of a file; real ones have hundreds at most, and each takes memory for all timesteps.
 const MAX_TRACKS: usize = 10_000;
 
-/// Nominal time between timesteps, seconds. The actual times are uneven and used for velocities.
-const DT_S: f64 = 0.1;
-
-/// The scene of a file, cut to `horizon` around the present of the dataset.
-pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
+/// The scene of a file, cut to `horizon` around the present of the dataset, its tracks smoothed or as they were recorded. Those that are
+/// not smoothed have one row a timestep, whatever its time.
+pub(super) fn parse(unit: &RawUnit, horizon: Horizon, smooths: bool) -> Result<RawScene, Reject> {
     let table = Table::read(unit)?;
     let split = match unit.split {
         UnitSplit::All(split) => split,
@@ -31,17 +33,28 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject
     let last = timestamps_s.len().min(RECORDED.n_history + horizon.n_future);
     let mut tracks = Vec::with_capacity(table.tracks.len());
     let mut heading_gaps = Vec::new();
+    let present_s = timestamps_s[RECORDED.n_history - 1];
     for (track, positions) in table.tracks.iter().zip(positions(unit, &table, &timestamps_s)?) {
-        let (states, placeholder_until) = derive_states(&positions, &timestamps_s, RECORDED.n_history);
-        if placeholder_until > first {
-            heading_gaps.push(HeadingGap { track_idx: tracks.len(), until_timestep: placeholder_until - first });
+        let derived = if smooths {
+            let row = |(time_idx, position): (usize, &Option<Vec2>)| {
+                Some(Row { time_idx, time_s: timestamps_s[time_idx] - present_s, position: (*position)? })
+            };
+            let rows: Vec<Row> = positions.iter().enumerate().filter_map(row).collect();
+            smoothed_states(&rows, timestamps_s.len(), timestamps_s.len())
+        } else {
+            derive_states(&positions, &timestamps_s, RECORDED.n_history)
+        };
+        let DerivedStates { states, held_headings, headings_from, recorded } = derived;
+        if headings_from > first {
+            heading_gaps.push(HeadingGap { track_idx: tracks.len(), until_timestep: headings_from - first });
         }
+        let derivation = Derivation { held_headings: held_headings[first..last].to_vec(), recorded };
         tracks.push(Track {
             id: TrackId(track.id.clone()),
             class: AgentClass::Unknown,
             role: track.role,
             extent: None,
-            trajectory: Trajectory::new(states[first..last].to_vec()),
+            trajectory: Trajectory::new(states[first..last].to_vec()).derived(derivation),
         });
     }
     let place = table.city;
@@ -67,12 +80,12 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject
 }
 
 struct Table {
-    rows: Vec<Row>,
+    rows: Vec<TableRow>,
     tracks: Vec<TrackHead>,
     city: String,
 }
 
-struct Row {
+struct TableRow {
     line: u64,
     timestamp_s: f64,
     track_idx: usize,
@@ -87,6 +100,7 @@ struct TrackHead {
 impl Table {
     fn read(unit: &RawUnit) -> Result<Self, Reject> {
         let bytes = unit.bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&unit.bytes);
+        let bytes = &without_quotes(bytes);
         let mut lines = lines_of(bytes).zip(1..).filter(|(line, _)| !line.is_empty());
         let mut cells = Vec::new();
         let (header, header_line) = lines.next().unwrap_or((b"", 1));
@@ -120,8 +134,7 @@ impl Table {
         let [timestamp, track_id, object_type, x, y, city] = fields;
         let number = |name: &str, text: &[u8]| {
             let value = decimal::number(text).ok_or_else(|| {
-                let text = String::from_utf8_lossy(text);
-                unit.reject_at("malformed_row", line, format!("{name} is `{}`, expected a number", shorten(&text)))
+                unit.reject_at("malformed_row", line, format!("{name} is `{}`, expected a number", printable(text)))
             })?;
             if value.is_finite() {
                 Ok(value)
@@ -135,12 +148,15 @@ impl Table {
             if text.is_empty() {
                 return Err(unit.reject_at("malformed_row", line, format!("{name} is empty")));
             }
+            if text.iter().any(u8::is_ascii_control) {
+                let detail = format!("{name} is `{}`, expected a name without commas", printable(text));
+                return Err(unit.reject_at("malformed_row", line, detail));
+            }
         }
         if self.city.is_empty() {
             self.city = String::from_utf8_lossy(city).into_owned();
         } else if self.city.as_bytes() != city {
-            let other = String::from_utf8_lossy(city);
-            let detail = format!("CITY_NAME is `{}` after `{}`", shorten(&other), self.city);
+            let detail = format!("CITY_NAME is `{}` after `{}`", printable(city), self.city);
             return Err(unit.reject_at("malformed_row", line, detail));
         }
         let track_idx = match known.get(track_id) {
@@ -155,7 +171,7 @@ impl Table {
                 self.tracks.len() - 1
             }
         };
-        self.rows.push(Row { line, timestamp_s, track_idx, position });
+        self.rows.push(TableRow { line, timestamp_s, track_idx, position });
         Ok(())
     }
 }
@@ -186,7 +202,7 @@ fn find_columns(unit: &RawUnit, line: u64, header: &[&[u8]]) -> Result<[usize; C
 }
 
 /// The distinct times of the file, ascending: the timesteps. Only test files may end at the present.
-fn timestamps(unit: &RawUnit, rows: &[Row], split: Split) -> Result<Vec<f64>, Reject> {
+fn timestamps(unit: &RawUnit, rows: &[TableRow], split: Split) -> Result<Vec<f64>, Reject> {
     let mut timestamps_s: Vec<f64> = rows.iter().map(|row| row.timestamp_s).collect();
     timestamps_s.sort_by(f64::total_cmp);
     timestamps_s.dedup();

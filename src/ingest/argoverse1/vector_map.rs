@@ -4,6 +4,7 @@
 //! are `True` and `False`, a missing neighbor is `None`, and ids may name lanes outside the file.
 
 use crate::geometry::{Polyline, Vec2};
+use crate::ingest::assemble::MAX_COORDINATE_M;
 use crate::ingest::error::Error;
 use crate::ingest::lane_topology::connect;
 use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId, TurnDirection};
@@ -213,8 +214,12 @@ fn attribute(element: &BytesStart<'_>, name: &str) -> Result<String, String> {
 
 fn coordinate(element: &BytesStart<'_>, name: &str) -> Result<f64, String> {
     let text = attribute(element, name)?;
-    let value = text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
-    value.ok_or_else(|| format!("node coordinate {name} is `{text}`, expected a finite number"))
+    let value = text.trim().parse::<f64>().ok().filter(|value| value.abs() <= MAX_COORDINATE_M);
+    value.ok_or_else(|| {
+        format!(
+            "node coordinate {name} is `{text}`, expected a number from -{MAX_COORDINATE_M} to {MAX_COORDINATE_M} m"
+        )
+    })
 }
 
 fn integer(what: &str, text: &str) -> Result<i64, String> {
@@ -295,7 +300,10 @@ mod tests {
     fn faults_name_the_file_the_place_and_the_element() {
         let missing = message(&WAYS.replace(r#"<nd ref="2"/>"#, r#"<nd ref="9"/>"#));
         assert!(missing.starts_with("map m_MIA_1_vector_map.xml, byte ") && missing.contains("way 101"), "{missing}");
-        assert!(message(&WAYS.replace("20", "NaN")).contains("finite"));
+        for impossible in ["NaN", "1e7", "-inf"] {
+            let message = message(&WAYS.replace("20", impossible));
+            assert!(message.contains(&format!("node coordinate x is `{impossible}`, expected a number")), "{message}");
+        }
         assert!(message(&WAYS.replace("v=\"True\"", "v=\"yes\"")).contains("way 100: has_traffic_control is `yes`"));
         assert!(message(&WAYS.replace(r#"<nd ref="1"/>"#, "")).contains("1 distinct points"));
         assert!(message("").contains("no lanes"));

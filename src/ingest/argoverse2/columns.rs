@@ -32,38 +32,61 @@ impl Table {
         names.iter().copied().filter(|name| self.0.column_by_name(name).is_none()).collect()
     }
 
-    /// A column of text: plain, large, view or dictionary.
+    /// A column of text (plain, large, view or dictionary), or of whole numbers, which are names as well.
     pub(super) fn text(&self, name: &str) -> Result<StringArray, String> {
-        self.column(name, &DataType::Utf8)?.as_any().downcast_ref().cloned().ok_or_else(|| not_readable(name, "text"))
+        let is_text = |found: &DataType| is_string(found) || found.is_integer();
+        self.column(name, &DataType::Utf8, "text", is_text)?.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))
     }
 
-    /// A column of floating-point numbers of any width.
+    /// A column of numbers of any width.
     pub(super) fn float(&self, name: &str) -> Result<Float64Array, String> {
-        self.column(name, &DataType::Float64)?
-            .as_any()
-            .downcast_ref()
-            .cloned()
-            .ok_or_else(|| not_readable(name, "numbers"))
+        let column = self.column(name, &DataType::Float64, "numbers", DataType::is_numeric)?;
+        column.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))
     }
 
-    /// A column of whole numbers of any width.
+    /// A column of whole numbers of any width, which may be kept as floating-point numbers.
     pub(super) fn integer(&self, name: &str) -> Result<Int64Array, String> {
-        self.column(name, &DataType::Int64)?
-            .as_any()
-            .downcast_ref()
-            .cloned()
-            .ok_or_else(|| not_readable(name, "integers"))
+        if self.0.column_by_name(name).is_some_and(|column| column.data_type().is_floating()) {
+            let numbers = self.float(name)?;
+            if let Some(row) = numbers.values().iter().position(|number| number.fract() != 0.0) {
+                return Err(format!("column {name} is {} in row {row}, expected a whole number", numbers.value(row)));
+            }
+        }
+        let column = self.column(name, &DataType::Int64, "whole numbers", DataType::is_numeric)?;
+        column.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))
     }
 
-    /// The column in type `wanted`, without missing values.
-    fn column(&self, name: &str, wanted: &DataType) -> Result<ArrayRef, String> {
+    /// The column in type `wanted`, without missing values. Only types that are `accepted` are converted: text that looks like
+    /// numbers is another table than this one, or a broken one.
+    fn column(
+        &self,
+        name: &str,
+        wanted: &DataType,
+        expected: &str,
+        accepted: impl Fn(&DataType) -> bool,
+    ) -> Result<ArrayRef, String> {
         let column = self.0.column_by_name(name).ok_or_else(|| format!("no column {name}"))?;
+        let found = match column.data_type() {
+            DataType::Dictionary(_, values) => values,
+            plain => plain,
+        };
+        if !accepted(found) {
+            return Err(format!("column {name} is of type {}, expected {expected}", column.data_type()));
+        }
         let column = cast(column, wanted).map_err(|error| format!("column {name}: {error}"))?;
         match (0..column.len()).find(|row| column.is_null(*row)) {
             Some(row) => Err(format!("column {name} has no value in row {row}")),
             None => Ok(column),
         }
     }
+}
+
+const fn is_string(found: &DataType) -> bool {
+    matches!(found, DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View)
+}
+
+fn lost(name: &str) -> String {
+    format!("column {name} cannot be converted")
 }
 
 fn decode(bytes: &[u8]) -> Result<RecordBatch, String> {
@@ -92,8 +115,4 @@ fn decode(bytes: &[u8]) -> Result<RecordBatch, String> {
     }
     let first = batches.first().ok_or("the file has no rows")?;
     concat_batches(&first.schema(), &batches).map_err(|error| error.to_string())
-}
-
-fn not_readable(name: &str, what: &str) -> String {
-    format!("column {name} does not hold {what}")
 }

@@ -1,14 +1,14 @@
-//! How is a v1.2 table, which holds thousands of cases, cut into one unit a case without loading it?
+//! How is a v1.2 table, which holds thousands of cases, cut into its cases without loading it?
 
 use super::columns::Columns;
 use crate::ingest::csv_rows::Lines;
 use crate::ingest::decimal;
-use crate::ingest::{EmitUnit, RawUnit, Reject};
+use memchr::memmem;
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
 /// Largest case that is kept together; usual ones have 20 to 200 kB.
-const MAX_CASE_BYTES: usize = 64 * 1024 * 1024;
+pub(super) const MAX_CASE_BYTES: usize = 64 * 1024 * 1024;
 
 /// Most cases of nothing but rows that are not whole that may turn out to be parts of another one.
 const MAX_HELD: usize = 16;
@@ -16,14 +16,17 @@ const MAX_HELD: usize = 16;
 /// Most bytes that are set aside for a case before it is read.
 const MAX_GUESSED_BYTES: usize = 1024 * 1024;
 
-/// The rows of consecutive lines with equal `case_id`.
-struct Case {
+/// The rows of consecutive lines with equal `case_id`: a case, or a part of one.
+#[derive(Debug)]
+pub(super) struct Case {
     /// As written, such as `1.0`.
-    id: Vec<u8>,
-    first_line: u64,
-    rows: Vec<u8>,
-    /// Why the case is left out, if it is.
-    flaw: Option<&'static str>,
+    pub(super) id: Vec<u8>,
+    pub(super) first_line: u64,
+    /// Left empty where rows are only counted, and where there are too many.
+    pub(super) rows: Vec<u8>,
+    pub(super) n_bytes: usize,
+    /// How many headers stood before it, but for the first.
+    pub(super) section: usize,
 }
 
 impl Case {
@@ -32,43 +35,65 @@ impl Case {
         columns.case_id == Some(0) && line.strip_prefix(self.id.as_slice()).is_some_and(|rest| rest.starts_with(b","))
     }
 
-    fn push(&mut self, line: &[u8]) {
-        if self.rows.len() + line.len() > MAX_CASE_BYTES {
-            self.flaw = self.flaw.or(Some("too_large"));
-        }
-        if self.flaw.is_none() {
+    fn push(&mut self, line: &[u8], keeps_rows: bool) {
+        self.n_bytes += line.len() + 1;
+        if self.n_bytes > MAX_CASE_BYTES {
+            self.rows = Vec::new();
+        } else if keeps_rows {
             self.rows.extend_from_slice(line);
             self.rows.push(b'\n');
         }
     }
 }
 
-/// Emits the cases of a table that has been read up to its header; `table` is a unit to start each from.
-///
-/// Rows of a case stand together. A case whose id came before is a reject, since its first part has been emitted then.
-pub(super) fn split_cases(
+/// What ended the cutting of a table.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum End {
+    /// All of it was read.
+    Whole,
+    /// Whoever took the cases wants no more.
+    Stopped,
+    /// It cannot be read on; says why, and what is left out.
+    Unreadable(String),
+    /// At this line there is a header with other columns.
+    OtherHeader(u64),
+}
+
+/// Cuts a table that has been read up to its header where the case id changes.
+pub(super) fn cut_cases(
     lines: &mut Lines<'_>,
     columns: &Columns,
-    table: &RawUnit,
-    emit: &mut EmitUnit<'_>,
-) -> ControlFlow<()> {
-    let mut cases = Cases { columns, seen: BTreeSet::new(), current: None, held: Vec::new() };
-    let mut done = |case: Case| emit_case(case, table, emit);
+    keeps_rows: bool,
+    done: &mut dyn FnMut(Case) -> ControlFlow<()>,
+) -> End {
+    let mut cases =
+        Cases { columns, keeps_rows, seen: BTreeSet::new(), current: None, held: Vec::new(), section: 0, end: None };
     loop {
-        match lines.next() {
-            Ok(Some((number, line))) => cases.add(number, line, &mut done)?,
-            Ok(None) => return cases.held.into_iter().chain(cases.current).try_for_each(done),
+        let flow = match lines.next() {
+            Ok(Some((number, line))) => cases.add(number, line, done),
+            Ok(None) => {
+                cases.end = Some(End::Whole);
+                cases.end_all(done)
+            }
             // The case that is being read is not whole.
             Err(error) => {
-                let rest = match (cases.held.is_empty(), cases.current) {
+                let rest = match (cases.held.is_empty(), &cases.current) {
                     (true, None) => "the file",
                     (true, Some(_)) => "the current case and the rest of the file",
                     (false, _) => "the last cases and the rest of the file",
                 };
                 let detail =
                     format!("{error}; {rest} is left out, and where the file is damaged, so may what came before be");
-                return emit(Err(table.reject("unreadable", detail)));
+                // Who only counts wants to know of its rows all the same.
+                let is_stopped = !keeps_rows && cases.end_all(done).is_break();
+                return if is_stopped { End::Stopped } else { End::Unreadable(detail) };
             }
+        };
+        if flow.is_break() {
+            return End::Stopped;
+        }
+        if let Some(end) = cases.end {
+            return end;
         }
     }
 }
@@ -76,12 +101,15 @@ pub(super) fn split_cases(
 /// The cases of a table while it is read.
 struct Cases<'a> {
     columns: &'a Columns,
+    keeps_rows: bool,
     /// The ids that have begun.
     seen: BTreeSet<String>,
     current: Option<Case>,
     /// While the current case has nothing but rows that are not whole: the case before all of these, which may go on, and those of them
     /// that say they are of further cases.
     held: Vec<Case>,
+    section: usize,
+    end: Option<End>,
 }
 
 impl Cases<'_> {
@@ -89,6 +117,13 @@ impl Cases<'_> {
     fn add(&mut self, number: u64, line: &[u8], done: &mut dyn FnMut(Case) -> ControlFlow<()>) -> ControlFlow<()> {
         let goes_on = |case: Option<&Case>| case.is_some_and(|case| case.goes_on_with(line, self.columns));
         if !self.held.is_empty() || !goes_on(self.current.as_ref()) {
+            if memmem::find(line, b"case_id").is_some()
+                && let Ok(header) = Columns::of(line, false)
+            {
+                self.section += 1;
+                self.end = (header != *self.columns).then_some(End::OtherHeader(number));
+                return self.end_all(done);
+            }
             let id = CaseId::of(line, self.columns);
             let before = self.held.first();
             if goes_on(before) || before.is_some_and(|before| id.whole() == Some(&before.id)) {
@@ -99,9 +134,14 @@ impl Cases<'_> {
             self.begin_with(number, line, &id, done)?;
         }
         if let Some(case) = &mut self.current {
-            case.push(line);
+            case.push(line, self.keeps_rows);
         }
         ControlFlow::Continue(())
+    }
+
+    /// Nothing goes on.
+    fn end_all(&mut self, done: &mut dyn FnMut(Case) -> ControlFlow<()>) -> ControlFlow<()> {
+        self.held.drain(..).chain(self.current.take()).try_for_each(done)
     }
 
     /// The rows that were not whole stood amid the case before, which goes on.
@@ -111,6 +151,7 @@ impl Cases<'_> {
         for broken in held {
             self.seen.remove(&plain_case_id(&broken.id));
             if let Some(case) = &mut self.current {
+                case.n_bytes += broken.n_bytes;
                 case.rows.extend(broken.rows);
             }
         }
@@ -133,10 +174,11 @@ impl Cases<'_> {
         if !begins {
             return ControlFlow::Continue(());
         }
-        let flaw = (!self.seen.insert(plain_case_id(id.text()))).then_some("case_not_contiguous");
+        self.seen.insert(plain_case_id(id.text()));
         // Cases of a table are of similar size.
         let n_guessed = self.current.as_ref().map_or(0, |case| case.rows.len().min(MAX_GUESSED_BYTES));
-        let case = Case { id: id.text().to_vec(), first_line: number, rows: Vec::with_capacity(n_guessed), flaw };
+        let rows = Vec::with_capacity(n_guessed);
+        let case = Case { id: id.text().to_vec(), first_line: number, rows, n_bytes: 0, section: self.section };
         let before = self.current.replace(case);
         if id.whole().is_some() {
             return before.map_or(ControlFlow::Continue(()), done);
@@ -194,99 +236,9 @@ pub(super) fn plain_case_id(id: &[u8]) -> String {
     }
 }
 
-fn emit_case(case: Case, table: &RawUnit, emit: &mut EmitUnit<'_>) -> ControlFlow<()> {
-    let id = String::from_utf8_lossy(&case.id).into_owned();
-    let reject =
-        |reason, detail: String| -> Result<RawUnit, Reject> { Err(table.reject_at(reason, case.first_line, detail)) };
-    if id.is_empty() || !id.chars().all(|c| c.is_ascii_graphic() && c != '/') {
-        let id: String = id.chars().take(40).map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
-        return emit(reject("bad_case_id", format!("case_id is \"{id}\", expected a number")));
-    }
-    emit(match case.flaw {
-        Some("case_not_contiguous") => {
-            let detail = format!(
-                "case {id} appears again, and its first rows were taken for all of it; sort the table by case_id"
-            );
-            reject("case_not_contiguous", detail)
-        }
-        Some(flaw) => reject(flaw, format!("case {id} has more than {} MiB", MAX_CASE_BYTES >> 20)),
-        None => Ok(RawUnit { case_id: id, bytes: case.rows, first_line: case.first_line, ..table.clone() }),
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    const HEADER: &str = "case_id,track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n";
-
-    fn row(case: &str, track: u32) -> String {
-        format!("{case},{track},1,100,car,0,0,0,0,0,4,2\n")
-    }
-
-    /// Case id, first line and number of lines of each unit, or the reason of the reject.
-    fn split(text: &str) -> Vec<Result<(String, u64, usize), String>> {
-        let mut bytes = text.as_bytes();
-        let mut lines = Lines::new(&mut bytes);
-        let (_, header) = lines.next().unwrap().unwrap();
-        let columns = Columns::of(header, false).unwrap();
-        let mut units = Vec::new();
-        let flow = split_cases(&mut lines, &columns, &RawUnit::default(), &mut |unit| {
-            units.push(match unit {
-                Ok(unit) => {
-                    let n_lines = unit.bytes.iter().filter(|byte| **byte == b'\n').count();
-                    Ok((unit.case_id, unit.first_line, n_lines))
-                }
-                Err(reject) => Err(format!("{} {}", reject.reason, reject.detail)),
-            });
-            ControlFlow::Continue(())
-        });
-        assert!(flow.is_continue());
-        units
-    }
-
-    #[test]
-    fn consecutive_rows_of_equal_id_are_a_case() {
-        let text = [HEADER, &row("1.0", 1), &row("1.0", 2), &row("3.0", 1)].concat();
-        let units = split(text.trim_end());
-        assert_eq!(units, [Ok(("1.0".to_owned(), 2, 2)), Ok(("3.0".to_owned(), 4, 1))]);
-    }
-
-    #[test]
-    fn a_case_that_appears_again_is_rejected() {
-        let units = split(&[HEADER, &row("1.0", 1), &row("2.0", 1), &row("1.0", 2), &row("3.0", 1)].concat());
-        assert_eq!(units.len(), 4);
-        let reject = units[2].as_ref().unwrap_err();
-        assert!(reject.starts_with("case_not_contiguous") && reject.contains(":4: case 1.0"), "{reject}");
-        assert!(units[3].is_ok());
-    }
-
-    #[test]
-    fn rows_that_are_not_whole_stay_with_their_case() {
-        let broken = ["1\n", "\n", "x,y\n", "2.0\n"].concat();
-        let units =
-            split(&[HEADER, &row("1.0", 1), &broken, &row("1.0", 2), "2.0,1,1\n", &row("2.0", 1), "1.0,1\n"].concat());
-        assert_eq!(units, [Ok(("1.0".to_owned(), 2, 6)), Ok(("2.0".to_owned(), 8, 3))]);
-        // Amid a case with another number, which no case has, or has later.
-        let amid =
-            [HEADER, &row("1.0", 1), "9.0,1,1\n9.0\n8.0,1\n", &row("1.0", 2), &row("9.0", 1), "3.0,1,\n4.0,2,\n"]
-                .concat();
-        let whole = |id: &str, line, n| Ok((id.to_owned(), line, n));
-        assert_eq!(split(&amid), [whole("1.0", 2, 5), whole("9.0", 7, 1), whole("3.0", 8, 1), whole("4.0", 9, 1)]);
-    }
-
-    #[test]
-    fn strange_ids_and_endless_lines_are_rejects() {
-        let units = split(&[HEADER, &row("", 1), &row("a/b", 1), &row("2.0", 1)].concat());
-        assert!(units[0].as_ref().unwrap_err().starts_with("bad_case_id"));
-        assert!(units[1].as_ref().unwrap_err().starts_with("bad_case_id"));
-        assert!(units[2].is_ok());
-        let units = split(&[HEADER, &row("1.0", 1), &row("2.0", 1), &"x".repeat(100_000)].concat());
-        assert!(units[0].is_ok());
-        let reject = units[1].as_ref().unwrap_err();
-        assert!(reject.starts_with("unreadable") && reject.contains("line 4"), "{reject}");
-        assert_eq!(units.len(), 2);
-    }
 
     #[test]
     fn ids_lose_the_point_they_were_printed_with() {

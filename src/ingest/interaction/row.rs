@@ -5,6 +5,7 @@ use crate::geometry::Vec2;
 use crate::ingest::assemble::MAX_COORDINATE_M;
 use crate::ingest::cells::split_cells;
 use crate::ingest::decimal;
+use crate::ingest::quotes::printable;
 use crate::scene::Extent;
 
 /// INTERACTION is recorded at 10 Hz, and `timestamp_ms` counts from the start of the recording.
@@ -27,9 +28,9 @@ pub(super) struct Row<'a> {
     pub(super) agent_type: &'a [u8],
     pub(super) position: Vec2,
     pub(super) velocity: Vec2,
-    /// Absent for pedestrians.
+    /// Absent for pedestrians and cyclists.
     pub(super) heading_rad: Option<f64>,
-    /// Absent for pedestrians, and where length or width is less than a millimetre.
+    /// Absent for pedestrians and cyclists, and where length or width is blank.
     pub(super) extent: Option<Extent>,
     pub(super) is_interesting: bool,
     pub(super) is_to_predict: bool,
@@ -81,15 +82,13 @@ impl<'a> Row<'a> {
             }
             None => [None; 3],
         };
-        if let Some(size_m) = [length_m, width_m].into_iter().flatten().find(|size_m| *size_m > MAX_SIZE_M) {
-            return Err(("out_of_range", format!("length or width is {size_m} m")));
-        }
-        let extent = match (length_m, width_m) {
-            (Some(length_m), Some(width_m)) if length_m.min(width_m) >= MIN_SIZE_M => {
-                Some(Extent { length_m, width_m })
+        for (column, size_m) in [("length", length_m), ("width", width_m)] {
+            if let Some(size_m) = size_m.filter(|size_m| !(MIN_SIZE_M..=MAX_SIZE_M).contains(size_m)) {
+                let range = format!("{MIN_SIZE_M} to {MAX_SIZE_M} m, or a blank cell where the size is unknown");
+                return Err(("out_of_range", format!("column {column} is {size_m}, expected {range}")));
             }
-            _ => None,
-        };
+        }
+        let extent = length_m.zip(width_m).map(|(length_m, width_m)| Extent { length_m, width_m });
         let mark = |index, name| optional(index, name).map(|mark| mark.is_some_and(|mark| mark != 0.0));
         Ok(Self {
             track_id,
@@ -126,14 +125,6 @@ fn malformed(column: &str, cell: &[u8], expected: &str) -> Flaw {
     ("malformed_row", format!("column {column} is \"{}\", expected {expected}", printable(cell)))
 }
 
-fn printable(cell: &[u8]) -> String {
-    String::from_utf8_lossy(cell.trim_ascii())
-        .chars()
-        .take(40)
-        .map(|c| if c.is_control() { '\u{fffd}' } else { c })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -152,9 +143,7 @@ mod tests {
         assert_eq!((row.is_to_predict, row.is_interesting), (true, false));
         let row = parse("P7,3.0,300.0,pedestrian/bicycle,1,2,3,4,,,,0,1").unwrap();
         assert_eq!((row.frame_id, row.heading_rad, row.extent, row.is_interesting), (3, None, None, true));
-        for length in ["0.0", "-1", "1e-60"] {
-            assert_eq!(parse(&format!("7,3,300,car,1,2,3,0,0,{length},1.8,,")).unwrap().extent, None);
-        }
+        assert_eq!(parse("7,3,300,car,1,2,3,0,0,,1.8,,").unwrap().extent, None);
     }
 
     #[test]
@@ -164,7 +153,10 @@ mod tests {
             ("7,3,300,car,1,2,3,4,0,4,2,1,0,9", "malformed_row", "14 columns"),
             ("7,3,300,car,one,2,3,4,0,4,2,1,0", "malformed_row", "column x is \"one\", expected a number"),
             ("7,3,300,car,,2,3,4,0,4,2,1,0", "malformed_row", "column x is \"\""),
-            ("7,3,300,car,1,2,3,4,0,1e39,2,1,0", "out_of_range", "length or width"),
+            ("7,3,300,car,1,2,3,4,0,1e39,2,1,0", "out_of_range", "column length is 1"),
+            ("7,3,300,car,1,2,3,4,0,0.0,2,1,0", "out_of_range", "column length is 0, expected 0.001 to 1000 m"),
+            ("7,3,300,car,1,2,3,4,0,4,-2,1,0", "out_of_range", "column width is -2"),
+            ("7,3,300,car,1,2,3,4,0,4,1e-60,1,0", "out_of_range", "column width is 0.000"),
             ("7,3.5,300,car,1,2,3,4,0,4,2,1,0", "malformed_row", "column frame_id is \"3.5\", expected a whole number"),
             (",3,300,car,1,2,3,4,0,4,2,1,0", "malformed_row", "column track_id"),
             ("7,3,300,car,1,NaN,3,4,0,4,2,1,0", "non_finite", "column y is \"NaN\""),

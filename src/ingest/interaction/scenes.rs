@@ -6,7 +6,7 @@ use super::path::TrackFile;
 use super::track::{RecordedTrack, Table, read_tracks};
 use super::{CASE_HORIZON, DT_S};
 use crate::ingest::csv_rows::without_end;
-use crate::ingest::{HeadingGap, Horizon, IngestConfig, RawScene, RawUnit, Reject, UnitSplit, map_id};
+use crate::ingest::{Horizon, IngestConfig, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use crate::scene::{Dataset, SceneId, SceneSource, Split};
 
 /// Longest recording, 28 hours: frames further apart are a fault.
@@ -18,7 +18,7 @@ const MAX_RECORDING_FRAMES: i64 = 1_000_000;
 /// present, as in test sets, has the history alone.
 pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
     let columns = Columns::of(&unit.header, false).map_err(|detail| unit.reject("bad_header", detail))?;
-    let table = Table { file: &unit.file, columns, rows: &unit.bytes, first_line: unit.first_line };
+    let table = Table { file: &unit.file, columns, rows: &unit.bytes, first_line: unit.first_line, lines: &unit.lines };
     let tracks = read_tracks(&[table])?;
     let Some((min_frame, max_frame)) = frames(&tracks) else {
         return Err(unit.reject_at("no_rows", unit.first_line, format!("case {} has no rows", unit.case_id)));
@@ -111,7 +111,7 @@ fn recording_tables(unit: &RawUnit) -> Result<Vec<Table<'_>>, Reject> {
             // The headers were checked when the files were read, with the name of the file in mind.
             let columns = Columns::of(without_end(header), true)
                 .map_err(|detail| Reject { reason: "bad_header", detail: format!("{file}: {detail}") })?;
-            Ok(Table { file, columns, rows, first_line: 2 })
+            Ok(Table { file, columns, rows, first_line: 2, lines: &[] })
         })
         .collect()
 }
@@ -156,14 +156,7 @@ impl Cut<'_> {
     /// The scene with those of `tracks` at `present` that are tracked at any time in it.
     fn scene(self, tracks: &[RecordedTrack], present: impl IntoIterator<Item = usize>) -> RawScene {
         let Self { unit, split, case, first_frame, n_timesteps, n_history } = self;
-        let mut heading_gaps = Vec::new();
-        let mut scene_tracks = Vec::new();
-        for (track, heading_from) in present.into_iter().filter_map(|i| tracks[i].cut(first_frame, n_timesteps)) {
-            if let Some(until_timestep) = heading_from {
-                heading_gaps.push(HeadingGap { track_idx: scene_tracks.len(), until_timestep });
-            }
-            scene_tracks.push(track);
-        }
+        let cut = |index: usize| tracks[index].cut(first_frame, n_timesteps, n_history);
         let dataset = Dataset::Interaction;
         RawScene {
             id: SceneId(format!("{}/{}/{}/{case}", dataset.name(), split.name(), unit.place)),
@@ -179,8 +172,8 @@ impl Cut<'_> {
             dt_s: DT_S,
             n_timesteps,
             n_history,
-            tracks: scene_tracks,
-            heading_gaps,
+            tracks: present.into_iter().filter_map(cut).collect(),
+            heading_gaps: Vec::new(),
             map_id: map_id(dataset, &unit.place),
             own_map: None,
         }

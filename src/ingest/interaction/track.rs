@@ -6,7 +6,8 @@ use super::row::{Flaw, Row};
 use crate::geometry::{Vec2, wrap_angle};
 use crate::ingest::Reject;
 use crate::ingest::csv_rows::lines_of;
-use crate::scene::{AgentClass, Extent, State, Track, TrackId, TrackRole, Trajectory};
+use crate::ingest::quotes::printable;
+use crate::scene::{AgentClass, Derivation, Extent, State, Track, TrackId, TrackRole, Trajectory};
 use std::collections::BTreeMap;
 
 /// Slower than this, the direction of a velocity is noise: the heading is held.
@@ -20,6 +21,8 @@ pub(super) struct Table<'a> {
     pub(super) rows: &'a [u8],
     /// Line of the file at which `rows` begin.
     pub(super) first_line: u64,
+    /// The line of each row where they do not stand together; else empty.
+    pub(super) lines: &'a [u64],
 }
 
 /// One agent over all frames in which it was tracked.
@@ -30,9 +33,19 @@ pub(super) struct RecordedTrack {
     role: TrackRole,
     extent: Option<Extent>,
     /// By ascending frame.
-    states: Vec<(i64, State)>,
-    /// First frame whose heading is known, where the recording gives none and the vehicle stands at first.
-    heading_from: Option<i64>,
+    states: Vec<(i64, State, HeadingSource)>,
+}
+
+/// How the heading of a state is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum HeadingSource {
+    Recorded,
+    /// The direction of a velocity that tells one.
+    Motion,
+    /// The agent is slow: the last heading that was known.
+    Held,
+    /// The agent has been slow from the start: the direction of its velocity, which is noise.
+    Unknown,
 }
 
 /// Reads the tracks of all tables in order of their first rows.
@@ -44,7 +57,8 @@ pub(super) fn read_tracks(tables: &[Table<'_>]) -> Result<Vec<RecordedTrack>, Re
     let mut cells = Vec::new();
     for table in tables {
         let mut current: Option<usize> = None;
-        for (line, number) in lines_of(table.rows).zip(table.first_line..) {
+        for (line, row_idx) in lines_of(table.rows).zip(0..) {
+            let number = table.lines.get(row_idx).copied().unwrap_or(table.first_line + row_idx as u64);
             if line.is_empty() {
                 continue;
             }
@@ -110,10 +124,8 @@ struct Observation<'a> {
 
 impl<'a> Builder<'a> {
     fn new(row: &Row<'a>) -> Result<Self, Flaw> {
-        let class = class_of(row.agent_type).ok_or_else(|| {
-            let found = String::from_utf8_lossy(row.agent_type).chars().take(40).collect::<String>();
-            ("unknown_agent_type", format!("column agent_type is \"{}\"", found.escape_default()))
-        })?;
+        let class = class_of(row.agent_type)
+            .ok_or_else(|| ("unknown_agent_type", format!("column agent_type is \"{}\"", printable(row.agent_type))))?;
         Ok(Self {
             id: row.track_id,
             agent_type: row.agent_type,
@@ -126,6 +138,13 @@ impl<'a> Builder<'a> {
     }
 
     fn add(&mut self, row: &Row<'a>, file: &'a str, line: u64) -> Result<(), Flaw> {
+        if row.heading_rad.is_none() && self.class.is_motorized() {
+            let detail = format!(
+                "column psi_rad is blank or missing, expected the heading of a {} in radians",
+                printable(row.agent_type)
+            );
+            return Err(("malformed_row", detail));
+        }
         if row.agent_type != self.agent_type {
             let [was, is] = [self.agent_type, row.agent_type].map(String::from_utf8_lossy);
             let detail = format!("track {} is \"{was}\" and then \"{is}\"", String::from_utf8_lossy(self.id));
@@ -149,7 +168,6 @@ impl<'a> Builder<'a> {
             let detail = format!("track {id} is at frame {} already", again.frame_id);
             return Err(reject_at(again.file, again.line, ("duplicate_frame", detail)));
         }
-        let (states, heading_from) = states(&self.observations);
         Ok(RecordedTrack {
             id: TrackId(id),
             class: self.class,
@@ -159,31 +177,29 @@ impl<'a> Builder<'a> {
                 (false, false) => TrackRole::Context,
             },
             extent: self.extent,
-            states,
-            heading_from: heading_from.filter(|_| self.class.is_motorized()),
+            states: states(&self.observations),
         })
     }
 }
 
-/// The states by frame, and the first frame with a known heading if that is not the first of all.
-///
-/// Where no heading is recorded it is the direction of the velocity, held while the agent is slow. An agent that is slow
-/// from the start has the direction of its small velocity until then; looking ahead would tell the past of a scene in
-/// which direction the agent is going to leave.
-fn states(observations: &[Observation<'_>]) -> (Vec<(i64, State)>, Option<i64>) {
+/// The states by frame. Where no heading is recorded it is the direction of the velocity, held while the agent is slow.
+fn states(observations: &[Observation<'_>]) -> Vec<(i64, State, HeadingSource)> {
     let mut known_rad: Option<f64> = None;
-    let mut n_unknown = 0;
     let mut states = Vec::with_capacity(observations.len());
     for Observation { frame_id, position, velocity, heading_rad, .. } in observations {
-        let moving_rad = || (velocity.norm() >= MIN_HEADING_SPEED_MPS).then(|| velocity.angle());
-        known_rad = heading_rad.map(wrap_angle).or_else(moving_rad).or(known_rad);
-        n_unknown += usize::from(known_rad.is_none());
-        let heading_rad = known_rad.unwrap_or_else(|| velocity.angle());
-        states.push((*frame_id, State { position: *position, heading_rad, velocity: *velocity }));
+        let is_moving = velocity.norm() >= MIN_HEADING_SPEED_MPS;
+        let (heading_rad, source) = match (heading_rad, known_rad) {
+            (Some(recorded_rad), _) => (wrap_angle(*recorded_rad), HeadingSource::Recorded),
+            (None, _) if is_moving => (velocity.angle(), HeadingSource::Motion),
+            (None, Some(known_rad)) => (known_rad, HeadingSource::Held),
+            (None, None) => (velocity.angle(), HeadingSource::Unknown),
+        };
+        if source != HeadingSource::Unknown {
+            known_rad = Some(heading_rad);
+        }
+        states.push((*frame_id, State { position: *position, heading_rad, velocity: *velocity }, source));
     }
-    let heading_from =
-        (n_unknown > 0).then(|| observations.get(n_unknown).map_or(i64::MAX, |observation| observation.frame_id));
-    (states, heading_from)
+    states
 }
 
 impl RecordedTrack {
@@ -192,28 +208,42 @@ impl RecordedTrack {
         Some((self.states.first()?.0, self.states.last()?.0))
     }
 
-    /// The track in the `n_timesteps` frames from `first_frame` on; `None` where it was not tracked in any of them. Beside
-    /// it, the first timestep with a known heading where that is not the first of all.
-    pub(super) fn cut(&self, first_frame: i64, n_timesteps: usize) -> Option<(Track, Option<usize>)> {
-        let timestep = |frame: i64| usize::try_from(frame - first_frame).ok();
-        let begin = self.states.partition_point(|(frame, _)| *frame < first_frame);
-        let mut entries = vec![None; n_timesteps];
-        for (frame, state) in &self.states[begin..] {
-            let Some(entry) = timestep(*frame).and_then(|timestep| entries.get_mut(timestep)) else { break };
-            *entry = Some(*state);
-        }
-        if entries.iter().all(Option::is_none) {
-            return None;
-        }
-        let track = Track {
-            id: self.id.clone(),
-            class: self.class,
-            role: self.role,
-            extent: self.extent,
-            trajectory: Trajectory::new(entries),
+    /// The track in the `n_timesteps` frames from `first_frame` on, of which `n_history` are observed; `None` where it was not
+    /// tracked in any of them.
+    ///
+    /// An agent that is slow from its start on has one heading until it moves: that of its first motion, if it is observed
+    /// moving; else the direction of its first velocity. Looking further ahead would tell the past of a scene in which direction
+    /// the agent is going to leave.
+    pub(super) fn cut(&self, first_frame: i64, n_timesteps: usize, n_history: usize) -> Option<Track> {
+        let end_frame = first_frame + n_timesteps as i64;
+        let within = |end_frame: i64| {
+            let first = self.states.partition_point(|(frame, ..)| *frame < first_frame);
+            let end = self.states.partition_point(|(frame, ..)| *frame < end_frame);
+            &self.states[first..end]
         };
-        let heading_from = self.heading_from.filter(|from| *from > first_frame);
-        Some((track, heading_from.map(|from| timestep(from).map_or(n_timesteps, |from| from.min(n_timesteps)))))
+        let states = within(end_frame);
+        let observed = within(first_frame + n_history as i64);
+        let told_by = if observed.is_empty() { states } else { observed };
+        let known = told_by.iter().find(|(.., source)| *source != HeadingSource::Unknown);
+        let moving = || told_by.iter().find(|(_, state, _)| state.velocity != Vec2::ZERO);
+        let (_, first, _) = known.or_else(moving).or(told_by.first())?;
+
+        let mut entries = vec![None; n_timesteps];
+        let mut held_headings = vec![false; n_timesteps];
+        for (frame, state, source) in states {
+            let timestep = usize::try_from(frame - first_frame).ok()?;
+            let is_unknown = *source == HeadingSource::Unknown;
+            let heading_rad = if is_unknown { first.heading_rad } else { state.heading_rad };
+            entries[timestep] = Some(State { heading_rad, ..*state });
+            held_headings[timestep] = is_unknown || *source == HeadingSource::Held;
+        }
+        let trajectory = Trajectory::new(entries);
+        let is_recorded = states.iter().all(|(.., source)| *source == HeadingSource::Recorded);
+        let trajectory = match is_recorded {
+            true => trajectory,
+            false => trajectory.derived(Derivation { held_headings, recorded: Vec::new() }),
+        };
+        Some(Track { id: self.id.clone(), class: self.class, role: self.role, extent: self.extent, trajectory })
     }
 }
 
@@ -225,12 +255,12 @@ mod tests {
 
     fn read(rows: &str) -> Result<Vec<RecordedTrack>, Reject> {
         let columns = Columns::of(HEADER.as_bytes(), false).unwrap();
-        read_tracks(&[Table { file: "t.csv", columns, rows: rows.as_bytes(), first_line: 2 }])
+        read_tracks(&[Table { file: "t.csv", columns, rows: rows.as_bytes(), first_line: 2, lines: &[] }])
     }
 
     /// In degrees.
     fn headings(track: &RecordedTrack) -> Vec<f64> {
-        track.states.iter().map(|(_, state)| (state.heading_rad.to_degrees() * 1e3).round() / 1e3).collect()
+        track.states.iter().map(|(_, state, _)| (state.heading_rad.to_degrees() * 1e3).round() / 1e3).collect()
     }
 
     #[test]
@@ -238,35 +268,49 @@ mod tests {
         let rows = "9,3,300,car,3,0,1,0,0.1,4,2\r\n9,2,200,car,2,0,1,0,7.0,5,3\r\n\r\n1,2,200,car,0,0,0,0,0,4,2\r\n9,5,500,car,5,0,1,0,0.3,4,2";
         let tracks = read(rows).unwrap();
         assert_eq!(tracks.iter().map(|track| track.id.0.as_str()).collect::<Vec<_>>(), ["9", "1"]);
-        assert_eq!(tracks[0].states.iter().map(|(frame, _)| *frame).collect::<Vec<_>>(), [2, 3, 5]);
+        assert_eq!(tracks[0].states.iter().map(|(frame, ..)| *frame).collect::<Vec<_>>(), [2, 3, 5]);
         assert_eq!(headings(&tracks[0]), [41.07, 5.73, 17.189]);
         assert_eq!(tracks[0].extent, Some(Extent { length_m: 4.0, width_m: 2.0 }));
 
-        let (track, gap) = tracks[0].cut(3, 4).unwrap();
+        let track = tracks[0].cut(3, 4, 1).unwrap();
         assert_eq!(
             track.trajectory.entries().iter().map(Option::is_some).collect::<Vec<_>>(),
             [true, false, true, false]
         );
-        assert_eq!(gap, None);
-        assert!(tracks[0].cut(6, 4).is_none() && tracks[1].cut(3, 4).is_none());
+        assert_eq!(track.trajectory.derivation(), None);
+        assert!(tracks[0].cut(6, 4, 1).is_none() && tracks[1].cut(3, 4, 1).is_none());
+    }
+
+    /// Headings in degrees and whether they are held, in the frames from `first_frame` on, of which `n_history` are observed.
+    fn cut(rows: &[(f64, f64)], first_frame: i64, n_history: usize) -> (Vec<f64>, Vec<bool>) {
+        let row = |(frame, (vx, vy)): (usize, &(f64, f64))| {
+            let frame = frame + 1;
+            format!("P1,{frame},{frame}00,pedestrian/bicycle,0,0,{vx},{vy},,,\n")
+        };
+        let tracks = read(&rows.iter().enumerate().map(row).collect::<String>()).unwrap();
+        assert_eq!((tracks[0].extent, tracks[0].class), (None, AgentClass::PedestrianOrCyclist));
+        let track = tracks[0].cut(first_frame, rows.len() + 1 - first_frame as usize, n_history).unwrap();
+        let headings = track.trajectory.valid().map(|(_, state)| (state.heading_rad.to_degrees() * 1e3).round() / 1e3);
+        (headings.collect(), track.trajectory.derivation().unwrap().held_headings.clone())
     }
 
     #[test]
     fn headings_follow_the_velocity_and_are_held_when_slow() {
-        let row =
-            |frame: i64, vx: f64, vy: f64| format!("P1,{frame},{}00,pedestrian/bicycle,0,0,{vx},{vy},,,\n", frame);
-        let rows = [row(1, 0.0, 0.0), row(2, -0.1, 0.0), row(3, 0.0, 1.0), row(4, 0.3, 0.0), row(5, 2.0, 0.0)].concat();
-        let tracks = read(&rows).unwrap();
-        assert_eq!(headings(&tracks[0]), [0.0, 180.0, 90.0, 90.0, 0.0]);
-        assert_eq!((tracks[0].extent, tracks[0].class), (None, AgentClass::PedestrianOrCyclist));
-        // Pedestrians do not stand along lanes.
-        assert_eq!(tracks[0].cut(1, 5).unwrap().1, None);
-        // Vehicles do.
-        let tracks = read(&rows.replace("pedestrian/bicycle", "car")).unwrap();
-        assert_eq!(tracks[0].cut(1, 5).unwrap().1, Some(2));
-        assert_eq!(tracks[0].cut(2, 3).unwrap().1, Some(1));
-        assert_eq!(tracks[0].cut(3, 3).unwrap().1, None);
-        assert_eq!(tracks[0].cut(1, 1).unwrap().1, Some(1));
+        let rows = [(0.0, 0.0), (-0.1, 0.0), (0.0, 1.0), (0.3, 0.0), (2.0, 0.0)];
+        // The first motion is observed.
+        assert_eq!(cut(&rows, 1, 3), (vec![90.0, 90.0, 90.0, 90.0, 0.0], vec![true, true, false, true, false]));
+        // It is not: what there is of a velocity.
+        assert_eq!(cut(&rows, 1, 2), (vec![180.0, 180.0, 90.0, 90.0, 0.0], vec![true, true, false, true, false]));
+        // What was before a window is known in it.
+        assert_eq!(cut(&rows, 4, 1), (vec![90.0, 0.0], vec![true, false]));
+    }
+
+    #[test]
+    fn the_heading_of_who_stands_does_not_turn() {
+        let rows = [(0.1, 0.0), (-0.1, 0.01), (0.0, 0.0), (-0.2, -0.1), (0.0, -0.4)];
+        let (headings, held) = cut(&rows, 1, 2);
+        assert_eq!((headings, held), (vec![0.0; 5], vec![true; 5]));
+        assert_eq!(cut(&[(0.0, 0.0); 3], 1, 2).0, vec![0.0; 3]);
     }
 
     #[test]
@@ -276,6 +320,7 @@ mod tests {
             (format!("{good}1,2,200,car,0,0,0"), "malformed_row", "t.csv:3: 7 columns"),
             (format!("{good}1,2,200,car,nan,0,0,0,0,4,2"), "non_finite", "t.csv:3: column x"),
             (format!("{good}2,1,100,car,0,0,0,0,0,4,2\n{good}"), "duplicate_frame", "t.csv:4: track 1 is at frame 1"),
+            (format!("{good}1,2,200,car,0,0,0,0,,4,2"), "malformed_row", "t.csv:3: column psi_rad is blank"),
             (format!("{good}1,2,200,pedestrian,0,0,0,0,0,4,2"), "inconsistent_agent_type", "t.csv:3:"),
             ("1,1,100,tank,0,0,0,0,0,4,2".to_owned(), "unknown_agent_type", "t.csv:2: column agent_type is \\\"tank"),
         ] {

@@ -1,13 +1,15 @@
 //! How is a stream of INTERACTION's files cut into units?
 
-use super::cases::split_cases;
 use super::columns::Columns;
 use super::path::{RecordingPart, TrackFile, stem};
 use super::recordings::Recordings;
+use super::scattered::{MAX_GATHERED_BYTES, Survey};
 use super::{CASE_HORIZON, Interaction};
 use crate::ingest::archive::Entry;
 use crate::ingest::csv_rows::Lines;
+use crate::ingest::quotes::without_quotes;
 use crate::ingest::{EmitUnit, Error, Horizon, RawUnit, UnitReader};
+use std::borrow::Cow;
 use std::io::{self, BufRead};
 use std::ops::ControlFlow;
 
@@ -18,11 +20,30 @@ const MAX_RECORDING_BYTES: u64 = 128 * 1024 * 1024;
 pub(super) struct TableReader<'a> {
     source: &'a Interaction<'a>,
     recordings: Recordings,
+    /// What the first pass found in each entry, in their order; empty for what is no table of cases.
+    surveys: Vec<Survey>,
+    /// The current pass, in which cases are emitted; `None` in the first of all, which surveys.
+    pass: Option<usize>,
+    n_entries_of_pass: usize,
 }
 
 impl<'a> TableReader<'a> {
     pub(super) fn new(source: &'a Interaction<'a>) -> Self {
-        Self { source, recordings: Recordings::default() }
+        Self { source, recordings: Recordings::default(), surveys: Vec::new(), pass: None, n_entries_of_pass: 0 }
+    }
+
+    /// What there is in a table of cases; nothing in other files.
+    fn survey(reader: &mut dyn BufRead) -> Survey {
+        let mut lines = Lines::new(reader);
+        let columns = match lines.next() {
+            Ok(Some((_, header))) => Columns::of(header, false).ok(),
+            // This is told in the next pass.
+            Ok(None) | Err(_) => None,
+        };
+        match columns.filter(|columns| columns.case_id.is_some()) {
+            Some(columns) => Survey::of(&mut lines, &columns, MAX_GATHERED_BYTES),
+            None => Survey::default(),
+        }
     }
 }
 
@@ -36,6 +57,16 @@ impl UnitReader for TableReader<'_> {
         let Some(file) = TrackFile::of(&entry.container, &entry.path).filter(|file| self.source.wants(file)) else {
             return Ok(ControlFlow::Continue(()));
         };
+        let Some(pass) = self.pass else {
+            self.surveys.push(Self::survey(reader));
+            return Ok(ControlFlow::Continue(()));
+        };
+        let entry_idx = self.n_entries_of_pass;
+        self.n_entries_of_pass += 1;
+        let n_gathering_passes = self.surveys.get(entry_idx).map_or(0, |survey| survey.n_gathering_passes);
+        if pass > 0 && pass >= n_gathering_passes {
+            return Ok(ControlFlow::Continue(()));
+        }
         if self.recordings.enter(&entry.container, &entry.path, emit).is_break() {
             return Ok(ControlFlow::Break(()));
         }
@@ -62,7 +93,9 @@ impl UnitReader for TableReader<'_> {
             unit.version = "v1.2";
             unit.split = file.unit_split(false);
             unit.header = header.into();
-            return Ok(split_cases(&mut lines, &columns, &unit, emit));
+            let unsurveyed = Survey::default();
+            let survey = self.surveys.get(entry_idx).unwrap_or(&unsurveyed);
+            return Ok(survey.split_cases(pass, &mut lines, &columns, &unit, emit));
         }
         unit.version = "v1.1";
         unit.split = file.unit_split(true);
@@ -72,10 +105,19 @@ impl UnitReader for TableReader<'_> {
             let is_too_large = error.kind() == io::ErrorKind::FileTooLarge;
             return Ok(emit(Err(unit.reject(if is_too_large { "too_large" } else { "unreadable" }, error))));
         }
+        if let Cow::Owned(plain) = without_quotes(&unit.bytes) {
+            unit.bytes = plain;
+        }
         let part =
             file.recording.unwrap_or_else(|| RecordingPart { number: stem(&entry.path).to_owned(), is_pedestrians });
         unit.case_id.clone_from(&part.number);
         Ok(self.recordings.add(unit, &part, emit))
+    }
+
+    fn next_pass(&mut self) -> bool {
+        let pass = self.pass.map_or(0, |pass| pass + 1);
+        (self.pass, self.n_entries_of_pass) = (Some(pass), 0);
+        pass == 0 || self.surveys.iter().any(|survey| pass < survey.n_gathering_passes)
     }
 
     fn finish(&mut self, emit: &mut EmitUnit<'_>) -> Result<ControlFlow<()>, Error> {

@@ -52,7 +52,10 @@ impl Bound {
             return Err(("missing_bound", format!("it has no {role} bound")));
         };
         let point = |node: &i64| {
-            let flaw = || ("missing_node", format!("node {node} of its {role} bound is not in the file"));
+            let flaw = || match osm.misplaced.get(node) {
+                Some(detail) => ("misplaced_node", format!("node {node} of its {role} bound: {detail}")),
+                None => ("missing_node", format!("node {node} of its {role} bound is not in the file")),
+            };
             positions.get(node).copied().ok_or_else(flaw)
         };
         let mut points = chain.nodes.iter().map(point).collect::<Result<Vec<_>, _>>()?;

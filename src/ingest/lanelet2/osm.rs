@@ -3,7 +3,7 @@
 //! Only what Lanelet2 uses is read. Documents with a document type are refused, so there are no entities to expand, and
 //! size, depth and attributes are bounded, so that no document can exhaust memory or time.
 
-use super::projection::GeoPoint;
+use super::projection::{GeoPoint, MAX_LATITUDE_DEG, MAX_LONGITUDE_DEG};
 use super::report::MapReport;
 use crate::geometry::Vec2;
 use quick_xml::XmlVersion;
@@ -20,6 +20,8 @@ const MAX_ATTRIBUTES: usize = 64;
 pub(super) struct Osm {
     /// Where the nodes lie.
     pub(super) nodes: BTreeMap<i64, NodePosition>,
+    /// Nodes that are in the document but nowhere, and what is wrong with their coordinates.
+    pub(super) misplaced: BTreeMap<i64, String>,
     /// The first node with latitude and longitude, in the order of the document.
     pub(super) first_geo: Option<GeoPoint>,
     /// Polylines: the nodes in order.
@@ -168,9 +170,13 @@ impl Document<'_> {
         if attributes.is_deleted() {
             return Ok(());
         }
-        let Some(position) = attributes.position() else {
-            self.report.warn("node_without_position", format!("node {id}: needs `lat` and `lon`, or `x` and `y`"));
-            return Ok(());
+        let position = match attributes.position() {
+            Ok(position) => position,
+            Err(detail) => {
+                self.report.warn("node_without_position", format!("node {id}: {detail}"));
+                insert_new(&mut self.osm.misplaced, id, detail);
+                return Ok(());
+            }
         };
         if let (NodePosition::Geo(geo), None) = (position, self.osm.first_geo) {
             self.osm.first_geo = Some(geo);
@@ -225,14 +231,27 @@ impl Attributes {
         self.get("action") == Some("delete")
     }
 
-    /// `x` and `y` where given, else `lat` and `lon`; `None` where these are missing, no numbers, or nowhere on Earth.
-    fn position(&self) -> Option<NodePosition> {
+    /// `x` and `y` where given, else `lat` and `lon`; or what is wrong with them.
+    fn position(&self) -> Result<NodePosition, String> {
         const EARTH_M: f64 = 2.1e7;
-        let number = |key| self.get(key).and_then(|text| text.trim().parse::<f64>().ok());
-        if let (Some(x), Some(y)) = (number("x"), number("y")) {
-            return (x.abs() < EARTH_M && y.abs() < EARTH_M).then_some(NodePosition::Plane(Vec2::new(x, y)));
+        let is_number = |key| self.get(key).is_some_and(|text| text.trim().parse::<f64>().is_ok());
+        let has = |key| self.get(key).is_some();
+        if (is_number("x") && is_number("y")) || (has("x") && has("y") && !(has("lat") && has("lon"))) {
+            let point = Vec2::new(self.coordinate("x", EARTH_M, "m")?, self.coordinate("y", EARTH_M, "m")?);
+            return Ok(NodePosition::Plane(point));
         }
-        let geo = GeoPoint { latitude_deg: number("lat")?, longitude_deg: number("lon")? };
-        geo.is_valid().then_some(NodePosition::Geo(geo))
+        if !(has("lat") && has("lon")) {
+            return Err("has no position; it needs `lat` and `lon`, or `x` and `y`".to_owned());
+        }
+        let latitude_deg = self.coordinate("lat", MAX_LATITUDE_DEG, "degrees")?;
+        let longitude_deg = self.coordinate("lon", MAX_LONGITUDE_DEG, "degrees")?;
+        Ok(NodePosition::Geo(GeoPoint { latitude_deg, longitude_deg }))
+    }
+
+    /// The number in attribute `key`, which must lie within `limit` of 0.
+    fn coordinate(&self, key: &str, limit: f64, unit: &str) -> Result<f64, String> {
+        let text = self.get(key).unwrap_or_default();
+        let number = text.trim().parse::<f64>().ok().filter(|number| number.abs() <= limit);
+        number.ok_or_else(|| format!("`{key}` is \"{text}\", expected a number from -{limit} to {limit} {unit}"))
     }
 }

@@ -20,6 +20,11 @@ const FALSE_EASTING_M: f64 = 500_000.0;
 /// lies there, so real coordinates cannot be mistaken for it.
 const DISGUISE_LIMIT_DEG: f64 = 0.5;
 
+/// Farthest from the equator, degrees.
+pub(super) const MAX_LATITUDE_DEG: f64 = 90.0;
+/// Farthest from Greenwich, degrees.
+pub(super) const MAX_LONGITUDE_DEG: f64 = 180.0;
+
 /// A point on the WGS84 ellipsoid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct GeoPoint {
@@ -27,13 +32,6 @@ pub(super) struct GeoPoint {
     pub(super) latitude_deg: f64,
     /// Longitude, degrees in [-180, 180].
     pub(super) longitude_deg: f64,
-}
-
-impl GeoPoint {
-    /// Whether both angles are finite and within their range.
-    pub(super) fn is_valid(self) -> bool {
-        self.latitude_deg.abs() <= 90.0 && self.longitude_deg.abs() <= 180.0
-    }
 }
 
 /// From latitude and longitude to metres in one UTM zone, relative to an origin.

@@ -177,6 +177,27 @@ fn lanelets_that_are_not_whole_are_left_out_and_reported() {
 }
 
 #[test]
+fn nodes_that_are_nowhere_are_said_to_be_so() {
+    let node_7 = "<node id=\"7\" x=\"20\" y=\"0\"/>";
+    for (position, expected) in [
+        (r#"x="NaN" y="0""#, "`x` is \"NaN\", expected a number from -21000000 to 21000000 m"),
+        (r#"x="20" y="1e300""#, "`y` is \"1e300\""),
+        (r#"lat="nan" lon="0""#, "`lat` is \"nan\", expected a number from -90 to 90 degrees"),
+        (r#"lat="0.01" lon="181""#, "`lon` is \"181\", expected a number from -180 to 180 degrees"),
+        (r#"x="east" y="0""#, "`x` is \"east\""),
+        (r#"x="20""#, "has no position; it needs `lat` and `lon`, or `x` and `y`"),
+    ] {
+        let nodes = nodes().replace(node_7, &format!("<node id=\"7\" {position}/>"));
+        let (graph, report) = read_valid(&[&nodes, WAYS, RELATIONS].concat());
+        assert_eq!(graph.lanes().len(), 2, "lane 3 has lost its right bound");
+        assert_eq!(report.warnings["node_without_position"].examples.len(), 1);
+        let examples = &report.warnings["misplaced_node"].examples;
+        assert!(examples[0].starts_with("lanelet 3: node 7 of its right bound: "), "{examples:?}");
+        assert!(examples[0].contains(expected), "{examples:?}");
+    }
+}
+
+#[test]
 fn hostile_and_malformed_documents_are_errors_with_their_line() {
     let bomb = r#"<?xml version="1.0"?>
 <!DOCTYPE osm [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;"><!ENTITY c "&b;&b;&b;&b;">]>

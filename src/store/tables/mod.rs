@@ -15,6 +15,7 @@ mod roles;
 pub(crate) mod sample;
 pub(crate) mod scenario;
 pub(crate) mod scene;
+mod scene_derived;
 mod scene_header;
 pub(crate) mod scene_tracks;
 mod state_rows;

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::ingest::source::Horizon;
+use crate::scene::RecordedPosition;
 use std::fmt::Write;
 
 /// Fifty timesteps of an AGENT that drives east at 10 m/s, the AV behind it, and a vehicle that stands.
@@ -29,7 +30,7 @@ pub(in crate::ingest) fn unit(text: &str, split: Split) -> RawUnit {
 }
 
 fn parse_train(text: &str) -> Result<RawScene, Reject> {
-    parse(&unit(text, Split::Train), RECORDED)
+    parse(&unit(text, Split::Train), RECORDED, false)
 }
 
 /// The reason and the `file:line` of the reject that `text` leads to.
@@ -55,11 +56,38 @@ fn a_file_becomes_a_scene() {
 }
 
 #[test]
+fn tracks_are_smoothed_and_what_was_recorded_is_kept() {
+    let scene = parse(&unit(&csv_text(50), Split::Train), Horizon { n_history: 5, n_future: 10 }, true).expect("whole");
+    assert_eq!((scene.n_timesteps, scene.n_history), (15, 5));
+    let agent = &scene.tracks[1].trajectory;
+    let state = agent.get(4).expect("tracked");
+    assert!(state.position.distance(Vec2::new(1019.0, 2000.0)) < 0.05, "{state:?}");
+    assert!(state.velocity.distance(Vec2::new(10.0, 0.0)) < 0.1 && state.heading_rad.abs() < 1e-9, "{state:?}");
+    let derivation = agent.derivation().expect("nothing but positions is recorded");
+    assert_eq!((derivation.recorded.len(), derivation.held_headings.as_slice()), (50, &[false; 15][..]));
+    assert_eq!(derivation.recorded[19], RecordedPosition { time_s: 0.0, position: Vec2::new(1019.0, 2000.0) });
+    assert_eq!(scene.heading_gaps, [HeadingGap { track_idx: 2, until_timestep: 35 }]);
+    let test = parse(&unit(&csv_text(20), Split::Test), RECORDED, true).expect("a test file");
+    assert_eq!((test.n_timesteps, test.tracks[1].trajectory.n_valid()), (20, 20));
+}
+
+#[test]
 fn byte_order_mark_and_line_ends_do_not_matter() {
     let plain = parse_train(&csv_text(50)).expect("well formed");
     let text = format!("\u{feff}{}", csv_text(50).replace('\n', "\r\n"));
     let dressed = parse_train(text.trim_end()).expect("well formed");
     assert_eq!(plain.tracks, dressed.tracks);
+}
+
+#[test]
+fn quoted_cells_are_read() {
+    let quoted: String = csv_text(50).lines().map(|line| format!("\"{}\"\n", line.replace(',', "\",\""))).collect();
+    let plain = parse_train(&csv_text(50)).expect("well formed");
+    assert_eq!(parse_train(&quoted).expect("well formed").tracks, plain.tracks);
+    let comma = parse_train(&quoted.replace("1000.0", "1000,0")).expect_err("a decimal comma");
+    assert!(comma.detail.ends_with(":3: X is `1000,0`, expected a number"), "{}", comma.detail);
+    let named = parse_train(&quoted.replace("parked", "par,ked")).expect_err("a comma in a name");
+    assert!(named.detail.ends_with(":4: TRACK_ID is `par,ked`, expected a name without commas"), "{}", named.detail);
 }
 
 #[test]
@@ -80,7 +108,7 @@ fn columns_are_found_by_name() {
 #[test]
 fn shorter_horizons_keep_the_present() {
     let horizon = Horizon { n_history: 5, n_future: 10 };
-    let scene = parse(&unit(&csv_text(50), Split::Train), horizon).expect("well formed");
+    let scene = parse(&unit(&csv_text(50), Split::Train), horizon, false).expect("well formed");
     assert_eq!((scene.n_timesteps, scene.n_history), (15, 5));
     assert_eq!(scene.tracks[1].trajectory.get(4).expect("tracked").position, Vec2::new(1019.0, 2000.0));
     assert_eq!(scene.source.first_frame, "315000001.5");
@@ -89,7 +117,7 @@ fn shorter_horizons_keep_the_present() {
 
 #[test]
 fn only_test_files_may_end_at_the_present() {
-    let scene = parse(&unit(&csv_text(20), Split::Test), RECORDED).expect("a test file");
+    let scene = parse(&unit(&csv_text(20), Split::Test), RECORDED, false).expect("a test file");
     assert_eq!((scene.n_timesteps, scene.n_history), (20, 20));
     assert_eq!(reject(&csv_text(20)).0, "wrong_timestamp_count");
     assert_eq!(reject(&csv_text(49)).0, "wrong_timestamp_count");

@@ -5,6 +5,8 @@ use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray}
 use arrow::compute::cast;
 use arrow::datatypes::DataType;
 use parquet::arrow::ArrowWriter;
+use parquet::basic::Compression;
+use parquet::file::properties::WriterProperties;
 use std::sync::Arc;
 
 /// Two tracks over `n_timesteps`: the focal vehicle `7` drives north at 10 m/s, `AV` stands.
@@ -42,9 +44,13 @@ pub(in crate::ingest) fn scenario_bytes() -> Vec<u8> {
 }
 
 fn parquet_bytes(columns: Vec<(&'static str, ArrayRef)>) -> Vec<u8> {
+    parquet_bytes_with(columns, WriterProperties::default())
+}
+
+fn parquet_bytes_with(columns: Vec<(&'static str, ArrayRef)>, properties: WriterProperties) -> Vec<u8> {
     let batch = RecordBatch::try_from_iter(columns).expect("columns of one length");
     let mut bytes = Vec::new();
-    let mut writer = ArrowWriter::try_new(&mut bytes, batch.schema(), None).expect("a plain schema");
+    let mut writer = ArrowWriter::try_new(&mut bytes, batch.schema(), Some(properties)).expect("a plain schema");
     writer.write(&batch).expect("memory");
     writer.close().expect("memory");
     bytes
@@ -133,6 +139,49 @@ fn malformed_tables_are_rejected() {
     assert_eq!(reason(replaced("track_id", texts("7"))), "duplicate_frame");
     assert_eq!(reason(replaced("focal_track_id", texts("8"))), "no_focal_track");
     assert_eq!(reason(columns(0)), "bad_parquet");
+}
+
+#[test]
+fn columns_of_another_type_are_rejected_with_it() {
+    let detail = |name: &str, data_type: DataType| {
+        let columns = replaced(name, |column| cast(column, &data_type).expect("castable"));
+        let reject = parse_columns(columns).expect_err("another type");
+        assert_eq!(reject.reason, "malformed_row");
+        reject.detail
+    };
+    let dictionary = DataType::Dictionary(Box::new(DataType::Int32), Box::new(DataType::Utf8));
+    for (name, data_type, expected) in [
+        ("position_x", DataType::Utf8, "column position_x is of type Utf8, expected numbers"),
+        ("heading", DataType::LargeUtf8, "column heading is of type LargeUtf8, expected numbers"),
+        ("velocity_y", dictionary, "column velocity_y is of type Dictionary(Int32, Utf8), expected numbers"),
+        ("timestep", DataType::Utf8, "column timestep is of type Utf8, expected whole numbers"),
+        ("object_category", DataType::Boolean, "column object_category is of type Boolean, expected whole numbers"),
+    ] {
+        assert!(detail(name, data_type).ends_with(expected), "{name}");
+    }
+    let halves = |column: &ArrayRef| Arc::new(Float64Array::from(vec![0.5; column.len()])) as ArrayRef;
+    let reject = parse_columns(replaced("timestep", halves)).expect_err("no timestep");
+    assert!(reject.detail.ends_with("column timestep is 0.5 in row 0, expected a whole number"), "{}", reject.detail);
+    let floats = |_: &ArrayRef| Arc::new(Float64Array::from(vec![1.0; 220])) as ArrayRef;
+    let reject = parse_columns(replaced("city", floats)).expect_err("no names");
+    assert!(reject.detail.ends_with("column city is of type Float64, expected text"), "{}", reject.detail);
+}
+
+#[test]
+fn every_usual_compression_is_read() {
+    let plain = parse_columns(columns(110)).expect("well formed");
+    for compression in [
+        Compression::SNAPPY,
+        Compression::ZSTD(Default::default()),
+        Compression::GZIP(Default::default()),
+        Compression::BROTLI(Default::default()),
+        Compression::LZ4,
+        Compression::LZ4_RAW,
+    ] {
+        let properties = WriterProperties::builder().set_compression(compression).build();
+        let scene = parse_bytes(parquet_bytes_with(columns(110), properties), Split::Train).expect("readable");
+        assert_eq!(scene.tracks, plain.tracks, "{compression}");
+    }
 }
 
 #[test]

@@ -1,0 +1,81 @@
+//! What does a line with quoted cells say? Few tables have any, and those that do are read by the `csv` crate first.
+
+use super::csv_rows::lines_of;
+use memchr::{memchr, memchr_iter};
+use std::borrow::Cow;
+
+/// Stands for a comma or a line end within a cell (ASCII unit separator), so that lines without quotes are split at their commas.
+/// No name and no number of a recording holds one.
+const WITHIN_CELL: u8 = 0x1f;
+
+/// The lines of a table without quotes around their cells; the same lines, so that their numbers stay.
+pub(super) fn without_quotes(table: &[u8]) -> Cow<'_, [u8]> {
+    if memchr(b'"', table).is_none() {
+        return Cow::Borrowed(table);
+    }
+    let mut plain = Vec::with_capacity(table.len());
+    for line in lines_of(table) {
+        append_plain(line, &mut plain);
+        plain.push(b'\n');
+    }
+    Cow::Owned(plain)
+}
+
+/// Appends a line without the quotes around its cells. A line with a quote that is not closed stays as it is, and is then found to
+/// be malformed: it must not swallow the rows after it.
+pub(super) fn append_plain(line: &[u8], plain: &mut Vec<u8>) {
+    let n_quotes = memchr_iter(b'"', line).count();
+    let mut record = csv::ByteRecord::new();
+    let is_read = n_quotes > 0 && n_quotes.is_multiple_of(2) && {
+        let mut reader =
+            csv::ReaderBuilder::new().has_headers(false).buffer_capacity(line.len()).flexible(true).from_reader(line);
+        reader.read_byte_record(&mut record).unwrap_or(false)
+    };
+    if !is_read {
+        plain.extend_from_slice(line);
+        return;
+    }
+    for (index, cell) in record.iter().enumerate() {
+        if index > 0 {
+            plain.push(b',');
+        }
+        plain.extend(cell.iter().map(|byte| if matches!(byte, b',' | b'\n' | b'\r') { WITHIN_CELL } else { *byte }));
+    }
+}
+
+/// A cell as messages show it: with its commas, and no other control characters.
+pub(super) fn printable(cell: &[u8]) -> String {
+    const MAX_CHARS: usize = 40;
+    let text = String::from_utf8_lossy(cell.trim_ascii());
+    text.chars()
+        .take(MAX_CHARS)
+        .map(|c| match c {
+            _ if c == char::from(WITHIN_CELL) => ',',
+            c if c.is_control() => char::REPLACEMENT_CHARACTER,
+            c => c,
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plain(table: &str) -> String {
+        String::from_utf8_lossy(&without_quotes(table.as_bytes())).into_owned()
+    }
+
+    #[test]
+    fn quotes_around_cells_go_and_their_content_stays() {
+        assert_eq!(plain("1,\"car\",\"2.5\"\r\n2,bus,3\n"), "1,car,2.5\n2,bus,3\n");
+        assert_eq!(plain("\"say \"\"go\"\"\",x"), "say \"go\",x\n");
+        assert_eq!(plain("\"1,5\",\"\",2"), "1\u{1f}5,,2\n");
+        assert!(matches!(without_quotes(b"1,2\r\n3"), Cow::Borrowed(b"1,2\r\n3")));
+        assert_eq!(printable("1\u{1f}5\u{7}".as_bytes()), "1,5\u{fffd}");
+    }
+
+    #[test]
+    fn a_quote_that_is_not_closed_costs_its_line_alone() {
+        assert_eq!(plain("\"1,2\n\"3\",4\n"), "\"1,2\n3,4\n");
+    }
+}
