@@ -13,6 +13,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
+/// Enough to bring nearly all overlaps apart, and little enough to leave everything else where it is.
+const DEFAULT_VALIDITY_STRENGTH: f64 = 60.0;
+
 /// What to generate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -23,6 +26,9 @@ pub struct GenerateConfig {
     pub places: Vec<String>,
     /// How noise becomes a sample, where a sweep does not say it itself.
     pub sampler: SamplerConfig,
+    /// How strongly samples are kept apart and on the road while they are denoised (the objectives `no_collision`,
+    /// `stay_on_road` and `slip_limit`), where a sweep does not say it itself; 0: not at all, as in the paper. It costs no evaluations of the network.
+    pub validity_strength: f64,
     /// Samples that are denoised together. Memory grows with it; of the results only the last digits can change with it.
     pub batch_size: usize,
     /// Scenes of a shard, the unit in which generation is resumed.
@@ -44,6 +50,7 @@ impl Default for GenerateConfig {
             splits: Vec::new(),
             places: Vec::new(),
             sampler: SamplerConfig::Heun(HeunConfig::with_steps(20)),
+            validity_strength: DEFAULT_VALIDITY_STRENGTH,
             batch_size: 12,
             scenes_per_shard: 8,
             seed: 0,
@@ -92,6 +99,10 @@ pub struct SweepConfig {
     /// What is wished of trajectories beside the behavior, or instead of one.
     #[serde(default)]
     pub objectives: Vec<ObjectiveConfig>,
+    /// How strongly samples are kept apart and on the road, at every strength of the guidance. Left out: as in the other sweeps. 0 for samples as
+    /// the network has them, and where a collision is what is asked for.
+    #[serde(default)]
+    pub validity_strength: Option<f64>,
     /// How objectives become shifts of the clean estimate.
     #[serde(default)]
     pub objective_guidance: ObjectiveGuidanceConfig,
@@ -175,6 +186,12 @@ impl GenerateConfig {
         if let Err(why) = self.sampler.validate() {
             return refuse("", &why);
         }
+        if !(self.validity_strength >= 0.0 && self.validity_strength.is_finite()) {
+            return refuse(
+                "validity_strength",
+                &format!("is {}, expected a number of at least 0", self.validity_strength),
+            );
+        }
         for (key, value) in [("batch_size", self.batch_size), ("scenes_per_shard", self.scenes_per_shard)] {
             if value == 0 {
                 return refuse(key, "is 0, expected at least 1");
@@ -222,6 +239,14 @@ impl SweepConfig {
         self.sampler.as_ref().unwrap_or(&config.sampler)
     }
 
+    /// How strongly samples of this sweep are kept apart and on the road. The baseline's cannot be.
+    pub fn validity_strength(&self, config: &GenerateConfig) -> f64 {
+        match self.model {
+            SweepModel::Baseline => 0.0,
+            SweepModel::Denoiser | SweepModel::Distilled => self.validity_strength.unwrap_or(config.validity_strength),
+        }
+    }
+
     /// Calls of the network for one sample of this sweep; classifier-free guidance asks it twice, the baseline once.
     pub fn n_evaluations(&self, config: &GenerateConfig) -> u64 {
         if self.model == SweepModel::Baseline {
@@ -247,6 +272,9 @@ impl SweepConfig {
         }
         if let Some(strength) = self.strengths.iter().find(|strength| !strength.is_finite()) {
             return Err(format!("({}): a strength is {strength}, expected a number", self.name));
+        }
+        if let Some(strength) = self.validity_strength.filter(|strength| !(*strength >= 0.0 && strength.is_finite())) {
+            return Err(format!("({}): validity_strength is {strength}, expected a number of at least 0", self.name));
         }
         if let Some(sampler) = &self.sampler {
             sampler.validate().map_err(|why| format!("({}): {why}", self.name))?;

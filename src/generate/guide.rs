@@ -6,8 +6,9 @@ use super::{
 };
 use crate::diffusion::Denoiser;
 use crate::guidance::{
-    AnyPairGuidance, ClassifierGuidance, CleanGuidedDenoiser, ContextRow, EstimatePotential, Guidance, GuidedDenoiser,
-    MaskChange, ObjectiveSum, SceneContext,
+    AgentSelector, AnyPairGuidance, ClassifierGuidance, CleanGuidedDenoiser, ContextRow, EstimatePotential, Guidance,
+    GuidanceConfig, GuidedDenoiser, MaskChange, NoCollision, ObjectiveConfig, ObjectiveGuidanceConfig, ObjectiveSum,
+    RoadPoints, SceneContext, SlipLimit, StayOnRoad,
 };
 use crate::model::TrainedClassifier;
 use crate::scene::{GuidanceTag, ObservationMask, Scene};
@@ -22,6 +23,28 @@ const ESTIMATE_SIGMA: f64 = 0.1;
 
 /// The kind and value of each objective, for one sample.
 pub(super) type Wishes = Vec<(&'static str, f64)>;
+
+/// What every sample shall keep to: boxes apart by a hand's breadth (recordings have no more), centers on the road, vehicles that point where
+/// they drive.
+fn rules_of_traffic() -> [ObjectiveConfig; 3] {
+    let agents = AgentSelector::default();
+    [
+        ObjectiveConfig::NoCollision(NoCollision {
+            weight: 1.0,
+            agents: agents.clone(),
+            margin_m: 0.3,
+            tolerance_m: 0.5,
+        }),
+        ObjectiveConfig::StayOnRoad(StayOnRoad {
+            weight: 3.0,
+            agents: agents.clone(),
+            points: RoadPoints::Center,
+            margin_m: 0.0,
+            tolerance_m: 0.5,
+        }),
+        ObjectiveConfig::SlipLimit(SlipLimit { weight: 1.0, agents, limit_rad: 0.2, tolerance_mps: 0.5 }),
+    ]
+}
 
 /// What is to be guided.
 pub(super) struct Guided<'a> {
@@ -104,7 +127,8 @@ impl<'g> Generator<'g> {
     }
 
     /// Calls `sample` with `inner`, guided as the sweep says. The strength multiplies classifier and objectives alike; each
-    /// of the two shifts is limited on its own, and objectives judge the estimate that the classifier has shifted.
+    /// of the two shifts is limited on its own, and objectives judge the estimate that the classifier has shifted. The rules of traffic
+    /// have the last word, at a strength of their own.
     pub(super) fn guided<T>(
         &self,
         guided: &Guided<'_>,
@@ -143,12 +167,28 @@ impl<'g> Generator<'g> {
             (ClassifierInput::CleanEstimate, _, Some(denoiser)) => denoiser,
             _ => inner,
         };
-        if strength == 0.0 || sweep.objectives.is_empty() {
+        let validity_strength = sweep.validity_strength(self.config);
+        let has_objectives = strength != 0.0 && !sweep.objectives.is_empty();
+        if !has_objectives && validity_strength == 0.0 {
             return sample(inner);
         }
         let context = guided.objective_context()?;
-        let potential = ObjectiveSum { objectives: &sweep.objectives, batch: guided.repeated, context: &context };
-        sample(&on_estimates(inner, &potential))
+        let sum = |objectives| ObjectiveSum { objectives, batch: guided.repeated, context: &context };
+        let (wished, rules) = (sum(&sweep.objectives), rules_of_traffic());
+        let rules = sum(&rules);
+        let wishing = on_estimates(inner, &wished);
+        let inner: &dyn Denoiser = if has_objectives { &wishing } else { inner };
+        if validity_strength == 0.0 {
+            return sample(inner);
+        }
+        sample(&CleanGuidedDenoiser {
+            inner,
+            potential: &rules,
+            strength: validity_strength,
+            gate: GuidanceConfig::default(),
+            config: ObjectiveGuidanceConfig::default(),
+            sigma_data: self.spec().edm.sigma_data,
+        })
     }
 
     /// The scenes as the classifier knows them, with their histories observed and no more, where the sweep observes

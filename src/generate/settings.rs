@@ -29,6 +29,7 @@ impl SweepConfig {
                 }
                 _ => _ = settings.remove("classifier_free"),
             }
+            settings.insert("validity_strength".to_owned(), self.validity_strength(config).into());
             settings.insert("sampler".to_owned(), serde_json::to_value(self.sampler(config)).unwrap_or_default());
             settings.retain(|_, value| !value.is_null());
         }

@@ -36,6 +36,7 @@ impl SweepConfig {
         let beyond = [
             (self.is_guided(), "strengths other than 0"),
             (!self.objectives.is_empty(), "objectives"),
+            (self.validity_strength.is_some_and(|strength| strength != 0.0), "validity_strength"),
             (self.classifier_free.is_some(), "classifier_free"),
             (self.edit.is_some(), "edit"),
         ];

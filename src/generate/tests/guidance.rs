@@ -4,6 +4,7 @@ use super::*;
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
 use crate::metrics::MetricSettings;
+use crate::scene::Track;
 use crate::store::ScenarioRecord;
 
 const OBJECTIVES: &str = "
@@ -47,6 +48,30 @@ fn objectives_guide_without_a_behavior() {
         let is_led = if options.contains("network") { after != before } else { after < 0.97 * before };
         assert!(is_led, "{options}: {before} m/s before, {after} m/s after");
     }
+}
+
+/// Whether two boxes of the scene overlap after the history.
+fn collides(scene: &Scene) -> bool {
+    let overlap =
+        |a: &Track, b: &Track, t: usize| a.footprint_at(t).zip(b.footprint_at(t)).is_some_and(|(a, b)| a.overlaps(&b));
+    (N_HISTORY..scene.n_timesteps)
+        .any(|t| scene.tracks.iter().enumerate().any(|(i, a)| scene.tracks[..i].iter().any(|b| overlap(a, b, t))))
+}
+
+#[test]
+fn samples_are_kept_apart_unless_told_otherwise() {
+    let n_colliding = |options: &str| {
+        let sampler = SamplerConfig::Heun(HeunConfig::with_steps(12));
+        let toml = format!("{options}\nsplits = ['train']\n[[sweeps]]\nname = 'plain'\nn_scenes = 8\nn_samples = 8");
+        let records = generate(&GenerateConfig { sampler, ..config(&toml) });
+        assert_eq!(kinds(&records), ["none"]);
+        records.iter().filter(|record| collides(&record.scenario.scene)).count()
+    };
+    // An untrained network knows nothing of cars.
+    let (raw, kept) = (n_colliding("validity_strength = 0.0"), n_colliding("validity_strength = 100.0"));
+    assert!(raw >= 8 && kept < raw / 2, "{raw} of 64 raw samples collide, {kept} of those that are kept apart");
+    let default = n_colliding("");
+    assert!(default < raw, "{raw} of 64 raw samples collide, {default} by default");
 }
 
 #[test]
