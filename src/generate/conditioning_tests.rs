@@ -104,7 +104,7 @@ fn weights_lead_from_ignoring_goals_to_reaching_them() {
 fn at_weight_one_samples_are_as_if_goals_were_observed() {
     // The bystander drives straight on: noise is the same under both masks, and so is everything else. Both start from the
     // recording plus noise, because pure noise has its origin in the coordinates of its mask.
-    let start = "edit = { tau = 2.0 }";
+    let start = "edit = { tau = 2.0 }\nvalidity_strength = 0.0";
     let observe =
         "observe = [{ agents = 'all', times = 'history' }, { agents = { track = 'bystander' }, times = 'goal' }]";
     let goal = GOALS.replace("'all'", "{ track = 'bystander' }");

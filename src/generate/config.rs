@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
 /// Enough to bring nearly all overlaps apart, and little enough to leave everything else where it is.
-const DEFAULT_VALIDITY_STRENGTH: f64 = 60.0;
+const DEFAULT_VALIDITY_STRENGTH: f64 = 200.0;
 
 /// What to generate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -46,7 +46,7 @@ pub(crate) use corpus_sink::{CorpusSink, partitioned, taken};
 pub use corpus_writer::CorpusWriter;
 pub use error::{Error, Result};
 pub use events::{EventWriter, read_events};
-pub use frame::{EventSummary, ParameterSummary, QUANTILES, summarize_events, summarize_metrics};
+pub use frame::{EventSummary, ParameterSummary, QUANTILES, summarize_events};
 pub use maps::MapSource;
 pub use metrics::{read_metrics, write_metrics};
 pub use predictions::{ArgoversePredictions, InteractionPredictions};

@@ -3,7 +3,10 @@
 use super::{Description, inspect};
 use crate::behavior::EventLabel;
 use crate::pipeline::Result;
-use crate::store::{CorpusManifest, Error, MetricRow, read_events, read_json, read_metrics, read_verdicts};
+use crate::store::{
+    CorpusManifest, Error, MetricRow, ParameterSummary, QUANTILES, read_events, read_json, read_metrics, read_verdicts,
+    summarize_events,
+};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -26,20 +29,34 @@ pub(super) fn events(path: &Path) -> Result<Option<Description>> {
         return Ok(None);
     }
     let Some(events) = of_this_schema(read_events(path, |_| true))? else { return Ok(None) };
-    let mut counts = BTreeMap::<&str, BTreeMap<&str, u64>>::new();
-    let mut scenes = BTreeMap::<&str, std::collections::BTreeSet<&str>>::new();
-    for event in &events {
-        *counts.entry(&event.behavior).or_default().entry(event.label.name()).or_default() += 1;
-        if event.label == EventLabel::Positive {
-            scenes.entry(&event.behavior).or_default().insert(&event.scene_id.0);
+    let mut counts = BTreeMap::<&str, BTreeMap<&str, usize>>::new();
+    let mut scenes = BTreeMap::<&str, usize>::new();
+    let mut parameters = BTreeMap::<&str, BTreeMap<&str, Value>>::new();
+    let summaries = summarize_events(&events)?;
+    for summary in &summaries {
+        counts.entry(&summary.behavior).or_default().insert(summary.label.name(), summary.n_events);
+        if summary.label == EventLabel::Positive {
+            scenes.insert(&summary.behavior, summary.n_scenes);
+            let own = parameters.entry(&summary.behavior).or_default();
+            own.extend(summary.parameters.iter().map(|parameter| (parameter.name.as_str(), distribution(parameter))));
         }
     }
-    let scenes: BTreeMap<&str, usize> = scenes.into_iter().map(|(behavior, ids)| (behavior, ids.len())).collect();
     let description = Description::new("event table")
         .with("n_events", events.len())
         .with_json("events_by_behavior", &counts)?
-        .with_json("scenes_with_positive_events", &scenes)?;
+        .with_json("scenes_with_positive_events", &scenes)?
+        .with_json("parameters_of_positive_events", &parameters)?;
     Ok(Some(description))
+}
+
+/// How a parameter is distributed, to three digits after the point.
+fn distribution(parameter: &ParameterSummary) -> Value {
+    let rounded = |value: f64| (value * 1e3).round() / 1e3;
+    let mut told = serde_json::Map::from_iter([("n".to_owned(), json!(parameter.n))]);
+    told.insert("mean".to_owned(), json!(rounded(parameter.mean)));
+    let quantiles = QUANTILES.iter().zip(parameter.quantiles);
+    told.extend(quantiles.map(|(q, value)| (format!("{}%", q * 100.0), json!(rounded(value)))));
+    Value::Object(told)
 }
 
 pub(super) fn metrics(path: &Path) -> Result<Option<Description>> {
