@@ -108,6 +108,7 @@ fn compare(options: &Options) -> Result<()> {
         held_out: &[],
         masks: &MaskSampler::new(&TaskWeights::default()).ok_or("no task has a weight")?,
         batch_size: options.batch_size,
+        with_context: false,
         seed: SEED,
         device: &Device::Cpu,
         ahead: Ahead::default(),
@@ -190,7 +191,7 @@ fn compare(options: &Options) -> Result<()> {
 }
 
 fn noisy(drawn: DrawnBatch, edm: &Edm) -> Result<Noisy> {
-    let DrawnBatch { batch, seeds, mut rngs } = drawn;
+    let DrawnBatch { batch, seeds, mut rngs, .. } = drawn;
     let sigmas: Vec<f64> = rngs.iter_mut().map(|rng| NoiseDistribution::default().draw(rng)).collect();
     let weight = sigmas.iter().map(|sigma| edm.loss_weight(LossWeight::default(), *sigma)).collect();
     let sigma = rows_like(sigmas, &batch.x0)?;
