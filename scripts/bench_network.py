@@ -1,6 +1,6 @@
 """The PyTorch side of `cargo bench --profile dev -- network SCENES`, which starts this program and takes turns with it.
 
-    pip install torch safetensors numpy
+    pip install -r scripts/requirements-torch.txt
 
 Reads the weights and batches that the benchmark wrote into a folder, writes its own output for the first batch beside them, says
 what it runs on, and then answers each line of stdin (`forward BATCH`, `train BATCH`, `sample FUTURES STEPS`, each after `f32` or
@@ -15,27 +15,35 @@ import time
 
 import torch
 from safetensors.torch import load_file, save_file
-from torch_reference import Denoiser
+from torch_geometric_network import BoundDenoiser
+from torch_reference import Denoiser, read_checkpoint
+
+
+def bind(spec, weights, batch, n_samples=1):
+    """The denoiser of `n_samples` of each row, as a function of x and sigma. What samples of the geometric network share is computed here."""
+    if spec["network"].get("geometry"):
+        return BoundDenoiser(spec, weights, batch, n_samples)
+    denoiser = Denoiser(spec, weights)
+    batch = {name: tensor.expand(len(tensor) * n_samples, *tensor.shape[1:]) for name, tensor in batch.items()}
+    return lambda x, sigma: denoiser(x, sigma, batch)
 
 
 def loss(denoiser, batch):
-    error = (denoiser(batch["x"], batch["sigma"], batch) - batch["x0"]) * batch["latent"][..., None]
+    error = (denoiser(batch["x"], batch["sigma"]) - batch["x0"]) * batch["latent"][..., None]
     return (error.square() * batch["weight"]).sum() / (batch["latent"].sum() * error.shape[-1])
 
 
-def heun(denoiser, batch, n_futures, n_steps):
+def heun(edm, denoiser, batch, n_futures, n_steps):
     """EDM's sampler without churn, on the noise levels of EDM's schedule, all futures of one scene as one batch."""
-    edm = denoiser.spec["edm"]
-    batch = {name: tensor.expand(n_futures, *tensor.shape[1:]) for name, tensor in batch.items()}
     rho, low, high = edm["rho"], edm["sigma_min"], edm["sigma_max"]
     ramp = torch.linspace(0, 1, n_steps)
     sigmas = [*(high ** (1 / rho) + ramp * (low ** (1 / rho) - high ** (1 / rho))) ** rho, torch.tensor(0.0)]
-    x = torch.randn(batch["x0"].shape) * sigmas[0] * batch["latent"][..., None]
+    x = torch.randn(n_futures, *batch["x0"].shape[1:]) * sigmas[0] * batch["latent"][..., None]
     for now, later in zip(sigmas, sigmas[1:]):
-        slope = (x - denoiser(x, now.expand(n_futures), batch)) / now
+        slope = (x - denoiser(x, now.expand(n_futures))) / now
         moved = x + (later - now) * slope
         if later > 0:
-            second = (moved - denoiser(moved, later.expand(n_futures), batch)) / later
+            second = (moved - denoiser(moved, later.expand(n_futures))) / later
             moved = x + (later - now) * (slope + second) / 2
         x = moved
     return x
@@ -47,29 +55,30 @@ def main():
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
-    denoiser = Denoiser.load(arguments.folder / "model.safetensors")
+    spec, named = read_checkpoint(arguments.folder / "model.safetensors")
     batches = {}
     for name, tensor in load_file(arguments.folder / "inputs.safetensors").items():
         batch, field = name.split(".")
         batches.setdefault(batch, {})[field] = tensor
-    weights = [weight.requires_grad_() for weight in denoiser.weights.values()]
-    adam = torch.optim.Adam(weights, lr=3e-4)
+    weights = [weight.requires_grad_() for weight in named.values()]
+    adam = torch.optim.Adam(weights, lr=3e-4, fused=True)
 
     def forward(precision, batch):
         with torch.inference_mode(), precision:
-            return denoiser(batches[batch]["x"], batches[batch]["sigma"], batches[batch])
+            return bind(spec, named, batches[batch])(batches[batch]["x"], batches[batch]["sigma"])
 
     def train(precision, batch):
         adam.zero_grad()
         with precision:
-            error = loss(denoiser, batches[batch])
+            error = loss(bind(spec, named, batches[batch]), batches[batch])
         error.backward()
         torch.nn.utils.clip_grad_norm_(weights, 5.0)
         adam.step()
 
     def sample(precision, n_futures, n_steps):
         with torch.inference_mode(), precision:
-            return heun(denoiser, batches["scene"], int(n_futures), int(n_steps))
+            bound = bind(spec, named, batches["scene"], int(n_futures))
+            return heun(spec["edm"], bound, batches["scene"], int(n_futures), int(n_steps))
 
     save_file({"output": forward(contextlib.nullcontext(), "0").contiguous()}, arguments.folder / "outputs.safetensors")
     print(f"PyTorch {torch.__version__}, {torch.get_num_threads()} threads, {torch.backends.cpu.get_cpu_capability()}", flush=True)

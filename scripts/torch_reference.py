@@ -1,7 +1,9 @@
 """DJINN's denoiser in PyTorch: reads our checkpoints, and is the independent implementation that our tests compare with.
 
-    pip install torch safetensors numpy
+    pip install -r scripts/requirements-torch.txt
     python scripts/torch_reference.py          # writes tests/golden/{scene_network,carried_denoiser}.safetensors
+
+The geometric network is in torch_geometric_network.py.
 
 To use a checkpoint from Python:
 
@@ -62,26 +64,25 @@ def attend(n_heads, q, k, v, key_mask):
     return out.transpose(1, 2).flatten(-2) * some[:, None, None]
 
 
-def network(w, config, x, context, features, valid, lanes, lane_valid, c_noise):
-    """F of the scaled noisy states x; `config` is the `network` section of a checkpoint."""
-    batch, agents, steps, _ = context.shape
-    dim, n_heads = config["encoding"], config["n_heads"]
-    t = sinusoidal(torch.arange(steps, dtype=x.dtype), dim, TIMESTEP_PERIODS).expand(batch, agents, steps, -1)
-    known = torch.cat([sinusoidal(context, dim, STATE_PERIODS).flatten(-2), t, features], -1)
-    noise = sinusoidal(c_noise, dim, NOISE_PERIODS)[:, None, None]
-    latent = sinusoidal(x, dim, config["latent_periods"]).flatten(-2)
-    h = linear(w, "input.latent", latent) + linear(w, "input.known", known) + linear(w, "input.noise", noise)
-    h = linear(w, "input.out", h.relu())
-    lane = mlp(w, "lane_encoder", lanes, 4)
-    mask = valid[..., None]
+def lane_keys(w, config, lane):
+    """Keys and values of encoded lanes (M, L, width), one (M, L, 2 width) for each map layer."""
+    letters = enumerate(config["layers"].replace(" ", ""))
+    return [linear(w, f"trunk.{i}.map.key_value", lane) for i, letter in letters if letter == "M"]
+
+
+def trunk(w, config, h, valid, keys, lane_valid):
+    """The layers over h (B, A, T, width) with valid (B, A, T). Each of the M maps belongs to B A T / M states that follow each other:
+    one map for each scene or for each agent."""
+    n_heads, mask, keys = config["n_heads"], valid[..., None], iter(keys)
     for i, letter in enumerate(config["layers"].replace(" ", "")):
         p = f"trunk.{i}"
         n = norm(w, f"{p}.norm_mix", h)
         if letter == "M":
-            q = linear(w, f"{p}.map.query", n).flatten(1, 2)
-            k, v = linear(w, f"{p}.map.key_value", lane).chunk(2, -1)
-            read = attend(n_heads, q, k, v, lane_valid > 0).unflatten(1, (agents, steps))
-            mixed = linear(w, f"{p}.map.out", read)
+            q = linear(w, f"{p}.map.query", n).reshape(lane_valid.shape[0], -1, h.shape[-1])
+            k, v = next(keys).chunk(2, -1)
+            read = linear(w, f"{p}.map.out", attend(n_heads, q, k, v, lane_valid > 0))
+            # Without any lane there is nothing to read, not even the bias.
+            mixed = (read * (lane_valid > 0).any(-1)[:, None, None]).reshape(h.shape)
         else:
             name, axis = ("time", 2) if letter == "T" else ("agent", 1)
             qkv = linear(w, f"{p}.{name}.qkv", n)
@@ -95,7 +96,30 @@ def network(w, config, x, context, features, valid, lanes, lane_valid, c_noise):
             mixed = linear(w, f"{p}.{name}.out", mixed)
         h = h + mixed * mask
         h = h + mlp(w, f"{p}.feed_forward", norm(w, f"{p}.norm_feed", h), 2) * mask
-    return mlp(w, "output", norm(w, "norm_out", h), 2) * mask
+    return h
+
+
+def network(w, config, x, context, features, valid, lanes, lane_valid, c_noise):
+    """F of the scaled noisy states x; `config` is the `network` section of a checkpoint."""
+    batch, agents, steps, _ = context.shape
+    dim = config["encoding"]
+    t = sinusoidal(torch.arange(steps, dtype=x.dtype), dim, TIMESTEP_PERIODS).expand(batch, agents, steps, -1)
+    known = torch.cat([sinusoidal(context, dim, STATE_PERIODS).flatten(-2), t, features], -1)
+    noise = sinusoidal(c_noise, dim, NOISE_PERIODS)[:, None, None]
+    latent = sinusoidal(x, dim, config["latent_periods"]).flatten(-2)
+    h = linear(w, "input.latent", latent) + linear(w, "input.known", known) + linear(w, "input.noise", noise)
+    h = linear(w, "input.out", h.relu())
+    keys = lane_keys(w, config, mlp(w, "lane_encoder", lanes, 4))
+    h = trunk(w, config, h, valid, keys, lane_valid)
+    return mlp(w, "output", norm(w, "norm_out", h), 2) * valid[..., None]
+
+
+def read_checkpoint(path, dtype=torch.float32):
+    """What a checkpoint says of itself, and its weights by name."""
+    with open(path, "rb") as file:
+        header = json.loads(file.read(struct.unpack("<Q", file.read(8))[0]))
+    weights = {name: tensor.to(dtype) for name, tensor in load_file(path).items()}
+    return json.loads(header["__metadata__"]["djinn"]), weights
 
 
 class Denoiser:
@@ -106,10 +130,7 @@ class Denoiser:
 
     @classmethod
     def load(cls, path, dtype=torch.float32):
-        with open(path, "rb") as file:
-            header = json.loads(file.read(struct.unpack("<Q", file.read(8))[0]))
-        weights = {name: tensor.to(dtype) for name, tensor in load_file(path).items()}
-        return cls(json.loads(header["__metadata__"]["djinn"]), weights)
+        return cls(*read_checkpoint(path, dtype))
 
     def __call__(self, x, sigma, batch):
         sigma_data = self.spec["edm"]["sigma_data"]
@@ -129,18 +150,12 @@ class Denoiser:
         return (sigma_data**2 / total * x + s * sigma_data / total.sqrt() * f) * latent
 
 
-def shapes(config, state_dim):
-    """Names and shapes of all weights."""
-    width, encoding, feed_forward = config["width"], config["encoding"], config["feed_forward"]
+def dense(name, n_in, n_out):
+    return {f"{name}.weight": (n_out, n_in), f"{name}.bias": (n_out,)}
 
-    def dense(name, n_in, n_out):
-        return {f"{name}.weight": (n_out, n_in), f"{name}.bias": (n_out,)}
 
-    n_latent = encoding * state_dim * (2 if config["path_input"] else 1)
-    s = dense("input.latent", n_latent, width) | dense("input.noise", encoding, width)
-    s |= dense("input.known", encoding * (state_dim + 1) + AGENT_FEATURES, width) | dense("input.out", width, width)
-    for i, n_in in enumerate([LANE_FEATURES, width, width, width]):
-        s |= dense(f"lane_encoder.{2 * i}", n_in, width)
+def trunk_shapes(config):
+    width, feed_forward, s = config["width"], config["feed_forward"], {}
     for i, letter in enumerate(config["layers"].replace(" ", "")):
         p = f"trunk.{i}"
         for name in ("norm_mix", "norm_feed"):
@@ -152,7 +167,18 @@ def shapes(config, state_dim):
         else:
             name = "time" if letter == "T" else "agent"
             s |= dense(f"{p}.{name}.qkv", width, 3 * width) | dense(f"{p}.{name}.out", width, width)
-    s |= {"norm_out.weight": (width,), "norm_out.bias": (width,)}
+    return s
+
+
+def shapes(config, state_dim):
+    """Names and shapes of all weights."""
+    width, encoding = config["width"], config["encoding"]
+    n_latent = encoding * state_dim * (2 if config["path_input"] else 1)
+    s = dense("input.latent", n_latent, width) | dense("input.noise", encoding, width)
+    s |= dense("input.known", encoding * (state_dim + 1) + AGENT_FEATURES, width) | dense("input.out", width, width)
+    for i, n_in in enumerate([LANE_FEATURES, width, width, width]):
+        s |= dense(f"lane_encoder.{2 * i}", n_in, width)
+    s |= trunk_shapes(config) | {"norm_out.weight": (width,), "norm_out.bias": (width,)}
     return s | dense("output.0", width, width) | dense("output.2", width, state_dim)
 
 

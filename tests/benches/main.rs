@@ -12,6 +12,8 @@
 //! compiles, and never looks at a time.
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program of its own, for people")]
 
+#[path = "../it/batch_tensors.rs"]
+mod batch_tensors;
 mod cpu_time;
 mod network;
 mod run_time;

@@ -1,21 +1,20 @@
-//! How long do the network's calls take beside the same network in PyTorch, with the same weights, on the same scenes?
+//! How long do the networks' calls take beside the same networks in PyTorch, with the same weights, on the same scenes?
 //!
-//! Both take turns, batch by batch, so that whatever else the machine does slows both. The peer is `scripts/bench_network.py`,
+//! First DJINN's network of the paper's size, then the geometric one of the preset `small`. Both sides take turns, batch by batch, so that whatever else the machine does slows both. The peer is `scripts/bench_network.py`,
 //! which first has to give the same output.
 
+use crate::batch_tensors::tensors;
 use crate::cpu_time::{Elapsed, timed};
 use candle_core::{Device, Tensor};
 use djinn::diffusion::sampler::HeunConfig;
-use djinn::diffusion::{Denoiser, Edm, LossWeight, NoiseDistribution, NoiseSource, SamplerConfig, rows_like};
-use djinn::model::{DenoiserKind, DenoiserSpec, NetworkConfig, SceneDenoiser};
+use djinn::diffusion::{Denoiser, NoiseSource, SamplerConfig, rows_like};
+use djinn::model::{DenoiserKind, DenoiserSpec, SceneDenoiser};
 use djinn::nn::{Adam, Params, Precision, in_pool, keep_freed_memory};
 use djinn::scene::{ObservationMask, Split};
 use djinn::seed::Seed;
 use djinn::store::SceneStore;
-use djinn::tensor::{
-    FutureValidity, MaskSampler, NormalizerFit, SceneBatch, SceneView, StateParametrization, TaskWeights,
-};
-use djinn::train::{Ahead, DrawnBatch, SceneDraws};
+use djinn::tensor::{FutureValidity, MaskSampler, NormalizerFit, SceneBatch, SceneView};
+use djinn::train::{Ahead, DenoiserTraining, DenoiserTrainingConfig, DrawnBatch, Preset, SceneDraws};
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -31,7 +30,8 @@ const TOLERANCE: f64 = 1e-4;
 struct Options {
     scenes: PathBuf,
     python: String,
-    batch_size: usize,
+    /// Scenes of a batch; left out, 4 for the paper's network and the preset's for the other.
+    batch_size: Option<usize>,
     n_rounds: usize,
     n_futures: usize,
     n_steps: usize,
@@ -45,7 +45,7 @@ pub(crate) fn run(arguments: &[String]) -> std::result::Result<(), String> {
     let mut options = Options {
         scenes: scenes.into(),
         python: "python3".to_owned(),
-        batch_size: 4,
+        batch_size: None,
         n_rounds: 7,
         n_futures: 60,
         n_steps: 3,
@@ -55,14 +55,18 @@ pub(crate) fn run(arguments: &[String]) -> std::result::Result<(), String> {
         let number = || value.parse().ok().filter(|n| *n > 0).ok_or_else(|| format!("{name} {value}: {usage}"));
         match name.as_str() {
             "--python" => options.python.clone_from(value),
-            "--batch" => options.batch_size = number()?,
+            "--batch" => options.batch_size = Some(number()?),
             "--rounds" => options.n_rounds = number()?,
             "--futures" => options.n_futures = number()?,
             "--steps" => options.n_steps = number()?,
             _ => return Err(format!("{name}: {usage}")),
         }
     }
-    compare(&options).map_err(|error| error.to_string())
+    keep_freed_memory();
+    for preset in [Preset::Paper, Preset::Small] {
+        compare(&options, preset).map_err(|error| error.to_string())?;
+    }
+    Ok(())
 }
 
 /// A batch with one noise level a row.
@@ -73,8 +77,14 @@ struct Noisy {
     weight: Tensor,
 }
 
-fn compare(options: &Options) -> Result<()> {
-    keep_freed_memory();
+fn compare(options: &Options, preset: Preset) -> Result<()> {
+    let training = DenoiserTrainingConfig { preset, ..DenoiserTrainingConfig::default() }.resolve()?;
+    let (name, batch_size) = match preset {
+        Preset::Paper => ("paper", 4),
+        _ => ("small", training.batch_size),
+    };
+    let batch_size = options.batch_size.unwrap_or(batch_size);
+    println!("the network of the preset {name}");
     let store = SceneStore::open(&options.scenes)?;
     let train: Vec<usize> = (0..store.len()).filter(|idx| store.index()[*idx].split == Split::Train).collect();
     let mut fit = NormalizerFit::default();
@@ -84,14 +94,14 @@ fn compare(options: &Options) -> Result<()> {
     let first = store.scene(*train.first().ok_or("no scene of the split train")?)?;
     let spec = DenoiserSpec {
         kind: DenoiserKind::SceneDenoiser,
-        network: NetworkConfig::default(),
-        edm: Edm::default(),
-        normalizer: fit.finish(StateParametrization::Scene, 3),
+        network: training.network.clone(),
+        edm: training.edm,
+        normalizer: fit.finish(training.parametrization, 3),
         n_history: first.n_history,
         n_timesteps: first.n_timesteps,
         dt_s: first.dt_s,
-        max_agents: 64,
-        max_lanes: 256,
+        max_agents: training.max_agents,
+        max_lanes: training.max_lanes,
         steps: 0,
         seed: SEED.0,
         scenes: String::new(),
@@ -106,15 +116,16 @@ fn compare(options: &Options) -> Result<()> {
         dataset: &store,
         train: &[train],
         held_out: &[],
-        masks: &MaskSampler::new(&TaskWeights::default()).ok_or("no task has a weight")?,
-        batch_size: options.batch_size,
+        masks: &MaskSampler::new(&training.tasks).ok_or("no task has a weight")?,
+        batch_size,
+        with_context: false,
         seed: SEED,
         device: &Device::Cpu,
         ahead: Ahead::default(),
     };
     // The first round warms both up and checks that they agree; it is not counted.
     let batches: Vec<Noisy> = (0..=options.n_rounds as u64)
-        .map(|step| noisy(draws.training_batch(step)?, &spec.edm))
+        .map(|step| noisy(draws.training_batch(step)?, &training))
         .collect::<Result<_>>()?;
     let mask = ObservationMask::predictive(first.tracks.len(), first.n_timesteps, first.n_history);
     let view = SceneView { scene: &first, ego_idx: first.ego_idx, mask: &mask };
@@ -124,8 +135,8 @@ fn compare(options: &Options) -> Result<()> {
     write_inputs(&folder.path().join("inputs.safetensors"), &batches, &scene)?;
     describe(options, &batches, &scene);
     let (drawn, elapsed) = timed(|| {
-        let steps = 1000..1000 + 200u64.div_ceil(options.batch_size as u64);
-        steps.map(|step| Ok(noisy(draws.training_batch(step)?, &spec.edm)?.batch.x0.dim(0)?)).sum::<Result<usize>>()
+        let steps = 1000..1000 + 200u64.div_ceil(batch_size as u64);
+        steps.map(|step| Ok(noisy(draws.training_batch(step)?, &training)?.batch.x0.dim(0)?)).sum::<Result<usize>>()
     });
     println!(
         "scenes read, drawn, padded and noised for training: {:.0} a second of the processor",
@@ -171,13 +182,13 @@ fn compare(options: &Options) -> Result<()> {
             ours?;
             table.add("forward", elapsed, peer.ask(&format!("{precision} forward {round}"))?);
         }
-        table.print("forward", &format!("forward, {} scenes", options.batch_size));
+        table.print("forward", &format!("forward, {batch_size} scenes"));
         for (round, noisy) in batches.iter().enumerate() {
             let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, || step(noisy)));
             ours?;
             table.add("train", elapsed, peer.ask(&format!("{precision} train {round}"))?);
         }
-        table.print("train", &format!("training step, {} scenes", options.batch_size));
+        table.print("train", &format!("training step, {batch_size} scenes"));
         for _ in 0..4 {
             let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, sample));
             ours?;
@@ -189,10 +200,10 @@ fn compare(options: &Options) -> Result<()> {
     peer.stop()
 }
 
-fn noisy(drawn: DrawnBatch, edm: &Edm) -> Result<Noisy> {
-    let DrawnBatch { batch, seeds, mut rngs } = drawn;
-    let sigmas: Vec<f64> = rngs.iter_mut().map(|rng| NoiseDistribution::default().draw(rng)).collect();
-    let weight = sigmas.iter().map(|sigma| edm.loss_weight(LossWeight::default(), *sigma)).collect();
+fn noisy(drawn: DrawnBatch, training: &DenoiserTraining) -> Result<Noisy> {
+    let DrawnBatch { batch, seeds, mut rngs, .. } = drawn;
+    let sigmas: Vec<f64> = rngs.iter_mut().map(|rng| training.noise.draw(rng)).collect();
+    let weight = sigmas.iter().map(|sigma| training.edm.loss_weight(training.loss_weight, *sigma)).collect();
     let sigma = rows_like(sigmas, &batch.x0)?;
     let noise = NoiseSource::new(seeds).draw_like(&batch.x0)?.broadcast_mul(&sigma)?;
     let x = (&batch.x0 + noise)?.broadcast_mul(&batch.latent.unsqueeze(3)?)?;
@@ -200,30 +211,18 @@ fn noisy(drawn: DrawnBatch, edm: &Edm) -> Result<Noisy> {
 }
 
 fn write_inputs(path: &Path, batches: &[Noisy], scene: &SceneBatch) -> Result<()> {
-    let mut tensors = HashMap::new();
-    let mut put = |prefix: &str, batch: &SceneBatch| {
-        for (name, tensor) in [
-            ("x0", &batch.x0),
-            ("context", &batch.context),
-            ("features", &batch.features),
-            ("valid", &batch.valid),
-            ("latent", &batch.latent),
-            ("lanes", &batch.lanes),
-            ("lane_valid", &batch.lane_valid),
-        ] {
-            tensors.insert(format!("{prefix}.{name}"), tensor.clone());
-        }
+    let below = |prefix: String, named: HashMap<String, Tensor>| {
+        named.into_iter().map(move |(name, tensor)| (format!("{prefix}.{name}"), tensor))
     };
-    put("scene", scene);
+    let mut inputs: HashMap<String, Tensor> = below("scene".to_owned(), tensors(scene)?).collect();
     for (i, noisy) in batches.iter().enumerate() {
-        put(&i.to_string(), &noisy.batch);
-    }
-    for (i, noisy) in batches.iter().enumerate() {
+        let mut named = tensors(&noisy.batch)?;
         for (name, tensor) in [("x", &noisy.x), ("sigma", &noisy.sigma), ("weight", &noisy.weight)] {
-            tensors.insert(format!("{i}.{name}"), tensor.clone());
+            named.insert(name.to_owned(), tensor.clone());
         }
+        inputs.extend(below(i.to_string(), named));
     }
-    Ok(candle_core::safetensors::save(&tensors, path)?)
+    Ok(candle_core::safetensors::save(&inputs, path)?)
 }
 
 fn read_tensor(path: &Path, name: &str) -> Result<Tensor> {

@@ -3,12 +3,14 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails, and says where")]
 
 mod architecture;
+mod batch_tensors;
 mod cli;
 mod config;
 mod corpus;
 mod determinism;
 mod documents;
 mod export;
+mod pytorch;
 mod report;
 mod requests;
 mod safety;
