@@ -13,5 +13,6 @@ mod report;
 mod requests;
 mod safety;
 mod schema;
+mod settings;
 mod stages;
 mod support;
