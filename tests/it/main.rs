@@ -6,6 +6,7 @@ mod architecture;
 mod cli;
 mod config;
 mod corpus;
+mod damage;
 mod determinism;
 mod documents;
 mod export;
