@@ -367,7 +367,7 @@ mod tests {
         assert!(refusal("{ kind = 'shift_time', agent = 'ego', by_s = 2.0, onset_s = 3.0 }").contains("backwards"));
         assert!(refusal("{ kind = 'shift', agent = 'ego', left_m = 2.0, onset_s = 0.0 }").contains("onset_s is 0"));
         assert!(refusal("{ kind = 'shift', agent = 'ego', up_m = 2.0, onset_s = 1.0 }").contains("up_m"));
-        assert!(refusal("{ kind = 'scale_speed', agent = 'ego', factor = nan }").contains("no number"));
+        assert!(refusal("{ kind = 'scale_speed', agent = 'ego', factor = nan }").contains("factor is NaN"));
         assert!(refusal("{ kind = 'set_positions', agent = 'ego', points = [] }").contains("empty"));
         let scene = without_states(crossing(), 0, |t| t == 3);
         let resolve = |agent: &AgentRef| agent.resolve(&scene, 0, &[]);
