@@ -8,6 +8,7 @@ pub mod geometry;
 pub mod progress;
 pub mod scene;
 pub mod seed;
+pub mod settings;
 
 pub mod behavior;
 pub mod ingest;

@@ -22,16 +22,22 @@ pub struct HardBrakeConfig {
     /// Road users that are looked at. Default `motorized`.
     pub agents: AgentFilter,
     /// Least deceleration of hard braking, m/s². Default 4.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_deceleration_mps2: f64,
     /// Braking that stays below that, but reaches this, is a hard negative, m/s². Default 2.5.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub negative_deceleration_mps2: f64,
     /// Runs with a deceleration beyond this are errors of the tracker, not braking, m/s². Default 12.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_deceleration_mps2: f64,
     /// How long the deceleration must last, from its first to its last timestep, seconds. Default 0.3.
+    #[schemars(range(min = 0.0, max = 100.0))]
     pub min_duration_s: f64,
     /// Least speed at the start, m/s. Default 3.
+    #[schemars(range(min = 0.0))]
     pub min_speed_mps: f64,
     /// Time over which speeds are smoothed, seconds. Default 0.4; the positions of Argoverse 1 need three times that.
+    #[schemars(range(min = 0.0, max = 5.0))]
     pub smoothing_s: f64,
 }
 

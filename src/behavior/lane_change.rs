@@ -23,13 +23,17 @@ pub struct LaneChangeConfig {
     /// Road users that are looked at. Default `motorized`.
     pub agents: AgentFilter,
     /// How far the centre must be beyond the lane's side before it has left the lane, metres. Default 0.3.
+    #[schemars(range(min = 0.0))]
     pub hysteresis_m: f64,
     /// How long the centre must stay in the new lane, seconds. Default 1.
+    #[schemars(range(min = 0.0, max = 100.0))]
     pub min_stay_s: f64,
     /// How far the centre must be from the old centre line for the change to have begun, metres. Default 0.5.
+    #[schemars(range(min = 0.0))]
     pub start_offset_m: f64,
     /// An agent that stays in its lane but comes closer to the lane beside it than this is a hard negative, metres.
     /// Default 0.5.
+    #[schemars(range(min = 0.0))]
     pub negative_margin_m: f64,
 }
 

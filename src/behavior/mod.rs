@@ -33,6 +33,7 @@ pub use right_turn::RightTurn;
 pub use turn::TurnConfig;
 
 use crate::scene::Scene;
+use crate::settings;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -74,6 +75,27 @@ impl BehaviorConfig {
             Self::LaneChange(config) => Box::new(LaneChange::new(config)),
             Self::HardBrake(config) => Box::new(HardBrake::new(config)),
             Self::NearMiss(config) => Box::new(NearMiss::new(config)),
+        }
+    }
+
+    /// Refuses options by which nothing could be found, or what is found would not be what the behavior says.
+    ///
+    /// # Errors
+    /// Names the option.
+    pub fn validate(&self) -> settings::Result {
+        settings::check_ranges(self)?;
+        match self {
+            Self::HardBrake(config) => {
+                let least = ("min_deceleration_mps2", config.min_deceleration_mps2);
+                settings::ascending(("negative_deceleration_mps2", config.negative_deceleration_mps2), least)?;
+                settings::ascending(least, ("max_deceleration_mps2", config.max_deceleration_mps2))
+            }
+            Self::LeftTurn(config) | Self::RightTurn(config) => {
+                let negative = ("negative_heading_change_rad", config.negative_heading_change_rad);
+                settings::ascending(negative, ("min_heading_change_rad", config.min_heading_change_rad))?;
+                settings::ascending(("min_radius_m", config.min_radius_m), ("max_radius_m", config.max_radius_m))
+            }
+            Self::CutIn(_) | Self::LaneChange(_) | Self::NearMiss(_) => Ok(()),
         }
     }
 

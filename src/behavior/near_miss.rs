@@ -33,14 +33,19 @@ pub struct NearMissConfig {
     /// Road users that take part. Default `road_users`: pedestrians too, but no static objects.
     pub agents: AgentFilter,
     /// Boxes closer together than this are a near miss, metres. Default 1.
+    #[schemars(range(min = 0.0))]
     pub max_distance_m: f64,
     /// Boxes on a course to touch in less than this are a near miss, seconds. Default 1.5.
+    #[schemars(range(min = 0.0, max = 100.0))]
     pub max_ttc_s: f64,
     /// Boxes that come closer than this without a near miss are a hard negative, metres. Default 2.
+    #[schemars(range(min = 0.0))]
     pub negative_distance_m: f64,
     /// Boxes on a course to touch in less than this without a near miss are a hard negative, seconds. Default 3.
+    #[schemars(range(min = 0.0, max = 100.0))]
     pub negative_ttc_s: f64,
     /// One of the two must move at least this fast, m/s. Default 1.
+    #[schemars(range(min = 0.0))]
     pub min_speed_mps: f64,
 }
 

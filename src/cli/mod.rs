@@ -6,10 +6,10 @@ mod args;
 mod commands;
 mod exit;
 mod help;
+mod panics;
 mod printer;
 mod progress;
 
-use crate::containment::is_contained;
 use args::{Args, Command};
 use clap::Parser;
 use printer::Printer;
@@ -22,8 +22,7 @@ pub fn main() -> ExitCode {
         Err(error) => return exit::of_usage(&error),
     };
     let printer = Printer::new(&args.output);
-    tell_of_panics_that_are_not_contained();
-    let outcome = match &args.command {
+    let outcome = panics::told(|| match &args.command {
         Command::Run(run) => commands::run(run, &args.output, &printer),
         Command::Corpus(corpus) => commands::corpus(corpus, &args.output, &printer),
         Command::Export(export) => commands::export(export, &args.output, &printer),
@@ -31,7 +30,7 @@ pub fn main() -> ExitCode {
         Command::Regenerate(regenerate) => commands::regenerate(regenerate, &args.output, &printer),
         Command::Inspect(inspect) => commands::inspect(inspect, &printer),
         stage => commands::stage(stage, &args.output, &printer),
-    };
+    });
     match outcome {
         Ok(()) => exit::DONE,
         Err(failure) => {
@@ -39,14 +38,4 @@ pub fn main() -> ExitCode {
             exit::of_failure(&failure)
         }
     }
-}
-
-/// Damaged files that make a decoder panic are told as errors; the panic itself would say nothing to the user.
-fn tell_of_panics_that_are_not_contained() {
-    let tell = std::panic::take_hook();
-    std::panic::set_hook(Box::new(move |panic| {
-        if !is_contained() {
-            tell(panic);
-        }
-    }));
 }

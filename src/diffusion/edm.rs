@@ -10,12 +10,16 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct Edm {
     /// Standard deviation of the diffused data; the normalizer scales every diffused feature to it.
+    #[schemars(range(min = 0.5, max = 0.5))]
     pub sigma_data: f64,
     /// The smallest positive noise level of a sampling schedule.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub sigma_min: f64,
     /// The noise level at which sampling begins.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
     pub sigma_max: f64,
     /// Curvature of the schedule: larger values spend more steps at low noise.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub rho: f64,
 }
 

@@ -9,8 +9,10 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct NoiseDistribution {
     /// Mean of ln σ.
+    #[schemars(range(min = -20.0, max = 20.0))]
     pub p_mean: f64,
     /// Standard deviation (not variance) of ln σ.
+    #[schemars(range(min = 0.0, max = 10.0))]
     pub p_std: f64,
 }
 

@@ -5,6 +5,7 @@ use super::gates::GatesConfig;
 use super::measures::known_ids;
 use crate::metrics::{CarefulDriverConfig, MetricSettings, ModesConfig, ValidityConfig};
 use crate::scene::Dataset;
+use crate::settings;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -29,6 +30,7 @@ pub struct EvaluateConfig {
     pub careful_driver: CarefulDriverConfig,
     /// A scenario is a near-duplicate of an accepted one before it if the paths of those who were asked differ by less than this, metres:
     /// the mean over the future, in the frame of the first of them. 0 for none. Default 0.25.
+    #[schemars(range(min = 0.0))]
     pub duplicate_distance_m: f64,
     /// What must hold; the program ends with exit code 3 where it does not.
     pub gates: GatesConfig,
@@ -74,25 +76,13 @@ impl EvaluateConfig {
     /// # Errors
     /// [`Error::Config`] with the key, its value and what was expected.
     pub fn validate(&self) -> Result<()> {
-        let refuse = |message: String| Error::Config { message, advice: "leave it out for its default".to_owned() };
-        if let Some(modes) = &self.modes {
-            for (key, is_wrong) in [
-                ("n_modes", modes.n_modes == 0),
-                ("by", modes.by.is_empty()),
-                ("max_iterations", modes.max_iterations == 0),
-                ("n_starts", modes.n_starts == 0),
-                ("min_std_m", modes.min_std_m.is_nan() || modes.min_std_m <= 0.0),
-            ] {
-                if is_wrong {
-                    return Err(refuse(format!("evaluate.modes.{key} is empty, zero or less")));
-                }
-            }
-        }
-        self.metric_settings().validate().map_err(|why| refuse(format!("evaluate.{why}")))?;
-        let distance_m = self.duplicate_distance_m;
-        if !distance_m.is_finite() || distance_m < 0.0 {
-            let key = "evaluate.duplicate_distance_m";
-            return Err(refuse(format!("{key} is {distance_m}, expected a number that is not negative")));
+        settings::check_ranges(self).map_err(|issue| Error::Config {
+            message: issue.within("evaluate").to_string(),
+            advice: "leave it out for its default".to_owned(),
+        })?;
+        if self.modes.as_ref().is_some_and(|modes| modes.by.is_empty()) {
+            let message = "evaluate.modes.by is empty: name mean, medoid or both".to_owned();
+            return Err(Error::Config { message, advice: "leave it out for its default".to_owned() });
         }
         self.gates.validate(&self.metrics)?;
         let known = known_ids();

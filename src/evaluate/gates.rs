@@ -22,10 +22,13 @@ pub struct GatesConfig {
     /// At least so many scenarios, over all sweeps, are accepted: verified, valid and no near-duplicates.
     pub min_accepted: Option<u64>,
     /// Smallest share of valid scenarios of any sweep at any strength, 0 to 1.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub min_validity_rate: Option<f64>,
     /// Largest collision rate of any sweep at any strength, 0 to 1.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub max_collision_rate: Option<f64>,
     /// Largest off-road rate of any sweep at any strength, 0 to 1. Needs maps.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub max_offroad_rate: Option<f64>,
     /// Whether unguided samples must be closer to the recording than a constant velocity, by minSceneADE, in every sweep that has
     /// some; at least one must.

@@ -26,6 +26,7 @@ pub struct ClassifierFreeConfig {
     /// Standard deviation of what is added to the wanted positions, metres in each direction; drawn once for each agent and
     /// sample.
     #[serde(default = "one_metre")]
+    #[schemars(range(min = 0.0, max = 1000.0))]
     pub goal_std_m: f64,
     /// Whether the denoiser is not told the velocity of wanted states.
     #[serde(default = "yes")]
@@ -52,6 +53,7 @@ pub struct EditConfig {
     /// The noise level at which denoising begins: 0 leaves the edited recording as it is, the denoiser's largest noise level
     /// forgets it but for edited states that are observed.
     #[serde(default = "default_tau")]
+    #[schemars(range(min = 0.0, max = 1e6))]
     pub tau: f64,
     /// How much noise is added.
     #[serde(default)]
@@ -88,9 +90,8 @@ impl SweepConfig {
             if config.extra.iter().all(|rule| rule.hide) || config.weights.is_empty() {
                 return Err("classifier_free has no extra states or no weights".to_owned());
             }
-            let is_number = |value: &f64| value.is_finite();
-            if !config.weights.iter().all(is_number) || !is_number(&config.goal_std_m) || config.goal_std_m < 0.0 {
-                return Err("classifier_free holds a value that is no number, or a negative goal_std_m".to_owned());
+            if let Some(weight) = config.weights.iter().find(|weight| !weight.is_finite()) {
+                return Err(format!("classifier_free.weights has {weight}, expected numbers"));
             }
             if self.strengths.len() > 1 && config.weights.len() > 1 {
                 return Err(
@@ -101,15 +102,12 @@ impl SweepConfig {
             }
         }
         let Some(edit) = &self.edit else { return Ok(()) };
-        if !edit.tau.is_finite() || edit.tau < 0.0 {
-            return Err(format!("edit.tau is {}, expected 0 or more", edit.tau));
-        }
         for (i, scene_edit) in edit.edits.iter().enumerate() {
-            scene_edit.validate().map_err(|why| format!("edit.edits.{i}: {why}"))?;
+            scene_edit.validate().map_err(|issue| issue.within(&format!("edit.edits.{i}")).to_string())?;
             let is_unknown =
                 |agent: &&AgentRef| matches!(agent, AgentRef::Role(role) if !roles.contains(&role.as_str()));
             if let Some(agent) = scene_edit.agents().into_iter().find(is_unknown) {
-                return Err(format!("edit.edits.{i} names {agent:?}, which the behavior does not have"));
+                return Err(format!("edit.edits.{i} names the agent {agent}, whose role the behavior does not have"));
             }
         }
         Ok(())

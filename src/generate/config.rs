@@ -9,6 +9,7 @@ use crate::diffusion::sampler::HeunConfig;
 use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
 use crate::metrics::Group;
 use crate::scene::Split;
+use crate::settings::{self, Issue};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -28,10 +29,13 @@ pub struct GenerateConfig {
     pub sampler: SamplerConfig,
     /// How strongly samples are kept apart and on the road while they are denoised (the objectives `no_collision`,
     /// `stay_on_road` and `slip_limit`), where a sweep does not say it itself; 0: not at all, as in the paper. It costs no evaluations of the network.
+    #[schemars(range(min = 0.0, max = 1e6))]
     pub validity_strength: f64,
     /// Samples that are denoised together. Memory grows with it; of the results only the last digits can change with it.
+    #[schemars(range(min = 1, max = 10_000))]
     pub batch_size: usize,
     /// Scenes of a shard, the unit in which generation is resumed.
+    #[schemars(range(min = 1, max = 100_000))]
     pub scenes_per_shard: usize,
     /// Seed of everything random.
     pub seed: u64,
@@ -73,12 +77,14 @@ pub struct SweepConfig {
     pub model: SweepModel,
     /// Number of scenes to continue.
     #[serde(default)]
+    #[schemars(range(max = 1_000_000_000))]
     pub n_scenes: usize,
     /// How noise becomes a sample. Left out: as in the other sweeps.
     #[serde(default)]
     pub sampler: Option<SamplerConfig>,
     /// Number of samples of each scene at each strength.
     #[serde(default = "default_n_samples")]
+    #[schemars(range(min = 1, max = 100_000))]
     pub n_samples: usize,
     /// Name of the mined behavior to ask for. Left out: scenes are continued as they may go on.
     #[serde(default)]
@@ -101,6 +107,7 @@ pub struct SweepConfig {
     pub objectives: Vec<ObjectiveConfig>,
     /// How strongly samples are kept apart and on the road, at every strength of the guidance. Left out: as in the other sweeps. 0 for samples as
     /// the network has them, and where a collision is what is asked for.
+    #[schemars(range(min = 0.0, max = 1e6))]
     #[serde(default)]
     pub validity_strength: Option<f64>,
     /// How objectives become shifts of the clean estimate.
@@ -124,6 +131,7 @@ pub struct SweepConfig {
     pub select: Option<SelectConfig>,
     /// No further shard of this sweep is begun once so many of its scenarios are verified. Left out: all are generated.
     #[serde(default)]
+    #[schemars(range(min = 1))]
     pub stop_after_verified: Option<usize>,
 }
 
@@ -141,8 +149,10 @@ fn default_strengths() -> Vec<f64> {
 #[serde(deny_unknown_fields, default)]
 pub struct PairSelectionConfig {
     /// Pairs of each scene that are asked, one at a time.
+    #[schemars(range(min = 1, max = 10_000))]
     pub per_scene: usize,
     /// Their largest distance at present, metres.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_distance_m: f64,
     /// Whether pairs are left out in which the second agent already stands in the way of the first one.
     pub exclude_following: bool,
@@ -150,6 +160,7 @@ pub struct PairSelectionConfig {
     pub ranking: PairRanking,
     /// Number of scenes to rank, of which those with the best pairs are taken. Left out: the first scenes, in random
     /// order, that have a possible pair at all.
+    #[schemars(range(min = 1))]
     pub n_scenes_ranked: Option<usize>,
 }
 
@@ -183,20 +194,9 @@ impl GenerateConfig {
     /// When there is one.
     pub fn validate(&self) -> Result<(), Error> {
         let refuse = |key: &str, why: &str| Err(Error::Config(format!("generate.{key} {why}")));
-        if let Err(why) = self.sampler.validate() {
-            return refuse("", &why);
-        }
-        if !(self.validity_strength >= 0.0 && self.validity_strength.is_finite()) {
-            return refuse(
-                "validity_strength",
-                &format!("is {}, expected a number of at least 0", self.validity_strength),
-            );
-        }
-        for (key, value) in [("batch_size", self.batch_size), ("scenes_per_shard", self.scenes_per_shard)] {
-            if value == 0 {
-                return refuse(key, "is 0, expected at least 1");
-            }
-        }
+        let within = |issue: Issue| Error::Config(issue.within("generate").to_string());
+        settings::check_ranges(self).map_err(within)?;
+        self.sampler.validate().map_err(|issue| within(issue.within("sampler")))?;
         if self.sweeps.is_empty() && self.requests.is_empty() {
             return refuse(
                 "sweeps",
@@ -205,6 +205,7 @@ impl GenerateConfig {
         }
         let mut names = BTreeSet::new();
         for (i, sweep) in self.sweeps.iter().enumerate() {
+            settings::printable_name(&format!("sweeps.{i}.name"), &sweep.name).map_err(within)?;
             // Tables name groups of traffic by one word, which is a sweep's name for what it guides or edits.
             if Group::RESERVED.contains(&sweep.name.as_str()) {
                 let name = format!("sweeps.{i}.name");
@@ -214,8 +215,12 @@ impl GenerateConfig {
                 );
             }
             if !names.insert(&sweep.name) {
-                return refuse(&format!("sweeps.{i}.name"), &format!("{:?} is taken by another sweep", sweep.name));
+                return refuse(
+                    &format!("sweeps.{i}.name"),
+                    &format!("is \"{}\", the name of another sweep: choose another", sweep.name),
+                );
             }
+            sweep.check_levels().map_err(|issue| within(issue.within(&format!("sweeps.{i}"))))?;
             if let Err(why) = sweep.validate(self) {
                 return refuse(&format!("sweeps.{i}"), &why);
             }
@@ -256,28 +261,27 @@ impl SweepConfig {
         self.sampler(config).n_evaluations() as u64 * n_calls
     }
 
+    /// Refuses levels that come twice, whose samples could not be told apart, and noise levels at which nothing would be guided.
+    pub(super) fn check_levels(&self) -> settings::Result {
+        settings::distinct("strengths", &self.strengths)?;
+        if let Some(config) = &self.classifier_free {
+            settings::distinct("classifier_free.weights", &config.weights)?;
+        }
+        let GuidanceConfig { sigma_lo, sigma_hi, .. } = self.guidance;
+        settings::ascending(("guidance.sigma_lo", sigma_lo), ("guidance.sigma_hi", sigma_hi))
+    }
+
     /// Says what makes no sense in a sweep of `config`.
     pub(super) fn validate(&self, config: &GenerateConfig) -> Result<(), String> {
-        let positive = [
-            ("n_scenes", self.n_scenes as f64),
-            ("n_samples", self.n_samples as f64),
-            ("strengths (their number)", self.strengths.len() as f64),
-            ("pairs.per_scene", self.pairs.per_scene as f64),
-            ("pairs.max_distance_m", self.pairs.max_distance_m),
-            ("guidance.max_shift", self.guidance.max_shift),
-            ("guidance.sigma_hi", self.guidance.sigma_hi),
-        ];
-        if let Some((key, value)) = positive.iter().find(|(_, value)| value.is_nan() || *value <= 0.0) {
-            return Err(format!("({}): {key} is {value}, expected a positive number", self.name));
+        let counts = [("n_scenes", self.n_scenes), ("strengths (their number)", self.strengths.len())];
+        if let Some((key, value)) = counts.iter().find(|(_, value)| *value == 0) {
+            return Err(format!("({}): {key} is {value}, expected at least 1", self.name));
         }
         if let Some(strength) = self.strengths.iter().find(|strength| !strength.is_finite()) {
             return Err(format!("({}): a strength is {strength}, expected a number", self.name));
         }
-        if let Some(strength) = self.validity_strength.filter(|strength| !(*strength >= 0.0 && strength.is_finite())) {
-            return Err(format!("({}): validity_strength is {strength}, expected a number of at least 0", self.name));
-        }
         if let Some(sampler) = &self.sampler {
-            sampler.validate().map_err(|why| format!("({}): {why}", self.name))?;
+            sampler.validate().map_err(|issue| format!("({}): {}", self.name, issue.within("sampler")))?;
         }
         self.check_model(self.sampler(config)).map_err(|why| format!("({}): {why}", self.name))?;
         self.check_guidance().map_err(|why| format!("({}): {why}", self.name))?;

@@ -80,6 +80,7 @@ pub struct TimestepRange {
     pub to: Option<usize>,
     /// The distance of neighboring timesteps.
     #[serde(default = "one")]
+    #[schemars(range(min = 1))]
     pub every: usize,
 }
 

@@ -23,6 +23,7 @@ pub struct SelectConfig {
     pub limits: BTreeMap<String, Limit>,
     /// How many are kept of those within the limits: the best. Left out: all.
     #[serde(default)]
+    #[schemars(range(min = 1))]
     pub best: Option<usize>,
     /// The metrics and objectives by which samples are better: the first decides, each further one among equals, and at last
     /// the order of sampling.

@@ -69,9 +69,6 @@ impl SweepConfig {
 
     /// Says what of the guidance makes no sense, as far as that can be told without the mined behaviors.
     pub(super) fn check_guidance(&self) -> Result<(), String> {
-        if self.objective_guidance.inner_steps == 0 {
-            return Err("objective_guidance.inner_steps is 0, expected at least 1".to_owned());
-        }
         if self.guides_through_network() && self.classifies_estimates() && !self.objectives.is_empty() {
             return Err("objective_guidance.gradient = \"through_network\" goes through the network once: for objectives, or for \
                         classifier_input = \"clean_estimate\"; for both use gradient = \"clean\""

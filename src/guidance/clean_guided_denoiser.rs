@@ -62,6 +62,7 @@ pub struct ObjectiveGuidanceConfig {
     pub damped: bool,
     /// Gradient steps at each evaluation of the denoiser; more of them follow wishes that bend, such as that of boxes not to
     /// overlap, more closely.
+    #[schemars(range(min = 1, max = 1_000))]
     pub inner_steps: usize,
 }
 

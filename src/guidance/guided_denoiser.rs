@@ -11,13 +11,16 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceConfig {
     /// The lowest noise level at which guidance acts.
+    #[schemars(range(min = 0.0))]
     pub sigma_lo: f64,
     /// The highest noise level at which guidance acts. Classifiers see little noise above 3 in training, and are not to be
     /// trusted there: on merging cases, gradients from up there lowered the rate of cut-ins.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub sigma_hi: f64,
     /// The largest Euclidean norm of the shift α σ² ∇ ln p of one scene's clean estimate, in diffused units (the data has
     /// standard deviation σ_data = 0.5 in each entry); longer shifts are shortened to it, which keeps trajectories smooth at
     /// large strengths. A very large number, such as 1e9, means no limit.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_shift: f64,
 }
 

@@ -2,6 +2,7 @@
 
 use super::error::Error;
 use crate::scene::{Dataset, Split};
+use crate::settings::{self, Issue};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -30,15 +31,19 @@ pub struct IngestConfig {
     pub places: Vec<String>,
     /// Observed timesteps of a scene; default: the dataset's (INTERACTION 10, Argoverse 1 20, Argoverse 2 50).
     #[serde(default)]
+    #[schemars(range(min = 1, max = 10_000))]
     pub n_history: Option<usize>,
     /// Future timesteps of a scene; default: the dataset's (INTERACTION 30, Argoverse 1 30, Argoverse 2 60).
     #[serde(default)]
+    #[schemars(range(max = 10_000))]
     pub n_future: Option<usize>,
     /// INTERACTION v1.1 recordings: timesteps between the starts of consecutive scenes.
     #[serde(default = "default_window_stride")]
+    #[schemars(range(min = 1, max = 1_000_000))]
     pub window_stride: usize,
     /// INTERACTION v1.1 recordings: the last share of each recording becomes the val split; scenes across the cut are dropped.
     #[serde(default = "default_holdout_share")]
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub holdout_share: f64,
     /// Argoverse 1: whether tracks, which are recorded with decimeters of noise and at uneven times, are smoothed and brought to even
     /// times. Default true; false keeps a recorded position a timestep, as benchmarks compare with.
@@ -46,6 +51,7 @@ pub struct IngestConfig {
     pub smooth_tracks: bool,
     /// Agents of a scene: the nearest to the ego at present are kept, the ego always.
     #[serde(default = "default_max_agents")]
+    #[schemars(range(min = 1, max = 10_000))]
     pub max_agents: usize,
     /// Which agents belong to a scene.
     #[serde(default)]
@@ -55,9 +61,11 @@ pub struct IngestConfig {
     pub keep_static: bool,
     /// Lanes with any point within this distance of the ego's present position belong to the scene, metres.
     #[serde(default = "default_map_radius_m")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub map_radius_m: f64,
     /// Stop after this many scenes; default: no limit.
     #[serde(default)]
+    #[schemars(range(min = 1))]
     pub limit: Option<u64>,
     /// Seed of the choice of an ego where the recording marks none.
     #[serde(default)]
@@ -130,29 +138,14 @@ impl IngestConfig {
     /// # Errors
     /// [`Error::Config`] names the key.
     pub fn validate(&self) -> Result<(), Error> {
-        let refuse = |key, detail: &str| Err(Error::Config { key, detail: detail.to_owned() });
+        let refuse = |key, detail: &str| Err(Error::Config { key: String::from(key), detail: detail.to_owned() });
         if self.inputs.is_empty() {
             return refuse("inputs", "is empty; name at least one folder, archive or file");
         }
         if (1..self.inputs.len()).any(|i| self.inputs[..i].contains(&self.inputs[i])) {
             return refuse("inputs", "names an input twice; its scenes would not be unique");
         }
-        if self.n_history == Some(0) {
-            return refuse("n_history", "is 0; a scene needs at least one observed timestep");
-        }
-        if self.window_stride == 0 {
-            return refuse("window_stride", "is 0; use at least 1 timestep");
-        }
-        if !(0.0..=1.0).contains(&self.holdout_share) {
-            return refuse("holdout_share", "must lie between 0 and 1");
-        }
-        if self.max_agents == 0 {
-            return refuse("max_agents", "is 0; a scene needs at least its ego");
-        }
-        if !(self.map_radius_m.is_finite() && self.map_radius_m > 0.0) {
-            return refuse("map_radius_m", "must be a positive number of metres");
-        }
-        Ok(())
+        settings::check_ranges(self).map_err(|Issue { key, message }| Error::Config { key, detail: message })
     }
 }
 

@@ -14,7 +14,7 @@ pub enum Error {
     #[error("ingest.{key}: {detail}")]
     Config {
         /// The offending key.
-        key: &'static str,
+        key: String,
         /// What is wrong and what to write instead.
         detail: String,
     },

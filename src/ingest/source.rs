@@ -119,7 +119,7 @@ impl Horizon {
         {
             if asked > has {
                 let detail = format!("is {asked}, but {} records only {has} timesteps", config.dataset.name());
-                return Err(Error::Config { key, detail });
+                return Err(Error::Config { key: key.to_owned(), detail });
             }
         }
         Ok(horizon)

@@ -15,14 +15,18 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields, default)]
 pub struct ModesConfig {
     /// Number of modes K; the benchmarks take six. Groups with no more samples than that are not reduced.
+    #[schemars(range(min = 1, max = 1_000))]
     pub n_modes: usize,
     /// What stands for a mode. Each is reported under its own name.
     pub by: Vec<Representative>,
     /// Most iterations of expectation-maximization.
+    #[schemars(range(min = 1, max = 1_000_000))]
     pub max_iterations: usize,
     /// Fits from different starts, of which the likeliest is taken.
+    #[schemars(range(min = 1, max = 1_000))]
     pub n_starts: usize,
     /// Least standard deviation of a mode in any coordinate, metres. With fewer samples than coordinates a mixture needs one.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_std_m: f64,
 }
 

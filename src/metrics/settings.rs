@@ -1,6 +1,7 @@
 //! By which settings do metrics judge? The same for evaluation, for selections of sweeps and for limits of requests.
 
 use super::{ALL, CarefulDriverConfig, Metric, PreventableRate, ValidityConfig, ValidityRate};
+use crate::settings;
 use serde::{Deserialize, Serialize};
 
 /// The settings of the metrics that have some. The others have one definition.
@@ -44,9 +45,9 @@ impl MetricSettings {
     ///
     /// # Errors
     /// Its key below `evaluate`, its value and what was expected.
-    pub fn validate(&self) -> Result<(), String> {
-        self.validity.validate().map_err(|why| format!("validity.{why}"))?;
-        self.careful_driver.validate().map_err(|why| format!("careful_driver.{why}"))
+    pub fn validate(&self) -> settings::Result {
+        settings::check_ranges(&self.validity).map_err(|issue| issue.within("validity"))?;
+        settings::check_ranges(&self.careful_driver).map_err(|issue| issue.within("careful_driver"))
     }
 }
 

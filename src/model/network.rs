@@ -1,8 +1,9 @@
 //! F_θ, the raw network of DJINN: a transformer over the states of all agents at all timesteps (paper, Appendix A).
 
 use super::known_input::{KnownInput, encode_states};
-use super::trunk::{LaneKeys, Trunk, TrunkConfig};
+use super::trunk::{LaneKeys, Trunk, TrunkConfig, check_heads, check_layers};
 use crate::nn::{LayerNorm, Linear, Mlp, Scope, sinusoidal};
+use crate::settings::{self, Issue};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,12 +15,16 @@ pub struct NetworkConfig {
     /// The trunk, one letter a layer: T attends over time, A over agents, M reads the map. Blanks are ignored.
     pub layers: String,
     /// Features per agent state (the paper's 256).
+    #[schemars(range(min = 1, max = 16_384))]
     pub width: usize,
     /// Attention heads.
+    #[schemars(range(min = 1, max = 1_024))]
     pub n_heads: usize,
     /// Hidden features of the feed-forward part of each layer (the paper's 1024).
+    #[schemars(range(min = 1, max = 65_536))]
     pub feed_forward: usize,
     /// Features of each sinusoidal encoding (the paper's 256); even.
+    #[schemars(range(min = 2, max = 16_384), extend("multipleOf" = 2))]
     pub encoding: usize,
     /// Shortest and longest period of the encodings of diffused states, in units of c_in(σ) x (the paper's 0.01 and 10). Periods
     /// far below 1 carry nothing but noise while σ is large.
@@ -38,20 +43,45 @@ pub struct NetworkConfig {
 #[serde(deny_unknown_fields, default)]
 pub struct GeometryConfig {
     /// Timesteps of a token.
+    #[schemars(range(min = 1, max = 100))]
     pub patch: usize,
     /// Pieces of lanes around its path that an agent is shown.
+    #[schemars(range(min = 1, max = 200))]
     pub n_lanes: usize,
     /// Neighbors that an agent is shown at each token, nearest first.
+    #[schemars(range(min = 1, max = 200))]
     pub n_neighbors: usize,
     /// Lanes that an agent is shown at each token, nearest first.
+    #[schemars(range(min = 1, max = 200))]
     pub n_nearest_lanes: usize,
     /// Features of a neighbor, and of a lane, at a token.
+    #[schemars(range(min = 1, max = 4_096))]
     pub relation_width: usize,
 }
 
 impl Default for GeometryConfig {
     fn default() -> Self {
         Self { patch: 3, n_lanes: 24, n_neighbors: 6, n_nearest_lanes: 3, relation_width: 48 }
+    }
+}
+
+impl NetworkConfig {
+    /// Refuses a shape that no network can have.
+    ///
+    /// # Errors
+    /// Names the setting.
+    pub fn validate(&self) -> settings::Result {
+        settings::check_ranges(self)?;
+        check_layers("layers", &self.layers)?;
+        check_heads(self.width, self.n_heads)?;
+        let [shortest, longest] = self.latent_periods;
+        match shortest > 0.0 && longest >= shortest && longest.is_finite() {
+            true => Ok(()),
+            false => Err(Issue::new(
+                "latent_periods",
+                format_args!("are {shortest} and {longest}, expected 0 < shortest <= longest"),
+            )),
+        }
     }
 }
 

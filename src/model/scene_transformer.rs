@@ -2,9 +2,10 @@
 //! once, and how likely each is.
 
 use super::known_input::KnownInput;
-use super::trunk::{Trunk, TrunkConfig};
+use super::trunk::{Trunk, TrunkConfig, check_heads, check_layers};
 use crate::nn::{Init, LayerNorm, Linear, Mlp, Params, Scope};
 use crate::seed::Seed;
+use crate::settings;
 use crate::tensor::{SceneBatch, StateParametrization};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -19,15 +20,33 @@ pub struct SceneTransformerConfig {
     /// Layers after the futures have parted, in the same letters. Each future sees itself alone.
     pub decoder: String,
     /// Features per agent state.
+    #[schemars(range(min = 1, max = 16_384))]
     pub width: usize,
     /// Attention heads.
+    #[schemars(range(min = 1, max = 1_024))]
     pub n_heads: usize,
     /// Hidden features of the feed-forward part of each layer.
+    #[schemars(range(min = 1, max = 65_536))]
     pub feed_forward: usize,
     /// Features of each sinusoidal encoding; even.
+    #[schemars(range(min = 2, max = 16_384), extend("multipleOf" = 2))]
     pub encoding: usize,
     /// Number F of joint futures.
+    #[schemars(range(min = 1, max = 1_000))]
     pub n_modes: usize,
+}
+
+impl SceneTransformerConfig {
+    /// Refuses a shape that no network can have.
+    ///
+    /// # Errors
+    /// Names the setting.
+    pub fn validate(&self) -> settings::Result {
+        settings::check_ranges(self)?;
+        check_layers("encoder", &self.encoder)?;
+        check_layers("decoder", &self.decoder)?;
+        check_heads(self.width, self.n_heads)
+    }
 }
 
 impl Default for SceneTransformerConfig {

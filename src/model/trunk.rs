@@ -2,6 +2,7 @@
 //! other?
 
 use crate::nn::{Axis, CrossAttention, LayerNorm, Mlp, Scope, SelfAttention};
+use crate::settings::{self, Issue};
 use candle_core::{Result, Tensor};
 
 /// Shape of a stack of layers.
@@ -15,6 +16,27 @@ pub(super) struct TrunkConfig<'a> {
     pub(super) n_heads: usize,
     /// Hidden features of the feed-forward part of each layer.
     pub(super) feed_forward: usize,
+}
+
+/// Refuses letters that are no layers.
+pub(super) fn check_layers(key: &str, layers: &str) -> settings::Result {
+    match layers.chars().find(|letter| !matches!(letter, 'T' | 'A' | 'M') && !letter.is_whitespace()) {
+        Some(letter) => {
+            let expected = "expected the letters T (time), A (agents) and M (map), one a layer";
+            Err(Issue::new(key, format_args!("is \"{layers}\", in which {letter} is no layer; {expected}")))
+        }
+        None => Ok(()),
+    }
+}
+
+/// Refuses heads that would not be of one size.
+pub(super) fn check_heads(width: usize, n_heads: usize) -> settings::Result {
+    match n_heads > 0 && width.is_multiple_of(n_heads) {
+        true => Ok(()),
+        false => {
+            Err(Issue::new("n_heads", format_args!("is {n_heads}, expected a divisor of width, which is {width}")))
+        }
+    }
 }
 
 /// How one layer mixes states.

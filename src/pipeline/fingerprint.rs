@@ -1,66 +1,125 @@
-//! Is this file, folder or configuration the same as last time, without reading terabytes?
+//! Is this file, folder or configuration the same as last time, without reading terabytes each time?
 
 use anyhow::{Context, Result};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
 
-/// Files up to twice this size are hashed whole; of larger ones, the size and this much from each end.
+/// Of files up to twice this size, `hash` is of all; of larger ones, of the size and this much from each end.
 const SAMPLED_BYTES: u64 = 1 << 20;
 
-/// What a file or folder held. Equal contents give equal fingerprints on every machine; times and places play no part.
-///
-/// The check is meant for accidents, not for adversaries: a large file that changed only in its middle and kept its size
-/// is taken for the same.
+/// What a file or folder held. Equal contents give equal fingerprints on every machine; places play no part.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PathFingerprint {
     /// Total size, bytes.
     pub n_bytes: u64,
     /// Number of files: 1 for a file.
     pub n_files: u64,
-    /// Hash, 32 hexadecimal digits.
+    /// Hash, 32 hexadecimal digits; of large files, of their ends alone.
     pub hash: String,
+    /// Hash of the whole content where `hash` is not. `None` also in records of versions that took none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub whole: Option<String>,
+    /// Hash of the sizes and times of the files that `whole` was taken of: while they stay, it is not taken again.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub times: Option<String>,
 }
 
-/// The fingerprint of a file, or of all files below a folder with their names. What cannot be opened in a folder counts by its name:
-/// whoever reads it says why.
+impl PathFingerprint {
+    /// Whether both are of one content, as far as both are known.
+    pub(super) fn agrees_with(&self, other: &Self) -> bool {
+        let of_ends = |one: &Self| (one.n_bytes, one.n_files, one.hash.clone());
+        let wholes = self.whole.as_ref().zip(other.whole.as_ref());
+        of_ends(self) == of_ends(other) && wholes.is_none_or(|(one, other)| one == other)
+    }
+
+    /// What tells contents apart.
+    pub(super) fn identity(&self) -> &str {
+        self.whole.as_deref().unwrap_or(&self.hash)
+    }
+}
+
+/// How much of large files is read.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Depth<'a> {
+    /// Their ends.
+    Ends,
+    /// All of them; if they are as old and as large as when this was taken, it still holds.
+    Whole(Option<&'a PathFingerprint>),
+}
+
+/// The fingerprint of a file, or of all files below a folder with their names, with the whole content of large ones. What cannot be
+/// opened in a folder counts by its name: whoever reads it says why.
 pub fn fingerprint_path(path: &Path) -> Result<PathFingerprint> {
-    if !fs_err::metadata(path)?.is_dir() {
-        let (n_bytes, hash) = hash_file(fs_err::File::open(path)?)?;
-        return Ok(PathFingerprint { n_bytes, n_files: 1, hash: short_hex(&hash) });
-    }
-    let mut files = Vec::new();
-    list_files(path, &mut files)?;
-    fingerprint_listed(path, files)
+    fingerprint_to(path, None, Depth::Whole(None))
 }
 
-/// The fingerprint of a file, or of those files in a folder that are named relative to it, whatever else it holds: the same
-/// as of the whole folder where that holds nothing else.
-pub(super) fn fingerprint_files(path: &Path, names: &[PathBuf]) -> Result<PathFingerprint> {
-    if !fs_err::metadata(path)?.is_dir() {
-        return fingerprint_path(path);
-    }
-    fingerprint_listed(path, names.iter().map(|name| path.join(name)).collect())
-}
-
-fn fingerprint_listed(path: &Path, mut files: Vec<PathBuf>) -> Result<PathFingerprint> {
+/// The fingerprint of a file, or of those files in a folder that are named relative to it (`None`: of all). Named files have the
+/// same as the whole folder where that holds nothing else.
+pub(super) fn fingerprint_to(path: &Path, names: Option<&[PathBuf]>, depth: Depth<'_>) -> Result<PathFingerprint> {
+    let (root, mut files) = match (fs_err::metadata(path)?.is_dir(), names) {
+        (false, _) => (None, vec![path.to_owned()]),
+        (true, Some(names)) => (Some(path), names.iter().map(|name| path.join(name)).collect()),
+        (true, None) => {
+            let mut files = Vec::new();
+            list_files(path, &mut files)?;
+            (Some(path), files)
+        }
+    };
     files.sort();
-    let hashes: Vec<(u64, blake3::Hash)> = (files.par_iter())
-        .map(|file| fs_err::File::open(file).map_or_else(|_| Ok((0, blake3::hash(b"unopened"))), hash_file))
-        .collect::<Result<_>>()?;
-    let mut hasher = blake3::Hasher::new();
-    for (file, (_, hash)) in files.iter().zip(&hashes) {
-        let name = file.strip_prefix(path).context("a folder lists only what lies below it")?.to_string_lossy();
-        hasher.update(&(name.len() as u64).to_le_bytes());
-        hasher.update(name.as_bytes());
-        hasher.update(hash.as_bytes());
+    let mut found = combined(root, &files, Reading::Ends)?;
+    if let Depth::Whole(known) = depth
+        && files.iter().any(|file| is_large(file))
+    {
+        let times = combined(root, &files, Reading::Times)?.hash;
+        let known = known.filter(|known| found.agrees_with(known) && known.times.as_ref() == Some(&times));
+        found.whole = match known.and_then(|known| known.whole.clone()) {
+            Some(whole) => Some(whole),
+            None => Some(combined(root, &files, Reading::Whole)?.hash),
+        };
+        found.times = Some(times);
     }
-    Ok(PathFingerprint {
-        n_bytes: hashes.iter().map(|(n_bytes, _)| n_bytes).sum(),
-        n_files: files.len() as u64,
-        hash: short_hex(&hasher.finalize()),
-    })
+    Ok(found)
+}
+
+/// What of a file is hashed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Reading {
+    Ends,
+    Whole,
+    Times,
+}
+
+fn is_large(file: &Path) -> bool {
+    fs_err::metadata(file).is_ok_and(|metadata| metadata.len() > 2 * SAMPLED_BYTES)
+}
+
+/// The hash of one file, or of the files below `root` with their names.
+fn combined(root: Option<&Path>, files: &[PathBuf], reading: Reading) -> Result<PathFingerprint> {
+    let of = |file: &PathBuf| match (fs_err::File::open(file), root) {
+        (Ok(file), _) => hash_file(file, reading),
+        (Err(error), None) => Err(error.into()),
+        (Err(_), Some(_)) => Ok((0, blake3::hash(b"unopened"))),
+    };
+    let hashes: Vec<(u64, blake3::Hash)> = files.par_iter().map(of).collect::<Result<_>>()?;
+    let n_bytes = hashes.iter().map(|(n_bytes, _)| n_bytes).sum();
+    let hash = match (root, hashes.as_slice()) {
+        (None, [(_, hash)]) => *hash,
+        _ => {
+            let mut hasher = blake3::Hasher::new();
+            for (file, (_, hash)) in files.iter().zip(&hashes) {
+                let name = root.map_or(Ok(file.as_path()), |root| file.strip_prefix(root));
+                let name = name.context("a folder lists only what lies below it")?.to_string_lossy();
+                hasher.update(&(name.len() as u64).to_le_bytes());
+                hasher.update(name.as_bytes());
+                hasher.update(hash.as_bytes());
+            }
+            hasher.finalize()
+        }
+    };
+    Ok(PathFingerprint { n_bytes, n_files: files.len() as u64, hash: short_hex(&hash), whole: None, times: None })
 }
 
 /// The fingerprint of a value: of its JSON, in which struct fields keep their order and maps are sorted.
@@ -85,16 +144,22 @@ fn list_files(folder: &Path, files: &mut Vec<PathBuf>) -> Result<()> {
     Ok(())
 }
 
-fn hash_file(mut file: fs_err::File) -> Result<(u64, blake3::Hash)> {
-    let n_bytes = file.metadata()?.len();
+fn hash_file(mut file: fs_err::File, reading: Reading) -> Result<(u64, blake3::Hash)> {
+    let metadata = file.metadata()?;
+    let n_bytes = metadata.len();
     let mut hasher = blake3::Hasher::new();
     hasher.update(&n_bytes.to_le_bytes());
-    if n_bytes <= 2 * SAMPLED_BYTES {
-        hasher.update_reader(&mut file)?;
-    } else {
-        hasher.update_reader((&mut file).take(SAMPLED_BYTES))?;
-        file.seek(SeekFrom::End(-(SAMPLED_BYTES as i64)))?;
-        hasher.update_reader(&mut file)?;
+    match reading {
+        Reading::Times => {
+            let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+            hasher.update(&since.as_nanos().to_le_bytes());
+        }
+        Reading::Ends if n_bytes > 2 * SAMPLED_BYTES => {
+            hasher.update_reader((&mut file).take(SAMPLED_BYTES))?;
+            file.seek(SeekFrom::End(-(SAMPLED_BYTES as i64)))?;
+            hasher.update_reader(&mut file)?;
+        }
+        Reading::Ends | Reading::Whole => _ = hasher.update_reader(&mut file)?,
     }
     Ok((n_bytes, hasher.finalize()))
 }
@@ -131,6 +196,27 @@ mod tests {
         assert_ne!(without.hash, dangling.hash);
         fs_err::write(folder.path().join("nowhere"), "2").unwrap();
         assert_ne!(of().hash, dangling.hash);
+    }
+
+    #[test]
+    fn the_middle_of_a_large_file_counts_and_is_read_again_only_when_the_file_is_another() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, mut bytes) = (folder.path().join("large"), vec![0; 3 << 20]);
+        fs_err::write(&path, &bytes).unwrap();
+        let before = fingerprint_path(folder.path()).unwrap();
+        assert!(before.whole.is_some() && before.agrees_with(&before));
+        let older = PathFingerprint { whole: None, times: None, ..before.clone() };
+        assert!(before.agrees_with(&older), "versions that did not read the middle are believed");
+        let modified = fs_err::metadata(&path).unwrap().modified().unwrap();
+        bytes[3 << 19] = 1;
+        fs_err::write(&path, &bytes).unwrap();
+        let after = fingerprint_path(folder.path()).unwrap();
+        assert!(after.hash == before.hash && !after.agrees_with(&before) && after.identity() != before.identity());
+        let again = fingerprint_to(folder.path(), None, Depth::Whole(Some(&before))).unwrap();
+        assert_eq!(again, after, "it was written since");
+        std::fs::File::options().write(true).open(&path).unwrap().set_modified(modified).unwrap();
+        let known = fingerprint_to(folder.path(), None, Depth::Whole(Some(&before))).unwrap();
+        assert_eq!(known, before, "size and time are those of before: not read");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::claim;
 use super::failure::{Failure, Result};
-use super::fingerprint::fingerprint_path;
+use super::fingerprint::{Depth, fingerprint_to};
 use super::keep::{Kept, kept};
 use super::older;
 use super::record::{InputRecord, StageRecord, started_path};
@@ -77,11 +77,17 @@ pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId])
     let mut planned: Vec<PlannedStage<'a>> = Vec::new();
     for stage in stages {
         let mut inputs = BTreeMap::new();
+        let earlier = StageRecord::done(root, stage.id());
         for input in stage.inputs() {
-            let record = identify(root, &planned, &input)?;
+            let record = identify(root, &planned, &input, earlier.as_ref())?;
             inputs.insert(input.name, record);
         }
-        let expected = StageRecord::expected(stage.as_ref(), inputs)?;
+        let mut expected = StageRecord::expected(stage.as_ref(), inputs)?;
+        // Work on the same contents keeps its fingerprint when files were moved, and so do the stages after it.
+        let begun = Work::started(root, stage.id());
+        if let Some(same) = earlier.iter().chain(&begun).find(|earlier| expected.is_same_work(earlier)) {
+            expected.fingerprint.clone_from(&same.fingerprint);
+        }
         let is_asked = redo.contains(&stage.id());
         let action = decide(root, &expected, is_asked);
         let is_redone = StageRecord::done(root, stage.id()).is_some();
@@ -120,7 +126,10 @@ pub fn execute(
             // An older version that was killed right after its last file left it behind.
             remove_if_present(&started_path(context.root, stage.id()))?;
             // Planning has just read the same record.
-            StageRecord::done(context.root, stage.id()).unwrap_or(expected).listing_files(context.root)?
+
+            (StageRecord::done(context.root, stage.id()).unwrap_or_else(|| expected.clone()))
+                .with_inputs_of(context.root, &expected)?
+                .listing_files(context.root)?
         } else {
             around(stage.id(), Moment::Start)?;
             let named = Named { stage: stage.id(), inner: context.progress };
@@ -187,12 +196,39 @@ fn run_stage(
         Action::Resume => Work::resume(context.root, &expected, stage.outputs())?,
         _ => Work::begin(context.root, &expected)?,
     };
+    check_inputs(stage)?;
     let summary = stage.run(&StageContext { root: work.path(), ..*context })?;
     work.finish(expected, stage.outputs(), summary, kept)
 }
 
+/// Refuses damaged results of earlier stages. Those that are kept in shards have a checksum each, which is compared when it is read.
+fn check_inputs(stage: &dyn Stage) -> Result<()> {
+    for input in stage.inputs() {
+        let Some(producer) = input.producer.filter(|id| !matches!(id, StageId::Ingest | StageId::Generate)) else {
+            continue;
+        };
+        let folder = input.path.parent().unwrap_or(Path::new("."));
+        let Some(record) = StageRecord::done(folder, producer) else { continue };
+        let name = input.path.file_name().unwrap_or_default().to_string_lossy();
+        if !record.is_whole(folder, &name) {
+            let message = format!("{}: it is not what stage {producer} wrote there", input.path.display());
+            return Err(Failure::fault(anyhow::anyhow!(message)).with_hint(format!(
+                "the file was changed or the disk is failing: restore it from a copy, or make it anew with --redo {producer}"
+            )));
+        }
+    }
+    Ok(())
+}
+
 /// What a stage's input holds: a fingerprint of the stage that makes it, or of its content.
-fn identify(root: &Path, planned: &[PlannedStage<'_>], input: &StageInput) -> Result<InputRecord> {
+///
+/// `earlier` is the record of the stage's last run, which knows what the same files held.
+fn identify(
+    root: &Path,
+    planned: &[PlannedStage<'_>],
+    input: &StageInput,
+    earlier: Option<&StageRecord>,
+) -> Result<InputRecord> {
     if let Some(producer) = input.producer {
         let folder = input.path.parent().unwrap_or(Path::new("."));
         let here = planned.iter().find(|other| other.stage.id() == producer && folder == root);
@@ -203,7 +239,8 @@ fn identify(root: &Path, planned: &[PlannedStage<'_>], input: &StageInput) -> Re
             return Ok(InputRecord::Stage { producer, fingerprint });
         }
     }
-    let content = fingerprint_path(&input.path).map_err(|error| {
+    let known = earlier.and_then(|earlier| earlier.known_content(&input.name, &input.path));
+    let content = fingerprint_to(&input.path, None, Depth::Whole(known)).map_err(|error| {
         let failure = Failure::input(error).context(format!("failed to read the input {}", input.name));
         match input.producer {
             Some(producer) => failure.with_hint(format!(

@@ -4,7 +4,7 @@
 //! hold what the fingerprint was made from, so that a later run can say what changed, and the former every file that the
 //! stage wrote: these, and no others, may be removed when it is redone.
 
-use super::fingerprint::{PathFingerprint, fingerprint_files, fingerprint_path, fingerprint_value};
+use super::fingerprint::{Depth, PathFingerprint, fingerprint_to, fingerprint_value};
 use super::stage::{Stage, StageId};
 use crate::files::{files_below, is_link};
 use crate::store::{read_json, write_json_atomically};
@@ -64,7 +64,15 @@ impl InputRecord {
     fn identity(&self) -> &str {
         match self {
             Self::Stage { fingerprint, .. } => fingerprint,
-            Self::Path { content, .. } => &content.hash,
+            Self::Path { content, .. } => content.identity(),
+        }
+    }
+
+    /// Whether both are of one content, as far as both know it.
+    fn agrees_with(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Path { content, .. }, Self::Path { content: other, .. }) => content.agrees_with(other),
+            (own, other) => own.identity() == other.identity(),
         }
     }
 }
@@ -86,6 +94,35 @@ impl StageRecord {
             files: None,
             summary: Value::Null,
         })
+    }
+
+    /// Whether `earlier` is of the same work: the same version, settings and contents, wherever files were then. Contents are compared as
+    /// far as both know them.
+    pub(super) fn is_same_work(&self, earlier: &Self) -> bool {
+        let agree = |(name, input): (&String, &InputRecord)| {
+            earlier.inputs.get(name).is_some_and(|then| input.agrees_with(then))
+        };
+        self.version == earlier.version
+            && self.inputs.len() == earlier.inputs.len()
+            && self.inputs.iter().all(agree)
+            && without_places(&self.config) == without_places(&earlier.config)
+    }
+
+    /// What was known of the content of an input, where it was the same path.
+    pub(super) fn known_content(&self, name: &str, path: &Path) -> Option<&PathFingerprint> {
+        match self.inputs.get(name)? {
+            InputRecord::Path { path: then, content } if then == path => Some(content),
+            _ => None,
+        }
+    }
+
+    /// This record of a finished stage, with where its inputs are now and what is known of them.
+    pub(super) fn with_inputs_of(mut self, root: &Path, expected: &Self) -> Result<Self> {
+        if self.inputs != expected.inputs {
+            self.inputs.clone_from(&expected.inputs);
+            write_json_atomically(&done_path(root, self.stage), &self)?;
+        }
+        Ok(self)
     }
 
     /// The record of the finished stage in `root`, if there is one that can be read.
@@ -110,7 +147,9 @@ impl StageRecord {
         let files = written.iter().filter(|file| outputs.iter().any(|name| file.starts_with(name)));
         let files: BTreeSet<PathBuf> = files.cloned().collect();
         for name in outputs {
-            self.outputs.insert((*name).to_owned(), fingerprint_files(&dir.join(name), &below(&files, name))?);
+            let written = fingerprint_to(&dir.join(name), Some(&below(&files, name)), Depth::Whole(None))?;
+            // Two runs of one pipeline write the same, at other times.
+            self.outputs.insert((*name).to_owned(), PathFingerprint { times: None, ..written });
         }
         self.files = Some(files);
         self.summary = summary;
@@ -136,7 +175,7 @@ impl StageRecord {
         let mut owned = BTreeSet::new();
         for (name, written) in &self.outputs {
             let place = root.join(name);
-            if is_link(&place) || !fingerprint_path(&place).is_ok_and(|now| now == *written) {
+            if is_link(&place) || !fingerprint_to(&place, None, Depth::Ends).is_ok_and(|now| now.agrees_with(written)) {
                 continue;
             }
             match place.is_dir() {
@@ -149,19 +188,29 @@ impl StageRecord {
 
     /// The first output that is no longer as it was written. Files that somebody put beside ours do not count.
     pub fn damaged_output(&self, root: &Path) -> Option<&str> {
-        let now = |name: &str| match &self.files {
-            Some(files) => fingerprint_files(&root.join(name), &below(files, name)),
-            None => fingerprint_path(&root.join(name)),
-        };
-        let is_intact = |(name, written): &(&String, &PathFingerprint)| now(name).is_ok_and(|now| now == **written);
+        let is_intact =
+            |(name, written): &(&String, &PathFingerprint)| self.is_as_written(root, name, written, Depth::Ends);
         self.outputs.iter().find(|output| !is_intact(output)).map(|(name, _)| name.as_str())
+    }
+
+    /// Whether the output of this name is what was written, to its last byte. What is no output of the stage is.
+    pub(super) fn is_whole(&self, root: &Path, name: &str) -> bool {
+        self.outputs.get(name).is_none_or(|written| self.is_as_written(root, name, written, Depth::Whole(None)))
+    }
+
+    fn is_as_written(&self, root: &Path, name: &str, written: &PathFingerprint, depth: Depth<'_>) -> bool {
+        let files = self.files.as_ref().map(|files| below(files, name));
+        fingerprint_to(&root.join(name), files.as_deref(), depth).is_ok_and(|now| now.agrees_with(written))
     }
 
     /// Whether a setting of the stage's own section differs from `earlier`. What presets come to is not the user's doing.
     pub(super) fn section_differs(&self, earlier: &Self) -> bool {
         let own = |record: &Self| {
             let mut config = record.config.clone();
-            config.as_object_mut().map(|section| section.remove("resolved"));
+            // Neither is what concerns all stages.
+            for key in ["resolved", "precision"] {
+                config.as_object_mut().map(|section| section.remove(key));
+            }
             config
         };
         own(self) != own(earlier)
@@ -181,7 +230,8 @@ impl StageRecord {
         changed_keys(self.stage.facts().section, &earlier.config, &self.config, &mut changes);
         let names: std::collections::BTreeSet<&String> = self.inputs.keys().chain(earlier.inputs.keys()).collect();
         for name in names {
-            if self.inputs.get(name).map(InputRecord::identity) != earlier.inputs.get(name).map(InputRecord::identity) {
+            let (now, then) = (self.inputs.get(name), earlier.inputs.get(name));
+            if !now.zip(then).is_some_and(|(now, then)| now.agrees_with(then)) {
                 changes.push(format!("input {name}"));
             }
         }
@@ -190,6 +240,15 @@ impl StageRecord {
         let more = if n_more > 0 { format!(" and {n_more} more") } else { String::new() };
         format!("changed: {}{more}", changes.join(", "))
     }
+}
+
+/// A section without the paths of what is read: inputs count by their content.
+fn without_places(config: &Value) -> Value {
+    let mut config = config.clone();
+    for key in ["inputs", "map_inputs", "checkpoint", "start_from"] {
+        config.as_object_mut().map(|section| section.remove(key));
+    }
+    config
 }
 
 /// The files of an output, relative to it.
@@ -217,6 +276,10 @@ fn changed_keys(path: &str, earlier: &Value, now: &Value, changes: &mut Vec<Stri
             }
         }
         (earlier, now) if earlier == now => {}
+        (earlier, now) if path.ends_with(".precision") => {
+            let named = |value: &Value| value.as_str().unwrap_or("f32").to_owned();
+            changes.push(format!("run.precision {} -> {}", named(earlier), named(now)));
+        }
         (earlier, now) if earlier.to_string().len() + now.to_string().len() < 40 => {
             changes.push(format!("{path} {earlier} -> {now}"));
         }

@@ -3,6 +3,7 @@
 use super::{Scene, TrackId};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 
 /// One agent of a scene: `"ego"`, `{ role = "other" }` or `{ track = "12" }`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -14,6 +15,16 @@ pub enum AgentRef {
     Role(String),
     /// The agent whose track the recording calls so.
     Track(String),
+}
+
+impl fmt::Display for AgentRef {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Ego => f.write_str("ego"),
+            Self::Role(role) => write!(f, "with the role {role}"),
+            Self::Track(track) => write!(f, "of track {track}"),
+        }
+    }
 }
 
 impl AgentRef {

@@ -7,6 +7,7 @@
 use super::motion::{Motion, hermite, point_along, smooth_step, with_future};
 use super::{AgentRef, Scene};
 use crate::geometry::{Polyline, Vec2};
+use crate::settings::{self, Issue};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -33,9 +34,11 @@ pub struct ShiftTime {
     /// Who.
     pub agent: AgentRef,
     /// How much later, seconds; negative: earlier.
+    #[schemars(range(min = -60.0, max = 60.0))]
     pub by_s: f64,
     /// How long after the present it takes until the shift is complete, seconds; more than 1.5 times `by_s`, so that nobody
     /// drives backwards.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 60.0))]
     pub onset_s: f64,
 }
 
@@ -47,11 +50,14 @@ pub struct Shift {
     pub agent: AgentRef,
     /// How far ahead, metres; negative: behind.
     #[serde(default)]
+    #[schemars(range(min = -1e4, max = 1e4))]
     pub along_m: f64,
     /// How far to the left, metres; negative: to the right.
     #[serde(default)]
+    #[schemars(range(min = -1e4, max = 1e4))]
     pub left_m: f64,
     /// How long after the present it takes until the shift is complete, seconds.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 60.0))]
     pub onset_s: f64,
 }
 
@@ -62,9 +68,11 @@ pub struct ScaleSpeed {
     /// Who.
     pub agent: AgentRef,
     /// By which the recorded speed is multiplied; 0 stops.
+    #[schemars(range(min = 0.0, max = 100.0))]
     pub factor: f64,
     /// How long after the present it takes until the factor is reached, seconds.
     #[serde(default)]
+    #[schemars(range(min = 0.0, max = 60.0))]
     pub onset_s: f64,
 }
 
@@ -83,10 +91,13 @@ pub struct SetPositions {
 #[serde(deny_unknown_fields)]
 pub struct TimedPoint {
     /// When, seconds after the present.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 60.0))]
     pub t_s: f64,
     /// Where: metres ahead of the scene's ego agent at present, along its heading then.
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub x_m: f64,
     /// Where: metres to the left of it.
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub y_m: f64,
 }
 
@@ -99,9 +110,11 @@ pub struct Meet {
     /// Whom it meets.
     pub with: AgentRef,
     /// When, seconds after the present.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 60.0))]
     pub at_s: f64,
     /// How far ahead of the other one, metres along its heading; negative: behind.
     #[serde(default)]
+    #[schemars(range(min = -1e4, max = 1e4))]
     pub ahead_m: f64,
 }
 
@@ -121,34 +134,24 @@ impl SceneEdit {
     ///
     /// # Errors
     /// When there is one.
-    pub fn validate(&self) -> Result<(), String> {
-        let (numbers, positive): (Vec<f64>, Vec<(&str, f64)>) = match self {
-            Self::ShiftTime(e) => (vec![e.by_s], vec![("onset_s", e.onset_s)]),
-            Self::Shift(e) => (vec![e.along_m, e.left_m], vec![("onset_s", e.onset_s)]),
-            Self::ScaleSpeed(e) => (vec![e.factor, e.onset_s], Vec::new()),
-            Self::SetPositions(e) => (
-                e.points.iter().flat_map(|p| [p.t_s, p.x_m, p.y_m]).collect(),
-                e.points.iter().map(|p| ("t_s", p.t_s)).collect(),
-            ),
-            Self::Meet(e) => (vec![e.ahead_m], vec![("at_s", e.at_s)]),
-        };
-        if numbers.iter().any(|number| !number.is_finite()) {
-            return Err("holds a value that is no number".to_owned());
-        }
-        if let Some((name, value)) = positive.iter().find(|(_, value)| !value.is_finite() || *value <= 0.0) {
-            return Err(format!("{name} is {value}, expected a positive number"));
-        }
+    pub fn validate(&self) -> settings::Result {
+        settings::check_ranges(self)?;
         match self {
-            Self::ShiftTime(e) if e.by_s >= e.onset_s / 1.5 => Err(format!(
-                "onset_s is {}, expected more than 1.5 times by_s: the agent would drive backwards",
-                e.onset_s
-            )),
-            Self::ScaleSpeed(e) if e.factor < 0.0 || e.onset_s < 0.0 => {
-                Err("factor and onset_s must not be negative".to_owned())
+            Self::ShiftTime(e) if e.by_s >= e.onset_s / 1.5 => {
+                let message =
+                    format!("is {}, expected more than 1.5 times by_s: the agent would drive backwards", e.onset_s);
+                Err(Issue::new("onset_s", message))
             }
-            Self::SetPositions(e) if e.points.is_empty() => Err("points is empty".to_owned()),
-            Self::SetPositions(e) if e.points.windows(2).any(|pair| pair[1].t_s <= pair[0].t_s) => {
-                Err("points must be in the order of their times t_s".to_owned())
+            Self::SetPositions(e) if e.points.is_empty() => Err(Issue::new("points", "is empty: name at least one")),
+            Self::SetPositions(e) => match e.points.windows(2).position(|pair| pair[1].t_s <= pair[0].t_s) {
+                Some(i) => {
+                    let (key, t_s) = (format!("points.{}.t_s", i + 1), e.points[i + 1].t_s);
+                    Err(Issue::new(key, format_args!("is {t_s}, expected more than that of the point before it")))
+                }
+                None => Ok(()),
+            },
+            Self::Meet(e) if e.agent == e.with => {
+                Err(Issue::new("with", format_args!("is {}, the agent that is moved: name another", e.with)))
             }
             _ => Ok(()),
         }
@@ -166,7 +169,7 @@ impl SceneEdit {
         let mut indices = Vec::new();
         for agent in self.agents() {
             let agent_idx = resolve(agent).filter(|agent_idx| scene.state(*agent_idx, present).is_some());
-            indices.push(agent_idx.ok_or_else(|| format!("has no agent {agent:?} that is tracked at present"))?);
+            indices.push(agent_idx.ok_or_else(|| format!("has no agent {agent} that is tracked at present"))?);
         }
         let motion = |i: usize| Motion::new(&scene.tracks[indices[i]].trajectory, scene.dt_s);
         let Some(own) = motion(0) else { return Ok(scene.clone()) };
@@ -358,13 +361,13 @@ mod tests {
     #[test]
     fn changes_that_make_no_sense_are_refused() {
         let refusal = |toml: &str| match toml::from_str::<Edits>(&format!("edits = [{toml}]")) {
-            Ok(edits) => edits.edits[0].validate().unwrap_err(),
+            Ok(edits) => edits.edits[0].validate().unwrap_err().to_string(),
             Err(error) => error.to_string(),
         };
         assert!(refusal("{ kind = 'shift_time', agent = 'ego', by_s = 2.0, onset_s = 3.0 }").contains("backwards"));
         assert!(refusal("{ kind = 'shift', agent = 'ego', left_m = 2.0, onset_s = 0.0 }").contains("onset_s is 0"));
         assert!(refusal("{ kind = 'shift', agent = 'ego', up_m = 2.0, onset_s = 1.0 }").contains("up_m"));
-        assert!(refusal("{ kind = 'scale_speed', agent = 'ego', factor = nan }").contains("no number"));
+        assert!(refusal("{ kind = 'scale_speed', agent = 'ego', factor = nan }").contains("factor is NaN"));
         assert!(refusal("{ kind = 'set_positions', agent = 'ego', points = [] }").contains("empty"));
         let scene = without_states(crossing(), 0, |t| t == 3);
         let resolve = |agent: &AgentRef| agent.resolve(&scene, 0, &[]);

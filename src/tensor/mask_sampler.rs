@@ -30,18 +30,25 @@ pub enum MaskTask {
 #[serde(deny_unknown_fields, default)]
 pub struct TaskWeights {
     /// Weight of observing the history of all agents.
+    #[schemars(range(min = 0.0))]
     pub predictive: f64,
     /// Weight of observing also the goals of three agents.
+    #[schemars(range(min = 0.0))]
     pub goal_conditioned: f64,
     /// Weight of observing also three agents wholly.
+    #[schemars(range(min = 0.0))]
     pub agent_conditioned: f64,
     /// Weight of observing also the ego agent wholly.
+    #[schemars(range(min = 0.0))]
     pub ego_conditioned: f64,
     /// Weight of hiding one window.
+    #[schemars(range(min = 0.0))]
     pub windowed: f64,
     /// Weight of observing states at regular intervals.
+    #[schemars(range(min = 0.0))]
     pub upsampling: f64,
     /// Weight of observing states at random.
+    #[schemars(range(min = 0.0))]
     pub imputation: f64,
 }
 

@@ -3,6 +3,7 @@
 use super::{Error, FitConfig, LearningRateDecay, Preset};
 use crate::model::SceneTransformerConfig;
 use crate::scene::Split;
+use crate::settings::{self, Issue};
 use crate::tensor::{StateParametrization, TaskWeights};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -19,6 +20,7 @@ pub struct BaselineTrainingConfig {
     /// What the network puts out: `scene`, `residual` or `motion`.
     pub state_parametrization: Option<StateParametrization>,
     /// Weight of -ln p of the best future in the loss, beside its mean error.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub mode_loss: f64,
     /// How often each observation task is drawn; `{ predictive = 1.0, goal_conditioned = 0.0, … }` trains for prediction alone.
     pub tasks: TaskWeights,
@@ -27,30 +29,42 @@ pub struct BaselineTrainingConfig {
     /// Places to train on; empty means all.
     pub places: Vec<String>,
     /// Optimizer steps in all.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub steps: Option<u64>,
     /// Scenes a step.
+    #[schemars(range(min = 1, max = 16_384))]
     pub batch_size: Option<usize>,
     /// Learning rate after warm-up.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub learning_rate: Option<f64>,
     /// Steps over which the learning rate rises from 0.
+    #[schemars(range(max = 1_000_000_000))]
     pub warmup_steps: Option<u64>,
     /// How the learning rate goes on: `constant` or `cosine`.
     pub decay: Option<LearningRateDecay>,
     /// Gradients are scaled down to this global norm.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub clip_norm: Option<f64>,
     /// Decay of the moving average of the weights; 0 for none.
+    #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1))]
     pub ema_decay: Option<f64>,
     /// At most so many agents a scene, nearest to the ego agent.
+    #[schemars(range(min = 1, max = 10_000))]
     pub max_agents: Option<usize>,
     /// At most so many lane polylines a scene, nearest to the ego agent.
+    #[schemars(range(max = 100_000))]
     pub max_lanes: Option<usize>,
     /// Dimensions of a predicted state: 3 (x, y, heading) or 2 (x, y). Left out: 2 for Argoverse 1, else 3.
+    #[schemars(range(min = 2, max = 3))]
     pub state_dim: Option<usize>,
     /// Held-out scenes of each evaluation during training.
+    #[schemars(range(max = 1_000_000))]
     pub n_eval_scenes: Option<usize>,
     /// Steps between evaluations.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub evaluate_every: Option<u64>,
     /// Steps between saved states.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub save_every: Option<u64>,
     /// A trained checkpoint to use instead of training.
     pub checkpoint: Option<std::path::PathBuf>,
@@ -136,24 +150,9 @@ impl BaselineTrainingConfig {
             n_eval_scenes: self.n_eval_scenes.unwrap_or(base.n_eval_scenes),
             fit,
         };
-        let positive: [(&str, f64); 9] = [
-            ("steps", training.fit.steps as f64),
-            ("learning_rate", training.fit.learning_rate),
-            ("clip_norm", training.fit.clip_norm),
-            ("evaluate_every", training.fit.evaluate_every as f64),
-            ("save_every", training.fit.save_every as f64),
-            ("batch_size", training.batch_size as f64),
-            ("max_agents", training.max_agents as f64),
-            ("mode_loss", training.mode_loss),
-            ("network.n_modes", training.network.n_modes as f64),
-        ];
-        if let Some((name, value)) = positive.iter().find(|(_, value)| !value.is_finite() || *value <= 0.0) {
-            return Err(Error::Config(format!("train.baseline.{name} is {value}, expected a positive number")));
-        }
-        if !(0.0..1.0).contains(&training.fit.ema_decay) {
-            let decay = training.fit.ema_decay;
-            return Err(Error::Config(format!("train.baseline.ema_decay is {decay}, expected 0 (none) up to below 1")));
-        }
+        let within = |issue: Issue| Error::Config(issue.within("train.baseline").to_string());
+        settings::check_ranges(self).map_err(within)?;
+        training.network.validate().map_err(|issue| within(issue.within("network")))?;
         if self.tasks.probabilities().is_none() {
             let message = "train.baseline.tasks are no weights: give numbers of at least 0, one of them positive";
             return Err(Error::Config(message.to_owned()));

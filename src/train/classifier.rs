@@ -10,6 +10,7 @@ use crate::nn::Params;
 use crate::progress::Progress;
 use crate::scene::Split;
 use crate::seed::Seed;
+use crate::settings;
 use candle_core::Device;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -26,6 +27,7 @@ pub struct ClassifierTrainingConfig {
     pub network: BehaviorClassifierConfig,
     /// How much more a positive pair counts in the loss than a negative one. Left out: the number of negative pairs over
     /// that of positive ones, so that both labels count the same.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub pos_weight: Option<f64>,
     /// Distribution of the training noise levels.
     pub noise: NoiseDistribution,
@@ -34,24 +36,33 @@ pub struct ClassifierTrainingConfig {
     /// Places to train on; empty means all.
     pub places: Vec<String>,
     /// At most so many pairs to train on; negative ones are left out first.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub max_examples: usize,
     /// At most so many held-out pairs of each evaluation.
+    #[schemars(range(max = 1_000_000_000))]
     pub max_held_out: usize,
     /// Optimizer steps in all.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub steps: u64,
     /// Pairs a step; half of them positive.
+    #[schemars(range(min = 1, max = 16_384))]
     pub batch_size: usize,
     /// Learning rate after warm-up.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub learning_rate: f64,
     /// Steps over which the learning rate rises from 0.
+    #[schemars(range(max = 1_000_000_000))]
     pub warmup_steps: u64,
     /// How the learning rate goes on: `constant` or `cosine`.
     pub decay: LearningRateDecay,
     /// Gradients are scaled down to this global norm.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub clip_norm: f64,
     /// Steps between evaluations.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub evaluate_every: u64,
     /// Steps between saved states.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub save_every: u64,
     /// A trained checkpoint to use instead of training.
     pub checkpoint: Option<PathBuf>,
@@ -90,20 +101,7 @@ impl ClassifierTrainingConfig {
     /// # Errors
     /// When a value makes no sense, naming it.
     pub fn resolve(&self) -> Result<FitConfig, Error> {
-        let positive: [(&str, f64); 9] = [
-            ("steps", self.steps as f64),
-            ("batch_size", self.batch_size as f64),
-            ("learning_rate", self.learning_rate),
-            ("clip_norm", self.clip_norm),
-            ("evaluate_every", self.evaluate_every as f64),
-            ("save_every", self.save_every as f64),
-            ("max_examples", self.max_examples as f64),
-            ("pos_weight", self.pos_weight.unwrap_or(1.0)),
-            ("network.width", self.network.width as f64),
-        ];
-        if let Some((name, value)) = positive.iter().find(|(_, value)| !value.is_finite() || *value <= 0.0) {
-            return Err(Error::Config(format!("train.classifier.{name} is {value}, expected a positive number")));
-        }
+        settings::check_ranges(self).map_err(|issue| Error::Config(issue.within("train.classifier").to_string()))?;
         Ok(FitConfig {
             steps: self.steps,
             learning_rate: self.learning_rate,

@@ -4,6 +4,7 @@ use super::latent_error::{pseudo_huber, squared_error};
 use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::{Denoiser, NoiseDistribution, NoiseSource, rows_like};
 use crate::model::SceneDenoiser;
+use crate::settings;
 use crate::tensor::SceneBatch;
 use candle_core::Tensor;
 use schemars::JsonSchema;
@@ -35,23 +36,13 @@ impl Default for ConsistencyTuning {
 impl ConsistencyTuning {
     /// Says what makes no sense, by the name of the setting.
     pub(super) fn validate(&self) -> Result<(), String> {
-        let LevelGap { ratio, n_stages, widening, widening_decay } = self.gap;
-        let shrunk = ratio.powf(n_stages as f64);
-        let expected = [
-            ("ratio", ratio, ratio.is_finite() && ratio > 1.0, "a number beyond 1"),
-            ("n_stages", n_stages as f64, n_stages > 0, "a positive number"),
-            ("widening", widening, widening.is_finite() && widening >= 0.0, "0 or more"),
-            ("widening_decay", widening_decay, widening_decay.is_finite() && widening_decay >= 0.0, "0 or more"),
-            (
-                "ratio to the power of gap.n_stages",
-                shrunk,
-                shrunk <= MAX_SHRINKING,
-                "100000 at most: nearer levels cannot be told apart",
-            ),
-        ];
-        match expected.iter().find(|(_, _, is_sound, _)| !is_sound) {
-            Some((name, value, _, expected)) => Err(format!("gap.{name} is {value}, expected {expected}")),
-            None => Ok(()),
+        settings::check_ranges(self).map_err(|issue| issue.to_string())?;
+        let shrunk = self.gap.ratio.powf(self.gap.n_stages as f64);
+        match shrunk <= MAX_SHRINKING {
+            true => Ok(()),
+            false => Err(format!(
+                "gap.ratio to the power of gap.n_stages is {shrunk}, expected 100000 at most: nearer levels cannot be told apart"
+            )),
         }
     }
 }
@@ -61,12 +52,16 @@ impl ConsistencyTuning {
 #[serde(default, deny_unknown_fields)]
 pub struct LevelGap {
     /// The gap shrinks by this factor q from stage to stage.
+    #[schemars(extend("exclusiveMinimum" = 1))]
     pub ratio: f64,
     /// Number of stages, of equal length.
+    #[schemars(range(min = 1))]
     pub n_stages: u64,
     /// How much wider the gap is at low noise, k.
+    #[schemars(range(min = 0.0))]
     pub widening: f64,
     /// How soon that ends as the noise grows, b.
+    #[schemars(range(min = 0.0))]
     pub widening_decay: f64,
 }
 

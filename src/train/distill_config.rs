@@ -6,6 +6,7 @@ use crate::diffusion::Edm;
 use crate::guidance::ObjectiveConfig;
 use crate::model::{DenoiserSpec, Distillation};
 use crate::scene::Split;
+use crate::settings::{self, Issue};
 use crate::tensor::TaskWeights;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -67,8 +68,10 @@ pub struct DistillTrainingConfig {
     /// What it is tuned to.
     pub method: DistillMethod,
     /// Below about this disagreement the loss is quadratic, above it linear; 0: linear throughout.
+    #[schemars(range(min = 0.0))]
     pub huber: f64,
     /// Weight of the squared disagreement of what diffused motion adds up to (motion parametrization only).
+    #[schemars(range(min = 0.0))]
     pub path_loss: f64,
     /// Objectives that samples are trained toward, beside being those of the denoiser (method `steps` only): each counts by its weight
     /// and a cost of √(1 - 2 J) - 1 a scene, beyond that of the recording.
@@ -80,24 +83,33 @@ pub struct DistillTrainingConfig {
     /// Places to train on; empty means all.
     pub places: Vec<String>,
     /// Optimizer steps in all.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub steps: u64,
     /// Scenes a step.
+    #[schemars(range(min = 1, max = 16_384))]
     pub batch_size: usize,
     /// Learning rate after warm-up.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub learning_rate: f64,
     /// Steps over which the learning rate rises from 0.
+    #[schemars(range(max = 1_000_000_000))]
     pub warmup_steps: u64,
     /// How the learning rate goes on: `constant` or `cosine`.
     pub decay: LearningRateDecay,
     /// Gradients are scaled down to this global norm.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub clip_norm: f64,
     /// Decay of the moving average of the weights; 0 for none.
+    #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1))]
     pub ema_decay: f64,
     /// Held-out scenes of each evaluation during training.
+    #[schemars(range(max = 1_000_000))]
     pub n_eval_scenes: usize,
     /// Steps between evaluations.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub evaluate_every: u64,
     /// Steps between saved states.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub save_every: u64,
     /// A checkpoint of the same denoiser, distilled onto the same steps, to start from: to train it toward other objectives.
     pub start_from: Option<std::path::PathBuf>,
@@ -158,32 +170,13 @@ impl DistillTrainingConfig {
     /// # Errors
     /// When a value makes no sense, naming it.
     pub fn resolve(&self) -> Result<DistillTraining, Error> {
-        let positive: [(&str, f64); 6] = [
-            ("steps", self.steps as f64),
-            ("batch_size", self.batch_size as f64),
-            ("learning_rate", self.learning_rate),
-            ("clip_norm", self.clip_norm),
-            ("evaluate_every", self.evaluate_every as f64),
-            ("save_every", self.save_every as f64),
-        ];
-        let not_negative = [("huber", self.huber), ("path_loss", self.path_loss)];
-        let refuse = |name: &str, value: f64, expected: &str| {
-            Err(Error::Config(format!("train.distill.{name} is {value}, expected {expected}")))
-        };
-        if let Some((name, value)) = positive.iter().find(|(_, value)| !value.is_finite() || *value <= 0.0) {
-            return refuse(name, *value, "a positive number");
-        }
-        if let Some((name, value)) = not_negative.iter().find(|(_, value)| !value.is_finite() || *value < 0.0) {
-            return refuse(name, *value, "0 or more");
-        }
+        let within = |issue: Issue| Error::Config(issue.within("train.distill").to_string());
+        settings::check_ranges(self).map_err(within)?;
         self.method.validate()?;
         check_objectives("train.distill.objectives", &self.objectives)?;
         if !self.objectives.is_empty() && !matches!(self.method, DistillMethod::Steps(_)) {
             let message = "train.distill.objectives need method = { kind = \"steps\" }: they judge where its steps end";
             return Err(Error::Config(message.to_owned()));
-        }
-        if !(0.0..1.0).contains(&self.ema_decay) {
-            return refuse("ema_decay", self.ema_decay, "0 (none) up to below 1");
         }
         if self.tasks.probabilities().is_none() {
             let message = "train.distill.tasks are no weights: give numbers of at least 0, one of them positive";

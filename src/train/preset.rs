@@ -6,6 +6,7 @@ use crate::diffusion::{Edm, LossWeight, NoiseDistribution};
 use crate::guidance::ObjectiveConfig;
 use crate::model::{GeometryConfig, NetworkConfig};
 use crate::scene::Split;
+use crate::settings::{self, Issue};
 use crate::tensor::{StateParametrization, TaskWeights};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -56,11 +57,13 @@ pub struct DenoiserTrainingConfig {
     pub loss_weight: LossWeight,
     /// Weight of the squared error of what diffused motion adds up to, beside that of the motion itself (motion
     /// parametrization only). The best denoiser is the same at any weight; it decides what a network learns first.
+    #[schemars(range(min = 0.0))]
     pub path_loss: Option<f64>,
     /// Objectives that clean estimates are trained toward at low noise, beside the loss: each counts by its weight and a cost of
     /// √(1 - 2 J) - 1 a scene, beyond that of the recording.
     pub objectives: Vec<ObjectiveConfig>,
     /// The noise level σ up to which they count (default 0.3): above it an estimate is a mean of futures, which no rule of traffic binds.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub objectives_below_sigma: Option<f64>,
     /// How often each observation task is drawn.
     pub tasks: TaskWeights,
@@ -71,30 +74,42 @@ pub struct DenoiserTrainingConfig {
     /// Whether every scene counts the same, or every place: `scenes` or `places`.
     pub balance: Option<Balance>,
     /// Optimizer steps in all.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub steps: Option<u64>,
     /// Scenes a step.
+    #[schemars(range(min = 1, max = 16_384))]
     pub batch_size: Option<usize>,
     /// Learning rate after warm-up.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub learning_rate: Option<f64>,
     /// Steps over which the learning rate rises from 0.
+    #[schemars(range(max = 1_000_000_000))]
     pub warmup_steps: Option<u64>,
     /// How the learning rate goes on: `constant` or `cosine`.
     pub decay: Option<LearningRateDecay>,
     /// Gradients are scaled down to this global norm.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub clip_norm: Option<f64>,
     /// Decay of the moving average of the weights; 0 for none.
+    #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1))]
     pub ema_decay: Option<f64>,
     /// At most so many agents a scene, nearest to the ego agent.
+    #[schemars(range(min = 1, max = 10_000))]
     pub max_agents: Option<usize>,
     /// At most so many lane polylines a scene, nearest to the ego agent.
+    #[schemars(range(max = 100_000))]
     pub max_lanes: Option<usize>,
     /// Dimensions of a diffused state: 3 (x, y, heading) or 2 (x, y). Left out: 2 for Argoverse 1, else 3.
+    #[schemars(range(min = 2, max = 3))]
     pub state_dim: Option<usize>,
     /// Held-out scenes of each evaluation during training.
+    #[schemars(range(max = 1_000_000))]
     pub n_eval_scenes: Option<usize>,
     /// Steps between evaluations.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub evaluate_every: Option<u64>,
     /// Steps between saved states.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub save_every: Option<u64>,
     /// A trained checkpoint to start from, of the same network: to train it further, or on other scenes.
     pub start_from: Option<std::path::PathBuf>,
@@ -156,24 +171,10 @@ impl DenoiserTrainingConfig {
             log_every: base.fit.log_every,
         };
         let objectives_below_sigma = self.objectives_below_sigma.unwrap_or(base.objectives_below_sigma);
-        let positive: [(&str, f64); 9] = [
-            ("steps", fit.steps as f64),
-            ("learning_rate", fit.learning_rate),
-            ("clip_norm", fit.clip_norm),
-            ("evaluate_every", fit.evaluate_every as f64),
-            ("save_every", fit.save_every as f64),
-            ("batch_size", self.batch_size.unwrap_or(1) as f64),
-            ("max_agents", self.max_agents.unwrap_or(1) as f64),
-            ("objectives_below_sigma", objectives_below_sigma),
-            ("diffusion.sigma_data", self.diffusion.sigma_data),
-        ];
-        if let Some((name, value)) = positive.iter().find(|(_, value)| !value.is_finite() || *value <= 0.0) {
-            return Err(Error::Config(format!("train.denoiser.{name} is {value}, expected a positive number")));
-        }
-        if !(0.0..1.0).contains(&fit.ema_decay) {
-            let message = format!("train.denoiser.ema_decay is {}, expected 0 (none) up to below 1", fit.ema_decay);
-            return Err(Error::Config(message));
-        }
+        let within = |issue: Issue| Error::Config(issue.within("train.denoiser").to_string());
+        settings::check_ranges(self).map_err(within)?;
+        let Edm { sigma_min, sigma_max, .. } = self.diffusion;
+        settings::ascending(("diffusion.sigma_min", sigma_min), ("diffusion.sigma_max", sigma_max)).map_err(within)?;
         if self.tasks.probabilities().is_none() {
             let message = "train.denoiser.tasks are no weights: give numbers of at least 0, one of them positive";
             return Err(Error::Config(message.to_owned()));
@@ -190,19 +191,11 @@ impl DenoiserTrainingConfig {
                            state_parametrization = \"motion\"";
             return Err(Error::Config(message.to_owned()));
         }
-        if let Some(geometry) = &network.geometry {
-            check_geometry(geometry, parametrization)?;
+        if network.geometry.is_some() && parametrization != StateParametrization::Motion {
+            let message = "train.denoiser.network.geometry needs state_parametrization = \"motion\"";
+            return Err(Error::Config(message.to_owned()));
         }
-        let [shortest, longest] = network.latent_periods;
-        if !(shortest > 0.0 && longest >= shortest && longest.is_finite()) {
-            let message = format!(
-                "train.denoiser.network.latent_periods are {shortest} and {longest}, expected 0 < shortest <= longest"
-            );
-            return Err(Error::Config(message));
-        }
-        if !(path_loss >= 0.0 && path_loss.is_finite()) {
-            return Err(Error::Config(format!("train.denoiser.path_loss is {path_loss}, expected 0 or more")));
-        }
+        network.validate().map_err(|issue| within(issue.within("network")))?;
         Ok(DenoiserTraining {
             network,
             parametrization,
@@ -220,30 +213,6 @@ impl DenoiserTrainingConfig {
             n_eval_scenes: self.n_eval_scenes.unwrap_or(base.n_eval_scenes),
             fit,
         })
-    }
-}
-
-/// Fails where a geometric network cannot be what is asked for.
-fn check_geometry(geometry: &GeometryConfig, parametrization: StateParametrization) -> Result<(), Error> {
-    if parametrization != StateParametrization::Motion {
-        let message = "train.denoiser.network.geometry needs state_parametrization = \"motion\"";
-        return Err(Error::Config(message.to_owned()));
-    }
-    let GeometryConfig { patch, n_lanes, n_neighbors, n_nearest_lanes, relation_width } = *geometry;
-    let ranges = [
-        ("patch", patch, 1..=100),
-        ("n_lanes", n_lanes, 1..=200),
-        ("n_neighbors", n_neighbors, 1..=200),
-        ("n_nearest_lanes", n_nearest_lanes, 1..=200),
-        ("relation_width", relation_width, 1..=4096),
-    ];
-    match ranges.iter().find(|(_, value, range)| !range.contains(value)) {
-        Some((key, value, range)) => Err(Error::Config(format!(
-            "train.denoiser.network.geometry.{key} is {value}, expected {} to {}",
-            range.start(),
-            range.end()
-        ))),
-        None => Ok(()),
     }
 }
 

@@ -6,6 +6,7 @@ use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::sampler::{Dpmpp2mConfig, EulerConfig, StepGrid};
 use crate::diffusion::{Denoiser, Edm, NoiseSource, SamplerConfig, Step, rows_like};
 use crate::model::SceneDenoiser;
+use crate::settings;
 use candle_core::Tensor;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -24,12 +25,15 @@ use std::collections::BTreeMap;
 #[serde(default, deny_unknown_fields)]
 pub struct StepDistillation {
     /// Number of steps N, of one evaluation each.
+    #[schemars(range(min = 1, max = 1_000))]
     pub n_steps: usize,
     /// The noise levels they begin at.
     pub grid: StepGrid,
     /// Steps of the teacher for each of them.
+    #[schemars(range(min = 1, max = 10_000))]
     pub teacher_steps: usize,
     /// The noise level of the teacher's last step, which leads to 0.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub teacher_sigma_min: f64,
 }
 
@@ -48,10 +52,8 @@ impl StepDistillation {
 
     /// Says what makes no sense whatever the denoiser, by the name of the setting.
     pub(super) fn validate(&self) -> Result<(), String> {
-        if self.teacher_steps == 0 {
-            return Err("teacher_steps is 0, expected at least 1".to_owned());
-        }
-        self.sampler().validate()?;
+        settings::check_ranges(self).map_err(|issue| issue.to_string())?;
+        self.sampler().validate().map_err(|issue| issue.to_string())?;
         let last = if self.n_steps == 1 { self.grid.sigma_max } else { self.grid.sigma_min };
         self.check_last(last.unwrap_or(f64::INFINITY))
     }

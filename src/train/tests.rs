@@ -208,7 +208,7 @@ fn settings_that_make_no_sense_are_named() {
         (DenoiserTrainingConfig { objectives_below_sigma: Some(0.0), ..Default::default() }, "objectives_below_sigma"),
         (
             DenoiserTrainingConfig { objectives: vec![speed_limit(-1.0)], ..Default::default() },
-            "objectives: objective speed_limit: weight is -1",
+            "train.denoiser.objectives.0.weight is -1",
         ),
     ] {
         let message = config.resolve().unwrap_err().to_string();

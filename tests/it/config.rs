@@ -80,7 +80,10 @@ fn mistakes_name_the_place_and_the_nearest_name() {
         (&["--set", "ingest.inputs=[\"nowhere.zip\"]"], &["nowhere.zip", "relative to the current directory"]),
         (&["--set", "run.name=a/b"], &["a/b", "cannot name a folder"]),
         (&["--set", "train.denoiser.steps=0"], &["train.denoiser.steps"]),
-        (&["--set", "evaluate.gates.max_collision_rate=nan"], &["gates.max_collision_rate is NaN", "from 0 to 1"]),
+        (
+            &["--set", "evaluate.gates.max_collision_rate=nan"],
+            &["gates.max_collision_rate is NaN", "expected a number"],
+        ),
         (
             &["--set", "evaluate.gates.max_collision_rate=0.0", "--set", "evaluate.metrics=[\"min_ade_m\"]"],
             &["max_collision_rate is judged by collision_rate", "evaluate.metrics"],

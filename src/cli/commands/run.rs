@@ -8,6 +8,7 @@ use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::run::{RunFolder, run_stages};
 use crate::pipeline::{Failure, Result, graph, stages};
+use crate::settings;
 
 pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
     let mut config = PipelineConfig::load(Some(&args.pipeline), &args.set)?;
@@ -35,6 +36,7 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
 
 /// The name becomes one folder: nothing that leads elsewhere.
 fn check_folder_name(name: &str) -> Result<()> {
+    settings::printable_name("the name of a run", name).map_err(Failure::input)?;
     let mut parts = std::path::Path::new(name).components();
     match (parts.next(), parts.next()) {
         (Some(std::path::Component::Normal(_)), None) => Ok(()),

@@ -2,6 +2,7 @@
 
 use super::{Observer, Step, denoise_at, steps};
 use crate::diffusion::{Denoiser, NoiseSource};
+use crate::settings::{self, Issue};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -34,15 +35,16 @@ impl ConsistencyConfig {
         [sigma_start].into_iter().chain(below).chain([0.0]).collect()
     }
 
-    /// Says what makes no sense.
-    pub(super) fn validate(&self) -> std::result::Result<(), String> {
+    /// Refuses levels that do not go down.
+    pub(super) fn validate(&self) -> settings::Result {
         let all: Vec<f64> = self.sigma_max.iter().chain(&self.levels).copied().collect();
         let is_decreasing = all.windows(2).all(|pair| pair[0] > pair[1]);
         match is_decreasing && all.iter().all(|level| level.is_finite() && *level > 0.0) {
             true => Ok(()),
-            false => {
-                Err(format!("sampler.sigma_max and levels are {all:?}, expected decreasing positive noise levels"))
-            }
+            false => Err(Issue::new(
+                "levels",
+                format_args!("and sigma_max are {all:?}, expected decreasing positive noise levels"),
+            )),
         }
     }
 }

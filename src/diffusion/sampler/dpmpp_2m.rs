@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct Dpmpp2mConfig {
     /// Number of steps N, of one evaluation each.
+    #[schemars(range(min = 1, max = 10_000))]
     pub n_steps: usize,
     /// The noise levels it steps through, where they are not the denoiser's.
     pub grid: StepGrid,

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct EulerConfig {
     /// Number of steps N, of one evaluation each.
+    #[schemars(range(min = 1, max = 10_000))]
     pub n_steps: usize,
     /// The noise levels it steps through, where they are not the denoiser's.
     pub grid: StepGrid,

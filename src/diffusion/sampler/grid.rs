@@ -1,6 +1,7 @@
 //! Through which noise levels does a sampler step, where they are not the denoiser's own?
 
 use crate::diffusion::Edm;
+use crate::settings::{self, Issue};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -12,10 +13,13 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct StepGrid {
     /// The noise level of the first step. Left out: the denoiser's largest one, 80. Editing starts from its own `tau`.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
     pub sigma_max: Option<f64>,
     /// The noise level of the last step, which leads to 0. Left out: the denoiser's smallest one, 0.002.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub sigma_min: Option<f64>,
     /// How much steps crowd at low noise levels, 1 for not at all. Left out: the denoiser's ρ, 7.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub rho: Option<f64>,
 }
 
@@ -30,21 +34,15 @@ impl StepGrid {
         }
     }
 
-    /// Says what makes no sense.
-    pub(super) fn validate(self) -> Result<(), String> {
-        for (name, value) in [("sigma_max", self.sigma_max), ("sigma_min", self.sigma_min), ("rho", self.rho)] {
-            if value.is_some_and(|value| !(value.is_finite() && value > 0.0)) {
-                let value = value.unwrap_or_default();
-                return Err(format!("sampler.grid.{name} is {value}, expected a positive number"));
+    /// Refuses a grid that does not go down.
+    pub(super) fn validate(self) -> settings::Result {
+        let Edm { sigma_max, sigma_min, .. } = self.laid_over(&Edm::default());
+        match sigma_min < sigma_max {
+            true => Ok(()),
+            false => {
+                Err(Issue::new("sigma_max", format_args!("is {sigma_max}, expected more than sigma_min, {sigma_min}")))
             }
         }
-        let Edm { sigma_max, sigma_min, .. } = self.laid_over(&Edm::default());
-        if sigma_min >= sigma_max {
-            return Err(format!(
-                "sampler.grid goes from {sigma_max} to {sigma_min}, expected sigma_max above sigma_min"
-            ));
-        }
-        Ok(())
     }
 
     /// What a sampler's name says of it: nothing where the denoiser's own is kept.
@@ -83,10 +81,13 @@ mod tests {
 
     #[test]
     fn what_is_no_grid_is_refused_by_name() {
-        let message = |grid| sampler(grid).validate().unwrap_err();
-        assert!(message(StepGrid { rho: Some(0.0), ..StepGrid::default() }).contains("sampler.grid.rho is 0"));
+        let message = |grid| sampler(grid).validate().unwrap_err().to_string();
+        assert!(
+            message(StepGrid { rho: Some(0.0), ..StepGrid::default() })
+                .contains("grid.rho is 0, expected more than 0 and at most 100")
+        );
         let upside_down = StepGrid { sigma_max: Some(0.001), ..StepGrid::default() };
-        assert!(message(upside_down).contains("from 0.001 to 0.002"));
+        assert!(message(upside_down).contains("grid.sigma_max is 0.001, expected more than sigma_min, 0.002"));
         assert!(sampler(StepGrid { sigma_max: Some(20.0), ..StepGrid::default() }).validate().is_ok());
     }
 }

@@ -11,14 +11,19 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct HeunConfig {
     /// Number of steps N, of two evaluations each but for the last.
+    #[schemars(range(min = 1, max = 10_000))]
     pub n_steps: usize,
     /// Amount S_churn of noise added anew over all steps; 0 for none.
+    #[schemars(range(min = 0.0))]
     pub s_churn: f64,
     /// Lowest noise level S_tmin at which noise is added.
+    #[schemars(range(min = 0.0))]
     pub s_tmin: f64,
     /// Highest noise level S_tmax at which noise is added; without it there is no upper end.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub s_tmax: Option<f64>,
     /// Standard deviation S_noise of the added noise relative to what would keep the marginals.
+    #[schemars(range(min = 0.0, max = 10.0))]
     pub s_noise: f64,
     /// The noise levels it steps through, where they are not the denoiser's.
     pub grid: StepGrid,

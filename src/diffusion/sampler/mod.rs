@@ -15,6 +15,7 @@ pub use grid::StepGrid;
 pub use heun::HeunConfig;
 
 use super::{Denoiser, Edm, NoiseSource};
+use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -84,12 +85,16 @@ impl SamplerConfig {
     ///
     /// # Errors
     /// When something does.
-    pub fn validate(&self) -> std::result::Result<(), String> {
+    pub fn validate(&self) -> settings::Result {
+        settings::check_ranges(self)?;
         match self {
-            Self::Consistency(config) => config.validate(),
-            _ if self.n_steps() == 0 => Err("sampler.n_steps is 0, expected at least 1".to_owned()),
-            _ => self.grid().validate(),
+            Self::Consistency(config) => return config.validate(),
+            Self::Heun(HeunConfig { s_tmin, s_tmax: Some(s_tmax), .. }) => {
+                settings::ascending(("s_tmin", *s_tmin), ("s_tmax", *s_tmax))?;
+            }
+            Self::Heun(_) | Self::Euler(_) | Self::Dpmpp2m(_) => {}
         }
+        self.grid().validate().map_err(|issue| issue.within("grid"))
     }
 
     /// The noise levels it steps through, where they are not the denoiser's.

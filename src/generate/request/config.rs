@@ -20,9 +20,11 @@ pub struct RequestConfig {
     pub buckets: BTreeMap<String, Divisions>,
     /// Scenarios wanted in each bucket. Either this or `n_total`.
     #[serde(default)]
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub per_bucket: Option<u64>,
     /// Scenarios wanted in all, distributed over the buckets by `weights`.
     #[serde(default)]
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub n_total: Option<u64>,
     /// How `n_total` is distributed: for a parameter of `buckets` a weight for each of its parts; equal where left out. Weights of
     /// several parameters multiply.
@@ -39,18 +41,21 @@ pub struct RequestConfig {
     pub arms: Vec<String>,
     /// Number of scenes whose pairs may be asked.
     #[serde(default = "default_n_scenes")]
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub n_scenes: usize,
     /// Which agents of them are asked.
     #[serde(default)]
     pub pairs: PairSelectionConfig,
     /// Accepted scenarios of one bucket that continue the same scene with the same agents, at most.
     #[serde(default = "default_max_per_scene")]
+    #[schemars(range(min = 1))]
     pub max_per_scene: u64,
     /// How the budget is spent.
     #[serde(default)]
     pub plan: PlanKind,
     /// Shards after which it is decided again what to try.
     #[serde(default = "default_shards_per_round")]
+    #[schemars(range(min = 1, max = 10_000))]
     pub shards_per_round: usize,
     /// When to give up on buckets that do not fill.
     pub budget: BudgetConfig,
@@ -70,7 +75,7 @@ const fn default_shards_per_round() -> usize {
 
 /// How a parameter is divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected a list of ascending numbers or a list of texts")]
 pub enum Divisions {
     /// Ascending edges of intervals.
     Edges(Vec<f64>),
@@ -80,7 +85,7 @@ pub enum Divisions {
 
 /// What a parameter must be.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected a range [least, most] or a list of texts")]
 pub enum Condition {
     /// Between two numbers, both included.
     Range([f64; 2]),
@@ -105,8 +110,10 @@ pub enum PlanKind {
 #[serde(deny_unknown_fields, default)]
 pub struct BudgetConfig {
     /// Samples.
+    #[schemars(range(min = 1))]
     pub n_samples: Option<u64>,
     /// Evaluations of the denoiser: arms with more steps cost more.
+    #[schemars(range(min = 1))]
     pub n_evaluations: Option<u64>,
 }
 

@@ -5,6 +5,7 @@ use super::config::{Condition, Divisions, RequestConfig};
 use super::facts::check_name;
 use crate::behavior;
 use crate::generate::{ClassifierScope, Error, GenerateConfig, PairSelectionConfig, SelectConfig, SweepConfig};
+use crate::settings::{self, Issue};
 use std::collections::BTreeSet;
 
 /// A configuration in which requests are sweeps.
@@ -55,15 +56,22 @@ impl GenerateConfig {
         let refuse = |key: String, why: String| Error::Config(format!("generate.{key}: {why}"));
         let mut names = BTreeSet::new();
         for (i, arm) in self.arms.iter().enumerate() {
+            let within = |issue: Issue| Error::Config(issue.within(&format!("generate.arms.{i}")).to_string());
+            settings::printable_name("name", &arm.name).and_then(|()| arm.check_levels()).map_err(within)?;
             check_arm(arm).map_err(|why| refuse(format!("arms.{i} ({})", arm.name), why))?;
             if !names.insert(&arm.name) {
-                return Err(refuse(format!("arms.{i}.name"), format!("{:?} is taken by another arm", arm.name)));
+                return Err(refuse(
+                    format!("arms.{i}.name"),
+                    format!("is \"{}\", the name of another arm: choose another", arm.name),
+                ));
             }
         }
         let mut config = Self { arms: Vec::new(), requests: Vec::new(), ..self.clone() };
         let (n_sweeps, mut requests) = (self.sweeps.len(), Vec::new());
         let mut names = BTreeSet::new();
         for (idx, request) in self.requests.iter().enumerate() {
+            let within = |issue: Issue| Error::Config(issue.within(&format!("generate.requests.{idx}")).to_string());
+            settings::printable_name("name", &request.name).map_err(within)?;
             let key = || format!("requests.{idx} ({})", request.name);
             request.validate().map_err(|why| refuse(key(), why))?;
             if !names.insert(&request.name) {
@@ -112,8 +120,8 @@ fn check_arm(arm: &SweepConfig) -> Result<(), String> {
     if arm.classifier_scope == ClassifierScope::AnyPair {
         return Err("classifier_scope = \"any_pair\" asks nobody in particular; a request asks pairs".to_owned());
     }
-    if arm.name.is_empty() || arm.name.contains(['/', '@']) {
-        return Err(format!("{:?} cannot name an arm: it is empty or has / or @ in it", arm.name));
+    if arm.name.contains(['/', '@']) {
+        return Err(format!("name is \"{}\", expected one without / and @", arm.name));
     }
     Ok(())
 }
@@ -173,15 +181,10 @@ impl RequestConfig {
         if !self.limits.is_empty() {
             self.limits().validate(&[], behavior.roles.len() > 1)?;
         }
-        let positive = [
-            ("n_scenes", self.n_scenes),
-            ("shards_per_round", self.shards_per_round),
-            ("max_per_scene", self.max_per_scene as usize),
-            ("arms (their number)", self.arms.len()),
-        ];
-        if let Some((key, _)) = positive.iter().find(|(_, value)| *value == 0) {
-            return Err(format!("{key} is 0, expected at least 1"));
+        if self.arms.is_empty() {
+            return Err("arms is empty: name at least one of [[generate.arms]]".to_owned());
         }
+        settings::distinct("arms", &self.arms).map_err(|issue| issue.to_string())?;
         match self.budget.n_samples.or(self.budget.n_evaluations) {
             None => Err("budget is empty: say n_samples or n_evaluations".to_owned()),
             Some(_) => Ok(()),
@@ -191,7 +194,6 @@ impl RequestConfig {
     fn validate_counts(&self) -> Result<(), String> {
         match (self.per_bucket, self.n_total) {
             (Some(_), Some(_)) | (None, None) => return Err("say either per_bucket or n_total".to_owned()),
-            (Some(0), _) | (_, Some(0)) => return Err("asks for 0 scenarios".to_owned()),
             (Some(_), None) if !self.weights.is_empty() => {
                 return Err("weights distribute n_total; with per_bucket all buckets want the same".to_owned());
             }

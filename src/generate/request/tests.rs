@@ -142,7 +142,7 @@ fn requests_that_make_no_sense_are_refused_by_name() {
             "not among the buckets",
         ),
         ("arms = ['plane']\nper_bucket = 2\nbudget = { n_samples = 3 }".to_owned(), "\"plane\", which there is not"),
-        ("arms = []\nper_bucket = 2\nbudget = { n_samples = 3 }".to_owned(), "arms (their number) is 0"),
+        ("arms = []\nper_bucket = 2\nbudget = { n_samples = 3 }".to_owned(), "arms is empty"),
     ] {
         let why = refusal(&more);
         assert!(why.contains(part) && why.contains("requests.0 (tight)"), "{why}");

@@ -142,10 +142,7 @@ fn guidance_that_makes_no_sense_is_refused() {
     let guided = |rest: &str| sweep(&format!("strengths = [1.0]\n{rest}"));
     let cut_in = |rest: &str| guided(&format!("behavior = 'cut_in'\n{rest}"));
     for (toml, part) in [
-        (
-            guided(&speed(", weight = -1.0")),
-            "(a): objectives.0 (target_speed): weight is -1, expected a positive number",
-        ),
+        (guided(&speed(", weight = -1.0")), "generate.sweeps.0.objectives.0.weight is -1, expected a positive number"),
         (guided(&speed(", agents = 'other'")), "nobody has the role \"other\", expected one of all, ego"),
         (cut_in(&speed(", agents = 'third'")), "nobody has the role \"third\", expected one of all, ego, other"),
         (

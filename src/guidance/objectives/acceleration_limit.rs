@@ -1,6 +1,6 @@
 //! Accelerate, brake and turn no harder than a given limit.
 
-use super::motion::{integral, norm, penalty, positions, positive, rate};
+use super::motion::{integral, norm, penalty, positions, rate};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -14,15 +14,18 @@ use serde::{Deserialize, Serialize};
 pub struct AccelerationLimit {
     /// How much this objective counts beside others.
     #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
     /// Whose acceleration: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
     /// The limit a_max, m/s².
     #[serde(default = "default_limit_mps2")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub limit_mps2: f64,
     /// The excess τ that costs ½ a second, m/s².
     #[serde(default = "default_tolerance_mps2")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps2: f64,
 }
 
@@ -45,10 +48,6 @@ impl SceneObjective for AccelerationLimit {
 
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
-    }
-
-    fn validate(&self) -> std::result::Result<(), String> {
-        positive(&[("limit_mps2", self.limit_mps2), ("tolerance_mps2", self.tolerance_mps2)])
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {

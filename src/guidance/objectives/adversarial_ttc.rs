@@ -1,7 +1,7 @@
 //! Let two agents come shortly before a collision.
 
 use super::box_separation::separation_m;
-use super::motion::{norm, nothing, positions, positive};
+use super::motion::{norm, nothing, positions};
 use super::pairs::{PairQuery, Pairs};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{D, Result, Tensor};
@@ -24,6 +24,7 @@ use serde::{Deserialize, Serialize};
 pub struct AdversarialTtc {
     /// How much this objective counts beside others.
     #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
     /// One of the two: `ego` or a role (or `all`: every pair shall come close).
     #[serde(default = "ego")]
@@ -32,12 +33,15 @@ pub struct AdversarialTtc {
     pub to: AgentSelector,
     /// The time to collision to come below, seconds.
     #[serde(default = "default_ttc_s")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub ttc_s: f64,
     /// The lack τ_q of inverse time to collision that costs ½, 1/s.
     #[serde(default = "default_tolerance_per_s")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_per_s: f64,
     /// The distance τ_m of passing that costs ½, metres.
     #[serde(default = "default_tolerance_m")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
 
@@ -75,10 +79,6 @@ impl SceneObjective for AdversarialTtc {
 
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.to]
-    }
-
-    fn validate(&self) -> std::result::Result<(), String> {
-        positive(&[("ttc_s", self.ttc_s), ("tolerance_per_s", self.tolerance_per_s), ("tolerance_m", self.tolerance_m)])
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {

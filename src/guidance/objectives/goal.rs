@@ -1,6 +1,6 @@
 //! Be at a given place at a given time.
 
-use super::motion::{headings, not_negative, penalty, positions, positive};
+use super::motion::{headings, penalty, positions};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 pub struct Goal {
     /// How much this objective counts beside others.
     #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
     /// Who shall be there: `all`, `ego` or a role.
     #[serde(default = "ego")]
@@ -22,14 +23,18 @@ pub struct Goal {
     #[serde(default)]
     pub frame: GoalFrame,
     /// The place g, along the x axis of its frame (ahead), metres.
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub x_m: f64,
     /// The place g, along the y axis of its frame (to the left), metres.
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub y_m: f64,
     /// The time t*, seconds after the present. Left out: the last timestep, as also for times beyond it.
     #[serde(default)]
+    #[schemars(range(min = 0.0))]
     pub time_s: Option<f64>,
     /// The distance τ from the place that costs ½, metres.
     #[serde(default = "default_tolerance_m")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
 
@@ -63,14 +68,6 @@ impl SceneObjective for Goal {
 
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
-    }
-
-    fn validate(&self) -> std::result::Result<(), String> {
-        if let Some((key, value)) = [("x_m", self.x_m), ("y_m", self.y_m)].iter().find(|(_, m)| !m.is_finite()) {
-            return Err(format!("{key} is {value}, expected a number"));
-        }
-        positive(&[("tolerance_m", self.tolerance_m)])?;
-        not_negative(&[("time_s", self.time_s.unwrap_or(0.0))])
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {

@@ -1,8 +1,9 @@
 //! Keep a distance that is neither too small nor too large.
 
-use super::motion::{norm, not_negative, nothing, penalty, positions, positive};
+use super::motion::{norm, nothing, penalty, positions};
 use super::pairs::{PairQuery, Pairs, Reach};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,6 +17,7 @@ use serde::{Deserialize, Serialize};
 pub struct KeepDistance {
     /// How much this objective counts beside others.
     #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
     /// Who keeps a distance: `all`, `ego` or a role.
     #[serde(default)]
@@ -24,12 +26,15 @@ pub struct KeepDistance {
     #[serde(default)]
     pub to: AgentSelector,
     /// The least distance d_min of the centers, metres.
+    #[schemars(range(min = 0.0))]
     pub min_m: f64,
     /// The largest distance d_max of the centers, metres. Left out: any.
     #[serde(default)]
+    #[schemars(range(min = 0.0))]
     pub max_m: Option<f64>,
     /// The deviation τ that costs ½ a second, metres.
     #[serde(default = "default_tolerance_m")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
 
@@ -50,13 +55,8 @@ impl SceneObjective for KeepDistance {
         vec![&self.agents, &self.to]
     }
 
-    fn validate(&self) -> std::result::Result<(), String> {
-        positive(&[("tolerance_m", self.tolerance_m)])?;
-        not_negative(&[("min_m", self.min_m), ("max_m", self.max_m.unwrap_or(0.0))])?;
-        match self.max_m.filter(|max_m| *max_m < self.min_m) {
-            Some(max_m) => Err(format!("max_m is {max_m}, expected at least min_m, which is {}", self.min_m)),
-            None => Ok(()),
-        }
+    fn validate(&self) -> settings::Result {
+        settings::ascending(("min_m", self.min_m), ("max_m", self.max_m.unwrap_or(f64::INFINITY)))
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {

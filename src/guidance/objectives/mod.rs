@@ -40,6 +40,7 @@ pub use stop_at_line::StopAtLine;
 pub use target_speed::TargetSpeed;
 
 use super::{AgentSelector, SceneContext};
+use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -52,11 +53,13 @@ pub trait SceneObjective {
     fn weight(&self) -> f64;
     /// Whose motion it judges.
     fn agents(&self) -> Vec<&AgentSelector>;
-    /// Says which parameter makes no sense.
+    /// Says which parameters make no sense together.
     ///
     /// # Errors
-    /// When there is one.
-    fn validate(&self) -> std::result::Result<(), String>;
+    /// When some do not.
+    fn validate(&self) -> settings::Result {
+        Ok(())
+    }
     /// The log potential J ≤ 0 of each row, (B), higher is better, without the weight. `states` (B, A, T, 3) are positions
     /// and headings in metres and radians of each row's ego frame. Differentiable in them, row by row.
     ///
@@ -114,14 +117,14 @@ impl ObjectiveConfig {
     /// When something does.
     pub fn validate(&self, roles: &[&str]) -> std::result::Result<(), String> {
         let objective = self.objective();
-        motion::positive(&[("weight", objective.weight())])?;
+        settings::check_ranges(self).and_then(|()| objective.validate()).map_err(|issue| issue.to_string())?;
         match objective.agents().into_iter().find(|agents| !agents.is_known(roles)) {
             Some(agents) => {
                 let others = roles.iter().copied().filter(|role| *role != AgentSelector::EGO);
                 let known: Vec<&str> = [AgentSelector::ALL, AgentSelector::EGO].into_iter().chain(others).collect();
                 Err(format!("nobody has the role {:?}, expected one of {}", agents.name(), known.join(", ")))
             }
-            None => objective.validate(),
+            None => Ok(()),
         }
     }
 }

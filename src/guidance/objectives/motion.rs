@@ -43,19 +43,3 @@ pub(in crate::guidance) fn nothing(states: &Tensor) -> Result<Tensor> {
     let sums = states.flatten_from(1)?.sum(1)?;
     &sums * sums.zeros_like()?
 }
-
-/// Says which of these parameters is no positive number.
-pub(super) fn positive(parameters: &[(&str, f64)]) -> std::result::Result<(), String> {
-    match parameters.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
-        Some((key, value)) => Err(format!("{key} is {value}, expected a positive number")),
-        None => Ok(()),
-    }
-}
-
-/// Says which of these parameters is no number from 0 on.
-pub(super) fn not_negative(parameters: &[(&str, f64)]) -> std::result::Result<(), String> {
-    match parameters.iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0)) {
-        Some((key, value)) => Err(format!("{key} is {value}, expected a number from 0 on")),
-        None => Ok(()),
-    }
-}

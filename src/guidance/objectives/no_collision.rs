@@ -1,7 +1,7 @@
 //! Do not drive into each other.
 
 use super::box_separation::separation_m;
-use super::motion::{not_negative, nothing, penalty, positive};
+use super::motion::{nothing, penalty};
 use super::pairs::{PairQuery, Pairs, Reach};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{Result, Tensor};
@@ -17,15 +17,18 @@ use serde::{Deserialize, Serialize};
 pub struct NoCollision {
     /// How much this objective counts beside others.
     #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
     /// Who shall not collide with anybody: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
     /// The separation m below which a pair costs something, metres.
     #[serde(default = "default_margin_m")]
+    #[schemars(range(min = 0.0))]
     pub margin_m: f64,
     /// The lack of separation τ that costs ½ a second, metres.
     #[serde(default = "default_tolerance_m")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
 
@@ -48,11 +51,6 @@ impl SceneObjective for NoCollision {
 
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
-    }
-
-    fn validate(&self) -> std::result::Result<(), String> {
-        positive(&[("tolerance_m", self.tolerance_m)])?;
-        not_negative(&[("margin_m", self.margin_m)])
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {

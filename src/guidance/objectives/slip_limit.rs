@@ -1,6 +1,6 @@
 //! Point where you drive.
 
-use super::motion::{headings, integral, norm, penalty, positions, positive, rate};
+use super::motion::{headings, integral, norm, penalty, positions, rate};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{D, Result, Tensor};
 use schemars::JsonSchema;
@@ -15,15 +15,18 @@ use serde::{Deserialize, Serialize};
 pub struct SlipLimit {
     /// How much this objective counts beside others.
     #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
     /// Whose slip: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
     /// The largest angle β between heading and motion, radians.
     #[serde(default = "default_limit_rad")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub limit_rad: f64,
     /// The excess of sideways speed τ that costs ½ a second, m/s.
     #[serde(default = "default_tolerance_mps")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
 }
 
@@ -46,10 +49,6 @@ impl SceneObjective for SlipLimit {
 
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
-    }
-
-    fn validate(&self) -> std::result::Result<(), String> {
-        positive(&[("limit_rad", self.limit_rad), ("tolerance_mps", self.tolerance_mps)])
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {

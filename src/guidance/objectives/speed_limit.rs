@@ -1,6 +1,6 @@
 //! Drive no faster than a given speed.
 
-use super::motion::{integral, norm, not_negative, penalty, positions, positive, rate};
+use super::motion::{integral, norm, penalty, positions, rate};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -14,14 +14,17 @@ use serde::{Deserialize, Serialize};
 pub struct SpeedLimit {
     /// How much this objective counts beside others.
     #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
     /// Whose speed: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
     /// The limit v_max, m/s.
+    #[schemars(range(min = 0.0))]
     pub limit_mps: f64,
     /// The excess τ that costs ½ a second, m/s.
     #[serde(default = "default_tolerance_mps")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
 }
 
@@ -40,11 +43,6 @@ impl SceneObjective for SpeedLimit {
 
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
-    }
-
-    fn validate(&self) -> std::result::Result<(), String> {
-        positive(&[("tolerance_mps", self.tolerance_mps)])?;
-        not_negative(&[("limit_mps", self.limit_mps)])
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {

@@ -1,6 +1,6 @@
 //! Stay on the road.
 
-use super::motion::{headings, integral, norm, not_negative, penalty, positions, positive};
+use super::motion::{headings, integral, norm, penalty, positions};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use crate::geometry::Vec2;
 use candle_core::{DType, Result, Tensor};
@@ -20,6 +20,7 @@ use serde::{Deserialize, Serialize};
 pub struct StayOnRoad {
     /// How much this objective counts beside others.
     #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
     /// Who shall stay on the road: `all`, `ego` or a role.
     #[serde(default)]
@@ -29,9 +30,11 @@ pub struct StayOnRoad {
     pub points: RoadPoints,
     /// How far inside of the edge points shall stay at least, the margin m, metres.
     #[serde(default)]
+    #[schemars(range(min = 0.0))]
     pub margin_m: f64,
     /// The distance τ off the road that costs ½ a second, metres.
     #[serde(default = "default_tolerance_m")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
 
@@ -61,11 +64,6 @@ impl SceneObjective for StayOnRoad {
 
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
-    }
-
-    fn validate(&self) -> std::result::Result<(), String> {
-        positive(&[("tolerance_m", self.tolerance_m)])?;
-        not_negative(&[("margin_m", self.margin_m)])
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {

@@ -1,6 +1,6 @@
 //! Come to a halt before a line.
 
-use super::motion::{headings, integral, norm, penalty, positions, positive, rate};
+use super::motion::{headings, integral, norm, penalty, positions, rate};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{D, Result, Tensor};
 use schemars::JsonSchema;
@@ -19,17 +19,21 @@ use serde::{Deserialize, Serialize};
 pub struct StopAtLine {
     /// How much this objective counts beside others.
     #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
     /// Who shall stop: `all`, `ego` or a role.
     #[serde(default = "ego")]
     pub agents: AgentSelector,
     /// How far ahead of the agent's front the line lies at present, metres.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub distance_m: f64,
     /// The way τ_s beyond or before the line that costs ½, metres.
     #[serde(default = "default_tolerance_m")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
     /// The final speed τ_v that costs ½, m/s.
     #[serde(default = "default_tolerance_mps")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
 }
 
@@ -56,14 +60,6 @@ impl SceneObjective for StopAtLine {
 
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
-    }
-
-    fn validate(&self) -> std::result::Result<(), String> {
-        positive(&[
-            ("distance_m", self.distance_m),
-            ("tolerance_m", self.tolerance_m),
-            ("tolerance_mps", self.tolerance_mps),
-        ])
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {

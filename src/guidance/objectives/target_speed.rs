@@ -1,6 +1,6 @@
 //! Drive at a given speed.
 
-use super::motion::{integral, norm, not_negative, penalty, positions, positive, rate};
+use super::motion::{integral, norm, penalty, positions, rate};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -14,17 +14,21 @@ use serde::{Deserialize, Serialize};
 pub struct TargetSpeed {
     /// How much this objective counts beside others.
     #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
     /// Whose speed: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
     /// The speed v*, m/s.
+    #[schemars(range(min = 0.0))]
     pub speed_mps: f64,
     /// The deviation τ that costs ½ a second, m/s.
     #[serde(default = "default_tolerance_mps")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
     /// From when on the speed counts, seconds after the present: nobody changes speed at once.
     #[serde(default)]
+    #[schemars(range(min = 0.0))]
     pub from_s: f64,
 }
 
@@ -43,11 +47,6 @@ impl SceneObjective for TargetSpeed {
 
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
-    }
-
-    fn validate(&self) -> std::result::Result<(), String> {
-        positive(&[("tolerance_mps", self.tolerance_mps)])?;
-        not_negative(&[("speed_mps", self.speed_mps), ("from_s", self.from_s)])
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {

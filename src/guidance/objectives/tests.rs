@@ -206,7 +206,7 @@ fn options_that_make_no_sense_are_refused() {
         ("kind = 'target_speed'\nspeed_mps = 5.0\nweight = -2.0", "weight is -2"),
         ("kind = 'target_speed'\nspeed_mps = 5.0\nagents = 'third'", "expected one of all, ego, other"),
         ("kind = 'target_speed'\nspeed = 5.0", "speed"),
-        ("kind = 'keep_distance'\nmin_m = 5.0\nmax_m = 3.0", "expected at least min_m"),
+        ("kind = 'keep_distance'\nmin_m = 5.0\nmax_m = 3.0", "min_m is 5, expected at most max_m, which is 3"),
         ("kind = 'stop_at_line'\ndistance_m = nan", "distance_m is NaN"),
         ("kind = 'goal'\nx_m = inf\ny_m = 0.0", "x_m is inf"),
         ("kind = 'adversarial_ttc'\nto = 'all'\nttc_s = 0.0", "ttc_s is 0"),

@@ -8,24 +8,34 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields, default)]
 pub struct CarefulDriverConfig {
     /// A vehicle that moves sideways by no more than this only wanders, metres. Default 0.375.
+    #[schemars(range(min = 0.0))]
     pub wandering_m: f64,
     /// Time to see that a vehicle cuts in, seconds. Default 0.4.
+    #[schemars(range(min = 0.0))]
     pub perception_s: f64,
     /// A time to collision of at most this is a danger, seconds. Default 2.
+    #[schemars(range(min = 0.0))]
     pub danger_ttc_s: f64,
     /// Time from the danger to the brake, seconds. Default 0.75.
+    #[schemars(range(min = 0.0))]
     pub delay_s: f64,
     /// Time in which the deceleration grows to its largest, seconds. Default 0.6.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub ramp_s: f64,
     /// The largest deceleration, m/s². Default 7.593, that is 0.774 g.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_deceleration_mps2: f64,
     /// Width of a lane, metres: its markings lie half of it beside the path. Default 3.5.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub lane_width_m: f64,
     /// A vehicle that is so far beyond the marking intrudes, metres. Default 0.3.
+    #[schemars(range(min = 0.0))]
     pub intrusion_m: f64,
     /// The deceleration in the bound on the time to collision at the intrusion, m/s². Default 6.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub bound_deceleration_mps2: f64,
     /// The delay in that bound, seconds. Default 0.35.
+    #[schemars(range(min = 0.0))]
     pub bound_delay_s: f64,
 }
 
@@ -42,35 +52,6 @@ impl Default for CarefulDriverConfig {
             intrusion_m: 0.3,
             bound_deceleration_mps2: 6.0,
             bound_delay_s: 0.35,
-        }
-    }
-}
-
-impl CarefulDriverConfig {
-    /// Says which parameter makes no sense.
-    ///
-    /// # Errors
-    /// The key whose value is negative or no number, or zero where it divides.
-    pub fn validate(&self) -> Result<(), String> {
-        let parameters = [
-            ("wandering_m", self.wandering_m, false),
-            ("perception_s", self.perception_s, false),
-            ("danger_ttc_s", self.danger_ttc_s, false),
-            ("delay_s", self.delay_s, false),
-            ("ramp_s", self.ramp_s, true),
-            ("max_deceleration_mps2", self.max_deceleration_mps2, true),
-            ("lane_width_m", self.lane_width_m, true),
-            ("intrusion_m", self.intrusion_m, false),
-            ("bound_deceleration_mps2", self.bound_deceleration_mps2, true),
-            ("bound_delay_s", self.bound_delay_s, false),
-        ];
-        let is_wrong = |(_, value, is_positive): &&(&str, f64, bool)| {
-            value.is_nan() || *value < 0.0 || (*is_positive && *value == 0.0)
-        };
-        match parameters.iter().find(is_wrong) {
-            Some((key, value, true)) => Err(format!("{key} is {value}, expected a positive number")),
-            Some((key, value, false)) => Err(format!("{key} is {value}, expected a number that is not negative")),
-            None => Ok(()),
         }
     }
 }

@@ -5,6 +5,7 @@ use super::*;
 use crate::behavior::testing::SceneSpec;
 use crate::metrics::{Metric, SampleGroup};
 use crate::scene::TrackId;
+use crate::settings::check_ranges;
 
 fn near(found: f64, expected: f64) -> bool {
     (found - expected).abs() < 1e-9
@@ -94,8 +95,9 @@ fn the_rate_is_over_samples_that_cut_in() {
 
 #[test]
 fn nonsense_is_named() {
-    assert!(CarefulDriverConfig::default().validate().is_ok());
-    let why = CarefulDriverConfig { ramp_s: 0.0, ..CarefulDriverConfig::default() }.validate().unwrap_err();
+    assert!(check_ranges(&CarefulDriverConfig::default()).is_ok());
+    let why =
+        check_ranges(&CarefulDriverConfig { ramp_s: 0.0, ..CarefulDriverConfig::default() }).unwrap_err().to_string();
     assert!(why.contains("ramp_s is 0, expected a positive number"), "{why}");
-    assert!(CarefulDriverConfig { delay_s: -1.0, ..CarefulDriverConfig::default() }.validate().is_err());
+    assert!(check_ranges(&CarefulDriverConfig { delay_s: -1.0, ..CarefulDriverConfig::default() }).is_err());
 }

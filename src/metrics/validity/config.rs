@@ -5,9 +5,6 @@ use crate::scene::Dataset;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The longest time that positions are fitted over, seconds: longer ones smooth away what the checks are for.
-const MAX_WINDOW_S: f64 = 5.0;
-
 /// The limits that a valid scenario keeps. A limit that is exceeded is a violation; a check that is not wanted is skipped by name.
 ///
 /// The defaults say what is possible, not what is comfortable: an emergency is what many scenarios are made for. They are wider than
@@ -22,33 +19,46 @@ pub struct ValidityConfig {
     /// a tracker, unfiltered and at uneven times: no recorded scene would pass.
     pub motion_of: Vec<Dataset>,
     /// Positions and headings are fitted over this time, seconds. Default 0.7.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 5.0))]
     pub window_s: f64,
     /// Largest acceleration along the motion, m/s². Default 5: sports cars.
+    #[schemars(range(min = 0.0))]
     pub max_acceleration_mps2: f64,
     /// Largest deceleration along the motion, m/s². Default 9: full braking on a dry road.
+    #[schemars(range(min = 0.0))]
     pub max_deceleration_mps2: f64,
     /// Largest acceleration across the motion, m/s². Default 9: the grip of tires.
+    #[schemars(range(min = 0.0))]
     pub max_lateral_acceleration_mps2: f64,
     /// Largest jerk in any direction, m/s³. Default 25: full braking within a third of a second.
+    #[schemars(range(min = 0.0))]
     pub max_jerk_mps3: f64,
     /// Largest yaw rate, rad/s. Default 1.2.
+    #[schemars(range(min = 0.0))]
     pub max_yaw_rate_radps: f64,
     /// Largest curvature of a path, 1/m: the yaw rate may be this times the speed. Default 0.3, a circle of 3.3 m.
+    #[schemars(range(min = 0.0))]
     pub max_curvature_per_m: f64,
     /// Added to that yaw rate, rad/s, so that who stands or creeps is not judged by noise. Default 0.2.
+    #[schemars(range(min = 0.0))]
     pub yaw_rate_slack_radps: f64,
     /// Largest angle between heading and motion, radians, for vehicles faster than 2 m/s. Default 0.35, 20 degrees.
+    #[schemars(range(min = 0.0))]
     pub max_slip_rad: f64,
     /// Where given and generated states meet: largest distance of the next state from where the last motion leads, metres.
     /// Default 0.3.
+    #[schemars(range(min = 0.0))]
     pub max_start_offset_m: f64,
     /// Where given and generated states meet: largest turn from one timestep to the next, radians. Default 0.2.
+    #[schemars(range(min = 0.0))]
     pub max_start_turn_rad: f64,
     /// How far the center of a vehicle may leave the lanes (those without boundaries: 1.9 m on either side of their center line), metres.
     /// Default 0.3.
+    #[schemars(range(min = 0.0))]
     pub offroad_slack_m: f64,
     /// Agents whose size the recording does not give collide only if the cores of their nominal boxes do: this share of length and width.
     /// Default 0.5: in Argoverse 1, which gives no sizes, whole boxes overlap in two of five recorded scenes.
+    #[schemars(range(min = 0.0))]
     pub core_of_unknown_size: f64,
     /// Whether the agents that were asked may collide with each other, as is wanted of crashes. Default false.
     pub asked_may_collide: bool,
@@ -81,36 +91,5 @@ impl ValidityConfig {
     /// Whether motion is checked in scenes of this dataset.
     pub fn checks_motion_of(&self, dataset: Dataset) -> bool {
         self.motion_of.contains(&dataset)
-    }
-
-    /// Says which limit makes no sense.
-    ///
-    /// # Errors
-    /// The key whose value is negative or no number, or a window without length or as long as a scene.
-    pub fn validate(&self) -> Result<(), String> {
-        let limits = [
-            ("window_s", self.window_s),
-            ("max_acceleration_mps2", self.max_acceleration_mps2),
-            ("max_deceleration_mps2", self.max_deceleration_mps2),
-            ("max_lateral_acceleration_mps2", self.max_lateral_acceleration_mps2),
-            ("max_jerk_mps3", self.max_jerk_mps3),
-            ("max_yaw_rate_radps", self.max_yaw_rate_radps),
-            ("max_curvature_per_m", self.max_curvature_per_m),
-            ("yaw_rate_slack_radps", self.yaw_rate_slack_radps),
-            ("max_slip_rad", self.max_slip_rad),
-            ("max_start_offset_m", self.max_start_offset_m),
-            ("max_start_turn_rad", self.max_start_turn_rad),
-            ("offroad_slack_m", self.offroad_slack_m),
-            ("core_of_unknown_size", self.core_of_unknown_size),
-        ];
-        if let Some((key, limit)) = limits.iter().find(|(_, limit)| !limit.is_finite() || *limit < 0.0) {
-            return Err(format!("{key} is {limit}, expected a number that is not negative; `skip` leaves a check out"));
-        }
-        match self.window_s {
-            window_s if window_s == 0.0 || window_s > MAX_WINDOW_S => {
-                Err(format!("window_s is {window_s}, expected more than 0 and at most {MAX_WINDOW_S} s"))
-            }
-            _ => Ok(()),
-        }
     }
 }

@@ -4,6 +4,7 @@ use super::*;
 use crate::behavior::testing::SceneSpec;
 use crate::geometry::Vec2;
 use crate::scene::{Dataset, State, Trajectory};
+use crate::settings::check_ranges;
 
 const ROAD: &str = "lanes = [{ id = 1, centerline = [[-60, 0], [300, 0]], width_m = 4.0 }]";
 
@@ -214,10 +215,10 @@ fn motion_is_not_checked_where_positions_are_noise() {
 
 #[test]
 fn nonsense_is_named() {
-    assert!(defaults().validate().is_ok());
-    let why = ValidityConfig { max_slip_rad: -1.0, ..defaults() }.validate().unwrap_err();
+    assert!(check_ranges(&defaults()).is_ok());
+    let why = check_ranges(&ValidityConfig { max_slip_rad: -1.0, ..defaults() }).unwrap_err().to_string();
     assert!(why.contains("max_slip_rad"), "{why}");
-    assert!(ValidityConfig { window_s: f64::NAN, ..defaults() }.validate().is_err());
+    assert!(check_ranges(&ValidityConfig { window_s: f64::NAN, ..defaults() }).is_err());
 }
 
 #[test]

@@ -5,6 +5,8 @@
 //! tree is deserialized once; so both kinds of mistakes are reported by the same code, each with its place.
 
 use super::{Override, PipelineConfig};
+use crate::settings::Issue;
+use serde::Deserialize;
 use std::fmt;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -59,15 +61,39 @@ pub fn parse(path: Option<&Path>, text: &str, overrides: &[String]) -> Result<Pi
         .iter()
         .map(|written| Override::parse(written).map_err(|why| source.override_error(written, why)))
         .collect::<Result<Vec<_>, _>>()?;
-    let root = DeTable::parse(text).map_err(|error| source.error(&error))?;
-    let span = root.span();
-    let mut table = root.into_inner();
-    for (idx, (parsed, written)) in parsed_overrides.iter().zip(overrides).enumerate() {
-        parsed.apply(&mut table, &source.override_span(idx)).map_err(|why| source.override_error(written, why))?;
+    // Which override a mistake came with is seen by leaving out those after it: what is inside of some enums has no place of its own.
+    let table = |n_overrides: usize| -> Result<Spanned<DeTable<'_>>, ConfigError> {
+        let root = DeTable::parse(text).map_err(|error| source.error(&error))?;
+        let span = root.span();
+        let mut table = root.into_inner();
+        for (idx, (parsed, written)) in parsed_overrides.iter().zip(overrides).enumerate().take(n_overrides) {
+            parsed.apply(&mut table, &source.override_span(idx)).map_err(|why| source.override_error(written, why))?;
+        }
+        inherit_seed(&mut table);
+        Ok(Spanned::new(span, table))
+    };
+    let read = |table| PipelineConfig::deserialize(toml::de::Deserializer::from(table));
+    let whole = table(overrides.len())?;
+    match read(whole.clone()) {
+        Ok(config) => match config.check() {
+            Ok(()) => Ok(config),
+            Err(issue) => Err(source.issue(whole.get_ref(), &issue)),
+        },
+        Err(error) => {
+            let mut told = source.error(&error);
+            for (n_earlier, written) in overrides.iter().enumerate() {
+                let says_so = |table| read(table).is_err_and(|found| found.message() == error.message());
+                if says_so(table(n_earlier)?) {
+                    break;
+                }
+                if says_so(table(n_earlier + 1)?) {
+                    told.place = Place::Override(written.clone());
+                    break;
+                }
+            }
+            Err(told)
+        }
     }
-    inherit_seed(&mut table);
-    let deserializer = toml::de::Deserializer::from(Spanned::new(span, table));
-    serde::Deserialize::deserialize(deserializer).map_err(|error| source.error(&error))
 }
 
 /// Sections that draw random numbers and name no seed of their own take the run's.
@@ -128,6 +154,21 @@ impl Source<'_> {
         ConfigError { place: self.place(error.span()), message, suggestion }
     }
 
+    /// What is wrong with a setting that was read; `table` knows where it stands.
+    fn issue(&self, table: &DeTable<'_>, issue: &Issue) -> ConfigError {
+        let mut parts = issue.key.split('.');
+        let mut found = parts.next().and_then(|part| table.get(part));
+        for part in parts {
+            found = found.and_then(|value| match value.get_ref() {
+                DeValue::Table(table) => table.get(part),
+                DeValue::Array(array) => array.get(part.parse::<usize>().ok()?),
+                _ => None,
+            });
+        }
+        let place = self.place(found.map(Spanned::span));
+        ConfigError { place, message: issue.to_string(), suggestion: None }
+    }
+
     fn override_error(&self, written: &str, why: String) -> ConfigError {
         ConfigError { place: Place::Override(written.to_owned()), message: why, suggestion: None }
     }
@@ -135,7 +176,7 @@ impl Source<'_> {
 
 /// Turns serde's `unknown field` into our words and finds the known name that is nearest to what was written.
 fn explain(message: &str) -> (String, Option<String>) {
-    let message = message.trim().replace('\n', " ");
+    let message = in_the_terms_of_users(&message.trim().replace('\n', " "));
     let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
     let what = ["unknown field", "unknown variant"].into_iter().find(|what| message.starts_with(what));
     let (Some(what), Some((wrong, known))) = (what, quoted.split_first()) else {
@@ -150,6 +191,25 @@ fn explain(message: &str) -> (String, Option<String>) {
     let kind = if what == "unknown field" { "key" } else { "value" };
     let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
     (format!("unknown {kind} `{wrong}`; known here: {known}"), suggestion)
+}
+
+/// Puts what a value is in the place of the types of Rust and serde.
+fn in_the_terms_of_users(message: &str) -> String {
+    const EXPECTED: [(&str, &str); 8] = [
+        ("usize", "a whole number of at least 0"),
+        ("u64", "a whole number of at least 0"),
+        ("u32", "a whole number of at least 0"),
+        ("f64", "a number"),
+        ("a sequence", "a list"),
+        ("a map", "a table"),
+        ("struct ", "a table: "),
+        ("an array of length 2", "a list of two"),
+    ];
+    let Some((found, expected)) = message.split_once(", expected ") else { return message.to_owned() };
+    let found = found.replace("sequence", "list").replace("map", "table").replace("floating point ", "");
+    let known = EXPECTED.iter().find(|(rust, _)| expected.starts_with(rust));
+    let expected = known.map_or_else(|| expected.to_owned(), |(rust, words)| expected.replacen(rust, words, 1));
+    format!("{found}, expected {expected}")
 }
 
 #[cfg(test)]

@@ -19,6 +19,7 @@ use crate::pipeline::device::{Compute, DeviceChoice};
 use crate::pipeline::failure::{Failure, Result};
 use crate::pipeline::stages::MineConfig;
 use crate::report::ReportConfig;
+use crate::settings;
 use crate::train::{BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -67,6 +68,7 @@ pub struct RunConfig {
     /// Seed of everything random; sections that name a seed of their own are exempt.
     pub seed: u64,
     /// Number of worker threads; 0: one a core. Results do not depend on it.
+    #[schemars(range(max = 1_024))]
     pub threads: usize,
     /// What networks compute on: `cpu`, or `cuda` or `cuda:N` for a GPU.
     pub device: DeviceChoice,
@@ -112,6 +114,16 @@ impl PipelineConfig {
             config.run.name = stem.into_owned();
         }
         Ok(config)
+    }
+
+    /// Refuses numbers beyond the ranges that the schema states, and texts that would break pages and terminals.
+    ///
+    /// # Errors
+    /// Names the setting.
+    pub fn check(&self) -> settings::Result {
+        settings::check_ranges(self)?;
+        settings::printable("run.name", &self.run.name)?;
+        self.report.as_ref().map_or(Ok(()), |report| settings::printable("report.title", &report.title))
     }
 
     /// The configuration with the section of `stage`: its defaults where it is missing and has some.

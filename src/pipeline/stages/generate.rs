@@ -4,10 +4,12 @@ use super::mine::MineConfig;
 use super::request_rounds::Fulfilment;
 use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledWith};
 use super::train_denoiser::checkpoint_file;
+use super::with_precision;
 use crate::diffusion::Edm;
 use crate::generate::{self, GenerateConfig, Generator, Models, Plan, ResolvedGeneration, Shortfall, SweepConfig};
 use crate::metrics::MetricSettings;
 use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
+use crate::nn::Precision;
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::store::SceneStore;
@@ -18,6 +20,8 @@ use serde_json::{Value, json};
 pub struct Generate<'a> {
     /// Its section.
     pub config: &'a GenerateConfig,
+    /// How products of networks are rounded.
+    pub precision: Precision,
     /// The definitions of the behaviors that scenarios are checked for.
     pub mine: MineConfig,
     /// What the metrics of selections and limits judge by: as evaluation does.
@@ -74,7 +78,7 @@ impl Stage for Generate<'_> {
         if let Some(settings) = self.decisive_settings() {
             config["metric_settings"] = serde_json::to_value(settings)?;
         }
-        Ok(config)
+        Ok(with_precision(config, Some(self.precision)))
     }
 
     fn inputs(&self) -> Vec<StageInput> {

@@ -5,6 +5,7 @@ use crate::evaluate::MiningTally;
 use crate::pipeline::layout::{EVENTS, Layout, MINE_SUMMARY};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::scene::Split;
+use crate::settings::Issue;
 use crate::store::{EventWriter, SceneIndexEntry, SceneStore, write_json_atomically};
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -36,6 +37,8 @@ impl MineConfig {
             configs = behavior::ALL.iter().map(|entry| (entry.default_config)()).collect();
         }
         for (idx, config) in configs.iter().enumerate() {
+            let within = |issue: Issue| Failure::input(issue.within(&format!("mine.behaviors.{idx}")));
+            config.validate().map_err(within)?;
             if configs[..idx].iter().any(|earlier| earlier.id() == config.id()) {
                 let message = format!("mine.behaviors.{idx}: {} is given twice", config.id());
                 return Err(Failure::input_message(message));

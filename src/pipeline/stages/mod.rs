@@ -34,6 +34,8 @@ use super::record::StageRecord;
 use super::stage::{Stage, StageId};
 use crate::evaluate::{EvaluateConfig, GateResult};
 use crate::ingest::IngestConfig;
+use crate::nn::Precision;
+use serde_json::{Value, json};
 
 /// The stages whose sections the configuration has, in the order in which they run.
 pub fn of_pipeline<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Result<Vec<Box<dyn Stage + 'a>>> {
@@ -70,16 +72,24 @@ pub fn check_gates(records: &[StageRecord]) -> Result<()> {
 
 fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Option<Box<dyn Stage + 'a>> {
     let PipelineConfig { run, ingest, mine, train, generate, evaluate, report } = config;
+    let precision = run.precision;
     let definitions = || mine.clone().unwrap_or_default();
     Some(match id {
         StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()? }),
         StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
-        StageId::TrainDenoiser => Box::new(TrainDenoiser { config: train.denoiser.as_ref()?, seed: run.seed, layout }),
-        StageId::TrainDistill => Box::new(TrainDistill { config: train.distill.as_ref()?, seed: run.seed, layout }),
-        StageId::TrainClassifier => Box::new(TrainClassifier { config: train.classifier.as_ref()?, layout }),
-        StageId::TrainBaseline => Box::new(TrainBaseline { config: train.baseline.as_ref()?, seed: run.seed, layout }),
+        StageId::TrainDenoiser => {
+            Box::new(TrainDenoiser { config: train.denoiser.as_ref()?, seed: run.seed, precision, layout })
+        }
+        StageId::TrainDistill => {
+            Box::new(TrainDistill { config: train.distill.as_ref()?, seed: run.seed, precision, layout })
+        }
+        StageId::TrainClassifier => Box::new(TrainClassifier { config: train.classifier.as_ref()?, precision, layout }),
+        StageId::TrainBaseline => {
+            Box::new(TrainBaseline { config: train.baseline.as_ref()?, seed: run.seed, precision, layout })
+        }
         StageId::Generate => Box::new(Generate {
             config: generate.as_ref()?,
+            precision,
             mine: definitions(),
             metric_settings: evaluate.as_ref().map(EvaluateConfig::metric_settings).unwrap_or_default(),
             classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
@@ -112,6 +122,15 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
     })
 }
 
+/// What decides the outputs of a stage: its section and, where it computes with networks, how products are rounded. The default
+/// precision is not named, as in records of earlier versions.
+fn with_precision(mut config: Value, precision: Option<Precision>) -> Value {
+    if let Some(precision) = precision.filter(|precision| *precision != Precision::default()) {
+        config["precision"] = json!(precision);
+    }
+    config
+}
+
 /// Whether there are recorded events to compare scenarios with, or will be when the pipeline has mined them.
 fn has_events(config: &PipelineConfig, layout: &Layout) -> bool {
     layout.events.exists()
@@ -125,4 +144,25 @@ fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
     let is_there = |id: &StageId| id.output(layout).is_some_and(|(_, path)| path.exists());
     let in_pipeline: Vec<StageId> = StageId::ALL.into_iter().filter(is_configured).collect();
     if in_pipeline.is_empty() { StageId::ALL.into_iter().filter(is_there).collect() } else { in_pipeline }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::config::parse;
+
+    #[test]
+    fn stages_that_compute_with_networks_depend_on_the_precision() {
+        let text = "[mine]\n[train.denoiser]\n[train.distill]\n[train.classifier]\n[train.baseline]\n[generate]\n";
+        let layout = Layout::below(std::path::Path::new("out"));
+        let sections = |precision: &str| -> Vec<(StageId, Value)> {
+            let config = parse(None, text, &[format!("run.precision={precision}")]).unwrap();
+            let stages = of_pipeline(&config, &layout).unwrap();
+            stages.iter().map(|stage| (stage.id(), stage.config().unwrap())).collect()
+        };
+        for ((id, exact), (_, rounded)) in sections("f32").into_iter().zip(sections("bf16")) {
+            assert!(exact.get("precision").is_none(), "{id}: records of earlier versions hold");
+            assert_eq!(exact != rounded, id != StageId::Mine, "{id}");
+        }
+    }
 }

@@ -138,8 +138,8 @@ impl SampleFolder {
     /// What is known of shard `idx`, if it is finished.
     pub(super) fn finished(&self, idx: usize) -> Option<SampleSidecar> {
         let sidecar: SampleSidecar = read_json(&self.dir.join(format!("{}.json", shard_name(idx)))).ok()?;
-        let n_bytes = fs_err::metadata(self.dir.join(&sidecar.file)).ok()?.len();
-        (n_bytes == sidecar.stamp.n_bytes).then_some(sidecar)
+        // A damaged shard is sampled again.
+        sidecar.stamp.verify_file(&self.dir.join(&sidecar.file)).is_ok().then_some(sidecar)
     }
 
     /// Writes shard `idx` of the plan, of the sweep of this name and this many evaluations of the denoiser a sample.
@@ -213,7 +213,12 @@ impl SampleManifest {
     /// # Errors
     /// When the shard is damaged.
     pub fn read_shard(dir: &Path, shard: &SampleSidecar, maps: &dyn MapSource) -> Result<Vec<ScenarioRecord>> {
-        Ok(read_samples(&dir.join(&shard.file), maps)?)
+        let path = dir.join(&shard.file);
+        shard.stamp.verify_file(&path).map_err(|error| {
+            Failure::from(error)
+                .with_hint("the file was changed or the disk is failing; sample anew with --redo generate")
+        })?;
+        Ok(read_samples(&path, maps)?)
     }
 }
 
@@ -304,4 +309,43 @@ fn round_file(request: usize, round: usize) -> String {
 
 pub(in crate::pipeline) fn shard_name(idx: usize) -> String {
     format!("samples-{idx:05}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::Blame;
+    use crate::scene::{LaneGraph, LaneId, MapId};
+
+    struct NoMaps;
+
+    impl MapSource for NoMaps {
+        fn map(&self, _: &MapId) -> crate::store::Result<LaneGraph> {
+            Ok(LaneGraph::default())
+        }
+
+        fn lanes(&self, _: &MapId, _: &[LaneId]) -> crate::store::Result<LaneGraph> {
+            Ok(LaneGraph::default())
+        }
+    }
+
+    #[test]
+    fn a_flipped_bit_of_a_shard_is_an_error_and_the_shard_is_sampled_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = SampleFolder::open_for_writing(dir.path()).unwrap();
+        let output = ShardOutput { records: Vec::new(), rejected: Vec::new(), unselected: BTreeMap::new() };
+        let sidecar = folder.write_shard(3, ("sweep", 1), output, None).unwrap();
+        assert_eq!(folder.finished(3).as_ref(), Some(&sidecar));
+        assert!(SampleManifest::read_shard(dir.path(), &sidecar, &NoMaps).is_ok());
+        let path = dir.path().join(&sidecar.file);
+        let mut bytes = fs_err::read(&path).unwrap();
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 1;
+        fs_err::write(&path, bytes).unwrap();
+        assert_eq!(folder.finished(3), None);
+        let failure = SampleManifest::read_shard(dir.path(), &sidecar, &NoMaps).unwrap_err();
+        assert_eq!(failure.blame, Blame::Fault);
+        let said = format!("{failure:?}");
+        assert!(said.contains(&sidecar.file) && said.contains("--redo generate"), "{said}");
+    }
 }

@@ -2,7 +2,9 @@
 
 use super::train_denoiser::{checkpoint_file, take_over};
 use super::training_scenes::{training_data, training_summary};
+use super::with_precision;
 use crate::model::TrainedSceneTransformer;
+use crate::nn::Precision;
 use crate::pipeline::layout::{BASELINE, Layout};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::seed::Seed;
@@ -16,6 +18,8 @@ pub struct TrainBaseline<'a> {
     pub config: &'a BaselineTrainingConfig,
     /// Seed of the weights and batches.
     pub seed: u64,
+    /// How products of networks are rounded.
+    pub precision: Precision,
     /// Where the scenes are.
     pub layout: &'a Layout,
 }
@@ -39,7 +43,7 @@ impl Stage for TrainBaseline<'_> {
         config["seed"] = json!(self.seed);
         // Presets change from version to version: what they come to counts.
         config["resolved"] = serde_json::to_value(self.config.resolve()?)?;
-        Ok(config)
+        Ok(with_precision(config, self.config.checkpoint.is_none().then_some(self.precision)))
     }
 
     fn inputs(&self) -> Vec<StageInput> {

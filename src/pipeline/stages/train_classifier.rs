@@ -2,8 +2,10 @@
 
 use super::train_denoiser::{checkpoint_file, take_over};
 use super::training_scenes::TrainingScenes;
+use super::with_precision;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::model::{TrainedClassifier, TrainedDenoiser};
+use crate::nn::Precision;
 use crate::pipeline::layout::{CLASSIFIER, Layout};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput, fingerprint_path};
 use crate::seed::Seed;
@@ -16,6 +18,8 @@ use std::collections::BTreeMap;
 pub struct TrainClassifier<'a> {
     /// Its section.
     pub config: &'a ClassifierTrainingConfig,
+    /// How products of networks are rounded.
+    pub precision: Precision,
     /// Where the scenes, events and the denoiser are.
     pub layout: &'a Layout,
 }
@@ -35,7 +39,10 @@ impl Stage for TrainClassifier<'_> {
     }
 
     fn config(&self) -> anyhow::Result<Value> {
-        Ok(serde_json::to_value(self.config)?)
+        Ok(with_precision(
+            serde_json::to_value(self.config)?,
+            self.config.checkpoint.is_none().then_some(self.precision),
+        ))
     }
 
     fn inputs(&self) -> Vec<StageInput> {

@@ -1,8 +1,9 @@
 //! Scenes to a denoiser; or a denoiser that was trained elsewhere, taken over.
 
 use super::training_scenes::{training_data, training_summary};
+use super::with_precision;
 use crate::model::{DenoiserSpec, TrainedDenoiser};
-use crate::nn::read_checkpoint;
+use crate::nn::{Precision, read_checkpoint};
 use crate::pipeline::layout::{DENOISER, Layout};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::seed::Seed;
@@ -21,6 +22,8 @@ pub struct TrainDenoiser<'a> {
     pub config: &'a DenoiserTrainingConfig,
     /// Seed of the weights, batches and noise.
     pub seed: u64,
+    /// How products of networks are rounded.
+    pub precision: Precision,
     /// Where the scenes are.
     pub layout: &'a Layout,
 }
@@ -44,7 +47,7 @@ impl Stage for TrainDenoiser<'_> {
         config["seed"] = json!(self.seed);
         // Presets change from version to version: what they come to counts.
         config["resolved"] = serde_json::to_value(self.config.resolve()?)?;
-        Ok(config)
+        Ok(with_precision(config, self.config.checkpoint.is_none().then_some(self.precision)))
     }
 
     fn inputs(&self) -> Vec<StageInput> {

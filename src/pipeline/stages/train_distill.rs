@@ -2,8 +2,9 @@
 
 use super::train_denoiser::{checkpoint_file, take_over};
 use super::training_scenes::{training_data, training_summary};
+use super::with_precision;
 use crate::model::{DenoiserSpec, TrainedDenoiser};
-use crate::nn::read_checkpoint;
+use crate::nn::{Precision, read_checkpoint};
 use crate::pipeline::layout::{DISTILLED, Layout};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::seed::Seed;
@@ -17,6 +18,8 @@ pub struct TrainDistill<'a> {
     pub config: &'a DistillTrainingConfig,
     /// Seed of the batches and noise.
     pub seed: u64,
+    /// How products of networks are rounded.
+    pub precision: Precision,
     /// Where the scenes and the denoiser are.
     pub layout: &'a Layout,
 }
@@ -38,7 +41,7 @@ impl Stage for TrainDistill<'_> {
     fn config(&self) -> anyhow::Result<Value> {
         let mut config = serde_json::to_value(self.config)?;
         config["seed"] = json!(self.seed);
-        Ok(config)
+        Ok(with_precision(config, self.config.checkpoint.is_none().then_some(self.precision)))
     }
 
     fn inputs(&self) -> Vec<StageInput> {

@@ -1,0 +1,85 @@
+//! What is wrong with a setting: which one is it, what does it say, and what was expected?
+//!
+//! The range of a single number stands beside its field, as an attribute of its JSON schema: published, and checked by
+//! [`check_ranges`]. What settings must be to each other, their sections say with the helpers here.
+
+mod ranges;
+#[cfg(test)]
+mod tests;
+
+pub use ranges::check_ranges;
+
+use std::fmt::Display;
+
+/// A setting that cannot work.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{key} {message}")]
+pub struct Issue {
+    /// The path of the setting from the section that was checked, such as `pairs.max_distance_m` or `strengths.1`.
+    pub key: String,
+    /// What is wrong and what was expected, to be read after the key: `is 0, expected 1 to 10000`.
+    pub message: String,
+}
+
+/// Whether settings can work.
+pub type Result<T = (), E = Issue> = std::result::Result<T, E>;
+
+impl Issue {
+    /// The setting `key` is wrong in this way.
+    pub fn new(key: impl Into<String>, message: impl Display) -> Self {
+        Self { key: key.into(), message: message.to_string() }
+    }
+
+    /// The same as seen from outside of the section.
+    #[must_use]
+    pub fn within(self, section: &str) -> Self {
+        Self { key: format!("{section}.{}", self.key), ..self }
+    }
+}
+
+/// Refuses a pair of settings of which the second must not be below the first.
+///
+/// # Errors
+/// Names both.
+pub fn ascending((low_key, low): (&str, f64), (high_key, high): (&str, f64)) -> Result {
+    match low <= high {
+        true => Ok(()),
+        false => Err(Issue::new(low_key, format_args!("is {low}, expected at most {high_key}, which is {high}"))),
+    }
+}
+
+/// Refuses a list that has an entry twice.
+///
+/// # Errors
+/// Names the second one.
+pub fn distinct<T: PartialEq + Display>(key: &str, entries: &[T]) -> Result {
+    match (1..entries.len()).find(|i| entries[..*i].contains(&entries[*i])) {
+        Some(i) => Err(Issue::new(format!("{key}.{i}"), format_args!("is {} a second time: name it once", entries[i]))),
+        None => Ok(()),
+    }
+}
+
+/// Refuses what cannot name a thing in tables, on pages and on terminals.
+///
+/// # Errors
+/// When it is empty, or holds line breaks or other control characters.
+pub fn printable_name(key: &str, name: &str) -> Result {
+    match name {
+        "" => Err(Issue::new(key, "is empty: give it a name")),
+        _ => printable(key, name),
+    }
+}
+
+/// Refuses a text with line breaks or other control characters; it may be empty.
+///
+/// # Errors
+/// When it has some.
+pub fn printable(key: &str, text: &str) -> Result {
+    match text.chars().find(|c| c.is_control()) {
+        Some(c) => {
+            let (text, c) = (text.escape_debug(), c.escape_default());
+            Err(Issue::new(key, format_args!("is \"{text}\", expected a text without control characters such as {c}")))
+        }
+        None => Ok(()),
+    }
+}

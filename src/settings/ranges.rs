@@ -1,0 +1,146 @@
+//! Does every number lie in the range that its JSON schema states?
+//!
+//! One statement serves editors, readers and this check. Of JSON Schema it knows what our types become: references, properties,
+//! items, alternatives, and the bounds of numbers.
+
+use super::{Issue, Result};
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde_json::Value as Schema;
+use toml::Value;
+
+/// The keywords that bound a number.
+const BOUNDS: [&str; 5] = ["minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum", "multipleOf"];
+
+/// Refuses settings of which a number is beyond the range that the type's schema states, or is NaN. A number with a range is
+/// finite.
+///
+/// # Errors
+/// The first such setting with the range.
+pub fn check_ranges<T: Serialize + JsonSchema>(settings: &T) -> Result {
+    let schema = schemars::schema_for!(T).to_value();
+    // What cannot be written as TOML was not read from it: there is nothing to refuse.
+    let Ok(value) = Value::try_from(settings) else { return Ok(()) };
+    check_no_nan(&value, "")?;
+    Walk { root: &schema }.check(&schema, &value, "")
+}
+
+/// NaN is refused whatever a schema says: no setting means anything by it.
+fn check_no_nan(value: &Value, key: &str) -> Result {
+    match value {
+        Value::Float(number) if number.is_nan() => Err(Issue::new(key, "is NaN, expected a number")),
+        Value::Array(items) => items.iter().enumerate().try_for_each(|(i, item)| check_no_nan(item, &below(key, i))),
+        Value::Table(table) => table.iter().try_for_each(|(name, entry)| check_no_nan(entry, &below(key, name))),
+        _ => Ok(()),
+    }
+}
+
+fn below(key: &str, part: impl std::fmt::Display) -> String {
+    if key.is_empty() { part.to_string() } else { format!("{key}.{part}") }
+}
+
+struct Walk<'a> {
+    root: &'a Schema,
+}
+
+impl Walk<'_> {
+    fn check(&self, schema: &Schema, value: &Value, key: &str) -> Result {
+        if let Some(referred) = self.referred(schema) {
+            self.check(referred, value, key)?;
+        }
+        let every = schema["allOf"].as_array().into_iter().flatten();
+        every.into_iter().try_for_each(|part| self.check(part, value, key))?;
+        for alternatives in ["oneOf", "anyOf"] {
+            let mut fitting = schema[alternatives].as_array().into_iter().flatten();
+            if let Some(chosen) = fitting.find(|schema| self.fits(schema, value)) {
+                self.check(chosen, value, key)?;
+            }
+        }
+        match value {
+            Value::Integer(number) => check_number(schema, *number as f64, key),
+            Value::Float(number) => check_number(schema, *number, key),
+            Value::Array(items) => {
+                items.iter().enumerate().try_for_each(|(i, item)| self.check(&schema["items"], item, &below(key, i)))
+            }
+            Value::Table(table) => table.iter().try_for_each(|(name, entry)| {
+                let known = &schema["properties"][name];
+                let schema = if known.is_null() { &schema["additionalProperties"] } else { known };
+                self.check(schema, entry, &below(key, name))
+            }),
+            Value::String(_) | Value::Boolean(_) | Value::Datetime(_) => Ok(()),
+        }
+    }
+
+    fn referred<'s>(&'s self, schema: &'s Schema) -> Option<&'s Schema> {
+        self.root.pointer(schema["$ref"].as_str()?.strip_prefix('#')?)
+    }
+
+    /// Whether an alternative is meant by a value: it is of that type, and says what the alternative says of itself.
+    fn fits(&self, schema: &Schema, value: &Value) -> bool {
+        if let Some(referred) = self.referred(schema) {
+            return self.fits(referred, value);
+        }
+        let type_name = match value {
+            Value::Integer(_) => "integer",
+            Value::Float(_) => "number",
+            Value::Array(_) => "array",
+            Value::Table(_) => "object",
+            Value::Boolean(_) => "boolean",
+            Value::String(_) | Value::Datetime(_) => "string",
+        };
+        let is_such = |found: &Schema| {
+            found.as_str().is_some_and(|name| name == type_name || (name == "number" && type_name == "integer"))
+        };
+        let types = &schema["type"];
+        let is_of_type =
+            types.is_null() || is_such(types) || types.as_array().is_some_and(|all| all.iter().any(is_such));
+        let is_constant = schema["const"].is_null() || schema["const"].as_str() == value.as_str();
+        let says_so = schema["properties"].as_object().is_none_or(|properties| {
+            let required = schema["required"].as_array().into_iter().flatten().filter_map(Schema::as_str);
+            let constant = properties.iter().filter_map(|(name, property)| Some((name, property["const"].as_str()?)));
+            required.into_iter().all(|name| value.get(name).is_some())
+                && constant.into_iter().all(|(name, text)| value.get(name).and_then(Value::as_str) == Some(text))
+        });
+        is_of_type && is_constant && says_so
+    }
+}
+
+fn check_number(schema: &Schema, number: f64, key: &str) -> Result {
+    let bound = |name: &str| schema[name].as_f64();
+    if BOUNDS.iter().all(|name| bound(name).is_none()) {
+        return Ok(());
+    }
+    let is_within = number.is_finite()
+        && bound("minimum").is_none_or(|least| number >= least)
+        && bound("exclusiveMinimum").is_none_or(|limit| number > limit)
+        && bound("maximum").is_none_or(|most| number <= most)
+        && bound("exclusiveMaximum").is_none_or(|limit| number < limit)
+        && bound("multipleOf").is_none_or(|divisor| number % divisor == 0.0);
+    match is_within {
+        true => Ok(()),
+        false => Err(Issue::new(key, format_args!("is {number}, expected {}", range_in_words(schema)))),
+    }
+}
+
+/// The range of a number, to be read after "expected".
+fn range_in_words(schema: &Schema) -> String {
+    let bound = |name: &str| schema[name].as_f64();
+    let low = bound("minimum").map(|least| (least, true)).or(bound("exclusiveMinimum").map(|limit| (limit, false)));
+    let high = bound("maximum").map(|most| (most, true)).or(bound("exclusiveMaximum").map(|limit| (limit, false)));
+    let range = match (low, high) {
+        (Some((low, true)), Some((high, true))) if low == high => format!("{low}: it is fixed"),
+        (Some((low, true)), Some((high, true))) => format!("{low} to {high}"),
+        (Some((low, true)), Some((high, false))) => format!("{low} up to below {high}"),
+        (Some((low, false)), Some((high, true))) => format!("more than {low} and at most {high}"),
+        (Some((low, false)), Some((high, false))) => format!("more than {low} and less than {high}"),
+        (Some((low, true)), None) => format!("a number of at least {low}"),
+        (Some((0.0, false)), None) => "a positive number".to_owned(),
+        (Some((low, false)), None) => format!("a number beyond {low}"),
+        (None, Some((high, _))) => format!("at most {high}"),
+        (None, None) => "a number".to_owned(),
+    };
+    match bound("multipleOf") {
+        Some(divisor) => format!("{range}, a multiple of {divisor}"),
+        None => range,
+    }
+}
