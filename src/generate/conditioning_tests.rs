@@ -212,10 +212,7 @@ fn conditions_that_make_no_sense_are_refused() {
         ("observe = [{ agents = { track = 'nobody' }, times = 'all' }]", "has no state that the mask observes"),
         ("behavior = 'drift'\nstrengths = [1.0]\nobserve = 'windowed'", "an observe that shows them"),
         ("classifier_free = { extra = [], weights = [1.0] }", "no extra states"),
-        (
-            "classifier_free = { extra = [{ agents = 'all', times = 'goal' }], goal_std_m = -1.0 }",
-            "negative goal_std_m",
-        ),
+        ("classifier_free = { extra = [{ agents = 'all', times = 'goal' }], goal_std_m = -1.0 }", "goal_std_m is -1"),
         ("edit = { tau = -1.0 }", "edit.tau is -1"),
         ("edit = { tau = 100.0 }", "at most the denoiser's largest noise level 80"),
         ("edit = { edits = [{ kind = 'scale_speed', agent = { role = 'other' }, factor = 1.0 }] }", "edit.edits.0"),

@@ -77,9 +77,7 @@ impl Walk<'_> {
 
     /// Whether an alternative is meant by a value: it is of that type, and says what the alternative says of itself.
     fn fits(&self, schema: &Schema, value: &Value) -> bool {
-        if let Some(referred) = self.referred(schema) {
-            return self.fits(referred, value);
-        }
+        let fits_referred = self.referred(schema).is_none_or(|referred| self.fits(referred, value));
         let type_name = match value {
             Value::Integer(_) => "integer",
             Value::Float(_) => "number",
@@ -101,7 +99,7 @@ impl Walk<'_> {
             required.into_iter().all(|name| value.get(name).is_some())
                 && constant.into_iter().all(|(name, text)| value.get(name).and_then(Value::as_str) == Some(text))
         });
-        is_of_type && is_constant && says_so
+        fits_referred && is_of_type && is_constant && says_so
     }
 }
 
