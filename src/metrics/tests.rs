@@ -5,6 +5,7 @@ use crate::behavior::testing::{LaneSpec, SceneSpec, cases_in, random_scene, tran
 use crate::geometry::{Transform2, Vec2};
 use crate::scene::{Dataset, LaneGraph, Scene, State, Track, TrackId, TrackRole, Trajectory};
 use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
 use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -178,7 +179,8 @@ fn constant_velocity_goes_straight_on_from_the_present() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(40))]
+    // The same cases in every run.
+    #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(7), ..ProptestConfig::with_cases(40) })]
     #[test]
     fn the_frame_does_not_matter(seed in 0..10_000u64, x in -1e3..1e3f64, y in -1e3..1e3f64, angle in -3.0..3.0f64) {
         let mut scene = scene_on_lanes(seed);

@@ -214,7 +214,7 @@ mod tests {
         assert!(after.hash == before.hash && !after.agrees_with(&before) && after.identity() != before.identity());
         let again = fingerprint_to(folder.path(), None, Depth::Whole(Some(&before))).unwrap();
         assert_eq!(again, after, "it was written since");
-        std::fs::File::options().write(true).open(&path).unwrap().set_modified(modified).unwrap();
+        fs_err::OpenOptions::new().write(true).open(&path).unwrap().file().set_modified(modified).unwrap();
         let known = fingerprint_to(folder.path(), None, Depth::Whole(Some(&before))).unwrap();
         assert_eq!(known, before, "size and time are those of before: not read");
     }
