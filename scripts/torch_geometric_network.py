@@ -1,4 +1,4 @@
-"""The geometric denoiser in PyTorch: F of src/model/geometric_network.rs and D of src/model/scene_denoiser.rs, from their docstrings.
+"""The geometric denoiser in PyTorch: F of src/model/geometric_network.rs and D of src/model/scene_denoiser.rs.
 
 To use a checkpoint: BoundDenoiser(*read_checkpoint(path), batch)(x, sigma). A batch holds features, valid, latent, observed_motion and path
 as in torch_reference.py, and observed (B, A, T), base (B, A, T, 3), rotation (B, A, 2), unit (B, A, 3), origin (B, A, 2), attributes (B, A, 9), agent_lanes (B, A, S, 51) with

@@ -1,6 +1,6 @@
 """Where noisy agents are and what is around them there, in PyTorch: what the geometric network is told of an estimate.
 
-Written from the docstrings of src/model/relations.rs, over whole batches at once. Nothing here takes a gradient. What it reads of a
+What src/model/relations.rs looks up row by row, over whole batches at once. Nothing here takes a gradient. What it reads of a
 batch beside states is geometry: pieces of lanes (B, P) with piece_points (B, P, 10, 3) (x, y, heading), piece_edges (B, P, 10, 2) and
 piece_has_edges (B, P, 10), piece_lane and piece_length (B, P); which of them each agent is shown, seen_piece, seen_reach,
 seen_is_reached and agent_lane_valid (B, A, S); half_size (B, A, 2), is_vulnerable (B, A), and dt_s (B).

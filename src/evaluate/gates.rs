@@ -68,18 +68,13 @@ impl GatesConfig {
         ]
     }
 
-    /// Refuses bounds that are no shares, and gates by metrics that are not among those `measured` (empty: all).
+    /// Refuses gates by metrics that are not among those `measured` (empty: all).
     ///
     /// # Errors
     /// [`Error::Config`] with the gate.
     pub(super) fn validate(&self, measured: &[String]) -> Result<()> {
-        let set = self.rates().into_iter().filter_map(|rate| Some((rate.bound?, rate)));
-        for (bound, RateGate { name, .. }) in set.clone() {
-            if !(0.0..=1.0).contains(&bound) {
-                return Err(refusal(name, format_args!("is {bound}, expected a share from 0 to 1: change it")));
-            }
-        }
-        let by_rates = set.map(|(_, rate)| (rate.name, rate.metric));
+        let by_rates =
+            self.rates().into_iter().filter(|rate| rate.bound.is_some()).map(|rate| (rate.name, rate.metric));
         let by_displacement = self.beat_constant_velocity.then_some(("beat_constant_velocity", "min_scene_ade_m"));
         for (name, metric) in by_rates.chain(by_displacement) {
             if !measured.is_empty() && !measured.iter().any(|id| id == metric) {

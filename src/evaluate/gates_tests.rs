@@ -2,7 +2,7 @@
 
 use super::evaluation::EvaluationSummary;
 use super::gates::GatesConfig;
-use super::{GateResult, SamplingRow, ValidityRow};
+use super::{EvaluateConfig, GateResult, SamplingRow, ValidityRow};
 use crate::generate::GenerateConfig;
 use crate::metrics::{Group, SeriesKey};
 use crate::store::MetricRow;
@@ -213,8 +213,9 @@ fn bounds_must_be_shares_and_their_metrics_measured() {
     let ade_only = ["min_ade_m".to_owned()];
     for gate in ["max_collision_rate", "max_offroad_rate", "min_validity_rate"] {
         for bound in ["nan", "inf", "-inf", "-0.1", "1.1"] {
-            let why = gates(&format!("{gate} = {bound}")).validate(&[]).unwrap_err().to_string();
-            assert!(why.starts_with(&format!("evaluate.gates.{gate} is ")) && why.contains("from 0 to 1"), "{why}");
+            let config: EvaluateConfig = toml::from_str(&format!("[gates]\n{gate} = {bound}")).expect("readable");
+            let why = config.validate().unwrap_err().to_string();
+            assert!(why.starts_with(&format!("evaluate.gates.{gate} is ")), "{why}");
         }
         for bound in ["0", "1.0", "0.5"] {
             gates(&format!("{gate} = {bound}")).validate(&[]).unwrap();

@@ -90,7 +90,7 @@ pub struct SweepConfig {
     #[serde(default)]
     pub behavior: Option<String>,
     /// Strengths α of guidance, which multiply classifier and objectives alike; 0 is unguided sampling of the same scenes, pairs
-    /// and noise, for comparison.
+    /// and noise, for comparison. `validity_strength` acts at all of them.
     #[serde(default = "default_strengths")]
     pub strengths: Vec<f64>,
     /// When guidance acts and how far it may go.

@@ -26,6 +26,9 @@ pub struct SceneContext {
     pub dt_s: f64,
     /// Observed timesteps t_obs; the present is timestep `n_history` - 1.
     pub n_history: usize,
+    /// Whether headings are generated. Where they are not, they follow the motion once a sample is done, and decoded states hold those of
+    /// the kinematic reference.
+    pub generates_headings: bool,
     /// 1 where there is a state, observed or generated, (B, A, T).
     pub valid: Tensor,
     /// 1 where the state is generated, (B, A, T).
@@ -57,6 +60,7 @@ impl SceneContext {
         let mut context = Self {
             dt_s: first.scene.dt_s,
             n_history: first.scene.n_history,
+            generates_headings: batch.x0.dim(3)? > 2,
             valid: batch.valid.clone(),
             latent: batch.latent.clone(),
             extent_m: batch.latent.clone(),

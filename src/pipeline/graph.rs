@@ -126,8 +126,8 @@ pub fn execute(
             // An older version that was killed right after its last file left it behind.
             remove_if_present(&started_path(context.root, stage.id()))?;
             // Planning has just read the same record.
-
-            (StageRecord::done(context.root, stage.id()).unwrap_or_else(|| expected.clone()))
+            StageRecord::done(context.root, stage.id())
+                .unwrap_or_else(|| expected.clone())
                 .with_inputs_of(context.root, &expected)?
                 .listing_files(context.root)?
         } else {

@@ -52,7 +52,8 @@ pub struct Provenance {
 
 impl Provenance {
     /// Whether it is a forecast: nothing guided it, whatever varies within its sweep, and it does not start from an edited
-    /// recording. The one definition of unguided traffic, for tables, comparisons and predictions.
+    /// recording. That samples are kept to the rules of traffic does not count: it is no wish for what happens. The one definition of
+    /// unguided traffic, for tables, comparisons and predictions.
     pub fn is_unguided(&self) -> bool {
         matches!(self.guidance.kind.as_str(), GuidanceTag::NONE | GuidanceTag::BASELINE) && self.edit_tau.is_none()
     }

@@ -9,7 +9,7 @@ use crate::progress::Silent;
 use crate::scene::Scene;
 use crate::scene::testing::{Drive, scene};
 use crate::seed::Seed;
-use crate::tensor::{MaskSampler, StateParametrization};
+use crate::tensor::{Collator, MaskSampler, StateParametrization};
 use candle_core::Device;
 use std::path::Path;
 
@@ -148,6 +148,27 @@ fn the_same_seed_gives_the_same_checkpoint_and_an_interruption_changes_nothing()
     assert_eq!(resumed.statistics, expected.statistics);
 }
 
+/// Draws batches of four scenes from these groups.
+fn draws_of_four<'a>(
+    dataset: &'a Arcs,
+    train: &'a [Vec<usize>],
+    collator: &'a Collator,
+    masks: &'a MaskSampler,
+) -> SceneDraws<'a> {
+    SceneDraws {
+        collator,
+        dataset,
+        train,
+        held_out: &[],
+        masks,
+        batch_size: 4,
+        with_context: false,
+        seed: Seed(3),
+        device: &Device::Cpu,
+        ahead: Ahead::default(),
+    }
+}
+
 #[test]
 fn a_batch_made_in_advance_is_the_one_that_would_be_drawn() {
     let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(20));
@@ -155,18 +176,7 @@ fn a_batch_made_in_advance_is_the_one_that_would_be_drawn() {
     let spec = train(&dataset, &training, dir.path()).unwrap().spec;
     let (collator, masks) = (spec.collator(), MaskSampler::new(&training.tasks).unwrap());
     let train = [vec![0, 1, 2, 3, 4, 5, 6, 7, 8, 9]];
-    let draws = || SceneDraws {
-        collator: &collator,
-        dataset: &dataset,
-        train: &train,
-        held_out: &[],
-        masks: &masks,
-        batch_size: 4,
-        with_context: false,
-        seed: Seed(3),
-        device: &Device::Cpu,
-        ahead: Ahead::default(),
-    };
+    let draws = || draws_of_four(&dataset, &train, &collator, &masks);
     let values = |drawn: DrawnBatch| {
         let of = |x: &candle_core::Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
         (of(&drawn.batch.x0), of(&drawn.batch.latent), of(&drawn.batch.lanes), drawn.seeds)
@@ -233,18 +243,8 @@ fn groups_count_the_same_however_many_scenes_they_have() {
     // Every second row is of the small place, whose two scenes take turns.
     let spec = train(&dataset, &training(1), dir.path()).unwrap().spec;
     let masks = MaskSampler::new(&training(1).tasks).unwrap();
-    let draws = SceneDraws {
-        collator: &spec.collator(),
-        dataset: &dataset,
-        train: &places,
-        held_out: &[],
-        masks: &masks,
-        batch_size: 4,
-        with_context: false,
-        seed: Seed(3),
-        device: &Device::Cpu,
-        ahead: Ahead::default(),
-    };
+    let collator = spec.collator();
+    let draws = draws_of_four(&dataset, &places, &collator, &masks);
     let drawn: Vec<usize> = (0..4).flat_map(|step| draws.batch_indices(step)).collect();
     let (large, small): (Vec<_>, Vec<_>) = drawn.chunks(2).map(|pair| (pair[0], pair[1])).unzip();
     let sorted = |mut indices: Vec<usize>| {

@@ -1,6 +1,6 @@
 //! Point where you drive.
 
-use super::motion::{headings, integral, norm, penalty, positions, rate};
+use super::motion::{headings, integral, norm, nothing, penalty, positions, rate};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{D, Result, Tensor};
 use schemars::JsonSchema;
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// Point where you drive: J = -½ Σ ∫ (max(|v⊥(t)| - ‖v(t)‖ sin β, 0) / τ)² dt over the chosen motorized agents.
 ///
 /// v is the difference quotient of positions and v⊥ its part across the mean heading of both timesteps; ‖v‖ is
-/// rounded by 0.05 m/s at zero. Agents that are not motorized do not count: they step aside.
+/// rounded by 0.05 m/s at zero. Agents that are not motorized do not count: they step aside. The potential is 0 where headings follow the motion anyway.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SlipLimit {
@@ -52,6 +52,9 @@ impl SceneObjective for SlipLimit {
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        if !context.generates_headings {
+            return nothing(states);
+        }
         let velocity_mps = rate(&positions(states)?, context.dt_s)?;
         let n = velocity_mps.dim(2)?;
         // The direction halfway between two headings, without a choice of turns.
@@ -104,6 +107,9 @@ mod tests {
         let mut walking = turned(0.3);
         walking.context.motorized = walking.context.motorized.zeros_like().unwrap();
         assert_eq!(walking.potential(&objective()), [0.0]);
+        let mut without_headings = turned(0.3);
+        without_headings.context.generates_headings = false;
+        assert_eq!(without_headings.potential(&objective()), [0.0]);
     }
 
     #[test]

@@ -32,6 +32,7 @@ impl Traffic {
         let context = SceneContext {
             dt_s: DT_S,
             n_history: N_HISTORY,
+            generates_headings: true,
             valid: Tensor::from_vec(vec![1.0; n_agents * N_TIMESTEPS], (1, n_agents, N_TIMESTEPS), &device).unwrap(),
             latent: Tensor::from_vec(latent, (1, n_agents, N_TIMESTEPS), &device).unwrap(),
             extent_m: Tensor::from_vec([4.5, 1.8].repeat(n_agents), (1, n_agents, 2), &device).unwrap(),
