@@ -14,6 +14,7 @@ pub(crate) mod lane_relation;
 mod lane_tracker;
 mod left_turn;
 mod near_miss;
+mod outcome;
 mod right_turn;
 pub(crate) mod speed_profile;
 pub(crate) mod sweep;
@@ -29,6 +30,7 @@ pub use hard_brake::{HardBrake, HardBrakeConfig};
 pub use lane_change::{LaneChange, LaneChangeConfig};
 pub use left_turn::LeftTurn;
 pub use near_miss::{NearMiss, NearMissConfig};
+pub use outcome::Outcome;
 pub use right_turn::RightTurn;
 pub use turn::TurnConfig;
 
@@ -45,6 +47,11 @@ pub trait Behavior: Send + Sync {
     fn roles(&self) -> &'static [&'static str];
     /// All events of the scene, positive and (where the behavior defines them) hard negative, in a fixed order.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent>;
+    /// What `agents`, in the order of the roles, could still come to, told from what was observed and the map alone; empty where they
+    /// cannot show the behavior. Where nothing speaks against it, one outcome that names no parameter.
+    fn feasible(&self, _scene: &Scene, _agents: &[usize]) -> Vec<Outcome> {
+        vec![Outcome::default()]
+    }
 }
 
 /// A behavior to look for, with its options: `{ kind = "cut_in", max_delay_s = 2.0 }`.

@@ -154,8 +154,9 @@ pub struct PairSelectionConfig {
     /// Their largest distance at present, metres.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_distance_m: f64,
-    /// Whether pairs are left out in which the second agent already stands in the way of the first one.
-    pub exclude_following: bool,
+    /// Whether pairs are left out that cannot show the behavior, as far as their past and the limits of driving tell. The recorded
+    /// future is never looked at.
+    pub only_feasible: bool,
     /// Which of the possible pairs are asked first.
     pub ranking: PairRanking,
     /// Number of scenes to rank, of which those with the best pairs are taken. Left out: the first scenes, in random
@@ -169,7 +170,7 @@ impl Default for PairSelectionConfig {
         Self {
             per_scene: 1,
             max_distance_m: 30.0,
-            exclude_following: true,
+            only_feasible: true,
             ranking: PairRanking::default(),
             n_scenes_ranked: None,
         }
@@ -180,11 +181,11 @@ impl Default for PairSelectionConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PairRanking {
-    /// Those for which the classifier finds the behavior likeliest from their history; by distance without a classifier.
+    /// Those for which the classifier finds the behavior likeliest from their history; without a classifier those that can show it most easily.
     #[default]
     Classifier,
-    /// Those that are closest at present.
-    Distance,
+    /// Those that can show it most easily, as far as the limits of driving tell; where these say nothing, the closest.
+    Effort,
 }
 
 impl GenerateConfig {

@@ -56,6 +56,19 @@ pub enum Error {
         /// What to change.
         hint: &'static str,
     },
+    /// Nothing that a request asks for can happen.
+    #[error(
+        "request {request}: none of {n_pairs} pairs in {n_scenes} scenes can fall into any of its buckets, told from their past and the \
+         limits of driving; widen buckets or where, choose other splits or places, or set pairs.only_feasible = false"
+    )]
+    Infeasible {
+        /// The request.
+        request: String,
+        /// Scenes that were looked at.
+        n_scenes: usize,
+        /// Pairs of them.
+        n_pairs: usize,
+    },
     /// A scene could not be loaded.
     #[error("scene {scene_id} could not be loaded")]
     Scene {

@@ -74,7 +74,12 @@ impl Guided<'_> {
     /// What objectives know of the batch that is sampled.
     fn objective_context(&self) -> Result<SceneContext, Error> {
         let rows: Vec<ContextRow<'_>> = (self.cells.iter().zip(self.agents))
-            .map(|((cell, scene), agents)| ContextRow { scene, ego_idx: agents.0, roles: &cell.roles })
+            .map(|((cell, scene), agents)| ContextRow {
+                scene,
+                ego_idx: agents.0,
+                roles: &cell.roles,
+                target: Some(&cell.target),
+            })
             .collect();
         Ok(SceneContext::new(self.batch, &rows)?.repeated(self.n_samples)?)
     }

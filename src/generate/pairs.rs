@@ -1,10 +1,8 @@
-//! Which agents of a scene could perform a behavior that the recording does not hold, and which of them most likely?
+//! Which agents of a scene could perform a behavior, and which of them most likely?
 
-use super::verify::positive_events;
 use super::{Error, Generator, PairRanking, SweepConfig};
-use crate::behavior::Behavior;
+use crate::behavior::{Behavior, Outcome};
 use crate::diffusion::NoiseSource;
-use crate::geometry::OrientedBox;
 use crate::model::TrainedClassifier;
 use crate::scene::{ObservationMask, Scene, TrackId};
 use crate::seed::Seed;
@@ -14,6 +12,8 @@ use candle_core::{DType, Tensor};
 /// The noise level at which histories are ranked: well above σ_data, so that the future is hidden, yet within what
 /// classifiers are trained on.
 const RANKING_SIGMA: f64 = 2.0;
+/// A distance beside which that of any pair is small, meters: it decides where all else is equal.
+const FAR_M: f64 = 1e4;
 /// Noise draws that a rank is averaged over.
 const N_RANKING_DRAWS: u64 = 8;
 
@@ -84,8 +84,8 @@ impl Generator<'_> {
     }
 }
 
-/// Motorized agents tracked over the whole history, near each other, who do not perform the behavior in the recording.
-/// Scored by their distance.
+/// Motorized agents tracked over the whole history, near each other, who can still show the behavior as far as the past tells.
+/// Scored by how easily they can; where that says nothing, by their distance.
 pub(super) fn possible_pairs(sweep: &SweepConfig, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
     let eligible: Vec<usize> = (0..scene.tracks.len())
         .filter(|agent_idx| {
@@ -93,29 +93,23 @@ pub(super) fn possible_pairs(sweep: &SweepConfig, behavior: &dyn Behavior, scene
             track.class.is_motorized() && (0..scene.n_history).all(|timestep| track.trajectory.is_valid(timestep))
         })
         .collect();
-    let recorded = positive_events(behavior, scene);
-    let present = scene.current_timestep();
     let is_single = behavior.roles().len() == 1;
     let mut candidates = Vec::new();
     for &first in &eligible {
-        let path = if sweep.pairs.exclude_following && !is_single { driven_path(scene, first) } else { Vec::new() };
         for &second in &eligible {
             if (first == second) != is_single || distance_m(scene, first, second) > sweep.pairs.max_distance_m {
                 continue;
             }
-            let is_in_the_way = scene.tracks[second]
-                .footprint_at(present)
-                .is_some_and(|footprint| path.iter().any(|occupied| occupied.overlaps(&footprint)));
-            let roles: Vec<(String, TrackId)> = behavior
-                .roles()
-                .iter()
-                .zip([first, second])
-                .map(|(role, agent_idx)| ((*role).to_owned(), scene.tracks[agent_idx].id.clone()))
-                .collect();
-            if is_in_the_way || recorded.iter().any(|event| event.roles == roles) {
+            let agents = if is_single { vec![first] } else { vec![first, second] };
+            let outcomes = behavior.feasible(scene, &agents);
+            let effort = outcomes.iter().map(Outcome::effort).reduce(f64::min);
+            if sweep.pairs.only_feasible && effort.is_none() {
                 continue;
             }
-            candidates.push(CandidatePair { agents: (first, second), roles, score: -distance_m(scene, first, second) });
+            let roles = behavior.roles().iter().zip(&agents);
+            let roles = roles.map(|(role, agent_idx)| ((*role).to_owned(), scene.tracks[*agent_idx].id.clone()));
+            let score = -effort.unwrap_or(1.0) - distance_m(scene, first, second) / FAR_M;
+            candidates.push(CandidatePair { agents: (first, second), roles: roles.collect(), score });
         }
     }
     candidates
@@ -142,21 +136,6 @@ fn proximity_rank(scene: &Scene, center: usize, agent_idx: usize) -> usize {
 fn distance_m(scene: &Scene, a: usize, b: usize) -> f64 {
     let position = |agent_idx| scene.state(agent_idx, scene.current_timestep()).map(|state| state.position);
     position(a).zip(position(b)).map_or(f64::INFINITY, |(a, b)| a.distance(b))
-}
-
-/// Where the agent was and will be: as recorded, and carried on straight from the present at its present velocity.
-fn driven_path(scene: &Scene, agent_idx: usize) -> Vec<OrientedBox> {
-    let track = &scene.tracks[agent_idx];
-    let mut path: Vec<OrientedBox> = track.trajectory.valid().map(|(_, state)| track.footprint(state)).collect();
-    if let Some(state) = scene.state(agent_idx, scene.current_timestep()) {
-        // A history-only scene says nothing of the length of the future: three times the history is the usual ratio.
-        let n_future = scene.n_timesteps.saturating_sub(scene.n_history).max(3 * scene.n_history);
-        path.extend((1..=n_future).map(|step| {
-            let footprint = track.footprint(state);
-            OrientedBox { center: state.position + state.velocity * (step as f64 * scene.dt_s), ..footprint }
-        }));
-    }
-    path
 }
 
 /// The seed by which scenes of a sweep are put in order; it depends on nothing but the run's seed and the scene.

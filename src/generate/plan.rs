@@ -3,13 +3,14 @@
 use super::pairs::{CandidatePair, order_seed};
 use super::{ClassifierScope, Error, GenerateConfig, Generator, SweepConfig};
 use crate::behavior::Behavior;
+use crate::guidance::Target;
 use crate::scene::{SceneId, Split, TrackId};
 use crate::store::SceneIndexEntry;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Everything that will be generated, in order.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
     /// The shards; those of a sweep follow each other.
     pub shards: Vec<ShardPlan>,
@@ -18,7 +19,7 @@ pub struct Plan {
 }
 
 /// A group of scenes of one sweep, generated and written together.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShardPlan {
     /// Its place in the plan.
     pub idx: usize,
@@ -33,7 +34,7 @@ pub struct ShardPlan {
 }
 
 /// A scene and who is asked for the behavior in it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
     /// Index of the scene in the store.
     pub scene_idx: usize,
@@ -41,6 +42,9 @@ pub struct Cell {
     pub scene_id: SceneId,
     /// Roles and their tracks; none when no behavior is asked for, or nobody in particular. They are the same at strength 0.
     pub roles: Vec<(String, TrackId)>,
+    /// What the event is asked to be like, where a request aims.
+    #[serde(default, skip_serializing_if = "Target::is_empty")]
+    pub target: Target,
 }
 
 /// A sweep for which there were too few scenes.
@@ -217,6 +221,6 @@ struct Listed<'a> {
 
 impl Listed<'_> {
     fn cell(&self, roles: Vec<(String, TrackId)>) -> Cell {
-        Cell { scene_idx: self.scene_idx, scene_id: self.id.clone(), roles }
+        Cell { scene_idx: self.scene_idx, scene_id: self.id.clone(), roles, target: Target::new() }
     }
 }

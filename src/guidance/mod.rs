@@ -31,10 +31,10 @@ pub use estimate_potential::EstimatePotential;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
 pub use objectives::{
-    AccelerationLimit, AdversarialTtc, Goal, GoalFrame, KeepDistance, NoCollision, ObjectiveConfig, RoadPoints,
-    SceneObjective, SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,
+    AccelerationLimit, AdversarialTtc, CutIn, Goal, GoalFrame, HardBrake, KeepDistance, NoCollision, ObjectiveConfig,
+    RoadPoints, SceneObjective, SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,
 };
-pub use scene_context::{ContextRow, SceneContext};
+pub use scene_context::{ContextRow, SceneContext, Target};
 
 use candle_core::{Result, Tensor};
 

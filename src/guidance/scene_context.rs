@@ -8,6 +8,9 @@ use candle_core::{DType, Result, Tensor, bail};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// What an event is asked to be like: intervals (least, most) of its parameters, by their names.
+pub type Target = BTreeMap<String, [f64; 2]>;
+
 /// What a row of a batch was made of.
 #[derive(Debug, Clone, Copy)]
 pub struct ContextRow<'a> {
@@ -17,6 +20,8 @@ pub struct ContextRow<'a> {
     pub ego_idx: usize,
     /// Roles and their tracks; every row of a batch has the same roles.
     pub roles: &'a [(String, TrackId)],
+    /// What is asked of its event in particular, where something is.
+    pub target: Option<&'a Target>,
 }
 
 /// A batch as objectives see it: everything that does not change while a sample is denoised.
@@ -43,6 +48,8 @@ pub struct SceneContext {
     pub(super) ego: Vec<usize>,
     /// Places on the agent axis, one a row, by role.
     pub(super) roles: BTreeMap<String, Vec<usize>>,
+    /// What is asked of the event of each row.
+    pub(super) targets: Vec<Target>,
 }
 
 impl SceneContext {
@@ -68,8 +75,9 @@ impl SceneContext {
             roads: Vec::with_capacity(n_rows),
             ego: Vec::with_capacity(n_rows),
             roles: BTreeMap::new(),
+            targets: rows.iter().map(|row| row.target.cloned().unwrap_or_default()).collect(),
         };
-        for (row, (ContextRow { scene, ego_idx, roles }, frame)) in rows.iter().zip(&batch.frames).enumerate() {
+        for (row, (ContextRow { scene, ego_idx, roles, .. }, frame)) in rows.iter().zip(&batch.frames).enumerate() {
             for (slot, track_idx) in frame.agents.iter().enumerate() {
                 let (at, track) = (row * n_agents + slot, &scene.tracks[*track_idx]);
                 let extent = track.extent_or_nominal();
@@ -113,8 +121,25 @@ impl SceneContext {
             roads: self.roads.iter().flat_map(|road| std::iter::repeat_n(road, n)).cloned().collect(),
             ego: slots(&self.ego),
             roles: self.roles.iter().map(|(role, own)| (role.clone(), slots(own))).collect(),
+            targets: self.targets.iter().flat_map(|own| std::iter::repeat_n(own, n)).cloned().collect(),
             ..*self
         })
+    }
+
+    /// The interval of the parameter `name` that is asked of each row, (B, 2): the one that is `configured`, or the row's target, or `any`.
+    ///
+    /// # Errors
+    /// When the device runs out of memory.
+    pub(super) fn wanted(
+        &self,
+        name: &str,
+        configured: Option<[f64; 2]>,
+        any: [f64; 2],
+        like: &Tensor,
+    ) -> Result<Tensor> {
+        let of_row = |target: &Target| configured.or_else(|| target.get(name).copied()).unwrap_or(any);
+        let intervals: Vec<f64> = self.targets.iter().flat_map(of_row).collect();
+        Tensor::from_vec(intervals, (self.targets.len(), 2), like.device())?.to_dtype(like.dtype())
     }
 
     /// 1 for the agents that `selector` names, (B, A). Padding may be among them: it has no valid entry.
@@ -123,15 +148,27 @@ impl SceneContext {
     /// When it names nobody.
     pub fn selected(&self, selector: &AgentSelector) -> Result<Tensor> {
         let (n_rows, n_agents) = self.motorized.dims2()?;
-        let slots = match (selector.name(), self.roles.get(selector.name())) {
-            (AgentSelector::ALL, _) => return self.motorized.ones_like(),
-            (_, Some(slots)) => slots,
-            (AgentSelector::EGO, None) => &self.ego,
-            (name, None) => bail!("no agent has the role {name}; use all, ego or a role of the behavior"),
-        };
+        if selector.name() == AgentSelector::ALL {
+            return self.motorized.ones_like();
+        }
+        let slots = self.slots(selector)?;
         let mut selected = vec![0.0; n_rows * n_agents];
         slots.iter().enumerate().for_each(|(row, slot)| selected[row * n_agents + slot] = 1.0);
         Tensor::from_vec(selected, (n_rows, n_agents), self.motorized.device())?.to_dtype(self.motorized.dtype())
+    }
+
+    /// The place on the agent axis of the one agent that `selector` names, row by row.
+    ///
+    /// # Errors
+    /// When it names nobody, or everybody.
+    pub(super) fn slots(&self, selector: &AgentSelector) -> Result<&[usize]> {
+        match (selector.name(), self.roles.get(selector.name())) {
+            (_, Some(slots)) => Ok(slots),
+            (AgentSelector::EGO, None) => Ok(&self.ego),
+            (name, None) => bail!(
+                "no agent has the role {name}; use ego, a role of the behavior, or, where several may be meant, all"
+            ),
+        }
     }
 
     /// 1 where a term over the states of `order` + 1 timesteps from t on counts, (B, A, T - `order`): all of them are valid,

@@ -62,7 +62,7 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, device: &Dev
     if let FoundShard::OfRequest { request, round, pool, shard } = &found {
         // Whether there was room for it depends on what came before it: the shards, and the rows of its own.
         let request = &resolved.requests[*request];
-        let mut ledger = Ledger::new(request, pool.cells.len());
+        let mut ledger = Ledger::new(request, pool);
         let earlier = manifest.shards[..shard_at].iter().filter_map(|shard| shard.request.as_ref());
         earlier.filter(|tally| tally.request == request.config.name).for_each(|tally| ledger.add(tally));
         let mut records: Vec<ScenarioRecord> = rows[..rows.len() - 1].to_vec();

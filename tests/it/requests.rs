@@ -34,6 +34,13 @@ strengths = [1.0]
 classifier_scope = "none"
 objectives = [{ kind = "target_speed", agents = "ego", speed_mps = 5.0 }]
 
+[[generate.arms]]
+name = "aimed"
+n_samples = 2
+strengths = [20.0]
+classifier_scope = "none"
+objectives = [{ kind = "cut_in" }]
+
 [[generate.requests]]
 name = "tight"
 behavior = "cut_in"
@@ -41,9 +48,9 @@ buckets = { relative_speed_mps = [-900, 0, 900], side = ["left", "right"] }
 per_bucket = 3
 where = { gap_m = [-4, 900] }
 limits = { collision_rate = 1.0 }
-arms = ["unguided", "guided", "edited", "free", "slow"]
+arms = ["unguided", "guided", "edited", "free", "slow", "aimed"]
 n_scenes = 8
-pairs = { per_scene = 2, exclude_following = false }
+pairs = { per_scene = 2, only_feasible = false }
 max_per_scene = 2
 shards_per_round = 2
 budget = { n_samples = 72 }
@@ -150,7 +157,7 @@ fn counts_agree_with_the_rows(root: &Path) {
     let n_found = of_request.iter().filter(|record| record.verified).count() as u64;
     assert_eq!(summary.arms.iter().map(|arm| arm.total.n_found).sum::<u64>(), n_found);
     let sweeps: std::collections::BTreeSet<&str> = of_request.iter().map(|record| record.sweep.as_str()).collect();
-    assert_eq!(sweeps.len(), 6, "every arm is tried: {sweeps:?}");
+    assert_eq!(sweeps.len(), 7, "every arm is tried: {sweeps:?}");
 
     let corpus = CorpusReader::open(&root.join("corpus")).unwrap();
     let kept = (0..corpus.len()).map(|i| corpus.scenario(i).unwrap());

@@ -1,11 +1,12 @@
 //! Cut-in: does one vehicle move into the path of another shortly before that one gets there?
 
+mod feasible;
 mod intrusion;
 #[cfg(test)]
 mod tests;
 
 use super::sweep::Sweep;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::geometry::angle_difference;
 use crate::scene::Scene;
 use intrusion::Intrusion;
@@ -203,6 +204,13 @@ impl Behavior for CutIn {
 
     fn roles(&self) -> &'static [&'static str] {
         ROLES
+    }
+
+    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
+        match agents.iter().map(|agent_idx| scene.tracks.get(*agent_idx)).collect::<Option<Vec<_>>>().as_deref() {
+            Some([ego, other]) => self.outcomes(scene, ego, other),
+            _ => Vec::new(),
+        }
     }
 
     /// Pairs in the order of tracks, each pair first with the earlier track as the ego, then with the later one.

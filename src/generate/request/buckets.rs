@@ -1,8 +1,14 @@
 //! Which buckets does a request have, which one does an event fall into, and how many are wanted in each?
 
 use super::config::{Divisions, RequestConfig};
-use super::facts::Facts;
+use super::facts::{Facts, side};
+use crate::behavior::Outcome;
+use crate::guidance::Target;
 use serde::{Deserialize, Serialize};
+
+/// How far inside of a bucket's edges samples aim: a share of its width, and at most so much, in the unit of the parameter.
+const INSET_SHARE: f64 = 0.15;
+const MAX_INSET: f64 = 0.5;
 
 /// The buckets of a request: all combinations of the parts of its parameters, the last parameter changing fastest.
 #[derive(Debug, Clone, PartialEq)]
@@ -107,6 +113,30 @@ impl Buckets {
         self.dimensions
             .iter()
             .try_fold(0, |bucket, (name, divisions)| Some(bucket * divisions.len() + facts.part(name, divisions)?))
+    }
+
+    /// The intervals of a bucket's parameters, a little inside of its edges: what samples aim at.
+    pub(super) fn target(&self, bucket: usize) -> Target {
+        let interval = |((name, divisions), part): (&(String, Divisions), usize)| match divisions {
+            Divisions::Edges(edges) => {
+                let (least, most) = (edges[part], edges[part + 1]);
+                let inset = (INSET_SHARE * (most - least)).min(MAX_INSET);
+                Some((name.clone(), [least + inset, most - inset]))
+            }
+            Divisions::Texts(_) => None,
+        };
+        self.dimensions.iter().zip(self.part_indices(bucket)).filter_map(interval).collect()
+    }
+
+    /// Whether an outcome lies in a bucket, as far as it names the bucket's parameters.
+    pub(super) fn allows(&self, bucket: usize, outcome: &Outcome) -> bool {
+        self.dimensions.iter().zip(self.part_indices(bucket)).all(|((name, divisions), part)| {
+            let Some(value) = outcome.get(name) else { return true };
+            match divisions {
+                Divisions::Edges(edges) => (edges[part]..edges[part + 1]).contains(&value),
+                Divisions::Texts(texts) => side(value) == texts[part],
+            }
+        })
     }
 
     /// Which part of each parameter a bucket holds.

@@ -50,6 +50,11 @@ pub(super) fn check_name(behavior: &BehaviorEntry, name: &str, texts: Option<&[S
     }
 }
 
+/// The word for a side: +1 is the left one.
+pub(super) const fn side(value: f64) -> &'static str {
+    SIDES[(value < 0.0) as usize]
+}
+
 /// An event in the scene it was found in.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Facts<'a> {
@@ -87,7 +92,7 @@ impl Facts<'_> {
     fn text(&self, name: &str) -> Option<&str> {
         match name {
             PLACE => Some(&self.scene.source.place),
-            SIDE => Some(SIDES[usize::from(self.number(SIDE)? < 0.0)]),
+            SIDE => Some(side(self.number(SIDE)?)),
             _ => {
                 let track = self.event.track(name.strip_suffix(CLASS_SUFFIX)?)?;
                 Some(self.scene.tracks[self.scene.track_idx(track)?].class.name())

@@ -1,6 +1,7 @@
 //! What has come of a request so far? Counts by bucket, arm and cell, from the tallies of finished shards in order.
 
 use super::resolve::ResolvedRequest;
+use super::rounds::Pool;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -83,6 +84,8 @@ pub(super) struct CellCounts {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Ledger {
     pub(super) wanted: Vec<u64>,
+    /// Whether any cell can fall into the bucket.
+    pub(super) is_feasible: Vec<bool>,
     pub(super) max_per_scene: u64,
     pub(super) accepted: Vec<u64>,
     /// Samples and evaluations spent while a bucket was not full.
@@ -95,12 +98,14 @@ pub struct Ledger {
 }
 
 impl Ledger {
-    /// That of a request of which nothing is done; its pool has so many cells.
-    pub fn new(request: &ResolvedRequest, n_cells: usize) -> Self {
+    /// That of a request of which nothing is done.
+    pub fn new(request: &ResolvedRequest, pool: &Pool) -> Self {
+        let n_cells = pool.cells.len();
         let (n_buckets, n_arms) = (request.buckets.len(), request.arms.len());
         let counts = Counts { hits: vec![Hits::default(); n_buckets], ..Counts::default() };
         Self {
             wanted: request.buckets.wanted().to_vec(),
+            is_feasible: (0..n_buckets).map(|bucket| pool.n_feasible(bucket) > 0).collect(),
             max_per_scene: request.config.max_per_scene,
             accepted: vec![0; n_buckets],
             spent_while_open: vec![(0, 0); n_buckets],
@@ -137,9 +142,9 @@ impl Ledger {
         }
     }
 
-    /// Whether a bucket has fewer scenarios than wanted.
+    /// Whether a bucket has fewer scenarios than wanted, and can get more.
     pub fn is_open(&self, bucket: usize) -> bool {
-        self.accepted[bucket] < self.wanted[bucket]
+        self.is_feasible[bucket] && self.accepted[bucket] < self.wanted[bucket]
     }
 
     /// Whether no bucket is open.

@@ -3,15 +3,17 @@
 use super::config::Condition;
 use super::resolve::ResolvedRequest;
 use super::rounds::Pool;
+use crate::behavior::Outcome;
 use crate::generate::{Cell, Error, Generator};
 use crate::store::SceneIndexEntry;
+use std::collections::BTreeMap;
 
 impl Generator<'_> {
     /// The cells of a request: of the first scenes, in random order, that have a pair to ask; or of the scenes with the best
     /// pairs, as its `pairs` say. Places and classes that `where` rules out are not among them.
     ///
     /// # Errors
-    /// When there are none, or a scene cannot be loaded.
+    /// When there are none, when none can fall into a bucket, or a scene cannot be loaded.
     pub fn pool(&self, request: &ResolvedRequest, index: &[SceneIndexEntry]) -> Result<Pool, Error> {
         let conditions = &request.config.conditions;
         let is_possible = |entry: &SceneIndexEntry| match conditions.get("place") {
@@ -21,11 +23,21 @@ impl Generator<'_> {
         let sweep = &self.config.sweeps[request.arms[0].sweep_idx];
         let scenes = self.cells_by_scene(sweep, index, &is_possible)?;
         let n_scenes = scenes.len();
-        let mut cells: Vec<Cell> = Vec::new();
+        let (mut cells, mut feasible, mut n_infeasible) = (Vec::new(), Vec::new(), 0);
         for cell in scenes.into_iter().flatten() {
-            if self.has_classes(request, &cell)? {
-                cells.push(cell);
+            if !self.has_classes(request, &cell)? {
+                continue;
             }
+            let buckets = self.feasible_buckets(request, &cell)?;
+            if buckets.is_empty() {
+                n_infeasible += 1;
+                continue;
+            }
+            cells.push(cell);
+            feasible.push(buckets);
+        }
+        if cells.is_empty() && n_infeasible > 0 {
+            return Err(Error::Infeasible { request: request.config.name.clone(), n_scenes, n_pairs: n_infeasible });
         }
         if cells.is_empty() {
             return Err(Error::NoScenes {
@@ -39,7 +51,30 @@ impl Generator<'_> {
                 },
             });
         }
-        Ok(Pool { request: request.config.name.clone(), cells, n_scenes })
+        Ok(Pool { request: request.config.name.clone(), cells, n_scenes, feasible, n_infeasible })
+    }
+
+    /// The buckets that a cell can reach, as far as its past tells, with the least effort that it takes.
+    fn feasible_buckets(&self, request: &ResolvedRequest, cell: &Cell) -> Result<BTreeMap<usize, f64>, Error> {
+        let all = 0..request.buckets.len();
+        let sweep = &self.config.sweeps[request.arms[0].sweep_idx];
+        let Some(behavior) = self.behavior(sweep).filter(|_| request.config.pairs.only_feasible) else {
+            return Ok(all.map(|bucket| (bucket, 0.0)).collect());
+        };
+        let scene = self.load(cell.scene_idx, &cell.scene_id)?;
+        let agents: Vec<usize> = cell.roles.iter().filter_map(|(_, track)| scene.track_idx(track)).collect();
+        let mut outcomes = behavior.feasible(&scene, &agents);
+        outcomes.retain(|outcome| {
+            request.config.conditions.iter().all(|(name, condition)| match (outcome.get(name), condition) {
+                (Some(value), Condition::Range([least, most])) => (*least..=*most).contains(&value),
+                _ => true,
+            })
+        });
+        let least_effort = |bucket: usize| {
+            let own = outcomes.iter().filter(|outcome| request.buckets.allows(bucket, outcome));
+            own.map(Outcome::effort).reduce(f64::min).map(|effort| (bucket, effort))
+        };
+        Ok(all.filter_map(least_effort).collect())
     }
 
     /// Whether the agents of a cell are of the classes that the request allows.

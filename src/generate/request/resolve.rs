@@ -5,6 +5,7 @@ use super::config::{Condition, Divisions, RequestConfig};
 use super::facts::check_name;
 use crate::behavior;
 use crate::generate::{ClassifierScope, Error, GenerateConfig, PairSelectionConfig, SelectConfig, SweepConfig};
+use crate::guidance::ObjectiveConfig;
 use crate::settings::{self, Issue};
 use std::collections::BTreeSet;
 
@@ -45,6 +46,8 @@ pub struct Arm {
     pub n_evaluations: u64,
     /// Strength or weight; 0 is unguided.
     pub level: f64,
+    /// Whether an objective of it aims at the bucket that is asked for.
+    pub aims: bool,
 }
 
 impl GenerateConfig {
@@ -86,12 +89,14 @@ impl GenerateConfig {
                 };
                 for (sweep, level) in request.sweeps(arm) {
                     sweep.validate(self).map_err(|why| refuse(key(), why))?;
+                    let aims = |objective: &ObjectiveConfig| !objective.objective().aims_at().is_empty();
                     arms.push(Arm {
                         name: sweep.name[request.name.len() + 1..].to_owned(),
                         sweep_idx: config.sweeps.len(),
                         n_samples: sweep.n_samples,
                         n_evaluations: sweep.n_evaluations(self),
                         level,
+                        aims: sweep.is_guided() && sweep.objectives.iter().any(aims),
                     });
                     config.sweeps.push(sweep);
                 }

@@ -7,13 +7,16 @@ use super::resolve::{Arm, ResolvedRequest};
 use crate::generate::{Cell, ShardPlan};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// How far cells are from each other, of which nothing is known: their rates relative to the mean have a gamma distribution of
 /// this shape.
 const CELL_SHAPE: f64 = 0.5;
+/// What is left of the chances of a cell that reaches a bucket only at the limits of driving.
+const LEAST_EASE: f64 = 0.1;
 
 /// The cells that a request may ask, in random order; written before anything is sampled.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Pool {
     /// Name of the request.
     pub request: String,
@@ -21,10 +24,22 @@ pub struct Pool {
     pub cells: Vec<Cell>,
     /// How many scenes they are of.
     pub n_scenes: usize,
+    /// The buckets into which each cell can still fall, as far as its past tells, at least one, and how much of the limits of driving each
+    /// takes, from 0 to 1.
+    pub feasible: Vec<BTreeMap<usize, f64>>,
+    /// Pairs that were looked at and can fall into no bucket.
+    pub n_infeasible: usize,
+}
+
+impl Pool {
+    /// How many cells can fall into a bucket.
+    pub fn n_feasible(&self, bucket: usize) -> usize {
+        self.feasible.iter().filter(|buckets| buckets.contains_key(&bucket)).count()
+    }
 }
 
 /// Shards that are decided together.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Round {
     /// Name of the request.
     pub request: String,
@@ -35,7 +50,7 @@ pub struct Round {
 }
 
 /// A shard of a round.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RoundShard {
     /// Index of its arm within the request.
     pub arm: usize,
@@ -62,8 +77,19 @@ pub struct RoundContext<'a> {
     pub seed: Seed,
 }
 
+impl RoundContext<'_> {
+    /// The buckets that still want scenarios of a cell, and that it can reach, with how easily it does: from 0.1 to 1.1.
+    fn open_buckets(&self, cell: usize) -> impl Iterator<Item = (usize, f64)> {
+        let Self { pool, ledger, .. } = *self;
+        let wants =
+            move |bucket: usize| ledger.is_open(bucket) && ledger.accepted_of_cell(cell, bucket) < ledger.max_per_scene;
+        let reachable = pool.feasible[cell].iter().map(|(bucket, effort)| (*bucket, LEAST_EASE + 1.0 - effort));
+        reachable.filter(move |(bucket, _)| wants(*bucket))
+    }
+}
+
 impl ResolvedRequest {
-    /// The next round. `None` when every bucket is full, or nothing more can be paid for.
+    /// The next round. `None` when every bucket that can be filled is full, or nothing more can be paid for.
     pub fn next_round(&self, context: &RoundContext<'_>) -> Option<Round> {
         let RoundContext { ledger, round, .. } = *context;
         if ledger.is_full() || context.pool.cells.is_empty() {
@@ -147,8 +173,10 @@ impl ResolvedRequest {
             gamma(&mut rng, CELL_SHAPE + ledger.open_hits_of_cell(cell) as f64) / (CELL_SHAPE + n_expected)
         };
         let is_taken = |cell: usize| so_far.iter().any(|shard| shard.members.contains(&cell));
-        // Cells that another shard of the round has come last.
-        let mut order: Vec<(bool, f64, usize)> = (0..n).map(|cell| (is_taken(cell), draw(cell), cell)).collect();
+        // Cells that another shard of the round has, and those of no use to open buckets, come last.
+        let ease = |cell: usize| context.open_buckets(cell).map(|(_, ease)| ease).fold(0.0, f64::max);
+        let mut order: Vec<(bool, f64, usize)> =
+            (0..n).map(|cell| (is_taken(cell), draw(cell) * ease(cell), cell)).collect();
         order.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
         let mut members: Vec<usize> = order.into_iter().take(n_cells).map(|(_, _, cell)| cell).collect();
         members.sort_unstable();
@@ -175,8 +203,30 @@ impl ResolvedRequest {
             context.ledger.cells[*cell].next_sample.max(planned.unwrap_or(0))
         };
         let first_sample = if context.round == 0 { 0 } else { members.iter().map(next).max().unwrap_or(0) };
-        let cells = members.iter().map(|cell| context.pool.cells[*cell].clone()).collect();
-        ShardPlan { idx, sweep_idx: arm.sweep_idx, cells, first_sample }
+        let mut aimed = vec![0; self.buckets.len()];
+        let cells = members.iter().map(|cell| {
+            let mut own = context.pool.cells[*cell].clone();
+            if let (true, Some(bucket)) = (arm.aims, self.aim(context, (idx, *cell), &aimed)) {
+                aimed[bucket] += 1;
+                own.target = self.buckets.target(bucket);
+            }
+            own
+        });
+        ShardPlan { idx, sweep_idx: arm.sweep_idx, cells: cells.collect(), first_sample }
+    }
+
+    /// The bucket at which the samples of a cell aim: of those that are open, one that the cell reaches easily, that lacks much, and that few
+    /// others aim at in this shard.
+    fn aim(&self, context: &RoundContext<'_>, (shard, cell): (usize, usize), aimed: &[u64]) -> Option<usize> {
+        let RoundContext { ledger, .. } = *context;
+        let lack = |bucket: usize| (ledger.wanted[bucket] - ledger.accepted[bucket]) as f64;
+        let draw = |bucket: usize| {
+            let seed = context.seed.derive_named("request", &self.config.name);
+            seed.derive("aim", &[shard as u64, cell as u64, bucket as u64]).rng().uniform()
+        };
+        let weight = |bucket: usize| lack(bucket) / (1.0 + aimed[bucket] as f64) + draw(bucket);
+        let open = context.open_buckets(cell).map(|(bucket, ease)| (ease * weight(bucket), bucket));
+        open.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, bucket)| bucket)
     }
 
     fn slot_seed(&self, context: &RoundContext<'_>, slot: usize) -> Seed {

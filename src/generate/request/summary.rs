@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Ended {
-    /// Every bucket is full.
+    /// Every bucket that any pair can fall into is full.
     Full,
     /// The budget is spent; some buckets stayed short.
     Budget,
@@ -36,8 +36,11 @@ pub struct RequestSummary {
     pub n_evaluations: u64,
     /// Scenes that were asked.
     pub n_scenes: usize,
-    /// Pairs of agents (or single agents) of them.
+    /// Pairs of agents (or single agents) of them that can fall into a bucket.
     pub n_cells: usize,
+    /// Those that cannot, and were not asked.
+    #[serde(default)]
+    pub n_infeasible: usize,
     /// Scenarios wanted in all.
     pub n_wanted: u64,
     /// Scenarios accepted.
@@ -87,6 +90,9 @@ pub struct BucketSummary {
     pub idx: usize,
     /// What it holds.
     pub parts: Vec<BucketPart>,
+    /// Pairs of agents that can fall into it; 0: nothing was spent on it.
+    #[serde(default)]
+    pub n_feasible: usize,
     /// Scenarios wanted.
     pub n_wanted: u64,
     /// Scenarios accepted.
@@ -134,6 +140,7 @@ impl RequestSummary {
             BucketSummary {
                 idx,
                 parts: request.buckets.parts(idx),
+                n_feasible: pool.n_feasible(idx),
                 n_wanted: ledger.wanted[idx],
                 n_accepted: ledger.accepted[idx],
                 n_surplus: sum(|hits| hits.n_surplus),
@@ -155,6 +162,7 @@ impl RequestSummary {
             n_evaluations,
             n_scenes: pool.n_scenes,
             n_cells: pool.cells.len(),
+            n_infeasible: pool.n_infeasible,
             n_wanted: ledger.wanted.iter().sum(),
             n_accepted: ledger.n_accepted(),
             arms: arms.collect(),
@@ -162,7 +170,12 @@ impl RequestSummary {
         }
     }
 
-    /// Buckets that stayed short.
+    /// Buckets that no pair can fall into.
+    pub fn infeasible(&self) -> impl Iterator<Item = &BucketSummary> {
+        self.buckets.iter().filter(|bucket| bucket.n_feasible == 0)
+    }
+
+    /// Buckets that stayed short, infeasible ones among them.
     pub fn short(&self) -> impl Iterator<Item = &BucketSummary> {
         self.buckets.iter().filter(|bucket| bucket.n_accepted < bucket.n_wanted)
     }

@@ -14,6 +14,12 @@ const ARMS: &str = "
     name = 'guided'
     n_samples = 3
     strengths = [1.0, 8.0]
+    [[arms]]
+    name = 'aimed'
+    n_samples = 3
+    strengths = [5.0]
+    classifier_scope = 'none'
+    objectives = [{ kind = 'cut_in' }]
 ";
 
 fn resolve(request: &str) -> Result<ResolvedGeneration, String> {
@@ -37,8 +43,15 @@ fn pool(n: usize) -> Pool {
         scene_idx: i,
         scene_id: format!("scene-{i}").as_str().into(),
         roles: vec![("ego".to_owned(), "1".into()), ("other".to_owned(), "2".into())],
+        target: BTreeMap::new(),
     };
-    Pool { request: "tight".to_owned(), cells: (0..n).map(cell).collect(), n_scenes: n }
+    Pool {
+        request: "tight".to_owned(),
+        cells: (0..n).map(cell).collect(),
+        n_scenes: n,
+        feasible: vec![(0..4).map(|bucket| (bucket, 0.0)).collect(); n],
+        n_infeasible: 0,
+    }
 }
 
 /// Fulfils a request in a world in which `hit` decides into which bucket sample `sample` of an arm in a cell falls. Returns the
@@ -49,7 +62,7 @@ fn fulfil(
     seed: u64,
     hit: impl Fn(usize, usize, usize) -> Option<usize>,
 ) -> (Vec<Round>, Vec<ShardTally>, Ledger) {
-    let mut ledger = Ledger::new(request, pool.cells.len());
+    let mut ledger = Ledger::new(request, pool);
     let (mut rounds, mut tallies, mut next_idx) = (Vec::new(), Vec::new(), 0);
     loop {
         let context =
@@ -154,7 +167,7 @@ fn requests_that_make_no_sense_are_refused_by_name() {
         resolve(&format!("{arm}{}", request(&format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}"))))
             .unwrap_err()
     };
-    assert!(with_arm("n_scenes = 3").contains("arms.2 (other): n_scenes is for sweeps"));
+    assert!(with_arm("n_scenes = 3").contains("arms.3 (other): n_scenes is for sweeps"));
     assert!(with_arm("behavior = 'cut_in'").contains("behavior is for sweeps"));
     assert!(with_arm("model = 'baseline'").contains("baseline"));
 }
@@ -195,7 +208,7 @@ fn decisions_follow_from_the_seed_and_the_finished_shards() {
     assert_ne!(rounds, fulfil(&request, &pool, 2, world).0);
     // Taken up after any number of rounds, as after an interruption, the next round is the same.
     for n_done in 0..rounds.len() {
-        let mut ledger = Ledger::new(&request, 30);
+        let mut ledger = Ledger::new(&request, &pool);
         tallies.iter().filter(|tally| tally.round < n_done).for_each(|tally| ledger.add(tally));
         let next_idx = rounds[..n_done].iter().map(|round| round.shards.len()).sum();
         let context =
@@ -257,4 +270,47 @@ fn cheap_arms_are_preferred_where_evaluations_are_counted() {
     // Both are as likely to hit.
     let (_, _, ledger) = fulfil(&request, &pool(30), 1, |_, cell, sample| world(2, 3 * cell, sample));
     assert!(ledger.arms[0].n_samples > 2 * ledger.arms[1].n_samples, "{:?}", ledger.arms);
+}
+
+#[test]
+fn buckets_that_nobody_can_reach_cost_nothing_and_the_others_decide_the_end() {
+    let request = tight("per_bucket = 2\nbudget = { n_samples = 3000 }");
+    let pool = Pool {
+        feasible: (0..12).map(|cell| std::iter::once((cell % 3, 0.5)).collect()).collect(),
+        n_infeasible: 5,
+        ..pool(12)
+    };
+    assert_eq!((0..4).map(|bucket| pool.n_feasible(bucket)).collect::<Vec<_>>(), [4, 4, 4, 0]);
+    let (_, _, ledger) = fulfil(&request, &pool, 1, |_, cell, _| Some(cell % 3));
+    assert_eq!(ledger.accepted, [2, 2, 2, 0]);
+    assert!(ledger.is_full() && ledger.spent().0 < 300, "{:?}", ledger.spent());
+    let summary = RequestSummary::new(&request, &pool, &ledger, 1);
+    assert_eq!((summary.ended, summary.n_infeasible), (Ended::Full, 5));
+    assert_eq!(summary.infeasible().map(|bucket| bucket.idx).collect::<Vec<_>>(), [3]);
+}
+
+#[test]
+fn samples_of_arms_that_aim_are_asked_for_an_open_bucket_that_their_cell_can_reach() {
+    let request = tight("arms = ['plain', 'aimed']\nper_bucket = 2\nbudget = { n_samples = 300 }");
+    assert_eq!(request.arms.iter().map(|arm| arm.aims).collect::<Vec<_>>(), [false, true]);
+    // Buckets 0 and 1 hold gaps from 0 to 5 m, the others from 5 to 10 m. Every cell reaches one bucket, which is never hit, but for bucket 0.
+    let pool = Pool { feasible: (0..12).map(|cell| std::iter::once((cell % 4, 0.5)).collect()).collect(), ..pool(12) };
+    let (rounds, tallies, _) = fulfil(&request, &pool, 1, |_, cell, _| (cell % 4 == 0).then_some(0));
+    let mut n_aimed = 0;
+    for shard in rounds.iter().flat_map(|round| &round.shards) {
+        for (cell, member) in shard.plan.cells.iter().zip(&shard.members) {
+            match (shard.arm, cell.target.get("gap_m")) {
+                (0, None) => {}
+                (1, Some([least, most])) => {
+                    n_aimed += 1;
+                    let low = if member % 4 < 2 { 0.0 } else { 5.0 };
+                    assert!(low < *least && least < most && *most < low + 5.0, "{least} to {most} for cell {member}");
+                }
+                // A cell whose bucket is full is asked for nothing in particular.
+                (1, None) => assert_eq!(member % 4, 0),
+                (arm, target) => panic!("arm {arm} aims at {target:?}"),
+            }
+        }
+    }
+    assert!(n_aimed > 20, "{n_aimed} of {} tallies", tallies.len());
 }

@@ -12,7 +12,9 @@
 mod acceleration_limit;
 mod adversarial_ttc;
 mod box_separation;
+mod cut_in;
 mod goal;
+mod hard_brake;
 mod keep_distance;
 mod motion;
 mod no_collision;
@@ -29,7 +31,9 @@ mod tests;
 
 pub use acceleration_limit::AccelerationLimit;
 pub use adversarial_ttc::AdversarialTtc;
+pub use cut_in::CutIn;
 pub use goal::{Goal, GoalFrame};
+pub use hard_brake::HardBrake;
 pub use keep_distance::KeepDistance;
 pub(super) use motion::nothing;
 pub use no_collision::NoCollision;
@@ -40,7 +44,7 @@ pub use stop_at_line::StopAtLine;
 pub use target_speed::TargetSpeed;
 
 use super::{AgentSelector, SceneContext};
-use crate::settings;
+use crate::settings::{self, Issue};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -53,6 +57,10 @@ pub trait SceneObjective {
     fn weight(&self) -> f64;
     /// Whose motion it judges.
     fn agents(&self) -> Vec<&AgentSelector>;
+    /// The parameters of an event at which it can aim, row by row ([`super::Target`]).
+    fn aims_at(&self) -> &'static [&'static str] {
+        &[]
+    }
     /// Says which parameters make no sense together.
     ///
     /// # Errors
@@ -92,6 +100,10 @@ pub enum ObjectiveConfig {
     StopAtLine(StopAtLine),
     /// Let two agents come shortly before a collision.
     AdversarialTtc(AdversarialTtc),
+    /// Move into the lane of another, before it.
+    CutIn(CutIn),
+    /// Brake hard.
+    HardBrake(HardBrake),
 }
 
 impl ObjectiveConfig {
@@ -108,6 +120,8 @@ impl ObjectiveConfig {
             Self::KeepDistance(objective) => objective,
             Self::StopAtLine(objective) => objective,
             Self::AdversarialTtc(objective) => objective,
+            Self::CutIn(objective) => objective,
+            Self::HardBrake(objective) => objective,
         }
     }
 
@@ -126,6 +140,22 @@ impl ObjectiveConfig {
             }
             None => Ok(()),
         }
+    }
+}
+
+/// How far `x` (B, N) lies outside of the interval of its row, (B, 2).
+fn beyond(x: &Tensor, interval: &Tensor) -> Result<Tensor> {
+    let (least, most) = (interval.narrow(1, 0, 1)?, interval.narrow(1, 1, 1)?);
+    x.broadcast_sub(&least)?.neg()?.relu()? + x.broadcast_sub(&most)?.relu()?
+}
+
+/// Says what is wrong with an interval of wanted values.
+fn interval(key: &str, interval: Option<[f64; 2]>) -> settings::Result {
+    match interval {
+        Some([least, most]) if !(least < most && least.is_finite() && most.is_finite()) => {
+            Err(Issue::new(key, format!("is [{least}, {most}], expected [least, most] with least < most")))
+        }
+        _ => Ok(()),
     }
 }
 

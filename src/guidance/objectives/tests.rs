@@ -1,6 +1,6 @@
 //! What all objectives have in common, and what single ones do to trajectories.
 
-use super::testing::{Traffic, after_ascent, assert_gradients_match, nested};
+use super::testing::{Traffic, after_ascent, assert_gradients_match, assert_gradients_of_match, nested};
 use super::*;
 use crate::geometry::Transform2;
 use crate::guidance::road_corridors::RoadCorridors;
@@ -22,6 +22,8 @@ fn all() -> Vec<ObjectiveConfig> {
             { kind = 'keep_distance', min_m = 9.0 },
             { kind = 'stop_at_line', agents = 'all', distance_m = 5.0 },
             { kind = 'adversarial_ttc', agents = 'all', to = 'all' },
+            { kind = 'cut_in' },
+            { kind = 'hard_brake', agents = 'all' },
         ]";
     let table: toml::Table = toml::from_str(text).unwrap();
     table["objectives"].clone().try_into().unwrap()
@@ -49,7 +51,11 @@ fn speeds(agent: &[Vec<f64>], dt_s: f64) -> Vec<f64> {
 fn every_gradient_agrees_with_finite_differences_and_every_potential_is_negative() {
     let traffic = busy();
     for config in all() {
-        assert_gradients_match(config.objective(), &traffic);
+        match config {
+            // Whose path is cut into is held as it is.
+            ObjectiveConfig::CutIn(_) => assert_gradients_of_match(config.objective(), &traffic, &[1, 2]),
+            _ => assert_gradients_match(config.objective(), &traffic),
+        }
         assert!(traffic.potential(config.objective())[0] < -1e-3, "{}", config.objective().kind());
     }
 }
@@ -211,10 +217,12 @@ fn options_that_make_no_sense_are_refused() {
         ("kind = 'goal'\nx_m = inf\ny_m = 0.0", "x_m is inf"),
         ("kind = 'adversarial_ttc'\nto = 'all'\nttc_s = 0.0", "ttc_s is 0"),
         ("kind = 'stay_on_road'\nmargin_m = -0.5", "margin_m is -0.5"),
+        ("kind = 'cut_in'\ngap_m = [5.0, 2.0]", "gap_m is [5, 2], expected [least, most]"),
+        ("kind = 'cut_in'\nagents = 'all'", "expected one agent"),
     ] {
         let message = refusal(text);
         assert!(message.contains(part), "{message}");
     }
-    assert!(all().iter().all(|config| config.validate(&[]).is_ok()));
+    assert!(all().iter().all(|config| config.validate(&["ego", "other"]).is_ok()));
     assert_eq!(nested(busy().states.as_tensor()).len(), 1);
 }

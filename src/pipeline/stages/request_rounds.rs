@@ -25,9 +25,14 @@ impl Fulfilment<'_> {
             let (done, summary) = self.one(request, &mut next_idx)?;
             let n_short = summary.short().count();
             if n_short > 0 {
+                let n_infeasible = summary.infeasible().count();
+                let infeasible = match n_infeasible {
+                    0 => String::new(),
+                    n => format!("; {n} of them can be reached by no pair"),
+                };
                 self.context.progress.warn(&format!(
-                    "request {}: {n_short} of {} buckets stayed short ({} of {} scenarios); the report says which. Raise its budget, \
-                     or add arms that reach them",
+                    "request {}: {n_short} of {} buckets stayed short ({} of {} scenarios){infeasible}; the report says which. Raise its \
+                     budget, add arms that reach them, or add scenes",
                     summary.name,
                     summary.buckets.len(),
                     summary.n_accepted,
@@ -47,7 +52,7 @@ impl Fulfilment<'_> {
         let progress = self.context.progress;
         progress.start(&format!("request {}", request.config.name), 0, "samples");
         let pool = self.pool(request)?;
-        let mut ledger = Ledger::new(request, pool.cells.len());
+        let mut ledger = Ledger::new(request, &pool);
         let mut done = Vec::new();
         let mut n_rounds = 0;
         while let Some(round) = self.round(request, (&pool, &ledger), n_rounds, *next_idx)? {

@@ -55,6 +55,7 @@ pub(super) fn validity(name: &str) -> Vec<ValidityRow> {
 /// Two buckets, of which one stayed short, and two arms.
 pub(super) fn request(name: &str) -> RequestSummary {
     let bucket = |idx: usize, range: &str, by_arm: [u64; 2]| BucketSummary {
+        n_feasible: 9,
         idx,
         parts: vec![BucketPart { parameter: "gap_m".into(), range: range.into() }],
         n_wanted: 10,
@@ -83,6 +84,7 @@ pub(super) fn request(name: &str) -> RequestSummary {
         first_round,
     };
     RequestSummary {
+        n_infeasible: 3,
         name: format!("tight cut-ins of {name}"),
         behavior: "cut_in".into(),
         ended: Ended::Budget,
