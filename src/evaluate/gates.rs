@@ -3,7 +3,7 @@
 use super::error::{Error, Result};
 use super::evaluation::EvaluationSummary;
 use super::measures::BEHAVIOR_RATE;
-use crate::generate::{GenerateConfig, SweepConfig};
+use crate::generate::{ResolvedGeneration, ResolvedSweep};
 use crate::metrics::{Group, SeriesKey};
 use crate::store::MetricRow;
 use schemars::JsonSchema;
@@ -89,24 +89,22 @@ impl GatesConfig {
     ///
     /// # Errors
     /// [`Error::Config`] with the gate and the sweep.
-    pub fn check_generated(&self, generate: &GenerateConfig, has_maps: bool) -> Result<()> {
+    pub fn check_generated(&self, generated: &ResolvedGeneration, has_maps: bool) -> Result<()> {
         if self.max_offroad_rate.is_some() && !has_maps {
             return Err(refusal(
                 "max_offroad_rate",
                 "is set, but ingest.maps = \"none\" leaves no road to leave: ingest with maps",
             ));
         }
-        // What is wrong with the section itself is told by its own stage.
-        let Ok(resolved) = generate.resolve() else { return Ok(()) };
-        let sweeps = &resolved.config.sweeps;
-        if self.beat_constant_velocity && !sweeps.iter().any(SweepConfig::has_unguided) {
+        let sweeps = &generated.sweeps;
+        if self.beat_constant_velocity && !sweeps.iter().any(ResolvedSweep::has_unguided) {
             let why = "is set, but no sweep has unguided samples: add 0.0 to the strengths of one that edits nothing";
             return Err(refusal("beat_constant_velocity", why));
         }
         if self.guidance_raises_rate {
             let mut compared = sweeps.iter().filter(|sweep| sweep.behavior.is_some() && sweep.levels().len() > 1);
             let without_zero = compared.clone().find(|sweep| sweep.levels().iter().all(|level| level.value != 0.0));
-            if let Some(SweepConfig { name, .. }) = without_zero {
+            if let Some(ResolvedSweep { name, .. }) = without_zero {
                 let why =
                     format!("is set, but sweep {name} has no strength 0 to compare with: add 0.0 to its strengths");
                 return Err(refusal("guidance_raises_rate", why));

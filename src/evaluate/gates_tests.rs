@@ -3,6 +3,7 @@
 use super::evaluation::EvaluationSummary;
 use super::gates::GatesConfig;
 use super::{EvaluateConfig, GateResult, SamplingRow, ValidityRow};
+use crate::behavior::BehaviorConfig;
 use crate::generate::GenerateConfig;
 use crate::metrics::{Group, SeriesKey};
 use crate::store::MetricRow;
@@ -234,7 +235,11 @@ fn gates_that_the_sweeps_leave_nothing_to_judge_by_are_refused() {
     let refusal = |gate: &str, sweep: &str, has_maps: bool| {
         let generate = format!("[[sweeps]]\nname = 's'\nn_scenes = 1\n{sweep}");
         let generate: GenerateConfig = toml::from_str(&generate).expect("readable");
-        gates(gate).check_generated(&generate, has_maps).err().map(|error| error.to_string())
+        let behaviors = [BehaviorConfig::from_id("cut_in").expect("known").build()];
+        gates(gate)
+            .check_generated(&generate.resolve(&behaviors).expect("possible"), has_maps)
+            .err()
+            .map(|error| error.to_string())
     };
     for (gate, sweep, why) in [
         ("beat_constant_velocity = true", "strengths = [0.0]", None),

@@ -1,7 +1,7 @@
 //! Which agents of a scene could perform a behavior that the recording does not hold, and which of them most likely?
 
 use super::verify::positive_events;
-use super::{Error, Generator, PairRanking, SweepConfig};
+use super::{Error, Generator, PairRanking, ResolvedSweep};
 use crate::behavior::Behavior;
 use crate::diffusion::NoiseSource;
 use crate::geometry::OrientedBox;
@@ -32,7 +32,7 @@ impl Generator<'_> {
     /// The pairs of `scene` that may be asked for `behavior`, best first.
     pub(super) fn candidates(
         &self,
-        sweep: &SweepConfig,
+        sweep: &ResolvedSweep,
         behavior: &dyn Behavior,
         scene: &Scene,
     ) -> Result<Vec<CandidatePair>, Error> {
@@ -86,7 +86,7 @@ impl Generator<'_> {
 
 /// Motorized agents tracked over the whole history, near each other, who do not perform the behavior in the recording.
 /// Scored by their distance.
-pub(super) fn possible_pairs(sweep: &SweepConfig, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
+pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
     let eligible: Vec<usize> = (0..scene.tracks.len())
         .filter(|agent_idx| {
             let track = &scene.tracks[*agent_idx];

@@ -1,7 +1,7 @@
 //! What will be generated, decided before anything is sampled: scenes, pairs, shards.
 
 use super::pairs::{CandidatePair, order_seed};
-use super::{ClassifierScope, Error, GenerateConfig, Generator, SweepConfig};
+use super::{Error, Generator, ResolvedGeneration, ResolvedSweep};
 use crate::behavior::Behavior;
 use crate::scene::{SceneId, Split, TrackId};
 use crate::store::SceneIndexEntry;
@@ -56,20 +56,20 @@ pub struct Shortfall {
 
 impl Plan {
     /// Number of samples in all, if no sweep is stopped early.
-    pub fn n_samples(&self, config: &GenerateConfig) -> usize {
+    pub fn n_samples(&self, config: &ResolvedGeneration) -> usize {
         self.shards.iter().map(|shard| shard.n_samples(config)).sum()
     }
 }
 
 impl ShardPlan {
     /// Number of samples.
-    pub fn n_samples(&self, config: &GenerateConfig) -> usize {
+    pub fn n_samples(&self, config: &ResolvedGeneration) -> usize {
         let sweep = &config.sweeps[self.sweep_idx];
         self.cells.len() * sweep.levels().len() * sweep.n_samples
     }
 
     /// Whether the shard is to be generated when the sweep's earlier shards hold `n_verified` verified scenarios.
-    pub fn is_wanted(&self, config: &GenerateConfig, n_verified: usize) -> bool {
+    pub fn is_wanted(&self, config: &ResolvedGeneration, n_verified: usize) -> bool {
         config.sweeps[self.sweep_idx].stop_after_verified.is_none_or(|enough| n_verified < enough)
     }
 }
@@ -128,7 +128,7 @@ impl Generator<'_> {
     /// The cells of a sweep that asks for a behavior, scene by scene, among the chosen scenes that are possible.
     pub(super) fn cells_by_scene(
         &self,
-        sweep: &SweepConfig,
+        sweep: &ResolvedSweep,
         index: &[SceneIndexEntry],
         is_possible: &dyn Fn(&SceneIndexEntry) -> bool,
     ) -> Result<Vec<Vec<Cell>>, Error> {
@@ -146,7 +146,7 @@ impl Generator<'_> {
     ) -> Vec<Listed<'i>> {
         let has_val = index.iter().any(|entry| entry.split == Split::Val);
         let default_split = if has_val { Split::Val } else { Split::Unsplit };
-        let GenerateConfig { splits, places, .. } = self.config;
+        let ResolvedGeneration { splits, places, .. } = self.config;
         let mut scenes: Vec<(u64, Listed<'i>)> = index
             .iter()
             .enumerate()
@@ -165,7 +165,7 @@ impl Generator<'_> {
     /// The cells of the scenes that a behavior sweep asks, scene by scene.
     fn scenes_with_pairs(
         &self,
-        sweep: &SweepConfig,
+        sweep: &ResolvedSweep,
         behavior: &dyn Behavior,
         order: &[Listed<'_>],
     ) -> Result<Vec<Vec<Cell>>, Error> {
@@ -192,7 +192,7 @@ impl Generator<'_> {
 
     fn rank(
         &self,
-        sweep: &SweepConfig,
+        sweep: &ResolvedSweep,
         behavior: &dyn Behavior,
         listed: &Listed<'_>,
     ) -> Result<Option<RankedScene>, Error> {
@@ -200,7 +200,7 @@ impl Generator<'_> {
         let candidates = self.candidates(sweep, behavior, &scene)?;
         let Some(CandidatePair { score, .. }) = candidates.first() else { return Ok(None) };
         let score = *score;
-        if sweep.classifier_scope == ClassifierScope::AnyPair {
+        if sweep.asks_anybody() {
             return Ok(Some(RankedScene { score, cells: vec![listed.cell(Vec::new())] }));
         }
         let cells = candidates.into_iter().take(sweep.pairs.per_scene).map(|pair| listed.cell(pair.roles)).collect();

@@ -35,16 +35,13 @@ fn classifier_objectives_and_wanted_states_act_together() {
     let run = |rest: &str| generate(&config(&format!("{GUIDED}{rest}")));
     let wish = "objectives = [{ kind = 'no_collision', margin_m = 2.0 }]";
     let both = run(&format!("strengths = [0.0, 3.0]\n{GOALS} [0.7] }}\n{wish}"));
-    assert_eq!(kinds(&both), ["classifier:drift+no_collision+classifier_free(0.7)", "classifier_free(0.7)"]);
+    assert_eq!(kinds(&both), ["classifier:drift+no_collision+classifier_free", "classifier_free"]);
     // Where one of the two is 0, samples are those of the other one alone, to the bit.
     let leaning = run(&format!("{GOALS} [0.7] }}"));
     assert_eq!(apart_m(&at(&both, 0.0), &at(&leaning, 0.7)), 0.0);
     let guided = run(&format!("strengths = [3.0]\n{wish}"));
     let other_way = run(&format!("strengths = [3.0]\n{GOALS} [0.0, 0.7] }}\n{wish}"));
-    assert_eq!(
-        kinds(&other_way),
-        ["classifier:drift+no_collision(3)", "classifier:drift+no_collision(3)+classifier_free"]
-    );
+    assert_eq!(kinds(&other_way), ["classifier:drift+no_collision", "classifier:drift+no_collision+classifier_free"]);
     assert_eq!(apart_m(&at(&other_way, 0.0), &at(&guided, 3.0)), 0.0);
     assert_eq!(apart_m(&at(&other_way, 0.7), &at(&both, 3.0)), 0.0);
     for alone in [at(&leaning, 0.7), at(&guided, 3.0)] {
@@ -52,7 +49,7 @@ fn classifier_objectives_and_wanted_states_act_together() {
     }
     let refused = config(&format!("{GUIDED}strengths = [0.0, 3.0]\n{GOALS} [0.0, 0.7] }}"));
     let why = with_generator_result(&refused, |_| Ok(())).unwrap_err().to_string();
-    assert!(why.contains("both lists"), "{why}");
+    assert!(why.contains("classifier_free.weights are 2 numbers and strengths 2"), "{why}");
 }
 
 #[test]
