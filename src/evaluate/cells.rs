@@ -5,11 +5,11 @@ use super::judge::{Judge, ReferenceJudgment};
 use super::measures::{Measures, Requested};
 use super::predictions;
 use crate::metrics::{Modes, MotionHistograms, SampleGroup, SeriesKey, constant_velocity};
-use crate::scene::{Scene, Track, Trajectory};
+use crate::scene::{GuidanceLevel, Scene, Track, Trajectory};
 use crate::seed::Seed;
 use crate::store::{Assessment, ScenarioRecord};
 
-/// The samples of one scene, asked of the same agents at the same strength.
+/// The samples of one scene, asked of the same agents at the same level.
 pub(super) struct Cell<'a> {
     /// The samples, in order.
     pub(super) records: Vec<&'a ScenarioRecord>,
@@ -50,7 +50,7 @@ pub(super) fn into_cells(records: &[ScenarioRecord]) -> Vec<Cell<'_>> {
     let mut cells: Vec<Cell<'_>> = Vec::new();
     for record in records {
         let same_roles = |cell: &&mut Cell<'_>| is_same_question(cell.records[0], record);
-        let same_cell = |cell: &&mut Cell<'_>| same_roles(cell) && strength(cell.records[0]) == strength(record);
+        let same_cell = |cell: &&mut Cell<'_>| same_roles(cell) && level(cell.records[0]) == level(record);
         match cells.iter_mut().find(same_cell) {
             Some(cell) => cell.records.push(record),
             None => {
@@ -67,8 +67,8 @@ fn is_same_question(a: &ScenarioRecord, b: &ScenarioRecord) -> bool {
     a.scene_id == b.scene_id && a.guidance.roles == b.guidance.roles
 }
 
-const fn strength(record: &ScenarioRecord) -> f64 {
-    record.scenario.provenance.guidance.strength
+const fn level(record: &ScenarioRecord) -> GuidanceLevel {
+    record.scenario.provenance.guidance.level
 }
 
 impl Cell<'_> {

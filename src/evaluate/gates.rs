@@ -5,6 +5,7 @@ use super::evaluation::EvaluationSummary;
 use super::measures::BEHAVIOR_RATE;
 use crate::generate::{ResolvedGeneration, ResolvedSweep};
 use crate::metrics::{Group, SeriesKey};
+use crate::scene::LevelAxis;
 use crate::store::MetricRow;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -41,7 +42,7 @@ pub struct GatesConfig {
 /// A gate and whether it was met.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GateResult {
-    /// Which gate, and where: `max_collision_rate (cut_ins, strength 2)`.
+    /// Which gate, and where: `max_collision_rate (cut_ins, α = 2)`.
     pub gate: String,
     /// Whether it was met.
     pub met: bool,
@@ -103,7 +104,11 @@ impl GatesConfig {
         }
         if self.guidance_raises_rate {
             let mut compared = sweeps.iter().filter(|sweep| sweep.behavior.is_some() && sweep.levels().len() > 1);
-            let without_zero = compared.clone().find(|sweep| sweep.levels().iter().all(|level| level.value != 0.0));
+            let has_zero = |sweep: &&ResolvedSweep| {
+                let axis = LevelAxis::of(sweep.levels().iter().copied());
+                sweep.levels().iter().any(|level| axis.read(*level) == 0.0)
+            };
+            let without_zero = compared.clone().find(|sweep| !has_zero(sweep));
             if let Some(ResolvedSweep { name, .. }) = without_zero {
                 let why =
                     format!("is set, but sweep {name} has no strength 0 to compare with: add 0.0 to its strengths");
@@ -170,7 +175,7 @@ impl<'a> Measured<'a> {
     fn rate(&self, RateGate { name, metric, bound, is_least }: &RateGate) -> Vec<GateResult> {
         let Some(bound) = *bound else { return Vec::new() };
         let of_series = |series: &SeriesKey| {
-            let gate = format!("{name} ({}, strength {})", series.sweep, series.strength);
+            let gate = format!("{name} ({}, {})", series.sweep, series.level);
             let Some(found) = self.mean(metric, series) else {
                 return not_judged(gate, format_args!("{metric} is not defined for any scene of it"));
             };
@@ -212,18 +217,20 @@ impl<'a> Measured<'a> {
         let of_sweep = |sweep: &&str| {
             let gate = format!("{name} ({sweep})");
             let own = self.generated.iter().filter(|series| series.sweep == *sweep);
-            let strongest = own.clone().max_by(|a, b| a.strength.total_cmp(&b.strength))?;
-            let zero = own.clone().find(|series| series.strength == 0.0);
+            let axis = LevelAxis::of(own.clone().map(|series| series.level));
+            let strongest = own.clone().max_by(|a, b| axis.read(a.level).total_cmp(&axis.read(b.level)))?;
+            let zero = own.clone().find(|series| axis.read(series.level) == 0.0);
             if own.count() < 2 {
                 return None;
             }
-            let Some(zero) = zero else { return Some(not_judged(gate, "it has no samples at strength 0")) };
+            let Some(zero) = zero else {
+                return Some(not_judged(gate, format_args!("it has no samples at {} 0", axis.name())));
+            };
             let rates = self.mean(BEHAVIOR_RATE, strongest).zip(self.mean(BEHAVIOR_RATE, zero));
             let Some((guided, without)) = rates else {
                 return Some(not_judged(gate, format_args!("{BEHAVIOR_RATE} is not defined for any scene of it")));
             };
-            let strength = strongest.strength;
-            let detail = format!("{guided:.4} at strength {strength} against {without:.4} at strength 0");
+            let detail = format!("{guided:.4} at {} against {without:.4} at {}", strongest.level, zero.level);
             Some(judged(gate, guided > without, detail))
         };
         let results = sweeps.iter().filter_map(of_sweep).collect();

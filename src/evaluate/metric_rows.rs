@@ -101,7 +101,7 @@ fn row(key: &SeriesKey, place: &str, metric: &str, value: f64, n: u64) -> Metric
     MetricRow {
         group: key.group.clone(),
         sweep: key.sweep.clone(),
-        strength: key.strength,
+        level: key.level,
         place: place.to_owned(),
         scene_id: None,
         scenario_id: None,

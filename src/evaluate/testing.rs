@@ -6,7 +6,7 @@ use super::judge::Judge;
 use super::measures::{Measures, MetricDoc};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::scene::testing::{self, Drive};
-use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, TrackId};
+use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, Scene, TrackId};
 use crate::store::ScenarioRecord;
 use std::collections::BTreeMap;
 
@@ -42,7 +42,7 @@ pub(crate) fn record(strength: f64, verified: bool, recorded_event: bool, scene:
     let provenance = Provenance {
         classifier: Some("c".into()),
         sample_idx: 4,
-        guidance: GuidanceTag { kind: "classifier:cut_in".into(), strength, roles },
+        guidance: GuidanceTag { kind: "classifier:cut_in".into(), level: GuidanceLevel::of_strength(strength), roles },
         ..testing::provenance(&scene.id.0)
     };
     ScenarioRecord {

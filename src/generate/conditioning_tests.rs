@@ -87,7 +87,7 @@ fn weights_lead_from_ignoring_goals_to_reaching_them() {
     let records = finely(&format!("validity_strength = 0.0\n{GOALS} [0.0, 0.5, 1.0] }}"));
     let unguided = finely("validity_strength = 0.0");
     let of = |weight: f64| -> Vec<ScenarioRecord> {
-        records.iter().filter(|r| r.scenario.provenance.guidance.strength == weight).cloned().collect()
+        records.iter().filter(|r| r.scenario.provenance.guidance.level.weight == weight).cloned().collect()
     };
     assert_eq!(records.len(), 18);
     assert_eq!(of(0.0), unguided, "weight 0 is unguided sampling, to the bit");

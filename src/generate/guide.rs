@@ -2,8 +2,7 @@
 
 use super::pairs::{possible_pairs, slots};
 use super::{
-    Cell, ClassifierInput, ClassifierScope, Diffusion, Error, Generator, Level, ObserveConfig, ResolvedSweep,
-    SelectConfig,
+    Cell, ClassifierInput, ClassifierScope, Diffusion, Error, Generator, ObserveConfig, ResolvedSweep, SelectConfig,
 };
 use crate::diffusion::Denoiser;
 use crate::guidance::{
@@ -12,7 +11,7 @@ use crate::guidance::{
     RoadPoints, SceneContext, SlipLimit, StayOnRoad,
 };
 use crate::model::TrainedClassifier;
-use crate::scene::{GuidanceTag, ObservationMask, Scene};
+use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Scene};
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
 
@@ -54,7 +53,7 @@ pub(super) struct Guided<'a> {
     /// How its denoiser is sampled.
     pub(super) diffusion: &'a Diffusion,
     /// Strength of the guidance, and weight of wanted states.
-    pub(super) level: Level,
+    pub(super) level: GuidanceLevel,
     /// The cells with their scenes.
     pub(super) cells: &'a [(&'a Cell, &'a Scene)],
     /// The agents that each cell asks; the first is at the center.
@@ -109,7 +108,7 @@ impl<'g> Generator<'g> {
     /// What guides samples of this level: `none`, or the classifier and the objectives in order, such as
     /// `classifier:cut_in+no_collision`; `classifier_any_pair:cut_in` where nobody in particular is asked; and `classifier_free`
     /// where samples lean toward states.
-    pub(super) fn guidance_kind(&self, sweep: &ResolvedSweep, diffusion: &Diffusion, level: Level) -> String {
+    pub(super) fn guidance_kind(&self, sweep: &ResolvedSweep, diffusion: &Diffusion, level: GuidanceLevel) -> String {
         let scope = if sweep.asks_anybody() { "classifier_any_pair" } else { "classifier" };
         let classifier = self.guiding_classifier(sweep, level.strength);
         let mut parts: Vec<String> = classifier.map(|c| format!("{scope}:{}", c.spec.behavior)).into_iter().collect();
@@ -132,7 +131,7 @@ impl<'g> Generator<'g> {
         inner: &dyn Denoiser,
         sample: impl FnOnce(&dyn Denoiser) -> Result<T, Error>,
     ) -> Result<T, Error> {
-        let Guided { sweep, diffusion, level: Level { strength, .. }, .. } = *guided;
+        let Guided { sweep, diffusion, level: GuidanceLevel { strength, .. }, .. } = *guided;
         let asked = &diffusion.guidance;
         let on_estimates = |inner, potential| CleanGuidedDenoiser {
             inner,

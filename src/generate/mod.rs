@@ -37,7 +37,7 @@ pub use generator::{Generator, Models, SceneLoader};
 pub use limit::{Limit, LimitRange};
 pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice, TimestepRange};
 pub use plan::{Cell, Plan, ShardPlan, Shortfall};
-pub use regenerate::Wanted;
+pub use regenerate::SampleKey;
 pub use request::{
     Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Condition, Divisions, Ended, Hits,
     Ledger, PlanKind, Pool, RequestConfig, RequestSummary, ResolvedGeneration, ResolvedRequest, Round, RoundContext,
@@ -46,7 +46,7 @@ pub use request::{
 pub use sample::{RejectedSample, ShardOutput};
 pub use select::SelectConfig;
 pub use sweep::{
-    ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, Level, ModelConfig, ResolvedSweep,
+    ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
     SamplingConfig, SweepConfig, SweepGuidance, SweepModel,
 };
 pub use verify::{Verification, verify};

@@ -1,7 +1,7 @@
 //! How does a sample become a scenario: what it came from, what is found in it, and under which id?
 
-use super::{Cell, Error, Generator, Level, ResolvedSweep, Verification, verify};
-use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
+use super::{Cell, Error, Generator, ResolvedSweep, Verification, verify};
+use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
 use crate::store::{ScenarioRecord, as_stored};
 
 impl Generator<'_> {
@@ -12,7 +12,7 @@ impl Generator<'_> {
         cell: &Cell,
         recorded: &Scene,
         (generated, observed): (&Scene, ObservationMask),
-        (level, sample_idx, probability): (Level, usize, Option<f64>),
+        (level, sample_idx, probability): (GuidanceLevel, usize, Option<f64>),
     ) -> Result<ScenarioRecord, Error> {
         let classifier = self.guiding_classifier(sweep, level.strength);
         let (checkpoint, kind, edit) = match sweep.diffusion() {
@@ -31,7 +31,7 @@ impl Generator<'_> {
             seed: self.config.seed,
             sample_idx,
             probability,
-            guidance: GuidanceTag { kind, strength: level.value, roles: cell.roles.clone() },
+            guidance: GuidanceTag { kind, level, roles: cell.roles.clone() },
             sampler: sweep.sampler_name(),
             settings: sweep.settings(level),
         };
@@ -93,6 +93,9 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
         add(role);
         add(&track.0);
     }
-    add(&format!("{seed} {sample_idx} {} {edit_tau:?}", guidance.strength));
+    // Where both numbers of the level act, the settings name both.
+    let GuidanceLevel { strength, weight } = guidance.level;
+    let level = if strength == 0.0 { weight } else { strength };
+    add(&format!("{seed} {sample_idx} {level} {edit_tau:?}"));
     hasher.finalize().to_hex()[..16].to_owned()
 }

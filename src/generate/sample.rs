@@ -3,12 +3,12 @@
 use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_velocities};
 use super::guide::{Guided, Wishes};
 use super::select::Candidate;
-use super::{Cell, ClassifierFreeConfig, Diffusion, Error, Generator, Level, ResolvedSweep, ShardPlan};
+use super::{Cell, ClassifierFreeConfig, Diffusion, Error, Generator, ResolvedSweep, ShardPlan};
 use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::nn::in_pool;
 use crate::progress::Progress;
-use crate::scene::{Scene, SceneId, TrackId};
+use crate::scene::{GuidanceLevel, Scene, SceneId, TrackId};
 use crate::seed::Seed;
 use crate::store::ScenarioRecord;
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
@@ -35,8 +35,9 @@ pub struct RejectedSample {
     pub scene_id: SceneId,
     /// The sweep.
     pub sweep: String,
-    /// Strength of the guidance.
-    pub strength: f64,
+    /// How strongly it was guided.
+    #[serde(flatten)]
+    pub level: GuidanceLevel,
     /// Which sample of its scene and strength it is.
     pub sample_idx: usize,
     /// The run's seed.
@@ -50,7 +51,7 @@ struct Batch<'a> {
     sweep: &'a ResolvedSweep,
     cells: Vec<(&'a Cell, &'a Conditioned)>,
     samples: Range<usize>,
-    level: Level,
+    level: GuidanceLevel,
 }
 
 /// What came of one sample.
@@ -66,13 +67,13 @@ struct Draw {
 /// One of the samples of a cell; or why there is none.
 #[derive(Debug, Clone)]
 struct Sampled {
-    level: Level,
+    level: GuidanceLevel,
     sample_idx: usize,
     draw: Result<Draw, String>,
 }
 
 /// Whether a batch is generated: of this level, these cells and samples.
-type BatchChoice<'a> = dyn Fn(Level, &[usize], &Range<usize>) -> bool + 'a;
+type BatchChoice<'a> = dyn Fn(GuidanceLevel, &[usize], &Range<usize>) -> bool + 'a;
 
 impl Generator<'_> {
     /// Generates a shard. Progress advances by one for each sample.
@@ -128,7 +129,7 @@ impl Generator<'_> {
                     Err(reason) => output.rejected.push(RejectedSample {
                         scene_id: cell.scene_id.clone(),
                         sweep: sweep.name.clone(),
-                        strength: level.value,
+                        level,
                         sample_idx,
                         seed: self.config.seed,
                         reason,

@@ -82,7 +82,8 @@ fn strengths_are_paired_and_zero_is_unguided() {
     let records = generate(&config(SWEEPS));
     let unguided = generate(&config(&SWEEPS.replace("[0.0, 3.0]", "[0.0]")));
     for (guided, unguided) in records[15..].chunks(4).zip(unguided[15..].chunks(2)) {
-        let of = |strength: f64| guided.iter().filter(move |r| r.scenario.provenance.guidance.strength == strength);
+        let of =
+            |strength: f64| guided.iter().filter(move |r| r.scenario.provenance.guidance.level.strength == strength);
         for (a, b) in of(0.0).zip(unguided) {
             assert_eq!(a, b);
             assert_eq!(

@@ -3,7 +3,7 @@
 use super::layout::Layout;
 use super::stages::{FoundShard, SampleManifest, SampleSettings, SampledWith, checkpoint_file, find_shard, shard_name};
 use super::{Failure, Result};
-use crate::generate::{Generator, Ledger, Models, ResolvedGeneration, ResolvedSweep, Wanted};
+use crate::generate::{Generator, Ledger, Models, ResolvedGeneration, ResolvedSweep, SampleKey};
 use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::store::{CorpusReader, Difference, ScenarioRecord, SceneStore, differences, sample_ids};
 use candle_core::Device;
@@ -53,7 +53,7 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, device: &Dev
         FoundShard::OfSweep(plan) => plan,
         FoundShard::OfRequest { shard, .. } => &shard.plan,
     };
-    let wanted = Wanted::of(plan, &row.scenario.provenance).ok_or_else(|| {
+    let wanted = SampleKey::of(plan, &row.scenario.provenance).ok_or_else(|| {
         Failure::fault(anyhow::anyhow!("the plan of shard {} has no cell of scenario {id}; it was changed", row.shard))
     })?;
     let mut again = generator.regenerate(plan, wanted)?.ok_or_else(|| {

@@ -6,7 +6,7 @@ use super::facts::check_name;
 use crate::behavior::{self, Behavior};
 use crate::generate::sweep::mined;
 use crate::generate::{Error, GenerateConfig, ResolvedSweep, SelectConfig};
-use crate::scene::Split;
+use crate::scene::{GuidanceLevel, Split};
 use crate::settings::{self, Issue};
 use std::collections::BTreeSet;
 
@@ -55,8 +55,8 @@ pub struct Arm {
     pub n_samples: usize,
     /// Calls of the network for a sample.
     pub n_evaluations: u64,
-    /// Strength or weight; 0 is unguided.
-    pub level: f64,
+    /// How strongly its samples are guided.
+    pub level: GuidanceLevel,
 }
 
 impl GenerateConfig {
@@ -95,7 +95,7 @@ impl GenerateConfig {
                         sweep_idx: resolved.sweeps.len(),
                         n_samples: sweep.n_samples,
                         n_evaluations: sweep.n_evaluations(),
-                        level: level.value,
+                        level,
                     });
                     resolved.sweeps.push(sweep);
                 }

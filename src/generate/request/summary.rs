@@ -5,6 +5,7 @@ use super::config::BudgetConfig;
 use super::ledger::{Counts, Hits, Ledger};
 use super::resolve::ResolvedRequest;
 use super::rounds::Pool;
+use crate::scene::GuidanceLevel;
 use serde::{Deserialize, Serialize};
 
 /// Why a request was ended.
@@ -53,8 +54,9 @@ pub struct RequestSummary {
 pub struct ArmSummary {
     /// Its name.
     pub name: String,
-    /// Strength or weight; 0 is unguided.
-    pub level: f64,
+    /// How strongly its samples are guided.
+    #[serde(flatten)]
+    pub level: GuidanceLevel,
     /// Evaluations of the denoiser for one sample.
     pub n_evaluations_per_sample: u64,
     /// Over all rounds, in which arms that yield more are tried more, on scenes that yield more.

@@ -1,42 +1,20 @@
-//! In what do the samples of one scene differ beside their noise?
+//! In what do the samples of one scene differ beside their noise? Strengths or weights, and not both.
 
 use super::config::DiffusionConfig;
+use crate::scene::GuidanceLevel;
 use crate::settings::{self, Issue, Result};
-
-/// How strongly samples are guided, and how much they lean toward wanted states.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Level {
-    /// The number that varies within the sweep, by which samples are told apart: one of the two below.
-    pub value: f64,
-    /// Strength α of the guidance by classifier and objectives; 0 is none.
-    pub strength: f64,
-    /// Weight λ of classifier-free guidance; 0 is none.
-    pub weight: f64,
-}
-
-impl Level {
-    /// That of forecasts.
-    pub const UNGUIDED: Self = Self { value: 0.0, strength: 0.0, weight: 0.0 };
-}
 
 impl DiffusionConfig {
     /// What samples of a scene differ in beside their noise: the strengths α of guidance, or the weights λ of classifier-free
     /// guidance. Where there are both, one of them is a single number.
-    pub(super) fn levels(&self) -> Result<Vec<Level>> {
+    pub(super) fn levels(&self) -> Result<Vec<GuidanceLevel>> {
         let strengths = numbers("strengths", &self.strengths)?;
         let weights = self.classifier_free.as_ref().map(|config| numbers("classifier_free.weights", &config.weights));
+        let at = |strength: f64, weight: f64| GuidanceLevel { strength, weight };
         match (strengths, weights.transpose()?) {
-            (strengths, None) => {
-                Ok(strengths.iter().map(|&strength| Level { value: strength, strength, weight: 0.0 }).collect())
-            }
-            (&[strength], Some(weights)) => {
-                let is_one = weights.len() == 1 && strength != 0.0;
-                let level = |&weight: &f64| Level { value: if is_one { strength } else { weight }, strength, weight };
-                Ok(weights.iter().map(level).collect())
-            }
-            (strengths, Some(&[weight])) => {
-                Ok(strengths.iter().map(|&strength| Level { value: strength, strength, weight }).collect())
-            }
+            (strengths, None) => Ok(strengths.iter().map(|&strength| at(strength, 0.0)).collect()),
+            (&[strength], Some(weights)) => Ok(weights.iter().map(|&weight| at(strength, weight)).collect()),
+            (strengths, Some(&[weight])) => Ok(strengths.iter().map(|&strength| at(strength, weight)).collect()),
             (strengths, Some(weights)) => Err(Issue::new(
                 "classifier_free.weights",
                 format_args!(
@@ -65,23 +43,22 @@ fn numbers<'a>(key: &str, numbers: &'a [f64]) -> Result<&'a [f64]> {
 mod tests {
     use crate::generate::testing::resolve;
 
-    fn levels(toml: &str) -> Vec<[f64; 3]> {
+    fn levels(toml: &str) -> Vec<[f64; 2]> {
         let sweep =
             resolve(&format!("[[sweeps]]\nname = 's'\nn_scenes = 1\nbehavior = 'drift'\n{toml}")).sweeps.remove(0);
-        sweep.levels().iter().map(|level| [level.value, level.strength, level.weight]).collect()
+        sweep.levels().iter().map(|level| [level.strength, level.weight]).collect()
     }
 
     #[test]
-    fn the_one_that_varies_tells_samples_apart() {
+    fn strengths_or_weights_vary() {
         let goals = |weights: &str| {
             format!("classifier_free = {{ extra = [{{ agents = 'all', times = 'goal' }}], weights = {weights} }}")
         };
-        assert_eq!(levels("strengths = [0.0, 2.0]"), [[0.0, 0.0, 0.0], [2.0, 2.0, 0.0]]);
-        assert_eq!(levels(&goals("[0.5, 1.0]")), [[0.5, 0.0, 0.5], [1.0, 0.0, 1.0]]);
-        assert_eq!(levels(&goals("[0.5]")), [[0.5, 0.0, 0.5]]);
+        assert_eq!(levels("strengths = [0.0, 2.0]"), [[0.0, 0.0], [2.0, 0.0]]);
+        assert_eq!(levels(&goals("[0.5, 1.0]")), [[0.0, 0.5], [0.0, 1.0]]);
         let both = |strengths: &str, weights: &str| levels(&format!("strengths = {strengths}\n{}", goals(weights)));
-        assert_eq!(both("[0.0, 2.0]", "[0.5]"), [[0.0, 0.0, 0.5], [2.0, 2.0, 0.5]]);
-        assert_eq!(both("[2.0]", "[0.5]"), [[2.0, 2.0, 0.5]]);
-        assert_eq!(both("[2.0]", "[0.0, 1.0]"), [[0.0, 2.0, 0.0], [1.0, 2.0, 1.0]]);
+        assert_eq!(both("[0.0, 2.0]", "[0.5]"), [[0.0, 0.5], [2.0, 0.5]]);
+        assert_eq!(both("[2.0]", "[0.5]"), [[2.0, 0.5]]);
+        assert_eq!(both("[2.0]", "[0.0, 1.0]"), [[2.0, 0.0], [2.0, 1.0]]);
     }
 }

@@ -12,6 +12,5 @@ pub use config::{
     ArmConfig, ClassifierInput, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig,
     SweepGuidance,
 };
-pub use level::Level;
 pub(super) use resolve::mined;
 pub use resolved::{Diffusion, ResolvedSweep, SweepModel};

@@ -1,13 +1,14 @@
 //! Can a sweep as it is written be sampled? The one place where that is asked, and where what it left open is filled in.
 
 use super::{
-    ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, Level, ModelConfig, ResolvedSweep,
+    ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
     SamplingConfig, SweepConfig, SweepModel,
 };
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerConfig;
 use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig, SelectConfig};
 use crate::guidance::{CleanGradient, GuidanceConfig};
+use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
 use crate::tensor::MaskTask;
 
@@ -92,7 +93,7 @@ impl ArmConfig {
         request: &RequestConfig,
         config: &GenerateConfig,
         behavior: &dyn Behavior,
-    ) -> Result<Vec<(ResolvedSweep, Level)>> {
+    ) -> Result<Vec<(ResolvedSweep, GuidanceLevel)>> {
         let behavior = Some(behavior);
         let model = self.sampling.resolve(&Purpose { config, behavior, selects_by_objectives: false })?;
         let sweep = ResolvedSweep {
@@ -110,8 +111,9 @@ impl ArmConfig {
         if let &[level] = levels {
             return Ok(vec![(sweep, level)]);
         }
-        let at = |level: &Level| {
-            let mut one = ResolvedSweep { name: format!("{}@{}", sweep.name, level.value), ..sweep.clone() };
+        let axis = LevelAxis::of(levels.iter().copied());
+        let at = |level: &GuidanceLevel| {
+            let mut one = ResolvedSweep { name: format!("{}@{}", sweep.name, axis.read(*level)), ..sweep.clone() };
             if let SweepModel::Denoiser(diffusion) | SweepModel::Distilled(diffusion) = &mut one.model {
                 diffusion.levels = vec![*level];
             }

@@ -1,9 +1,10 @@
 //! A sweep that can be sampled: nothing in it is left open, and nothing contradicts.
 
-use super::{ClassifierScope, Level, SweepGuidance};
+use super::{ClassifierScope, SweepGuidance};
 use crate::diffusion::{Edm, SamplerConfig};
 use crate::generate::{ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig};
 use crate::model::Distillation;
+use crate::scene::GuidanceLevel;
 
 /// A sweep that was checked. Only `GenerateConfig::resolve` makes one.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,7 +48,7 @@ pub struct Diffusion {
     /// How strongly samples are kept apart and on the road, at every level; 0: not at all.
     pub validity_strength: f64,
     /// What samples of a scene differ in beside their noise; at least one.
-    pub levels: Vec<Level>,
+    pub levels: Vec<GuidanceLevel>,
     /// What guides at strengths other than 0.
     pub guidance: SweepGuidance,
     /// States that samples lean toward.
@@ -76,8 +77,8 @@ impl ResolvedSweep {
     }
 
     /// What samples of a scene differ in beside their noise.
-    pub fn levels(&self) -> &[Level] {
-        self.diffusion().map_or(&[Level::UNGUIDED], |diffusion| &diffusion.levels)
+    pub fn levels(&self) -> &[GuidanceLevel] {
+        self.diffusion().map_or(&[GuidanceLevel::UNGUIDED], |diffusion| &diffusion.levels)
     }
 
     /// Whether some of its samples are forecasts: neither guided nor leaning toward wanted states nor edited.

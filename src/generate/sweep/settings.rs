@@ -1,12 +1,13 @@
 //! Every setting that a sample was drawn with, for its provenance.
 
-use super::{Diffusion, Level, ResolvedSweep, SweepModel};
+use super::{Diffusion, ResolvedSweep, SweepModel};
+use crate::scene::GuidanceLevel;
 use serde_json::{Value, json};
 
 impl ResolvedSweep {
     /// The settings of a sample of this sweep at `level` as JSON: sampler, what is observed, edits, and how it is guided and
     /// how strongly, with every option of the objectives. What has no effect at this level is left out.
-    pub(in crate::generate) fn settings(&self, level: Level) -> String {
+    pub(in crate::generate) fn settings(&self, level: GuidanceLevel) -> String {
         let mut settings = match &self.model {
             SweepModel::Denoiser(diffusion) | SweepModel::Distilled(diffusion) => diffusion.settings(level),
             SweepModel::Baseline => json!({}),
@@ -22,7 +23,7 @@ impl ResolvedSweep {
 }
 
 impl Diffusion {
-    fn settings(&self, level: Level) -> Value {
+    fn settings(&self, level: GuidanceLevel) -> Value {
         let mut settings = json!({ "sampler": self.sampler, "validity_strength": self.validity_strength });
         if let Some(edit) = &self.edit {
             settings["edit"] = json!(edit);

@@ -27,7 +27,7 @@ fn kinds(records: &[ScenarioRecord]) -> Vec<&str> {
 
 /// The mean deviation of generated speeds from 2 m/s, over records of a strength.
 fn deviation_mps(records: &[ScenarioRecord], strength: f64) -> f64 {
-    let own = records.iter().filter(|record| record.scenario.provenance.guidance.strength == strength);
+    let own = records.iter().filter(|record| record.scenario.provenance.guidance.level.strength == strength);
     let tracks = own.flat_map(|record| &record.scenario.scene.tracks);
     let states = tracks.flat_map(|track| track.trajectory.valid().filter(|(t, _)| *t >= N_HISTORY));
     let deviations: Vec<f64> = states.map(|(_, state)| (state.speed_mps() - 2.0).abs()).collect();
@@ -80,7 +80,7 @@ fn classifier_and_objectives_act_together() {
     let together = config(&format!("{SWEEPS}    objectives = [{{ kind = 'no_collision', margin_m = 2.0 }}]"));
     let (records, classified) = (generate(&together), generate(&config(SWEEPS)));
     let guided = |records: &[ScenarioRecord]| -> Vec<ScenarioRecord> {
-        records[15..].iter().filter(|r| r.scenario.provenance.guidance.strength == 3.0).cloned().collect()
+        records[15..].iter().filter(|r| r.scenario.provenance.guidance.level.strength == 3.0).cloned().collect()
     };
     let (guided, classified) = (guided(&records), guided(&classified));
     assert_eq!(kinds(&guided), ["classifier:drift+no_collision"]);
@@ -106,7 +106,7 @@ fn objectives_alone_may_serve_a_behavior() {
     let records = generator.generate(plan.shards.last().unwrap(), &Silent).unwrap().records;
     assert_eq!(kinds(&records), ["goal", "none"]);
     let rate = |strength: f64| {
-        let own = records.iter().filter(|r| r.scenario.provenance.guidance.strength == strength);
+        let own = records.iter().filter(|r| r.scenario.provenance.guidance.level.strength == strength);
         own.filter(|record| record.verified).count()
     };
     // The goal lies 4 m to the right: what the behavior asks for.
