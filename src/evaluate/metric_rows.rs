@@ -1,6 +1,6 @@
 //! From the figures of cells to rows: one for each scene, each kept scenario, each place, and all places together.
 
-use super::cells::{Cell, CellFigures};
+use super::cells::{CellFigures, CellSamples};
 use super::measures::MetricDoc;
 use crate::metrics::{Aggregate, Group, SeriesKey};
 use crate::scene::{Scene, SceneId};
@@ -27,7 +27,7 @@ impl MetricRows {
     }
 
     /// Adds a cell of `sweep` with its figures.
-    pub(super) fn add(&mut self, sweep: &str, cell: &Cell<'_>, recorded: &Scene, figures: CellFigures) {
+    pub(super) fn add(&mut self, sweep: &str, cell: &CellSamples<'_>, recorded: &Scene, figures: CellFigures) {
         let own = cell.series(sweep);
         let (place, scene_id) = (&recorded.source.place, &recorded.id);
         for (record, values) in cell.records.iter().zip(&figures.alone) {

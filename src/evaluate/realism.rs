@@ -1,6 +1,6 @@
 //! Do road users in a sweep move as in the recordings it continues? Distances between their distributions.
 
-use super::cells::{Cell, CellMotion};
+use super::cells::{CellMotion, CellSamples};
 use crate::metrics::{Group, MotionHistograms, SeriesKey};
 use crate::scene::GuidanceLevel;
 use serde::{Deserialize, Serialize};
@@ -48,7 +48,7 @@ pub(super) struct RealismTable {
 
 impl RealismTable {
     /// Adds a cell of `sweep`.
-    pub(super) fn add(&mut self, sweep: &str, cell: &Cell<'_>, motion: &CellMotion) {
+    pub(super) fn add(&mut self, sweep: &str, cell: &CellSamples<'_>, motion: &CellMotion) {
         if let Some([recorded, constant_velocity]) = &motion.references {
             self.add_to(SeriesKey::reference(Group::Recorded, sweep), recorded);
             self.add_to(SeriesKey::reference(Group::ConstantVelocity, sweep), constant_velocity);

@@ -1,6 +1,6 @@
 //! A scenario for tests of what is said and drawn of scenarios.
 
-use super::cells::{Cell, CellFigures};
+use super::cells::{CellFigures, CellSamples};
 use super::config::EvaluateConfig;
 use super::judge::Judge;
 use super::measures::{Measures, MetricDoc};
@@ -14,10 +14,10 @@ use std::collections::BTreeMap;
 pub(super) fn evaluated_cell<'r>(
     record: &'r ScenarioRecord,
     recorded: &Scene,
-) -> (Cell<'r>, CellFigures, Vec<MetricDoc>) {
+) -> (CellSamples<'r>, CellFigures, Vec<MetricDoc>) {
     let config = EvaluateConfig::default();
     let (measures, judge) = (Measures::new(&config, &[]), Judge::without_recordings(&config));
-    let cell = Cell { records: vec![record], with_references: true };
+    let cell = CellSamples { records: vec![record], with_references: true };
     let figures = cell.evaluate(recorded, &measures, &judge, &config);
     (cell, figures, measures.docs())
 }

@@ -1,6 +1,6 @@
 //! How many scenarios of each sweep are valid, and how many of the recordings they continue are? Counted by check.
 
-use super::cells::Cell;
+use super::cells::CellSamples;
 use super::judge::ReferenceJudgment;
 use crate::metrics::{Group, SeriesKey, Violation};
 use crate::scene::{GuidanceLevel, Scene};
@@ -50,7 +50,7 @@ impl ValidityTable {
     pub(super) fn add(
         &mut self,
         sweep: &str,
-        (cell, recorded): (&Cell<'_>, &Scene),
+        (cell, recorded): (&CellSamples<'_>, &Scene),
         references: Option<&[ReferenceJudgment; 2]>,
         assessments: &[Assessment],
     ) {

@@ -39,9 +39,9 @@ pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice,
 pub use plan::{Cell, Plan, ShardPlan, Shortfall};
 pub use regenerate::SampleKey;
 pub use request::{
-    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Condition, Divisions, Ended, Hits,
-    Ledger, PlanKind, Pool, RequestConfig, RequestSummary, ResolvedGeneration, ResolvedRequest, Round, RoundContext,
-    RoundShard, ShardTally, Yield,
+    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Divisions, Ended, Hits, Ledger,
+    PlanKind, Pool, RequestConfig, RequestSummary, Requirement, ResolvedGeneration, ResolvedRequest, Round,
+    RoundContext, RoundShard, ShardTally, Yield,
 };
 pub use sample::{RejectedSample, ShardOutput};
 pub use select::SelectConfig;

@@ -11,7 +11,7 @@ use serde::{Deserialize as DeserializeDerive, Serialize};
 
 /// Which states are observed; everything else is generated.
 ///
-/// Either the name of a training task, drawn for each scene and pair: `observe = "windowed"`; or rules, of which later ones
+/// TaskOrRules the name of a training task, drawn for each scene and pair: `observe = "windowed"`; or rules, of which later ones
 /// have precedence: `observe = [{ agents = "all", times = "history" }, { agents = "ego", times = "goal" }]`.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(untagged)]
@@ -118,8 +118,8 @@ impl Default for ObserveConfig {
 impl<'de> Deserialize<'de> for ObserveConfig {
     /// By hand, so that a mistake within a rule is reported as such.
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Either;
-        impl<'de> Visitor<'de> for Either {
+        struct TaskOrRules;
+        impl<'de> Visitor<'de> for TaskOrRules {
             type Value = ObserveConfig;
 
             fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -135,7 +135,7 @@ impl<'de> Deserialize<'de> for ObserveConfig {
                 Vec::deserialize(SeqAccessDeserializer::new(rules)).map(ObserveConfig::Mask).map_err(A::Error::custom)
             }
         }
-        deserializer.deserialize_any(Either)
+        deserializer.deserialize_any(TaskOrRules)
     }
 }
 
@@ -269,12 +269,12 @@ mod tests {
     use crate::scene::testing::{Drive, scene, without_states};
 
     #[derive(DeserializeDerive, Serialize)]
-    struct Sweep {
+    struct Observing {
         observe: ObserveConfig,
     }
 
     fn parse(toml: &str) -> ObserveConfig {
-        toml::from_str::<Sweep>(&format!("observe = {toml}")).unwrap().observe
+        toml::from_str::<Observing>(&format!("observe = {toml}")).unwrap().observe
     }
 
     /// Four observed of twelve timesteps at 10 Hz; the third agent leaves after timestep 8.
@@ -330,7 +330,7 @@ mod tests {
 
     #[test]
     fn mistakes_are_named() {
-        let refusal = |toml: &str| match toml::from_str::<Sweep>(&format!("observe = {toml}")) {
+        let refusal = |toml: &str| match toml::from_str::<Observing>(&format!("observe = {toml}")) {
             Ok(sweep) => sweep.observe.validate(&["ego", "other"]).unwrap_err().to_string(),
             Err(error) => error.to_string(),
         };
@@ -348,8 +348,8 @@ mod tests {
     fn what_is_written_reads_as_itself() {
         for toml in ["'imputation'", "[{ agents = { n_random = 2 }, times = { timesteps = { from = 3 } } }]"] {
             let config = parse(toml);
-            let text = toml::to_string(&Sweep { observe: config.clone() }).unwrap();
-            assert_eq!(toml::from_str::<Sweep>(&text).unwrap().observe, config);
+            let text = toml::to_string(&Observing { observe: config.clone() }).unwrap();
+            assert_eq!(toml::from_str::<Observing>(&text).unwrap().observe, config);
         }
     }
 

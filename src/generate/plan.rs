@@ -143,11 +143,11 @@ impl Generator<'_> {
         &self,
         index: &'i [SceneIndexEntry],
         is_possible: &dyn Fn(&SceneIndexEntry) -> bool,
-    ) -> Vec<Listed<'i>> {
+    ) -> Vec<ListedScene<'i>> {
         let has_val = index.iter().any(|entry| entry.split == Split::Val);
         let default_split = if has_val { Split::Val } else { Split::Unsplit };
         let ResolvedGeneration { splits, places, .. } = self.config;
-        let mut scenes: Vec<(u64, Listed<'i>)> = index
+        let mut scenes: Vec<(u64, ListedScene<'i>)> = index
             .iter()
             .enumerate()
             .filter(|(_, entry)| match splits.is_empty() {
@@ -156,7 +156,7 @@ impl Generator<'_> {
             })
             .filter(|(_, entry)| places.is_empty() || places.contains(&entry.place))
             .filter(|(_, entry)| is_possible(entry))
-            .map(|(scene_idx, entry)| (order_seed(self.seed(), &entry.id.0), Listed { scene_idx, id: &entry.id }))
+            .map(|(scene_idx, entry)| (order_seed(self.seed(), &entry.id.0), ListedScene { scene_idx, id: &entry.id }))
             .collect();
         scenes.sort_by(|a, b| a.0.cmp(&b.0).then_with(|| a.1.id.cmp(b.1.id)));
         scenes.into_iter().map(|(_, scene)| scene).collect()
@@ -167,12 +167,12 @@ impl Generator<'_> {
         &self,
         sweep: &ResolvedSweep,
         behavior: &dyn Behavior,
-        order: &[Listed<'_>],
+        order: &[ListedScene<'_>],
     ) -> Result<Vec<Vec<Cell>>, Error> {
         let order = &order[..order.len().min(sweep.pairs.n_scenes_ranked.unwrap_or(usize::MAX))];
         let mut found: Vec<RankedScene> = Vec::new();
         // Scenes are looked at in parallel, a batch at a time, and counted in order. On a GPU the classifier is asked one after the other.
-        let rank = |scene: &Listed<'_>| self.rank(sweep, behavior, scene);
+        let rank = |scene: &ListedScene<'_>| self.rank(sweep, behavior, scene);
         for batch in order.chunks(sweep.n_scenes.clamp(8, 64)) {
             let ranked: Vec<Option<RankedScene>> = match self.device.is_cuda() {
                 true => batch.iter().map(rank).collect::<Result<_, _>>()?,
@@ -194,7 +194,7 @@ impl Generator<'_> {
         &self,
         sweep: &ResolvedSweep,
         behavior: &dyn Behavior,
-        listed: &Listed<'_>,
+        listed: &ListedScene<'_>,
     ) -> Result<Option<RankedScene>, Error> {
         let scene = self.load(listed.scene_idx, listed.id)?;
         let candidates = self.candidates(sweep, behavior, &scene)?;
@@ -210,12 +210,12 @@ impl Generator<'_> {
 
 /// A scene of the store.
 #[derive(Clone, Copy)]
-struct Listed<'a> {
+struct ListedScene<'a> {
     scene_idx: usize,
     id: &'a SceneId,
 }
 
-impl Listed<'_> {
+impl ListedScene<'_> {
     fn cell(&self, roles: Vec<(String, TrackId)>) -> Cell {
         Cell { scene_idx: self.scene_idx, scene_id: self.id.clone(), roles }
     }

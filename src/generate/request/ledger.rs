@@ -1,4 +1,4 @@
-//! What has come of a request so far? Counts by bucket, arm and cell, from the tallies of finished shards in order.
+//! What has come of a request so far? ArmCounts by bucket, arm and cell, from the tallies of finished shards in order.
 
 use super::resolve::ResolvedRequest;
 use serde::{Deserialize, Serialize};
@@ -60,9 +60,9 @@ impl Hits {
     }
 }
 
-/// Counts of one arm, or of its first round.
+/// ArmCounts of one arm, or of its first round.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(super) struct Counts {
+pub(super) struct ArmCounts {
     pub(super) n_samples: u64,
     pub(super) n_found: u64,
     pub(super) n_outside: u64,
@@ -70,7 +70,7 @@ pub(super) struct Counts {
     pub(super) hits: Vec<Hits>,
 }
 
-/// Counts of one cell over all arms.
+/// ArmCounts of one cell over all arms.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct CellCounts {
     /// Samples by arm.
@@ -87,9 +87,9 @@ pub struct Ledger {
     pub(super) accepted: Vec<u64>,
     /// Samples and evaluations spent while a bucket was not full.
     pub(super) spent_while_open: Vec<(u64, u64)>,
-    pub(super) arms: Vec<Counts>,
+    pub(super) arms: Vec<ArmCounts>,
     /// The same of the first round, in which all arms are tried on the same scenes with the same noise.
-    pub(super) first_round: Vec<Counts>,
+    pub(super) first_round: Vec<ArmCounts>,
     pub(super) cells: Vec<CellCounts>,
     n_evaluations_by_arm: Vec<u64>,
 }
@@ -98,7 +98,7 @@ impl Ledger {
     /// That of a request of which nothing is done; its pool has so many cells.
     pub fn new(request: &ResolvedRequest, n_cells: usize) -> Self {
         let (n_buckets, n_arms) = (request.buckets.len(), request.arms.len());
-        let counts = Counts { hits: vec![Hits::default(); n_buckets], ..Counts::default() };
+        let counts = ArmCounts { hits: vec![Hits::default(); n_buckets], ..ArmCounts::default() };
         Self {
             wanted: request.buckets.wanted().to_vec(),
             max_per_scene: request.config.max_per_scene,
@@ -185,7 +185,7 @@ impl Ledger {
     }
 }
 
-impl Counts {
+impl ArmCounts {
     fn add(&mut self, cell: &CellTally) {
         self.n_samples += cell.n_samples;
         self.n_found += cell.n_found;

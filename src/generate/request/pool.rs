@@ -1,6 +1,6 @@
 //! Which scenes and pairs may a request ask?
 
-use super::config::Condition;
+use super::config::Requirement;
 use super::resolve::ResolvedRequest;
 use super::rounds::Pool;
 use crate::generate::{Cell, Error, Generator};
@@ -15,7 +15,7 @@ impl Generator<'_> {
     pub fn pool(&self, request: &ResolvedRequest, index: &[SceneIndexEntry]) -> Result<Pool, Error> {
         let conditions = &request.config.conditions;
         let is_possible = |entry: &SceneIndexEntry| match conditions.get("place") {
-            Some(Condition::Texts(places)) => places.contains(&entry.place),
+            Some(Requirement::Texts(places)) => places.contains(&entry.place),
             _ => true,
         };
         let sweep = &self.config.sweeps[request.arms[0].sweep_idx];
@@ -46,7 +46,7 @@ impl Generator<'_> {
     fn has_classes(&self, request: &ResolvedRequest, cell: &Cell) -> Result<bool, Error> {
         let by_role = cell.roles.iter().filter_map(|(role, track)| {
             match request.config.conditions.get(&format!("{role}_class")) {
-                Some(Condition::Texts(classes)) => Some((track, classes)),
+                Some(Requirement::Texts(classes)) => Some((track, classes)),
                 _ => None,
             }
         });

@@ -1,7 +1,7 @@
 //! How do requests become sweeps? One for each request, arm and strength, after the sweeps that were written down.
 
 use super::buckets::Buckets;
-use super::config::{Condition, Divisions, RequestConfig};
+use super::config::{Divisions, RequestConfig, Requirement};
 use super::facts::check_name;
 use crate::behavior::{self, Behavior};
 use crate::generate::sweep::mined;
@@ -123,13 +123,13 @@ impl RequestConfig {
             divisions.validate().map_err(|why| format!("buckets.{name} {why}"))?;
         }
         for (name, condition) in &self.conditions {
-            let texts = if let Condition::Texts(texts) = condition { Some(texts.as_slice()) } else { None };
+            let texts = if let Requirement::Texts(texts) = condition { Some(texts.as_slice()) } else { None };
             check_name(behavior, name, texts).map_err(|why| format!("where: {why}"))?;
             match condition {
-                Condition::Range([least, most]) if !(least <= most && least.is_finite() && most.is_finite()) => {
+                Requirement::Range([least, most]) if !(least <= most && least.is_finite() && most.is_finite()) => {
                     return Err(format!("where.{name} is no range of finite numbers"));
                 }
-                Condition::Texts(texts) if texts.is_empty() => return Err(format!("where.{name} is empty")),
+                Requirement::Texts(texts) if texts.is_empty() => return Err(format!("where.{name} is empty")),
                 _ => {}
             }
         }

@@ -2,7 +2,7 @@
 
 use super::buckets::BucketPart;
 use super::config::BudgetConfig;
-use super::ledger::{Counts, Hits, Ledger};
+use super::ledger::{ArmCounts, Hits, Ledger};
 use super::resolve::ResolvedRequest;
 use super::rounds::Pool;
 use crate::scene::GuidanceLevel;
@@ -128,7 +128,7 @@ impl RequestSummary {
             first_round: Yield::of(&ledger.first_round[i]),
         });
         let bucket = |idx: usize| {
-            let by_arm = |counts: &[Counts], of: fn(&Hits) -> u64| -> Vec<u64> {
+            let by_arm = |counts: &[ArmCounts], of: fn(&Hits) -> u64| -> Vec<u64> {
                 counts.iter().map(|arm| of(&arm.hits[idx])).collect()
             };
             let sum = |of: fn(&Hits) -> u64| by_arm(&ledger.arms, of).iter().sum();
@@ -171,7 +171,7 @@ impl RequestSummary {
 }
 
 impl Yield {
-    fn of(counts: &Counts) -> Self {
+    fn of(counts: &ArmCounts) -> Self {
         Self {
             n_samples: counts.n_samples,
             n_found: counts.n_found,
