@@ -1,7 +1,7 @@
 //! Corpora for the tests of the tools: arbitrary scenarios, the same for the same seeds.
 
 use crate::metrics::Group;
-use crate::scene::{LaneGraph, LaneId, MapId, Scene};
+use crate::scene::{GuidanceLevel, LaneGraph, LaneId, MapId, Scene};
 use crate::store::testing::{map, record, scene};
 use crate::store::{
     CorpusManifest, CorpusNotes, CorpusWriter, MapSource, MetricRow, Result, ScenarioRecord, as_stored,
@@ -52,7 +52,7 @@ pub(super) fn write(dir: &Path, records: &[ScenarioRecord]) -> CorpusManifest {
     let metric = |record: Option<&ScenarioRecord>| MetricRow {
         group: Group::Sweep("guided".to_owned()),
         sweep: "guided".to_owned(),
-        strength: 2.0,
+        level: GuidanceLevel::of_strength(2.0),
         place: String::new(),
         scene_id: record.map(|record| record.scenario.scene.id.clone()),
         scenario_id: record.map(|record| record.scenario.id.clone()),

@@ -250,7 +250,7 @@ fn a_diff_tells_what_changed_and_where() {
     let a = folder.corpus("a", 0..20);
     let mut changed = records(5..25);
     for record in changed.iter_mut().filter(|record| record.verified).take(3) {
-        record.scenario.provenance.guidance.strength += 1.0;
+        record.scenario.provenance.guidance.level.strength += 1.0;
         record.events[0].parameters.insert("ttc_s".to_owned(), 2.0);
     }
     write(&folder.path("b"), &changed);

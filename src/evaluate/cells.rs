@@ -5,12 +5,12 @@ use super::judge::{Judge, ReferenceJudgment};
 use super::measures::{Measures, Requested};
 use super::predictions;
 use crate::metrics::{Modes, MotionHistograms, SampleGroup, SeriesKey, constant_velocity};
-use crate::scene::{Scene, Track, Trajectory};
+use crate::scene::{GuidanceLevel, Scene, Track, Trajectory};
 use crate::seed::Seed;
 use crate::store::{Assessment, ScenarioRecord};
 
-/// The samples of one scene, asked of the same agents at the same strength.
-pub(super) struct Cell<'a> {
+/// The samples of one scene, asked of the same agents at the same level.
+pub(super) struct CellSamples<'a> {
     /// The samples, in order.
     pub(super) records: Vec<&'a ScenarioRecord>,
     /// Whether the recording and the baseline are measured too: once for each scene and roles of a sweep.
@@ -46,16 +46,16 @@ pub(super) struct CellMotion {
 }
 
 /// Puts the records of a shard into cells, in order of first appearance.
-pub(super) fn into_cells(records: &[ScenarioRecord]) -> Vec<Cell<'_>> {
-    let mut cells: Vec<Cell<'_>> = Vec::new();
+pub(super) fn into_cells(records: &[ScenarioRecord]) -> Vec<CellSamples<'_>> {
+    let mut cells: Vec<CellSamples<'_>> = Vec::new();
     for record in records {
-        let same_roles = |cell: &&mut Cell<'_>| is_same_question(cell.records[0], record);
-        let same_cell = |cell: &&mut Cell<'_>| same_roles(cell) && strength(cell.records[0]) == strength(record);
+        let same_roles = |cell: &&mut CellSamples<'_>| is_same_question(cell.records[0], record);
+        let same_cell = |cell: &&mut CellSamples<'_>| same_roles(cell) && level(cell.records[0]) == level(record);
         match cells.iter_mut().find(same_cell) {
             Some(cell) => cell.records.push(record),
             None => {
                 let with_references = !cells.iter().any(|cell| is_same_question(cell.records[0], record));
-                cells.push(Cell { records: vec![record], with_references });
+                cells.push(CellSamples { records: vec![record], with_references });
             }
         }
     }
@@ -67,11 +67,11 @@ fn is_same_question(a: &ScenarioRecord, b: &ScenarioRecord) -> bool {
     a.scene_id == b.scene_id && a.guidance.roles == b.guidance.roles
 }
 
-const fn strength(record: &ScenarioRecord) -> f64 {
-    record.scenario.provenance.guidance.strength
+const fn level(record: &ScenarioRecord) -> GuidanceLevel {
+    record.scenario.provenance.guidance.level
 }
 
-impl Cell<'_> {
+impl CellSamples<'_> {
     /// The series of its samples, which are of `sweep`.
     pub(super) fn series(&self, sweep: &str) -> SeriesKey {
         SeriesKey::of(sweep, &self.records[0].scenario.provenance)

@@ -1,6 +1,6 @@
 //! From shards of scenarios to everything that is said of them.
 
-use super::cells::{Cell, CellFigures, into_cells};
+use super::cells::{CellFigures, CellSamples, into_cells};
 use super::config::EvaluateConfig;
 use super::error::{Error, Result};
 use super::gates::GateResult;
@@ -220,7 +220,7 @@ impl<'a> Evaluation<'a> {
     }
 
     /// Measures the cells of a shard in parallel, and gives them back in order.
-    fn measure<'r>(&self, records: &'r [ScenarioRecord]) -> Result<Vec<(Cell<'r>, Scene, CellFigures)>> {
+    fn measure<'r>(&self, records: &'r [ScenarioRecord]) -> Result<Vec<(CellSamples<'r>, Scene, CellFigures)>> {
         // The files of predictions cannot be shared between threads.
         let Self { config, store, measures, judge, .. } = self;
         into_cells(records)

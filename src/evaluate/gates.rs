@@ -3,8 +3,9 @@
 use super::error::{Error, Result};
 use super::evaluation::EvaluationSummary;
 use super::measures::BEHAVIOR_RATE;
-use crate::generate::{GenerateConfig, SweepConfig};
+use crate::generate::{ResolvedGeneration, ResolvedSweep};
 use crate::metrics::{Group, SeriesKey};
+use crate::scene::LevelAxis;
 use crate::store::MetricRow;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -41,7 +42,7 @@ pub struct GatesConfig {
 /// A gate and whether it was met.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GateResult {
-    /// Which gate, and where: `max_collision_rate (cut_ins, strength 2)`.
+    /// Which gate, and where: `max_collision_rate (cut_ins, α = 2)`.
     pub gate: String,
     /// Whether it was met.
     pub met: bool,
@@ -89,24 +90,26 @@ impl GatesConfig {
     ///
     /// # Errors
     /// [`Error::Config`] with the gate and the sweep.
-    pub fn check_generated(&self, generate: &GenerateConfig, has_maps: bool) -> Result<()> {
+    pub fn check_generated(&self, generated: &ResolvedGeneration, has_maps: bool) -> Result<()> {
         if self.max_offroad_rate.is_some() && !has_maps {
             return Err(refusal(
                 "max_offroad_rate",
                 "is set, but ingest.maps = \"none\" leaves no road to leave: ingest with maps",
             ));
         }
-        // What is wrong with the section itself is told by its own stage.
-        let Ok(resolved) = generate.resolve() else { return Ok(()) };
-        let sweeps = &resolved.config.sweeps;
-        if self.beat_constant_velocity && !sweeps.iter().any(SweepConfig::has_unguided) {
+        let sweeps = &generated.sweeps;
+        if self.beat_constant_velocity && !sweeps.iter().any(ResolvedSweep::has_unguided) {
             let why = "is set, but no sweep has unguided samples: add 0.0 to the strengths of one that edits nothing";
             return Err(refusal("beat_constant_velocity", why));
         }
         if self.guidance_raises_rate {
             let mut compared = sweeps.iter().filter(|sweep| sweep.behavior.is_some() && sweep.levels().len() > 1);
-            let without_zero = compared.clone().find(|sweep| sweep.levels().iter().all(|level| level.value != 0.0));
-            if let Some(SweepConfig { name, .. }) = without_zero {
+            let has_zero = |sweep: &&ResolvedSweep| {
+                let axis = LevelAxis::of(sweep.levels().iter().copied());
+                sweep.levels().iter().any(|level| axis.read(*level) == 0.0)
+            };
+            let without_zero = compared.clone().find(|sweep| !has_zero(sweep));
+            if let Some(ResolvedSweep { name, .. }) = without_zero {
                 let why =
                     format!("is set, but sweep {name} has no strength 0 to compare with: add 0.0 to its strengths");
                 return Err(refusal("guidance_raises_rate", why));
@@ -172,7 +175,7 @@ impl<'a> Measured<'a> {
     fn rate(&self, RateGate { name, metric, bound, is_least }: &RateGate) -> Vec<GateResult> {
         let Some(bound) = *bound else { return Vec::new() };
         let of_series = |series: &SeriesKey| {
-            let gate = format!("{name} ({}, strength {})", series.sweep, series.strength);
+            let gate = format!("{name} ({}, {})", series.sweep, series.level);
             let Some(found) = self.mean(metric, series) else {
                 return not_judged(gate, format_args!("{metric} is not defined for any scene of it"));
             };
@@ -214,18 +217,20 @@ impl<'a> Measured<'a> {
         let of_sweep = |sweep: &&str| {
             let gate = format!("{name} ({sweep})");
             let own = self.generated.iter().filter(|series| series.sweep == *sweep);
-            let strongest = own.clone().max_by(|a, b| a.strength.total_cmp(&b.strength))?;
-            let zero = own.clone().find(|series| series.strength == 0.0);
+            let axis = LevelAxis::of(own.clone().map(|series| series.level));
+            let strongest = own.clone().max_by(|a, b| axis.read(a.level).total_cmp(&axis.read(b.level)))?;
+            let zero = own.clone().find(|series| axis.read(series.level) == 0.0);
             if own.count() < 2 {
                 return None;
             }
-            let Some(zero) = zero else { return Some(not_judged(gate, "it has no samples at strength 0")) };
+            let Some(zero) = zero else {
+                return Some(not_judged(gate, format_args!("it has no samples at {} 0", axis.name())));
+            };
             let rates = self.mean(BEHAVIOR_RATE, strongest).zip(self.mean(BEHAVIOR_RATE, zero));
             let Some((guided, without)) = rates else {
                 return Some(not_judged(gate, format_args!("{BEHAVIOR_RATE} is not defined for any scene of it")));
             };
-            let strength = strongest.strength;
-            let detail = format!("{guided:.4} at strength {strength} against {without:.4} at strength 0");
+            let detail = format!("{guided:.4} at {} against {without:.4} at {}", strongest.level, zero.level);
             Some(judged(gate, guided > without, detail))
         };
         let results = sweeps.iter().filter_map(of_sweep).collect();

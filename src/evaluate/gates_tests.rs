@@ -3,15 +3,17 @@
 use super::evaluation::EvaluationSummary;
 use super::gates::GatesConfig;
 use super::{EvaluateConfig, GateResult, SamplingRow, ValidityRow};
+use crate::behavior::BehaviorConfig;
 use crate::generate::GenerateConfig;
 use crate::metrics::{Group, SeriesKey};
+use crate::scene::GuidanceLevel;
 use crate::store::MetricRow;
 use std::collections::BTreeMap;
 
 const SWEEP: &str = "cut_ins";
 
 fn series(group: Group, strength: f64) -> SeriesKey {
-    SeriesKey { group, sweep: SWEEP.to_owned(), strength }
+    SeriesKey { group, sweep: SWEEP.to_owned(), level: GuidanceLevel::of_strength(strength) }
 }
 
 fn unguided() -> SeriesKey {
@@ -24,34 +26,33 @@ fn guided() -> SeriesKey {
 
 /// 10 scenarios of a sweep that asks for a cut-in, of `generated` series, with these means over all places and no others.
 fn found(generated: &[SeriesKey], means: &[(SeriesKey, &str, f64)]) -> EvaluationSummary {
-    let validity_row = |SeriesKey { group, sweep, strength }: &SeriesKey, place: &str| ValidityRow {
+    let validity_row = |SeriesKey { group, sweep, level }: &SeriesKey, place: &str| ValidityRow {
         group: group.clone(),
         sweep: sweep.clone(),
-        strength: *strength,
+        level: *level,
         place: place.to_owned(),
         n: 5,
         n_valid: 5,
         violations: BTreeMap::new(),
         plausibility: None,
     };
-    let mean =
-        |(SeriesKey { group, sweep, strength }, metric, value): &(SeriesKey, &str, f64), place: &str| MetricRow {
-            group: group.clone(),
-            sweep: sweep.clone(),
-            strength: *strength,
-            place: place.to_owned(),
-            scene_id: None,
-            scenario_id: None,
-            metric: (*metric).to_owned(),
-            value: *value,
-            n: 5,
-            std_error: None,
-        };
+    let mean = |(SeriesKey { group, sweep, level }, metric, value): &(SeriesKey, &str, f64), place: &str| MetricRow {
+        group: group.clone(),
+        sweep: sweep.clone(),
+        level: *level,
+        place: place.to_owned(),
+        scene_id: None,
+        scenario_id: None,
+        metric: (*metric).to_owned(),
+        value: *value,
+        n: 5,
+        std_error: None,
+    };
     let sampling = SamplingRow {
         sweep: SWEEP.to_owned(),
         behavior: Some("cut_in".to_owned()),
         place: "X".to_owned(),
-        strength: 0.0,
+        level: GuidanceLevel::UNGUIDED,
         sampler: "heun-10".to_owned(),
         n_scenes: 5,
         n_scenarios: 10,
@@ -125,7 +126,7 @@ fn rates_are_met_at_their_bound_and_unmet_beyond() {
         for (bound, met) in [(0.2, is_least), (0.25, true), (0.3, !is_least)] {
             let (is_met, text) = only(&format!("{gate} = {bound}"), &found);
             assert_eq!(is_met, met, "{text}");
-            assert!(text.starts_with(&format!("{gate} (cut_ins, strength 2): at ")) && text.ends_with(" 0.2500 found"));
+            assert!(text.starts_with(&format!("{gate} (cut_ins, α = 2): at ")) && text.ends_with(" 0.2500 found"));
         }
     }
 }
@@ -187,8 +188,7 @@ fn the_strongest_guidance_must_find_more_than_strength_0() {
             let means = [(zero.clone(), 0.2), (guided(), 0.9), (strongest.clone(), rate)];
             let means = means.map(|(series, rate)| (series, "behavior_rate", rate));
             let (is_met, text) = only(gate, &found(&[zero.clone(), guided(), strongest.clone()], &means));
-            let expected =
-                format!("guidance_raises_rate (cut_ins): {rate:.4} at strength 10 against 0.2000 at strength 0");
+            let expected = format!("guidance_raises_rate (cut_ins): {rate:.4} at α = 10 against 0.2000 at α = 0");
             assert_eq!((is_met, text), (met, expected));
         }
     }
@@ -234,7 +234,11 @@ fn gates_that_the_sweeps_leave_nothing_to_judge_by_are_refused() {
     let refusal = |gate: &str, sweep: &str, has_maps: bool| {
         let generate = format!("[[sweeps]]\nname = 's'\nn_scenes = 1\n{sweep}");
         let generate: GenerateConfig = toml::from_str(&generate).expect("readable");
-        gates(gate).check_generated(&generate, has_maps).err().map(|error| error.to_string())
+        let behaviors = [BehaviorConfig::from_id("cut_in").expect("known").build()];
+        gates(gate)
+            .check_generated(&generate.resolve(&behaviors).expect("possible"), has_maps)
+            .err()
+            .map(|error| error.to_string())
     };
     for (gate, sweep, why) in [
         ("beat_constant_velocity = true", "strengths = [0.0]", None),

@@ -1,6 +1,6 @@
 //! From the figures of cells to rows: one for each scene, each kept scenario, each place, and all places together.
 
-use super::cells::{Cell, CellFigures};
+use super::cells::{CellFigures, CellSamples};
 use super::measures::MetricDoc;
 use crate::metrics::{Aggregate, Group, SeriesKey};
 use crate::scene::{Scene, SceneId};
@@ -27,7 +27,7 @@ impl MetricRows {
     }
 
     /// Adds a cell of `sweep` with its figures.
-    pub(super) fn add(&mut self, sweep: &str, cell: &Cell<'_>, recorded: &Scene, figures: CellFigures) {
+    pub(super) fn add(&mut self, sweep: &str, cell: &CellSamples<'_>, recorded: &Scene, figures: CellFigures) {
         let own = cell.series(sweep);
         let (place, scene_id) = (&recorded.source.place, &recorded.id);
         for (record, values) in cell.records.iter().zip(&figures.alone) {
@@ -101,7 +101,7 @@ fn row(key: &SeriesKey, place: &str, metric: &str, value: f64, n: u64) -> Metric
     MetricRow {
         group: key.group.clone(),
         sweep: key.sweep.clone(),
-        strength: key.strength,
+        level: key.level,
         place: place.to_owned(),
         scene_id: None,
         scenario_id: None,

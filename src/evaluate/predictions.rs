@@ -1,6 +1,6 @@
 //! Which samples become the predictions that a benchmark is sent?
 
-use super::cells::Cell;
+use super::cells::CellSamples;
 use super::config::EvaluateConfig;
 use super::error::Result;
 use crate::files::clear;
@@ -22,7 +22,7 @@ pub(super) struct Predictions {
 
 /// The modes that a cell offers as its scene's prediction: those of the ego where the benchmark predicts one agent, of everybody jointly else. Where
 /// there are no more samples than modes, the samples themselves. `None` for cells of what is no forecast and datasets that were not asked for.
-pub(super) fn of_cell(cell: &Cell<'_>, samples: &[Scene], config: &EvaluateConfig, seed: Seed) -> Option<Modes> {
+pub(super) fn of_cell(cell: &CellSamples<'_>, samples: &[Scene], config: &EvaluateConfig, seed: Seed) -> Option<Modes> {
     let first = samples.first()?;
     let dataset = first.source.dataset;
     if !cell.records[0].scenario.provenance.is_unguided() || !config.predictions.contains(&dataset) {
@@ -106,7 +106,7 @@ mod tests {
             let mut record = record(strength, false, false, recorded());
             record.scenario.provenance.guidance.kind = kind.to_owned();
             record.scenario.provenance.edit_tau = edit_tau;
-            let cell = Cell { records: vec![&record], with_references: false };
+            let cell = CellSamples { records: vec![&record], with_references: false };
             of_cell(&cell, &[recorded()], &config, Seed(1)).is_some()
         };
         assert!(is_predicted(GuidanceTag::NONE, 0.0, None) && is_predicted(GuidanceTag::BASELINE, 0.0, None));

@@ -1,7 +1,8 @@
 //! Do road users in a sweep move as in the recordings it continues? Distances between their distributions.
 
-use super::cells::{Cell, CellMotion};
+use super::cells::{CellMotion, CellSamples};
 use crate::metrics::{Group, MotionHistograms, SeriesKey};
+use crate::scene::GuidanceLevel;
 use serde::{Deserialize, Serialize};
 
 /// How far the distribution of a quantity of motion over a sweep is from that over its recordings.
@@ -11,8 +12,9 @@ pub struct RealismRow {
     pub group: Group,
     /// The sweep that continues these recordings.
     pub sweep: String,
-    /// Guidance strength α; 0 is unguided.
-    pub strength: f64,
+    /// How strongly it was guided.
+    #[serde(flatten)]
+    pub level: GuidanceLevel,
     /// The quantity, such as `yaw rate`.
     pub quantity: String,
     /// Its unit.
@@ -34,7 +36,7 @@ pub struct RealismRow {
 impl RealismRow {
     /// The series that is compared.
     pub fn series(&self) -> SeriesKey {
-        SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), strength: self.strength }
+        SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), level: self.level }
     }
 }
 
@@ -46,7 +48,7 @@ pub(super) struct RealismTable {
 
 impl RealismTable {
     /// Adds a cell of `sweep`.
-    pub(super) fn add(&mut self, sweep: &str, cell: &Cell<'_>, motion: &CellMotion) {
+    pub(super) fn add(&mut self, sweep: &str, cell: &CellSamples<'_>, motion: &CellMotion) {
         if let Some([recorded, constant_velocity]) = &motion.references {
             self.add_to(SeriesKey::reference(Group::Recorded, sweep), recorded);
             self.add_to(SeriesKey::reference(Group::ConstantVelocity, sweep), constant_velocity);
@@ -81,7 +83,7 @@ fn rows<'m>(
     own.iter().zip(recorded.iter()).map(|((quantity, own), (_, recorded))| RealismRow {
         group: key.group.clone(),
         sweep: key.sweep.clone(),
-        strength: key.strength,
+        level: key.level,
         quantity: quantity.title.to_owned(),
         unit: quantity.unit.to_owned(),
         n_recorded: recorded.n(),
@@ -113,7 +115,8 @@ mod tests {
             ("recorded", "b", 0.0, 5.05),
             ("b", "b", 2.0, 10.05),
         ] {
-            let key = SeriesKey { group: name.to_owned().into(), sweep: sweep.to_owned(), strength };
+            let level = GuidanceLevel::of_strength(strength);
+            let key = SeriesKey { group: name.to_owned().into(), sweep: sweep.to_owned(), level };
             table.add_to(key, &at(speed_mps));
         }
         let rows = table.finish();

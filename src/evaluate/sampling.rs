@@ -1,12 +1,12 @@
 //! How many scenarios of each sweep, place and strength are there, verified, new, colliding, off the road?
 
 use crate::metrics::{CollisionRate, Metric, OffroadRate, SampleGroup};
-use crate::scene::{Scene, SceneId};
+use crate::scene::{GuidanceLevel, Scene, SceneId};
 use crate::store::ScenarioRecord;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
-/// What one sweep gave at one guidance strength.
+/// What one sweep gave at one level of guidance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SamplingRow {
     /// The sweep's name in the configuration.
@@ -15,8 +15,9 @@ pub struct SamplingRow {
     pub behavior: Option<String>,
     /// The place of the source scenes; empty for all.
     pub place: String,
-    /// Guidance strength α; 0 is unguided.
-    pub strength: f64,
+    /// How strongly it was guided.
+    #[serde(flatten)]
+    pub level: GuidanceLevel,
     /// The sampler and its steps, such as `heun-20`.
     pub sampler: String,
     /// Source scenes.
@@ -56,14 +57,14 @@ impl SamplingTally {
         let same = |counted: &CountedRow| {
             counted.row.sweep == record.sweep
                 && counted.row.place == *place
-                && counted.row.strength == provenance.guidance.strength
+                && counted.row.level == provenance.guidance.level
         };
         let at = self.rows.iter().position(same).unwrap_or_else(|| {
             let row = SamplingRow {
                 sweep: record.sweep.clone(),
                 behavior: record.requested_behavior.clone(),
                 place: place.clone(),
-                strength: provenance.guidance.strength,
+                level: provenance.guidance.level,
                 sampler: provenance.sampler.clone(),
                 n_scenes: 0,
                 n_scenarios: 0,
@@ -120,7 +121,7 @@ mod tests {
         let rows = tally.finish();
         let counts: Vec<_> = rows
             .iter()
-            .map(|r| (r.strength, r.n_scenes, r.n_scenarios, r.n_verified, r.n_new, r.n_collision))
+            .map(|r| (r.level.strength, r.n_scenes, r.n_scenarios, r.n_verified, r.n_new, r.n_collision))
             .collect();
         assert_eq!(counts, [(2.0, 1, 3, 2, 1, 1), (0.0, 1, 1, 0, 0, 0)]);
         assert_eq!(rows[1].offroad_rate, Some(0.0));

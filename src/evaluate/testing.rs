@@ -1,12 +1,12 @@
 //! A scenario for tests of what is said and drawn of scenarios.
 
-use super::cells::{Cell, CellFigures};
+use super::cells::{CellFigures, CellSamples};
 use super::config::EvaluateConfig;
 use super::judge::Judge;
 use super::measures::{Measures, MetricDoc};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::scene::testing::{self, Drive};
-use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene, TrackId};
+use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, Scene, TrackId};
 use crate::store::ScenarioRecord;
 use std::collections::BTreeMap;
 
@@ -14,10 +14,10 @@ use std::collections::BTreeMap;
 pub(super) fn evaluated_cell<'r>(
     record: &'r ScenarioRecord,
     recorded: &Scene,
-) -> (Cell<'r>, CellFigures, Vec<MetricDoc>) {
+) -> (CellSamples<'r>, CellFigures, Vec<MetricDoc>) {
     let config = EvaluateConfig::default();
     let (measures, judge) = (Measures::new(&config, &[]), Judge::without_recordings(&config));
-    let cell = Cell { records: vec![record], with_references: true };
+    let cell = CellSamples { records: vec![record], with_references: true };
     let figures = cell.evaluate(recorded, &measures, &judge, &config);
     (cell, figures, measures.docs())
 }
@@ -42,7 +42,7 @@ pub(crate) fn record(strength: f64, verified: bool, recorded_event: bool, scene:
     let provenance = Provenance {
         classifier: Some("c".into()),
         sample_idx: 4,
-        guidance: GuidanceTag { kind: "classifier:cut_in".into(), strength, roles },
+        guidance: GuidanceTag { kind: "classifier:cut_in".into(), level: GuidanceLevel::of_strength(strength), roles },
         ..testing::provenance(&scene.id.0)
     };
     ScenarioRecord {

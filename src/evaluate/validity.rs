@@ -1,9 +1,9 @@
 //! How many scenarios of each sweep are valid, and how many of the recordings they continue are? Counted by check.
 
-use super::cells::Cell;
+use super::cells::CellSamples;
 use super::judge::ReferenceJudgment;
 use crate::metrics::{Group, SeriesKey, Violation};
-use crate::scene::Scene;
+use crate::scene::{GuidanceLevel, Scene};
 use crate::store::Assessment;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -15,8 +15,9 @@ pub struct ValidityRow {
     pub group: Group,
     /// The sweep that is judged, or that continues these recordings.
     pub sweep: String,
-    /// Guidance strength α; 0 is unguided.
-    pub strength: f64,
+    /// How strongly it was guided.
+    #[serde(flatten)]
+    pub level: GuidanceLevel,
     /// The place; empty for all.
     pub place: String,
     /// Scenes judged.
@@ -32,7 +33,7 @@ pub struct ValidityRow {
 impl ValidityRow {
     /// The series that it counts.
     pub fn series(&self) -> SeriesKey {
-        SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), strength: self.strength }
+        SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), level: self.level }
     }
 }
 
@@ -49,7 +50,7 @@ impl ValidityTable {
     pub(super) fn add(
         &mut self,
         sweep: &str,
-        (cell, recorded): (&Cell<'_>, &Scene),
+        (cell, recorded): (&CellSamples<'_>, &Scene),
         references: Option<&[ReferenceJudgment; 2]>,
         assessments: &[Assessment],
     ) {
@@ -70,10 +71,10 @@ impl ValidityTable {
     fn count(&mut self, key: &SeriesKey, place: &str, violations: &[Violation], plausibility: Option<f64>) {
         let is_same = |row: &ValidityRow| row.place == place && row.series() == *key;
         let at = self.rows.iter().position(is_same).unwrap_or_else(|| {
-            let SeriesKey { group, sweep, strength } = key.clone();
+            let SeriesKey { group, sweep, level } = key.clone();
             let (place, violations) = (place.to_owned(), BTreeMap::new());
             let (n, n_valid, plausibility) = (0, 0, None);
-            self.rows.push(ValidityRow { group, sweep, strength, place, n, n_valid, violations, plausibility });
+            self.rows.push(ValidityRow { group, sweep, level, place, n, n_valid, violations, plausibility });
             self.plausibilities.push((0.0, 0));
             self.rows.len() - 1
         });

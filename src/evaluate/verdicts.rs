@@ -3,6 +3,7 @@
 use super::config::{EvaluateConfig, Keep};
 use crate::generate::RejectedSample;
 use crate::metrics::{PairPath, PathIndex};
+use crate::scene::GuidanceLevel;
 use crate::store::{RequestOutcome, ScenarioRecord, VerdictRow};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -16,13 +17,14 @@ const NEAR_DUPLICATE: &str = "near_duplicate";
 /// Why a sample is no scenario.
 const NOT_FINITE: &str = "not_finite";
 
-/// What became of the scenarios of one sweep at one strength.
+/// What became of the scenarios of one sweep at one level.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct AcceptanceRow {
     /// The sweep.
     pub sweep: String,
-    /// Guidance strength α; 0 is unguided.
-    pub strength: f64,
+    /// How strongly it was guided.
+    #[serde(flatten)]
+    pub level: GuidanceLevel,
     /// Scenarios sampled.
     pub n_scenarios: u64,
     /// In which the miner finds the behavior for the roles asked for.
@@ -44,8 +46,9 @@ pub struct LeftOutRow {
     pub stage: String,
     /// The sweep.
     pub sweep: String,
-    /// Guidance strength α; `None` where samples of all strengths are counted together.
-    pub strength: Option<f64>,
+    /// How strongly they were guided; `None` where samples of all levels are counted together.
+    #[serde(flatten)]
+    pub level: Option<GuidanceLevel>,
     /// The reason: `not_verified`, `near_duplicate`, the name of a check of validity, …
     pub reason: String,
     /// How many are not in the corpus for this reason before any other.
@@ -80,7 +83,7 @@ impl<'a> Verdicts<'a> {
 
     /// Counts a sample that came to nothing.
     pub(super) fn count_rejected(&mut self, rejected: &RejectedSample) {
-        self.count(("generate", &rejected.sweep, Some(rejected.strength)), NOT_FINITE, 1, true);
+        self.count(("generate", &rejected.sweep, Some(rejected.level)), NOT_FINITE, 1, true);
     }
 
     /// Counts `n` samples of `sweep` that its selection left out for `reason`.
@@ -92,7 +95,7 @@ impl<'a> Verdicts<'a> {
     /// of near-duplicates the first is accepted.
     pub(super) fn decide(&mut self, record: &mut ScenarioRecord) -> bool {
         let path = PairPath::of(&record.scenario.scene, &record.scenario.provenance.guidance.roles);
-        let (scenario_id, strength) = (record.scenario.id.clone(), record.scenario.provenance.guidance.strength);
+        let (scenario_id, level) = (record.scenario.id.clone(), record.scenario.provenance.guidance.level);
         let (sweep, verified) = (record.sweep.clone(), record.verified);
         let asked = record.requested_behavior.clone();
         let mut assessment = record.assessment.take().unwrap_or_default();
@@ -120,7 +123,7 @@ impl<'a> Verdicts<'a> {
             Keep::All => true,
         };
         let is_valid = assessment.is_valid();
-        let row = self.row(&sweep, strength);
+        let row = self.row(&sweep, level);
         row.n_scenarios += 1;
         row.n_verified += u64::from(verified);
         row.n_valid += u64::from(is_valid);
@@ -128,7 +131,7 @@ impl<'a> Verdicts<'a> {
         row.n_accepted += u64::from(assessment.accepted);
         row.n_kept += u64::from(is_kept);
         for (i, reason) in reasons.iter().enumerate() {
-            self.count(("evaluate", &sweep, Some(strength)), reason, 1, i == 0 && !is_kept);
+            self.count(("evaluate", &sweep, Some(level)), reason, 1, i == 0 && !is_kept);
         }
         if let (true, Some(behavior), Some(path)) = (assessment.accepted, asked, path) {
             self.accepted.insert(&behavior, path, &scenario_id);
@@ -139,7 +142,7 @@ impl<'a> Verdicts<'a> {
             reasons: reasons.into_iter().map(str::to_owned).collect(),
             scenario_id,
             sweep,
-            strength,
+            level,
         });
         record.assessment = Some(assessment);
         is_kept
@@ -150,22 +153,27 @@ impl<'a> Verdicts<'a> {
         (self.rows, self.left_out, self.decided)
     }
 
-    fn row(&mut self, sweep: &str, strength: f64) -> &mut AcceptanceRow {
-        let is_same = |row: &AcceptanceRow| row.sweep == sweep && row.strength == strength;
+    fn row(&mut self, sweep: &str, level: GuidanceLevel) -> &mut AcceptanceRow {
+        let is_same = |row: &AcceptanceRow| row.sweep == sweep && row.level == level;
         let at = self.rows.iter().position(is_same).unwrap_or_else(|| {
-            self.rows.push(AcceptanceRow { sweep: sweep.to_owned(), strength, ..AcceptanceRow::default() });
+            self.rows.push(AcceptanceRow { sweep: sweep.to_owned(), level, ..AcceptanceRow::default() });
             self.rows.len() - 1
         });
         &mut self.rows[at]
     }
 
-    fn count(&mut self, (stage, sweep, strength): (&str, &str, Option<f64>), reason: &str, n: u64, is_first: bool) {
-        let is_same = |row: &LeftOutRow| {
-            row.stage == stage && row.sweep == sweep && row.strength == strength && row.reason == reason
-        };
+    fn count(
+        &mut self,
+        (stage, sweep, level): (&str, &str, Option<GuidanceLevel>),
+        reason: &str,
+        n: u64,
+        is_first: bool,
+    ) {
+        let is_same =
+            |row: &LeftOutRow| row.stage == stage && row.sweep == sweep && row.level == level && row.reason == reason;
         let at = self.left_out.iter().position(is_same).unwrap_or_else(|| {
             let (stage, sweep, reason) = (stage.to_owned(), sweep.to_owned(), reason.to_owned());
-            self.left_out.push(LeftOutRow { stage, sweep, strength, reason, n_left_out: 0, n_found: 0 });
+            self.left_out.push(LeftOutRow { stage, sweep, level, reason, n_left_out: 0, n_found: 0 });
             self.left_out.len() - 1
         });
         self.left_out[at].n_found += n;

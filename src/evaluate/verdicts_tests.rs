@@ -5,7 +5,7 @@ use super::verdicts::{AcceptanceRow, LeftOutRow, Verdicts, left_out_by_sweep};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, Violation};
 use crate::scene::testing::{Drive, provenance, scene};
-use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, TrackId};
+use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, TrackId};
 use crate::store::{Assessment, ScenarioRecord};
 
 /// A scenario of two cars, the second one `offset_m` to the side.
@@ -30,7 +30,11 @@ fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> Scen
             id: id.to_owned(),
             observed: ObservationMask::predictive(2, scene.n_timesteps, scene.n_history),
             provenance: Provenance {
-                guidance: GuidanceTag { kind: "classifier:cut_in".to_owned(), strength: 2.0, roles },
+                guidance: GuidanceTag {
+                    kind: "classifier:cut_in".to_owned(),
+                    level: GuidanceLevel::of_strength(2.0),
+                    roles,
+                },
                 ..provenance(&scene.id.0)
             },
             scene,
@@ -111,7 +115,7 @@ fn what_generation_left_out_is_counted_too() {
     let rejected = |sample_idx: usize| RejectedSample {
         scene_id: "a/b/c/d".into(),
         sweep: "cut_ins".to_owned(),
-        strength: 2.0,
+        level: GuidanceLevel::of_strength(2.0),
         sample_idx,
         seed: 1,
         reason: "track 3 is not finite at timestep 12".to_owned(),
@@ -121,6 +125,9 @@ fn what_generation_left_out_is_counted_too() {
     [0, 1].map(rejected).iter().for_each(|rejected| verdicts.count_rejected(rejected));
     verdicts.count_unselected("cut_ins", "not among the best 2", 4);
     let (_, left_out, _) = verdicts.finish();
-    let counts: Vec<_> = left_out.iter().map(|row| (row.reason.as_str(), row.strength, row.n_left_out)).collect();
-    assert_eq!(counts, [("not_finite", Some(2.0), 2), ("selection: not among the best 2", None, 4)]);
+    let counts: Vec<_> = left_out.iter().map(|row| (row.reason.as_str(), row.level, row.n_left_out)).collect();
+    assert_eq!(
+        counts,
+        [("not_finite", Some(GuidanceLevel::of_strength(2.0)), 2), ("selection: not among the best 2", None, 4)]
+    );
 }

@@ -5,7 +5,8 @@ use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::scene::testing::{Drive, scene as straight_scene, without_states};
 use crate::scene::{
-    AgentClass, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Provenance, Scenario, Scene,
+    AgentClass, GuidanceLevel, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Provenance,
+    Scenario, Scene,
 };
 use crate::store::ScenarioRecord;
 use quick_xml::Reader;
@@ -82,7 +83,7 @@ pub(super) fn record(scene: &Scene) -> ScenarioRecord {
                 seed: 7,
                 sample_idx: 2,
                 probability: None,
-                guidance: GuidanceTag { kind: "none".to_owned(), strength: 0.0, roles: Vec::new() },
+                guidance: GuidanceTag { kind: "none".to_owned(), level: GuidanceLevel::UNGUIDED, roles: Vec::new() },
                 sampler: "heun-20".to_owned(),
                 settings: String::new(),
             },

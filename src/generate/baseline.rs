@@ -1,35 +1,31 @@
 //! Sweeps of the baseline: its joint futures as samples, the likeliest first.
 
 use super::conditioning::Conditioned;
-use super::{Error, Generator, SweepConfig};
+use super::{Error, Generator, ResolvedSweep};
 use crate::model::TrainedSceneTransformer;
 use crate::scene::Scene;
 use crate::tensor::{FutureValidity, SceneView};
 use candle_core::Tensor;
 use std::ops::Range;
 
-/// What the provenance of the baseline's samples says in place of a sampler: one forward pass for all samples.
-pub(super) const SAMPLER: &str = "forward-1";
-
 impl<'g> Generator<'g> {
-    /// The model of a sweep of the baseline; `None` for sweeps of the denoiser.
+    /// The model of a sweep of the baseline.
     ///
     /// # Errors
-    /// When the baseline is asked for and there is none.
-    pub(super) fn baseline(&self, sweep: &SweepConfig) -> Result<Option<&'g TrainedSceneTransformer>, Error> {
-        match (sweep.uses_baseline(), self.models.baseline) {
-            (false, _) => Ok(None),
-            (true, Some(baseline)) => Ok(Some(baseline)),
-            (true, None) => Err(Error::Config(format!(
-                "sweep {}: model = \"baseline\" needs a trained one; add a section [train.baseline]",
-                sweep.name
-            ))),
-        }
+    /// When there is none.
+    pub(super) fn baseline(&self, sweep: &ResolvedSweep) -> Result<&'g TrainedSceneTransformer, Error> {
+        self.models.baseline.ok_or_else(|| {
+            let why = "model = \"baseline\" needs a trained one; add a section [train.baseline]";
+            Error::Config(format!("sweep {}: {why}", sweep.name))
+        })
     }
 
     /// Refuses a baseline that has too few futures, or was trained on scenes of another kind than the denoiser.
-    pub(super) fn check_baseline(&self, sweep: &SweepConfig) -> Result<(), Error> {
-        let Some(baseline) = self.baseline(sweep)? else { return Ok(()) };
+    pub(super) fn check_baseline(&self, sweep: &ResolvedSweep) -> Result<(), Error> {
+        if !sweep.uses_baseline() {
+            return Ok(());
+        }
+        let baseline = self.baseline(sweep)?;
         let refuse = |why: String| Err(Error::Config(format!("sweep {}: {why}", sweep.name)));
         let (own, denoiser) = (&baseline.spec, self.spec());
         let n_modes = own.network.n_modes;
@@ -49,10 +45,11 @@ impl<'g> Generator<'g> {
     /// scene, then all of the next.
     pub(super) fn predict(
         &self,
-        baseline: &TrainedSceneTransformer,
+        sweep: &ResolvedSweep,
         given: &[&Conditioned],
         samples: Range<usize>,
     ) -> Result<Vec<(Scene, f64)>, Error> {
+        let baseline = self.baseline(sweep)?;
         let views: Vec<SceneView<'_>> = given.iter().map(|given| given.view()).collect();
         let batch = baseline.spec.collator().collate(&views, FutureValidity::Everything, self.device)?;
         let futures = baseline.network.forward(&batch)?;

@@ -1,8 +1,7 @@
 //! Sweeps of the baseline: which futures become samples, with which provenance, and what is refused.
 
-use super::testing::{Drift, config, denoiser, difference_m, index, load};
+use super::testing::{config, denoiser, difference_m, drift, index, load};
 use super::*;
-use crate::behavior::Behavior;
 use crate::guidance::testing::scene;
 use crate::metrics::MetricSettings;
 use crate::model::{SceneTransformer, SceneTransformerConfig, SceneTransformerKind, SceneTransformerSpec};
@@ -52,8 +51,8 @@ fn baseline() -> TrainedSceneTransformer {
 }
 
 fn generate(toml: &str, baseline: Option<&TrainedSceneTransformer>) -> Result<Vec<ScenarioRecord>, Error> {
-    let (denoiser, config) = (denoiser(0), config(toml));
-    let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
+    let behaviors = drift();
+    let (denoiser, config) = (denoiser(0), config(toml).resolve(&behaviors)?);
     let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline };
     let generator = Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu)?;
     let plan = generator.plan(&index(4))?;
@@ -124,14 +123,16 @@ fn samples_do_not_depend_on_batches() {
 fn what_the_baseline_cannot_do_is_refused() {
     let baseline = baseline();
     let refusal = |rest: &str| generate(&sweep(rest), Some(&baseline)).unwrap_err().to_string();
+    assert!(refusal("n_samples = 5").contains("has 4 joint futures"));
     for (rest, part) in [
-        ("n_samples = 5", "has 4 joint futures"),
-        ("n_samples = 4\nbehavior = 'drift'\nstrengths = [0.0, 1.0]", "strengths other than 0"),
-        ("n_samples = 4\nobjectives = [{ kind = 'target_speed', speed_mps = 3.0 }]", "objectives"),
-        ("n_samples = 4\nclassifier_free = { extra = [{ agents = 'all', times = 'goal' }] }", "classifier_free"),
-        ("n_samples = 4\nedit = { tau = 0.5 }", "edit"),
+        ("behavior = 'drift'\nstrengths = [0.0, 1.0]", "strengths of \"a\" is [0.0,1.0]"),
+        ("objectives = [{ kind = 'target_speed', speed_mps = 3.0 }]", "objectives of \"a\" is"),
+        ("classifier_free = { extra = [{ agents = 'all', times = 'goal' }] }", "classifier_free of \"a\" is"),
+        ("edit = { tau = 0.5 }", "edit of \"a\" is"),
+        ("validity_strength = 0.0", "validity_strength of \"a\" is 0.0, but model = \"baseline\" has no such key"),
+        ("sampler = { kind = 'euler' }", "sampler of \"a\" is"),
     ] {
-        let message = refusal(rest);
+        let message = toml::from_str::<GenerateConfig>(&sweep(rest)).unwrap_err().to_string();
         assert!(message.contains(part), "{message}");
     }
     let message = generate(&sweep("n_samples = 4"), None).unwrap_err().to_string();

@@ -1,11 +1,12 @@
 //! What is a sample conditioned on? The states it is shown, those it leans toward, and the edited recording it starts from.
 
 use super::observe::{MaskRule, Subject, rule_mask, validate_rules};
-use super::{Cell, Error, Generator, SweepConfig};
+use super::{Cell, Error, Generator, ResolvedSweep};
 use crate::diffusion::{Edm, NoiseSource, SamplerConfig};
 use crate::geometry::Vec2;
 use crate::scene::{AgentRef, ObservationMask, Scene, SceneEdit, State, Trajectory};
 use crate::seed::Seed;
+use crate::settings::{self, Issue};
 use crate::tensor::{FeatureLayout, SceneBatch, SceneView};
 use candle_core::Tensor;
 use schemars::JsonSchema;
@@ -78,43 +79,31 @@ pub enum EditNoise {
     SqrtTau,
 }
 
-impl SweepConfig {
-    /// Says what makes no sense in how the sweep is conditioned; its behavior has these roles.
-    ///
-    /// # Errors
-    /// When something does not.
-    pub fn validate_conditioning(&self, roles: &[&str]) -> Result<(), String> {
-        self.observe.validate(roles).map_err(|why| format!("observe{why}"))?;
-        if let Some(config) = &self.classifier_free {
-            validate_rules(&config.extra, roles).map_err(|why| format!("classifier_free.extra{why}"))?;
-            if config.extra.iter().all(|rule| rule.hide) || config.weights.is_empty() {
-                return Err("classifier_free has no extra states or no weights".to_owned());
-            }
-            if let Some(weight) = config.weights.iter().find(|weight| !weight.is_finite()) {
-                return Err(format!("classifier_free.weights has {weight}, expected numbers"));
-            }
-            if self.strengths.len() > 1 && config.weights.len() > 1 {
-                return Err(
-                    "classifier_free.weights and strengths are both lists, and samples are told apart by one of \
-                            them: give one of the two a single number, or use several sweeps"
-                        .to_owned(),
-                );
-            }
-        }
-        let Some(edit) = &self.edit else { return Ok(()) };
-        for (i, scene_edit) in edit.edits.iter().enumerate() {
-            scene_edit.validate().map_err(|issue| issue.within(&format!("edit.edits.{i}")).to_string())?;
-            let is_unknown =
-                |agent: &&AgentRef| matches!(agent, AgentRef::Role(role) if !roles.contains(&role.as_str()));
-            if let Some(agent) = scene_edit.agents().into_iter().find(is_unknown) {
-                return Err(format!("edit.edits.{i} names the agent {agent}, whose role the behavior does not have"));
-            }
-        }
-        Ok(())
+impl ClassifierFreeConfig {
+    /// Refuses wanted states that cannot be told where the behavior has these roles.
+    pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
+        validate_rules("extra", &self.extra, roles)
     }
 }
 
 impl EditConfig {
+    /// Refuses changes that cannot be made, or name agents whom the behavior with these roles does not have.
+    pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
+        for (i, edit) in self.edits.iter().enumerate() {
+            let key = format!("edits.{i}");
+            edit.validate().map_err(|issue| issue.within(&key))?;
+            let is_unknown =
+                |agent: &&AgentRef| matches!(agent, AgentRef::Role(role) if !roles.contains(&role.as_str()));
+            if let Some(agent) = edit.agents().into_iter().find(is_unknown) {
+                return Err(Issue::new(
+                    key,
+                    format_args!("names the agent {agent}, whose role the behavior does not have"),
+                ));
+            }
+        }
+        Ok(())
+    }
+
     /// Noise levels of the sampler's steps from τ.
     pub(super) fn schedule(&self, edm: &Edm, sampler: &SamplerConfig) -> Vec<f64> {
         match self.tau {
@@ -173,14 +162,15 @@ impl Generator<'_> {
     /// The scene of a cell as it is shown to the denoiser, where `agents` are asked.
     pub(super) fn condition(
         &self,
-        sweep: &SweepConfig,
+        sweep: &ResolvedSweep,
         cell: &Cell,
         recorded: &Scene,
         agents: (usize, usize),
     ) -> Result<Conditioned, Error> {
         let refuse = |why: String| Error::Config(format!("sweep {}: scene {} {why}", sweep.name, cell.scene_id));
         let mut scene = recorded.clone();
-        if let Some(edit) = &sweep.edit {
+        let edit = sweep.diffusion().and_then(|diffusion| diffusion.edit.as_ref());
+        if let Some(edit) = edit {
             let resolve = |agent: &AgentRef| agent.resolve(recorded, agents.0, &cell.roles);
             for scene_edit in &edit.edits {
                 scene = scene_edit.apply(&scene, &resolve).map_err(refuse)?;
@@ -198,7 +188,7 @@ impl Generator<'_> {
                 )));
             }
         }
-        if sweep.edit.is_some() {
+        if edit.is_some() {
             // A guide has to say something of every state that is generated.
             scene = scene.completed(|agent_idx, timestep| !mask.is_observed(agent_idx, timestep));
         }

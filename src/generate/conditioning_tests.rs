@@ -87,7 +87,7 @@ fn weights_lead_from_ignoring_goals_to_reaching_them() {
     let records = finely(&format!("validity_strength = 0.0\n{GOALS} [0.0, 0.5, 1.0] }}"));
     let unguided = finely("validity_strength = 0.0");
     let of = |weight: f64| -> Vec<ScenarioRecord> {
-        records.iter().filter(|r| r.scenario.provenance.guidance.strength == weight).cloned().collect()
+        records.iter().filter(|r| r.scenario.provenance.guidance.level.weight == weight).cloned().collect()
     };
     assert_eq!(records.len(), 18);
     assert_eq!(of(0.0), unguided, "weight 0 is unguided sampling, to the bit");
@@ -207,11 +207,20 @@ fn conditions_that_make_no_sense_are_refused() {
         error.unwrap_err().to_string()
     };
     for (more, part) in [
-        ("observe = [{ agents = { role = 'other' }, times = 'all' }]", "names the role other"),
-        ("behavior = 'drift'\nobserve = [{ agents = { role = 'third' }, times = 'all' }]", "names the role third"),
+        (
+            "observe = [{ agents = { role = 'other' }, times = 'all' }]",
+            "observe.0.agents.role is \"other\", expected a role of the behavior (no behavior is asked for)",
+        ),
+        (
+            "behavior = 'drift'\nobserve = [{ agents = { role = 'third' }, times = 'all' }]",
+            "observe.0.agents.role is \"third\", expected a role of the behavior (ego, other)",
+        ),
         ("observe = [{ agents = { track = 'nobody' }, times = 'all' }]", "has no state that the mask observes"),
         ("behavior = 'drift'\nstrengths = [1.0]\nobserve = 'windowed'", "an observe that shows them"),
-        ("classifier_free = { extra = [], weights = [1.0] }", "no extra states"),
+        (
+            "classifier_free = { extra = [], weights = [1.0] }",
+            "classifier_free.extra has no rule that observes anything",
+        ),
         ("classifier_free = { extra = [{ agents = 'all', times = 'goal' }], goal_std_m = -1.0 }", "goal_std_m is -1"),
         ("edit = { tau = -1.0 }", "edit.tau is -1"),
         ("edit = { tau = 100.0 }", "at most the denoiser's largest noise level 80"),

@@ -1,23 +1,17 @@
 //! What can stop generation.
 
 use crate::scene::SceneId;
+use crate::settings::Issue;
 
 /// A failure of generation.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// A setting that makes no sense.
+    /// A setting that cannot work.
+    #[error("{0}")]
+    Setting(Issue),
+    /// Settings, models and scenes that do not fit each other.
     #[error("{0}")]
     Config(String),
-    /// A sweep names a behavior that is not mined.
-    #[error("sweep {sweep}: behavior {behavior} is not among the mined ones ({known}); add it to mine.behaviors")]
-    UnknownBehavior {
-        /// The sweep.
-        sweep: String,
-        /// The behavior it names.
-        behavior: String,
-        /// The mined behaviors.
-        known: String,
-    },
     /// A sweep is guided toward a behavior without a classifier.
     #[error("sweep {sweep}: there is no classifier of {behavior}; train one, or use the strength 0 alone")]
     NoClassifier {

@@ -1,6 +1,6 @@
 //! Everything generation needs, checked before it begins.
 
-use super::{Error, GenerateConfig, SweepConfig};
+use super::{Diffusion, Error, ResolvedGeneration, ResolvedSweep};
 use crate::behavior::Behavior;
 use crate::metrics::MetricSettings;
 use crate::model::{DenoiserSpec, Distillation, TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
@@ -28,7 +28,7 @@ pub struct Models<'a> {
 
 /// Plans and samples scenarios.
 pub struct Generator<'a> {
-    pub(super) config: &'a GenerateConfig,
+    pub(super) config: &'a ResolvedGeneration,
     pub(super) models: Models<'a>,
     pub(super) behaviors: &'a [Box<dyn Behavior>],
     pub(super) scenes: &'a SceneLoader<'a>,
@@ -37,19 +37,19 @@ pub struct Generator<'a> {
 }
 
 impl<'a> Generator<'a> {
-    /// A generator whose `config` fits its `models` and the mined `behaviors`. Selections and limits judge by `metric_settings`.
+    /// A generator whose `config`, resolved with the mined `behaviors`, fits its `models`. Selections and limits judge by
+    /// `metric_settings`.
     ///
     /// # Errors
     /// When it does not.
     pub fn new(
-        config: &'a GenerateConfig,
+        config: &'a ResolvedGeneration,
         models: Models<'a>,
         behaviors: &'a [Box<dyn Behavior>],
         scenes: &'a SceneLoader<'a>,
         metric_settings: MetricSettings,
         device: &'a Device,
     ) -> Result<Self, Error> {
-        config.validate()?;
         keep_freed_memory();
         let generator = Self { config, models, behaviors, scenes, metric_settings, device };
         for sweep in &config.sweeps {
@@ -72,7 +72,7 @@ impl<'a> Generator<'a> {
     ///
     /// # Errors
     /// When the distilled one is asked for and there is none.
-    pub(super) fn denoiser(&self, sweep: &SweepConfig) -> Result<&'a TrainedDenoiser, Error> {
+    pub(super) fn denoiser(&self, sweep: &ResolvedSweep) -> Result<&'a TrainedDenoiser, Error> {
         match (sweep.uses_distilled(), self.models.distilled) {
             (false, _) => Ok(self.models.denoiser),
             (true, Some(distilled)) => Ok(distilled),
@@ -84,13 +84,13 @@ impl<'a> Generator<'a> {
     }
 
     /// The behavior that a sweep asks for.
-    pub(super) fn behavior(&self, sweep: &SweepConfig) -> Option<&'a dyn Behavior> {
+    pub(super) fn behavior(&self, sweep: &ResolvedSweep) -> Option<&'a dyn Behavior> {
         let id = sweep.behavior.as_deref()?;
         self.behaviors.iter().find(|behavior| behavior.id() == id).map(AsRef::as_ref)
     }
 
     /// The classifier of the behavior that a sweep asks for.
-    pub(super) fn classifier(&self, sweep: &SweepConfig) -> Option<&'a TrainedClassifier> {
+    pub(super) fn classifier(&self, sweep: &ResolvedSweep) -> Option<&'a TrainedClassifier> {
         let id = sweep.behavior.as_deref()?;
         self.models.classifiers.iter().find(|classifier| classifier.spec.behavior == id)
     }
@@ -121,7 +121,7 @@ impl<'a> Generator<'a> {
 
     /// Refuses a distilled denoiser that is not of the denoiser's kind, to which scenes would mean something else, and one in the place of
     /// the other.
-    fn check_distilled(&self, sweep: &SweepConfig) -> Result<(), Error> {
+    fn check_distilled(&self, sweep: &ResolvedSweep) -> Result<(), Error> {
         let (own, spec) = (&self.denoiser(sweep)?.spec, self.spec());
         let is_alike = own.edm == spec.edm
             && (own.n_history, own.n_timesteps) == (spec.n_history, spec.n_timesteps)
@@ -135,7 +135,7 @@ impl<'a> Generator<'a> {
         match (sweep.uses_distilled(), &own.distillation) {
             (true, distillation) => {
                 let distillation = distillation.as_ref().unwrap_or(&Distillation::Consistency);
-                sweep.check_distillation(self.config, distillation, &own.edm)
+                sweep.check_distillation(distillation, &own.edm)
             }
             (false, None) => Ok(()),
             (false, Some(_)) => Err(Error::Config(format!(
@@ -145,43 +145,34 @@ impl<'a> Generator<'a> {
         }
     }
 
-    fn check(&self, sweep: &SweepConfig) -> Result<(), Error> {
+    /// Says which noise level is above those that the denoiser knows.
+    fn check_noise_levels(&self, Diffusion { sampler, edit, .. }: &Diffusion) -> Result<(), String> {
+        let edm = &self.spec().edm;
+        let sigma_max = edm.sigma_max;
+        if let Some(edit) = edit.as_ref().filter(|edit| edit.tau > sigma_max) {
+            let tau = edit.tau;
+            return Err(format!("edit.tau is {tau}, expected at most the denoiser's largest noise level {sigma_max}"));
+        }
+        let levels = sampler.schedule(edm, sampler.sigma_start(edm));
+        match levels.len() == sampler.n_steps() + 1 && levels[0] <= sigma_max {
+            true => Ok(()),
+            false => Err(format!("the sampler begins or goes on above the denoiser's largest noise level {sigma_max}")),
+        }
+    }
+
+    fn check(&self, sweep: &ResolvedSweep) -> Result<(), Error> {
         self.check_baseline(sweep)?;
         self.check_distilled(sweep)?;
-        let sigma_max = self.spec().edm.sigma_max;
-        if let Some(edit) = sweep.edit.as_ref().filter(|edit| edit.tau > sigma_max) {
-            let tau = edit.tau;
-            let why = format!("edit.tau is {tau}, expected at most the denoiser's largest noise level {sigma_max}");
-            return Err(Error::Config(format!("sweep {}: {why}", sweep.name)));
-        }
-        let sampler = sweep.sampler(self.config);
-        let levels = sampler.schedule(&self.spec().edm, sampler.sigma_start(&self.spec().edm));
-        if levels.len() != sampler.n_steps() + 1 || levels[0] > sigma_max {
-            let why = format!("the sampler begins or goes on above the denoiser's largest noise level {sigma_max}");
-            return Err(Error::Config(format!("sweep {}: {why}", sweep.name)));
+        if let Some(diffusion) = sweep.diffusion() {
+            self.check_noise_levels(diffusion).map_err(|why| Error::Config(format!("sweep {}: {why}", sweep.name)))?;
         }
         let Some(behavior) = &sweep.behavior else { return Ok(()) };
-        let Some(mined) = self.behavior(sweep) else {
-            let known: Vec<&str> = self.behaviors.iter().map(|behavior| behavior.id()).collect();
-            return Err(Error::UnknownBehavior {
-                sweep: sweep.name.clone(),
-                behavior: behavior.clone(),
-                known: known.join(", "),
-            });
-        };
-        let refuse = |why| Error::Config(format!("generate.sweeps ({}): {why}", sweep.name));
-        sweep.check_objectives(mined.roles()).map_err(refuse)?;
-        sweep.validate_conditioning(mined.roles()).map_err(refuse)?;
         let Some(classifier) = self.classifier(sweep) else {
             return match sweep.needs_classifier() {
                 false => Ok(()),
                 true => Err(Error::NoClassifier { sweep: sweep.name.clone(), behavior: behavior.clone() }),
             };
         };
-        let is_guided = sweep.strengths.iter().any(|strength| *strength != 0.0);
-        if is_guided && sweep.needs_classifier() {
-            sweep.check_classifier_input().map_err(refuse)?;
-        }
         let (own, denoiser) = (&classifier.spec, self.spec());
         let differs = |what| Err(Error::Mismatch { behavior: behavior.clone(), what });
         if own.edm != denoiser.edm {

@@ -2,7 +2,7 @@
 
 use super::pairs::{possible_pairs, slots};
 use super::{
-    Cell, ClassifierInput, ClassifierScope, Error, Generator, Level, ObserveConfig, SelectConfig, SweepConfig,
+    Cell, ClassifierInput, ClassifierScope, Diffusion, Error, Generator, ObserveConfig, ResolvedSweep, SelectConfig,
 };
 use crate::diffusion::Denoiser;
 use crate::guidance::{
@@ -11,7 +11,7 @@ use crate::guidance::{
     RoadPoints, SceneContext, SlipLimit, StayOnRoad,
 };
 use crate::model::TrainedClassifier;
-use crate::scene::{GuidanceTag, ObservationMask, Scene};
+use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Scene};
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
 
@@ -49,9 +49,11 @@ fn rules_of_traffic() -> [ObjectiveConfig; 3] {
 /// What is to be guided.
 pub(super) struct Guided<'a> {
     /// The sweep.
-    pub(super) sweep: &'a SweepConfig,
+    pub(super) sweep: &'a ResolvedSweep,
+    /// How its denoiser is sampled.
+    pub(super) diffusion: &'a Diffusion,
     /// Strength of the guidance, and weight of wanted states.
-    pub(super) level: Level,
+    pub(super) level: GuidanceLevel,
     /// The cells with their scenes.
     pub(super) cells: &'a [(&'a Cell, &'a Scene)],
     /// The agents that each cell asks; the first is at the center.
@@ -91,10 +93,11 @@ impl Guided<'_> {
             return Ok(vec![Wishes::new(); n_rows]);
         }
         let context = self.objective_context()?;
-        let sum = ObjectiveSum { objectives: &self.sweep.objectives, batch: self.repeated, context: &context };
+        let sum =
+            ObjectiveSum { objectives: &self.diffusion.guidance.objectives, batch: self.repeated, context: &context };
         let terms: Vec<Vec<f64>> =
             (sum.terms(x)?.iter()).map(|term| term.to_dtype(DType::F64)?.to_vec1::<f64>()).collect::<Result<_, _>>()?;
-        let kinds = self.sweep.objectives.iter().map(|objective| objective.objective().kind());
+        let kinds = self.diffusion.guidance.objectives.iter().map(|objective| objective.objective().kind());
         let of_row = |row: usize| kinds.clone().zip(&terms).map(|(kind, values)| (kind, values[row])).collect();
         Ok((0..n_rows).map(of_row).collect())
     }
@@ -102,31 +105,24 @@ impl Guided<'_> {
 
 impl<'g> Generator<'g> {
     /// The classifier that guides samples of this strength, if one does.
-    pub(super) fn guiding_classifier(&self, sweep: &SweepConfig, strength: f64) -> Option<&'g TrainedClassifier> {
-        let guides = strength != 0.0 && sweep.classifier_scope != ClassifierScope::None;
-        self.classifier(sweep).filter(|_| guides)
+    pub(super) fn guiding_classifier(&self, sweep: &ResolvedSweep, strength: f64) -> Option<&'g TrainedClassifier> {
+        let guides = |diffusion: &Diffusion| diffusion.guidance.classifier_scope != ClassifierScope::None;
+        self.classifier(sweep).filter(|_| strength != 0.0 && sweep.diffusion().is_some_and(guides))
     }
 
     /// What guides samples of this level: `none`, or the classifier and the objectives in order, such as
     /// `classifier:cut_in+no_collision`; `classifier_any_pair:cut_in` where nobody in particular is asked; and `classifier_free`
-    /// where samples lean toward states. Of strength and weight the one that is the same in the whole sweep follows in
-    /// parentheses: `classifier:cut_in+classifier_free(0.5)`.
-    pub(super) fn guidance_kind(&self, sweep: &SweepConfig, level: Level) -> String {
-        let Level { strength, weight, .. } = level;
-        let scope =
-            if sweep.classifier_scope == ClassifierScope::AnyPair { "classifier_any_pair" } else { "classifier" };
-        let classifier = self.guiding_classifier(sweep, strength);
+    /// where samples lean toward states.
+    pub(super) fn guidance_kind(&self, sweep: &ResolvedSweep, diffusion: &Diffusion, level: GuidanceLevel) -> String {
+        let scope = if sweep.asks_anybody() { "classifier_any_pair" } else { "classifier" };
+        let classifier = self.guiding_classifier(sweep, level.strength);
         let mut parts: Vec<String> = classifier.map(|c| format!("{scope}:{}", c.spec.behavior)).into_iter().collect();
-        if strength != 0.0 {
-            parts.extend(sweep.objectives.iter().map(|objective| objective.objective().kind().to_owned()));
+        if level.strength != 0.0 {
+            let objectives = &diffusion.guidance.objectives;
+            parts.extend(objectives.iter().map(|objective| objective.objective().kind().to_owned()));
         }
-        let varies_weight = sweep.varies_weight();
-        if let Some(last) = parts.last_mut().filter(|_| varies_weight) {
-            last.push_str(&format!("({strength})"));
-        }
-        if weight != 0.0 {
-            let fixed = if varies_weight { String::new() } else { format!("({weight})") };
-            parts.push(format!("classifier_free{fixed}"));
+        if level.weight != 0.0 {
+            parts.push("classifier_free".to_owned());
         }
         if parts.is_empty() { GuidanceTag::NONE.to_owned() } else { parts.join("+") }
     }
@@ -140,13 +136,14 @@ impl<'g> Generator<'g> {
         inner: &dyn Denoiser,
         sample: impl FnOnce(&dyn Denoiser) -> Result<T, Error>,
     ) -> Result<T, Error> {
-        let Guided { sweep, level: Level { strength, .. }, .. } = *guided;
+        let Guided { sweep, diffusion, level: GuidanceLevel { strength, .. }, .. } = *guided;
+        let asked = &diffusion.guidance;
         let on_estimates = |inner, potential| CleanGuidedDenoiser {
             inner,
             potential,
             strength,
-            gate: sweep.guidance,
-            config: sweep.objective_guidance,
+            gate: asked.gate,
+            config: asked.objective_guidance,
             sigma_data: self.spec().edm.sigma_data,
         };
         let classifier = self.guiding_classifier(sweep, strength);
@@ -164,22 +161,22 @@ impl<'g> Generator<'g> {
             inner,
             guidance: guidance.as_ref(),
             strength,
-            config: sweep.guidance,
+            config: asked.gate,
         });
         let of_estimate = of_estimate.as_ref().map(|potential| on_estimates(inner, potential));
-        let inner: &dyn Denoiser = match (sweep.classifier_input, &of_noisy, &of_estimate) {
+        let inner: &dyn Denoiser = match (asked.classifier_input, &of_noisy, &of_estimate) {
             (ClassifierInput::NoisyStates, Some(denoiser), _) => denoiser,
             (ClassifierInput::CleanEstimate, _, Some(denoiser)) => denoiser,
             _ => inner,
         };
-        let validity_strength = sweep.validity_strength(self.config);
-        let has_objectives = strength != 0.0 && !sweep.objectives.is_empty();
+        let validity_strength = diffusion.validity_strength;
+        let has_objectives = strength != 0.0 && !asked.objectives.is_empty();
         if !has_objectives && validity_strength == 0.0 {
             return sample(inner);
         }
         let context = guided.objective_context()?;
         let sum = |objectives| ObjectiveSum { objectives, batch: guided.repeated, context: &context };
-        let (wished, rules) = (sum(&sweep.objectives), rules_of_traffic());
+        let (wished, rules) = (sum(&asked.objectives), rules_of_traffic());
         let rules = sum(&rules);
         let wishing = on_estimates(inner, &wished);
         let inner: &dyn Denoiser = if has_objectives { &wishing } else { inner };
@@ -223,7 +220,7 @@ impl<'g> Generator<'g> {
     ) -> Result<Box<dyn Guidance + 'a>, Error> {
         let batch = batch.unwrap_or(guided.repeated);
         let every = |row: usize| std::iter::repeat_n(row, guided.n_samples);
-        if guided.sweep.classifier_scope == ClassifierScope::AnyPair {
+        if guided.sweep.asks_anybody() {
             let own: Vec<Vec<(usize, usize)>> =
                 (0..guided.cells.len()).map(|row| self.any_pairs(guided, row)).collect();
             let pairs: Vec<_> = (0..own.len()).flat_map(every).map(|row| own[row].clone()).collect();

@@ -14,7 +14,6 @@ mod config;
 mod error;
 mod generator;
 mod guide;
-mod level;
 mod limit;
 mod observe;
 mod pairs;
@@ -24,9 +23,7 @@ mod regenerate;
 mod request;
 mod sample;
 mod select;
-mod settings;
-mod sweep_guidance;
-mod sweep_model;
+mod sweep;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -34,21 +31,22 @@ mod tests;
 mod verify;
 
 pub use conditioning::{ClassifierFreeConfig, EditConfig, EditNoise};
-pub use config::{GenerateConfig, PairRanking, PairSelectionConfig, SweepConfig};
+pub use config::{GenerateConfig, PairRanking, PairSelectionConfig};
 pub use error::Error;
 pub use generator::{Generator, Models, SceneLoader};
-pub use level::Level;
 pub use limit::{Limit, LimitRange};
 pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice, TimestepRange};
 pub use plan::{Cell, Plan, ShardPlan, Shortfall};
-pub use regenerate::Wanted;
+pub use regenerate::SampleKey;
 pub use request::{
-    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Condition, Divisions, Ended, Hits,
-    Ledger, PlanKind, Pool, RequestConfig, RequestSummary, ResolvedGeneration, ResolvedRequest, Round, RoundContext,
-    RoundShard, ShardTally, Yield,
+    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Divisions, Ended, Hits, Ledger,
+    PlanKind, Pool, RequestConfig, RequestSummary, Requirement, ResolvedGeneration, ResolvedRequest, Round,
+    RoundContext, RoundShard, ShardTally, Yield,
 };
 pub use sample::{RejectedSample, ShardOutput};
 pub use select::SelectConfig;
-pub use sweep_guidance::{ClassifierInput, ClassifierScope};
-pub use sweep_model::SweepModel;
+pub use sweep::{
+    ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
+    SamplingConfig, SweepConfig, SweepGuidance, SweepModel,
+};
 pub use verify::{Verification, verify};

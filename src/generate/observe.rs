@@ -2,6 +2,7 @@
 
 use crate::scene::{AgentRef, ObservationMask, Scene, TrackId};
 use crate::seed::Seed;
+use crate::settings::{self, Issue};
 use crate::tensor::MaskTask;
 use schemars::JsonSchema;
 use serde::de::value::{SeqAccessDeserializer, StrDeserializer};
@@ -10,7 +11,7 @@ use serde::{Deserialize as DeserializeDerive, Serialize};
 
 /// Which states are observed; everything else is generated.
 ///
-/// Either the name of a training task, drawn for each scene and pair: `observe = "windowed"`; or rules, of which later ones
+/// TaskOrRules the name of a training task, drawn for each scene and pair: `observe = "windowed"`; or rules, of which later ones
 /// have precedence: `observe = [{ agents = "all", times = "history" }, { agents = "ego", times = "goal" }]`.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(untagged)]
@@ -117,8 +118,8 @@ impl Default for ObserveConfig {
 impl<'de> Deserialize<'de> for ObserveConfig {
     /// By hand, so that a mistake within a rule is reported as such.
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Either;
-        impl<'de> Visitor<'de> for Either {
+        struct TaskOrRules;
+        impl<'de> Visitor<'de> for TaskOrRules {
             type Value = ObserveConfig;
 
             fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -134,7 +135,7 @@ impl<'de> Deserialize<'de> for ObserveConfig {
                 Vec::deserialize(SeqAccessDeserializer::new(rules)).map(ObserveConfig::Mask).map_err(A::Error::custom)
             }
         }
-        deserializer.deserialize_any(Either)
+        deserializer.deserialize_any(TaskOrRules)
     }
 }
 
@@ -147,12 +148,11 @@ impl ObserveConfig {
         }
     }
 
-    /// Says which rule makes no sense for a sweep whose behavior has these roles.
-    pub(super) fn validate(&self, roles: &[&str]) -> Result<(), String> {
+    /// Refuses a rule that cannot work in a sweep whose behavior has these roles.
+    pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
         match self {
             Self::Task(_) => Ok(()),
-            Self::Mask(rules) if rules.iter().all(|rule| rule.hide) => Err("has no rule that observes anything".into()),
-            Self::Mask(rules) => validate_rules(rules, roles),
+            Self::Mask(rules) => validate_rules("observe", rules, roles),
         }
     }
 
@@ -179,22 +179,22 @@ impl ObserveConfig {
     }
 }
 
-/// Says which rule makes no sense where the behavior has these roles.
-pub(super) fn validate_rules(rules: &[MaskRule], roles: &[&str]) -> Result<(), String> {
+/// Refuses rules under the key `key` that observe nothing, or of which one cannot work where the behavior has these roles.
+pub(super) fn validate_rules(key: &str, rules: &[MaskRule], roles: &[&str]) -> settings::Result {
+    if rules.iter().all(|rule| rule.hide) {
+        return Err(Issue::new(key, "has no rule that observes anything: add one without hide"));
+    }
     for (i, rule) in rules.iter().enumerate() {
+        let refuse = |part: &str, why: String| Err(Issue::new(format!("{key}.{i}.{part}"), why));
         match (&rule.agents, &rule.times) {
             (AgentChoice::Role(role), _) if !roles.contains(&role.as_str()) => {
                 let known = if roles.is_empty() { "no behavior is asked for".into() } else { roles.join(", ") };
-                return Err(format!(".{i}.agents names the role {role}, which there is not ({known})"));
+                return refuse("agents.role", format!("is \"{role}\", expected a role of the behavior ({known})"));
             }
-            (AgentChoice::NRandom(0), _) => return Err(format!(".{i}.agents.n_random is 0, expected at least 1")),
-            (_, TimeChoice::Timesteps(range)) if range.every == 0 => {
-                return Err(format!(".{i}.times.timesteps.every is 0, expected at least 1"));
-            }
-            (_, TimeChoice::Seconds(range))
-                if range.from_s.is_nan() || range.to_s.is_nan() || range.from_s > range.to_s =>
-            {
-                return Err(format!(".{i}.times.seconds ends before it begins, or holds no numbers"));
+            (AgentChoice::NRandom(0), _) => return refuse("agents.n_random", "is 0, expected at least 1".to_owned()),
+            (_, TimeChoice::Seconds(SecondRange { from_s, to_s })) => {
+                settings::ascending(("from_s", *from_s), ("to_s", *to_s))
+                    .map_err(|issue| issue.within(&format!("{key}.{i}.times.seconds")))?;
             }
             _ => {}
         }
@@ -269,12 +269,12 @@ mod tests {
     use crate::scene::testing::{Drive, scene, without_states};
 
     #[derive(DeserializeDerive, Serialize)]
-    struct Sweep {
+    struct Observing {
         observe: ObserveConfig,
     }
 
     fn parse(toml: &str) -> ObserveConfig {
-        toml::from_str::<Sweep>(&format!("observe = {toml}")).unwrap().observe
+        toml::from_str::<Observing>(&format!("observe = {toml}")).unwrap().observe
     }
 
     /// Four observed of twelve timesteps at 10 Hz; the third agent leaves after timestep 8.
@@ -330,8 +330,8 @@ mod tests {
 
     #[test]
     fn mistakes_are_named() {
-        let refusal = |toml: &str| match toml::from_str::<Sweep>(&format!("observe = {toml}")) {
-            Ok(sweep) => sweep.observe.validate(&["ego", "other"]).unwrap_err(),
+        let refusal = |toml: &str| match toml::from_str::<Observing>(&format!("observe = {toml}")) {
+            Ok(sweep) => sweep.observe.validate(&["ego", "other"]).unwrap_err().to_string(),
             Err(error) => error.to_string(),
         };
         assert!(refusal("'windowd'").contains("windowed"), "{}", refusal("'windowd'"));
@@ -340,16 +340,16 @@ mod tests {
         assert!(refusal("[{ agents = 'all' }]").contains("times"));
         assert!(refusal("[{ agents = { role = 'third' }, times = 'all' }]").contains("third"));
         assert!(refusal("[{ agents = 'all', times = 'all', hide = true }]").contains("no rule"));
-        assert!(refusal("[{ agents = 'all', times = { timesteps = { every = 0 } } }]").contains("every is 0"));
-        assert!(refusal("[{ agents = 'all', times = { seconds = { from_s = 2.0, to_s = 1.0 } } }]").contains("ends"));
+        let backward = refusal("[{ agents = 'all', times = { seconds = { from_s = 2.0, to_s = 1.0 } } }]");
+        assert_eq!(backward, "observe.0.times.seconds.from_s is 2, expected at most to_s, which is 1");
     }
 
     #[test]
     fn what_is_written_reads_as_itself() {
         for toml in ["'imputation'", "[{ agents = { n_random = 2 }, times = { timesteps = { from = 3 } } }]"] {
             let config = parse(toml);
-            let text = toml::to_string(&Sweep { observe: config.clone() }).unwrap();
-            assert_eq!(toml::from_str::<Sweep>(&text).unwrap().observe, config);
+            let text = toml::to_string(&Observing { observe: config.clone() }).unwrap();
+            assert_eq!(toml::from_str::<Observing>(&text).unwrap().observe, config);
         }
     }
 

@@ -1,6 +1,6 @@
 //! Which agents of a scene could perform a behavior, and which of them most likely?
 
-use super::{Error, Generator, PairRanking, SweepConfig};
+use super::{Error, Generator, PairRanking, ResolvedSweep};
 use crate::behavior::{Behavior, Outcome};
 use crate::diffusion::NoiseSource;
 use crate::model::TrainedClassifier;
@@ -32,7 +32,7 @@ impl Generator<'_> {
     /// The pairs of `scene` that may be asked for `behavior`, best first.
     pub(super) fn candidates(
         &self,
-        sweep: &SweepConfig,
+        sweep: &ResolvedSweep,
         behavior: &dyn Behavior,
         scene: &Scene,
     ) -> Result<Vec<CandidatePair>, Error> {
@@ -86,7 +86,7 @@ impl Generator<'_> {
 
 /// Motorized agents tracked over the whole history, near each other, who can still show the behavior as far as the past tells.
 /// Scored by how easily they can; where that says nothing, by their distance.
-pub(super) fn possible_pairs(sweep: &SweepConfig, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
+pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
     let eligible: Vec<usize> = (0..scene.tracks.len())
         .filter(|agent_idx| {
             let track = &scene.tracks[*agent_idx];

@@ -1,7 +1,7 @@
 //! What will be generated, decided before anything is sampled: scenes, pairs, shards.
 
 use super::pairs::{CandidatePair, order_seed};
-use super::{ClassifierScope, Error, GenerateConfig, Generator, SweepConfig};
+use super::{Error, Generator, ResolvedGeneration, ResolvedSweep};
 use crate::behavior::Behavior;
 use crate::guidance::Target;
 use crate::scene::{SceneId, Split, TrackId};
@@ -60,20 +60,20 @@ pub struct Shortfall {
 
 impl Plan {
     /// Number of samples in all, if no sweep is stopped early.
-    pub fn n_samples(&self, config: &GenerateConfig) -> usize {
+    pub fn n_samples(&self, config: &ResolvedGeneration) -> usize {
         self.shards.iter().map(|shard| shard.n_samples(config)).sum()
     }
 }
 
 impl ShardPlan {
     /// Number of samples.
-    pub fn n_samples(&self, config: &GenerateConfig) -> usize {
+    pub fn n_samples(&self, config: &ResolvedGeneration) -> usize {
         let sweep = &config.sweeps[self.sweep_idx];
         self.cells.len() * sweep.levels().len() * sweep.n_samples
     }
 
     /// Whether the shard is to be generated when the sweep's earlier shards hold `n_verified` verified scenarios.
-    pub fn is_wanted(&self, config: &GenerateConfig, n_verified: usize) -> bool {
+    pub fn is_wanted(&self, config: &ResolvedGeneration, n_verified: usize) -> bool {
         config.sweeps[self.sweep_idx].stop_after_verified.is_none_or(|enough| n_verified < enough)
     }
 }
@@ -132,7 +132,7 @@ impl Generator<'_> {
     /// The cells of a sweep that asks for a behavior, scene by scene, among the chosen scenes that are possible.
     pub(super) fn cells_by_scene(
         &self,
-        sweep: &SweepConfig,
+        sweep: &ResolvedSweep,
         index: &[SceneIndexEntry],
         is_possible: &dyn Fn(&SceneIndexEntry) -> bool,
     ) -> Result<Vec<Vec<Cell>>, Error> {
@@ -147,11 +147,11 @@ impl Generator<'_> {
         &self,
         index: &'i [SceneIndexEntry],
         is_possible: &dyn Fn(&SceneIndexEntry) -> bool,
-    ) -> Vec<Listed<'i>> {
+    ) -> Vec<ListedScene<'i>> {
         let has_val = index.iter().any(|entry| entry.split == Split::Val);
         let default_split = if has_val { Split::Val } else { Split::Unsplit };
-        let GenerateConfig { splits, places, .. } = self.config;
-        let mut scenes: Vec<(u64, Listed<'i>)> = index
+        let ResolvedGeneration { splits, places, .. } = self.config;
+        let mut scenes: Vec<(u64, ListedScene<'i>)> = index
             .iter()
             .enumerate()
             .filter(|(_, entry)| match splits.is_empty() {
@@ -160,7 +160,7 @@ impl Generator<'_> {
             })
             .filter(|(_, entry)| places.is_empty() || places.contains(&entry.place))
             .filter(|(_, entry)| is_possible(entry))
-            .map(|(scene_idx, entry)| (order_seed(self.seed(), &entry.id.0), Listed { scene_idx, id: &entry.id }))
+            .map(|(scene_idx, entry)| (order_seed(self.seed(), &entry.id.0), ListedScene { scene_idx, id: &entry.id }))
             .collect();
         scenes.sort_by(|a, b| a.0.cmp(&b.0).then_with(|| a.1.id.cmp(b.1.id)));
         scenes.into_iter().map(|(_, scene)| scene).collect()
@@ -169,14 +169,14 @@ impl Generator<'_> {
     /// The cells of the scenes that a behavior sweep asks, scene by scene.
     fn scenes_with_pairs(
         &self,
-        sweep: &SweepConfig,
+        sweep: &ResolvedSweep,
         behavior: &dyn Behavior,
-        order: &[Listed<'_>],
+        order: &[ListedScene<'_>],
     ) -> Result<Vec<Vec<Cell>>, Error> {
         let order = &order[..order.len().min(sweep.pairs.n_scenes_ranked.unwrap_or(usize::MAX))];
         let mut found: Vec<RankedScene> = Vec::new();
         // Scenes are looked at in parallel, a batch at a time, and counted in order. On a GPU the classifier is asked one after the other.
-        let rank = |scene: &Listed<'_>| self.rank(sweep, behavior, scene);
+        let rank = |scene: &ListedScene<'_>| self.rank(sweep, behavior, scene);
         for batch in order.chunks(sweep.n_scenes.clamp(8, 64)) {
             let ranked: Vec<Option<RankedScene>> = match self.device.is_cuda() {
                 true => batch.iter().map(rank).collect::<Result<_, _>>()?,
@@ -196,15 +196,15 @@ impl Generator<'_> {
 
     fn rank(
         &self,
-        sweep: &SweepConfig,
+        sweep: &ResolvedSweep,
         behavior: &dyn Behavior,
-        listed: &Listed<'_>,
+        listed: &ListedScene<'_>,
     ) -> Result<Option<RankedScene>, Error> {
         let scene = self.load(listed.scene_idx, listed.id)?;
         let candidates = self.candidates(sweep, behavior, &scene)?;
         let Some(CandidatePair { score, .. }) = candidates.first() else { return Ok(None) };
         let score = *score;
-        if sweep.classifier_scope == ClassifierScope::AnyPair {
+        if sweep.asks_anybody() {
             return Ok(Some(RankedScene { score, cells: vec![listed.cell(Vec::new())] }));
         }
         let cells = candidates.into_iter().take(sweep.pairs.per_scene).map(|pair| listed.cell(pair.roles)).collect();
@@ -214,12 +214,12 @@ impl Generator<'_> {
 
 /// A scene of the store.
 #[derive(Clone, Copy)]
-struct Listed<'a> {
+struct ListedScene<'a> {
     scene_idx: usize,
     id: &'a SceneId,
 }
 
-impl Listed<'_> {
+impl ListedScene<'_> {
     fn cell(&self, roles: Vec<(String, TrackId)>) -> Cell {
         Cell { scene_idx: self.scene_idx, scene_id: self.id.clone(), roles, target: Target::new() }
     }

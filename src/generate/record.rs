@@ -1,39 +1,39 @@
 //! How does a sample become a scenario: what it came from, what is found in it, and under which id?
 
-use super::{Cell, Error, Generator, Level, SweepConfig, Verification, baseline, verify};
-use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
+use super::{Cell, Error, Generator, ResolvedSweep, Verification, verify};
+use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
 use crate::store::{ScenarioRecord, as_stored};
 
 impl Generator<'_> {
     /// The scenario that a sample of a cell is, checked for the behavior that was asked for.
     pub(super) fn record(
         &self,
-        sweep: &SweepConfig,
+        sweep: &ResolvedSweep,
         cell: &Cell,
         recorded: &Scene,
         (generated, observed): (&Scene, ObservationMask),
-        (level, sample_idx, probability): (Level, usize, Option<f64>),
+        (level, sample_idx, probability): (GuidanceLevel, usize, Option<f64>),
     ) -> Result<ScenarioRecord, Error> {
         let classifier = self.guiding_classifier(sweep, level.strength);
-        let (checkpoint, kind, sampler) = match self.baseline(sweep)? {
-            Some(model) => (&model.fingerprint, GuidanceTag::BASELINE.to_owned(), baseline::SAMPLER.to_owned()),
-            None => {
-                let kind = self.guidance_kind(sweep, level);
-                (&self.denoiser(sweep)?.fingerprint, kind, sweep.sampler(self.config).name())
+        let (checkpoint, kind, edit) = match sweep.diffusion() {
+            Some(diffusion) => {
+                let kind = self.guidance_kind(sweep, diffusion, level);
+                (&self.denoiser(sweep)?.fingerprint, kind, diffusion.edit.as_ref())
             }
+            None => (&self.baseline(sweep)?.fingerprint, GuidanceTag::BASELINE.to_owned(), None),
         };
         let provenance = Provenance {
             scene_id: cell.scene_id.clone(),
             observation: sweep.observe.name().to_owned(),
-            edit_tau: sweep.edit.as_ref().map(|edit| edit.tau),
+            edit_tau: edit.map(|edit| edit.tau),
             checkpoint: checkpoint.clone(),
             classifier: classifier.map(|classifier| classifier.fingerprint.clone()),
             seed: self.config.seed,
             sample_idx,
             probability,
-            guidance: GuidanceTag { kind, strength: level.value, roles: cell.roles.clone() },
-            sampler,
-            settings: sweep.settings(self.config, level),
+            guidance: GuidanceTag { kind, level, roles: cell.roles.clone() },
+            sampler: sweep.sampler_name(),
+            settings: sweep.settings(level),
         };
         // What is verified must be what is written.
         let scene = as_stored(generated);
@@ -93,6 +93,9 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
         add(role);
         add(&track.0);
     }
-    add(&format!("{seed} {sample_idx} {} {edit_tau:?}", guidance.strength));
+    // Where both numbers of the level act, the settings name both.
+    let GuidanceLevel { strength, weight } = guidance.level;
+    let level = if strength == 0.0 { weight } else { strength };
+    add(&format!("{seed} {sample_idx} {level} {edit_tau:?}"));
     hasher.finalize().to_hex()[..16].to_owned()
 }

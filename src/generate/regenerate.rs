@@ -2,28 +2,28 @@
 
 use super::{Error, Generator, ShardPlan};
 use crate::progress::Silent;
-use crate::scene::Provenance;
+use crate::scene::{GuidanceLevel, Provenance};
 use crate::store::ScenarioRecord;
 
 /// One sample of a shard.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Wanted {
+pub struct SampleKey {
     /// Which of the shard's cells it continues.
     pub cell: usize,
-    /// The number by which it is told apart from others: its strength, or weight.
-    pub strength: f64,
+    /// How strongly it is guided.
+    pub level: GuidanceLevel,
     /// Its number.
     pub sample_idx: usize,
 }
 
-impl Wanted {
+impl SampleKey {
     /// The sample of `shard` that has this provenance. `None` when the shard has no such cell.
     pub fn of(shard: &ShardPlan, provenance: &Provenance) -> Option<Self> {
         let is_own =
             |cell: &super::Cell| cell.scene_id == provenance.scene_id && cell.roles == provenance.guidance.roles;
         Some(Self {
             cell: shard.cells.iter().position(is_own)?,
-            strength: provenance.guidance.strength,
+            level: provenance.guidance.level,
             sample_idx: provenance.sample_idx,
         })
     }
@@ -38,13 +38,12 @@ impl Generator<'_> {
     ///
     /// # Errors
     /// As [`Generator::generate`].
-    pub fn regenerate(&self, shard: &ShardPlan, wanted: Wanted) -> Result<Option<ScenarioRecord>, Error> {
+    pub fn regenerate(&self, shard: &ShardPlan, wanted: SampleKey) -> Result<Option<ScenarioRecord>, Error> {
         let Some(cell) = shard.cells.get(wanted.cell) else { return Ok(None) };
-        let is_strength = |strength: f64| strength.to_bits() == wanted.strength.to_bits();
         let output = self.generate_part(
             shard,
             &|level, members, samples| {
-                is_strength(level.value) && members.contains(&wanted.cell) && samples.contains(&wanted.sample_idx)
+                level == wanted.level && members.contains(&wanted.cell) && samples.contains(&wanted.sample_idx)
             },
             &Silent,
         )?;
@@ -52,7 +51,7 @@ impl Generator<'_> {
             let provenance = &record.scenario.provenance;
             provenance.scene_id == cell.scene_id
                 && provenance.guidance.roles == cell.roles
-                && is_strength(provenance.guidance.strength)
+                && provenance.guidance.level == wanted.level
                 && provenance.sample_idx == wanted.sample_idx
         }))
     }

@@ -3,12 +3,12 @@
 use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_velocities};
 use super::guide::{Guided, Wishes};
 use super::select::Candidate;
-use super::{Cell, ClassifierFreeConfig, Error, Generator, Level, ShardPlan, SweepConfig};
+use super::{Cell, ClassifierFreeConfig, Diffusion, Error, Generator, ResolvedSweep, ShardPlan};
 use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::nn::in_pool;
 use crate::progress::Progress;
-use crate::scene::{Scene, SceneId, TrackId};
+use crate::scene::{GuidanceLevel, Scene, SceneId, TrackId};
 use crate::seed::Seed;
 use crate::store::ScenarioRecord;
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
@@ -35,8 +35,9 @@ pub struct RejectedSample {
     pub scene_id: SceneId,
     /// The sweep.
     pub sweep: String,
-    /// Strength of the guidance.
-    pub strength: f64,
+    /// How strongly it was guided.
+    #[serde(flatten)]
+    pub level: GuidanceLevel,
     /// Which sample of its scene and strength it is.
     pub sample_idx: usize,
     /// The run's seed.
@@ -47,10 +48,10 @@ pub struct RejectedSample {
 
 /// Cells of one batch with what they are conditioned on, the samples wanted of each, and the strength or weight.
 struct Batch<'a> {
-    sweep: &'a SweepConfig,
+    sweep: &'a ResolvedSweep,
     cells: Vec<(&'a Cell, &'a Conditioned)>,
     samples: Range<usize>,
-    level: Level,
+    level: GuidanceLevel,
 }
 
 /// What came of one sample.
@@ -66,13 +67,13 @@ struct Draw {
 /// One of the samples of a cell; or why there is none.
 #[derive(Debug, Clone)]
 struct Sampled {
-    level: Level,
+    level: GuidanceLevel,
     sample_idx: usize,
     draw: Result<Draw, String>,
 }
 
 /// Whether a batch is generated: of this level, these cells and samples.
-type BatchChoice<'a> = dyn Fn(Level, &[usize], &Range<usize>) -> bool + 'a;
+type BatchChoice<'a> = dyn Fn(GuidanceLevel, &[usize], &Range<usize>) -> bool + 'a;
 
 impl Generator<'_> {
     /// Generates a shard. Progress advances by one for each sample.
@@ -100,7 +101,7 @@ impl Generator<'_> {
             .collect::<Result<_, Error>>()?;
         let mut output = ShardOutput::default();
         let mut sampled: Vec<Vec<Sampled>> = vec![Vec::new(); shard.cells.len()];
-        for level in sweep.levels() {
+        for &level in sweep.levels() {
             for (members, samples) in self.batches(sweep, &scenes) {
                 let samples = samples.start + shard.first_sample..samples.end + shard.first_sample;
                 if !is_chosen(level, &members, &samples) {
@@ -128,7 +129,7 @@ impl Generator<'_> {
                     Err(reason) => output.rejected.push(RejectedSample {
                         scene_id: cell.scene_id.clone(),
                         sweep: sweep.name.clone(),
-                        strength: level.value,
+                        level,
                         sample_idx,
                         seed: self.config.seed,
                         reason,
@@ -142,7 +143,7 @@ impl Generator<'_> {
 
     /// Cells (by index) and samples that are denoised together: scenes of like size, so that little is padding, and all
     /// samples of a scene where they fit, so that it is encoded once.
-    fn batches(&self, sweep: &SweepConfig, scenes: &[Scene]) -> Vec<(Vec<usize>, Range<usize>)> {
+    fn batches(&self, sweep: &ResolvedSweep, scenes: &[Scene]) -> Vec<(Vec<usize>, Range<usize>)> {
         let mut order: Vec<usize> = (0..scenes.len()).collect();
         order.sort_by_key(|at| scenes[*at].tracks.len());
         let (n_samples, batch_size) = (sweep.n_samples, self.config.batch_size);
@@ -157,22 +158,35 @@ impl Generator<'_> {
 
     /// The samples of a batch: all of its first cell, then all of the next.
     fn sample(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Result<Draw, String>>, Error> {
-        if let Some(baseline) = self.baseline(batch.sweep)? {
-            let given: Vec<&Conditioned> = batch.cells.iter().map(|(_, given)| *given).collect();
-            let predicted = self.predict(baseline, &given, batch.samples.clone())?;
-            progress.advance(predicted.len() as u64);
-            let draw = |(scene, probability)| {
-                Ok(Draw { scene: checked(scene)?, probability: Some(probability), wishes: Wishes::new() })
-            };
-            return Ok(predicted.into_iter().map(draw).collect());
+        match batch.sweep.diffusion() {
+            Some(diffusion) => self.sample_denoiser(batch, diffusion, progress),
+            None => self.sample_baseline(batch, progress),
         }
+    }
+
+    fn sample_baseline(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Result<Draw, String>>, Error> {
+        let given: Vec<&Conditioned> = batch.cells.iter().map(|(_, given)| *given).collect();
+        let predicted = self.predict(batch.sweep, &given, batch.samples.clone())?;
+        progress.advance(predicted.len() as u64);
+        let draw = |(scene, probability)| {
+            Ok(Draw { scene: checked(scene)?, probability: Some(probability), wishes: Wishes::new() })
+        };
+        Ok(predicted.into_iter().map(draw).collect())
+    }
+
+    fn sample_denoiser(
+        &self,
+        batch: &Batch<'_>,
+        diffusion: &Diffusion,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Result<Draw, String>>, Error> {
         let agents: Vec<(usize, usize)> = batch.cells.iter().map(|(_, given)| given.agents).collect();
         let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
         let tensors = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
         let n_samples = batch.samples.len();
         let denoiser = self.denoiser(batch.sweep)?;
         let bound = denoiser.denoiser.bind(&tensors, n_samples)?;
-        let wanted = match batch.sweep.classifier_free.as_ref().filter(|_| batch.level.weight != 0.0) {
+        let wanted = match diffusion.classifier_free.as_ref().filter(|_| batch.level.weight != 0.0) {
             Some(config) => Some(self.wanted_states(config, batch, &tensors)?),
             None => None,
         };
@@ -180,6 +194,7 @@ impl Generator<'_> {
         let cells: Vec<(&Cell, &Scene)> = batch.cells.iter().map(|(cell, given)| (*cell, &given.scene)).collect();
         let guided = Guided {
             sweep: batch.sweep,
+            diffusion,
             level: batch.level,
             cells: &cells,
             agents: &agents,
@@ -187,7 +202,7 @@ impl Generator<'_> {
             repeated: &tensors,
             n_samples,
         };
-        let denoise = |denoiser: &dyn Denoiser| self.denoise(batch, &tensors, denoiser, progress);
+        let denoise = |denoiser: &dyn Denoiser| self.denoise((batch, diffusion), &tensors, denoiser, progress);
         let x = match wanted {
             Some(extended) => {
                 let change = MaskChange::new(&tensors, &extended)?;
@@ -236,7 +251,7 @@ impl Generator<'_> {
     /// Diffused states (B, A, T, D) of all samples of a batch.
     fn denoise(
         &self,
-        batch: &Batch<'_>,
+        (batch, diffusion): (&Batch<'_>, &Diffusion),
         tensors: &SceneBatch,
         denoiser: &dyn Denoiser,
         progress: &dyn Progress,
@@ -249,8 +264,8 @@ impl Generator<'_> {
         let row_dims = &tensors.x0.dims()[1..];
         let mut observer = |step: &Step<'_>| progress.note(&format!("step {} of {}", step.step_idx + 1, step.n_steps));
         let edm = &self.spec().edm;
-        let sampler = batch.sweep.sampler(self.config);
-        if let Some(edit) = batch.sweep.edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
+        let Diffusion { sampler, edit, .. } = diffusion;
+        if let Some(edit) = edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
             let x = noisy_guide(edit, &tensors.x0, &mut noise)?;
             let sigmas = edit.schedule(edm, sampler);
             return Ok(sampler.integrate(&sigmas, denoiser, x, &mut noise, &mut observer)?);
@@ -261,14 +276,14 @@ impl Generator<'_> {
     /// The samples of one cell without those that the sweep's selection leaves out, strength by strength.
     fn select(
         &self,
-        sweep: &SweepConfig,
+        sweep: &ResolvedSweep,
         (recorded, asked): (&Scene, &[(String, TrackId)]),
         sampled: Vec<Sampled>,
         unselected: &mut BTreeMap<String, u64>,
     ) -> Vec<Sampled> {
         let Some(select) = &sweep.select else { return sampled };
         let mut left_out = vec![None; sampled.len()];
-        for level in sweep.levels() {
+        for &level in sweep.levels() {
             let (places, candidates): (Vec<usize>, Vec<Candidate<'_>>) = (sampled.iter().enumerate())
                 .filter(|(_, sample)| sample.level == level)
                 .filter_map(|(place, sample)| Some((place, sample.draw.as_ref().ok()?)))

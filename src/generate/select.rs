@@ -3,6 +3,7 @@
 use super::Limit;
 use crate::metrics::{ALL, Direction, MetricSettings, SampleGroup, by_id};
 use crate::scene::{Scene, TrackId};
+use crate::settings::{Issue, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -80,13 +81,14 @@ impl SelectConfig {
         self.limits.keys().chain(&self.by)
     }
 
-    /// Says what makes no sense for a sweep with objectives of these kinds. `asks_pairs` tells whether two agents are asked for
-    /// something, whom metrics of the pair look at.
+    /// Refuses what cannot judge samples of a sweep with objectives of these kinds. `asks_pairs` tells whether two agents are
+    /// asked for something, whom metrics of the pair look at.
     ///
     /// # Errors
-    /// When something does not.
-    pub(super) fn validate(&self, objectives: &[&str], asks_pairs: bool) -> Result<(), String> {
-        for id in self.ids() {
+    /// Names the key.
+    pub(super) fn validate(&self, objectives: &[&str], asks_pairs: bool) -> Result {
+        let of_limits = self.limits.keys().map(|id| (format!("limits.{id}"), id));
+        for (key, id) in of_limits.chain(self.by.iter().enumerate().map(|(i, id)| (format!("by.{i}"), id))) {
             if !objectives.is_empty() && (id == ALL_OBJECTIVES || objectives.contains(&id.as_str())) {
                 continue;
             }
@@ -96,30 +98,43 @@ impl SelectConfig {
                     true => "the sweep has no objectives".to_owned(),
                     false => format!("objectives here: {ALL_OBJECTIVES}, {}", objectives.join(", ")),
                 };
-                return Err(format!("{id:?} is no metric; known here: {}; {own}", known.join(", ")));
+                return Err(Issue::new(
+                    key,
+                    format_args!("is no metric ({id}); known here: {}; {own}", known.join(", ")),
+                ));
             }
             if id.starts_with(PAIR_PREFIX) && !asks_pairs {
-                return Err(format!(
-                    "{id} is about the two agents that are asked for a behavior, and here no two are: ask for one of two agents, such \
-                     as behavior = \"cut_in\", or take a metric of the whole scene"
+                return Err(Issue::new(
+                    key,
+                    format_args!(
+                        "({id}) is about the two agents that are asked for a behavior, and here no two are: ask for one of two \
+                         agents, such as behavior = \"cut_in\", or take a metric of the whole scene"
+                    ),
                 ));
             }
         }
-        if let Some(id) = self.by.iter().find(|id| direction(id) == Direction::Neither) {
-            return Err(format!(
-                "by: {id} cannot rank, because neither more nor less of it is better; limits can, as in {{ {id} = {{ at_most = 2.0 }} }}"
+        if let Some((i, id)) = self.by.iter().enumerate().find(|(_, id)| direction(id) == Direction::Neither) {
+            return Err(Issue::new(
+                format!("by.{i}"),
+                format_args!(
+                    "is {id}, which cannot rank, because neither more nor less of it is better; limits can, as in {{ {id} = {{ \
+                     at_most = 2.0 }} }}"
+                ),
             ));
         }
         for (id, limit) in &self.limits {
-            limit.validate(direction(id) != Direction::Neither).map_err(|why| format!("limits.{id} {why}"))?;
+            let has_direction = direction(id) != Direction::Neither;
+            limit.validate(has_direction).map_err(|why| Issue::new(format!("limits.{id}"), why))?;
         }
         match (self.best, self.by.is_empty()) {
-            (Some(0), _) => Err("best is 0, expected at least 1".to_owned()),
-            (Some(_), true) => {
-                Err("best needs metrics or objectives to compare by, such as by = [\"offroad_rate\"]".to_owned())
+            (Some(n), true) => Err(Issue::new(
+                "best",
+                format_args!("is {n}, but needs metrics or objectives to compare by, such as by = [\"offroad_rate\"]"),
+            )),
+            (None, false) => Err(Issue::new("by", "compares samples for nothing: say how many are kept (best)")),
+            (None, true) if self.limits.is_empty() => {
+                Err(Issue::new("best", "is missing, and so are limits: give one"))
             }
-            (None, false) => Err("by compares samples for nothing: say how many are kept (best)".to_owned()),
-            (None, true) if self.limits.is_empty() => Err("neither limits nor best are given".to_owned()),
             _ => Ok(()),
         }
     }
@@ -288,22 +303,21 @@ mod tests {
     #[test]
     fn nonsense_is_named() {
         for (toml, what) in [
-            ("best = 0\nby = ['min_ade_m']", "best is 0"),
-            ("best = 2", "needs metrics"),
+            ("best = 2", "best is 2, but needs metrics"),
             ("by = ['min_ade_m']", "how many"),
-            ("", "neither limits nor best"),
-            ("limits = { min_aed_m = 1.0 }", "no metric"),
+            ("", "best is missing, and so are limits"),
+            ("limits = { min_aed_m = 1.0 }", "limits.min_aed_m is no metric"),
             ("limits = { mfd_m = 1.0 }", "limits.mfd_m is 1, but neither more nor less of it is better"),
             ("limits = { pair_min_ttc_s = [3, 2] }", "limits.pair_min_ttc_s asks for at least 3"),
-            ("best = 1\nby = ['pair_pet_s']", "pair_pet_s cannot rank"),
+            ("best = 1\nby = ['pair_pet_s']", "by.0 is pair_pet_s, which cannot rank"),
         ] {
-            let why = select(toml).validate(&[], true).unwrap_err();
+            let why = select(toml).validate(&[], true).unwrap_err().to_string();
             assert!(why.contains(what), "{why}");
         }
         select("limits = { collision_rate = 0.0, mfd_m = [0, 9] }").validate(&[], true).unwrap();
         let close = select("limits = { pair_min_ttc_s = { at_most = 2 }, scene_min_ttc_s = { at_least = 0.1 } }");
         close.validate(&[], true).unwrap();
-        assert!(close.validate(&[], false).unwrap_err().contains("here no two are"));
+        assert!(close.validate(&[], false).unwrap_err().message.contains("here no two are"));
         let by_wish = select("best = 1\nby = ['objectives']\nlimits = { goal = -1.0 }");
         by_wish.validate(&["goal"], false).unwrap();
         assert!(by_wish.names_objectives());
@@ -311,8 +325,9 @@ mod tests {
             by_wish
                 .validate(&["stay_on_road"], false)
                 .unwrap_err()
+                .message
                 .contains("objectives here: objectives, stay_on_road")
         );
-        assert!(by_wish.validate(&[], false).unwrap_err().contains("no objectives"));
+        assert!(by_wish.validate(&[], false).unwrap_err().message.contains("no objectives"));
     }
 }

@@ -99,6 +99,16 @@ pub(super) fn config(toml: &str) -> GenerateConfig {
     config
 }
 
+/// The section resolved, where the drift is mined.
+pub(super) fn resolve(toml: &str) -> ResolvedGeneration {
+    config(toml).resolve(&drift()).unwrap()
+}
+
+/// What is mined.
+pub(super) fn drift() -> [Box<dyn Behavior>; 1] {
+    [Box::new(Drift)]
+}
+
 pub(super) fn load(scene_idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
     Ok(scene(scene_idx))
 }
@@ -107,8 +117,8 @@ pub(super) fn load(scene_idx: usize) -> Result<Scene, Box<dyn std::error::Error 
 pub(super) fn with_generator<T>(config: &GenerateConfig, n_nan: usize, use_it: impl FnOnce(&Generator<'_>) -> T) -> T {
     let (denoiser, classifiers) = (denoiser(n_nan), [classifier()]);
     let models = Models { denoiser: &denoiser, classifiers: &classifiers, distilled: None, baseline: None };
-    let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
-    use_it(&Generator::new(config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu).unwrap())
+    let (behaviors, config) = (drift(), config.resolve(&drift()).unwrap());
+    use_it(&Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu).unwrap())
 }
 
 /// The same for a configuration that may be refused.
@@ -118,8 +128,8 @@ pub(super) fn with_generator_result<T>(
 ) -> Result<T, Error> {
     let (denoiser, classifiers) = (denoiser(0), [classifier()]);
     let models = Models { denoiser: &denoiser, classifiers: &classifiers, distilled: None, baseline: None };
-    let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
-    use_it(&Generator::new(config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu)?)
+    let (behaviors, config) = (drift(), config.resolve(&drift())?);
+    use_it(&Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu)?)
 }
 
 pub(super) fn index(n: usize) -> Vec<SceneIndexEntry> {

@@ -82,7 +82,8 @@ fn strengths_are_paired_and_zero_is_unguided() {
     let records = generate(&config(SWEEPS));
     let unguided = generate(&config(&SWEEPS.replace("[0.0, 3.0]", "[0.0]")));
     for (guided, unguided) in records[15..].chunks(4).zip(unguided[15..].chunks(2)) {
-        let of = |strength: f64| guided.iter().filter(move |r| r.scenario.provenance.guidance.strength == strength);
+        let of =
+            |strength: f64| guided.iter().filter(move |r| r.scenario.provenance.guidance.level.strength == strength);
         for (a, b) in of(0.0).zip(unguided) {
             assert_eq!(a, b);
             assert_eq!(
@@ -123,7 +124,7 @@ fn the_plan_does_not_depend_on_the_order_of_scenes() {
     with_generator(&config, 0, |generator| {
         let plan = generator.plan(&index(12)).unwrap();
         assert_eq!(plan, generator.plan(&index(12)).unwrap());
-        assert_eq!(plan.n_samples(&config), 31);
+        assert_eq!(plan.n_samples(generator.config), 31);
         assert!(plan.shortfalls.is_empty());
         let ids = |plan: &Plan| -> Vec<_> {
             plan.shards.iter().flat_map(|s| s.cells.iter().map(|c| (c.scene_id.clone(), c.roles.clone()))).collect()
@@ -167,13 +168,13 @@ fn samples_that_are_no_numbers_are_rejected_by_name() {
 #[test]
 fn configurations_that_make_no_sense_are_refused() {
     let refusal = |toml: &str| match toml::from_str::<GenerateConfig>(toml) {
-        Ok(config) => config.validate().unwrap_err().to_string(),
+        Ok(config) => config.resolve(&drift()).unwrap_err().to_string(),
         Err(error) => error.to_string(),
     };
     let sweep = |rest: &str| format!("[[sweeps]]\nname = 'a'\nn_scenes = 2\n{rest}");
     for (toml, part) in [
         (String::new(), "sweeps is empty"),
-        (sweep("strengths = [1.0]"), "need a behavior"),
+        (sweep("strengths = [1.0]"), "strengths are guided: they need a behavior"),
         (sweep("n_samples = 0"), "n_samples is 0"),
         (sweep("behavior = 'drift'\nstrengths = [nan]"), "sweeps.0.strengths.0 is NaN"),
         (sweep(&sweep("")), "the name of another sweep"),
@@ -201,8 +202,11 @@ fn configurations_that_make_no_sense_are_refused() {
 #[test]
 fn models_must_fit_each_other_and_the_sweeps() {
     let refusal = |toml: &str, classifiers: &[TrainedClassifier]| {
-        let (denoiser, config) = (denoiser(0), config(toml));
-        let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
+        let (denoiser, behaviors) = (denoiser(0), drift());
+        let config = match config(toml).resolve(&behaviors) {
+            Ok(config) => config,
+            Err(error) => return Some(error.to_string()),
+        };
         let models = Models { denoiser: &denoiser, classifiers, distilled: None, baseline: None };
         Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu)
             .err()
@@ -211,7 +215,11 @@ fn models_must_fit_each_other_and_the_sweeps() {
     assert_eq!(refusal(SWEEPS, &[classifier()]), None);
     assert!(refusal(SWEEPS, &[]).unwrap().contains("no classifier of drift"));
     assert_eq!(refusal(&SWEEPS.replace("[0.0, 3.0]", "[0.0]"), &[]), None);
-    assert!(refusal(&SWEEPS.replace("'drift'", "'drifts'"), &[]).unwrap().contains("among the mined ones (drift)"));
+    assert!(
+        refusal(&SWEEPS.replace("'drift'", "'drifts'"), &[])
+            .unwrap()
+            .contains("sweeps.1.behavior is \"drifts\", expected one of mine.behaviors, which are drift")
+    );
     let sampler = "n_scenes = 5\n    sampler = { kind = 'heun', n_steps = 4, grid = { sigma_max = 400 } }";
     let beyond = SWEEPS.replace("n_scenes = 5", sampler);
     assert!(refusal(&beyond, &[classifier()]).unwrap().contains("above the denoiser's largest noise level 80"));
@@ -225,7 +233,7 @@ fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
     let refusal = |distillation: Option<Distillation>, rest: &str| {
         let (denoiser, mut distilled) = (denoiser(0), denoiser(0));
         distilled.spec.distillation = distillation;
-        let config = config(&format!("[[sweeps]]\nname = 'a'\nn_scenes = 2\nmodel = 'distilled'\n{rest}"));
+        let config = resolve(&format!("[[sweeps]]\nname = 'a'\nn_scenes = 2\nmodel = 'distilled'\n{rest}"));
         let models = Models { denoiser: &denoiser, classifiers: &[], distilled: Some(&distilled), baseline: None };
         Generator::new(&config, models, &[], &load, MetricSettings::default(), &Device::Cpu)
             .err()
@@ -253,7 +261,7 @@ fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
     // A distilled one in the place of the denoiser.
     let mut denoiser = denoiser(0);
     denoiser.spec.distillation = steps();
-    let config = config("[[sweeps]]\nname = 'a'\nn_scenes = 2");
+    let config = resolve("[[sweeps]]\nname = 'a'\nn_scenes = 2");
     let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline: None };
     let message =
         Generator::new(&config, models, &[], &load, MetricSettings::default(), &Device::Cpu).err().unwrap().to_string();
@@ -262,7 +270,7 @@ fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
 
 #[test]
 fn a_sweep_stops_when_enough_is_verified() {
-    let stopping = config(&SWEEPS.replace("strengths = [0.0, 3.0]", "stop_after_verified = 3"));
+    let stopping = resolve(&SWEEPS.replace("strengths = [0.0, 3.0]", "stop_after_verified = 3"));
     let shard = |sweep_idx| ShardPlan { idx: 0, sweep_idx, cells: Vec::new(), first_sample: 0 };
     assert!(shard(1).is_wanted(&stopping, 2) && !shard(1).is_wanted(&stopping, 3));
     assert!(shard(0).is_wanted(&stopping, 1000));

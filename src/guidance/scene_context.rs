@@ -3,7 +3,7 @@
 use super::AgentSelector;
 use super::road_corridors::RoadCorridors;
 use crate::scene::{Scene, TrackId};
-use crate::tensor::SceneBatch;
+use crate::tensor::{RepeatedRows, SceneBatch};
 use candle_core::{DType, Result, Tensor, bail};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -109,19 +109,17 @@ impl SceneContext {
     /// # Errors
     /// When the device runs out of memory.
     pub fn repeated(&self, n: usize) -> Result<Self> {
-        let rows: Vec<u32> = (0..self.ego.len() * n).map(|row| (row / n) as u32).collect();
-        let rows = Tensor::from_vec(rows, self.ego.len() * n, self.valid.device())?;
-        let repeat = |tensor: &Tensor| tensor.index_select(&rows, 0);
-        let slots = |slots: &[usize]| slots.iter().flat_map(|slot| std::iter::repeat_n(*slot, n)).collect();
+        let rows = RepeatedRows::new(self.ego.len(), n, self.valid.device())?;
+        let repeat = |tensor: &Tensor| rows.tensor(tensor);
         Ok(Self {
             valid: repeat(&self.valid)?,
             latent: repeat(&self.latent)?,
             extent_m: repeat(&self.extent_m)?,
             motorized: repeat(&self.motorized)?,
-            roads: self.roads.iter().flat_map(|road| std::iter::repeat_n(road, n)).cloned().collect(),
-            ego: slots(&self.ego),
-            roles: self.roles.iter().map(|(role, own)| (role.clone(), slots(own))).collect(),
-            targets: self.targets.iter().flat_map(|own| std::iter::repeat_n(own, n)).cloned().collect(),
+            roads: rows.items(&self.roads),
+            ego: rows.items(&self.ego),
+            roles: self.roles.iter().map(|(role, own)| (role.clone(), rows.items(own))).collect(),
+            targets: rows.items(&self.targets),
             ..*self
         })
     }

@@ -1,6 +1,6 @@
 //! Whose figures are these? The groups of traffic that tables set side by side, each at a guidance strength.
 
-use crate::scene::Provenance;
+use crate::scene::{GuidanceLevel, Provenance};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -70,20 +70,20 @@ pub struct SeriesKey {
     pub group: Group,
     /// The sweep that is measured, or that continues these recordings.
     pub sweep: String,
-    /// Guidance strength α, or the weight λ where that is what varies; 0 for what was not generated.
-    pub strength: f64,
+    /// How strongly it was guided; unguided for what was not generated.
+    pub level: GuidanceLevel,
 }
 
 impl SeriesKey {
     /// The series of a sample of `sweep`.
     pub fn of(sweep: &str, provenance: &Provenance) -> Self {
         let group = Group::of(sweep, provenance);
-        Self { group, sweep: sweep.to_owned(), strength: provenance.guidance.strength }
+        Self { group, sweep: sweep.to_owned(), level: provenance.guidance.level }
     }
 
     /// That of `group`, which was not generated, beside the samples of `sweep`.
     pub fn reference(group: Group, sweep: &str) -> Self {
-        Self { group, sweep: sweep.to_owned(), strength: 0.0 }
+        Self { group, sweep: sweep.to_owned(), level: GuidanceLevel::UNGUIDED }
     }
 }
 
@@ -104,18 +104,16 @@ mod tests {
 
     #[test]
     fn what_was_edited_or_pushed_is_of_its_sweep() {
-        let group = |kind: &str, strength: f64, edit_tau: Option<f64>| {
+        let group = |kind: &str, edit_tau: Option<f64>| {
             let mut provenance = Provenance { edit_tau, ..provenance("a") };
-            (provenance.guidance.kind, provenance.guidance.strength) = (kind.to_owned(), strength);
+            provenance.guidance.kind = kind.to_owned();
             SeriesKey::of("s", &provenance).group
         };
-        assert_eq!(group("none", 0.0, None), Group::Unguided);
-        assert_eq!(group("scene_transformer", 0.0, None), Group::Unguided);
+        assert_eq!(group("none", None), Group::Unguided);
+        assert_eq!(group("scene_transformer", None), Group::Unguided);
         let own = Group::Sweep("s".to_owned());
-        assert_eq!(group("none", 0.0, Some(0.4)), own, "it starts from an edited recording");
-        assert_eq!(group("classifier:cut_in", 2.0, None), own);
-        // The strength is that of what varies within the sweep; something else may act all the same.
-        assert_eq!(group("classifier:cut_in(2)", 0.0, None), own);
-        assert_eq!(group("classifier_free(0.5)", 0.0, None), own);
+        assert_eq!(group("none", Some(0.4)), own, "it starts from an edited recording");
+        assert_eq!(group("classifier:cut_in", None), own);
+        assert_eq!(group("classifier_free", None), own);
     }
 }

@@ -10,7 +10,7 @@ use super::trunk::{LaneKeys, Trunk, TrunkConfig};
 use super::{GeometryConfig, NetworkConfig};
 use crate::nn::ops::pool_positive;
 use crate::nn::{LayerNorm, Linear, Mlp, Scope, sinusoidal};
-use crate::tensor::{SceneBatch, SurroundingsLayout};
+use crate::tensor::{RepeatedRows, SceneBatch, SurroundingsLayout};
 use candle_core::{D, Result, Tensor};
 
 /// Features of the encodings of noise level and time.
@@ -197,13 +197,12 @@ impl KnownTokens {
     /// Fails when the device runs out of memory.
     pub(super) fn repeated(&self, n: usize) -> Result<Self> {
         let n_rows = self.valid.dim(0)?;
-        let rows: Vec<u32> = (0..n_rows * n).map(|row| (row / n) as u32).collect();
-        let rows = Tensor::from_vec(rows, n_rows * n, self.valid.device())?;
+        let rows = RepeatedRows::new(n_rows, n, self.valid.device())?;
         Ok(Self {
-            input: self.input.index_select(&rows, 0)?,
+            input: rows.tensor(&self.input)?,
             lanes: self.lanes.repeated(&rows, n_rows)?,
-            valid: self.valid.index_select(&rows, 0)?,
-            read: self.read.index_select(&rows, 0)?,
+            valid: rows.tensor(&self.valid)?,
+            read: rows.tensor(&self.read)?,
         })
     }
 }

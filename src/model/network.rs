@@ -4,6 +4,7 @@ use super::known_input::{KnownInput, encode_states};
 use super::trunk::{LaneKeys, Trunk, TrunkConfig, check_heads, check_layers};
 use crate::nn::{LayerNorm, Linear, Mlp, Scope, sinusoidal};
 use crate::settings::{self, Issue};
+use crate::tensor::RepeatedRows;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -147,14 +148,12 @@ impl Known {
     /// # Errors
     /// Fails when the device runs out of memory.
     pub fn repeated(&self, n: usize) -> Result<Self> {
-        let n_rows = self.valid.dim(0)?;
-        let rows: Vec<u32> = (0..n_rows * n).map(|row| (row / n) as u32).collect();
-        let rows = Tensor::from_vec(rows, n_rows * n, self.valid.device())?;
+        let rows = RepeatedRows::new(self.valid.dim(0)?, n, self.valid.device())?;
         Ok(Self {
-            input: self.input.index_select(&rows, 0)?,
+            input: rows.tensor(&self.input)?,
             lanes: self.lanes.clone(),
-            valid: self.valid.index_select(&rows, 0)?,
-            read: self.read.index_select(&rows, 0)?,
+            valid: rows.tensor(&self.valid)?,
+            read: rows.tensor(&self.read)?,
         })
     }
 }

@@ -6,7 +6,7 @@ use crate::diffusion::{Denoiser, Edm, rows_like, sigma_rows};
 use crate::nn::ops::mode_filter;
 use crate::nn::{Params, Scope};
 use crate::seed::Seed;
-use crate::tensor::SceneBatch;
+use crate::tensor::{RepeatedRows, SceneBatch};
 use candle_core::{Result, Tensor};
 
 /// A denoiser of scenes, with DJINN's network or the geometric one.
@@ -56,10 +56,11 @@ impl SceneDenoiser {
     /// # Errors
     /// Fails when the batch does not fit the network.
     pub fn bind(&self, batch: &SceneBatch, n_samples: usize) -> Result<BoundDenoiser<'_>> {
-        let latent = repeated(&batch.latent.unsqueeze(3)?, n_samples)?;
-        let observed_motion = batch.observed_motion.as_ref().map(|motion| repeated(motion, n_samples)).transpose()?;
+        let rows = RepeatedRows::new(batch.n_rows(), n_samples, batch.latent.device())?;
+        let latent = rows.tensor(&batch.latent.unsqueeze(3)?)?;
+        let observed_motion = batch.observed_motion.as_ref().map(|motion| rows.tensor(motion)).transpose()?;
         let unit_path = || match batch.unit_path()? {
-            Some(path) => repeated(&path, n_samples),
+            Some(path) => rows.tensor(&path),
             None => candle_core::bail!("a network that sees paths needs the motion parametrization"),
         };
         let network = match &self.network {
@@ -85,16 +86,6 @@ impl SceneDenoiser {
         };
         Ok(BoundDenoiser { edm: &self.edm, network, latent, observed_motion })
     }
-}
-
-/// Every row of `tensor` `n` times in a row.
-fn repeated(tensor: &Tensor, n: usize) -> Result<Tensor> {
-    if n == 1 {
-        return Ok(tensor.clone());
-    }
-    let (shape, inner) = (tensor.dims().to_vec(), tensor.unsqueeze(1)?);
-    let wide: Vec<usize> = [shape[0], n].into_iter().chain(shape[1..].iter().copied()).collect();
-    inner.broadcast_as(wide)?.contiguous()?.flatten(0, 1)
 }
 
 /// A denoiser bound to observed states and maps. Its estimate is zero wherever a state is not latent.

@@ -3,6 +3,7 @@
 
 use crate::nn::{Axis, CrossAttention, LayerNorm, Mlp, Scope, SelfAttention};
 use crate::settings::{self, Issue};
+use crate::tensor::RepeatedRows;
 use candle_core::{Result, Tensor};
 
 /// Shape of a stack of layers.
@@ -78,16 +79,16 @@ impl LaneKeys {
         Self { of_agents: true, ..self }
     }
 
-    /// The maps of agents for rows `rows` (B') of `n_rows` B.
+    /// The maps of agents, whose rows of scenes are `n_rows`, for rows taken several times.
     ///
     /// # Errors
     /// Fails when the device runs out of memory.
-    pub(super) fn repeated(&self, rows: &Tensor, n_rows: usize) -> Result<Self> {
+    pub(super) fn repeated(&self, rows: &RepeatedRows, n_rows: usize) -> Result<Self> {
         let repeat = |tensor: &Tensor| {
             let dims = tensor.dims();
             let n_agents = dims[0] / n_rows.max(1);
             let split: Vec<usize> = [n_rows, n_agents].into_iter().chain(dims[1..].iter().copied()).collect();
-            tensor.reshape(split)?.index_select(rows, 0)?.flatten(0, 1)
+            rows.tensor(&tensor.reshape(split)?)?.flatten(0, 1)
         };
         let keys = self.keys.iter().map(repeat).collect::<Result<_>>()?;
         Ok(Self { keys, valid: repeat(&self.valid)?, of_agents: self.of_agents })

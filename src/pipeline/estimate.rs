@@ -30,12 +30,12 @@ const N_LANES: usize = 64;
 /// When the section makes no sense, or a tensor operation fails.
 pub fn estimate(config: &PipelineConfig, layout: &Layout) -> Result<Vec<String>> {
     let Some(generate) = &config.generate else { return Ok(Vec::new()) };
-    let resolved = generate.resolve()?;
+    let resolved = generate.resolve(&config.mine.clone().unwrap_or_default().build()?)?;
     let (mut lines, mut n_evaluations) = (vec!["generate, at most:".to_owned()], 0);
-    for sweep in &resolved.config.sweeps[..resolved.n_sweeps] {
+    for sweep in &resolved.sweeps[..resolved.n_sweeps] {
         let n_pairs = if sweep.behavior.is_some() { sweep.pairs.per_scene } else { 1 };
         let n_samples = (sweep.n_scenes * n_pairs * sweep.levels().len() * sweep.n_samples) as u64;
-        let each = sweep.n_evaluations(&resolved.config);
+        let each = sweep.n_evaluations();
         n_evaluations += n_samples * each;
         lines.push(format!(
             "  sweep {}: {n_samples} samples, {} evaluations of the network",
@@ -78,7 +78,7 @@ fn describe(request: &ResolvedRequest, resolved: &ResolvedGeneration, lines: &mu
         wanted.len()
     ));
     for arm in &request.arms {
-        let sampler = resolved.config.sweeps[arm.sweep_idx].sampler(&resolved.config).name();
+        let sampler = resolved.sweeps[arm.sweep_idx].sampler_name();
         lines.push(format!("    arm {}: {sampler}, {} evaluations a sample", arm.name, arm.n_evaluations));
     }
     for (bucket, n) in wanted.iter().enumerate() {

@@ -3,7 +3,7 @@
 use super::layout::Layout;
 use super::stages::{FoundShard, SampleManifest, SampleSettings, SampledWith, checkpoint_file, find_shard, shard_name};
 use super::{Failure, Result};
-use crate::generate::{GenerateConfig, Generator, Ledger, Models, ResolvedGeneration, SweepConfig, Wanted};
+use crate::generate::{Generator, Ledger, Models, ResolvedGeneration, ResolvedSweep, SampleKey};
 use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::store::{CorpusReader, Difference, ScenarioRecord, SceneStore, differences, sample_ids};
 use candle_core::Device;
@@ -33,7 +33,8 @@ pub struct Regenerated {
 pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, device: &Device) -> Result<Regenerated> {
     let manifest = SampleManifest::read(&layout.samples)?;
     let settings = SampleSettings::read(&layout.samples)?;
-    let resolved = settings.generate.resolve()?;
+    let behaviors = settings.mine.build()?;
+    let resolved = settings.generate.resolve(&behaviors)?;
     let store = open_scenes(layout, &manifest.sampled_with)?;
     let models = LoadedModels::read(layout, &resolved, &manifest.sampled_with, device)?;
     let from_corpus = corpus.map(|dir| -> Result<ScenarioRecord> {
@@ -44,16 +45,15 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, device: &Dev
     let (shard_at, rows) = rows_until(id, &manifest, &layout.samples, &store, from_corpus.as_ref())?;
     let Some(row) = rows.last() else { return Err(unknown(id, &layout.samples)) };
 
-    let behaviors = settings.mine.build()?;
     let load = |idx: usize| Ok(store.scene(idx)?);
     let metric_settings = settings.metric_settings.unwrap_or_default();
-    let generator = Generator::new(&resolved.config, models.borrowed(), &behaviors, &load, metric_settings, device)?;
+    let generator = Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, device)?;
     let found = find_shard(&layout.samples, row.shard)?;
     let plan = match &found {
         FoundShard::OfSweep(plan) => plan,
         FoundShard::OfRequest { shard, .. } => &shard.plan,
     };
-    let wanted = Wanted::of(plan, &row.scenario.provenance).ok_or_else(|| {
+    let wanted = SampleKey::of(plan, &row.scenario.provenance).ok_or_else(|| {
         Failure::fault(anyhow::anyhow!("the plan of shard {} has no cell of scenario {id}; it was changed", row.shard))
     })?;
     let mut again = generator.regenerate(plan, wanted)?.ok_or_else(|| {
@@ -123,7 +123,7 @@ impl LoadedModels {
         sampled_with: &SampledWith,
         device: &Device,
     ) -> Result<Self> {
-        let GenerateConfig { sweeps, .. } = &resolved.config;
+        let sweeps = &resolved.sweeps;
         let file = |dir: &Path, name: &str| {
             require(dir, name)?;
             let file = checkpoint_file(dir);
@@ -132,21 +132,21 @@ impl LoadedModels {
         let denoiser = TrainedDenoiser::read(&file(&layout.denoiser, "denoiser")?, device)?;
         check("denoiser", &layout.denoiser, &sampled_with.denoiser, &denoiser.fingerprint)?;
         let mut classifiers = Vec::new();
-        if sweeps.iter().any(SweepConfig::needs_classifier) {
+        if sweeps.iter().any(ResolvedSweep::needs_classifier) {
             let classifier = TrainedClassifier::read(&file(&layout.classifier, "classifier")?, device)?;
             let then = sampled_with.classifier.as_deref().unwrap_or_default();
             check("classifier", &layout.classifier, then, &classifier.fingerprint)?;
             classifiers.push(classifier);
         }
         let mut distilled = None;
-        if sweeps.iter().any(SweepConfig::uses_distilled) {
+        if sweeps.iter().any(ResolvedSweep::uses_distilled) {
             let model = TrainedDenoiser::read(&file(&layout.distilled, "distilled denoiser")?, device)?;
             let then = sampled_with.distilled.as_deref().unwrap_or_default();
             check("distilled denoiser", &layout.distilled, then, &model.fingerprint)?;
             distilled = Some(model);
         }
         let mut baseline = None;
-        if sweeps.iter().any(SweepConfig::uses_baseline) {
+        if sweeps.iter().any(ResolvedSweep::uses_baseline) {
             let model = TrainedSceneTransformer::read(&file(&layout.baseline, "baseline")?, device)?;
             let then = sampled_with.baseline.as_deref().unwrap_or_default();
             check("baseline", &layout.baseline, then, &model.fingerprint)?;

@@ -45,8 +45,8 @@ fn of_sweep(sweep: &str, rows: &[&MetricRow]) -> Vec<String> {
         let worst = generated.max_by(|a, b| a.value.total_cmp(&b.value));
         if let Some(worst) = worst.filter(|row| row.value > recorded + RATE_MARGIN) {
             found.push(format!(
-                "Sweep {sweep}: at strength {}, {:.0} % {what}; in the recording {:.0} %.",
-                worst.strength,
+                "Sweep {sweep}: at {}, {:.0} % {what}; in the recording {:.0} %.",
+                worst.level,
                 100.0 * worst.value,
                 100.0 * recorded
             ));
@@ -57,8 +57,8 @@ fn of_sweep(sweep: &str, rows: &[&MetricRow]) -> Vec<String> {
         let guided = rates.iter().filter(|row| matches!(row.group, Group::Sweep(_)));
         for row in guided.filter(|row| row.value <= unguided) {
             found.push(format!(
-                "Sweep {sweep}: guidance at strength {} does not raise the rate of the behavior ({:.1} % against {:.1} % unguided).",
-                row.strength,
+                "Sweep {sweep}: guidance at {} does not raise the rate of the behavior ({:.1} % against {:.1} % unguided).",
+                row.level,
                 100.0 * row.value,
                 100.0 * unguided
             ));
@@ -70,12 +70,13 @@ fn of_sweep(sweep: &str, rows: &[&MetricRow]) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::GuidanceLevel;
 
     fn row(group: &str, strength: f64, metric: &str, value: f64) -> MetricRow {
         MetricRow {
             group: group.to_owned().into(),
             sweep: "cut_ins".to_owned(),
-            strength,
+            level: GuidanceLevel::of_strength(strength),
             place: String::new(),
             scene_id: None,
             scenario_id: None,
@@ -104,7 +105,7 @@ mod tests {
         let found = cautions(&figures(0.6, 0.4, 0.1));
         assert_eq!(found.len(), 3, "{found:?}");
         assert!(found[0].contains("0.600 m against 0.500 m"));
-        assert!(found[1].contains("at strength 30, 40 %") && found[1].contains("in the recording 2 %"));
+        assert!(found[1].contains("at α = 30, 40 %") && found[1].contains("in the recording 2 %"));
         assert!(found[2].contains("10.0 % against 10.0 %"));
     }
 

@@ -130,7 +130,7 @@ impl Galleries {
         }
         let is_same = |kept: &&mut Vec<ScenarioRecord>| {
             let other = &kept[0].scenario.provenance;
-            other.scene_id == *scene_id && other.guidance.strength == provenance.guidance.strength
+            other.scene_id == *scene_id && other.guidance.level == provenance.guidance.level
         };
         match self.kept.iter_mut().find(is_same) {
             Some(samples) if samples.len() < n_samples => samples.push(record.clone()),

@@ -1,7 +1,7 @@
 //! How do two runs differ? Their settings, what came out, and their figures, side by side with differences.
 
 use super::model::{Chart, Fact, MetricTable, ReportModel};
-use super::number::{ABSENT, count, optional, percent, setting, share, value};
+use super::number::{ABSENT, count, level, optional, percent, share, value};
 use super::plain::{PlainRow, PlainTable};
 use super::tradeoffs::tradeoffs;
 use super::wilson::wilson_interval;
@@ -115,8 +115,8 @@ impl Comparison {
             "B",
         ];
         let mut table = PlainTable::new("Sampling by sweep, place and guidance strength", &columns);
-        let key = |row: &SamplingRow| (row.sweep.clone(), row.place.clone(), row.strength);
-        for ((sweep, place, strength), a, b) in paired(self.a.sampling.clone(), self.b.sampling.clone(), key) {
+        let key = |row: &SamplingRow| (row.sweep.clone(), row.place.clone(), row.level);
+        for ((sweep, place, own), a, b) in paired(self.a.sampling.clone(), self.b.sampling.clone(), key) {
             let both = |of: &dyn Fn(&SamplingRow) -> String| {
                 [&a, &b].map(|row| row.as_ref().map_or_else(|| ABSENT.to_owned(), of))
             };
@@ -130,7 +130,7 @@ impl Comparison {
             };
             let is_apart = interval(&a).zip(interval(&b)).is_some_and(|(a, b)| a.high < b.low || b.high < a.low);
             let difference = format!("{}{}", points(rate(&a), rate(&b)), if is_apart { " *" } else { "" });
-            let mut cells = vec![sweep, place, setting(strength)];
+            let mut cells = vec![sweep, place, level(own)];
             cells.extend(both(&|row| count(row.n_scenarios)));
             cells.extend(both(&|row| asked(row, share(row.n_verified, row.n_scenarios))));
             cells.push(difference);
@@ -158,10 +158,10 @@ impl Comparison {
         let mut tables: Vec<(SeriesKey, PlainTable)> = Vec::new();
         for ((series, metric), a, b) in paired(overall(&self.a), overall(&self.b), key) {
             let at = tables.iter().position(|(known, _)| *known == series).unwrap_or_else(|| {
-                let SeriesKey { group, sweep, strength } = &series;
+                let SeriesKey { group, sweep, level } = &series;
                 let caption = match group.is_generated() {
                     false => format!("{sweep}: {group}"),
-                    true => format!("{sweep}: {}, α = {}", group.name(), setting(*strength)),
+                    true => format!("{sweep}: {}, {level}", group.name()),
                 };
                 tables.push((
                     series.clone(),
@@ -203,7 +203,7 @@ impl Comparison {
         ];
         let mut table = PlainTable::new("Distance of motion from the recording", &columns);
         let key = |row: &RealismRow| (row.series(), format!("{} ({})", row.quantity, row.unit));
-        for ((SeriesKey { group, sweep, strength }, quantity), a, b) in
+        for ((SeriesKey { group, sweep, level: own }, quantity), a, b) in
             paired(self.a.realism.clone(), self.b.realism.clone(), key)
         {
             let both = |of: fn(&RealismRow) -> Option<f64>| [&a, &b].map(|row| row.as_ref().and_then(of));
@@ -213,7 +213,7 @@ impl Comparison {
             let cells = vec![
                 group.to_string(),
                 sweep,
-                setting(strength),
+                level(own),
                 quantity,
                 optional(w_a),
                 optional(w_b),

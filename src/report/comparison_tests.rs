@@ -5,6 +5,7 @@ use super::model::MetricTable;
 use super::plain::PlainTable;
 use crate::evaluate::SamplingRow;
 use crate::metrics::Group;
+use crate::scene::GuidanceLevel;
 use crate::store::MetricRow;
 
 fn sampling(strength: f64, n_verified: u64) -> SamplingRow {
@@ -12,7 +13,7 @@ fn sampling(strength: f64, n_verified: u64) -> SamplingRow {
         sweep: "cut_ins".into(),
         behavior: Some("cut_in".into()),
         place: "X".into(),
-        strength,
+        level: GuidanceLevel::of_strength(strength),
         sampler: "heun-10".into(),
         n_scenes: 10,
         n_scenarios: 100,
@@ -28,7 +29,7 @@ fn metric(name: &str, value: f64, std_error: f64) -> MetricRow {
     MetricRow {
         group: Group::Unguided,
         sweep: "cut_ins".into(),
-        strength: 0.0,
+        level: GuidanceLevel::UNGUIDED,
         place: String::new(),
         scene_id: None,
         scenario_id: None,

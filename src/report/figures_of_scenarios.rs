@@ -50,7 +50,7 @@ mod tests {
         let row = |id: &str, metric: &str, value: f64| MetricRow {
             group: crate::metrics::Group::Unguided,
             sweep: "s".into(),
-            strength: 0.0,
+            level: crate::scene::GuidanceLevel::UNGUIDED,
             place: "X".into(),
             scene_id: Some("a".into()),
             scenario_id: Some(id.into()),

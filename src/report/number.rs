@@ -1,5 +1,7 @@
 //! How are numbers written for people? Short, with their thousands apart, and never as `NaN` or `-0`.
 
+use crate::scene::GuidanceLevel;
+
 /// What stands for a number that does not exist.
 pub(super) const ABSENT: &str = "–";
 
@@ -40,6 +42,14 @@ pub(super) fn value(value: f64) -> String {
 /// A number that somebody wrote in a configuration: as it was written.
 pub(super) fn setting(value: f64) -> String {
     if value.is_finite() { value.to_string().replace('-', "−") } else { ABSENT.to_owned() }
+}
+
+/// A level of guidance in a column of strengths α: the bare number where nothing else acts.
+pub(super) fn level(level: GuidanceLevel) -> String {
+    match level.weight {
+        0.0 => setting(level.strength),
+        _ => level.to_string().replace('-', "−"),
+    }
 }
 
 /// The uncertainty of a value: two significant digits.

@@ -1,17 +1,17 @@
 //! What does guidance cost? Curves over its strength: yield, collisions, departures from the road and from recorded motion.
 
 use super::model::{Chart, Curve, ReportModel};
-use super::number::setting;
 use super::wilson::wilson_interval;
 use crate::evaluate::{RealismRow, SamplingRow};
 use crate::metrics::Group;
+use crate::scene::{GuidanceLevel, LevelAxis};
 
-const STRENGTH: &str = "guidance strength α";
+const LEVEL: &str = "guidance strength α, or weight λ where that varies";
 
-/// What a sweep gave at one strength, over all places.
+/// What a sweep gave at one level, over all places.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Point {
-    strength: f64,
+    level: GuidanceLevel,
     n_scenarios: u64,
     n_verified: u64,
     n_new: u64,
@@ -21,10 +21,11 @@ struct Point {
     n_evaluations: u64,
 }
 
-/// The points of a sweep with more than one strength, by strength.
+/// The points of a sweep with more than one level, along what varies.
 struct SweepCurve<'a> {
     name: &'a str,
     has_behavior: bool,
+    axis: LevelAxis,
     points: Vec<Point>,
 }
 
@@ -72,12 +73,17 @@ fn sweeps(rows: &[SamplingRow]) -> Vec<SweepCurve<'_>> {
     let mut sweeps: Vec<SweepCurve<'_>> = Vec::new();
     for row in rows.iter().filter(|row| row.n_scenarios > 0) {
         let at = sweeps.iter().position(|sweep| sweep.name == row.sweep).unwrap_or_else(|| {
-            sweeps.push(SweepCurve { name: &row.sweep, has_behavior: row.behavior.is_some(), points: Vec::new() });
+            sweeps.push(SweepCurve {
+                name: &row.sweep,
+                has_behavior: row.behavior.is_some(),
+                axis: LevelAxis::Strength,
+                points: Vec::new(),
+            });
             sweeps.len() - 1
         });
         let points = &mut sweeps[at].points;
         let new = Point {
-            strength: row.strength,
+            level: row.level,
             n_scenarios: row.n_scenarios,
             n_verified: row.n_verified,
             n_new: row.n_new,
@@ -85,13 +91,15 @@ fn sweeps(rows: &[SamplingRow]) -> Vec<SweepCurve<'_>> {
             offroad_rate: row.offroad_rate,
             n_evaluations: row.n_evaluations,
         };
-        match points.iter_mut().find(|point| point.strength == row.strength) {
+        match points.iter_mut().find(|point| point.level == row.level) {
             Some(point) => *point = together(point, &new),
             None => points.push(new),
         }
     }
     for sweep in &mut sweeps {
-        sweep.points.sort_by(|a, b| a.strength.total_cmp(&b.strength));
+        let axis = LevelAxis::of(sweep.points.iter().map(|point| point.level));
+        sweep.axis = axis;
+        sweep.points.sort_by(|a, b| axis.read(a.level).total_cmp(&axis.read(b.level)));
     }
     sweeps.retain(|sweep| sweep.points.len() > 1);
     sweeps
@@ -117,12 +125,12 @@ fn together(a: &Point, b: &Point) -> Point {
 }
 
 fn over_strength(title: &str, y_label: &str, curves: Vec<Curve>) -> Chart {
-    Chart { title: title.to_owned(), x_label: STRENGTH.to_owned(), y_label: y_label.to_owned(), log_x: false, curves }
+    Chart { title: title.to_owned(), x_label: LEVEL.to_owned(), y_label: y_label.to_owned(), log_x: false, curves }
 }
 
 fn curves(sweeps: &[&SweepCurve<'_>], value: impl Fn(&Point) -> Option<f64>) -> Vec<Curve> {
     let points = |sweep: &SweepCurve<'_>| {
-        sweep.points.iter().filter_map(|point| Some([point.strength, value(point)?])).collect::<Vec<_>>()
+        sweep.points.iter().filter_map(|point| Some([sweep.axis.read(point.level), value(point)?])).collect::<Vec<_>>()
     };
     sweeps.iter().map(|sweep| Curve::new(sweep.name, points(sweep))).collect()
 }
@@ -150,9 +158,9 @@ fn recorded_levels(model: &ReportModel, sweeps: &[&SweepCurve<'_>], metric: &str
 fn levels(name: &str, sweeps: &[&SweepCurve<'_>], value: impl Fn(&SweepCurve<'_>) -> Option<f64>) -> Vec<Curve> {
     let level = |sweep: &&SweepCurve<'_>| {
         let value = value(sweep)?;
-        let ends = [sweep.points.first()?.strength, sweep.points.last()?.strength];
+        let ends = [sweep.points.first()?, sweep.points.last()?].map(|point| sweep.axis.read(point.level));
         let name = if sweeps.len() == 1 { name.to_owned() } else { format!("{name} ({})", sweep.name) };
-        Some(Curve::new(name, ends.map(|strength| [strength, value]).to_vec()))
+        Some(Curve::new(name, ends.map(|x| [x, value]).to_vec()))
     };
     sweeps.iter().filter_map(level).collect()
 }
@@ -184,7 +192,8 @@ fn distances(model: &ReportModel, sweeps: &[&SweepCurve<'_>]) -> Vec<Chart> {
     let chart = |(quantity, unit): (&str, &str)| {
         let of_sweep = |sweep: &&SweepCurve<'_>| {
             let rows = realism_of(model, sweep).filter(|row| row.quantity == quantity);
-            let mut points: Vec<[f64; 2]> = rows.filter_map(|row| Some([row.strength, row.wasserstein?])).collect();
+            let mut points: Vec<[f64; 2]> =
+                rows.filter_map(|row| Some([sweep.axis.read(row.level), row.wasserstein?])).collect();
             points.sort_by(|a, b| a[0].total_cmp(&b[0]));
             Curve::new(sweep.name, points)
         };
@@ -206,14 +215,14 @@ fn yield_over_distance(model: &ReportModel, sweeps: &[&SweepCurve<'_>]) -> Chart
     let of_sweep = |sweep: &&SweepCurve<'_>| {
         let mut curve = Curve::new(sweep.name, Vec::new());
         for point in &sweep.points {
-            let at_strength = realism_of(model, sweep).filter(|row| row.strength == point.strength);
-            let divergences: Vec<f64> = at_strength.filter_map(|row| row.jensen_shannon).collect();
+            let at_level = realism_of(model, sweep).filter(|row| row.level == point.level);
+            let divergences: Vec<f64> = at_level.filter_map(|row| row.jensen_shannon).collect();
             if divergences.is_empty() {
                 continue;
             }
             let mean = divergences.iter().sum::<f64>() / divergences.len() as f64;
             curve.points.push([mean, 100.0 * point.n_verified as f64 / point.n_scenarios as f64]);
-            curve.labels.push(format!("α = {}", setting(point.strength)));
+            curve.labels.push(point.level.to_string());
         }
         curve
     };

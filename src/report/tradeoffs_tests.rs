@@ -4,6 +4,7 @@ use super::model::{MetricTable, ReportModel};
 use super::tradeoffs::tradeoffs;
 use crate::evaluate::{RealismRow, SamplingRow};
 use crate::metrics::Group;
+use crate::scene::GuidanceLevel;
 use crate::store::MetricRow;
 
 fn row(place: &str, strength: f64, n_scenarios: u64, n_verified: u64, offroad_rate: Option<f64>) -> SamplingRow {
@@ -11,7 +12,7 @@ fn row(place: &str, strength: f64, n_scenarios: u64, n_verified: u64, offroad_ra
         sweep: "cut_ins".into(),
         behavior: Some("cut_in".into()),
         place: place.into(),
-        strength,
+        level: GuidanceLevel::of_strength(strength),
         sampler: "heun-10".into(),
         n_scenes: 10,
         n_scenarios,
@@ -27,7 +28,7 @@ fn model() -> ReportModel {
     let recorded = MetricRow {
         group: Group::Recorded,
         sweep: "cut_ins".into(),
-        strength: 0.0,
+        level: GuidanceLevel::UNGUIDED,
         place: String::new(),
         scene_id: None,
         scenario_id: None,
@@ -73,7 +74,7 @@ fn places_are_added_up_and_strengths_ordered() {
 #[test]
 fn runs_without_several_strengths_have_no_curves() {
     let mut model = model();
-    model.sampling.retain(|row| row.strength == 0.0);
+    model.sampling.retain(|row| row.level == GuidanceLevel::UNGUIDED);
     assert!(tradeoffs(&model).is_empty() && tradeoffs(&ReportModel::default()).is_empty());
 }
 
@@ -82,7 +83,7 @@ fn yield_is_shown_over_the_mean_distance() {
     let realism = |strength: f64, quantity: &str, divergence: f64| RealismRow {
         group: if strength == 0.0 { Group::Unguided } else { Group::Sweep("cut_ins".into()) },
         sweep: "cut_ins".into(),
-        strength,
+        level: GuidanceLevel::of_strength(strength),
         quantity: quantity.into(),
         unit: "m/s".into(),
         n_recorded: 1,

@@ -1,6 +1,6 @@
 //! A generated scenario: a scene whose future was sampled, and everything needed to sample it again.
 
-use super::{ObservationMask, Scene, SceneId, TrackId};
+use super::{GuidanceLevel, ObservationMask, Scene, SceneId, TrackId};
 use serde::{Deserialize, Serialize};
 
 /// The guidance a scenario was sampled with.
@@ -9,8 +9,9 @@ pub struct GuidanceTag {
     /// Name of the guidance, such as `none`, `classifier:cut_in` or `classifier_free`; parts that act together are joined by `+`.
     /// Of the baseline, which cannot be guided, `scene_transformer`.
     pub kind: String,
-    /// Strength α, or weight λ of classifier-free guidance where that is what varies within the sweep; 0 without guidance.
-    pub strength: f64,
+    /// How strongly.
+    #[serde(flatten)]
+    pub level: GuidanceLevel,
     /// The tracks the guidance acted on, as (role, track): empty without guidance.
     pub roles: Vec<(String, TrackId)>,
 }

@@ -91,7 +91,7 @@ pub(crate) fn provenance(scene_id: &str) -> Provenance {
         seed: 1,
         sample_idx: 0,
         probability: None,
-        guidance: GuidanceTag { kind: GuidanceTag::NONE.to_owned(), strength: 0.0, roles: Vec::new() },
+        guidance: GuidanceTag { kind: GuidanceTag::NONE.to_owned(), level: GuidanceLevel::UNGUIDED, roles: Vec::new() },
         sampler: "heun-10".to_owned(),
         settings: String::new(),
     }

@@ -43,7 +43,7 @@ pub struct FileEntry {
 /// One table of a corpus.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TableEntry {
-    /// Its schema, such as `scenario.v4`.
+    /// Its schema, such as `scenario.v5`.
     pub schema: String,
     /// Number of rows in all of its files.
     pub n_rows: u64,

@@ -3,7 +3,7 @@
 use super::*;
 use crate::files::keep_list;
 use crate::metrics::Group;
-use crate::scene::{LaneGraph, Scene};
+use crate::scene::{GuidanceLevel, LaneGraph, Scene};
 use crate::store::testing::{assessment, event, folder_bytes, map, record, scene};
 use crate::store::{CorpusReader, SceneStore, SceneWriter, SceneWriterOptions};
 use serde_json::Value;
@@ -51,7 +51,7 @@ fn metric_row() -> MetricRow {
     MetricRow {
         group: Group::Recorded,
         sweep: String::new(),
-        strength: 0.0,
+        level: GuidanceLevel::UNGUIDED,
         place: "PIT".to_owned(),
         scene_id: None,
         scenario_id: None,

@@ -30,6 +30,7 @@ pub fn read_metrics(path: &Path) -> Result<Vec<MetricRow>> {
 mod tests {
     use super::*;
     use crate::metrics::Group;
+    use crate::scene::GuidanceLevel;
     use crate::scene::SceneId;
 
     #[test]
@@ -39,7 +40,7 @@ mod tests {
         let aggregate = MetricRow {
             group: Group::Sweep("guided".to_owned()),
             sweep: "guided".to_owned(),
-            strength: 2.0,
+            level: GuidanceLevel::of_strength(2.0),
             place: String::new(),
             scene_id: None,
             scenario_id: None,

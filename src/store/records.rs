@@ -3,7 +3,7 @@
 use super::{Assessment, RequestTag};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::metrics::{Group, SeriesKey};
-use crate::scene::{Scenario, SceneId};
+use crate::scene::{GuidanceLevel, Scenario, SceneId};
 use serde::{Deserialize, Serialize};
 
 /// A generated scenario, what was asked for and what was found in it.
@@ -47,8 +47,9 @@ pub struct MetricRow {
     pub group: Group,
     /// The sweep that is measured, or that continues these recordings.
     pub sweep: String,
-    /// Guidance strength; 0 without guidance.
-    pub strength: f64,
+    /// How strongly it was guided.
+    #[serde(flatten)]
+    pub level: GuidanceLevel,
     /// The place; empty for all places together.
     pub place: String,
     /// The recorded scene; `None` for an aggregate.
@@ -68,7 +69,7 @@ pub struct MetricRow {
 impl MetricRow {
     /// The series that it belongs to.
     pub fn series(&self) -> SeriesKey {
-        SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), strength: self.strength }
+        SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), level: self.level }
     }
 }
 
@@ -79,8 +80,8 @@ pub struct VerdictRow {
     pub scenario_id: String,
     /// The sweep that asked for it.
     pub sweep: String,
-    /// Guidance strength; 0 without guidance.
-    pub strength: f64,
+    /// How strongly it was guided.
+    pub level: GuidanceLevel,
     /// Whether it is verified, valid and no near-duplicate.
     pub accepted: bool,
     /// Whether it is in the corpus.

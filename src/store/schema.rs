@@ -86,7 +86,7 @@ impl TableSchema {
     /// later columns must be nullable for older files to be readable; raise the number when one is not.
     pub fn oldest_readable(&self) -> u32 {
         match self.name {
-            "scene" => 1,
+            "scene" | "metric" | "verdict" => 1,
             "scenario" => 2,
             _ => self.version,
         }

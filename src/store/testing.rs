@@ -5,9 +5,9 @@ use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::metrics::{Check, CutInJudgment, PairCriticality, SceneCriticality, Violation};
 use crate::scene::{
-    AgentClass, Dataset, Extent, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, MapId, ObservationMask,
-    Provenance, Scenario, Scene, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole, Trajectory,
-    TurnDirection,
+    AgentClass, Dataset, Extent, GuidanceLevel, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, MapId,
+    ObservationMask, Provenance, Scenario, Scene, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole,
+    Trajectory, TurnDirection,
 };
 use crate::seed::{Seed, SeededRng};
 use std::sync::Arc;
@@ -126,7 +126,7 @@ pub(crate) fn record(scene: &Scene, sample_idx: usize) -> ScenarioRecord {
                 probability: verified.then_some(0.625),
                 guidance: GuidanceTag {
                     kind: "classifier:cut_in".to_owned(),
-                    strength: 2.0,
+                    level: GuidanceLevel::of_strength(2.0),
                     roles: vec![("ego".to_owned(), TrackId::from("track-0"))],
                 },
                 sampler: "heun-20".to_owned(),

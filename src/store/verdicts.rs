@@ -29,6 +29,7 @@ pub fn read_verdicts(path: &Path) -> Result<Vec<VerdictRow>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::GuidanceLevel;
 
     #[test]
     fn reasons_stay_with_their_scenario() {
@@ -37,7 +38,7 @@ mod tests {
         let row = |id: &str, reasons: &[&str]| VerdictRow {
             scenario_id: id.to_owned(),
             sweep: "cut_ins".to_owned(),
-            strength: 2.0,
+            level: GuidanceLevel::of_strength(2.0),
             accepted: reasons.is_empty(),
             kept: reasons.len() < 2,
             reasons: reasons.iter().map(|reason| (*reason).to_owned()).collect(),

@@ -1,6 +1,6 @@
 //! A batch of scenes as tensors, and the way back from samples to scenes.
 
-use super::{AgentFrame, RowSurroundings};
+use super::{AgentFrame, RepeatedRows, RowSurroundings};
 use crate::scene::Scene;
 use candle_core::{D, Result, Tensor};
 use std::sync::Arc;
@@ -69,9 +69,8 @@ pub struct Surroundings {
 }
 
 impl Surroundings {
-    /// Every row `n` times in a row; `rows` (B n) are the indices of its source.
-    fn repeated(&self, rows: &Tensor, n: usize) -> Result<Self> {
-        let repeat = |tensor: &Tensor| tensor.index_select(rows, 0);
+    fn repeated(&self, rows: &RepeatedRows) -> Result<Self> {
+        let repeat = |tensor: &Tensor| rows.tensor(tensor);
         Ok(Self {
             origin: repeat(&self.origin)?,
             attributes: repeat(&self.attributes)?,
@@ -79,7 +78,7 @@ impl Surroundings {
             lane_valid: repeat(&self.lane_valid)?,
             modes: repeat(&self.modes)?,
             variances: repeat(&self.variances)?,
-            rows: self.rows.iter().flat_map(|row| std::iter::repeat_n(row, n)).cloned().collect(),
+            rows: rows.items(&self.rows),
         })
     }
 }
@@ -90,14 +89,13 @@ impl SceneBatch {
         self.frames.len()
     }
 
-    /// Every row `n` times in a row: row b becomes rows b·n to b·n + n - 1.
+    /// Every row `n` times in a row, as [`RepeatedRows`] has them.
     ///
     /// # Errors
     /// Fails when the device runs out of memory.
     pub fn repeated(&self, n: usize) -> Result<Self> {
-        let rows: Vec<u32> = (0..self.n_rows() * n).map(|row| (row / n) as u32).collect();
-        let rows = Tensor::from_vec(rows, self.n_rows() * n, self.x0.device())?;
-        let repeat = |tensor: &Tensor| tensor.index_select(&rows, 0);
+        let rows = RepeatedRows::new(self.n_rows(), n, self.x0.device())?;
+        let repeat = |tensor: &Tensor| rows.tensor(tensor);
         Ok(Self {
             x0: repeat(&self.x0)?,
             context: repeat(&self.context)?,
@@ -113,8 +111,8 @@ impl SceneBatch {
             unit: repeat(&self.unit)?,
             observed_motion: self.observed_motion.as_ref().map(repeat).transpose()?,
             path: self.path.as_ref().map(repeat).transpose()?,
-            frames: self.frames.iter().flat_map(|frame| std::iter::repeat_n(frame, n)).cloned().collect(),
-            surroundings: self.surroundings.as_ref().map(|around| around.repeated(&rows, n)).transpose()?,
+            frames: rows.items(&self.frames),
+            surroundings: self.surroundings.as_ref().map(|around| around.repeated(&rows)).transpose()?,
         })
     }
 

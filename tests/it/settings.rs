@@ -220,9 +220,9 @@ const REFUSED: &[(&[&str], &[&str])] = &[
     ),
     (&["generate.sweeps.1.strengths=[1.0, 1.0]"], &["generate.sweeps.1.strengths.1 is 1 a second time"]),
     (&["generate.sweeps.1.strengths=[0.0, nan]"], &["generate.sweeps.1.strengths.1 is NaN"]),
-    (&["generate.sweeps.1.strengths=[inf]"], &["generate.sweeps.1", "a strength is inf"]),
-    (&["generate.sweeps.1.strengths=[]"], &["generate.sweeps.1", "strengths (their number) is 0"]),
-    (&["generate.sweeps.1.n_scenes=0"], &["generate.sweeps.1", "n_scenes is 0, expected at least 1"]),
+    (&["generate.sweeps.1.strengths=[inf]"], &["generate.sweeps.1.strengths.0 is inf, expected a finite number"]),
+    (&["generate.sweeps.1.strengths=[]"], &["generate.sweeps.1.strengths is empty, expected at least one number"]),
+    (&["generate.sweeps.1.n_scenes=0"], &["generate.sweeps.1.n_scenes is 0, expected at least 1"]),
     (
         &[
             "generate.sweeps.0.classifier_free={ extra = [{ agents = \"all\", times = \"goal\" }], weights = [0.5, 0.5] }",

@@ -178,7 +178,11 @@ fn the_baseline_is_trained_sampled_and_measured_like_the_denoiser() {
 
     // What it cannot do is refused before anything runs.
     let guided = run(&["--dry-run", "--set", "generate.sweeps.1.strengths=[1.0]"]).expect(1);
-    assert!(guided.stderr.contains("cannot be combined with strengths other than 0"), "{}", guided.stderr);
+    assert!(
+        guided.stderr.contains("strengths of \"futures\" is [1.0], but model = \"baseline\" has no such key"),
+        "{}",
+        guided.stderr
+    );
     let lonely = run(&["--dry-run", "--set", "generate.sweeps.1.n_samples=0"]).expect(1);
     assert!(lonely.stderr.contains("n_samples is 0"), "{}", lonely.stderr);
 }

@@ -36,11 +36,11 @@ pub(in crate::cli) fn regenerate(args: &RegenerateArgs, output: &OutputArgs, pri
     }
     let provenance = &stored.scenario.provenance;
     printer.message(format_args!(
-        "{}: sweep {}, scene {}, strength {}, sample {}, shard {}",
+        "{}: sweep {}, scene {}, {}, sample {}, shard {}",
         stored.scenario.id,
         stored.sweep,
         provenance.scene_id,
-        provenance.guidance.strength,
+        provenance.guidance.level,
         provenance.sample_idx,
         stored.shard
     ));

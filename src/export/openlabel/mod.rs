@@ -115,7 +115,11 @@ fn provenance_tag(item: &Item<'_>) -> Value {
                 // Beyond 2^53 readers of JSON round numbers.
                 value("seed", provenance.seed.to_string()),
             ],
-            "num": [value("guidance_strength", provenance.guidance.strength), value("sample_idx", provenance.sample_idx)],
+            "num": [
+                value("guidance_strength", provenance.guidance.level.strength),
+                value("guidance_weight", provenance.guidance.level.weight),
+                value("sample_idx", provenance.sample_idx),
+            ],
         }),
     )
 }
@@ -200,6 +204,7 @@ fn ontology() -> Value {
                     "observation": "Which states were observed.",
                     "guidance": "What the samples were pushed toward.",
                     "guidance_strength": "How strongly; 0 without guidance.",
+                    "guidance_weight": "Weight of classifier-free guidance; 0 without.",
                     "sampler": "Sampler and number of steps.",
                     "checkpoint": "Fingerprint of the model.",
                     "seed": "The run's seed.",

@@ -33,7 +33,7 @@ pub struct RequestConfig {
     /// What every accepted scenario must satisfy: a range `[least, most]` of a parameter, both ends included, or a list of
     /// texts, such as `side = ["left"]`, `place = […]`, `other_class = ["vehicle"]`.
     #[serde(default, rename = "where")]
-    pub conditions: BTreeMap<String, Condition>,
+    pub conditions: BTreeMap<String, Requirement>,
     /// Validity and criticality: limits by metric, of the scenario alone, as in a sweep's `select`.
     #[serde(default)]
     pub limits: BTreeMap<String, Limit>,
@@ -86,7 +86,7 @@ pub enum Divisions {
 /// What a parameter must be.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "expected a range [least, most] or a list of texts")]
-pub enum Condition {
+pub enum Requirement {
     /// Between two numbers, both included.
     Range([f64; 2]),
     /// One of these texts.

@@ -1,6 +1,6 @@
 //! What can a request ask of an event? Its parameters, the place, and the classes of those who take part.
 
-use super::config::{Condition, Divisions};
+use super::config::{Divisions, Requirement};
 use crate::behavior::{BehaviorEntry, BehaviorEvent};
 use crate::scene::{AgentClass, Scene};
 
@@ -78,10 +78,12 @@ impl Facts<'_> {
     }
 
     /// Whether the event satisfies a condition; one that lacks the parameter does not.
-    pub(super) fn satisfies(&self, name: &str, condition: &Condition) -> bool {
+    pub(super) fn satisfies(&self, name: &str, condition: &Requirement) -> bool {
         match condition {
-            Condition::Range([least, most]) => self.number(name).is_some_and(|value| (*least..=*most).contains(&value)),
-            Condition::Texts(texts) => self.text(name).is_some_and(|own| texts.iter().any(|text| *text == own)),
+            Requirement::Range([least, most]) => {
+                self.number(name).is_some_and(|value| (*least..=*most).contains(&value))
+            }
+            Requirement::Texts(texts) => self.text(name).is_some_and(|own| texts.iter().any(|text| *text == own)),
         }
     }
 
@@ -145,10 +147,10 @@ mod tests {
         assert_eq!(facts.part("side", &edges(&[-2.0, 0.0, 2.0])), Some(0));
         let place = scene.source.place.clone();
         assert_eq!(facts.part("place", &Divisions::Texts(vec!["elsewhere".into(), place])), Some(1));
-        assert!(facts.satisfies("gap_m", &Condition::Range([5.0, 6.0])));
-        assert!(facts.satisfies("gap_m", &Condition::Range([4.0, 5.0])));
-        assert!(!facts.satisfies("gap_m", &Condition::Range([5.1, 6.0])));
-        assert!(!facts.satisfies("side", &Condition::Texts(texts(&["left"]))));
-        assert!(facts.satisfies("other_class", &Condition::Texts(texts(&["bus", "vehicle"]))));
+        assert!(facts.satisfies("gap_m", &Requirement::Range([5.0, 6.0])));
+        assert!(facts.satisfies("gap_m", &Requirement::Range([4.0, 5.0])));
+        assert!(!facts.satisfies("gap_m", &Requirement::Range([5.1, 6.0])));
+        assert!(!facts.satisfies("side", &Requirement::Texts(texts(&["left"]))));
+        assert!(facts.satisfies("other_class", &Requirement::Texts(texts(&["bus", "vehicle"]))));
     }
 }

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 /// What of a scenario does not depend on other scenarios.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Finding {
+enum Placement {
     NotFound,
     Outside,
     BeyondLimits(usize),
@@ -39,7 +39,7 @@ impl Generator<'_> {
                 detail: "a scenario is of no cell of its shard".to_owned(),
             })
         };
-        let findings: Vec<(usize, Finding)> = records
+        let findings: Vec<(usize, Placement)> = records
             .par_iter()
             .map(|record| {
                 let at = own_cell(record)?;
@@ -63,16 +63,16 @@ impl Generator<'_> {
         for (record, (at, finding)) in records.iter_mut().zip(findings) {
             let cell = &mut tally.cells[at];
             let (outcome, bucket) = match finding {
-                Finding::NotFound => (RequestOutcome::NotFound, None),
-                Finding::Outside => {
+                Placement::NotFound => (RequestOutcome::NotFound, None),
+                Placement::Outside => {
                     cell.n_outside += 1;
                     (RequestOutcome::Outside, None)
                 }
-                Finding::BeyondLimits(bucket) => {
+                Placement::BeyondLimits(bucket) => {
                     cell.n_beyond_limits += 1;
                     (RequestOutcome::BeyondLimits, Some(bucket))
                 }
-                Finding::Hit(bucket) => {
+                Placement::Hit(bucket) => {
                     let hits = cell.hits.entry(bucket).or_default();
                     let n_of_cell = ledger.accepted_of_cell(cell.cell, bucket) + hits.n_accepted;
                     let outcome = if accepted[bucket] >= ledger.wanted[bucket] {
@@ -100,20 +100,20 @@ impl Generator<'_> {
         Ok(tally)
     }
 
-    fn finding(&self, request: &ResolvedRequest, cell: &Cell, record: &ScenarioRecord) -> Result<Finding, Error> {
-        let Some(event) = record.main_event() else { return Ok(Finding::NotFound) };
+    fn finding(&self, request: &ResolvedRequest, cell: &Cell, record: &ScenarioRecord) -> Result<Placement, Error> {
+        let Some(event) = record.main_event() else { return Ok(Placement::NotFound) };
         let scene = &record.scenario.scene;
         let facts = Facts { scene, event };
         let is_allowed = request.config.conditions.iter().all(|(name, condition)| facts.satisfies(name, condition));
-        let Some(bucket) = request.buckets.place(&facts).filter(|_| is_allowed) else { return Ok(Finding::Outside) };
+        let Some(bucket) = request.buckets.place(&facts).filter(|_| is_allowed) else { return Ok(Placement::Outside) };
         if request.config.limits.is_empty() {
-            return Ok(Finding::Hit(bucket));
+            return Ok(Placement::Hit(bucket));
         }
         let recorded = self.load(cell.scene_idx, &cell.scene_id)?;
         let asked = &record.scenario.provenance.guidance.roles;
         let candidate = Candidate { scene, objectives: &[], asked };
         let verdicts = request.config.limits().verdicts(&recorded, &[candidate], &self.metric_settings);
         let is_valid = verdicts.iter().all(Option::is_none);
-        Ok(if is_valid { Finding::Hit(bucket) } else { Finding::BeyondLimits(bucket) })
+        Ok(if is_valid { Placement::Hit(bucket) } else { Placement::BeyondLimits(bucket) })
     }
 }

@@ -1,4 +1,4 @@
-//! What has come of a request so far? Counts by bucket, arm and cell, from the tallies of finished shards in order.
+//! What has come of a request so far? ArmCounts by bucket, arm and cell, from the tallies of finished shards in order.
 
 use super::resolve::ResolvedRequest;
 use super::rounds::Pool;
@@ -61,9 +61,9 @@ impl Hits {
     }
 }
 
-/// Counts of one arm, or of its first round.
+/// ArmCounts of one arm, or of its first round.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(super) struct Counts {
+pub(super) struct ArmCounts {
     pub(super) n_samples: u64,
     pub(super) n_found: u64,
     pub(super) n_outside: u64,
@@ -71,7 +71,7 @@ pub(super) struct Counts {
     pub(super) hits: Vec<Hits>,
 }
 
-/// Counts of one cell over all arms.
+/// ArmCounts of one cell over all arms.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct CellCounts {
     /// Samples by arm.
@@ -90,9 +90,9 @@ pub struct Ledger {
     pub(super) accepted: Vec<u64>,
     /// Samples and evaluations spent while a bucket was not full.
     pub(super) spent_while_open: Vec<(u64, u64)>,
-    pub(super) arms: Vec<Counts>,
+    pub(super) arms: Vec<ArmCounts>,
     /// The same of the first round, in which all arms are tried on the same scenes with the same noise.
-    pub(super) first_round: Vec<Counts>,
+    pub(super) first_round: Vec<ArmCounts>,
     pub(super) cells: Vec<CellCounts>,
     n_evaluations_by_arm: Vec<u64>,
 }
@@ -102,7 +102,7 @@ impl Ledger {
     pub fn new(request: &ResolvedRequest, pool: &Pool) -> Self {
         let n_cells = pool.cells.len();
         let (n_buckets, n_arms) = (request.buckets.len(), request.arms.len());
-        let counts = Counts { hits: vec![Hits::default(); n_buckets], ..Counts::default() };
+        let counts = ArmCounts { hits: vec![Hits::default(); n_buckets], ..ArmCounts::default() };
         Self {
             wanted: request.buckets.wanted().to_vec(),
             is_feasible: (0..n_buckets).map(|bucket| pool.n_feasible(bucket) > 0).collect(),
@@ -190,7 +190,7 @@ impl Ledger {
     }
 }
 
-impl Counts {
+impl ArmCounts {
     fn add(&mut self, cell: &CellTally) {
         self.n_samples += cell.n_samples;
         self.n_found += cell.n_found;

@@ -19,7 +19,7 @@ mod summary;
 mod tests;
 
 pub use buckets::{BucketPart, Buckets};
-pub use config::{BudgetConfig, Condition, Divisions, PlanKind, RequestConfig};
+pub use config::{BudgetConfig, Divisions, PlanKind, RequestConfig, Requirement};
 pub use ledger::{CellTally, Hits, Ledger, ShardTally};
 pub use resolve::{Arm, ResolvedGeneration, ResolvedRequest};
 pub use rounds::{Pool, Round, RoundContext, RoundShard};

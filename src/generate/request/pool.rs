@@ -1,6 +1,6 @@
 //! Which scenes and pairs may a request ask?
 
-use super::config::Condition;
+use super::config::Requirement;
 use super::resolve::ResolvedRequest;
 use super::rounds::Pool;
 use crate::behavior::Outcome;
@@ -17,7 +17,7 @@ impl Generator<'_> {
     pub fn pool(&self, request: &ResolvedRequest, index: &[SceneIndexEntry]) -> Result<Pool, Error> {
         let conditions = &request.config.conditions;
         let is_possible = |entry: &SceneIndexEntry| match conditions.get("place") {
-            Some(Condition::Texts(places)) => places.contains(&entry.place),
+            Some(Requirement::Texts(places)) => places.contains(&entry.place),
             _ => true,
         };
         let sweep = &self.config.sweeps[request.arms[0].sweep_idx];
@@ -66,7 +66,7 @@ impl Generator<'_> {
         let mut outcomes = behavior.feasible(&scene, &agents);
         outcomes.retain(|outcome| {
             request.config.conditions.iter().all(|(name, condition)| match (outcome.get(name), condition) {
-                (Some(value), Condition::Range([least, most])) => (*least..=*most).contains(&value),
+                (Some(value), Requirement::Range([least, most])) => (*least..=*most).contains(&value),
                 _ => true,
             })
         });
@@ -81,7 +81,7 @@ impl Generator<'_> {
     fn has_classes(&self, request: &ResolvedRequest, cell: &Cell) -> Result<bool, Error> {
         let by_role = cell.roles.iter().filter_map(|(role, track)| {
             match request.config.conditions.get(&format!("{role}_class")) {
-                Some(Condition::Texts(classes)) => Some((track, classes)),
+                Some(Requirement::Texts(classes)) => Some((track, classes)),
                 _ => None,
             }
         });

@@ -2,9 +2,10 @@
 
 use super::buckets::BucketPart;
 use super::config::BudgetConfig;
-use super::ledger::{Counts, Hits, Ledger};
+use super::ledger::{ArmCounts, Hits, Ledger};
 use super::resolve::ResolvedRequest;
 use super::rounds::Pool;
+use crate::scene::GuidanceLevel;
 use serde::{Deserialize, Serialize};
 
 /// Why a request was ended.
@@ -56,8 +57,9 @@ pub struct RequestSummary {
 pub struct ArmSummary {
     /// Its name.
     pub name: String,
-    /// Strength or weight; 0 is unguided.
-    pub level: f64,
+    /// How strongly its samples are guided.
+    #[serde(flatten)]
+    pub level: GuidanceLevel,
     /// Evaluations of the denoiser for one sample.
     pub n_evaluations_per_sample: u64,
     /// Over all rounds, in which arms that yield more are tried more, on scenes that yield more.
@@ -132,7 +134,7 @@ impl RequestSummary {
             first_round: Yield::of(&ledger.first_round[i]),
         });
         let bucket = |idx: usize| {
-            let by_arm = |counts: &[Counts], of: fn(&Hits) -> u64| -> Vec<u64> {
+            let by_arm = |counts: &[ArmCounts], of: fn(&Hits) -> u64| -> Vec<u64> {
                 counts.iter().map(|arm| of(&arm.hits[idx])).collect()
             };
             let sum = |of: fn(&Hits) -> u64| by_arm(&ledger.arms, of).iter().sum();
@@ -182,7 +184,7 @@ impl RequestSummary {
 }
 
 impl Yield {
-    fn of(counts: &Counts) -> Self {
+    fn of(counts: &ArmCounts) -> Self {
         Self {
             n_samples: counts.n_samples,
             n_found: counts.n_found,

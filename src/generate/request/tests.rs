@@ -1,6 +1,7 @@
 //! Are rounds decided from finished shards alone, within the budget, and in favor of what fills open buckets?
 
 use super::*;
+use crate::behavior::BehaviorConfig;
 use crate::generate::{Cell, GenerateConfig};
 use crate::seed::Seed;
 use std::collections::{BTreeMap, BTreeSet};
@@ -24,7 +25,8 @@ const ARMS: &str = "
 
 fn resolve(request: &str) -> Result<ResolvedGeneration, String> {
     let config: GenerateConfig = toml::from_str(&format!("{ARMS}{request}")).map_err(|error| error.to_string())?;
-    config.validate().and_then(|()| config.resolve()).map_err(|error| error.to_string())
+    let behaviors = [BehaviorConfig::from_id("cut_in").unwrap().build()];
+    config.resolve(&behaviors).map_err(|error| error.to_string())
 }
 
 fn request(more: &str) -> String {
@@ -119,11 +121,14 @@ fn arms_become_sweeps_at_each_strength() {
         "arms = ['guided', 'plain']\nper_bucket = 2\nbudget = { n_samples = 9 }\nn_scenes = 7\npairs = { per_scene = 2 }",
     ));
     let resolved = resolved.unwrap();
-    let names: Vec<&str> = resolved.config.sweeps.iter().map(|sweep| sweep.name.as_str()).collect();
+    let names: Vec<&str> = resolved.sweeps.iter().map(|sweep| sweep.name.as_str()).collect();
     assert_eq!(names, ["tight/guided@1", "tight/guided@8", "tight/plain"]);
     assert_eq!(resolved.n_sweeps, 0);
-    let sweep = &resolved.config.sweeps[1];
-    assert_eq!((sweep.strengths.as_slice(), sweep.n_scenes, sweep.pairs.per_scene), ([8.0].as_slice(), 7, 2));
+    let sweep = &resolved.sweeps[1];
+    assert_eq!(
+        (sweep.levels()[0].strength, sweep.levels().len(), sweep.n_scenes, sweep.pairs.per_scene),
+        (8.0, 1, 7, 2)
+    );
     assert_eq!((sweep.behavior.as_deref(), sweep.n_samples), (Some("cut_in"), 3));
     let arms: Vec<(&str, usize, u64)> =
         resolved.requests[0].arms.iter().map(|arm| (arm.name.as_str(), arm.sweep_idx, arm.n_evaluations)).collect();
@@ -167,9 +172,11 @@ fn requests_that_make_no_sense_are_refused_by_name() {
         resolve(&format!("{arm}{}", request(&format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}"))))
             .unwrap_err()
     };
-    assert!(with_arm("n_scenes = 3").contains("arms.3 (other): n_scenes is for sweeps"));
-    assert!(with_arm("behavior = 'cut_in'").contains("behavior is for sweeps"));
-    assert!(with_arm("model = 'baseline'").contains("baseline"));
+    assert!(
+        with_arm("n_scenes = 3").contains("n_scenes of \"other\" is 3, but the request that names an arm decides it")
+    );
+    assert!(with_arm("behavior = 'cut_in'").contains("behavior of \"other\" is \"cut_in\", but"));
+    assert!(with_arm("model = 'baseline'").contains("generate.arms.3.model is \"baseline\""));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Do the forms of guidance act together, and under other masks than that of the history?
 
 use super::*;
+use crate::scene::GuidanceLevel;
 use crate::store::ScenarioRecord;
 
 const GUIDED: &str = "
@@ -20,8 +21,9 @@ fn kinds(records: &[ScenarioRecord]) -> Vec<&str> {
     kinds
 }
 
-fn at(records: &[ScenarioRecord], level: f64) -> Vec<&ScenarioRecord> {
-    records.iter().filter(|record| record.scenario.provenance.guidance.strength == level).collect()
+fn at(records: &[ScenarioRecord], strength: f64, weight: f64) -> Vec<&ScenarioRecord> {
+    let level = GuidanceLevel { strength, weight };
+    records.iter().filter(|record| record.scenario.provenance.guidance.level == level).collect()
 }
 
 /// The largest distance of states of the same samples, metres.
@@ -35,24 +37,21 @@ fn classifier_objectives_and_wanted_states_act_together() {
     let run = |rest: &str| generate(&config(&format!("{GUIDED}{rest}")));
     let wish = "objectives = [{ kind = 'no_collision', margin_m = 2.0 }]";
     let both = run(&format!("strengths = [0.0, 3.0]\n{GOALS} [0.7] }}\n{wish}"));
-    assert_eq!(kinds(&both), ["classifier:drift+no_collision+classifier_free(0.7)", "classifier_free(0.7)"]);
+    assert_eq!(kinds(&both), ["classifier:drift+no_collision+classifier_free", "classifier_free"]);
     // Where one of the two is 0, samples are those of the other one alone, to the bit.
     let leaning = run(&format!("{GOALS} [0.7] }}"));
-    assert_eq!(apart_m(&at(&both, 0.0), &at(&leaning, 0.7)), 0.0);
+    assert_eq!(apart_m(&at(&both, 0.0, 0.7), &at(&leaning, 0.0, 0.7)), 0.0);
     let guided = run(&format!("strengths = [3.0]\n{wish}"));
     let other_way = run(&format!("strengths = [3.0]\n{GOALS} [0.0, 0.7] }}\n{wish}"));
-    assert_eq!(
-        kinds(&other_way),
-        ["classifier:drift+no_collision(3)", "classifier:drift+no_collision(3)+classifier_free"]
-    );
-    assert_eq!(apart_m(&at(&other_way, 0.0), &at(&guided, 3.0)), 0.0);
-    assert_eq!(apart_m(&at(&other_way, 0.7), &at(&both, 3.0)), 0.0);
-    for alone in [at(&leaning, 0.7), at(&guided, 3.0)] {
-        assert!(apart_m(&at(&both, 3.0), &alone) > 1e-3);
+    assert_eq!(kinds(&other_way), ["classifier:drift+no_collision", "classifier:drift+no_collision+classifier_free"]);
+    assert_eq!(apart_m(&at(&other_way, 3.0, 0.0), &at(&guided, 3.0, 0.0)), 0.0);
+    assert_eq!(apart_m(&at(&other_way, 3.0, 0.7), &at(&both, 3.0, 0.7)), 0.0);
+    for alone in [at(&leaning, 0.0, 0.7), at(&guided, 3.0, 0.0)] {
+        assert!(apart_m(&at(&both, 3.0, 0.7), &alone) > 1e-3);
     }
     let refused = config(&format!("{GUIDED}strengths = [0.0, 3.0]\n{GOALS} [0.0, 0.7] }}"));
     let why = with_generator_result(&refused, |_| Ok(())).unwrap_err().to_string();
-    assert!(why.contains("both lists"), "{why}");
+    assert!(why.contains("classifier_free.weights are 2 numbers and strengths 2"), "{why}");
 }
 
 #[test]
@@ -62,9 +61,9 @@ fn a_classifier_guides_under_other_masks_by_clean_estimates() {
     {
         let records = run(&format!("observe = {observe}\nclassifier_input = 'clean_estimate'"));
         assert_eq!(kinds(&records), ["classifier:drift", "none"]);
-        assert!(apart_m(&at(&records, 0.0), &at(&records, 3.0)) > 1e-3, "{observe}");
+        assert!(apart_m(&at(&records, 0.0, 0.0), &at(&records, 3.0, 0.0)) > 1e-3, "{observe}");
         // What is observed stays, whatever guides.
-        for (unguided, guided) in at(&records, 0.0).iter().zip(at(&records, 3.0)) {
+        for (unguided, guided) in at(&records, 0.0, 0.0).iter().zip(at(&records, 3.0, 0.0)) {
             assert_eq!(unguided.scenario.observed, guided.scenario.observed);
             for (agent_idx, track) in guided.scenario.scene.tracks.iter().enumerate() {
                 for (timestep, state) in track.trajectory.valid() {
@@ -78,8 +77,8 @@ fn a_classifier_guides_under_other_masks_by_clean_estimates() {
     }
     // Under the mask of the history both inputs are possible, and differ.
     let (noisy, clean) = (run(""), run("classifier_input = 'clean_estimate'"));
-    assert_eq!(apart_m(&at(&noisy, 0.0), &at(&clean, 0.0)), 0.0);
-    assert!(apart_m(&at(&noisy, 3.0), &at(&clean, 3.0)) > 1e-3);
+    assert_eq!(apart_m(&at(&noisy, 0.0, 0.0), &at(&clean, 0.0, 0.0)), 0.0);
+    assert!(apart_m(&at(&noisy, 3.0, 0.0), &at(&clean, 3.0, 0.0)) > 1e-3);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Do classifier and objectives act as the sweep says, alone and together, and does the provenance tell?
 
 use super::*;
+use crate::behavior::BehaviorConfig;
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
 use crate::metrics::MetricSettings;
@@ -26,7 +27,7 @@ fn kinds(records: &[ScenarioRecord]) -> Vec<&str> {
 
 /// The mean deviation of generated speeds from 2 m/s, over records of a strength.
 fn deviation_mps(records: &[ScenarioRecord], strength: f64) -> f64 {
-    let own = records.iter().filter(|record| record.scenario.provenance.guidance.strength == strength);
+    let own = records.iter().filter(|record| record.scenario.provenance.guidance.level.strength == strength);
     let tracks = own.flat_map(|record| &record.scenario.scene.tracks);
     let states = tracks.flat_map(|track| track.trajectory.valid().filter(|(t, _)| *t >= N_HISTORY));
     let deviations: Vec<f64> = states.map(|(_, state)| (state.speed_mps() - 2.0).abs()).collect();
@@ -79,7 +80,7 @@ fn classifier_and_objectives_act_together() {
     let together = config(&format!("{SWEEPS}    objectives = [{{ kind = 'no_collision', margin_m = 2.0 }}]"));
     let (records, classified) = (generate(&together), generate(&config(SWEEPS)));
     let guided = |records: &[ScenarioRecord]| -> Vec<ScenarioRecord> {
-        records[15..].iter().filter(|r| r.scenario.provenance.guidance.strength == 3.0).cloned().collect()
+        records[15..].iter().filter(|r| r.scenario.provenance.guidance.level.strength == 3.0).cloned().collect()
     };
     let (guided, classified) = (guided(&records), guided(&classified));
     assert_eq!(kinds(&guided), ["classifier:drift+no_collision"]);
@@ -96,16 +97,16 @@ fn objectives_alone_may_serve_a_behavior() {
     let toml = format!(
         "{SWEEPS}    classifier_scope = 'none'\n    objectives = [{{ kind = 'goal', agents = 'other', x_m = 9.0, y_m = -4.0 }}]"
     );
-    let (denoiser, config) = (denoiser(0), config(&toml));
+    let (denoiser, config) = (denoiser(0), resolve(&toml));
     let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline: None };
-    let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
+    let behaviors = drift();
     let generator =
         Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu).unwrap();
     let plan = generator.plan(&index(12)).unwrap();
     let records = generator.generate(plan.shards.last().unwrap(), &Silent).unwrap().records;
     assert_eq!(kinds(&records), ["goal", "none"]);
     let rate = |strength: f64| {
-        let own = records.iter().filter(|r| r.scenario.provenance.guidance.strength == strength);
+        let own = records.iter().filter(|r| r.scenario.provenance.guidance.level.strength == strength);
         own.filter(|record| record.verified).count()
     };
     // The goal lies 4 m to the right: what the behavior asks for.
@@ -133,8 +134,9 @@ fn anybody_may_perform_the_behavior() {
 
 #[test]
 fn guidance_that_makes_no_sense_is_refused() {
+    let cut_ins = [BehaviorConfig::from_id("cut_in").unwrap().build()];
     let refusal = |toml: &str| match toml::from_str::<GenerateConfig>(toml) {
-        Ok(config) => config.validate().unwrap_err().to_string(),
+        Ok(config) => config.resolve(&cut_ins).unwrap_err().to_string(),
         Err(error) => error.to_string(),
     };
     let sweep = |rest: &str| format!("[[sweeps]]\nname = 'a'\nn_scenes = 2\n{rest}");
@@ -149,8 +151,8 @@ fn guidance_that_makes_no_sense_is_refused() {
             cut_in(&format!("classifier_scope = 'any_pair'\n{}", speed(", agents = 'other'"))),
             "nobody has the role \"other\"",
         ),
-        (cut_in("classifier_scope = 'none'"), "need objectives"),
-        (guided("classifier_scope = 'any_pair'"), "needs a behavior"),
+        (cut_in("classifier_scope = 'none'"), "they need objectives"),
+        (guided("classifier_scope = 'any_pair'"), "classifier_scope is \"any_pair\", which needs a behavior"),
         (sweep(&speed("")), "objectives guide at strengths other than 0"),
         (guided(&format!("objective_guidance = {{ inner_steps = 0 }}\n{}", speed(""))), "inner_steps is 0"),
         (
@@ -165,16 +167,11 @@ fn guidance_that_makes_no_sense_is_refused() {
         let message = refusal(&toml);
         assert!(message.contains(part), "{message}");
     }
-    // Roles of behaviors that are not built in are known to the generator alone.
-    let models = (denoiser(0), [classifier()]);
-    let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Drift)];
+    // Roles are those of the mined behaviors.
     let check = |agents: &str| {
-        let config = config(&guided(&format!("behavior = 'drift'\n{}", speed(&format!(", agents = '{agents}'")))));
-        let models = Models { denoiser: &models.0, classifiers: &models.1, distilled: None, baseline: None };
-        Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu)
-            .err()
-            .map(|error| error.to_string())
+        let toml = guided(&format!("behavior = 'drift'\n{}", speed(&format!(", agents = '{agents}'"))));
+        config(&toml).resolve(&drift()).map(drop).map_err(|error| error.to_string())
     };
-    assert_eq!(check("other"), None);
-    assert!(check("others").unwrap().contains("nobody has the role"));
+    assert_eq!(check("other"), Ok(()));
+    assert!(check("others").unwrap_err().contains("nobody has the role"));
 }

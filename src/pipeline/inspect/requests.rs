@@ -84,7 +84,7 @@ mod tests {
         let request = json!({ "name": "tight", "behavior": "cut_in", "ended": "budget",
             "budget": { "n_samples": null, "n_evaluations": 1900 }, "n_rounds": 3, "n_samples": 100, "n_evaluations": 1900,
             "n_scenes": 4, "n_cells": 4, "n_wanted": 15, "n_accepted": 6,
-            "arms": [{ "name": "guided", "level": 2.0, "n_evaluations_per_sample": 19, "total": own(6), "first_round": own(0) }],
+            "arms": [{ "name": "guided", "strength": 2.0, "weight": 0.0, "n_evaluations_per_sample": 19, "total": own(6), "first_round": own(0) }],
             "buckets": [bucket(0, "0..5", 5), bucket(1, "5..10", 1), bucket(2, "10..20", 0)] });
         fs_err::write(dir.path().join("requests.json"), json!([request]).to_string()).unwrap();
         let found = describe(dir.path()).unwrap().unwrap();

@@ -69,7 +69,7 @@ pub(super) fn metrics(path: &Path) -> Result<Option<Description>> {
     for row in rows.iter().filter(is_overall) {
         let group = match row.group.is_generated() {
             false => format!("{} of {}", row.group.name(), row.sweep),
-            true => format!("{} at strength {}", row.sweep, row.strength),
+            true => format!("{} at {}", row.sweep, row.level),
         };
         overall.entry(group).or_default().insert(&row.metric, json!(row.value));
     }

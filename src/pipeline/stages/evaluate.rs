@@ -35,13 +35,17 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        5
+        6
     }
 
     fn check(&self) -> Result<()> {
         self.config.validate()?;
         match self.generated {
-            Some((generate, has_maps)) => Ok(self.config.gates.check_generated(generate, has_maps)?),
+            Some((generate, has_maps)) => match generate.resolve(&self.mine.build()?) {
+                Ok(resolved) => Ok(self.config.gates.check_generated(&resolved, has_maps)?),
+                // What is wrong with the section itself is told by its own stage.
+                Err(_) => Ok(()),
+            },
             None => Ok(()),
         }
     }

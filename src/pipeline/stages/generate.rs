@@ -6,7 +6,7 @@ use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledW
 use super::train_denoiser::checkpoint_file;
 use super::with_precision;
 use crate::diffusion::Edm;
-use crate::generate::{self, GenerateConfig, Generator, Models, Plan, ResolvedGeneration, Shortfall, SweepConfig};
+use crate::generate::{self, GenerateConfig, Generator, Models, Plan, ResolvedGeneration, ResolvedSweep, Shortfall};
 use crate::metrics::MetricSettings;
 use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::Precision;
@@ -40,30 +40,22 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn check(&self) -> Result<()> {
-        self.config.validate()?;
+        let resolved = self.resolve()?;
         self.metric_settings.validate().map_err(|why| Failure::input_message(format_args!("evaluate.{why}")))?;
-        let mined = self.mine.build()?;
         // The denoiser's own constants may not be known yet. Sweeps and distillation see the same ones here; they are checked again when
         // both models are there.
         let edm = Edm::default();
         let distillation = self.distill.filter(|config| config.checkpoint.is_none());
         let distillation = distillation.map(|config| config.method.distillation(&edm));
-        for sweep in &self.config.resolve()?.config.sweeps {
+        for sweep in &resolved.sweeps {
             if let Some(distillation) = &distillation {
-                sweep.check_distillation(self.config, distillation, &edm)?;
+                sweep.check_distillation(distillation, &edm)?;
             }
             let Some(behavior) = sweep.behavior.as_deref() else { continue };
-            let Some(found) = mined.iter().find(|known| known.id() == behavior) else {
-                let known: Vec<&str> = mined.iter().map(|known| known.id()).collect();
-                let (sweep, behavior, known) = (sweep.name.clone(), behavior.to_owned(), known.join(", "));
-                return Err(generate::Error::UnknownBehavior { sweep, behavior, known }.into());
-            };
-            let refuse = |why| generate::Error::Config(format!("generate.sweeps ({}): {why}", sweep.name));
-            sweep.validate_conditioning(found.roles()).map_err(refuse)?;
             if sweep.needs_classifier() && self.classified_behavior.is_some_and(|classified| classified != behavior) {
                 let (sweep, behavior) = (sweep.name.clone(), behavior.to_owned());
                 return Err(generate::Error::NoClassifier { sweep, behavior }.into());
@@ -86,13 +78,16 @@ impl Stage for Generate<'_> {
             StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
             StageInput::made_by(StageId::TrainDenoiser, "denoiser", &self.layout.denoiser),
         ];
-        if self.needs(SweepConfig::uses_distilled) {
+        // A section that cannot work needs nothing: it is refused. Unguided sampling needs no classifier, except to rank pairs:
+        // there it is used if some sweep is guided.
+        let sweeps = self.resolve().map(|resolved| resolved.sweeps).unwrap_or_default();
+        if sweeps.iter().any(ResolvedSweep::uses_distilled) {
             inputs.push(StageInput::made_by(StageId::TrainDistill, "distilled", &self.layout.distilled));
         }
-        if self.needs(SweepConfig::needs_classifier) {
+        if sweeps.iter().any(ResolvedSweep::needs_classifier) {
             inputs.push(StageInput::made_by(StageId::TrainClassifier, "classifier", &self.layout.classifier));
         }
-        if self.needs(SweepConfig::uses_baseline) {
+        if sweeps.iter().any(ResolvedSweep::uses_baseline) {
             inputs.push(StageInput::made_by(StageId::TrainBaseline, "baseline", &self.layout.baseline));
         }
         inputs
@@ -104,18 +99,19 @@ impl Stage for Generate<'_> {
 
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let device = context.device;
-        let resolved = self.config.resolve()?;
+        let resolved = self.resolve()?;
+        let needs = |what: fn(&ResolvedSweep) -> bool| resolved.sweeps.iter().any(what);
         let store = SceneStore::open(&self.layout.scenes)?;
         let denoiser = TrainedDenoiser::read(&checkpoint_file(&self.layout.denoiser), device)?;
         let mut classifiers = Vec::new();
-        if self.needs(SweepConfig::needs_classifier) {
+        if needs(ResolvedSweep::needs_classifier) {
             classifiers.push(TrainedClassifier::read(&checkpoint_file(&self.layout.classifier), device)?);
         }
-        let distilled = match self.needs(SweepConfig::uses_distilled) {
+        let distilled = match needs(ResolvedSweep::uses_distilled) {
             true => Some(TrainedDenoiser::read(&checkpoint_file(&self.layout.distilled), device)?),
             false => None,
         };
-        let baseline = match self.needs(SweepConfig::uses_baseline) {
+        let baseline = match needs(ResolvedSweep::uses_baseline) {
             true => Some(TrainedSceneTransformer::read(&checkpoint_file(&self.layout.baseline), device)?),
             false => None,
         };
@@ -127,8 +123,7 @@ impl Stage for Generate<'_> {
             baseline: baseline.as_ref(),
         };
         let load = |idx: usize| Ok(store.scene(idx)?);
-        let generator =
-            Generator::new(&resolved.config, models, &behaviors, &load, self.metric_settings.clone(), device)?;
+        let generator = Generator::new(&resolved, models, &behaviors, &load, self.metric_settings.clone(), device)?;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
         let (mine, generate) = (self.mine.clone(), self.config.clone());
         let metric_settings = self.decisive_settings().cloned();
@@ -179,30 +174,29 @@ impl Generate<'_> {
         decide.then_some(settings)
     }
 
-    /// Whether some sweep, of requests too, needs something. Unguided sampling needs no classifier, except to rank pairs: there
-    /// it is used if some sweep is guided. A configuration that makes no sense needs nothing: it has been refused.
-    fn needs(&self, what: fn(&SweepConfig) -> bool) -> bool {
-        self.config.resolve().is_ok_and(|resolved| resolved.config.sweeps.iter().any(what))
+    /// What is sampled, sweeps of requests among it.
+    fn resolve(&self) -> Result<ResolvedGeneration> {
+        Ok(self.config.resolve(&self.mine.build()?)?)
     }
 }
 
 /// Generates the shards of the plan, which are those of the sweeps as they were written.
 fn generate_shards(
-    ResolvedGeneration { config, n_sweeps, .. }: &ResolvedGeneration,
+    resolved: &ResolvedGeneration,
     generator: &Generator<'_>,
     plan: &Plan,
     folder: &SampleFolder,
     context: &StageContext<'_>,
 ) -> Result<Vec<SampleSidecar>> {
     let mut done = Vec::new();
-    let mut n_verified = vec![0; *n_sweeps];
+    let mut n_verified = vec![0; resolved.n_sweeps];
     if plan.shards.is_empty() {
         return Ok(done);
     }
-    context.progress.start("generate", plan.n_samples(config) as u64, "samples");
+    context.progress.start("generate", plan.n_samples(resolved) as u64, "samples");
     for shard in &plan.shards {
-        let n_samples = shard.n_samples(config) as u64;
-        if !shard.is_wanted(config, n_verified[shard.sweep_idx]) {
+        let n_samples = shard.n_samples(resolved) as u64;
+        if !shard.is_wanted(resolved, n_verified[shard.sweep_idx]) {
             context.progress.advance(n_samples);
             continue;
         }
@@ -213,8 +207,8 @@ fn generate_shards(
             }
             None => {
                 let output = generator.generate(shard, context.progress)?;
-                let sweep = &config.sweeps[shard.sweep_idx];
-                folder.write_shard(shard.idx, (&sweep.name, sweep.n_evaluations(config)), output, None)?
+                let sweep = &resolved.sweeps[shard.sweep_idx];
+                folder.write_shard(shard.idx, (&sweep.name, sweep.n_evaluations()), output, None)?
             }
         };
         n_verified[shard.sweep_idx] += sidecar.n_verified as usize;

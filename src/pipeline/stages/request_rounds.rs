@@ -95,7 +95,7 @@ impl Fulfilment<'_> {
         if let Some(decided) = self.folder.round(request.idx, round) {
             return Ok(Some(decided));
         }
-        let config = &self.resolved.config;
+        let config = self.resolved;
         let decided = request.next_round(&RoundContext {
             pool,
             ledger,
@@ -118,17 +118,17 @@ impl Fulfilment<'_> {
         (pool, shard): (&Pool, &RoundShard),
         ledger: &mut Ledger,
     ) -> Result<SampleSidecar> {
-        let config = &self.resolved.config;
+        let resolved = self.resolved;
         let sidecar = match self.folder.finished(shard.plan.idx).filter(|sidecar| sidecar.request.is_some()) {
             Some(sidecar) => {
-                self.context.progress.advance(shard.plan.n_samples(config) as u64);
+                self.context.progress.advance(shard.plan.n_samples(resolved) as u64);
                 sidecar
             }
             None => {
                 let mut output = self.generator.generate(&shard.plan, self.context.progress)?;
                 let tally = self.generator.judge((request, round), (pool, shard), ledger, &mut output.records)?;
-                let sweep = &config.sweeps[shard.plan.sweep_idx];
-                let described = (sweep.name.as_str(), sweep.n_evaluations(config));
+                let sweep = &resolved.sweeps[shard.plan.sweep_idx];
+                let described = (sweep.name.as_str(), sweep.n_evaluations());
                 self.folder.write_shard(shard.plan.idx, described, output, Some(tally))?
             }
         };

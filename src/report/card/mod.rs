@@ -10,7 +10,7 @@ pub(super) use packed::{pack_lanes, pack_sample};
 pub use view::ViewRect;
 
 use super::model::Fact;
-use crate::scene::{ObservationMask, Scene, TrackId};
+use crate::scene::{GuidanceLevel, ObservationMask, Scene, TrackId};
 use serde::{Deserialize, Serialize};
 
 /// Drawings of one scene side by side, at one scale: the recording and what was generated from it.
@@ -45,8 +45,9 @@ pub struct CardKey {
     pub verdict: Verdict,
     /// Whether it was accepted, and why not; `None` where that was not decided, and of several samples.
     pub acceptance: Option<Acceptance>,
-    /// Guidance strength α; 0 is unguided.
-    pub strength: f64,
+    /// How strongly it was guided.
+    #[serde(flatten)]
+    pub level: GuidanceLevel,
     /// Parameters of the event and metrics of the scenario; of several samples their mean.
     pub values: Vec<CardValue>,
 }

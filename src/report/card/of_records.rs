@@ -2,9 +2,9 @@
 
 use super::{Acceptance, CardKey, CardValue, Sample, SceneCard, Verdict};
 use crate::report::model::Fact;
-use crate::report::number::{setting, value};
+use crate::report::number::{level, value};
 use crate::report::quantities::title_and_unit;
-use crate::scene::{Scene, TrackId};
+use crate::scene::{GuidanceLevel, Scene, TrackId};
 use crate::store::ScenarioRecord;
 
 impl Verdict {
@@ -44,7 +44,7 @@ impl SceneCard {
             Some(acceptance) => format!("{}; {}", key.verdict.words(), acceptance.words()),
             None => key.verdict.words().to_owned(),
         };
-        let title = format!("{asked}, {}, α = {}: {verdict}", key.place, setting(key.strength));
+        let title = format!("{asked}, {}, {}: {verdict}", key.place, key.level);
         let mut facts = vec![Fact::new("Scenario", &scenario.id)];
         facts.extend(acceptance.map(|acceptance| Fact::new("Decision", acceptance.words())));
         facts.extend(facts_of_source(record, recorded));
@@ -63,14 +63,14 @@ impl SceneCard {
         let first = records.first()?;
         let provenance = &first.scenario.provenance;
         let key = key(first, recorded, metrics.to_vec());
-        let strength = match key.strength {
-            0.0 => String::new(),
-            strength => format!(", strength {}", setting(strength)),
+        let guided = match key.level {
+            GuidanceLevel::UNGUIDED => String::new(),
+            level => format!(", {level}"),
         };
         let observation = provenance.observation.replace('_', " ");
         let case = &recorded.source.case_id;
         let title = format!(
-            "{}, {} {case}: {} samples, observed: {observation}{strength}",
+            "{}, {} {case}: {} samples, observed: {observation}{guided}",
             first.sweep,
             key.place,
             records.len()
@@ -84,7 +84,7 @@ impl SceneCard {
             .zip(&names)
             .map(|(record, name)| Sample { name, scene: &record.scenario.scene, observed: &record.scenario.observed })
             .collect();
-        let id = format!("{}:{}:{}", first.sweep, provenance.scene_id, setting(key.strength));
+        let id = format!("{}:{}:{}", first.sweep, provenance.scene_id, level(key.level));
         Some(Self::new((id, title), key, facts, recorded, &samples, &provenance.guidance.roles))
     }
 }
@@ -100,7 +100,7 @@ fn key(record: &ScenarioRecord, recorded: &Scene, values: Vec<CardValue>) -> Car
         place: recorded.source.place.clone(),
         verdict: Verdict::of(record),
         acceptance: None,
-        strength: record.scenario.provenance.guidance.strength,
+        level: record.scenario.provenance.guidance.level,
         values,
     }
 }
@@ -112,7 +112,7 @@ fn facts_of_source(record: &ScenarioRecord, recorded: &Scene) -> Vec<Fact> {
         Fact::new("Source file", &recorded.source.file),
         Fact::new("Sweep", &record.sweep),
         Fact::new("Observed", provenance.observation.replace('_', " ")),
-        Fact::new("Guidance", format!("{}, α = {}", provenance.guidance.kind, setting(provenance.guidance.strength))),
+        Fact::new("Guidance", format!("{}, {}", provenance.guidance.kind, provenance.guidance.level)),
         Fact::new("Sampler", &provenance.sampler),
         Fact::new("Seed", provenance.seed),
         Fact::new("Model", &provenance.checkpoint),

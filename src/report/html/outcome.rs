@@ -3,7 +3,7 @@
 use super::{Section, table};
 use crate::evaluate::SamplingRow;
 use crate::report::model::ReportModel;
-use crate::report::number::{ABSENT, count, percent, setting, share, value};
+use crate::report::number::{ABSENT, count, level, percent, share, value};
 use crate::report::svg::{Bar, bar_chart};
 use crate::report::tradeoffs::recorded_value;
 use crate::report::wilson::wilson_interval;
@@ -63,7 +63,7 @@ fn sampling_table(model: &ReportModel) -> Markup {
                 th scope="row" { (row.sweep) }
                 td { (row.behavior.as_deref().unwrap_or(ABSENT)) }
                 td { (if row.place.is_empty() { "all" } else { &row.place }) }
-                td class="n" { (setting(row.strength)) }
+                td class="n" { (level(row.level)) }
                 td { (row.sampler) }
                 td class="n" { (count(row.n_scenes)) }
                 td class="n" { (count(row.n_scenarios)) }
@@ -134,7 +134,7 @@ fn yield_chart(rows: &[SamplingRow]) -> Markup {
         });
         let place = if row.place.is_empty() { String::new() } else { format!("{}, ", row.place) };
         bars.push(Bar {
-            label: format!("{}, {place}α = {}", row.sweep, setting(row.strength)),
+            label: format!("{}, {place}{}", row.sweep, row.level),
             group,
             rate: row.n_verified as f64 / row.n_scenarios as f64,
             interval: wilson_interval(row.n_verified, row.n_scenarios),

@@ -5,7 +5,7 @@ use crate::evaluate::{MetricDoc, RealismRow};
 use crate::metrics::{Direction, Group, SeriesKey};
 use crate::report::distribution::Distribution;
 use crate::report::model::{MetricTable, ReportModel};
-use crate::report::number::{ABSENT, count, optional, setting, uncertainty};
+use crate::report::number::{ABSENT, count, level, optional, uncertainty};
 use crate::report::svg::histogram;
 use crate::store::MetricRow;
 use maud::{Markup, html};
@@ -62,10 +62,10 @@ fn place_table(place: &str, docs: &[&MetricDoc], rows: &[&MetricRow]) -> Markup 
 }
 
 /// Group, sweep and strength, in two cells.
-pub(super) fn heading_of_series(SeriesKey { group, sweep, strength }: &SeriesKey) -> Markup {
+pub(super) fn heading_of_series(SeriesKey { group, sweep, level: own }: &SeriesKey) -> Markup {
     html! {
         th scope="row" { (group) @if !sweep.is_empty() && sweep != group.name() { " (" (sweep) ")" } }
-        td class="n" { (if group.is_generated() { setting(*strength) } else { ABSENT.to_owned() }) }
+        td class="n" { (if group.is_generated() { level(*own) } else { ABSENT.to_owned() }) }
     }
 }
 

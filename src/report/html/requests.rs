@@ -3,7 +3,7 @@
 use super::{Section, table};
 use crate::generate::{BucketSummary, Ended, RequestSummary, Yield};
 use crate::report::model::ReportModel;
-use crate::report::number::{ABSENT, count, optional, setting, share};
+use crate::report::number::{ABSENT, count, level, optional, share};
 use maud::{Markup, html};
 
 pub(super) fn section(model: &ReportModel) -> Option<Section> {
@@ -95,7 +95,7 @@ fn arms(request: &RequestSummary) -> Markup {
     let body = html! {
         @for (i, arm) in request.arms.iter().enumerate() {
             tr {
-                th scope="row" { (arm.name) } td class="n" { (setting(arm.level)) } td class="n" { (count(arm.n_evaluations_per_sample)) }
+                th scope="row" { (arm.name) } td class="n" { (level(arm.level)) } td class="n" { (count(arm.n_evaluations_per_sample)) }
                 (of("first", &arm.first_round, n_hit(|bucket| &bucket.first_round_hits_by_arm, i)))
             }
             tr { th scope="row" { (arm.name) } td {} td {} (of("all", &arm.total, n_hit(|bucket| &bucket.hits_by_arm, i))) }

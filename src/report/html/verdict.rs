@@ -5,7 +5,7 @@ use super::{Section, table};
 use crate::evaluate::{AcceptanceRow, LeftOutRow, ValidityRow};
 use crate::metrics::Check;
 use crate::report::model::ReportModel;
-use crate::report::number::{ABSENT, count, optional, percent, setting, share};
+use crate::report::number::{ABSENT, count, level, optional, percent, share};
 use maud::{Markup, html};
 
 /// The section. `None` where nothing was evaluated.
@@ -32,7 +32,7 @@ fn acceptance(rows: &[AcceptanceRow]) -> Markup {
         @for row in rows {
             tr {
                 th scope="row" { (row.sweep) }
-                td class="n" { (setting(row.strength)) }
+                td class="n" { (level(row.level)) }
                 td class="n" { (count(row.n_scenarios)) }
                 @for n in [row.n_verified, row.n_valid, row.n_verified_valid, row.n_accepted, row.n_kept] {
                     td class="n" { (count(n)) small { " " (share(n, row.n_scenarios)) } }
@@ -60,7 +60,7 @@ fn left_out(rows: &[LeftOutRow]) -> Markup {
             tr {
                 td { (row.stage) }
                 th scope="row" { (row.sweep) }
-                td class="n" { (row.strength.map_or_else(|| ABSENT.to_owned(), setting)) }
+                td class="n" { (row.level.map_or_else(|| ABSENT.to_owned(), level)) }
                 td { (row.reason.replace('_', " ")) }
                 td class="n" { (count(row.n_left_out)) }
                 td class="n" { (count(row.n_found)) }

@@ -1,14 +1,14 @@
 //! The table of metric values: one row a value, of one scene or scenario or aggregated over many.
 
 use super::columns::{Columns, numbers, optional_numbers, optional_texts, texts};
-use crate::scene::SceneId;
+use crate::scene::{GuidanceLevel, SceneId};
 use crate::store::schema::{ColumnExt, TableSchema, column};
 use crate::store::{Error, MetricRow, Result};
 use arrow::array::RecordBatch;
 use arrow::datatypes::{DataType, Float64Type, UInt64Type};
 use std::path::Path;
 
-/// `metric.v1`.
+/// `metric.v2`.
 pub(crate) fn schema() -> TableSchema {
     let by_metric = "by metric";
     let fields = vec![
@@ -18,7 +18,15 @@ pub(crate) fn schema() -> TableSchema {
             "What was measured: recorded, constant_velocity, unguided or a sweep (`group` is a word of SQL).",
         ),
         column("sweep", DataType::Utf8, "The sweep; empty for recorded data and baselines."),
-        column("strength", DataType::Float64, "Guidance strength; 0 without guidance.").unit("1"),
+        column("strength", DataType::Float64, "Strength α of guidance; 0 without.").unit("1"),
+        column(
+            "weight",
+            DataType::Float64,
+            "Weight λ of classifier-free guidance; 0 without. Missing in files of version 1, whose strength holds the weight where \
+             that varied.",
+        )
+        .unit("1")
+        .optional(),
         column("place", DataType::Utf8, "The place; empty for all together."),
         column("scene_id", DataType::Utf8, "The recorded scene; missing for aggregates.").optional(),
         column(
@@ -34,7 +42,7 @@ pub(crate) fn schema() -> TableSchema {
             .unit(by_metric)
             .optional(),
     ];
-    TableSchema { name: "metric", version: 1, description: "One row a value of a metric.", fields, open: Vec::new() }
+    TableSchema { name: "metric", version: 2, description: "One row a value of a metric.", fields, open: Vec::new() }
 }
 
 /// These rows.
@@ -42,7 +50,8 @@ pub(crate) fn encode(rows: &[MetricRow]) -> Result<RecordBatch> {
     let arrays = vec![
         texts(rows.iter().map(|row| row.group.name())),
         texts(rows.iter().map(|row| row.sweep.as_str())),
-        numbers::<Float64Type>(rows.iter().map(|row| row.strength)),
+        numbers::<Float64Type>(rows.iter().map(|row| row.level.strength)),
+        optional_numbers::<Float64Type>(rows.iter().map(|row| Some(row.level.weight))),
         texts(rows.iter().map(|row| row.place.as_str())),
         optional_texts(rows.iter().map(|row| row.scene_id.as_ref().map(|id| id.0.as_str()))),
         optional_texts(rows.iter().map(|row| row.scenario_id.as_deref())),
@@ -62,7 +71,10 @@ pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<MetricRow>>
         Ok(MetricRow {
             group: text("series", row)?.into(),
             sweep: text("sweep", row)?,
-            strength: columns.number::<Float64Type>("strength", row)?,
+            level: GuidanceLevel {
+                strength: columns.number::<Float64Type>("strength", row)?,
+                weight: columns.optional_number::<Float64Type>("weight", row)?.unwrap_or(0.0),
+            },
             place: text("place", row)?,
             scene_id: columns.optional_text("scene_id", row)?.map(SceneId::from),
             scenario_id: columns.optional_text("scenario_id", row)?.map(str::to_owned),

@@ -3,7 +3,7 @@
 
 use super::columns::{Columns, flags, numbers, optional_numbers, optional_texts, small, texts};
 use super::{event_list, request, roles};
-use crate::scene::{GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
+use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
 use crate::store::schema::{ColumnExt, column};
 use crate::store::{Result, ScenarioRecord};
 use arrow::array::ArrayRef;
@@ -43,7 +43,16 @@ pub(crate) fn fields() -> Vec<Field> {
             DataType::Utf8,
             "The guidance it was sampled with, such as none, classifier:cut_in or classifier_free; scene_transformer for the baseline.",
         ),
-        column("guidance_strength", DataType::Float64, "Strength or weight of the guidance; 0 without.").unit("1"),
+        column("guidance_strength", DataType::Float64, "Strength α of the guidance by classifier and objectives; 0 without.")
+            .unit("1"),
+        column(
+            "guidance_weight",
+            DataType::Float64,
+            "Weight λ of classifier-free guidance; 0 without. Missing in files before version 5, whose guidance_strength holds the \
+             weight where guidance_kind ends in classifier_free.",
+        )
+        .unit("1")
+        .optional(),
         roles::field("guidance_roles", "The tracks that the guidance acted on; empty without guidance."),
         column("seed", DataType::UInt64, "Seed of the run."),
         column("sample_idx", DataType::UInt32, "Which sample of its scene and guidance it is."),
@@ -87,7 +96,8 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
         texts(provenance().map(|p| p.observation.as_str())),
         optional_numbers::<Float64Type>(provenance().map(|p| p.edit_tau)),
         texts(provenance().map(|p| p.guidance.kind.as_str())),
-        numbers::<Float64Type>(provenance().map(|p| p.guidance.strength)),
+        numbers::<Float64Type>(provenance().map(|p| p.guidance.level.strength)),
+        optional_numbers::<Float64Type>(provenance().map(|p| Some(p.guidance.level.weight))),
         roles::encode(&provenance().map(|p| p.guidance.roles.as_slice()).collect::<Vec<_>>())?,
         numbers::<UInt64Type>(provenance().map(|p| p.seed)),
         numbers::<UInt32Type>(sample_idx?),
@@ -111,6 +121,12 @@ pub(crate) fn decode(
 ) -> Result<ScenarioRecord> {
     let text = |name: &str| columns.text(name, row).map(str::to_owned);
     let optional_text = |name: &str| columns.optional_text(name, row).map(|text| text.map(str::to_owned));
+    let kind = text("guidance_kind")?;
+    let strength = columns.number::<Float64Type>("guidance_strength", row)?;
+    let level = match columns.optional_number::<Float64Type>("guidance_weight", row)? {
+        Some(weight) => GuidanceLevel { strength, weight },
+        None => level_before_weights(&kind, strength),
+    };
     let provenance = Provenance {
         scene_id: scene.id.clone(),
         observation: text("observation")?,
@@ -120,11 +136,7 @@ pub(crate) fn decode(
         seed: columns.number::<UInt64Type>("seed", row)?,
         sample_idx: columns.number::<UInt32Type>("sample_idx", row)? as usize,
         probability: columns.optional_number::<Float64Type>("probability", row)?,
-        guidance: GuidanceTag {
-            kind: text("guidance_kind")?,
-            strength: columns.number::<Float64Type>("guidance_strength", row)?,
-            roles: roles::decode(columns, "guidance_roles", row)?,
-        },
+        guidance: GuidanceTag { kind, level, roles: roles::decode(columns, "guidance_roles", row)? },
         sampler: text("sampler")?,
         settings: optional_text("settings")?.unwrap_or_default(),
     };
@@ -140,4 +152,39 @@ pub(crate) fn decode(
         request,
         scenario: Scenario { id: text("scenario_id")?, scene, observed, provenance },
     })
+}
+
+/// The level in files before version 5: one column held what varied within the sweep, and the kind the other number in
+/// parentheses, as in `classifier:cut_in(2)+classifier_free`, where it was not 0.
+fn level_before_weights(kind: &str, varied: f64) -> GuidanceLevel {
+    let (of, fixed) = match kind.split_once('(') {
+        Some((of, rest)) => (of, rest.split(')').next().and_then(|number| number.parse().ok())),
+        None => (kind, None),
+    };
+    let fixes_weight = of.ends_with("classifier_free") == fixed.is_some();
+    let fixed = fixed.unwrap_or(0.0);
+    match fixes_weight {
+        true => GuidanceLevel { strength: varied, weight: fixed },
+        false => GuidanceLevel { strength: fixed, weight: varied },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_one_column_held_is_told_apart() {
+        for (kind, strength, weight) in [
+            ("none", 3.0, 0.0),
+            ("classifier:cut_in+no_collision", 3.0, 0.0),
+            ("classifier_free", 0.0, 3.0),
+            ("classifier:cut_in(2)+classifier_free", 2.0, 3.0),
+            ("classifier:cut_in(2)", 2.0, 3.0),
+            ("classifier:cut_in+classifier_free(0.5)", 3.0, 0.5),
+            ("classifier_free(0.5)", 3.0, 0.5),
+        ] {
+            assert_eq!(level_before_weights(kind, 3.0), GuidanceLevel { strength, weight }, "{kind}");
+        }
+    }
 }

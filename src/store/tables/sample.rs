@@ -11,7 +11,7 @@ use arrow::datatypes::DataType;
 use std::path::Path;
 use std::sync::Arc;
 
-/// `sample.v4`.
+/// `sample.v5`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = provenance::fields();
     fields.extend(scene_header::fields());
@@ -23,7 +23,7 @@ pub(crate) fn schema() -> TableSchema {
     ));
     TableSchema {
         name: "sample",
-        version: 4,
+        version: 5,
         description: "One row a generated scenario, with its tracks nested; the form between generation and the corpus.",
         fields,
         open: Vec::new(),

@@ -1,18 +1,27 @@
 //! The table of verdicts: one row a generated scenario, with what became of it.
 
-use super::columns::{Columns, entries, flags, lists, numbers, texts};
+use super::columns::{Columns, entries, flags, lists, numbers, optional_numbers, texts};
+use crate::scene::GuidanceLevel;
 use crate::store::schema::{ColumnExt, TableSchema, column, list_of};
 use crate::store::{Error, Result, VerdictRow};
 use arrow::array::{ListArray, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Float64Type};
 use std::path::Path;
 
-/// `verdict.v1`.
+/// `verdict.v2`.
 pub(crate) fn schema() -> TableSchema {
     let fields = vec![
         column("scenario_id", DataType::Utf8, "The scenario, as in the samples and, where it was kept, in the corpus."),
         column("sweep", DataType::Utf8, "The sweep that asked for it."),
-        column("strength", DataType::Float64, "Guidance strength; 0 without guidance.").unit("1"),
+        column("strength", DataType::Float64, "Strength α of guidance; 0 without.").unit("1"),
+        column(
+            "weight",
+            DataType::Float64,
+            "Weight λ of classifier-free guidance; 0 without. Missing in files of version 1, whose strength holds the weight where \
+             that varied.",
+        )
+        .unit("1")
+        .optional(),
         column("accepted", DataType::Boolean, "Whether it is verified, valid and no near-duplicate."),
         column("kept", DataType::Boolean, "Whether it is in the corpus."),
         column(
@@ -24,7 +33,7 @@ pub(crate) fn schema() -> TableSchema {
     ];
     TableSchema {
         name: "verdict",
-        version: 1,
+        version: 2,
         description: "One row a generated scenario: whether it is accepted, and why not.",
         fields,
         open: Vec::new(),
@@ -37,7 +46,8 @@ pub(crate) fn encode(rows: &[VerdictRow]) -> Result<RecordBatch> {
     let arrays = vec![
         texts(rows.iter().map(|row| row.scenario_id.as_str())),
         texts(rows.iter().map(|row| row.sweep.as_str())),
-        numbers::<Float64Type>(rows.iter().map(|row| row.strength)),
+        numbers::<Float64Type>(rows.iter().map(|row| row.level.strength)),
+        optional_numbers::<Float64Type>(rows.iter().map(|row| Some(row.level.weight))),
         flags(rows.iter().map(|row| row.accepted)),
         flags(rows.iter().map(|row| row.kept)),
         lists(rows.iter().map(|row| row.reasons.len()), reasons),
@@ -58,7 +68,10 @@ pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<VerdictRow>
         Ok(VerdictRow {
             scenario_id: columns.text("scenario_id", row)?.to_owned(),
             sweep: columns.text("sweep", row)?.to_owned(),
-            strength: columns.number::<Float64Type>("strength", row)?,
+            level: GuidanceLevel {
+                strength: columns.number::<Float64Type>("strength", row)?,
+                weight: columns.optional_number::<Float64Type>("weight", row)?.unwrap_or(0.0),
+            },
             accepted: columns.flag("accepted", row)?,
             kept: columns.flag("kept", row)?,
             reasons: entries(list, row).map(|at| reasons.value(at).to_owned()).collect(),

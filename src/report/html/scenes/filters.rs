@@ -2,7 +2,8 @@
 
 use super::ranges::{Range, groups, ranges};
 use crate::report::card::{SceneCard, Verdict};
-use crate::report::number::setting;
+use crate::report::number::level;
+use crate::scene::GuidanceLevel;
 use maud::{Markup, html};
 use serde_json::{Value, json};
 
@@ -20,10 +21,10 @@ pub(super) fn form(cards: &[SceneCard]) -> Markup {
         .filter(|verdict| cards.iter().any(|card| card.key.verdict == *verdict))
         .map(|verdict| (verdict.name().to_owned(), verdict.words().to_owned()))
         .collect();
-    let mut strengths: Vec<f64> = cards.iter().map(|card| card.key.strength).collect();
-    strengths.sort_by(f64::total_cmp);
-    strengths.dedup();
-    let strengths: Vec<(String, String)> = strengths.into_iter().map(|s| (s.to_string(), setting(s))).collect();
+    let mut levels: Vec<GuidanceLevel> = cards.iter().map(|card| card.key.level).collect();
+    levels.sort_by(|a, b| a.strength.total_cmp(&b.strength).then(a.weight.total_cmp(&b.weight)));
+    levels.dedup();
+    let levels: Vec<(String, String)> = levels.into_iter().map(|own| (own.to_string(), level(own))).collect();
     let decisions = decisions(cards);
     let ranges = ranges(cards);
     html! {
@@ -34,7 +35,7 @@ pub(super) fn form(cards: &[SceneCard]) -> Markup {
                 (choice("place", "Place", &places))
                 (choice("verdict", "Verdict", &verdicts))
                 (choice("decision", "Decision", &decisions))
-                (choice("strength", "Strength α", &strengths))
+                (choice("strength", "Strength α", &levels))
             }
             (groups(&ranges))
             div class="found" {
@@ -104,7 +105,7 @@ pub(super) fn index(cards: &[SceneCard]) -> Value {
             card.key.behavior.as_deref().unwrap_or(NO_BEHAVIOR),
             card.key.place,
             card.key.verdict.name(),
-            card.key.strength.to_string(),
+            card.key.level.to_string(),
             tags(card),
             ranges.iter().map(figure).collect::<Vec<_>>(),
         ])

@@ -4,13 +4,14 @@ use djinn::evaluate::{AcceptanceRow, LeftOutRow, MetricDoc, RealismRow, Sampling
 use djinn::generate::{ArmSummary, BucketPart, BucketSummary, BudgetConfig, Ended, RequestSummary, Yield};
 use djinn::metrics::Direction;
 use djinn::report::MetricTable;
+use djinn::scene::GuidanceLevel;
 use djinn::store::MetricRow;
 use std::collections::BTreeMap;
 
 pub(super) fn acceptance(name: &str) -> Vec<AcceptanceRow> {
-    let row = |strength, n_verified, n_accepted| AcceptanceRow {
+    let row = |strength: f64, n_verified, n_accepted| AcceptanceRow {
         sweep: name.into(),
-        strength,
+        level: GuidanceLevel::of_strength(strength),
         n_scenarios: 90,
         n_verified,
         n_valid: 71,
@@ -22,10 +23,10 @@ pub(super) fn acceptance(name: &str) -> Vec<AcceptanceRow> {
 }
 
 pub(super) fn left_out(name: &str) -> Vec<LeftOutRow> {
-    let row = |reason: &str, strength, n_left_out, n_found| LeftOutRow {
+    let row = |reason: &str, strength: Option<f64>, n_left_out, n_found| LeftOutRow {
         stage: if strength == Some(2.0) { "evaluate" } else { "generate" }.into(),
         sweep: name.into(),
-        strength,
+        level: strength.map(GuidanceLevel::of_strength),
         reason: reason.into(),
         n_left_out,
         n_found,
@@ -39,10 +40,10 @@ pub(super) fn left_out(name: &str) -> Vec<LeftOutRow> {
 }
 
 pub(super) fn validity(name: &str) -> Vec<ValidityRow> {
-    let row = |group: &str, strength, n_valid, n_collision: u64| ValidityRow {
+    let row = |group: &str, strength: f64, n_valid, n_collision: u64| ValidityRow {
         group: group.to_owned().into(),
         sweep: name.into(),
-        strength,
+        level: GuidanceLevel::of_strength(strength),
         place: String::new(),
         n: 90,
         n_valid,
@@ -76,9 +77,9 @@ pub(super) fn request(name: &str) -> RequestSummary {
         n_hits,
         n_accepted,
     };
-    let arm = |name: &str, level, first_round, total| ArmSummary {
+    let arm = |name: &str, strength: f64, first_round, total| ArmSummary {
         name: name.into(),
-        level,
+        level: GuidanceLevel::of_strength(strength),
         n_evaluations_per_sample: 39,
         total,
         first_round,
@@ -105,11 +106,11 @@ pub(super) fn request(name: &str) -> RequestSummary {
 }
 
 pub(super) fn sampling(name: &str) -> Vec<SamplingRow> {
-    let row = |sweep: &str, strength, n_verified, n_collision| SamplingRow {
+    let row = |sweep: &str, strength: f64, n_verified, n_collision| SamplingRow {
         sweep: sweep.into(),
         behavior: Some("cut_in".into()),
         place: name.into(),
-        strength,
+        level: GuidanceLevel::of_strength(strength),
         sampler: "heun-20".into(),
         n_scenes: 30,
         n_scenarios: 180,
@@ -126,7 +127,7 @@ pub(super) fn realism(name: &str) -> Vec<RealismRow> {
     let row = |group: &str, strength: f64, (quantity, unit): (&str, &str), distance: Option<f64>| RealismRow {
         group: group.to_owned().into(),
         sweep: name.into(),
-        strength,
+        level: GuidanceLevel::of_strength(strength),
         quantity: quantity.into(),
         unit: unit.into(),
         n_recorded: 9_000,
@@ -165,7 +166,7 @@ pub(super) fn metrics(name: &str) -> MetricTable {
             rows.push(MetricRow {
                 group: group.to_owned().into(),
                 sweep: group.into(),
-                strength,
+                level: GuidanceLevel::of_strength(strength),
                 place: name.into(),
                 scene_id: None,
                 scenario_id: None,

@@ -3,8 +3,8 @@
 use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::report::{Acceptance, CardKey, CardValue, Fact, Sample, SceneCard, Verdict};
 use djinn::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource, Split, State,
-    Track, TrackId, TrackRole, Trajectory,
+    AgentClass, Dataset, Extent, GuidanceLevel, Lane, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource,
+    Split, State, Track, TrackId, TrackRole, Trajectory,
 };
 use std::sync::Arc;
 
@@ -34,7 +34,7 @@ pub(crate) fn card(idx: usize, name: &str, depth: f64, turned_rad: f64) -> Scene
         acceptance: Some(Acceptance {
             reasons: if idx.is_multiple_of(2) { vec![] } else { vec!["not_verified".into(), "yaw_rate".into()] },
         }),
-        strength: 2.0,
+        level: GuidanceLevel::of_strength(2.0),
         values: vec![
             figure("gap_m", 4.0 + idx as f64),
             figure("ttc_s", 2.6),
@@ -63,7 +63,7 @@ pub(super) fn gallery(name: &str) -> SceneCard {
         place: name.into(),
         verdict: Verdict::NotAsked,
         acceptance: None,
-        strength: 0.0,
+        level: GuidanceLevel::UNGUIDED,
         values: vec![],
     };
     let named = (format!("masks-{name}"), format!("masks, {name}: 3 samples, observed: upsampling"));

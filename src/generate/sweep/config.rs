@@ -1,0 +1,121 @@
+//! A sweep as it is written: what may be asked of each kind of model, and nothing else.
+
+use super::keys::SweepKeys;
+use crate::diffusion::SamplerConfig;
+use crate::generate::{ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig};
+use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// `[[generate.sweeps]]`: every chosen scene, at every level of guidance, so many times. Its keys are documented in
+/// `SweepKeys`, the flat table that it is written as.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(try_from = "SweepKeys", into = "SweepKeys")]
+pub struct SweepConfig {
+    /// Name, unique among the sweeps.
+    pub name: String,
+    /// Number of scenes to continue.
+    pub n_scenes: usize,
+    /// Name of the mined behavior to ask for; `None`: scenes are continued as they may go on.
+    pub behavior: Option<String>,
+    /// Which agents are asked for the behavior.
+    pub pairs: PairSelectionConfig,
+    /// Which samples become scenarios; `None`: all.
+    pub select: Option<SelectConfig>,
+    /// No further shard is begun once so many scenarios are verified; `None`: all are generated.
+    pub stop_after_verified: Option<usize>,
+    /// How samples are drawn.
+    pub sampling: SamplingConfig,
+}
+
+/// `[[generate.arms]]`: a way of sampling that requests may try. Who is asked for what, and in which scenes, the request says.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(try_from = "SweepKeys", into = "SweepKeys")]
+#[schemars(transform = super::keys::without_keys_of_requests)]
+pub struct ArmConfig {
+    /// Name, unique among the arms.
+    pub name: String,
+    /// How samples are drawn.
+    pub sampling: SamplingConfig,
+}
+
+/// How samples are drawn.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SamplingConfig {
+    /// Samples of each scene at each level.
+    pub n_samples: usize,
+    /// Which states are observed; the rest is generated.
+    pub observe: ObserveConfig,
+    /// The model, with what may be asked of it.
+    pub model: ModelConfig,
+}
+
+/// Which model samples come from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ModelConfig {
+    /// The denoiser: samples are independent draws, as many as wanted.
+    Denoiser(DiffusionConfig),
+    /// The denoiser of `[train.distill]`, in few evaluations.
+    Distilled(DiffusionConfig),
+    /// Scene Transformer of `[train.baseline]`: samples are its joint futures. It predicts in one pass, in which there is
+    /// nothing to guide or edit.
+    Baseline,
+}
+
+/// How a denoiser is sampled.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DiffusionConfig {
+    /// How noise becomes a sample; `None`: as in the other sweeps.
+    pub sampler: Option<SamplerConfig>,
+    /// How strongly samples are kept apart and on the road; `None`: as in the other sweeps.
+    pub validity_strength: Option<f64>,
+    /// Strengths α of guidance, each of them sampled; 0 is unguided.
+    pub strengths: Vec<f64>,
+    /// What guides.
+    pub guidance: SweepGuidance,
+    /// States that samples lean toward.
+    pub classifier_free: Option<ClassifierFreeConfig>,
+    /// Changes of the recording that samples start from.
+    pub edit: Option<EditConfig>,
+}
+
+/// What samples are pushed toward, and how.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SweepGuidance {
+    /// When guidance acts and how far it may go.
+    pub gate: GuidanceConfig,
+    /// Whom the classifier of the behavior looks at.
+    pub classifier_scope: ClassifierScope,
+    /// What the classifier is shown.
+    pub classifier_input: ClassifierInput,
+    /// What is asked of trajectories beside the behavior, or instead of one.
+    pub objectives: Vec<ObjectiveConfig>,
+    /// How objectives become shifts of the clean estimate.
+    pub objective_guidance: ObjectiveGuidanceConfig,
+}
+
+/// Whom the classifier of the behavior looks at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ClassifierScope {
+    /// The pair that is asked: chosen beforehand, and verified.
+    #[default]
+    Pair,
+    /// Whichever pair of the scene comes nearest to the behavior (ln of the sum of all pairs' probabilities). Nobody is asked in
+    /// particular; a scenario is verified if anybody performs the behavior.
+    AnyPair,
+    /// Nobody: objectives alone guide. Pairs are chosen and verified as with `pair`.
+    None,
+}
+
+/// What the classifier of the behavior is shown of a sample that is being denoised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ClassifierInput {
+    /// The noisy states (paper, section 5.2): it was trained on them at every noise level.
+    #[default]
+    NoisyStates,
+    /// The denoiser's clean estimate, as objectives are. Needed where more than the history is observed (`observe`): of other
+    /// masks the classifier knows no noisy states. `objective_guidance` says how its gradient becomes a shift.
+    CleanEstimate,
+}

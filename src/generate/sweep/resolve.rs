@@ -1,0 +1,288 @@
+//! Can a sweep as it is written be sampled? The one place where that is asked, and where what it left open is filled in.
+
+use super::{
+    ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
+    SamplingConfig, SweepConfig, SweepModel,
+};
+use crate::behavior::Behavior;
+use crate::diffusion::SamplerConfig;
+use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig, SelectConfig};
+use crate::guidance::{CleanGradient, GuidanceConfig};
+use crate::scene::{GuidanceLevel, LevelAxis};
+use crate::settings::{self, Issue, Result};
+use crate::tensor::MaskTask;
+
+/// What the parts of a sweep have to fit.
+struct Purpose<'a> {
+    /// The section, from which sweeps take what they leave out.
+    config: &'a GenerateConfig,
+    /// The behavior that is asked for.
+    behavior: Option<&'a dyn Behavior>,
+    /// Whether samples are selected by objectives.
+    selects_by_objectives: bool,
+}
+
+impl SweepConfig {
+    /// The sweep as it is sampled, where these behaviors are mined.
+    ///
+    /// # Errors
+    /// Names the key that cannot work.
+    pub(in crate::generate) fn resolve(
+        &self,
+        config: &GenerateConfig,
+        behaviors: &[Box<dyn Behavior>],
+    ) -> Result<ResolvedSweep> {
+        if self.n_scenes == 0 {
+            return Err(Issue::new("n_scenes", "is 0, expected at least 1"));
+        }
+        let behavior = self.behavior.as_deref().map(|id| mined(id, behaviors)).transpose()?;
+        let selects_by_objectives = self.select.as_ref().is_some_and(SelectConfig::names_objectives);
+        let model = self.sampling.resolve(&Purpose { config, behavior, selects_by_objectives })?;
+        let sweep = ResolvedSweep {
+            name: self.name.clone(),
+            n_scenes: self.n_scenes,
+            n_samples: self.sampling.n_samples,
+            behavior: self.behavior.clone(),
+            pairs: self.pairs.clone(),
+            select: self.select.clone(),
+            stop_after_verified: self.stop_after_verified,
+            observe: self.sampling.observe.clone(),
+            model,
+        };
+        if let Some(select) = &self.select {
+            let objectives = sweep.diffusion().map_or(&[][..], |diffusion| &diffusion.guidance.objectives);
+            let kinds: Vec<&str> = objectives.iter().map(|objective| objective.objective().kind()).collect();
+            let asks_pairs = behavior.is_some_and(|asked| asked.roles().len() > 1) && !sweep.asks_anybody();
+            select.validate(&kinds, asks_pairs).map_err(|issue| issue.within("select"))?;
+        }
+        Ok(sweep)
+    }
+}
+
+impl ArmConfig {
+    /// Refuses what no request could try, whatever it asks for.
+    pub(in crate::generate) fn check(&self) -> Result {
+        settings::printable_name("name", &self.name)?;
+        if self.name.contains(['/', '@']) {
+            return Err(Issue::new("name", format_args!("is \"{}\", expected one without / and @", self.name)));
+        }
+        match &self.sampling.model {
+            ModelConfig::Baseline => Err(Issue::new(
+                "model",
+                "is \"baseline\", which has a few futures a scene and cannot be tried again and again: take \"denoiser\" or \
+                 \"distilled\"",
+            )),
+            ModelConfig::Denoiser(diffusion) | ModelConfig::Distilled(diffusion) => {
+                match diffusion.guidance.classifier_scope {
+                    ClassifierScope::AnyPair => Err(Issue::new(
+                        "classifier_scope",
+                        "is \"any_pair\", which asks nobody in particular: a request asks pairs, so take \"pair\" or \"none\"",
+                    )),
+                    ClassifierScope::Pair | ClassifierScope::None => diffusion.levels().map(drop),
+                }
+            }
+        }
+    }
+
+    /// The sweeps that try it for a request: one for each level.
+    ///
+    /// # Errors
+    /// Names the key that does not fit the request's behavior.
+    pub(in crate::generate) fn resolve(
+        &self,
+        request: &RequestConfig,
+        config: &GenerateConfig,
+        behavior: &dyn Behavior,
+    ) -> Result<Vec<(ResolvedSweep, GuidanceLevel)>> {
+        let behavior = Some(behavior);
+        let model = self.sampling.resolve(&Purpose { config, behavior, selects_by_objectives: false })?;
+        let sweep = ResolvedSweep {
+            name: format!("{}/{}", request.name, self.name),
+            n_scenes: request.n_scenes,
+            n_samples: self.sampling.n_samples,
+            behavior: Some(request.behavior.clone()),
+            pairs: request.pairs.clone(),
+            select: None,
+            stop_after_verified: None,
+            observe: self.sampling.observe.clone(),
+            model,
+        };
+        let levels = sweep.levels();
+        if let &[level] = levels {
+            return Ok(vec![(sweep, level)]);
+        }
+        let axis = LevelAxis::of(levels.iter().copied());
+        let at = |level: &GuidanceLevel| {
+            let mut one = ResolvedSweep { name: format!("{}@{}", sweep.name, axis.read(*level)), ..sweep.clone() };
+            if let SweepModel::Denoiser(diffusion) | SweepModel::Distilled(diffusion) = &mut one.model {
+                diffusion.levels = vec![*level];
+            }
+            (one, *level)
+        };
+        Ok(levels.iter().map(at).collect())
+    }
+}
+
+/// The mined behavior of this name.
+///
+/// # Errors
+/// Names the key `behavior`.
+pub(in crate::generate) fn mined<'a>(id: &str, behaviors: &'a [Box<dyn Behavior>]) -> Result<&'a dyn Behavior> {
+    behaviors.iter().map(AsRef::as_ref).find(|behavior| behavior.id() == id).ok_or_else(|| {
+        let known: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();
+        let known = known.join(", ");
+        Issue::new("behavior", format_args!("is \"{id}\", expected one of mine.behaviors, which are {known}"))
+    })
+}
+
+impl SamplingConfig {
+    fn resolve(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
+        let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
+        self.observe.validate(roles).map_err(|issue| issue.within("observe"))?;
+        match &self.model {
+            ModelConfig::Denoiser(diffusion) => {
+                let resolved = diffusion.resolve(purpose, &self.observe)?;
+                match resolved.sampler {
+                    SamplerConfig::Consistency(_) => Err(Issue::new(
+                        "sampler.kind",
+                        "is \"consistency\", which makes blurred samples of an ordinary denoiser: use it with model = \
+                         \"distilled\", or take \"heun\"",
+                    )),
+                    _ => Ok(SweepModel::Denoiser(resolved)),
+                }
+            }
+            ModelConfig::Distilled(diffusion) => {
+                let resolved = diffusion.resolve(purpose, &self.observe)?;
+                if matches!(resolved.sampler, SamplerConfig::Heun(_) | SamplerConfig::Dpmpp2m(_)) {
+                    return Err(Issue::new(
+                        "sampler",
+                        format_args!(
+                            "is {}, but a distilled denoiser does not answer with a mean, which that sampler takes for one: what \
+                             it makes is far too wide; give the sweep sampler = {{ kind = \"euler\", n_steps = 2, grid = … }} as \
+                             in train.distill.method, or {{ kind = \"consistency\", sigma_max = 24, levels = [4.0] }} for a \
+                             consistency model",
+                            resolved.sampler.name()
+                        ),
+                    ));
+                }
+                if resolved.goes_through_network(purpose) {
+                    return Err(Issue::new(
+                        "objective_guidance.gradient",
+                        "is \"through_network\", which supposes the mean that a distilled denoiser does not give: take \"clean\"",
+                    ));
+                }
+                Ok(SweepModel::Distilled(resolved))
+            }
+            ModelConfig::Baseline => Ok(SweepModel::Baseline),
+        }
+    }
+}
+
+impl DiffusionConfig {
+    fn resolve(&self, purpose: &Purpose<'_>, observe: &ObserveConfig) -> Result<Diffusion> {
+        let levels = self.levels()?;
+        if let Some(sampler) = &self.sampler {
+            sampler.validate().map_err(|issue| issue.within("sampler"))?;
+        }
+        let GuidanceConfig { sigma_lo, sigma_hi, .. } = self.guidance.gate;
+        settings::ascending(("guidance.sigma_lo", sigma_lo), ("guidance.sigma_hi", sigma_hi))?;
+        let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
+        if let Some(config) = &self.classifier_free {
+            config.validate(roles).map_err(|issue| issue.within("classifier_free"))?;
+        }
+        if let Some(edit) = &self.edit {
+            edit.validate(roles).map_err(|issue| issue.within("edit"))?;
+        }
+        let resolved = Diffusion {
+            sampler: self.sampler.as_ref().unwrap_or(&purpose.config.sampler).clone(),
+            validity_strength: self.validity_strength.unwrap_or(purpose.config.validity_strength),
+            levels,
+            guidance: self.guidance.clone(),
+            classifier_free: self.classifier_free.clone(),
+            edit: self.edit.clone(),
+        };
+        resolved.check_guidance(purpose, observe).map(|()| resolved)
+    }
+}
+
+impl Diffusion {
+    /// Whether the classifier of the behavior guides.
+    fn classifies(&self, purpose: &Purpose<'_>) -> bool {
+        self.is_guided() && purpose.behavior.is_some() && self.guidance.classifier_scope != ClassifierScope::None
+    }
+
+    /// Whether potentials of clean estimates are carried back through the network.
+    fn goes_through_network(&self, purpose: &Purpose<'_>) -> bool {
+        let guidance = &self.guidance;
+        let judges_estimates = (self.classifies(purpose)
+            && guidance.classifier_input == ClassifierInput::CleanEstimate)
+            || (self.is_guided() && !guidance.objectives.is_empty());
+        judges_estimates && guidance.objective_guidance.gradient == CleanGradient::ThroughNetwork
+    }
+
+    fn check_guidance(&self, purpose: &Purpose<'_>, observe: &ObserveConfig) -> Result {
+        let guidance = &self.guidance;
+        let classifies = self.classifies(purpose);
+        let is_anybody = guidance.classifier_scope == ClassifierScope::AnyPair;
+        if purpose.behavior.is_none() && is_anybody {
+            return Err(Issue::new(
+                "classifier_scope",
+                "is \"any_pair\", which needs a behavior, such as behavior = \"cut_in\"",
+            ));
+        }
+        let has_objectives = !guidance.objectives.is_empty();
+        if self.is_guided() && !has_objectives && !classifies {
+            let missing = match purpose.behavior {
+                Some(_) => {
+                    "are guided, but classifier_scope = \"none\" leaves the classifier out: they need objectives"
+                }
+                None => "are guided: they need a behavior, such as behavior = \"cut_in\", or objectives",
+            };
+            return Err(Issue::new("strengths", missing));
+        }
+        if has_objectives && !self.is_guided() && !purpose.selects_by_objectives {
+            return Err(Issue::new(
+                "objectives",
+                "guide at strengths other than 0 alone: add some, such as strengths = [1.0], or select by them, such as \
+                 select = { best = 1, by = [\"objectives\"] }",
+            ));
+        }
+        let roles = purpose.behavior.filter(|_| !is_anybody).map_or(&[][..], Behavior::roles);
+        for (i, objective) in guidance.objectives.iter().enumerate() {
+            let (key, kind) = (format!("objectives.{i}"), objective.objective().kind());
+            objective.validate(roles).map_err(|why| Issue::new(key, format_args!("({kind}): {why}")))?;
+        }
+        if self.goes_through_network(purpose)
+            && has_objectives
+            && classifies
+            && guidance.classifier_input == ClassifierInput::CleanEstimate
+        {
+            return Err(Issue::new(
+                "objective_guidance.gradient",
+                "is \"through_network\", which goes through the network once: for objectives, or for classifier_input = \
+                 \"clean_estimate\"; for both use gradient = \"clean\"",
+            ));
+        }
+        if classifies { check_classified_mask(observe, guidance.classifier_input) } else { Ok(()) }
+    }
+}
+
+/// Refuses observation masks under which a classifier cannot guide.
+fn check_classified_mask(observe: &ObserveConfig, input: ClassifierInput) -> Result {
+    // What rules hide is seen when they meet a scene.
+    if let ObserveConfig::Task(task @ (MaskTask::Windowed | MaskTask::Upsampling | MaskTask::Imputation)) = observe {
+        let why = format_args!(
+            "is \"{}\", but guidance by a classifier, which looks at histories, needs an observe that shows them",
+            task.name()
+        );
+        return Err(Issue::new("observe", why));
+    }
+    if *observe != ObserveConfig::default() && input == ClassifierInput::NoisyStates {
+        return Err(Issue::new(
+            "classifier_input",
+            "is \"noisy_states\", which a classifier knows with observe = \"predictive\" alone; with other masks it needs \
+             classifier_input = \"clean_estimate\"",
+        ));
+    }
+    Ok(())
+}

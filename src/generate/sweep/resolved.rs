@@ -1,0 +1,161 @@
+//! A sweep that can be sampled: nothing in it is left open, and nothing contradicts.
+
+use super::{ClassifierScope, SweepGuidance};
+use crate::diffusion::{Edm, SamplerConfig};
+use crate::generate::{ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig};
+use crate::guidance::ObjectiveConfig;
+use crate::model::Distillation;
+use crate::scene::GuidanceLevel;
+
+/// A sweep that was checked. Only `GenerateConfig::resolve` makes one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ResolvedSweep {
+    /// Its name; of a request's, `request/arm` with the level where the arm has several: `tight/guided@10`.
+    pub name: String,
+    /// Scenes to continue, at least 1.
+    pub n_scenes: usize,
+    /// Samples of each scene (or pair) at each level.
+    pub n_samples: usize,
+    /// The mined behavior that is asked for, if any.
+    pub behavior: Option<String>,
+    /// Which agents are asked for it.
+    pub pairs: PairSelectionConfig,
+    /// Which samples become scenarios; `None`: all.
+    pub select: Option<SelectConfig>,
+    /// No further shard is begun once so many scenarios are verified.
+    pub stop_after_verified: Option<usize>,
+    /// Which states are observed.
+    pub observe: ObserveConfig,
+    /// The model, and how it is sampled.
+    pub model: SweepModel,
+}
+
+/// Which model the samples of a sweep come from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum SweepModel {
+    /// The denoiser.
+    Denoiser(Diffusion),
+    /// The distilled denoiser.
+    Distilled(Diffusion),
+    /// Scene Transformer, in one pass.
+    Baseline,
+}
+
+/// How a denoiser is sampled.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Diffusion {
+    /// How noise becomes a sample.
+    pub sampler: SamplerConfig,
+    /// How strongly samples are kept apart and on the road, at every level; 0: not at all.
+    pub validity_strength: f64,
+    /// What samples of a scene differ in beside their noise; at least one.
+    pub levels: Vec<GuidanceLevel>,
+    /// What guides at strengths other than 0.
+    pub guidance: SweepGuidance,
+    /// States that samples lean toward.
+    pub classifier_free: Option<ClassifierFreeConfig>,
+    /// Changes of the recording that samples start from.
+    pub edit: Option<EditConfig>,
+}
+
+impl ResolvedSweep {
+    /// How its denoiser is sampled; `None` for the baseline.
+    pub const fn diffusion(&self) -> Option<&Diffusion> {
+        match &self.model {
+            SweepModel::Denoiser(diffusion) | SweepModel::Distilled(diffusion) => Some(diffusion),
+            SweepModel::Baseline => None,
+        }
+    }
+
+    /// Whether its samples are of the distilled denoiser.
+    pub const fn uses_distilled(&self) -> bool {
+        matches!(self.model, SweepModel::Distilled(_))
+    }
+
+    /// Whether its samples are joint futures of the baseline.
+    pub const fn uses_baseline(&self) -> bool {
+        matches!(self.model, SweepModel::Baseline)
+    }
+
+    /// What samples of a scene differ in beside their noise.
+    pub fn levels(&self) -> &[GuidanceLevel] {
+        self.diffusion().map_or(&[GuidanceLevel::UNGUIDED], |diffusion| &diffusion.levels)
+    }
+
+    /// Whether some of its samples are forecasts: neither guided nor leaning toward wanted states nor edited.
+    pub fn has_unguided(&self) -> bool {
+        self.diffusion().is_none_or(|diffusion| diffusion.edit.is_none())
+            && self.levels().iter().any(|level| level.strength == 0.0 && level.weight == 0.0)
+    }
+
+    /// Whether some of its samples are guided by the classifier of its behavior.
+    pub fn needs_classifier(&self) -> bool {
+        self.behavior.is_some()
+            && self.diffusion().is_some_and(|diffusion| {
+                diffusion.is_guided() && diffusion.guidance.classifier_scope != ClassifierScope::None
+            })
+    }
+
+    /// Whether an objective of its guidance can aim at parameters of the event.
+    pub(in crate::generate) fn aims(&self) -> bool {
+        self.diffusion().is_some_and(|diffusion| {
+            let aims = |objective: &ObjectiveConfig| !objective.objective().aims_at().is_empty();
+            diffusion.is_guided() && diffusion.guidance.objectives.iter().any(aims)
+        })
+    }
+
+    /// Whether nobody in particular is asked for the behavior.
+    pub(in crate::generate) fn asks_anybody(&self) -> bool {
+        self.diffusion().is_some_and(|diffusion| diffusion.guidance.classifier_scope == ClassifierScope::AnyPair)
+    }
+
+    /// Calls of the network for one sample; classifier-free guidance asks it twice, the baseline once.
+    pub fn n_evaluations(&self) -> u64 {
+        self.diffusion().map_or(1, |diffusion| {
+            let n_calls = if diffusion.classifier_free.is_some() { 2 } else { 1 };
+            diffusion.sampler.n_evaluations() as u64 * n_calls
+        })
+    }
+
+    /// Name of its sampler and number of steps, such as `heun-50`; the baseline takes one pass for all samples.
+    pub fn sampler_name(&self) -> String {
+        self.diffusion().map_or_else(|| "forward-1".to_owned(), |diffusion| diffusion.sampler.name())
+    }
+
+    /// Refuses noise levels that the distilled denoiser was not made for: what it answers there means something else. Sweeps of
+    /// other models are not looked at.
+    ///
+    /// # Errors
+    /// When there are such.
+    pub fn check_distillation(&self, distillation: &Distillation, edm: &Edm) -> Result<(), Error> {
+        let SweepModel::Distilled(Diffusion { sampler, edit, .. }) = &self.model else { return Ok(()) };
+        let asked = match edit {
+            Some(edit) => edit.schedule(edm, sampler),
+            None => sampler.schedule(edm, sampler.sigma_start(edm)),
+        };
+        let refuse = |why: String| Err(Error::Config(format!("sweep {}: {why}", self.name)));
+        match (distillation, sampler) {
+            (Distillation::Steps { sigmas }, SamplerConfig::Euler(_)) if !sigmas.ends_with(&asked) => refuse(format!(
+                "the distilled denoiser steps through the noise levels {sigmas:?}, the sweep through {asked:?}: give it the n_steps and \
+                 grid of train.distill.method, and edits a tau that is one of these levels"
+            )),
+            (Distillation::Steps { sigmas }, SamplerConfig::Consistency(_)) => refuse(format!(
+                "the denoiser was distilled to Euler's steps through {sigmas:?}: give the sweep sampler = {{ kind = \"euler\" }} with the \
+                 n_steps and grid of train.distill.method"
+            )),
+            (Distillation::Consistency, SamplerConfig::Euler(_)) => refuse(
+                "the denoiser was distilled to a consistency model: give the sweep sampler = { kind = \"consistency\", sigma_max = 24, \
+                 levels = [4.0] }"
+                    .to_owned(),
+            ),
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Diffusion {
+    /// Whether some samples are guided.
+    pub(in crate::generate) fn is_guided(&self) -> bool {
+        self.levels.iter().any(|level| level.strength != 0.0)
+    }
+}
