@@ -1,4 +1,4 @@
-//! A sweep as it is written: what may be asked of each kind of model, and nothing else.
+//! A sweep as it is written: what may be asked of each kind of model, and nothing else. Its keys are those of `SweepKeys`.
 
 use super::keys::SweepKeys;
 use crate::diffusion::SamplerConfig;
@@ -7,8 +7,7 @@ use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// `[[generate.sweeps]]`: every chosen scene, at every level of guidance, so many times. Its keys are documented in
-/// `SweepKeys`, the flat table that it is written as.
+/// `[[generate.sweeps]]`: every chosen scene, at every level of guidance, so many times.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "SweepKeys", into = "SweepKeys")]
 pub struct SweepConfig {
