@@ -17,5 +17,7 @@ mod requests;
 mod safety;
 mod schema;
 mod settings;
+#[path = "../skipped.rs"]
+mod skipped;
 mod stages;
 mod support;
