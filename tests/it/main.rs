@@ -17,6 +17,8 @@ mod requests;
 mod safety;
 mod schema;
 mod settings;
+#[cfg(target_os = "linux")]
+mod signals;
 #[path = "../skipped.rs"]
 mod skipped;
 mod stages;
