@@ -14,7 +14,8 @@ Exit codes:
   0  done
   1  the input is at fault: arguments, configuration, recordings, files given
   2  the program or the machine is at fault: a bug, a full disk, a damaged file of ours
-  3  everything ran, but a quality gate of the configuration was not met";
+  3  everything ran, but a quality gate of the configuration was not met
+Ended by a signal (in a shell 130, 143 or 129), it says what stays and how to go on.";
 
 /// Of `run`.
 pub(super) const RUN: &str = "\

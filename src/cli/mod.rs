@@ -9,6 +9,7 @@ mod help;
 mod panics;
 mod printer;
 mod progress;
+mod signals;
 
 use args::{Args, Command};
 use clap::Parser;
@@ -22,6 +23,7 @@ pub fn main() -> ExitCode {
         Err(error) => return exit::of_usage(&error),
     };
     let printer = Printer::new(&args.output);
+    signals::watch();
     let outcome = panics::told(|| match &args.command {
         Command::Run(run) => commands::run(run, &args.output, &printer),
         Command::Corpus(corpus) => commands::corpus(corpus, &args.output, &printer),

@@ -60,14 +60,12 @@ pub struct EvaluationSummary {
 }
 
 /// What evaluation comes to.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub struct Evaluated {
     /// What is read first.
     pub summary: EvaluationSummary,
-    /// The value of every metric for every scene.
-    pub of_scenes: Vec<MetricRow>,
-    /// The value of every metric for every scenario, in their order.
-    pub of_scenarios: Vec<MetricRow>,
+    /// The values of every metric for every scene and scenario.
+    pub rows: MetricRows,
     /// What was decided on every scenario, in their order.
     pub verdicts: Vec<VerdictRow>,
     /// The scenarios of the corpus, by their ids.
@@ -79,10 +77,16 @@ pub struct Evaluated {
 }
 
 impl Evaluated {
-    /// The metric values of the scenarios of the corpus.
-    pub fn of_kept_scenarios(&self) -> Vec<MetricRow> {
-        let is_kept = |row: &&MetricRow| row.scenario_id.as_ref().is_some_and(|id| self.kept.contains(id));
-        self.of_scenarios.iter().filter(is_kept).cloned().collect()
+    /// All metric values: aggregates, then those of scenes, then those of scenarios.
+    pub fn all_rows(&self) -> impl Iterator<Item = MetricRow> + '_ {
+        let aggregates = self.summary.aggregates.iter().cloned();
+        aggregates.chain(self.rows.of_scenes()).chain(self.rows.of_scenarios(|_| true))
+    }
+
+    /// The metric values of the corpus: aggregates, then those of its scenarios.
+    pub fn rows_of_corpus(&self) -> impl Iterator<Item = MetricRow> + '_ {
+        let aggregates = self.summary.aggregates.iter().cloned();
+        aggregates.chain(self.rows.of_scenarios(|id| self.kept.contains(id)))
     }
 }
 
@@ -214,9 +218,8 @@ impl<'a> Evaluation<'a> {
             validity: self.validity.finish(),
         };
         summary.gates = self.config.gates.check(&summary);
-        let (of_scenes, of_scenarios) = (self.rows.of_scenes(), self.rows.into_of_scenarios());
-        let kept = self.kept;
-        Ok(Evaluated { summary, of_scenes, of_scenarios, verdicts, kept, n_predicted_scenes, n_tracks_left_out })
+        let (rows, kept) = (self.rows, self.kept);
+        Ok(Evaluated { summary, rows, verdicts, kept, n_predicted_scenes, n_tracks_left_out })
     }
 
     /// Measures the cells of a shard in parallel, and gives them back in order.

@@ -30,6 +30,7 @@ pub use error::{Error, Result};
 pub use evaluation::{Evaluated, Evaluation, EvaluationSummary, KeptScenarios, Shard};
 pub use gates::{GateResult, GatesConfig};
 pub use measures::MetricDoc;
+pub use metric_rows::MetricRows;
 pub use mining::{BehaviorCount, BehaviorDoc, MiningSummary, MiningTally};
 pub use realism::RealismRow;
 pub use sampling::SamplingRow;

@@ -128,7 +128,7 @@ mod tests {
             vec![
                 last(validity.finish().into_iter().map(|row| row.group).collect()),
                 last(realism.finish().into_iter().map(|row| row.group).collect()),
-                last(rows.of_scenes().into_iter().map(|row| row.group).collect()),
+                last(rows.of_scenes().map(|row| row.group).collect()),
             ]
         };
         assert_eq!(groups(None), vec![Group::Unguided; 3]);

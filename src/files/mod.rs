@@ -9,6 +9,7 @@ mod exchange;
 mod lock;
 mod new_folder;
 mod overlap;
+mod regular;
 #[cfg(test)]
 mod tests;
 mod written;
@@ -21,6 +22,7 @@ pub use exchange::exchange;
 pub use lock::{LOCK_FILE, Lock};
 pub use new_folder::NewFolder;
 pub use overlap::{check_overlap, resolve};
+pub use regular::regular;
 pub use written::{
     LIST_FILE, clear, enter_all, files_below, foreign, is_link, keep_list, list_above, listed, remove_leftovers,
     remove_listed, sync_folder,

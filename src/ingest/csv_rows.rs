@@ -7,6 +7,9 @@ use std::io::{self, BufRead, Read};
 /// Longest line that is accepted; the tables have lines of about 100 bytes.
 const MAX_LINE_BYTES: usize = 64 * 1024;
 
+/// Most empty lines in a row that are accepted; a gigabyte of them packs into a megabyte.
+const MAX_EMPTY_LINES: usize = 100_000;
+
 /// The lines of a stream with their numbers. Lines end in LF or CRLF, the last one may lack its end, and a byte order
 /// mark at the start is passed over. Quotes around cells are taken away.
 pub(crate) struct Lines<'a> {
@@ -16,18 +19,20 @@ pub(crate) struct Lines<'a> {
     /// A line that does not lie in the reader's buffer as a whole, or not without quotes.
     line: Vec<u8>,
     number: u64,
+    /// Empty lines since the last other one.
+    n_empty: usize,
 }
 
 impl<'a> Lines<'a> {
     /// The lines of `reader`, which must stand at the start of the stream.
     pub(crate) fn new(reader: &'a mut dyn BufRead) -> Self {
-        Self { reader, n_shown: 0, line: Vec::new(), number: 0 }
+        Self { reader, n_shown: 0, line: Vec::new(), number: 0, n_empty: 0 }
     }
 
     /// The next line without its end, and its number, counted from 1; `None` at the end of the stream.
     ///
     /// # Errors
-    /// When the stream cannot be read, or a line is longer than 64 KiB, which means that this is no table.
+    /// When the stream cannot be read, or when this is no table: a line is longer than 64 KiB, or 100 000 in a row are empty.
     pub(crate) fn next(&mut self) -> io::Result<Option<(u64, &[u8])>> {
         self.pass_over_shown();
         let end = loop {
@@ -42,6 +47,11 @@ impl<'a> Lines<'a> {
             self.number += 1;
             // The buffer is full still, so that nothing is read here.
             let line = clean(&self.reader.fill_buf()?[..end], self.number);
+            self.n_empty = if line.is_empty() { self.n_empty + 1 } else { 0 };
+            if self.n_empty > MAX_EMPTY_LINES {
+                let message = format!("more than {MAX_EMPTY_LINES} empty lines up to line {}", self.number);
+                return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+            }
             if memchr(b'"', line).is_none() {
                 return Ok(Some((self.number, line)));
             }
@@ -153,6 +163,14 @@ mod tests {
         assert_eq!(in_memory, [&b"first,line"[..], b"", b"2,3", b"last one"]);
         assert_eq!(lines_of(b"a\n\n").collect::<Vec<_>>(), [&b"a"[..], b""]);
         assert_eq!(lines_of(b"").count(), 0);
+    }
+
+    #[test]
+    fn empty_lines_come_to_an_end() {
+        let text = |n: usize| [b"a\n".as_slice(), &b"\n".repeat(n), b"b\n"].concat();
+        assert_eq!(lines(&text(MAX_EMPTY_LINES)).unwrap().len(), MAX_EMPTY_LINES + 2);
+        let why = lines(&text(MAX_EMPTY_LINES + 1)).unwrap_err().to_string();
+        assert_eq!(why, "more than 100000 empty lines up to line 100002");
     }
 
     #[test]

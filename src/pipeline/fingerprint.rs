@@ -1,5 +1,6 @@
 //! Is this file, folder or configuration the same as last time, without reading terabytes each time?
 
+use crate::files::regular;
 use anyhow::{Context, Result};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -59,7 +60,7 @@ pub fn fingerprint_path(path: &Path) -> Result<PathFingerprint> {
 /// The fingerprint of a file, or of those files in a folder that are named relative to it (`None`: of all). Named files have the
 /// same as the whole folder where that holds nothing else.
 pub(super) fn fingerprint_to(path: &Path, names: Option<&[PathBuf]>, depth: Depth<'_>) -> Result<PathFingerprint> {
-    let (root, mut files) = match (fs_err::metadata(path)?.is_dir(), names) {
+    let (root, mut files) = match (regular(path)?.is_dir(), names) {
         (false, _) => (None, vec![path.to_owned()]),
         (true, Some(names)) => (Some(path), names.iter().map(|name| path.join(name)).collect()),
         (true, None) => {

@@ -5,8 +5,8 @@ use super::corpus_manifest::{CorpusManifest, CorpusNotes};
 use super::corpus_sink::CorpusSink;
 use super::parquet_file::{self, ParquetFile};
 use super::tables::scenario::ScenarioRows;
-use super::tables::{metric, recording, sample, track};
-use super::{Error, MapSource, MetricRow, Result, ScenarioRecord};
+use super::tables::{recording, sample, track};
+use super::{Error, MapSource, MetricRow, Result, ScenarioRecord, metrics};
 use crate::files::remove_if_present;
 use crate::scene::{MapId, Scene};
 use std::collections::BTreeSet;
@@ -88,9 +88,9 @@ impl<'m> CorpusWriter<'m> {
     ///
     /// # Errors
     /// Those of the file system.
-    pub fn write_metrics(&mut self, rows: &[MetricRow]) -> Result<()> {
+    pub fn write_metrics(&mut self, rows: impl IntoIterator<Item = MetricRow>) -> Result<()> {
         let partition = CorpusTable::Metrics.partition(None, "");
-        self.sink.write(CorpusTable::Metrics, &partition, &metric::encode(rows)?)
+        metrics::batches(rows).try_for_each(|batch| self.sink.write(CorpusTable::Metrics, &partition, &batch?))
     }
 
     /// Finishes the tables, and writes the card and the manifest.

@@ -179,7 +179,7 @@ mod tests {
     fn other_and_damaged_files_are_named() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("events.parquet");
-        write_metrics(&path, &Vec::<MetricRow>::new()).unwrap();
+        write_metrics(&path, Vec::<MetricRow>::new()).unwrap();
         let error = read_all(&path).unwrap_err();
         assert!(matches!(&error, Error::SchemaVersion { found, .. } if found == "metric.v2"), "{error}");
         write_events(&path, &events()).unwrap();

@@ -1,16 +1,32 @@
 //! `metrics.parquet`: the values of metrics, one a row.
 
+use super::parquet_file::{self, ParquetFile};
 use super::tables::metric;
-use super::{MetricRow, Result, parquet_file};
+use super::{MetricRow, Result};
 use crate::files::FileStamp;
+use arrow::array::RecordBatch;
 use std::path::Path;
 
 /// Writes a metric table, in the order given.
 ///
 /// # Errors
 /// Those of the file system.
-pub fn write_metrics(path: &Path, rows: &[MetricRow]) -> Result<FileStamp> {
-    parquet_file::write_batch(path, &metric::schema(), &metric::encode(rows)?)
+pub fn write_metrics(path: &Path, rows: impl IntoIterator<Item = MetricRow>) -> Result<FileStamp> {
+    let mut file = ParquetFile::create(path, &metric::schema(), metric::encode(&[])?.schema())?;
+    batches(rows).try_for_each(|batch| file.write(&batch?))?;
+    file.finish()
+}
+
+/// Rows of a batch. A row takes some 300 bytes.
+const ROWS_PER_BATCH: usize = 8 * 1024;
+
+/// The rows as batches, so that few are in memory at a time.
+pub(super) fn batches(rows: impl IntoIterator<Item = MetricRow>) -> impl Iterator<Item = Result<RecordBatch>> {
+    let mut rows = rows.into_iter().peekable();
+    std::iter::from_fn(move || {
+        rows.peek()?;
+        Some(metric::encode(&rows.by_ref().take(ROWS_PER_BATCH).collect::<Vec<_>>()))
+    })
 }
 
 /// Reads a metric table, in the order it was written.
@@ -56,7 +72,7 @@ mod tests {
             ..aggregate.clone()
         };
         let rows = [aggregate, single];
-        write_metrics(&path, &rows).unwrap();
+        write_metrics(&path, rows.clone()).unwrap();
         assert_eq!(read_metrics(&path).unwrap(), rows);
     }
 }

@@ -2,9 +2,11 @@
 
 use super::*;
 use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::diffusion::NoiseDistribution;
 use crate::guidance::testing::{N_HISTORY, N_TIMESTEPS, denoiser_spec, is_positive, scene};
 use crate::guidance::{ClassifierGuidance, Guidance, log_potential_gradient};
 use crate::model::{DenoiserSpec, TrainedClassifier};
+use crate::nn::Params;
 use crate::progress::{Progress, Silent};
 use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
@@ -80,6 +82,38 @@ fn it_separates_the_better_the_less_noise_there_is() {
         let written: ClassifierReport =
             serde_json::from_slice(&fs_err::read(dir.path().join("classifier.json")).unwrap()).unwrap();
         assert_eq!((written.fingerprint, written.by_noise_level.len()), (report.fingerprint, REPORT_SIGMAS.len()));
+    }
+}
+
+/// With logits of 1 throughout, a positive example costs ln(1 + 1/e) and a negative one ln(1 + e). A quarter of the examples are positive.
+#[test]
+fn labels_count_as_in_uniform_draws_times_the_weight_of_positive_ones() {
+    let (dir, examples) = (tempfile::tempdir().unwrap(), examples(0..240, 1000));
+    let denoiser = denoiser_spec(StateParametrization::Residual);
+    for (pos_weight, share_of_positive) in [(1.0, 0.25), (3.0, 0.5), (9.0, 0.75)] {
+        let mut spec = train(&denoiser, 1, dir.path(), &Silent).unwrap().spec;
+        spec.pos_weight = pos_weight;
+        let mut params = Params::new(&Device::Cpu);
+        let classifier = spec.build(&mut params, Seed(1)).unwrap();
+        let constant = params.tensors().into_iter().map(|(name, tensor)| {
+            let value = if tensor.dims() == [1] { tensor.ones_like() } else { tensor.zeros_like() };
+            (name, value.unwrap())
+        });
+        params.load(&constant.collect()).unwrap();
+        let task = ClassificationTask {
+            classifier: &classifier,
+            frozen: &classifier,
+            spec: &spec,
+            noise: NoiseDistribution::default(),
+            batch_size: 16,
+            train: &examples,
+            held_out: &examples,
+            seed: Seed(6),
+            device: &Device::Cpu,
+        };
+        let expected = share_of_positive * (-1f64).exp().ln_1p() + (1.0 - share_of_positive) * 1f64.exp().ln_1p();
+        let loss = f64::from(task.loss(0).unwrap().to_scalar::<f32>().unwrap());
+        assert!((loss - expected).abs() < 1e-5, "weight {pos_weight}: {loss}, expected {expected}");
     }
 }
 

@@ -373,6 +373,49 @@ mod tests {
         assert_eq!((again, outcome.unwrap().steps_taken), (expected, 0));
     }
 
+    /// A slope of 1 everywhere, down which Adam goes by the learning rate at each step.
+    struct Slope(Tensor);
+
+    impl TrainTask for Slope {
+        fn loss(&self, _step: u64) -> Result<Tensor, Error> {
+            Ok(self.0.sum_all()?)
+        }
+
+        fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
+            Ok(BTreeMap::from([("x".to_owned(), f64::from(self.0.detach().sum_all()?.to_scalar::<f32>()?))]))
+        }
+    }
+
+    #[test]
+    fn steps_follow_the_schedule_and_the_averages_are_evaluated_and_kept() {
+        let config = FitConfig {
+            steps: 4,
+            learning_rate: 0.1,
+            warmup_steps: 2,
+            decay: LearningRateDecay::Cosine,
+            evaluate_every: 1,
+            ..config()
+        };
+        let dir = tempfile::tempdir().unwrap();
+        let mut params = Params::new(&Device::Cpu);
+        let x = params.get_or_init("x", &[1], Init::Zeros, Seed(1)).unwrap();
+        let outcome = fit(&config, &mut params, &Slope(x.clone()), dir.path(), &Silent).unwrap();
+        // Worked out by hand: rates 0.05, 0.1 (1 + cos π/4) / 2, 0.05 and 0.1 (1 + cos 3π/4) / 2, and averages whose decay is
+        // 2/11, 3/12, 4/13 and 5/14.
+        let evaluated: Vec<f64> =
+            outcome.statistics.iter().filter_map(|line| line.evaluation.get("x").copied()).collect();
+        let expected = [-0.040_909, -0.111_744, -0.162_706, -0.186_681];
+        assert!(
+            evaluated.len() == 4 && evaluated.iter().zip(expected).all(|(x, expected)| (x - expected).abs() < 2e-6),
+            "{evaluated:?}"
+        );
+        let last = read_checkpoint::<Position>(&Run::state_path(dir.path()), &Device::Cpu).unwrap();
+        let last = last.tensors["params.x"].to_vec1::<f32>().unwrap()[0];
+        assert!((last + 0.2).abs() < 2e-6, "{last}");
+        let kept = x.to_vec1::<f32>().unwrap()[0];
+        assert!((kept + 0.186_681).abs() < 2e-6, "{kept}");
+    }
+
     #[test]
     fn the_learning_rate_warms_up_and_decays() {
         let config = FitConfig { decay: LearningRateDecay::Cosine, steps: 100, ..config() };

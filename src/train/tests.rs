@@ -1,16 +1,16 @@
 //! Training learns, resumes to the same weights, and says what is wrong with its input.
 
 use super::*;
-use crate::diffusion::NoiseDistribution;
+use crate::diffusion::{NoiseDistribution, NoiseSource};
 use crate::guidance::{AccelerationLimit, AgentSelector, ObjectiveConfig, SpeedLimit};
-use crate::model::{DenoiserSpec, GeometryConfig, NetworkConfig, TrainedDenoiser};
-use crate::nn::{Checkpoint, read_checkpoint};
+use crate::model::{DenoiserSpec, GeometryConfig, NetworkConfig, SceneDenoiser, TrainedDenoiser};
+use crate::nn::{Checkpoint, Params, read_checkpoint};
 use crate::progress::Silent;
 use crate::scene::Scene;
 use crate::scene::testing::{Drive, scene};
 use crate::seed::Seed;
 use crate::tensor::{Collator, MaskSampler, StateParametrization};
-use candle_core::Device;
+use candle_core::{Device, Tensor};
 use std::path::Path;
 
 /// Two cars each: one drives on, one turns at a speed that shows in its history.
@@ -178,7 +178,7 @@ fn a_batch_made_in_advance_is_the_one_that_would_be_drawn() {
     let train = [vec![0, 1, 2, 3, 4, 5, 6, 7, 8, 9]];
     let draws = || draws_of_four(&dataset, &train, &collator, &masks);
     let values = |drawn: DrawnBatch| {
-        let of = |x: &candle_core::Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        let of = |x: &Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
         (of(&drawn.batch.x0), of(&drawn.batch.latent), of(&drawn.batch.lanes), drawn.seeds)
     };
     let ahead = draws();
@@ -188,6 +188,39 @@ fn a_batch_made_in_advance_is_the_one_that_would_be_drawn() {
         let expected = values(draws().training_batch(asked).unwrap());
         assert!(values(ahead.training_batch(asked).unwrap()) == expected, "{prepared} {asked}");
     }
+}
+
+/// A network that always answers 0 leaves c_skip(σ) x as the estimate, so that the loss follows from the draws alone (EDM, table 1).
+#[test]
+fn the_loss_is_the_weighted_error_at_the_noise_levels_that_were_drawn() {
+    let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(20));
+    let training = DenoiserTraining { path_loss: 0.0, ..training(1) };
+    let spec = train(&dataset, &training, dir.path()).unwrap().spec;
+    let mut params = Params::new(&Device::Cpu);
+    let denoiser = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, Seed(5)).unwrap();
+    let zeros = params.tensors().into_iter().map(|(name, tensor)| (name, tensor.zeros_like().unwrap()));
+    params.load(&zeros.collect()).unwrap();
+    let (collator, masks) = (spec.collator(), MaskSampler::new(&training.tasks).unwrap());
+    let train = [(0..12).collect()];
+    let draws = draws_of_four(&dataset, &train, &collator, &masks);
+    let task = DenoisingTask { denoiser: &denoiser, frozen: &denoiser, training: &training, draws };
+
+    let DrawnBatch { batch, seeds, mut rngs, .. } = task.draws.training_batch(7).unwrap();
+    let values = |x: &Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    let (x0, noise) = (values(&batch.x0), values(&NoiseSource::new(seeds).draw_like(&batch.x0).unwrap()));
+    let (scored, latent) = (values(&batch.scored), values(&batch.latent));
+    let sigmas: Vec<f64> = rngs.iter_mut().map(|rng| training.noise.draw(rng)).collect();
+    let (variance_of_data, n_of_row) = (0.25, x0.len() / sigmas.len());
+    let mut sum = 0.0;
+    for (i, (x0, noise)) in x0.iter().zip(&noise).map(|(x0, noise)| (f64::from(*x0), f64::from(*noise))).enumerate() {
+        let sigma = sigmas[i / n_of_row];
+        let total = sigma * sigma + variance_of_data;
+        let estimate = variance_of_data / total * (x0 + sigma * noise) * f64::from(latent[i / 3]);
+        sum += total / (sigma * sigma * variance_of_data) * (estimate - x0).powi(2) * f64::from(scored[i / 3]);
+    }
+    let expected = sum / (3.0 * scored.iter().copied().map(f64::from).sum::<f64>());
+    let loss = f64::from(task.loss(7).unwrap().to_scalar::<f32>().unwrap());
+    assert!((loss / expected - 1.0).abs() < 1e-4, "{loss}, expected {expected} at {sigmas:?}");
 }
 
 #[test]

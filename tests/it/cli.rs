@@ -43,8 +43,17 @@ fn exit_codes_tell_whose_fault_it_is() {
     djinn(&["inspect", "Cargo.toml"]).expect(1);
     djinn(&["mine", "--quiet", "--verbose", "--output", "x"]).expect(1);
 
-    // A damaged file of ours is a fault of ours or of the machine.
+    // What has no end, or another content the next time, is no input.
     let workspace = Workspace::new();
+    let output = workspace.arg("devices");
+    for args in
+        [vec!["inspect", "/dev/zero"], vec!["ingest", "/dev/zero", "--dataset", "argoverse1", "--output", &output]]
+    {
+        let outcome = djinn(&args).expect(1);
+        assert!(outcome.stderr.contains("/dev/zero is neither a file nor a folder"), "{}", outcome.stderr);
+    }
+
+    // A damaged file of ours is a fault of ours or of the machine.
     let output = workspace.arg("out");
     let recordings = "tests/fixtures/recordings/argoverse1";
     djinn(&["ingest", recordings, "--dataset", "argoverse1", "--output", &output]).expect(0);

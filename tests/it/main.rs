@@ -17,5 +17,9 @@ mod requests;
 mod safety;
 mod schema;
 mod settings;
+#[cfg(target_os = "linux")]
+mod signals;
+#[path = "../skipped.rs"]
+mod skipped;
 mod stages;
 mod support;

@@ -30,6 +30,7 @@ pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, print
             }
         }
         CorpusCommand::Merge(args) => {
+            super::begins_anew(&args.out);
             let outcome = merge(&args.corpora, &args.out, &progress)?;
             tell(printer, &outcome, &args.out);
             Ok(())
@@ -37,12 +38,14 @@ pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, print
         CorpusCommand::Filter(args) => {
             let conditions = args.conditions.iter().map(|text| text.parse::<Condition>());
             let conditions = conditions.collect::<std::result::Result<Vec<_>, _>>()?;
+            super::begins_anew(&args.out);
             let outcome = filter(&args.corpus, &conditions, &args.out, &progress)?;
             tell(printer, &outcome, &args.out);
             Ok(())
         }
         CorpusCommand::Sample(args) => {
             let options = SampleOptions { n: args.n, by: args.by.clone(), seed: args.seed };
+            super::begins_anew(&args.out);
             let outcome = sample(&args.corpus, &options, &args.out, &progress)?;
             tell(printer, &outcome, &args.out);
             Ok(())

@@ -17,6 +17,7 @@ pub(in crate::cli) fn export(args: &ExportArgs, output: &OutputArgs, printer: &P
         limit: args.limit,
     };
     let options = ExportOptions { ego: if args.free_ego { EgoMotion::Free } else { EgoMotion::Replayed } };
+    super::begins_anew(&args.out);
     let progress = TerminalProgress::new(output, *printer);
     let report = export_corpus(&args.corpus, args.format, &args.out, &selection, options, &progress);
     let report = report.map_err(|error| hinted(error.into(), &args.corpus))?;

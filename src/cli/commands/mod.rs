@@ -18,17 +18,35 @@ pub(super) use stage::stage;
 
 use crate::cli::args::OutputArgs;
 use crate::cli::printer::Printer;
+use crate::cli::signals;
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::estimate::estimate;
 use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::{Failure, Kept, Result, StageId};
 use std::fmt::Write;
+use std::path::Path;
 
 /// Sets up the worker threads: what the command line says, else the configuration.
 fn use_threads(output: &OutputArgs, config: &PipelineConfig) -> Result<()> {
     let n_threads = output.threads.unwrap_or(config.run.threads);
     rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(Failure::fault)
+}
+
+/// Says what a signal leaves of work in a folder of stages.
+fn resumes_in(root: &Path) {
+    signals::leaves(format!(
+        "what is finished stays in {}, down to whole shards and saved states of a training; the same command goes on from there",
+        root.display()
+    ));
+}
+
+/// Says what a signal leaves of something that appears whole or not at all.
+fn begins_anew(out: &Path) {
+    signals::leaves(format!(
+        "{} is as it was; what was begun lies beside it under a name that ends in .partial, and can be removed",
+        out.display()
+    ));
 }
 
 /// Prints the configuration as TOML and the plan as comments, so that the whole is a pipeline file again.

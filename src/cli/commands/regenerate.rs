@@ -1,6 +1,6 @@
 //! `djinn regenerate`: one scenario again, compared with its row.
 
-use super::use_threads;
+use super::{begins_anew, use_threads};
 use crate::cli::args::{OutputArgs, RegenerateArgs};
 use crate::cli::printer::Printer;
 use crate::files::check_overlap;
@@ -27,6 +27,7 @@ pub(in crate::cli) fn regenerate(args: &RegenerateArgs, output: &OutputArgs, pri
     }
     if let Some(path) = &args.out {
         check_new(path, &layout, args.corpus.as_deref())?;
+        begins_anew(path);
     }
     let compute = Compute { device: args.device, precision: args.precision };
     let Regenerated { stored, again, differences, n_columns } =

@@ -17,6 +17,7 @@ pub(in crate::cli) fn report(
 ) -> Result<()> {
     let Some([a, b]) = args.compare.as_deref() else { return super::stage(command, output, printer) };
     let page = args.out.as_deref().unwrap_or(Path::new(COMPARISON_FILE));
+    super::begins_anew(page);
     write_comparison(a, b, page)?;
     printer.message(format_args!("the comparison is in {}", page.display()));
     Ok(())

@@ -1,6 +1,6 @@
 //! `djinn run`: all stages of a pipeline file.
 
-use super::{announce, print_dry_run, use_threads};
+use super::{announce, print_dry_run, resumes_in, use_threads};
 use crate::cli::args::{OutputArgs, RunArgs};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
@@ -25,6 +25,7 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
         let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?, &args.redo)?;
         return print_dry_run(&config, &layout, &planned, printer);
     }
+    resumes_in(&root);
     let folder = RunFolder::open(&root)?;
     let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?, &args.redo)?;
     announce(&planned, output, printer);

@@ -1,6 +1,6 @@
 //! The commands that run one stage alone, on explicit inputs and into an explicit folder.
 
-use super::{announce, print_dry_run, use_threads};
+use super::{announce, print_dry_run, resumes_in, use_threads};
 use crate::cli::args::{Command, OutputArgs, StageArgs, TrainCommand};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
@@ -24,6 +24,7 @@ pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Pr
         let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?], &redo)?;
         return print_dry_run(&config, &layout, &planned, printer);
     }
+    resumes_in(root);
     let folder = RunFolder::open(root)?;
     let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?], &redo)?;
     announce(&planned, output, printer);

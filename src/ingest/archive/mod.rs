@@ -10,6 +10,7 @@ mod tarball;
 mod zipped;
 
 use super::Error;
+use crate::files::regular;
 use std::io::{self, BufRead, Read};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -106,6 +107,7 @@ fn visit_file(
 const BUFFER_BYTES: usize = 128 * 1024;
 
 fn open(path: &Path) -> io::Result<io::BufReader<fs_err::File>> {
+    regular(path)?;
     Ok(io::BufReader::with_capacity(BUFFER_BYTES, fs_err::File::open(path)?))
 }
 

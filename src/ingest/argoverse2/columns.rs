@@ -1,25 +1,31 @@
 //! The columns of a scenario file, whatever encoding its writer chose.
 
 use crate::containment::contained;
-use arrow::array::{Array, ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
+use arrow::array::{Array, ArrayRef, AsArray, Float64Array, Int64Array, RecordBatch, StringArray};
 use arrow::compute::{cast, concat_batches};
-use arrow::datatypes::DataType;
+use arrow::datatypes::{DataType, FieldRef, Fields, Schema, SchemaRef};
 use parquet::DecodeResult;
+use parquet::arrow::arrow_reader::ArrowReaderOptions;
 use parquet::arrow::push_decoder::ParquetPushDecoderBuilder;
+use parquet::arrow::{ProjectionMask, parquet_to_arrow_schema};
 use parquet::errors::ParquetError;
-use parquet::file::metadata::ParquetMetaDataPushDecoder;
+use parquet::file::metadata::{FileMetaData, ParquetMetaDataPushDecoder};
 use std::sync::Arc;
 
 /// A scenario has some hundred tracks of at most 110 rows.
 const MAX_ROWS: usize = 1 << 17;
 
-/// The whole table of a file in memory.
+/// Its columns, and the texts of each of them over all rows, have some hundred kilobytes.
+const MAX_BYTES: usize = 64 << 20;
+
+/// Some columns of a file in memory.
 pub(super) struct Table(RecordBatch);
 
 impl Table {
-    /// Decodes a parquet file. The error says what is wrong with it.
-    pub(super) fn read(bytes: &[u8]) -> Result<Self, String> {
-        contained(|| decode(bytes)).unwrap_or_else(|| Err("the file is damaged beyond decoding".to_owned())).map(Self)
+    /// Decodes the columns of a parquet file that have these `names`. The error says what is wrong with them.
+    pub(super) fn read(bytes: &[u8], names: &[&str]) -> Result<Self, String> {
+        let damaged = || Err("the file is damaged beyond decoding".to_owned());
+        contained(|| decode(bytes, names)).unwrap_or_else(damaged).map(Self)
     }
 
     /// Number of rows.
@@ -71,7 +77,19 @@ impl Table {
             plain => plain,
         };
         if !accepted(found) {
-            return Err(format!("column {name} is of type {}, expected {expected}", column.data_type()));
+            let found = if is_string(found) { "text".to_owned() } else { column.data_type().to_string() };
+            return Err(format!("column {name} is of type {found}, expected {expected}"));
+        }
+        // Views share what the file holds once: only now every row gets a copy.
+        if let Some(views) = column.as_string_view_opt() {
+            let n_bytes: usize = views.iter().flatten().map(str::len).sum();
+            if n_bytes > MAX_BYTES {
+                return Err(format!(
+                    "column {name} has {} MiB of text, expected at most {}",
+                    n_bytes >> 20,
+                    MAX_BYTES >> 20
+                ));
+            }
         }
         let column = cast(column, wanted).map_err(|error| format!("column {name}: {error}"))?;
         match (0..column.len()).find(|row| column.is_null(*row)) {
@@ -89,7 +107,30 @@ fn lost(name: &str) -> String {
     format!("column {name} cannot be converted")
 }
 
-fn decode(bytes: &[u8]) -> Result<RecordBatch, String> {
+/// The schema in which the columns of these `names` are decoded: texts as views, so that a long one that many rows share is there
+/// once. Refuses columns that are neither numbers nor texts, of which nothing is known.
+fn views(metadata: &FileMetaData, names: &[&str]) -> Result<SchemaRef, String> {
+    let schema = parquet_to_arrow_schema(metadata.schema_descr(), metadata.key_value_metadata());
+    let schema = schema.map_err(|error| error.to_string())?;
+    let in_view = |field: &FieldRef| -> Result<FieldRef, String> {
+        let found = match field.data_type() {
+            DataType::Dictionary(_, values) => values,
+            plain => plain,
+        };
+        if is_string(found) {
+            return Ok(Arc::new(field.as_ref().clone().with_data_type(DataType::Utf8View)));
+        }
+        if names.contains(&field.name().as_str()) && !found.is_numeric() && *found != DataType::Boolean {
+            let (name, found) = (field.name(), field.data_type());
+            return Err(format!("column {name} is of type {found}, expected numbers or text"));
+        }
+        Ok(Arc::clone(field))
+    };
+    let fields = schema.fields().iter().map(in_view).collect::<Result<Fields, String>>()?;
+    Ok(Arc::new(Schema::new_with_metadata(fields, schema.metadata().clone())))
+}
+
+fn decode(bytes: &[u8], names: &[&str]) -> Result<RecordBatch, String> {
     let explain = |error: ParquetError| error.to_string();
     let whole = 0..bytes.len() as u64;
     let mut metadata_decoder = ParquetMetaDataPushDecoder::try_new(whole.end).map_err(explain)?;
@@ -101,8 +142,16 @@ fn decode(bytes: &[u8]) -> Result<RecordBatch, String> {
     if !(0..=MAX_ROWS as i64).contains(&n_rows) {
         return Err(format!("{n_rows} rows, expected at most {MAX_ROWS}"));
     }
-    let mut decoder = ParquetPushDecoderBuilder::try_new_decoder(Arc::new(metadata))
-        .and_then(|builder| builder.with_batch_size(MAX_ROWS).build())
+    let columns = metadata.row_groups().iter().flat_map(|group| group.columns());
+    let wanted = columns.filter(|column| names.contains(&column.column_path().string().as_str()));
+    let n_bytes: u64 = wanted.map(|column| column.uncompressed_size().unsigned_abs()).fold(0, u64::saturating_add);
+    if n_bytes > MAX_BYTES as u64 {
+        return Err(format!("its columns have {} MiB, expected at most {}", n_bytes >> 20, MAX_BYTES >> 20));
+    }
+    let options = ArrowReaderOptions::new().with_schema(views(metadata.file_metadata(), names)?);
+    let mask = ProjectionMask::columns(metadata.file_metadata().schema_descr(), names.iter().copied());
+    let mut decoder = ParquetPushDecoderBuilder::try_new_decoder_with_options(Arc::new(metadata), options)
+        .and_then(|builder| builder.with_projection(mask).with_batch_size(MAX_ROWS).build())
         .map_err(explain)?;
     decoder.push_range(whole, bytes.to_vec().into()).map_err(explain)?;
     let mut batches = Vec::new();

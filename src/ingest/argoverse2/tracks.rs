@@ -23,11 +23,15 @@ const COLUMNS: [&str; 12] = [
     "city",
 ];
 
+/// When the first row was recorded; not every file has it.
+const START: &str = "start_timestamp";
+
 const DT_S: f64 = 0.1;
 
 /// The scene of a file, cut to `horizon` around the present of the dataset. Rows are counted from 0.
 pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
-    let table = Table::read(&unit.bytes).map_err(|detail| unit.reject("bad_parquet", detail))?;
+    let table = Table::read(&unit.bytes, &[&COLUMNS[..], &[START]].concat())
+        .map_err(|detail| unit.reject("bad_parquet", detail))?;
     let missing = table.missing(&COLUMNS);
     if !missing.is_empty() {
         return Err(unit.reject("missing_column", format!("no column {}", missing.join(", "))));
@@ -77,7 +81,7 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject
 /// The time of timestep `first` in nanoseconds; without `start_timestamp`, the timestep itself.
 fn first_frame(table: &Table, first: usize) -> String {
     const DT_NS: i64 = 100_000_000;
-    match table.integer("start_timestamp") {
+    match table.integer(START) {
         Ok(start_ns) => start_ns.value(0).saturating_add(first as i64 * DT_NS).to_string(),
         Err(_) => first.to_string(),
     }

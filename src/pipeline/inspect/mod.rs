@@ -9,6 +9,7 @@ mod requests;
 mod tables;
 
 use super::failure::{Failure, Result};
+use crate::files::regular;
 use serde_json::{Map, Value};
 use std::path::Path;
 
@@ -44,7 +45,7 @@ const DESCRIBERS: [Describer; 11] = [
 /// # Errors
 /// When there is nothing, when it is none of ours, or when it is damaged.
 pub fn inspect(path: &Path) -> Result<Description> {
-    fs_err::metadata(path).map_err(Failure::input)?;
+    regular(path).map_err(Failure::input)?;
     for describe in DESCRIBERS {
         if let Some(description) = describe(path)? {
             return Ok(description);

@@ -103,10 +103,8 @@ impl Stage for Evaluate<'_> {
         let found = evaluation.finish()?;
         let summary = &found.summary;
         write_verdicts(&path(VERDICTS), &found.verdicts)?;
-        let all = [summary.aggregates.as_slice(), &found.of_scenes, &found.of_scenarios].concat();
-        write_metrics(&path(METRICS), &all)?;
-        corpus.write_metrics(&summary.aggregates)?;
-        corpus.write_metrics(&found.of_kept_scenarios())?;
+        write_metrics(&path(METRICS), found.all_rows())?;
+        corpus.write_metrics(found.rows_of_corpus())?;
         corpus.finish(&self.notes(&summary.left_out))?;
         write_json_atomically(&path(METRICS_SUMMARY), summary)?;
         Ok(json!({

@@ -1,5 +1,6 @@
 //! A page in a headless browser, asked and watched over the DevTools protocol, through two named pipes.
 
+use crate::skipped::skipped;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -22,14 +23,10 @@ pub(crate) struct Page {
 }
 
 impl Page {
-    /// Opens a page and waits until it is loaded. `None` where there is no browser, which is told on stderr.
+    /// Opens a page and waits until it is loaded. `None` where there is no browser, which is told.
     pub(crate) fn open(html: &str) -> Option<Self> {
         let Some(name) = NAMES.into_iter().find(|name| is_there(name)) else {
-            // Written past the test harness, which would keep what is printed to itself.
-            let _ = writeln!(
-                std::io::stderr(),
-                "SKIPPED: the report was not tried in a browser: none of {NAMES:?} is there"
-            );
+            skipped("browser", &format!("none of {NAMES:?} is there"));
             return None;
         };
         let folder = tempfile::tempdir().unwrap();

@@ -151,10 +151,10 @@ fn columns_of_another_type_are_rejected_with_it() {
     };
     let dictionary = DataType::Dictionary(Box::new(DataType::Int32), Box::new(DataType::Utf8));
     for (name, data_type, expected) in [
-        ("position_x", DataType::Utf8, "column position_x is of type Utf8, expected numbers"),
-        ("heading", DataType::LargeUtf8, "column heading is of type LargeUtf8, expected numbers"),
-        ("velocity_y", dictionary, "column velocity_y is of type Dictionary(Int32, Utf8), expected numbers"),
-        ("timestep", DataType::Utf8, "column timestep is of type Utf8, expected whole numbers"),
+        ("position_x", DataType::Utf8, "column position_x is of type text, expected numbers"),
+        ("heading", DataType::LargeUtf8, "column heading is of type text, expected numbers"),
+        ("velocity_y", dictionary, "column velocity_y is of type text, expected numbers"),
+        ("timestep", DataType::Utf8, "column timestep is of type text, expected whole numbers"),
         ("object_category", DataType::Boolean, "column object_category is of type Boolean, expected whole numbers"),
     ] {
         assert!(detail(name, data_type).ends_with(expected), "{name}");
@@ -201,4 +201,37 @@ fn cut_or_damaged_files_are_rejected_without_panic() {
         // Whatever comes of it, it must be a value.
         let _ = parse_bytes(damaged, Split::Train);
     }
+}
+
+/// Some kilobytes of file that hold a text once, or packed, and would take gigabytes.
+#[test]
+fn what_packs_well_is_bounded_unpacked() {
+    let properties = |has_dictionary: bool| {
+        let properties = WriterProperties::builder().set_compression(Compression::SNAPPY);
+        properties.set_dictionary_enabled(has_dictionary).set_dictionary_page_size_limit(1 << 30).build()
+    };
+    for (n_bytes, has_dictionary, why) in [
+        (1 << 20, true, "column city has 220 MiB of text, expected at most 64"),
+        (1 << 19, false, "its columns have 110 MiB, "),
+    ] {
+        let long = "x".repeat(n_bytes);
+        let columns = replaced("city", |city| Arc::new(StringArray::from_iter_values((0..city.len()).map(|_| &long))));
+        let bytes = parquet_bytes_with(columns, properties(has_dictionary));
+        assert!(bytes.len() < 8 << 20, "{} bytes", bytes.len());
+        let reject = parse_bytes(bytes, Split::Train).expect_err("too large");
+        assert!(reject.detail.contains(why), "{}", reject.detail);
+    }
+    // What is not read may be as large as it likes.
+    let mut columns = columns(110);
+    let long = "x".repeat(1 << 20);
+    columns.push(("remarks", Arc::new(StringArray::from_iter_values((0..220).map(|_| &long)))));
+    assert!(parse_bytes(parquet_bytes_with(columns, properties(true)), Split::Train).is_ok());
+}
+
+#[test]
+fn columns_that_are_neither_numbers_nor_texts_are_not_decoded() {
+    let binary =
+        replaced("city", |city| Arc::new(arrow::array::BinaryArray::from_iter_values((0..city.len()).map(|_| b"a"))));
+    let reject = parse_columns(binary).expect_err("no text");
+    assert!(reject.detail.contains("column city is of type Binary, expected numbers or text"), "{}", reject.detail);
 }
