@@ -1,13 +1,11 @@
-//! A trained denoiser on disk: weights, and everything needed to use them on scenes.
+//! What the checkpoint of a denoiser says, beside the weights.
 
-use super::{NetworkConfig, SceneDenoiser};
+use super::{ModelSpec, NetworkConfig, SceneDenoiser, TrainedModel};
 use crate::diffusion::Edm;
-use crate::nn::{Error, Params, read_checkpoint, write_checkpoint};
+use crate::nn::Params;
 use crate::seed::Seed;
 use crate::tensor::{Collator, Normalizer, Sight};
-use candle_core::Device;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
 
 /// What a denoiser is, beside its weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -102,17 +100,6 @@ pub enum DenoiserKind {
     SceneDenoiser,
 }
 
-/// A denoiser for sampling, with what it is and where it came from.
-#[derive(Debug, Clone)]
-pub struct TrainedDenoiser {
-    /// The denoiser; its parameters take no gradients.
-    pub denoiser: SceneDenoiser,
-    /// What it is.
-    pub spec: DenoiserSpec,
-    /// Hash of its file.
-    pub fingerprint: String,
-}
-
 impl DenoiserSpec {
     /// How scenes become batches to train on.
     pub fn collator(&self) -> Collator {
@@ -131,30 +118,15 @@ impl DenoiserSpec {
         let max_agents = if self.network.geometry.is_some() { usize::MAX } else { self.max_agents };
         Collator { max_agents, ..self.collator() }
     }
+}
 
-    /// Writes the checkpoint file and returns its fingerprint.
-    ///
-    /// # Errors
-    /// When the folder cannot be written.
-    pub fn write(&self, params: &Params, path: &Path) -> Result<String, Error> {
-        write_checkpoint(path, &params.tensors(), self)
+impl ModelSpec for DenoiserSpec {
+    type Network = SceneDenoiser;
+
+    fn build(&self, params: &mut Params, seed: Seed) -> candle_core::Result<SceneDenoiser> {
+        SceneDenoiser::new(params, &self.network, self.normalizer.state_dim, self.edm, seed)
     }
 }
 
-impl TrainedDenoiser {
-    /// Reads a checkpoint file.
-    ///
-    /// # Errors
-    /// When the file is not a whole denoiser checkpoint of this version.
-    pub fn read(path: &Path, device: &Device) -> Result<Self, Error> {
-        let checkpoint = read_checkpoint::<DenoiserSpec>(path, device)?;
-        let spec = checkpoint.metadata;
-        let tensor_error = |source| Error::Tensor { path: path.to_owned(), source };
-        let mut params = Params::new(device).frozen();
-        let denoiser =
-            SceneDenoiser::new(&mut params, &spec.network, spec.normalizer.state_dim, spec.edm, Seed(spec.seed))
-                .map_err(tensor_error)?;
-        params.load(&checkpoint.tensors).map_err(tensor_error)?;
-        Ok(Self { denoiser, spec, fingerprint: checkpoint.fingerprint })
-    }
-}
+/// A denoiser for sampling.
+pub type TrainedDenoiser = TrainedModel<DenoiserSpec>;

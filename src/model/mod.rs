@@ -16,6 +16,7 @@ mod scene_transformer_checkpoint;
 mod scene_transformer_tests;
 #[cfg(test)]
 mod tests;
+mod trained;
 mod trunk;
 
 pub use behavior_classifier::{BehaviorClassifier, BehaviorClassifierConfig, log_sigmoid};
@@ -25,3 +26,4 @@ pub use network::{GeometryConfig, NetworkConfig, SceneNetwork};
 pub use scene_denoiser::{BoundDenoiser, SceneDenoiser};
 pub use scene_transformer::{JointFutures, SceneTransformer, SceneTransformerConfig};
 pub use scene_transformer_checkpoint::{SceneTransformerKind, SceneTransformerSpec, TrainedSceneTransformer};
+pub use trained::{ModelSpec, TrainedModel};

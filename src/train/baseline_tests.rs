@@ -160,7 +160,12 @@ fn both_ways_of_a_fork_are_found_with_even_odds_and_the_checkpoint_reads_back() 
     };
     let dir = tempfile::tempdir().unwrap();
     let training = config.resolve().unwrap();
-    let outcome = train_baseline(&training, &data, Seed(3), dir.path(), &Device::Cpu, &Silent).unwrap();
+    let outcome = train_baseline(
+        &training,
+        &data,
+        TrainJob { seed: Seed(3), dir: dir.path(), device: &Device::Cpu, progress: &Silent },
+    )
+    .unwrap();
     let last = &outcome.statistics.last().unwrap().evaluation;
     let (error, bound) = (last["held_out_error_of_best"], straight_error());
     assert!(error < 0.4 * bound, "{error}, where driving on straight has {bound}");

@@ -62,7 +62,7 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
         save_every: 7,
         ..ClassifierTrainingConfig::default()
     };
-    train_classifier(&config, denoiser, &data, dir, &Device::Cpu, progress)
+    train_classifier(&config, denoiser, &data, TrainJob { seed: Seed(4), dir, device: &Device::Cpu, progress })
 }
 
 #[test]
@@ -132,7 +132,7 @@ fn its_gradient_pushes_the_second_agent_toward_the_first() {
         let scenes: Vec<Scene> = [401, 402, 403].into_iter().map(scene).collect();
         let batch = batch(&denoiser, &scenes);
         let pairs = trained.spec.features(&batch, &[(1, 2); 3]).unwrap();
-        let guidance = ClassifierGuidance { classifier: &trained.classifier, pairs };
+        let guidance = ClassifierGuidance { classifier: &trained.network, pairs };
         let sigma = Tensor::new(&[0.1f32; 3], &Device::Cpu).unwrap();
         let gradient = log_potential_gradient(&guidance, &batch.x0, &sigma).unwrap();
 
@@ -183,7 +183,13 @@ fn missing_examples_and_tracks_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let config = ClassifierTrainingConfig::default();
     let denoiser = denoiser_spec(StateParametrization::Residual);
-    let error = train_classifier(&config, &denoiser, &data, dir.path(), &Device::Cpu, &Silent).unwrap_err();
+    let error = train_classifier(
+        &config,
+        &denoiser,
+        &data,
+        TrainJob { seed: Seed(config.seed), dir: dir.path(), device: &Device::Cpu, progress: &Silent },
+    )
+    .unwrap_err();
     assert!(error.to_string().contains("0 positive and 3 negative"), "{error}");
 
     let mut stranger = event(1, EventLabel::Negative);

@@ -70,7 +70,11 @@ fn training(steps: u64) -> DenoiserTraining {
     config.resolve().unwrap()
 }
 
-fn train(dataset: &dyn SceneDataset, training: &DenoiserTraining, dir: &Path) -> Result<DenoiserOutcome, Error> {
+fn train(
+    dataset: &dyn SceneDataset,
+    training: &DenoiserTraining,
+    dir: &Path,
+) -> Result<TrainOutcome<DenoiserSpec>, Error> {
     train_from(None, dataset, training, dir)
 }
 
@@ -79,7 +83,7 @@ fn train_from(
     dataset: &dyn SceneDataset,
     training: &DenoiserTraining,
     dir: &Path,
-) -> Result<DenoiserOutcome, Error> {
+) -> Result<TrainOutcome<DenoiserSpec>, Error> {
     let n = dataset.len();
     let data = TrainingData {
         dataset,
@@ -89,7 +93,7 @@ fn train_from(
         state_dim: 3,
         fingerprint: "scenes".to_owned(),
     };
-    train_denoiser(training, &data, start, Seed(3), dir, &Device::Cpu, &Silent)
+    train_denoiser(training, &data, start, TrainJob { seed: Seed(3), dir, device: &Device::Cpu, progress: &Silent })
 }
 
 #[test]
@@ -174,7 +178,7 @@ fn a_batch_made_in_advance_is_the_one_that_would_be_drawn() {
     let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(20));
     let training = training(1);
     let spec = train(&dataset, &training, dir.path()).unwrap().spec;
-    let (collator, masks) = (spec.collator(), MaskSampler::new(&training.tasks).unwrap());
+    let (collator, masks) = (spec.collator(), MaskSampler::new(&training.common.tasks).unwrap());
     let train = [vec![0, 1, 2, 3, 4, 5, 6, 7, 8, 9]];
     let draws = || draws_of_four(&dataset, &train, &collator, &masks);
     let values = |drawn: DrawnBatch| {
@@ -193,7 +197,7 @@ fn a_batch_made_in_advance_is_the_one_that_would_be_drawn() {
 #[test]
 fn training_can_start_from_a_checkpoint() {
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let early = |outcome: &DenoiserOutcome| {
+    let early = |outcome: &TrainOutcome<DenoiserSpec>| {
         let mut losses = outcome.statistics.iter().filter_map(|line| line.evaluation.get("held_out_loss_at_sigma_0.8"));
         *losses.next().unwrap()
     };
@@ -242,7 +246,7 @@ fn groups_count_the_same_however_many_scenes_they_have() {
     assert_eq!(places, [(0..8).collect::<Vec<_>>(), vec![8, 9]]);
     // Every second row is of the small place, whose two scenes take turns.
     let spec = train(&dataset, &training(1), dir.path()).unwrap().spec;
-    let masks = MaskSampler::new(&training(1).tasks).unwrap();
+    let masks = MaskSampler::new(&training(1).common.tasks).unwrap();
     let collator = spec.collator();
     let draws = draws_of_four(&dataset, &places, &collator, &masks);
     let drawn: Vec<usize> = (0..4).flat_map(|step| draws.batch_indices(step)).collect();

@@ -1,7 +1,6 @@
 //! The scenes of a training run, and the constants that are gathered from them.
 
-use super::{Balance, Error, SceneDataset};
-use crate::progress::Progress;
+use super::{Balance, Error, SceneDataset, TrainJob};
 use crate::seed::Seed;
 use crate::tensor::{Normalizer, NormalizerFit, StateParametrization};
 use std::collections::BTreeMap;
@@ -65,8 +64,7 @@ impl SceneConstants {
     pub(super) fn gather(
         data: &TrainingData<'_>,
         parametrization: StateParametrization,
-        seed: Seed,
-        progress: &dyn Progress,
+        TrainJob { seed, progress, .. }: TrainJob<'_>,
     ) -> Result<Self, Error> {
         let mut sample = data.train.clone();
         seed.derive("normalizer", &[]).rng().shuffle(&mut sample);

@@ -8,7 +8,7 @@ use crate::cpu_time::{Elapsed, timed};
 use candle_core::{Device, Tensor};
 use djinn::diffusion::sampler::HeunConfig;
 use djinn::diffusion::{Denoiser, NoiseSource, SamplerConfig, rows_like};
-use djinn::model::{DenoiserKind, DenoiserSpec, SceneDenoiser};
+use djinn::model::{DenoiserKind, DenoiserSpec, ModelSpec, SceneDenoiser};
 use djinn::nn::{Adam, Params, Precision, in_pool, keep_freed_memory};
 use djinn::scene::{ObservationMask, Split};
 use djinn::seed::Seed;
@@ -81,7 +81,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     let training = DenoiserTrainingConfig { preset, ..DenoiserTrainingConfig::default() }.resolve()?;
     let (name, batch_size) = match preset {
         Preset::Paper => ("paper", 4),
-        _ => ("small", training.batch_size),
+        _ => ("small", training.common.batch_size),
     };
     let batch_size = options.batch_size.unwrap_or(batch_size);
     println!("the network of the preset {name}");
@@ -116,7 +116,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
         dataset: &store,
         train: &[train],
         held_out: &[],
-        masks: &MaskSampler::new(&training.tasks).ok_or("no task has a weight")?,
+        masks: &MaskSampler::new(&training.common.tasks).ok_or("no task has a weight")?,
         batch_size,
         with_context: false,
         seed: SEED,

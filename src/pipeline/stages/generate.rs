@@ -1,14 +1,13 @@
 //! Recorded histories and models to generated scenarios, shard by shard; finished shards are kept when interrupted.
 
 use super::mine::MineConfig;
+use super::models::{LoadedModels, needed_models};
 use super::request_rounds::Fulfilment;
 use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledWith};
-use super::train_denoiser::checkpoint_file;
 use super::with_precision;
 use crate::diffusion::Edm;
-use crate::generate::{self, GenerateConfig, Generator, Models, Plan, ResolvedGeneration, Shortfall, SweepConfig};
+use crate::generate::{self, GenerateConfig, Generator, Plan, ResolvedGeneration, Shortfall};
 use crate::metrics::MetricSettings;
-use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::Precision;
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
@@ -82,20 +81,12 @@ impl Stage for Generate<'_> {
     }
 
     fn inputs(&self) -> Vec<StageInput> {
-        let mut inputs = vec![
-            StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
-            StageInput::made_by(StageId::TrainDenoiser, "denoiser", &self.layout.denoiser),
-        ];
-        if self.needs(SweepConfig::uses_distilled) {
-            inputs.push(StageInput::made_by(StageId::TrainDistill, "distilled", &self.layout.distilled));
-        }
-        if self.needs(SweepConfig::needs_classifier) {
-            inputs.push(StageInput::made_by(StageId::TrainClassifier, "classifier", &self.layout.classifier));
-        }
-        if self.needs(SweepConfig::uses_baseline) {
-            inputs.push(StageInput::made_by(StageId::TrainBaseline, "baseline", &self.layout.baseline));
-        }
-        inputs
+        // A configuration that makes no sense needs nothing more: it has been refused.
+        let needed = self.config.resolve().map(|resolved| needed_models(&resolved.config.sweeps)).unwrap_or_default();
+        let made =
+            |stage: StageId| stage.output(self.layout).map(|(name, path)| StageInput::made_by(stage, name, path));
+        let scenes = StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes);
+        std::iter::once(scenes).chain(needed.into_iter().filter_map(made)).collect()
     }
 
     fn outputs(&self) -> &'static [&'static str] {
@@ -106,29 +97,12 @@ impl Stage for Generate<'_> {
         let device = context.device;
         let resolved = self.config.resolve()?;
         let store = SceneStore::open(&self.layout.scenes)?;
-        let denoiser = TrainedDenoiser::read(&checkpoint_file(&self.layout.denoiser), device)?;
-        let mut classifiers = Vec::new();
-        if self.needs(SweepConfig::needs_classifier) {
-            classifiers.push(TrainedClassifier::read(&checkpoint_file(&self.layout.classifier), device)?);
-        }
-        let distilled = match self.needs(SweepConfig::uses_distilled) {
-            true => Some(TrainedDenoiser::read(&checkpoint_file(&self.layout.distilled), device)?),
-            false => None,
-        };
-        let baseline = match self.needs(SweepConfig::uses_baseline) {
-            true => Some(TrainedSceneTransformer::read(&checkpoint_file(&self.layout.baseline), device)?),
-            false => None,
-        };
+        let models = LoadedModels::read(self.layout, &resolved.config.sweeps, device)?;
         let behaviors = self.mine.build()?;
-        let models = Models {
-            denoiser: &denoiser,
-            classifiers: &classifiers,
-            distilled: distilled.as_ref(),
-            baseline: baseline.as_ref(),
-        };
         let load = |idx: usize| Ok(store.scene(idx)?);
+        let metric_settings = self.metric_settings.clone();
         let generator =
-            Generator::new(&resolved.config, models, &behaviors, &load, self.metric_settings.clone(), device)?;
+            Generator::new(&resolved.config, models.borrowed(), &behaviors, &load, metric_settings, device)?;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
         let (mine, generate) = (self.mine.clone(), self.config.clone());
         let metric_settings = self.decisive_settings().cloned();
@@ -150,10 +124,10 @@ impl Stage for Generate<'_> {
             shards,
             SampledWith {
                 scenes: store.fingerprint().to_owned(),
-                denoiser: denoiser.fingerprint.clone(),
-                classifier: classifiers.first().map(|classifier| classifier.fingerprint.clone()),
-                distilled: distilled.as_ref().map(|distilled| distilled.fingerprint.clone()),
-                baseline: baseline.as_ref().map(|baseline| baseline.fingerprint.clone()),
+                denoiser: models.fingerprint(StageId::TrainDenoiser).unwrap_or_default(),
+                classifier: models.fingerprint(StageId::TrainClassifier),
+                distilled: models.fingerprint(StageId::TrainDistill),
+                baseline: models.fingerprint(StageId::TrainBaseline),
                 shortfalls: plan.shortfalls,
             },
         )?;
@@ -177,12 +151,6 @@ impl Generate<'_> {
         let settings = &self.metric_settings;
         let decide = *settings != MetricSettings::default() && self.config.selects_by(|id| settings.decide(id));
         decide.then_some(settings)
-    }
-
-    /// Whether some sweep, of requests too, needs something. Unguided sampling needs no classifier, except to rank pairs: there
-    /// it is used if some sweep is guided. A configuration that makes no sense needs nothing: it has been refused.
-    fn needs(&self, what: fn(&SweepConfig) -> bool) -> bool {
-        self.config.resolve().is_ok_and(|resolved| resolved.config.sweeps.iter().any(what))
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::pipeline::{Failure, Result as StageResult};
 use crate::scene::{Scene, Split};
 use crate::store::{SceneIndexEntry, SceneStore};
-use crate::train::{FitStatistics, SceneDataset, TrainingData};
+use crate::train::{SceneDataset, TrainOutcome, TrainingData};
 use serde_json::{Value, json};
 
 /// Where the store has no `val` split, every so many-th scene is held out.
@@ -86,19 +86,15 @@ pub(super) fn training_data<'a>(
 }
 
 /// What a training stage says of itself, beside what is particular to it.
-pub(super) fn training_summary(
-    data: &TrainingData<'_>,
-    (fingerprint, steps, n_parameters): (&str, u64, usize),
-    statistics: &[FitStatistics],
-) -> Value {
+pub(super) fn training_summary<S>(data: &TrainingData<'_>, steps: u64, outcome: &TrainOutcome<S>) -> Value {
     json!({
-        "fingerprint": fingerprint,
+        "fingerprint": outcome.fingerprint,
         "steps": steps,
         "trained": true,
-        "n_parameters": n_parameters,
+        "n_parameters": outcome.n_parameters,
         "n_train_scenes": data.train.len(),
         "n_held_out_scenes": data.held_out.len(),
-        "last_evaluation": statistics.iter().rev().find(|line| !line.evaluation.is_empty()),
+        "last_evaluation": outcome.statistics.iter().rev().find(|line| !line.evaluation.is_empty()),
     })
 }
 
