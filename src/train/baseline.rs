@@ -16,7 +16,7 @@ pub fn train_baseline(
     job: TrainJob<'_>,
 ) -> Result<TrainOutcome<SceneTransformerSpec>, Error> {
     let SceneConstants { normalizer, n_history, n_timesteps, dt_s } =
-        SceneConstants::gather(data, training.parametrization, job)?;
+        SceneConstants::gather(data, training.parametrization, false, job)?;
     let spec = SceneTransformerSpec {
         kind: SceneTransformerKind::SceneTransformer,
         network: training.network.clone(),

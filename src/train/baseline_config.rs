@@ -40,6 +40,8 @@ impl Default for BaselineTrainingConfig {
             state_parametrization: None,
             mode_loss: 1.0,
             tasks: TaskWeights::default(),
+            data: Vec::new(),
+            own_weight: None,
             splits: Vec::new(),
             places: Vec::new(),
             steps: None,

@@ -152,9 +152,12 @@ fn both_ways_of_a_fork_are_found_with_even_odds_and_the_checkpoint_reads_back() 
     let dataset = Forks(40);
     let data = TrainingData {
         dataset: &dataset,
-        train: (0..32).collect(),
-        places: vec![0; 32],
-        held_out: (32..40).collect(),
+        sources: vec![TrainingSource {
+            weight: 1.0,
+            train: (0..32).collect(),
+            places: vec![0; 32],
+            held_out: (32..40).collect(),
+        }],
         state_dim: 3,
         fingerprint: "scenes".to_owned(),
     };

@@ -53,7 +53,7 @@ fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error>
 /// Gathers the constants of the training set.
 fn describe(training: &DenoiserTraining, data: &TrainingData<'_>, job: TrainJob<'_>) -> Result<DenoiserSpec, Error> {
     let SceneConstants { normalizer, n_history, n_timesteps, dt_s } =
-        SceneConstants::gather(data, training.parametrization, job)?;
+        SceneConstants::gather(data, training.parametrization, training.network.geometry.is_some(), job)?;
     Ok(DenoiserSpec {
         kind: DenoiserKind::SceneDenoiser,
         network: training.network.clone(),

@@ -79,7 +79,7 @@ fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error>
 
 /// Fails where the scenes are not such as the teacher was trained on. The first one stands for all: batches refuse others.
 fn check_shape(spec: &DenoiserSpec, data: &TrainingData<'_>) -> Result<(), Error> {
-    let Some(first) = data.train.first() else {
+    let Some(first) = data.sources.iter().find_map(|source| source.train.first()) else {
         return Err(Error::NoScenes("choose other splits or places in train.distill".to_owned()));
     };
     let scene = data.dataset.scene(*first).map_err(Error::Scene)?;

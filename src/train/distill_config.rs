@@ -87,6 +87,8 @@ impl Default for DistillTrainingConfig {
             path_loss: 0.1,
             objectives: Vec::new(),
             tasks: TaskWeights::default(),
+            data: Vec::new(),
+            own_weight: None,
             splits: Vec::new(),
             places: Vec::new(),
             steps: 2_000,

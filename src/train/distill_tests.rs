@@ -40,9 +40,12 @@ impl SceneDataset for Forks {
 fn data() -> TrainingData<'static> {
     TrainingData {
         dataset: &Forks,
-        train: (0..32).collect(),
-        places: vec![0; 32],
-        held_out: (32..40).collect(),
+        sources: vec![TrainingSource {
+            weight: 1.0,
+            train: (0..32).collect(),
+            places: vec![0; 32],
+            held_out: (32..40).collect(),
+        }],
         state_dim: 3,
         fingerprint: "scenes".to_owned(),
     }
@@ -129,7 +132,7 @@ fn every_parameter_receives_a_gradient_in_every_stage() {
     let frozen = build(&mut params.frozen());
     let masks = MaskSampler::new(&training.common.tasks).unwrap();
     let collator = spec.collator();
-    let train = [vec![0, 1, 2, 3]];
+    let train = [WeightedGroups::single(vec![0, 1, 2, 3])];
     let draws = || SceneDraws {
         collator: &collator,
         dataset: &Forks,

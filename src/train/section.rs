@@ -4,8 +4,12 @@
 //! mistakes.
 
 use super::{Error, FitConfig};
+use crate::scene::Split;
+use crate::settings::Issue;
 use crate::tensor::TaskWeights;
-use serde::Serialize;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// The type of a setting that has a default of its own, where others are an `Option` that a preset fills.
 pub(super) type Own<T> = T;
@@ -26,6 +30,51 @@ pub struct SceneTraining {
 impl Default for SceneTraining {
     fn default() -> Self {
         Self { tasks: TaskWeights::default(), batch_size: 8, n_eval_scenes: 48, fit: FitConfig::default() }
+    }
+}
+
+/// Ingested scenes of another run, to train on as well.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MoreScenes {
+    /// The folder of the scenes, such as `output/argoverse/main/scenes`.
+    pub scenes: PathBuf,
+    /// How often one of them is drawn, relative to those of the run itself (`own_weight`) and of other entries.
+    #[serde(default = "one")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub weight: f64,
+    /// Splits to train on, as in the section.
+    #[serde(default)]
+    pub splits: Vec<Split>,
+    /// Places to train on, as in the section.
+    #[serde(default)]
+    pub places: Vec<String>,
+}
+
+const fn one() -> f64 {
+    1.0
+}
+
+/// Which scenes a section trains on.
+#[derive(Debug, Clone, Copy)]
+pub struct SceneChoice<'a> {
+    /// The section.
+    pub section: &'static str,
+    /// Splits of the run's own scenes; empty for the usual ones.
+    pub splits: &'a [Split],
+    /// Their places; empty for all.
+    pub places: &'a [String],
+    /// Their weight; 0 for none of them.
+    pub own_weight: f64,
+    /// Scenes of other runs.
+    pub data: &'a [MoreScenes],
+}
+
+/// Fails where there is nothing to draw from.
+pub(super) fn check_weights(own_weight: Option<f64>, data: &[MoreScenes]) -> Result<(), Issue> {
+    match own_weight == Some(0.0) && data.is_empty() {
+        true => Err(Issue::new("own_weight", "is 0, expected a positive number, or scenes of other runs in `data`")),
+        false => Ok(()),
     }
 }
 
@@ -130,14 +179,33 @@ macro_rules! scene_training_section {
                 /// Held-out scenes of each evaluation during training.
                 #[schemars(range(max = 1_000_000))]
                 pub n_eval_scenes: $value<usize>,
+                /// Ingested scenes of other runs to train on as well, each with a weight.
+                #[serde(skip_serializing_if = "Vec::is_empty")]
+                pub data: Vec<crate::train::MoreScenes>,
+                /// How often one of the run's own scenes is drawn beside those of `data` (default 1); 0: never.
+                #[serde(skip_serializing_if = "Option::is_none")]
+                #[schemars(range(min = 0.0))]
+                pub own_weight: Option<f64>,
             }
         }
 
         impl $name {
+            /// Which scenes it trains on.
+            pub fn scene_choice(&self) -> crate::train::SceneChoice<'_> {
+                crate::train::SceneChoice {
+                    section: Self::SECTION,
+                    splits: &self.splits,
+                    places: &self.places,
+                    own_weight: self.own_weight.unwrap_or(1.0),
+                    data: &self.data,
+                }
+            }
+
             /// The settings of `base` with everything that the section says laid over them.
             fn scene_training(&self, base: &SceneTraining) -> Result<SceneTraining, Error> {
-                use crate::train::section::{check_tasks, or};
+                use crate::train::section::{check_tasks, check_weights, or};
                 check_tasks(Self::SECTION, &self.tasks)?;
+                check_weights(self.own_weight, &self.data).map_err(Self::refusal)?;
                 Ok(SceneTraining {
                     tasks: self.tasks,
                     batch_size: or(self.batch_size, base.batch_size),

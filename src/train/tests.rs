@@ -87,9 +87,12 @@ fn train_from(
     let n = dataset.len();
     let data = TrainingData {
         dataset,
-        train: (0..n - 8).collect(),
-        places: vec![0; n - 8],
-        held_out: (n - 8..n).collect(),
+        sources: vec![TrainingSource {
+            weight: 1.0,
+            train: (0..n - 8).collect(),
+            places: vec![0; n - 8],
+            held_out: (n - 8..n).collect(),
+        }],
         state_dim: 3,
         fingerprint: "scenes".to_owned(),
     };
@@ -155,7 +158,7 @@ fn the_same_seed_gives_the_same_checkpoint_and_an_interruption_changes_nothing()
 /// Draws batches of four scenes from these groups.
 fn draws_of_four<'a>(
     dataset: &'a Arcs,
-    train: &'a [Vec<usize>],
+    train: &'a [WeightedGroups],
     collator: &'a Collator,
     masks: &'a MaskSampler,
 ) -> SceneDraws<'a> {
@@ -179,7 +182,7 @@ fn a_batch_made_in_advance_is_the_one_that_would_be_drawn() {
     let training = training(1);
     let spec = train(&dataset, &training, dir.path()).unwrap().spec;
     let (collator, masks) = (spec.collator(), MaskSampler::new(&training.common.tasks).unwrap());
-    let train = [vec![0, 1, 2, 3, 4, 5, 6, 7, 8, 9]];
+    let train = [WeightedGroups::single((0..10).collect())];
     let draws = || draws_of_four(&dataset, &train, &collator, &masks);
     let values = |drawn: DrawnBatch| {
         let of = |x: &candle_core::Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
@@ -235,15 +238,18 @@ fn groups_count_the_same_however_many_scenes_they_have() {
     let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(18));
     let data = TrainingData {
         dataset: &dataset,
-        train: (0..10).collect(),
-        places: vec![4, 4, 4, 4, 4, 4, 4, 4, 9, 9],
-        held_out: Vec::new(),
+        sources: vec![TrainingSource {
+            weight: 1.0,
+            train: (0..10).collect(),
+            places: vec![4, 4, 4, 4, 4, 4, 4, 4, 9, 9],
+            held_out: Vec::new(),
+        }],
         state_dim: 3,
         fingerprint: String::new(),
     };
-    assert_eq!(data.groups(Balance::Scenes), [(0..10).collect::<Vec<_>>()]);
+    assert_eq!(data.groups(Balance::Scenes), [WeightedGroups::single((0..10).collect())]);
     let places = data.groups(Balance::Places);
-    assert_eq!(places, [(0..8).collect::<Vec<_>>(), vec![8, 9]]);
+    assert_eq!(places[0].groups, [(0..8).collect::<Vec<_>>(), vec![8, 9]]);
     // Every second row is of the small place, whose two scenes take turns.
     let spec = train(&dataset, &training(1), dir.path()).unwrap().spec;
     let masks = MaskSampler::new(&training(1).common.tasks).unwrap();
@@ -257,6 +263,52 @@ fn groups_count_the_same_however_many_scenes_they_have() {
     };
     assert_eq!(sorted(large), (0..8).collect::<Vec<_>>());
     assert!(small.chunks(2).all(|epoch| sorted(epoch.to_vec()) == [8, 9]), "{small:?}");
+}
+
+#[test]
+fn draws_follow_the_weights_of_sources() {
+    let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(18));
+    let source = |weight, groups: &[std::ops::Range<usize>]| WeightedGroups {
+        weight,
+        groups: groups.iter().map(|group| group.clone().collect()).collect(),
+    };
+    // Half of the draws, three eighths and one eighth, whatever the number of scenes; the second source has two places.
+    let sources = [source(4.0, &[0..2]), source(3.0, &[2..3, 3..10]), source(1.0, &[10..18])];
+    let training = training(1);
+    let spec = train(&dataset, &training, dir.path()).unwrap().spec;
+    let (collator, masks) = (spec.collator(), MaskSampler::new(&training.common.tasks).unwrap());
+    let draws = draws_of_four(&dataset, &sources, &collator, &masks);
+    let drawn: Vec<usize> = (0..32).flat_map(|step| draws.batch_indices(step)).collect();
+    let n_of =
+        |drawn: &[usize], scenes: std::ops::Range<usize>| drawn.iter().filter(|idx| scenes.contains(*idx)).count();
+    assert_eq!([n_of(&drawn, 0..2), n_of(&drawn, 2..10), n_of(&drawn, 10..18)], [64, 48, 16]);
+    assert_eq!(n_of(&drawn, 2..3), 24, "places of a source count the same");
+    // Every stretch of the training is mixed alike, and every scene of a source has its turn.
+    assert!(drawn.chunks(8).all(|stretch| n_of(stretch, 0..2) == 4), "{drawn:?}");
+    assert!((10..18).all(|idx| n_of(&drawn, idx..idx + 1) == 2), "{drawn:?}");
+    // A resumed training asks for later steps alone.
+    assert_eq!(draws_of_four(&dataset, &sources, &collator, &masks).batch_indices(31), drawn[124..]);
+}
+
+#[test]
+fn scales_and_held_out_scenes_are_of_all_sources_by_their_weights() {
+    let dataset = Arcs::new(40);
+    let source = |weight, from: usize, n: usize| TrainingSource {
+        weight,
+        train: (from..from + n).collect(),
+        places: vec![0; n],
+        held_out: (from + n..from + n + 4).collect(),
+    };
+    let data = TrainingData {
+        dataset: &dataset,
+        sources: vec![source(3.0, 0, 20), source(1.0, 24, 4)],
+        state_dim: 3,
+        fingerprint: String::new(),
+    };
+    assert_eq!((data.n_train(), data.n_held_out()), (24, 8));
+    let chosen = data.chosen_held_out(4, Seed(1));
+    assert_eq!(chosen.iter().filter(|idx| (20..24).contains(*idx)).count(), 3);
+    assert_eq!(chosen.iter().filter(|idx| (28..32).contains(*idx)).count(), 1);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use super::section::SceneTraining;
 use super::training_data::TrainingData;
-use super::{Ahead, Balance, Error, FitOutcome, FitStatistics, SceneDraws};
+use super::{Ahead, Balance, Error, FitOutcome, FitStatistics, SceneDraws, WeightedGroups};
 use crate::model::ModelSpec;
 use crate::nn::{Checkpoint, Params};
 use crate::progress::Progress;
@@ -73,7 +73,7 @@ impl<S: ModelSpec> Trainable<S> {
 /// The scenes of a training, in the form that draws borrow from.
 pub(super) struct ScenesOfFit<'a> {
     data: &'a TrainingData<'a>,
-    groups: Vec<Vec<usize>>,
+    groups: Vec<WeightedGroups>,
     held_out: Vec<usize>,
     masks: MaskSampler,
     collator: Collator,

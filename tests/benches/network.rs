@@ -14,7 +14,7 @@ use djinn::scene::{ObservationMask, Split};
 use djinn::seed::Seed;
 use djinn::store::SceneStore;
 use djinn::tensor::{FutureValidity, MaskSampler, NormalizerFit, SceneBatch, SceneView};
-use djinn::train::{Ahead, DenoiserTraining, DenoiserTrainingConfig, DrawnBatch, Preset, SceneDraws};
+use djinn::train::{Ahead, DenoiserTraining, DenoiserTrainingConfig, DrawnBatch, Preset, SceneDraws, WeightedGroups};
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -114,7 +114,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     let draws = SceneDraws {
         collator: &spec.collator(),
         dataset: &store,
-        train: &[train],
+        train: &[WeightedGroups::single(train)],
         held_out: &[],
         masks: &MaskSampler::new(&training.common.tasks).ok_or("no task has a weight")?,
         batch_size,

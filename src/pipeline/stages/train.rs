@@ -1,5 +1,6 @@
 //! The training stages: what they have in common. What is particular to a model is its recipe.
 
+use super::training_scenes::check_folders;
 use super::with_precision;
 use crate::model::{ModelSpec, TrainedModel};
 use crate::nn::{Checkpoint, Precision, read_checkpoint};
@@ -7,7 +8,7 @@ use crate::pipeline::layout::Layout;
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::seed::Seed;
 use crate::store::write_atomically;
-use crate::train::{MODEL_FILE, TrainJob};
+use crate::train::{MODEL_FILE, SceneChoice, TrainJob};
 use candle_core::Device;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -32,6 +33,11 @@ pub trait Recipe: Serialize {
 
     /// The checkpoint to start from.
     fn start_from(&self) -> Option<&Path> {
+        None
+    }
+
+    /// The scenes that it trains on, where it may train on those of several runs.
+    fn scenes(&self) -> Option<SceneChoice<'_>> {
         None
     }
 
@@ -82,7 +88,10 @@ impl<R: Recipe> Stage for Train<'_, R> {
 
     fn check(&self) -> Result<()> {
         self.recipe.resolved()?;
-        Ok(())
+        match self.recipe.scenes().filter(|_| self.recipe.checkpoint().is_none()) {
+            Some(choice) => check_folders(choice, &self.layout.scenes),
+            None => Ok(()),
+        }
     }
 
     fn config(&self) -> anyhow::Result<Value> {
@@ -98,11 +107,17 @@ impl<R: Recipe> Stage for Train<'_, R> {
         if let Some(path) = self.recipe.checkpoint() {
             return vec![StageInput::external("checkpoint", &checkpoint_file(path))];
         }
+        let choice = self.recipe.scenes();
+        let is_read =
+            |stage: &&StageId| **stage != StageId::Ingest || choice.is_none_or(|choice| choice.own_weight > 0.0);
         let made = R::LEARNS_FROM
             .iter()
+            .filter(is_read)
             .filter_map(|stage| stage.output(self.layout).map(|(name, path)| StageInput::made_by(*stage, name, path)));
+        let more = choice.map_or(&[][..], |choice| choice.data).iter().enumerate();
+        let more = more.map(|(i, more)| StageInput::made_by(StageId::Ingest, &format!("data.{i}"), &more.scenes));
         let start = self.recipe.start_from().map(|path| StageInput::external("start_from", &checkpoint_file(path)));
-        made.chain(start).collect()
+        made.chain(more).chain(start).collect()
     }
 
     fn outputs(&self) -> &'static [&'static str] {

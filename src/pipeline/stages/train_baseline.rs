@@ -1,12 +1,11 @@
 //! Scenes to a Scene Transformer, the baseline.
 
 use super::train::Recipe;
-use super::training_scenes::{training_data, training_summary};
+use super::training_scenes::{OpenedScenes, training_summary};
 use crate::model::SceneTransformerSpec;
 use crate::pipeline::layout::{BASELINE, Layout};
 use crate::pipeline::{Result, StageId};
-use crate::store::SceneStore;
-use crate::train::{BaselineTrainingConfig, TrainJob, train_baseline};
+use crate::train::{BaselineTrainingConfig, SceneChoice, TrainJob, train_baseline};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -21,6 +20,10 @@ impl Recipe for BaselineTrainingConfig {
         self.checkpoint.as_deref()
     }
 
+    fn scenes(&self) -> Option<SceneChoice<'_>> {
+        Some(self.scene_choice())
+    }
+
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
         Ok(Some(json!(self.resolve()?)))
     }
@@ -30,8 +33,8 @@ impl Recipe for BaselineTrainingConfig {
     }
 
     fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
-        let store = SceneStore::open(&layout.scenes)?;
-        let data = training_data(&store, (&self.splits, &self.places), self.state_dim, Self::SECTION)?;
+        let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
+        let data = scenes.training_data(self.state_dim, false)?;
         let outcome = train_baseline(&self.resolve()?, &data, job)?;
         Ok(training_summary(&data, outcome.spec.steps, &outcome))
     }

@@ -1,12 +1,11 @@
 //! Scenes to a denoiser.
 
 use super::train::Recipe;
-use super::training_scenes::{training_data, training_summary};
+use super::training_scenes::{OpenedScenes, training_summary};
 use crate::model::DenoiserSpec;
 use crate::pipeline::layout::{DENOISER, Layout};
 use crate::pipeline::{Result, StageId};
-use crate::store::SceneStore;
-use crate::train::{DenoiserTrainingConfig, TrainJob, train_denoiser};
+use crate::train::{DenoiserTrainingConfig, SceneChoice, TrainJob, train_denoiser};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -25,6 +24,10 @@ impl Recipe for DenoiserTrainingConfig {
         self.start_from.as_deref()
     }
 
+    fn scenes(&self) -> Option<SceneChoice<'_>> {
+        Some(self.scene_choice())
+    }
+
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
         Ok(Some(json!(self.resolve()?)))
     }
@@ -34,8 +37,8 @@ impl Recipe for DenoiserTrainingConfig {
     }
 
     fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
-        let store = SceneStore::open(&layout.scenes)?;
-        let data = training_data(&store, (&self.splits, &self.places), self.state_dim, Self::SECTION)?;
+        let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
+        let data = scenes.training_data(self.state_dim, self.resolve()?.network.geometry.is_some())?;
         let start = self.read_start(job.device)?;
         let outcome = train_denoiser(&self.resolve()?, &data, start.as_ref(), job)?;
         Ok(training_summary(&data, outcome.spec.steps, &outcome))

@@ -1,13 +1,12 @@
 //! A denoiser and scenes to a denoiser that needs few evaluations.
 
 use super::train::{Recipe, checkpoint_file};
-use super::training_scenes::{training_data, training_summary};
+use super::training_scenes::{OpenedScenes, training_summary};
 use crate::model::DenoiserSpec;
 use crate::nn::read_checkpoint;
 use crate::pipeline::layout::{DISTILLED, Layout};
 use crate::pipeline::{Result, StageId};
-use crate::store::SceneStore;
-use crate::train::{DistillSource, DistillTrainingConfig, TrainJob, distill_denoiser};
+use crate::train::{DistillSource, DistillTrainingConfig, SceneChoice, TrainJob, distill_denoiser};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -26,6 +25,10 @@ impl Recipe for DistillTrainingConfig {
         self.start_from.as_deref()
     }
 
+    fn scenes(&self) -> Option<SceneChoice<'_>> {
+        Some(self.scene_choice())
+    }
+
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
         // The section has no preset: it says all.
         self.resolve()?;
@@ -37,11 +40,11 @@ impl Recipe for DistillTrainingConfig {
     }
 
     fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
-        let store = SceneStore::open(&layout.scenes)?;
         let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&layout.denoiser), job.device)?;
         let start = self.read_start(job.device)?;
-        let state_dim = Some(teacher.metadata.normalizer.state_dim);
-        let data = training_data(&store, (&self.splits, &self.places), state_dim, Self::SECTION)?;
+        let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
+        let DenoiserSpec { normalizer, network, .. } = &teacher.metadata;
+        let data = scenes.training_data(Some(normalizer.state_dim), network.geometry.is_some())?;
         let source = DistillSource { teacher: &teacher, start: start.as_ref() };
         let outcome = distill_denoiser(&self.resolve()?, &data, source, job)?;
         Ok(training_summary(&data, outcome.spec.steps, &outcome))
