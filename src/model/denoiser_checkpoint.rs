@@ -35,9 +35,15 @@ pub struct DenoiserSpec {
     pub seed: u64,
     /// Fingerprint of the scenes it was trained on.
     pub scenes: String,
+    /// The objectives that it was trained toward, as in the configuration; of a distilled denoiser those of its teacher come first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub objectives: Vec<serde_json::Value>,
     /// What its loss on held-out scenes became of changes to what it was told; empty where nobody measured it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub changed_losses: Vec<ChangedLoss>,
+    /// Its loss on held-out scenes place by place; empty where nobody measured it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub losses_by_place: Vec<PlaceLoss>,
     /// What it was distilled to; `None` for an ordinary denoiser.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distillation: Option<Distillation>,
@@ -53,6 +59,22 @@ pub struct ChangedLoss {
     pub sigma: f64,
     /// The loss.
     pub loss: f64,
+}
+
+/// The loss of a denoiser on the held-out scenes of a place.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlaceLoss {
+    /// The place.
+    pub place: String,
+    /// Number of held-out scenes.
+    pub n_scenes: u64,
+    /// Noise level.
+    pub sigma: f64,
+    /// The loss.
+    pub loss: f64,
+    /// The same with lanes turned by 90 degrees around the ego agent.
+    pub map_turned: f64,
 }
 
 /// A change to a scene that a network that looks at its surroundings must notice.
@@ -74,6 +96,18 @@ pub enum SceneChange {
 }
 
 impl SceneChange {
+    /// Its name in figures and descriptions.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::AsRecorded => "as_recorded",
+            Self::MapTurned => "map_turned",
+            Self::MapShifted => "map_shifted",
+            Self::NoMap => "no_map",
+            Self::EgoOnly => "ego_only",
+            Self::EgoAlone => "ego_alone",
+        }
+    }
+
     /// Every change.
     pub const ALL: [Self; 6] =
         [Self::AsRecorded, Self::MapTurned, Self::MapShifted, Self::NoMap, Self::EgoOnly, Self::EgoAlone];

@@ -1,6 +1,7 @@
 //! From scenes to a denoiser checkpoint: constants, network, training, file.
 
-use super::changed_losses::changed_losses;
+use super::changed_losses::{changed_losses, losses_by_place, map_warnings};
+use super::objective_loss::described;
 use super::trainable::ScenesOfFit;
 use super::training_data::{SceneConstants, TrainingData};
 use super::{DenoiserTraining, DenoisingTask, Error, TrainJob, TrainOutcome, Trainable, fit};
@@ -28,7 +29,9 @@ pub fn train_denoiser(
     let draws = scenes.draws(!training.objectives.is_empty(), job);
     let task = DenoisingTask { denoiser: &model.network, frozen: &model.frozen, training, draws };
     let outcome = fit(&training.common.fit, &mut model.params, &task, job.dir, job.progress)?;
-    spec.changed_losses = changed_losses(&task, job.progress)?;
+    spec.changed_losses = changed_losses(&task)?;
+    spec.losses_by_place = losses_by_place(&task)?;
+    map_warnings(&spec.changed_losses).iter().for_each(|warning| job.progress.warn(warning));
     model.finish(spec, outcome, job)
 }
 
@@ -67,7 +70,9 @@ fn describe(training: &DenoiserTraining, data: &TrainingData<'_>, job: TrainJob<
         steps: training.common.fit.steps,
         seed: job.seed.0,
         scenes: data.fingerprint.clone(),
+        objectives: described(&training.objectives)?,
         changed_losses: Vec::new(),
+        losses_by_place: Vec::new(),
         distillation: None,
     })
 }

@@ -1,5 +1,6 @@
 //! From a denoiser's checkpoint to that of one which needs few evaluations.
 
+use super::objective_loss::described;
 use super::trainable::ScenesOfFit;
 use super::{
     Balance, ConsistencyTask, DistillMethod, DistillTraining, Error, StepDistillationTask, TrainJob, TrainOutcome,
@@ -28,11 +29,15 @@ pub fn distill_denoiser(
     DistillSource { teacher, start }: DistillSource<'_>,
     job: TrainJob<'_>,
 ) -> Result<TrainOutcome<DenoiserSpec>, Error> {
+    let mut objectives = teacher.metadata.objectives.clone();
+    objectives.extend(described(&training.objectives)?);
     let spec = DenoiserSpec {
+        objectives,
         steps: training.common.fit.steps,
         seed: job.seed.0,
         scenes: data.fingerprint.clone(),
         changed_losses: Vec::new(),
+        losses_by_place: Vec::new(),
         distillation: Some(training.method.distillation(&teacher.metadata.edm)),
         ..teacher.metadata.clone()
     };

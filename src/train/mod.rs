@@ -34,6 +34,7 @@ mod training_data;
 
 pub use baseline::train_baseline;
 pub use baseline_config::{BaselineTraining, BaselineTrainingConfig};
+pub use changed_losses::map_warnings;
 pub use classification::{ClassificationTask, REPORT_SIGMAS};
 pub use classifier::{ClassifierReport, ClassifierTrainingConfig, PairData, train_classifier};
 pub use classifier_report::NoiseLevelReport;

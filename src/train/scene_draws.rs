@@ -154,26 +154,27 @@ impl SceneDraws<'_> {
         n: usize,
         figures: impl Fn(&DrawnBatch) -> Result<Vec<Tensor>, Error>,
     ) -> Result<Vec<f64>, Error> {
-        self.changed_means(n, &|scene| scene, figures)
+        self.changed_means(self.held_out, n, &|scene| scene, figures)
     }
 
-    /// The same of held-out scenes as `change` leaves them.
+    /// The same over these of the held-out scenes, as `change` leaves them.
     ///
     /// # Errors
     /// When a scene cannot be loaded, or a figure cannot be computed.
     pub fn changed_means(
         &self,
+        scenes: &[usize],
         n: usize,
         change: &dyn Fn(Scene) -> Scene,
         figures: impl Fn(&DrawnBatch) -> Result<Vec<Tensor>, Error>,
     ) -> Result<Vec<f64>, Error> {
         let mut sums = vec![0.0; n];
-        for chunk in self.held_out.chunks(self.batch_size) {
+        for chunk in scenes.chunks(self.batch_size) {
             for (sum, figure) in sums.iter_mut().zip(figures(&self.held_out_batch(chunk, change)?)?) {
                 *sum += f64::from(figure.to_scalar::<f32>()?) * chunk.len() as f64;
             }
         }
-        let n_scenes = self.held_out.len().max(1) as f64;
+        let n_scenes = scenes.len().max(1) as f64;
         Ok(sums.into_iter().map(|sum| sum / n_scenes).collect())
     }
 

@@ -105,7 +105,9 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
         steps: 0,
         seed: SEED.0,
         scenes: String::new(),
+        objectives: Vec::new(),
         changed_losses: Vec::new(),
+        losses_by_place: Vec::new(),
         distillation: None,
     };
     let mut params = Params::new(&Device::Cpu);

@@ -61,7 +61,11 @@ fn a_denoiser_learns_from_the_scenes_of_two_datasets() {
     let file = model("a").join("model.safetensors");
     let spec = TrainedDenoiser::read(&file, &candle_core::Device::Cpu).unwrap().spec;
     // Who records headings decides; those of Argoverse are left out.
-    assert_eq!(spec.normalizer.state_dim, 3);
+    assert_eq!((spec.normalizer.state_dim, spec.objectives[0]["kind"].as_str()), (3, Some("acceleration_limit")));
+    let told = djinn(&["inspect", file.to_str().unwrap()]).expect(0).stdout;
+    for part in ["acceleration_limit", "map_turned", "losses by place"] {
+        assert!(told.contains(part), "{part} is not in\n{told}");
+    }
     // The weights alone make another model; a moved folder does not.
     mix(&workspace, "c", "other/scenes", &["train.denoiser.own_weight=0.5"], 0);
     assert_ne!(files(&model("a"))["model.safetensors"], files(&model("c"))["model.safetensors"]);
