@@ -137,6 +137,6 @@ mod tests {
         ];
         let summary = TrainingSummary::of_fit("denoiser", vec![], &[]).with_losses(&changed, &[]);
         let last: Vec<&str> = summary.tables[0].rows.iter().map(|row| row.cells[3].as_str()).collect();
-        assert_eq!((summary.tables.len(), last), (1, vec!["1", "2.5", "0.5", "4"]));
+        assert_eq!((summary.tables.len(), last), (1, vec!["1.00", "2.50", "0.500", "4.00"]));
     }
 }

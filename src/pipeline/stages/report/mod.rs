@@ -42,7 +42,7 @@ impl Stage for Report<'_> {
     }
 
     fn version(&self) -> u32 {
-        5
+        6
     }
 
     fn check(&self) -> Result<()> {
