@@ -29,7 +29,16 @@ struct Phase {
     n_done: u64,
     note: String,
     bar: Option<ProgressBar>,
+    /// Units in all; 0 when unknown.
+    total: u64,
+    /// When the first units were told of, and how many: what an interrupted run had done before took no time now.
+    counted_from: Option<(Instant, u64)>,
+    /// After how much time the time left is told again, where there is no bar.
+    next_estimate: Duration,
 }
+
+/// How long a phase without a bar runs before it says how long it will take; then after three times that, and so on.
+const FIRST_ESTIMATE: Duration = Duration::from_secs(20);
 
 impl TerminalProgress {
     pub(super) fn new(output: &OutputArgs, printer: Printer) -> Self {
@@ -61,6 +70,9 @@ impl Progress for TerminalProgress {
             n_done: 0,
             note: String::new(),
             bar,
+            total,
+            counted_from: None,
+            next_estimate: FIRST_ESTIMATE,
         });
     }
 
@@ -69,6 +81,8 @@ impl Progress for TerminalProgress {
             phase.n_done += n;
             if let Some(bar) = &phase.bar {
                 bar.inc(n);
+            } else if let Some(line) = phase.estimate(Instant::now()).filter(|_| self.style == Style::Lines) {
+                stderr_line(&line);
             }
         }
     }
@@ -103,6 +117,24 @@ impl Progress for TerminalProgress {
 }
 
 impl Phase {
+    /// `train denoiser: 240 of 8000 steps, about 45 min left`, from time to time.
+    fn estimate(&mut self, now: Instant) -> Option<String> {
+        let (began, n_before) = *self.counted_from.get_or_insert((now, self.n_done));
+        let elapsed = now.duration_since(began);
+        if elapsed < self.next_estimate || self.total <= self.n_done || self.n_done <= n_before {
+            return None;
+        }
+        self.next_estimate = elapsed * 3;
+        let left_s = elapsed.as_secs_f64() * (self.total - self.n_done) as f64 / (self.n_done - n_before) as f64;
+        let left = match left_s {
+            s if s < 100.0 => format!("{s:.0} s"),
+            s if s < 6_000.0 => format!("{:.0} min", s / 60.0),
+            s => format!("{:.1} h", s / 3_600.0),
+        };
+        let Self { name, n_done, total, unit, .. } = self;
+        Some(format!("{name}: {n_done} of {total} {unit}, about {left} left"))
+    }
+
     /// `ingest: 1990 scenes in 12.3 s (161.8/s), loss 0.12`.
     fn closing_line(&self) -> String {
         let seconds = self.began.elapsed().as_secs_f64();
@@ -131,4 +163,35 @@ fn bar(phase: &str, total: u64, unit: &str) -> ProgressBar {
     bar.set_prefix(phase.to_owned());
     bar.enable_steady_tick(Duration::from_millis(200));
     bar
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_phase_says_how_long_it_will_take() {
+        let began = Instant::now();
+        let mut phase = Phase {
+            name: "train denoiser".to_owned(),
+            unit: "steps".to_owned(),
+            began,
+            n_done: 500,
+            note: String::new(),
+            bar: None,
+            total: 1_000,
+            counted_from: None,
+            next_estimate: FIRST_ESTIMATE,
+        };
+        let mut after = |seconds: u64, n_done: u64| {
+            phase.n_done = n_done;
+            phase.estimate(began + Duration::from_secs(seconds))
+        };
+        // Five hundred steps are from before an interruption.
+        assert_eq!(after(0, 500), None);
+        assert_eq!(after(10, 505), None);
+        assert_eq!(after(30, 510).as_deref(), Some("train denoiser: 510 of 1000 steps, about 24 min left"));
+        assert_eq!(after(60, 520), None);
+        assert_eq!(after(90, 530).as_deref(), Some("train denoiser: 530 of 1000 steps, about 24 min left"));
+    }
 }

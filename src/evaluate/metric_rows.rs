@@ -148,7 +148,7 @@ mod tests {
         let n_values = figures.alone[0].iter().flatten().count();
         assert!(0 < n_values && n_values < docs.len());
         figures.alone.push(figures.alone[0].clone());
-        let cell = Cell { records: vec![&first, &second], with_references: true };
+        let cell = CellSamples { records: vec![&first, &second], with_references: true };
         let mut rows = MetricRows::new(docs);
         rows.add("guided", &cell, &recorded(), figures);
 
@@ -160,7 +160,7 @@ mod tests {
         assert_eq!(ids("s-5").collect::<Vec<_>>(), vec![Some("s-5".to_owned()); n_values]);
         let all: Vec<MetricRow> = rows.of_scenarios(|_| true).collect();
         assert_eq!((all.len(), all[0].scenario_id.as_deref()), (2 * n_values, Some("s-4")));
-        assert!(all.iter().all(|row| row.group == own && row.place == "Test" && row.n == 1 && row.strength == 2.0));
+        assert!(all.iter().all(|row| row.group == own && row.place == "Test" && row.n == 1 && row.level.strength == 2.0));
         assert!(all.iter().all(|row| row.scene_id == Some(recorded().id) && row.std_error.is_none()));
     }
 }

@@ -229,7 +229,7 @@ impl<'g> Generator<'g> {
         let agents: Vec<(usize, usize)> =
             (0..guided.agents.len()).flat_map(every).map(|row| guided.agents[row]).collect();
         let pairs = classifier.spec.features(batch, &slots(batch, &agents)?)?;
-        Ok(Box::new(ClassifierGuidance { classifier: &classifier.classifier, pairs }))
+        Ok(Box::new(ClassifierGuidance { classifier: &classifier.network, pairs }))
     }
 
     /// The pairs of a cell's scene that may perform the behavior, nearest first, as places on the agent axis of its row.

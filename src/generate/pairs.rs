@@ -72,7 +72,7 @@ impl Generator<'_> {
             // All pairs of a scene see the same noise, so that it does not decide between them.
             let seed = self.seed().derive_named("ranking", &scene.id.0).derive("draw", &[draw]);
             let noise = NoiseSource::new(vec![seed; candidates.len()]).draw_like(&batch.x0)?;
-            let logits = classifier.classifier.logits(&features, &(noise * RANKING_SIGMA)?, &sigma)?;
+            let logits = classifier.network.logits(&features, &(noise * RANKING_SIGMA)?, &sigma)?;
             for (total, logit) in total.iter_mut().zip(logits.to_dtype(DType::F64)?.to_vec1::<f64>()?) {
                 *total += logit;
             }

@@ -185,7 +185,7 @@ impl Generator<'_> {
         let tensors = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
         let n_samples = batch.samples.len();
         let denoiser = self.denoiser(batch.sweep)?;
-        let bound = denoiser.denoiser.bind(&tensors, n_samples)?;
+        let bound = denoiser.network.bind(&tensors, n_samples)?;
         let wanted = match diffusion.classifier_free.as_ref().filter(|_| batch.level.weight != 0.0) {
             Some(config) => Some(self.wanted_states(config, batch, &tensors)?),
             None => None,
@@ -206,7 +206,7 @@ impl Generator<'_> {
         let x = match wanted {
             Some(extended) => {
                 let change = MaskChange::new(&tensors, &extended)?;
-                let conditional = denoiser.denoiser.bind(&extended, 1)?;
+                let conditional = denoiser.network.bind(&extended, 1)?;
                 let leaning = ClassifierFreeDenoiser {
                     unconditional: &bound,
                     conditional: &conditional,

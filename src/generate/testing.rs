@@ -7,8 +7,8 @@ use crate::diffusion::sampler::HeunConfig;
 use crate::guidance::testing::{denoiser_spec, scene};
 use crate::metrics::MetricSettings;
 use crate::model::{
-    BehaviorClassifierConfig, ClassifierKind, ClassifierSpec, DenoiserSpec, SceneDenoiser, TrainedClassifier,
-    TrainedDenoiser,
+    BehaviorClassifierConfig, ClassifierKind, ClassifierSpec, DenoiserSpec, ModelSpec, SceneDenoiser,
+    TrainedClassifier, TrainedDenoiser,
 };
 use crate::nn::Params;
 use crate::progress::Silent;
@@ -67,7 +67,7 @@ pub(super) fn denoiser(n_nan: usize) -> TrainedDenoiser {
         *bias = (bias.zeros_like().unwrap() * f64::NAN).unwrap();
         params.load(&tensors).unwrap();
     }
-    TrainedDenoiser { denoiser, spec, fingerprint: "denoiser".to_owned() }
+    TrainedDenoiser { network: denoiser, spec, fingerprint: "denoiser".to_owned() }
 }
 
 pub(super) fn classifier() -> TrainedClassifier {
@@ -90,7 +90,7 @@ pub(super) fn classifier() -> TrainedClassifier {
         events: String::new(),
     };
     let classifier = spec.build(&mut Params::new(&Device::Cpu).frozen(), Seed(2)).unwrap();
-    TrainedClassifier { classifier, spec, fingerprint: "classifier".to_owned() }
+    TrainedClassifier { network: classifier, spec, fingerprint: "classifier".to_owned() }
 }
 
 pub(super) fn config(toml: &str) -> GenerateConfig {

@@ -44,7 +44,7 @@ impl<'a> AnyPairGuidance<'a> {
         let has_pair: Vec<f32> = pairs.iter().map(|own| f32::from(u8::from(!own.is_empty()))).collect();
         let rows: Vec<u32> = (0..n_rows * n_pairs).map(|at| (at / n_pairs) as u32).collect();
         Ok(Self {
-            classifier: &classifier.classifier,
+            classifier: &classifier.network,
             pairs: classifier.spec.features(&batch.repeated(n_pairs)?, &places)?,
             rows: Tensor::from_vec(rows, n_rows * n_pairs, device)?,
             offset: Tensor::from_vec(offset, (n_rows, n_pairs), device)?.to_dtype(batch.x0.dtype())?,

@@ -90,7 +90,9 @@ pub(crate) fn denoiser_spec(parametrization: StateParametrization) -> DenoiserSp
         steps: 0,
         seed: 0,
         scenes: String::new(),
+        objectives: Vec::new(),
         changed_losses: Vec::new(),
+        losses_by_place: Vec::new(),
         distillation: None,
     }
 }

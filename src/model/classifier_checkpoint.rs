@@ -1,13 +1,11 @@
-//! A trained behavior classifier on disk: weights, and everything needed to use them on scenes.
+//! What the checkpoint of a behavior classifier says, beside the weights.
 
-use super::{BehaviorClassifier, BehaviorClassifierConfig};
+use super::{BehaviorClassifier, BehaviorClassifierConfig, ModelSpec, TrainedModel};
 use crate::diffusion::Edm;
-use crate::nn::{Error, Params, read_checkpoint, write_checkpoint};
+use crate::nn::Params;
 use crate::seed::Seed;
 use crate::tensor::{Normalizer, PairFeatures, SceneBatch};
-use candle_core::Device;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
 
 /// What a classifier is, beside its weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -53,35 +51,7 @@ pub enum ClassifierKind {
     BehaviorClassifier,
 }
 
-/// A classifier for guidance, with what it is and where it came from.
-#[derive(Debug, Clone)]
-pub struct TrainedClassifier {
-    /// The classifier; its parameters take no gradients.
-    pub classifier: BehaviorClassifier,
-    /// What it is.
-    pub spec: ClassifierSpec,
-    /// Hash of its file.
-    pub fingerprint: String,
-}
-
 impl ClassifierSpec {
-    /// The network with parameters in `params`.
-    ///
-    /// # Errors
-    /// Fails when the parameters exist with other shapes.
-    pub fn build(&self, params: &mut Params, seed: Seed) -> candle_core::Result<BehaviorClassifier> {
-        let state_dim = self.normalizer.state_dim;
-        BehaviorClassifier::new(params, &self.network, self.n_timesteps, state_dim, self.edm, seed)
-    }
-
-    /// Writes the checkpoint file and returns its fingerprint.
-    ///
-    /// # Errors
-    /// When the folder cannot be written.
-    pub fn write(&self, params: &Params, path: &Path) -> Result<String, Error> {
-        write_checkpoint(path, &params.tensors(), self)
-    }
-
     /// What the classifier sees of agents `pairs[b]` = (first, second) of row b, as places on the batch's agent axis.
     ///
     /// # Errors
@@ -91,18 +61,14 @@ impl ClassifierSpec {
     }
 }
 
-impl TrainedClassifier {
-    /// Reads a checkpoint file.
-    ///
-    /// # Errors
-    /// When the file is not a whole classifier checkpoint of this version.
-    pub fn read(path: &Path, device: &Device) -> Result<Self, Error> {
-        let checkpoint = read_checkpoint::<ClassifierSpec>(path, device)?;
-        let spec = checkpoint.metadata;
-        let tensor_error = |source| Error::Tensor { path: path.to_owned(), source };
-        let mut params = Params::new(device).frozen();
-        let classifier = spec.build(&mut params, Seed(spec.seed)).map_err(tensor_error)?;
-        params.load(&checkpoint.tensors).map_err(tensor_error)?;
-        Ok(Self { classifier, spec, fingerprint: checkpoint.fingerprint })
+impl ModelSpec for ClassifierSpec {
+    type Network = BehaviorClassifier;
+
+    fn build(&self, params: &mut Params, seed: Seed) -> candle_core::Result<BehaviorClassifier> {
+        let state_dim = self.normalizer.state_dim;
+        BehaviorClassifier::new(params, &self.network, self.n_timesteps, state_dim, self.edm, seed)
     }
 }
+
+/// A classifier for guidance.
+pub type TrainedClassifier = TrainedModel<ClassifierSpec>;

@@ -1,13 +1,11 @@
-//! A trained denoiser on disk: weights, and everything needed to use them on scenes.
+//! What the checkpoint of a denoiser says, beside the weights.
 
-use super::{NetworkConfig, SceneDenoiser};
+use super::{ModelSpec, NetworkConfig, SceneDenoiser, TrainedModel};
 use crate::diffusion::Edm;
-use crate::nn::{Error, Params, read_checkpoint, write_checkpoint};
+use crate::nn::Params;
 use crate::seed::Seed;
 use crate::tensor::{Collator, Normalizer, Sight};
-use candle_core::Device;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
 
 /// What a denoiser is, beside its weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -37,9 +35,15 @@ pub struct DenoiserSpec {
     pub seed: u64,
     /// Fingerprint of the scenes it was trained on.
     pub scenes: String,
+    /// The objectives that it was trained toward, as in the configuration; of a distilled denoiser those of its teacher come first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub objectives: Vec<serde_json::Value>,
     /// What its loss on held-out scenes became of changes to what it was told; empty where nobody measured it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub changed_losses: Vec<ChangedLoss>,
+    /// Its loss on held-out scenes place by place; empty where nobody measured it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub losses_by_place: Vec<PlaceLoss>,
     /// What it was distilled to; `None` for an ordinary denoiser.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distillation: Option<Distillation>,
@@ -55,6 +59,22 @@ pub struct ChangedLoss {
     pub sigma: f64,
     /// The loss.
     pub loss: f64,
+}
+
+/// The loss of a denoiser on the held-out scenes of a place.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlaceLoss {
+    /// The place.
+    pub place: String,
+    /// Number of held-out scenes.
+    pub n_scenes: u64,
+    /// Noise level.
+    pub sigma: f64,
+    /// The loss.
+    pub loss: f64,
+    /// The same with lanes turned by 90 degrees around the ego agent.
+    pub map_turned: f64,
 }
 
 /// A change to a scene that a network that looks at its surroundings must notice.
@@ -76,6 +96,18 @@ pub enum SceneChange {
 }
 
 impl SceneChange {
+    /// Its name in figures and descriptions.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::AsRecorded => "as_recorded",
+            Self::MapTurned => "map_turned",
+            Self::MapShifted => "map_shifted",
+            Self::NoMap => "no_map",
+            Self::EgoOnly => "ego_only",
+            Self::EgoAlone => "ego_alone",
+        }
+    }
+
     /// Every change.
     pub const ALL: [Self; 6] =
         [Self::AsRecorded, Self::MapTurned, Self::MapShifted, Self::NoMap, Self::EgoOnly, Self::EgoAlone];
@@ -102,17 +134,6 @@ pub enum DenoiserKind {
     SceneDenoiser,
 }
 
-/// A denoiser for sampling, with what it is and where it came from.
-#[derive(Debug, Clone)]
-pub struct TrainedDenoiser {
-    /// The denoiser; its parameters take no gradients.
-    pub denoiser: SceneDenoiser,
-    /// What it is.
-    pub spec: DenoiserSpec,
-    /// Hash of its file.
-    pub fingerprint: String,
-}
-
 impl DenoiserSpec {
     /// How scenes become batches to train on.
     pub fn collator(&self) -> Collator {
@@ -131,30 +152,15 @@ impl DenoiserSpec {
         let max_agents = if self.network.geometry.is_some() { usize::MAX } else { self.max_agents };
         Collator { max_agents, ..self.collator() }
     }
+}
 
-    /// Writes the checkpoint file and returns its fingerprint.
-    ///
-    /// # Errors
-    /// When the folder cannot be written.
-    pub fn write(&self, params: &Params, path: &Path) -> Result<String, Error> {
-        write_checkpoint(path, &params.tensors(), self)
+impl ModelSpec for DenoiserSpec {
+    type Network = SceneDenoiser;
+
+    fn build(&self, params: &mut Params, seed: Seed) -> candle_core::Result<SceneDenoiser> {
+        SceneDenoiser::new(params, &self.network, self.normalizer.state_dim, self.edm, seed)
     }
 }
 
-impl TrainedDenoiser {
-    /// Reads a checkpoint file.
-    ///
-    /// # Errors
-    /// When the file is not a whole denoiser checkpoint of this version.
-    pub fn read(path: &Path, device: &Device) -> Result<Self, Error> {
-        let checkpoint = read_checkpoint::<DenoiserSpec>(path, device)?;
-        let spec = checkpoint.metadata;
-        let tensor_error = |source| Error::Tensor { path: path.to_owned(), source };
-        let mut params = Params::new(device).frozen();
-        let denoiser =
-            SceneDenoiser::new(&mut params, &spec.network, spec.normalizer.state_dim, spec.edm, Seed(spec.seed))
-                .map_err(tensor_error)?;
-        params.load(&checkpoint.tensors).map_err(tensor_error)?;
-        Ok(Self { denoiser, spec, fingerprint: checkpoint.fingerprint })
-    }
-}
+/// A denoiser for sampling.
+pub type TrainedDenoiser = TrainedModel<DenoiserSpec>;

@@ -16,12 +16,16 @@ mod scene_transformer_checkpoint;
 mod scene_transformer_tests;
 #[cfg(test)]
 mod tests;
+mod trained;
 mod trunk;
 
 pub use behavior_classifier::{BehaviorClassifier, BehaviorClassifierConfig, log_sigmoid};
 pub use classifier_checkpoint::{ClassifierKind, ClassifierSpec, TrainedClassifier};
-pub use denoiser_checkpoint::{ChangedLoss, DenoiserKind, DenoiserSpec, Distillation, SceneChange, TrainedDenoiser};
+pub use denoiser_checkpoint::{
+    ChangedLoss, DenoiserKind, DenoiserSpec, Distillation, PlaceLoss, SceneChange, TrainedDenoiser,
+};
 pub use network::{GeometryConfig, NetworkConfig, SceneNetwork};
 pub use scene_denoiser::{BoundDenoiser, SceneDenoiser};
 pub use scene_transformer::{JointFutures, SceneTransformer, SceneTransformerConfig};
 pub use scene_transformer_checkpoint::{SceneTransformerKind, SceneTransformerSpec, TrainedSceneTransformer};
+pub use trained::{ModelSpec, TrainedModel};

@@ -1,12 +1,10 @@
-//! A trained Scene Transformer on disk: weights, and everything needed to use them on scenes.
+//! What the checkpoint of a Scene Transformer says, beside the weights.
 
-use super::{SceneTransformer, SceneTransformerConfig};
-use crate::nn::{Error, Params, read_checkpoint, write_checkpoint};
+use super::{ModelSpec, SceneTransformer, SceneTransformerConfig, TrainedModel};
+use crate::nn::Params;
 use crate::seed::Seed;
 use crate::tensor::{Collator, Normalizer};
-use candle_core::Device;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
 
 /// What a Scene Transformer is, beside its weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -44,17 +42,6 @@ pub enum SceneTransformerKind {
     SceneTransformer,
 }
 
-/// A Scene Transformer for prediction, with what it is and where it came from.
-#[derive(Debug, Clone)]
-pub struct TrainedSceneTransformer {
-    /// The network; its parameters take no gradients.
-    pub network: SceneTransformer,
-    /// What it is.
-    pub spec: SceneTransformerSpec,
-    /// Hash of its file.
-    pub fingerprint: String,
-}
-
 impl SceneTransformerSpec {
     /// How scenes become batches for this network.
     pub fn collator(&self) -> Collator {
@@ -66,32 +53,16 @@ impl SceneTransformerSpec {
             sight: None,
         }
     }
+}
 
-    /// Writes the checkpoint file and returns its fingerprint.
-    ///
-    /// # Errors
-    /// When the folder cannot be written.
-    pub fn write(&self, params: &Params, path: &Path) -> Result<String, Error> {
-        write_checkpoint(path, &params.tensors(), self)
+impl ModelSpec for SceneTransformerSpec {
+    type Network = SceneTransformer;
+
+    fn build(&self, params: &mut Params, seed: Seed) -> candle_core::Result<SceneTransformer> {
+        let Normalizer { state_dim, parametrization, .. } = self.normalizer;
+        SceneTransformer::new(params, &self.network, state_dim, parametrization, seed)
     }
 }
 
-impl TrainedSceneTransformer {
-    /// Reads a checkpoint file.
-    ///
-    /// # Errors
-    /// When the file is not a whole Scene Transformer checkpoint of this version.
-    pub fn read(path: &Path, device: &Device) -> Result<Self, Error> {
-        let checkpoint = read_checkpoint::<SceneTransformerSpec>(path, device)?;
-        let spec = checkpoint.metadata;
-        let tensor_error = |source| Error::Tensor { path: path.to_owned(), source };
-        let mut params = Params::new(device).frozen();
-        let state_dim = spec.normalizer.state_dim;
-        let parametrization = spec.normalizer.parametrization;
-        let seed = Seed(spec.seed);
-        let network = SceneTransformer::new(&mut params, &spec.network, state_dim, parametrization, seed)
-            .map_err(tensor_error)?;
-        params.load(&checkpoint.tensors).map_err(tensor_error)?;
-        Ok(Self { network, spec, fingerprint: checkpoint.fingerprint })
-    }
-}
+/// A Scene Transformer for prediction.
+pub type TrainedSceneTransformer = TrainedModel<SceneTransformerSpec>;

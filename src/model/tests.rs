@@ -213,7 +213,7 @@ fn the_carried_checkpoint_gives_what_it_gives_in_pytorch() {
         ..collate(&[&cars(2)])
     };
     let x = candle_core::Var::from_tensor(&input("x")).unwrap();
-    let bound = trained.denoiser.bind(&batch, 1).unwrap();
+    let bound = trained.network.bind(&batch, 1).unwrap();
     let x0_hat = bound.denoise(x.as_tensor(), &input("sigma")).unwrap();
     assert_close("x0_hat", &x0_hat, &golden["output"]);
     let gradients = (x0_hat * &golden["probe"]).unwrap().sum_all().unwrap().backward().unwrap();

@@ -101,7 +101,7 @@ fn evaluations_per_second(
         (false, None) => return Ok(None),
     };
     let device = config.run.compute().open()?;
-    let TrainedDenoiser { denoiser, spec, .. } = TrainedDenoiser::read(&path, &device)?;
+    let TrainedDenoiser { network: denoiser, spec, .. } = TrainedDenoiser::read(&path, &device)?;
     let is_alike = |scene: &Scene| scene.n_history == spec.n_history && scene.n_timesteps == spec.n_timesteps;
     let recorded = SceneStore::open(&layout.scenes).ok().and_then(|store| store.scene(0).ok()).filter(is_alike);
     let what = if recorded.is_some() { "a recorded scene" } else { "a made-up scene of 16 agents" };

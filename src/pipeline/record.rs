@@ -248,6 +248,9 @@ fn without_places(config: &Value) -> Value {
     for key in ["inputs", "map_inputs", "checkpoint", "start_from"] {
         config.as_object_mut().map(|section| section.remove(key));
     }
+    for more in config.get_mut("data").and_then(Value::as_array_mut).into_iter().flatten() {
+        more.as_object_mut().map(|more| more.remove("scenes"));
+    }
     config
 }
 

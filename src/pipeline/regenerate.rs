@@ -1,10 +1,12 @@
 //! Is a scenario what its row says it came from? It is generated again, and every column is compared.
 
 use super::layout::Layout;
-use super::stages::{FoundShard, SampleManifest, SampleSettings, SampledWith, checkpoint_file, find_shard, shard_name};
-use super::{Failure, Result};
-use crate::generate::{Generator, Ledger, Models, ResolvedGeneration, ResolvedSweep, SampleKey};
-use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
+use super::stages::{
+    FoundShard, LoadedModels, SampleManifest, SampleSettings, SampledWith, checkpoint_file, find_shard, needed_models,
+    shard_name,
+};
+use super::{Failure, Result, StageId};
+use crate::generate::{Generator, Ledger, ResolvedGeneration, SampleKey};
 use crate::store::{CorpusReader, Difference, ScenarioRecord, SceneStore, differences, sample_ids};
 use candle_core::Device;
 use std::path::Path;
@@ -36,7 +38,7 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, device: &Dev
     let behaviors = settings.mine.build()?;
     let resolved = settings.generate.resolve(&behaviors)?;
     let store = open_scenes(layout, &manifest.sampled_with)?;
-    let models = LoadedModels::read(layout, &resolved, &manifest.sampled_with, device)?;
+    let models = open_models(layout, &resolved, &manifest.sampled_with, device)?;
     let from_corpus = corpus.map(|dir| -> Result<ScenarioRecord> {
         let reader = CorpusReader::open(dir)?;
         Ok(reader.scenario(reader.position(id)?)?)
@@ -109,60 +111,30 @@ fn open_scenes(layout: &Layout, sampled_with: &SampledWith) -> Result<SceneStore
 }
 
 /// The models that samples were generated with.
-struct LoadedModels {
-    denoiser: TrainedDenoiser,
-    classifiers: Vec<TrainedClassifier>,
-    distilled: Option<TrainedDenoiser>,
-    baseline: Option<TrainedSceneTransformer>,
-}
-
-impl LoadedModels {
-    fn read(
-        layout: &Layout,
-        resolved: &ResolvedGeneration,
-        sampled_with: &SampledWith,
-        device: &Device,
-    ) -> Result<Self> {
-        let sweeps = &resolved.sweeps;
-        let file = |dir: &Path, name: &str| {
-            require(dir, name)?;
-            let file = checkpoint_file(dir);
-            require(&file, name).map(|()| file)
+fn open_models(
+    layout: &Layout,
+    resolved: &ResolvedGeneration,
+    sampled_with: &SampledWith,
+    device: &Device,
+) -> Result<LoadedModels> {
+    let sweeps = &resolved.sweeps;
+    let places: Vec<_> =
+        needed_models(sweeps).into_iter().filter_map(|stage| Some((stage, stage.output(layout)?))).collect();
+    for (_, (name, path)) in &places {
+        require(path, name)?;
+        require(&checkpoint_file(path), name)?;
+    }
+    let models = LoadedModels::read(layout, sweeps, device)?;
+    for (stage, (name, path)) in places {
+        let then = match stage {
+            StageId::TrainDistill => sampled_with.distilled.as_deref(),
+            StageId::TrainClassifier => sampled_with.classifier.as_deref(),
+            StageId::TrainBaseline => sampled_with.baseline.as_deref(),
+            _ => Some(sampled_with.denoiser.as_str()),
         };
-        let denoiser = TrainedDenoiser::read(&file(&layout.denoiser, "denoiser")?, device)?;
-        check("denoiser", &layout.denoiser, &sampled_with.denoiser, &denoiser.fingerprint)?;
-        let mut classifiers = Vec::new();
-        if sweeps.iter().any(ResolvedSweep::needs_classifier) {
-            let classifier = TrainedClassifier::read(&file(&layout.classifier, "classifier")?, device)?;
-            let then = sampled_with.classifier.as_deref().unwrap_or_default();
-            check("classifier", &layout.classifier, then, &classifier.fingerprint)?;
-            classifiers.push(classifier);
-        }
-        let mut distilled = None;
-        if sweeps.iter().any(ResolvedSweep::uses_distilled) {
-            let model = TrainedDenoiser::read(&file(&layout.distilled, "distilled denoiser")?, device)?;
-            let then = sampled_with.distilled.as_deref().unwrap_or_default();
-            check("distilled denoiser", &layout.distilled, then, &model.fingerprint)?;
-            distilled = Some(model);
-        }
-        let mut baseline = None;
-        if sweeps.iter().any(ResolvedSweep::uses_baseline) {
-            let model = TrainedSceneTransformer::read(&file(&layout.baseline, "baseline")?, device)?;
-            let then = sampled_with.baseline.as_deref().unwrap_or_default();
-            check("baseline", &layout.baseline, then, &model.fingerprint)?;
-            baseline = Some(model);
-        }
-        Ok(Self { denoiser, classifiers, distilled, baseline })
+        check(name, path, then.unwrap_or_default(), &models.fingerprint(stage).unwrap_or_default())?;
     }
-
-    fn borrowed(&self) -> Models<'_> {
-        Models {
-            denoiser: &self.denoiser,
-            classifiers: &self.classifiers,
-            distilled: self.distilled.as_ref(),
-            baseline: self.baseline.as_ref(),
-        }
-    }
+    Ok(models)
 }
 
 /// What is missing is no fault of the scenario.

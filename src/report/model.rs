@@ -2,7 +2,7 @@
 
 use super::card::SceneCard;
 use super::distribution::Distribution;
-use super::plain::PlainSection;
+use super::plain::{PlainSection, PlainTable};
 use crate::evaluate::{AcceptanceRow, LeftOutRow, MetricDoc, MiningSummary, RealismRow, SamplingRow, ValidityRow};
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
@@ -91,6 +91,9 @@ pub struct TrainingSummary {
     pub facts: Vec<Fact>,
     /// Curves over training.
     pub charts: Vec<Chart>,
+    /// What it had learned in the end.
+    #[serde(default)]
+    pub tables: Vec<PlainTable>,
 }
 
 /// Curves over a common axis.

@@ -14,6 +14,8 @@ pub struct AgentFrame {
     pub(super) mask: ObservationMask,
     /// Whether headings that recordings do not hold follow from the motion instead of being generated.
     pub(super) derives_headings: bool,
+    /// Whether recordings of the scene's kind hold headings of anybody.
+    pub(super) has_headings: bool,
 }
 
 impl AgentFrame {
@@ -29,7 +31,7 @@ impl AgentFrame {
 
     /// Whether the heading of this track follows from its motion.
     pub(super) fn derives_heading(&self, track: &Track) -> bool {
-        self.derives_headings && !track.class.has_recorded_heading()
+        self.derives_headings && !(self.has_headings && track.class.has_recorded_heading())
     }
 
     /// The place on the batch's agent axis of the scene's track, if it is in the batch.

@@ -110,6 +110,8 @@ impl Collator {
             ego_idx: view.ego_idx,
             mask: view.mask.clone(),
             derives_headings: self.sight.is_some(),
+            // Where no heading is diffused, there is none to leave out.
+            has_headings: self.normalizer.state_dim < 3 || view.scene.source.dataset.facts().has_headings,
         }
     }
 

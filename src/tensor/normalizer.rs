@@ -122,9 +122,16 @@ pub struct NormalizerFit {
     n_motions: usize,
     velocity: RootMeanSquare,
     extent: RootMeanSquare,
+    leaves_out_derived_headings: bool,
 }
 
 impl NormalizerFit {
+    /// How vehicles turn is learned only from datasets that record it.
+    #[must_use]
+    pub fn without_derived_headings(self) -> Self {
+        Self { leaves_out_derived_headings: true, ..self }
+    }
+
     /// Adds a scene in its stored frame; residuals are those of the predictive task.
     pub fn add(&mut self, scene: &Scene) {
         let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
@@ -162,7 +169,8 @@ impl NormalizerFit {
             if is_present && self.n_motions < MAX_MOTIONS && !motion.is_empty() {
                 self.n_motions += motion.len();
                 // Headings that were derived tell nothing of how agents turn.
-                let turns = track.class.has_recorded_heading();
+                let is_derived = self.leaves_out_derived_headings && !scene.source.dataset.facts().has_headings;
+                let turns = track.class.has_recorded_heading() && !is_derived;
                 let elapsed = |(t, z): (usize, [f64; 3])| {
                     let [along, across, turn] = z.map(|z| z as f32);
                     (t - scene.n_history, [along, across, if turns { turn } else { f32::NAN }])

@@ -152,15 +152,23 @@ fn both_ways_of_a_fork_are_found_with_even_odds_and_the_checkpoint_reads_back() 
     let dataset = Forks(40);
     let data = TrainingData {
         dataset: &dataset,
-        train: (0..32).collect(),
-        places: vec![0; 32],
-        held_out: (32..40).collect(),
+        sources: vec![TrainingSource {
+            weight: 1.0,
+            train: (0..32).collect(),
+            places: vec![0; 32],
+            held_out: (32..40).collect(),
+        }],
         state_dim: 3,
         fingerprint: "scenes".to_owned(),
     };
     let dir = tempfile::tempdir().unwrap();
     let training = config.resolve().unwrap();
-    let outcome = train_baseline(&training, &data, Seed(3), dir.path(), &Device::Cpu, &Silent).unwrap();
+    let outcome = train_baseline(
+        &training,
+        &data,
+        TrainJob { seed: Seed(3), dir: dir.path(), device: &Device::Cpu, progress: &Silent },
+    )
+    .unwrap();
     let last = &outcome.statistics.last().unwrap().evaluation;
     let (error, bound) = (last["held_out_error_of_best"], straight_error());
     assert!(error < 0.4 * bound, "{error}, where driving on straight has {bound}");

@@ -2,11 +2,11 @@
 
 use super::{DenoisingTask, Error};
 use crate::geometry::{Transform2, Vec2};
-use crate::model::{ChangedLoss, SceneChange};
-use crate::progress::Progress;
+use crate::model::{ChangedLoss, PlaceLoss, SceneChange};
 use crate::scene::{LaneGraph, Scene};
 use crate::tensor::SceneBatch;
 use candle_core::Tensor;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Noise levels at which maneuvers are decided.
@@ -16,38 +16,77 @@ const SHIFT_M: f64 = 4.0;
 /// A turned map that raises the loss by less than this makes no difference.
 const MIN_RATIO: f64 = 1.1;
 
-/// The losses of the trained denoiser under each change; warns when a turned map makes no difference.
-pub(super) fn changed_losses(task: &DenoisingTask<'_>, progress: &dyn Progress) -> Result<Vec<ChangedLoss>, Error> {
-    if task.draws.held_out.is_empty() {
+/// The losses of the denoiser under each change.
+pub(super) fn changed_losses(task: &DenoisingTask<'_>) -> Result<Vec<ChangedLoss>, Error> {
+    let held_out = task.draws.held_out;
+    if held_out.is_empty() {
         return Ok(Vec::new());
     }
     let mut found = Vec::with_capacity(SceneChange::ALL.len() * SIGMAS.len());
     for change in SceneChange::ALL {
-        let losses = task.draws.changed_means(SIGMAS.len(), &|scene| changed(scene, change), |drawn| {
-            let (batch, seeds) = (&drawn.batch, &drawn.seeds);
-            let batch = match change {
-                SceneChange::EgoOnly | SceneChange::EgoAlone => of_egos(batch)?,
-                _ => batch.clone(),
-            };
-            let loss = |sigma: f64| task.held_out_loss(&batch, sigma, seeds);
-            SIGMAS.into_iter().map(loss).collect()
-        })?;
+        let losses = losses_of(task, held_out, change, &SIGMAS)?;
         found.extend(SIGMAS.into_iter().zip(losses).map(|(sigma, loss)| ChangedLoss { change, sigma, loss }));
     }
-    let loss = |change: SceneChange, sigma: f64| {
-        found.iter().find(|l| l.change == change && l.sigma == sigma).map_or(f64::NAN, |l| l.loss)
-    };
-    for sigma in SIGMAS {
-        let ratio = loss(SceneChange::MapTurned, sigma) / loss(SceneChange::AsRecorded, sigma);
-        let has_map = loss(SceneChange::NoMap, sigma) != loss(SceneChange::AsRecorded, sigma);
-        if has_map && ratio < MIN_RATIO {
-            progress.note(&format!(
-                "the network hardly looks at the map: with lanes turned by 90 degrees its held-out loss at sigma {sigma} is \
-                 {ratio:.2} times that with the true ones; train longer, or on more places"
-            ));
-        }
+    Ok(found)
+}
+
+/// The losses of the denoiser place by place, in the order of their names.
+pub(super) fn losses_by_place(task: &DenoisingTask<'_>) -> Result<Vec<PlaceLoss>, Error> {
+    let mut places: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+    for idx in task.draws.held_out {
+        let scene = task.draws.dataset.scene(*idx).map_err(Error::Scene)?;
+        places.entry(scene.source.place).or_default().push(*idx);
+    }
+    let mut found = Vec::with_capacity(places.len() * SIGMAS.len());
+    for (place, scenes) in places {
+        let losses = losses_of(task, &scenes, SceneChange::AsRecorded, &SIGMAS)?;
+        let turned = losses_of(task, &scenes, SceneChange::MapTurned, &SIGMAS)?;
+        let n_scenes = scenes.len() as u64;
+        found.extend(SIGMAS.into_iter().zip(losses).zip(turned).map(|((sigma, loss), map_turned)| PlaceLoss {
+            place: place.clone(),
+            n_scenes,
+            sigma,
+            loss,
+            map_turned,
+        }));
     }
     Ok(found)
+}
+
+/// The mean loss over held-out scenes after a change, at each of these noise levels.
+pub(super) fn losses_of(
+    task: &DenoisingTask<'_>,
+    scenes: &[usize],
+    change: SceneChange,
+    sigmas: &[f64],
+) -> Result<Vec<f64>, Error> {
+    task.draws.changed_means(scenes, sigmas.len(), &|scene| changed(scene, change), |drawn| {
+        let (batch, seeds) = (&drawn.batch, &drawn.seeds);
+        let batch = match change {
+            SceneChange::EgoOnly | SceneChange::EgoAlone => of_egos(batch)?,
+            _ => batch.clone(),
+        };
+        sigmas.iter().map(|sigma| task.held_out_loss(&batch, *sigma, seeds)).collect()
+    })
+}
+
+/// What a user must know of a denoiser with these losses: at which noise levels a turned map makes no difference to it.
+pub fn map_warnings(losses: &[ChangedLoss]) -> Vec<String> {
+    let at = |change: SceneChange, sigma: f64| {
+        losses.iter().find(|found| found.change == change && found.sigma == sigma).map(|found| found.loss)
+    };
+    let warning = |sigma: f64| {
+        let recorded = at(SceneChange::AsRecorded, sigma)?;
+        let ratio = at(SceneChange::MapTurned, sigma)? / recorded;
+        let has_map = at(SceneChange::NoMap, sigma)? != recorded;
+        (has_map && ratio < MIN_RATIO).then(|| {
+            format!(
+                "the denoiser hardly looks at the map: with lanes turned by 90 degrees its held-out loss at sigma {sigma} is \
+                 {ratio:.2} times that with the true ones; train longer, or on more places"
+            )
+        })
+    };
+    SIGMAS.into_iter().filter_map(warning).collect()
 }
 
 /// The scene after a change.
@@ -89,6 +128,19 @@ fn of_egos(batch: &SceneBatch) -> Result<SceneBatch, Error> {
 mod tests {
     use super::*;
     use crate::scene::testing::{Drive, scene};
+
+    #[test]
+    fn a_map_that_makes_no_difference_is_warned_of() {
+        let losses = |turned: f64, none: f64| {
+            let loss = |change, loss| ChangedLoss { change, sigma: 0.8, loss };
+            [loss(SceneChange::AsRecorded, 0.2), loss(SceneChange::MapTurned, turned), loss(SceneChange::NoMap, none)]
+        };
+        let warnings = map_warnings(&losses(0.21, 0.19));
+        assert!(warnings.len() == 1 && warnings[0].contains("at sigma 0.8 is 1.05 times"), "{warnings:?}");
+        assert!(map_warnings(&losses(0.3, 0.4)).is_empty());
+        // Scenes without a map, and trainings without held-out scenes, say nothing of it.
+        assert!(map_warnings(&losses(0.2, 0.2)).is_empty() && map_warnings(&[]).is_empty());
+    }
 
     #[test]
     fn maps_turn_and_shift_around_the_ego_and_others_leave() {

@@ -5,7 +5,7 @@ use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::diffusion::NoiseDistribution;
 use crate::guidance::testing::{N_HISTORY, N_TIMESTEPS, denoiser_spec, is_positive, scene};
 use crate::guidance::{ClassifierGuidance, Guidance, log_potential_gradient};
-use crate::model::{DenoiserSpec, TrainedClassifier};
+use crate::model::{DenoiserSpec, ModelSpec, TrainedClassifier};
 use crate::nn::Params;
 use crate::progress::{Progress, Silent};
 use crate::scene::{ObservationMask, Scene};
@@ -64,7 +64,7 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
         save_every: 7,
         ..ClassifierTrainingConfig::default()
     };
-    train_classifier(&config, denoiser, &data, dir, &Device::Cpu, progress)
+    train_classifier(&config, denoiser, &data, TrainJob { seed: Seed(4), dir, device: &Device::Cpu, progress })
 }
 
 #[test]
@@ -166,7 +166,7 @@ fn its_gradient_pushes_the_second_agent_toward_the_first() {
         let scenes: Vec<Scene> = [401, 402, 403].into_iter().map(scene).collect();
         let batch = batch(&denoiser, &scenes);
         let pairs = trained.spec.features(&batch, &[(1, 2); 3]).unwrap();
-        let guidance = ClassifierGuidance { classifier: &trained.classifier, pairs };
+        let guidance = ClassifierGuidance { classifier: &trained.network, pairs };
         let sigma = Tensor::new(&[0.1f32; 3], &Device::Cpu).unwrap();
         let gradient = log_potential_gradient(&guidance, &batch.x0, &sigma).unwrap();
 
@@ -217,7 +217,13 @@ fn missing_examples_and_tracks_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let config = ClassifierTrainingConfig::default();
     let denoiser = denoiser_spec(StateParametrization::Residual);
-    let error = train_classifier(&config, &denoiser, &data, dir.path(), &Device::Cpu, &Silent).unwrap_err();
+    let error = train_classifier(
+        &config,
+        &denoiser,
+        &data,
+        TrainJob { seed: Seed(config.seed), dir: dir.path(), device: &Device::Cpu, progress: &Silent },
+    )
+    .unwrap_err();
     assert!(error.to_string().contains("0 positive and 3 negative"), "{error}");
 
     let mut stranger = event(1, EventLabel::Negative);

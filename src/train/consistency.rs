@@ -141,7 +141,7 @@ impl ConsistencyTask<'_> {
 impl TrainTask for ConsistencyTask<'_> {
     fn loss(&self, step: u64) -> Result<Tensor, Error> {
         let DrawnBatch { batch, seeds, mut rngs, .. } = self.draws.training_batch(step)?;
-        let stage = self.tuning.gap.stage(step, self.training.fit.steps);
+        let stage = self.tuning.gap.stage(step, self.training.common.fit.steps);
         let levels: Vec<(f64, f64)> = (rngs.iter_mut())
             .map(|rng| self.tuning.noise.draw(rng))
             .map(|t| (t, self.tuning.gap.lower(t, stage)))

@@ -1,31 +1,15 @@
 //! From scenes to a denoiser checkpoint: constants, network, training, file.
 
-use super::changed_losses::changed_losses;
+use super::changed_losses::{changed_losses, losses_by_place, map_warnings};
+use super::objective_loss::described;
+use super::trainable::ScenesOfFit;
 use super::training_data::{SceneConstants, TrainingData};
-use super::{Ahead, DenoiserTraining, DenoisingTask, Error, FitStatistics, SceneDraws, fit};
-use crate::model::{DenoiserKind, DenoiserSpec, SceneDenoiser};
-use crate::nn::{Checkpoint, Params};
-use crate::progress::Progress;
-use crate::seed::Seed;
-use crate::tensor::MaskSampler;
-use candle_core::Device;
-use std::path::Path;
+use super::{DenoiserTraining, DenoisingTask, Error, TrainJob, TrainOutcome, Trainable, fit};
+use crate::model::{DenoiserKind, DenoiserSpec};
+use crate::nn::Checkpoint;
 
-/// What training a denoiser came to.
-#[derive(Debug, Clone, PartialEq)]
-pub struct DenoiserOutcome {
-    /// Fingerprint of the checkpoint.
-    pub fingerprint: String,
-    /// What the denoiser is.
-    pub spec: DenoiserSpec,
-    /// Number of trained values.
-    pub n_parameters: usize,
-    /// Losses and evaluations.
-    pub statistics: Vec<FitStatistics>,
-}
-
-/// Trains a denoiser in `dir` (resuming what is there) and writes it to `dir/model.safetensors`. With `start`, training
-/// begins at the weights of that checkpoint, and keeps its scales.
+/// Trains a denoiser and writes it to `model.safetensors` in the job's folder. With `start`, training begins at the weights of that
+/// checkpoint, and keeps its scales.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes differ in their timesteps, `start` is of another kind, or training fails.
@@ -33,45 +17,22 @@ pub fn train_denoiser(
     training: &DenoiserTraining,
     data: &TrainingData<'_>,
     start: Option<&Checkpoint<DenoiserSpec>>,
-    seed: Seed,
-    dir: &Path,
-    device: &Device,
-    progress: &dyn Progress,
-) -> Result<DenoiserOutcome, Error> {
-    let Some(masks) = MaskSampler::new(&training.tasks) else {
-        return Err(Error::Config("train.denoiser.tasks are no weights".to_owned()));
-    };
-    let mut spec = describe(training, data, seed, progress)?;
+    job: TrainJob<'_>,
+) -> Result<TrainOutcome<DenoiserSpec>, Error> {
+    let mut spec = describe(training, data, job)?;
     if let Some(start) = start {
         check_start(&start.metadata, &spec)?;
         spec.normalizer = start.metadata.normalizer.clone();
     }
-    let mut params = Params::new(device);
-    let (network, state_dim) = (&spec.network, data.state_dim);
-    let denoiser = SceneDenoiser::new(&mut params, network, state_dim, spec.edm, seed.derive("weights", &[]))?;
-    if let Some(start) = start {
-        params.load(&start.tensors)?;
-    }
-    let frozen = SceneDenoiser::new(&mut params.frozen(), network, state_dim, spec.edm, seed)?;
-    let held_out = data.chosen_held_out(training.n_eval_scenes, seed);
-    let collator = spec.collator();
-    let draws = SceneDraws {
-        collator: &collator,
-        dataset: data.dataset,
-        train: &data.groups(training.balance),
-        held_out: &held_out,
-        masks: &masks,
-        batch_size: training.batch_size,
-        with_context: !training.objectives.is_empty(),
-        seed,
-        device,
-        ahead: Ahead::default(),
-    };
-    let task = DenoisingTask { denoiser: &denoiser, frozen: &frozen, training, draws };
-    let outcome = fit(&training.fit, &mut params, &task, dir, progress)?;
-    spec.changed_losses = changed_losses(&task, progress)?;
-    let fingerprint = spec.write(&params, &dir.join("model.safetensors"))?;
-    Ok(DenoiserOutcome { fingerprint, n_parameters: params.n_parameters(), spec, statistics: outcome.statistics })
+    let mut model = Trainable::new(&spec, start, job)?;
+    let scenes = ScenesOfFit::new(data, &training.common, training.balance, spec.collator(), job.seed)?;
+    let draws = scenes.draws(!training.objectives.is_empty(), job);
+    let task = DenoisingTask { denoiser: &model.network, frozen: &model.frozen, training, draws };
+    let outcome = fit(&training.common.fit, &mut model.params, &task, job.dir, job.progress)?;
+    spec.changed_losses = changed_losses(&task)?;
+    spec.losses_by_place = losses_by_place(&task)?;
+    map_warnings(&spec.changed_losses).iter().for_each(|warning| job.progress.warn(warning));
+    model.finish(spec, outcome, job)
 }
 
 /// Fails where weights of `start` would mean something else in `wanted`.
@@ -93,14 +54,9 @@ fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error>
 }
 
 /// Gathers the constants of the training set.
-fn describe(
-    training: &DenoiserTraining,
-    data: &TrainingData<'_>,
-    seed: Seed,
-    progress: &dyn Progress,
-) -> Result<DenoiserSpec, Error> {
+fn describe(training: &DenoiserTraining, data: &TrainingData<'_>, job: TrainJob<'_>) -> Result<DenoiserSpec, Error> {
     let SceneConstants { normalizer, n_history, n_timesteps, dt_s } =
-        SceneConstants::gather(data, training.parametrization, seed, progress)?;
+        SceneConstants::gather(data, training.parametrization, training.network.geometry.is_some(), job)?;
     Ok(DenoiserSpec {
         kind: DenoiserKind::SceneDenoiser,
         network: training.network.clone(),
@@ -111,10 +67,12 @@ fn describe(
         dt_s,
         max_agents: training.max_agents,
         max_lanes: training.max_lanes,
-        steps: training.fit.steps,
-        seed: seed.0,
+        steps: training.common.fit.steps,
+        seed: job.seed.0,
         scenes: data.fingerprint.clone(),
+        objectives: described(&training.objectives)?,
         changed_losses: Vec::new(),
+        losses_by_place: Vec::new(),
         distillation: None,
     })
 }

@@ -1,10 +1,11 @@
 //! Training the denoiser: the paper's loss over p(𝒪), p_train and the recorded scenes.
 
+use super::changed_losses::losses_of;
 use super::latent_error::squared_error;
 use super::objective_loss::{objective_costs, objective_loss};
 use super::{DenoiserTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::{Denoiser, NoiseSource, rows_like};
-use crate::model::SceneDenoiser;
+use crate::model::{SceneChange, SceneDenoiser};
 use crate::seed::Seed;
 use crate::tensor::SceneBatch;
 use candle_core::Tensor;
@@ -12,6 +13,9 @@ use std::collections::BTreeMap;
 
 /// The noise levels at which held-out losses are given: from finest detail to the choice of a maneuver.
 const EVALUATION_SIGMAS: [f64; 4] = [0.05, 0.2, 0.8, 3.0];
+
+/// The one of them at which scenes are also changed: at all of them it would cost more than what is learned of it.
+const CHANGED_SIGMA: f64 = 0.8;
 
 /// Training of a `SceneDenoiser` on the scenes of a dataset.
 pub struct DenoisingTask<'a> {
@@ -87,6 +91,12 @@ impl TrainTask for DenoisingTask<'_> {
             }
             Ok(figures)
         })?;
-        Ok(names.into_iter().zip(means).collect())
+        let mut found: BTreeMap<String, f64> = names.into_iter().zip(means).collect();
+        for change in SceneChange::ALL.into_iter().filter(|change| *change != SceneChange::AsRecorded) {
+            let losses = losses_of(self, self.draws.held_out, change, &[CHANGED_SIGMA])?;
+            let name = format!("held_out_loss_at_sigma_{CHANGED_SIGMA}_{}", change.name());
+            found.extend(losses.into_iter().map(|loss| (name.clone(), loss)));
+        }
+        Ok(found)
     }
 }

@@ -1,16 +1,13 @@
 //! From a denoiser's checkpoint to that of one which needs few evaluations.
 
+use super::objective_loss::described;
+use super::trainable::ScenesOfFit;
 use super::{
-    Ahead, Balance, ConsistencyTask, DenoiserOutcome, DistillMethod, DistillTraining, Error, SceneDraws,
-    StepDistillationTask, TrainingData, fit,
+    Balance, ConsistencyTask, DistillMethod, DistillTraining, Error, StepDistillationTask, TrainJob, TrainOutcome,
+    Trainable, TrainingData, fit,
 };
-use crate::model::{DenoiserSpec, SceneDenoiser};
+use crate::model::{DenoiserSpec, ModelSpec};
 use crate::nn::{Checkpoint, Params};
-use crate::progress::Progress;
-use crate::seed::Seed;
-use crate::tensor::MaskSampler;
-use candle_core::Device;
-use std::path::Path;
 
 /// What distillation works on.
 #[derive(Clone, Copy)]
@@ -21,8 +18,8 @@ pub struct DistillSource<'a> {
     pub start: Option<&'a Checkpoint<DenoiserSpec>>,
 }
 
-/// Tunes the denoiser of `source` in `dir` (resuming what is there) and writes it to `dir/model.safetensors`: a checkpoint of the
-/// same network, scales and limits, whose answers lead to samples in few evaluations.
+/// Tunes the denoiser of `source` and writes it to `model.safetensors` in the job's folder: a checkpoint of the same network, scales
+/// and limits, whose answers lead to samples in few evaluations.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes are not of the teacher's shape, the method or the start does not fit it, or training fails.
@@ -30,19 +27,17 @@ pub fn distill_denoiser(
     training: &DistillTraining,
     data: &TrainingData<'_>,
     DistillSource { teacher, start }: DistillSource<'_>,
-    seed: Seed,
-    dir: &Path,
-    device: &Device,
-    progress: &dyn Progress,
-) -> Result<DenoiserOutcome, Error> {
-    let Some(masks) = MaskSampler::new(&training.tasks) else {
-        return Err(Error::Config("train.distill.tasks are no weights".to_owned()));
-    };
+    job: TrainJob<'_>,
+) -> Result<TrainOutcome<DenoiserSpec>, Error> {
+    let mut objectives = teacher.metadata.objectives.clone();
+    objectives.extend(described(&training.objectives)?);
     let spec = DenoiserSpec {
-        steps: training.fit.steps,
-        seed: seed.0,
+        objectives,
+        steps: training.common.fit.steps,
+        seed: job.seed.0,
         scenes: data.fingerprint.clone(),
         changed_losses: Vec::new(),
+        losses_by_place: Vec::new(),
         distillation: Some(training.method.distillation(&teacher.metadata.edm)),
         ..teacher.metadata.clone()
     };
@@ -51,43 +46,25 @@ pub fn distill_denoiser(
     if let Some(start) = start {
         check_start(&start.metadata, &spec)?;
     }
-    let mut params = Params::new(device);
-    let build = |params: &mut Params| {
-        SceneDenoiser::new(params, &spec.network, spec.normalizer.state_dim, spec.edm, seed.derive("weights", &[]))
-    };
-    let denoiser = build(&mut params)?;
-    params.load(&start.unwrap_or(teacher).tensors)?;
-    let frozen = build(&mut params.frozen())?;
-    let held_out = data.chosen_held_out(training.n_eval_scenes, seed);
+    let mut model = Trainable::new(&spec, Some(start.unwrap_or(teacher)), job)?;
     let balance = if spec.network.geometry.is_some() { Balance::Places } else { Balance::Scenes };
-    let draws = SceneDraws {
-        collator: &spec.collator(),
-        dataset: data.dataset,
-        train: &data.groups(balance),
-        held_out: &held_out,
-        masks: &masks,
-        batch_size: training.batch_size,
-        with_context: !training.objectives.is_empty(),
-        seed,
-        device,
-        ahead: Ahead::default(),
-    };
-    let (denoiser, frozen) = (&denoiser, &frozen);
+    let scenes = ScenesOfFit::new(data, &training.common, balance, spec.collator(), job.seed)?;
+    let draws = scenes.draws(!training.objectives.is_empty(), job);
+    let (params, denoiser, frozen) = (&mut model.params, &model.network, &model.frozen);
     let outcome = match &training.method {
         DistillMethod::Consistency(tuning) => {
             let task = ConsistencyTask { denoiser, frozen, tuning: *tuning, training, draws };
-            fit(&training.fit, &mut params, &task, dir, progress)?
+            fit(&training.common.fit, params, &task, job.dir, job.progress)?
         }
         DistillMethod::Steps(steps) => {
-            let mut kept = Params::new(device).frozen();
-            let taught_by = build(&mut kept)?;
+            let mut kept = Params::new(job.device).frozen();
+            let taught_by = spec.build(&mut kept, job.seed)?;
             kept.load(&teacher.tensors)?;
             let task = StepDistillationTask { denoiser, frozen, teacher: &taught_by, steps, training, draws };
-            fit(&training.fit, &mut params, &task, dir, progress)?
+            fit(&training.common.fit, params, &task, job.dir, job.progress)?
         }
     };
-    let fingerprint = spec.write(&params, &dir.join("model.safetensors"))?;
-    Ok(DenoiserOutcome { fingerprint, n_parameters: params.n_parameters(), spec, statistics: outcome.statistics })
+    model.finish(spec, outcome, job)
 }
 
 /// Fails where `start` is not what a distillation to `wanted` may lead to.
@@ -107,7 +84,7 @@ fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error>
 
 /// Fails where the scenes are not such as the teacher was trained on. The first one stands for all: batches refuse others.
 fn check_shape(spec: &DenoiserSpec, data: &TrainingData<'_>) -> Result<(), Error> {
-    let Some(first) = data.train.first() else {
+    let Some(first) = data.sources.iter().find_map(|source| source.train.first()) else {
         return Err(Error::NoScenes("choose other splits or places in train.distill".to_owned()));
     };
     let scene = data.dataset.scene(*first).map_err(Error::Scene)?;

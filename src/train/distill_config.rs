@@ -1,12 +1,11 @@
 //! The `[train.distill]` section: how does a denoiser become one that needs few evaluations?
 
 use super::objective_loss::check_objectives;
+use super::section::{Own, SceneTraining, scene_training_section};
 use super::{ConsistencyTuning, Error, FitConfig, LearningRateDecay, StepDistillation};
 use crate::diffusion::Edm;
 use crate::guidance::ObjectiveConfig;
 use crate::model::{DenoiserSpec, Distillation};
-use crate::scene::Split;
-use crate::settings::{self, Issue};
 use crate::tensor::TaskWeights;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -61,60 +60,23 @@ fn refused(why: &str) -> Error {
     Error::Config(format!("train.distill.method: {why}"))
 }
 
-/// How to distill a trained denoiser into one of the same network, scales and masks that needs few evaluations.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct DistillTrainingConfig {
-    /// What it is tuned to.
-    pub method: DistillMethod,
-    /// Below about this disagreement the loss is quadratic, above it linear; 0: linear throughout.
-    #[schemars(range(min = 0.0))]
-    pub huber: f64,
-    /// Weight of the squared disagreement of what diffused motion adds up to (motion parametrization only).
-    #[schemars(range(min = 0.0))]
-    pub path_loss: f64,
-    /// Objectives that samples are trained toward, beside being those of the denoiser (method `steps` only): each counts by its weight
-    /// and a cost of √(1 - 2 J) - 1 a scene, beyond that of the recording.
-    pub objectives: Vec<ObjectiveConfig>,
-    /// How often each observation task is drawn.
-    pub tasks: TaskWeights,
-    /// Splits to train on; empty means `train`, or everything unsplit where there is no such split.
-    pub splits: Vec<Split>,
-    /// Places to train on; empty means all.
-    pub places: Vec<String>,
-    /// Optimizer steps in all.
-    #[schemars(range(min = 1, max = 1_000_000_000))]
-    pub steps: u64,
-    /// Scenes a step.
-    #[schemars(range(min = 1, max = 16_384))]
-    pub batch_size: usize,
-    /// Learning rate after warm-up.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub learning_rate: f64,
-    /// Steps over which the learning rate rises from 0.
-    #[schemars(range(max = 1_000_000_000))]
-    pub warmup_steps: u64,
-    /// How the learning rate goes on: `constant` or `cosine`.
-    pub decay: LearningRateDecay,
-    /// Gradients are scaled down to this global norm.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub clip_norm: f64,
-    /// Decay of the moving average of the weights; 0 for none.
-    #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1))]
-    pub ema_decay: f64,
-    /// Held-out scenes of each evaluation during training.
-    #[schemars(range(max = 1_000_000))]
-    pub n_eval_scenes: usize,
-    /// Steps between evaluations.
-    #[schemars(range(min = 1, max = 1_000_000_000))]
-    pub evaluate_every: u64,
-    /// Steps between saved states.
-    #[schemars(range(min = 1, max = 1_000_000_000))]
-    pub save_every: u64,
-    /// A checkpoint of the same denoiser, distilled onto the same steps, to start from: to train it toward other objectives.
-    pub start_from: Option<std::path::PathBuf>,
-    /// A distilled checkpoint to use instead of training.
-    pub checkpoint: Option<std::path::PathBuf>,
+scene_training_section! {
+    /// How to distill a trained denoiser into one of the same network, scales and masks that needs few evaluations.
+    pub struct DistillTrainingConfig in "train.distill", each Own {
+        /// What it is tuned to.
+        pub method: DistillMethod,
+        /// Below about this disagreement the loss is quadratic, above it linear; 0: linear throughout.
+        #[schemars(range(min = 0.0))]
+        pub huber: f64,
+        /// Weight of the squared disagreement of what diffused motion adds up to (motion parametrization only).
+        #[schemars(range(min = 0.0))]
+        pub path_loss: f64,
+        /// Objectives that samples are trained toward, beside being those of the denoiser (method `steps` only): each counts by its
+        /// weight and a cost of √(1 - 2 J) - 1 a scene, beyond that of the recording.
+        pub objectives: Vec<ObjectiveConfig>,
+        /// A checkpoint of the same denoiser, distilled onto the same steps, to start from: to train it toward other objectives.
+        pub start_from: Option<std::path::PathBuf>,
+    }
 }
 
 impl Default for DistillTrainingConfig {
@@ -125,6 +87,8 @@ impl Default for DistillTrainingConfig {
             path_loss: 0.1,
             objectives: Vec::new(),
             tasks: TaskWeights::default(),
+            data: Vec::new(),
+            own_weight: None,
             splits: Vec::new(),
             places: Vec::new(),
             steps: 2_000,
@@ -154,14 +118,8 @@ pub struct DistillTraining {
     pub path_loss: f64,
     /// What samples are trained toward.
     pub objectives: Vec<ObjectiveConfig>,
-    /// How often each observation task is drawn.
-    pub tasks: TaskWeights,
-    /// Scenes a step.
-    pub batch_size: usize,
-    /// Held-out scenes of each evaluation during training.
-    pub n_eval_scenes: usize,
-    /// The loop.
-    pub fit: FitConfig,
+    /// Tasks, batches, evaluations and the schedule.
+    pub common: SceneTraining,
 }
 
 impl DistillTrainingConfig {
@@ -170,16 +128,11 @@ impl DistillTrainingConfig {
     /// # Errors
     /// When a value makes no sense, naming it.
     pub fn resolve(&self) -> Result<DistillTraining, Error> {
-        let within = |issue: Issue| Error::Config(issue.within("train.distill").to_string());
-        settings::check_ranges(self).map_err(within)?;
+        self.check_ranges()?;
         self.method.validate()?;
         check_objectives("train.distill.objectives", &self.objectives)?;
         if !self.objectives.is_empty() && !matches!(self.method, DistillMethod::Steps(_)) {
             let message = "train.distill.objectives need method = { kind = \"steps\" }: they judge where its steps end";
-            return Err(Error::Config(message.to_owned()));
-        }
-        if self.tasks.probabilities().is_none() {
-            let message = "train.distill.tasks are no weights: give numbers of at least 0, one of them positive";
             return Err(Error::Config(message.to_owned()));
         }
         Ok(DistillTraining {
@@ -187,20 +140,7 @@ impl DistillTrainingConfig {
             huber: self.huber,
             path_loss: self.path_loss,
             objectives: self.objectives.clone(),
-            tasks: self.tasks,
-            batch_size: self.batch_size,
-            n_eval_scenes: self.n_eval_scenes,
-            fit: FitConfig {
-                steps: self.steps,
-                learning_rate: self.learning_rate,
-                warmup_steps: self.warmup_steps,
-                decay: self.decay,
-                clip_norm: self.clip_norm,
-                ema_decay: self.ema_decay,
-                evaluate_every: self.evaluate_every,
-                save_every: self.save_every,
-                log_every: 20,
-            },
+            common: self.scene_training(&SceneTraining::default())?,
         })
     }
 }

@@ -40,9 +40,12 @@ impl SceneDataset for Forks {
 fn data() -> TrainingData<'static> {
     TrainingData {
         dataset: &Forks,
-        train: (0..32).collect(),
-        places: vec![0; 32],
-        held_out: (32..40).collect(),
+        sources: vec![TrainingSource {
+            weight: 1.0,
+            train: (0..32).collect(),
+            places: vec![0; 32],
+            held_out: (32..40).collect(),
+        }],
         state_dim: 3,
         fingerprint: "scenes".to_owned(),
     }
@@ -83,8 +86,12 @@ fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
         n_eval_scenes: Some(8),
         ..DenoiserTrainingConfig::default()
     };
-    train_denoiser(&config.resolve().unwrap(), &data(), None, Seed(3), dir, &Device::Cpu, &Silent).unwrap();
+    train_denoiser(&config.resolve().unwrap(), &data(), None, job(3, dir)).unwrap();
     read_checkpoint(&dir.join("model.safetensors"), &Device::Cpu).unwrap()
+}
+
+fn job(seed: u64, dir: &Path) -> TrainJob<'_> {
+    TrainJob { seed: Seed(seed), dir, device: &Device::Cpu, progress: &Silent }
 }
 
 fn from(teacher: &Checkpoint<DenoiserSpec>) -> DistillSource<'_> {
@@ -123,9 +130,9 @@ fn every_parameter_receives_a_gradient_in_every_stage() {
     let denoiser = build(&mut params);
     // Layers that begin at zero would hide what lies before them.
     let frozen = build(&mut params.frozen());
-    let masks = MaskSampler::new(&training.tasks).unwrap();
+    let masks = MaskSampler::new(&training.common.tasks).unwrap();
     let collator = spec.collator();
-    let train = [vec![0, 1, 2, 3]];
+    let train = [WeightedGroups::single(vec![0, 1, 2, 3])];
     let draws = || SceneDraws {
         collator: &collator,
         dataset: &Forks,
@@ -171,7 +178,7 @@ fn endings_m(trained: &TrainedDenoiser, sampler: &SamplerConfig) -> Vec<f64> {
     let mask = ObservationMask::predictive(1, 12, 4);
     let view = SceneView { scene: &forked, ego_idx: 0, mask: &mask };
     let batch = trained.spec.collator().collate(&[view], FutureValidity::Everything, &Device::Cpu).unwrap();
-    let bound = trained.denoiser.bind(&batch, 64).unwrap();
+    let bound = trained.network.bind(&batch, 64).unwrap();
     let repeated = batch.repeated(64).unwrap();
     let mut noise = NoiseSource::new((0..64).map(Seed).collect());
     let dims = &repeated.x0.dims()[1..];
@@ -184,8 +191,7 @@ fn endings_m(trained: &TrainedDenoiser, sampler: &SamplerConfig) -> Vec<f64> {
 fn distilled(training: &DistillTraining) -> (TrainedDenoiser, TrainedDenoiser) {
     let dirs = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let checkpoint = teacher(400, dirs[0].path());
-    let outcome =
-        distill_denoiser(training, &data(), from(&checkpoint), Seed(4), dirs[1].path(), &Device::Cpu, &Silent).unwrap();
+    let outcome = distill_denoiser(training, &data(), from(&checkpoint), job(4, dirs[1].path())).unwrap();
     let read = |dir: &Path| TrainedDenoiser::read(&dir.join("model.safetensors"), &Device::Cpu).unwrap();
     let (denoiser, distilled) = (read(dirs[0].path()), read(dirs[1].path()));
     assert_eq!((&distilled.spec, &distilled.fingerprint), (&outcome.spec, &outcome.fingerprint));
@@ -252,9 +258,7 @@ fn objectives_shape_where_the_steps_end() {
         let mut training = distillation(120, DistillMethod::Steps(two_steps()));
         training.objectives = vec![speed_limit(weight)];
         let dir = tempfile::tempdir().unwrap();
-        let outcome =
-            distill_denoiser(&training, &data(), from(&checkpoint), Seed(4), dir.path(), &Device::Cpu, &Silent)
-                .unwrap();
+        let outcome = distill_denoiser(&training, &data(), from(&checkpoint), job(4, dir.path())).unwrap();
         outcome.statistics.last().unwrap().evaluation["held_out_cost_of_speed_limit"]
     };
     // All recorded cars drive at 15 m/s, 3 m/s beyond the limit.
@@ -268,13 +272,14 @@ fn distillation_can_start_from_what_was_distilled_before() {
     let checkpoint = teacher(100, dirs[0].path());
     let distill = |training: &DistillTraining, start: Option<&Checkpoint<DenoiserSpec>>, dir: &Path| {
         let source = DistillSource { teacher: &checkpoint, start };
-        distill_denoiser(training, &data(), source, Seed(4), dir, &Device::Cpu, &Silent)
+        distill_denoiser(training, &data(), source, job(4, dir))
     };
     let long = distillation(200, DistillMethod::Steps(two_steps()));
     let first = distill(&long, None, dirs[1].path()).unwrap();
     let start = read_checkpoint(&dirs[1].path().join("model.safetensors"), &Device::Cpu).unwrap();
     let short = distillation(1, DistillMethod::Steps(two_steps()));
-    let last = |outcome: &DenoiserOutcome| outcome.statistics.last().unwrap().evaluation.values().sum::<f64>();
+    let last =
+        |outcome: &TrainOutcome<DenoiserSpec>| outcome.statistics.last().unwrap().evaluation.values().sum::<f64>();
     let (warm, cold) = (distill(&short, Some(&start), dirs[2].path()).unwrap(), tempfile::tempdir().unwrap());
     let cold = distill(&short, None, cold.path()).unwrap();
     assert!(last(&warm) < 0.8 * last(&cold), "{} and {} after one step", last(&warm), last(&cold));

@@ -47,6 +47,22 @@ pub struct FitConfig {
     pub log_every: u64,
 }
 
+impl Default for FitConfig {
+    fn default() -> Self {
+        Self {
+            steps: 8_000,
+            learning_rate: 1e-3,
+            warmup_steps: 200,
+            decay: LearningRateDecay::Cosine,
+            clip_norm: 5.0,
+            ema_decay: 0.99,
+            evaluate_every: 500,
+            save_every: 250,
+            log_every: 20,
+        }
+    }
+}
+
 impl FitConfig {
     /// The learning rate of `step`, from 0.
     pub fn learning_rate_at(&self, step: u64) -> f64 {

@@ -25,18 +25,21 @@ mod objective_loss;
 mod pair_examples;
 mod preset;
 mod scene_draws;
+mod section;
 mod step_distillation;
 #[cfg(test)]
 mod tests;
+mod trainable;
 mod training_data;
 
-pub use baseline::{BaselineOutcome, train_baseline};
+pub use baseline::train_baseline;
 pub use baseline_config::{BaselineTraining, BaselineTrainingConfig};
+pub use changed_losses::map_warnings;
 pub use classification::{ClassificationTask, REPORT_SIGMAS};
 pub use classifier::{ClassifierReport, ClassifierTrainingConfig, PairData, train_classifier};
 pub use classifier_report::NoiseLevelReport;
 pub use consistency::{ConsistencyTask, ConsistencyTuning, LevelGap};
-pub use denoiser::{DenoiserOutcome, train_denoiser};
+pub use denoiser::train_denoiser;
 pub use denoising::DenoisingTask;
 pub use distill::{DistillSource, distill_denoiser};
 pub use distill_config::{DistillMethod, DistillTraining, DistillTrainingConfig};
@@ -45,6 +48,9 @@ pub use fit::{FitConfig, FitOutcome, FitStatistics, LearningRateDecay, TrainTask
 pub use joint_futures::{JointFuturesTask, JointLoss};
 pub use pair_examples::{MinedEvent, PairExample, PairExamples};
 pub use preset::{Balance, DenoiserTraining, DenoiserTrainingConfig, Preset};
-pub use scene_draws::{Ahead, DrawnBatch, SceneDataset, SceneDraws};
+pub use scene_draws::{Ahead, DrawnBatch, SceneDataset, SceneDraws, WeightedGroups};
+pub use section::{MoreScenes, SceneChoice, SceneTraining};
 pub use step_distillation::{StepDistillation, StepDistillationTask};
-pub use training_data::TrainingData;
+use trainable::Trainable;
+pub use trainable::{MODEL_FILE, TrainJob, TrainOutcome};
+pub use training_data::{TrainingData, TrainingSource};

@@ -14,6 +14,11 @@ pub(super) fn check_objectives(key: &str, objectives: &[ObjectiveConfig]) -> Res
     }
 }
 
+/// Objectives as a checkpoint names them.
+pub(super) fn described(objectives: &[ObjectiveConfig]) -> Result<Vec<serde_json::Value>, Error> {
+    Ok(objectives.iter().map(serde_json::to_value).collect::<Result<_, _>>().map_err(std::io::Error::from)?)
+}
+
 /// What `x0` (B, A, T, D) costs by each objective J beyond what the recording costs by it, (B) each, at least 0. A cost is √(1 - 2 J) - 1:
 /// J itself where little is wrong, and linear in lengths where much is, so that a few hopeless scenes do not outweigh all others.
 pub(super) fn objective_costs(

@@ -34,8 +34,8 @@ pub struct SceneDraws<'a> {
     pub collator: &'a Collator,
     /// The scenes.
     pub dataset: &'a dyn SceneDataset,
-    /// Indices of the scenes to train on, in groups that count the same.
-    pub train: &'a [Vec<usize>],
+    /// The scenes to train on.
+    pub train: &'a [WeightedGroups],
     /// Indices of the held-out scenes to evaluate on.
     pub held_out: &'a [usize],
     /// Draws masks.
@@ -50,6 +50,22 @@ pub struct SceneDraws<'a> {
     pub device: &'a Device,
     /// What is kept from step to step; empty at first.
     pub ahead: Ahead,
+}
+
+/// Scenes to train on, by index, in groups that count the same.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WeightedGroups {
+    /// How often one of them is drawn, relative to others.
+    pub weight: f64,
+    /// The groups; none of them is empty.
+    pub groups: Vec<Vec<usize>>,
+}
+
+impl WeightedGroups {
+    /// One group of scenes.
+    pub fn single(scenes: Vec<usize>) -> Self {
+        Self { weight: 1.0, groups: vec![scenes] }
+    }
 }
 
 /// What was made before it was asked for. It changes when things are computed, never what.
@@ -138,49 +154,70 @@ impl SceneDraws<'_> {
         n: usize,
         figures: impl Fn(&DrawnBatch) -> Result<Vec<Tensor>, Error>,
     ) -> Result<Vec<f64>, Error> {
-        self.changed_means(n, &|scene| scene, figures)
+        self.changed_means(self.held_out, n, &|scene| scene, figures)
     }
 
-    /// The same of held-out scenes as `change` leaves them.
+    /// The same over these of the held-out scenes, as `change` leaves them.
     ///
     /// # Errors
     /// When a scene cannot be loaded, or a figure cannot be computed.
     pub fn changed_means(
         &self,
+        scenes: &[usize],
         n: usize,
         change: &dyn Fn(Scene) -> Scene,
         figures: impl Fn(&DrawnBatch) -> Result<Vec<Tensor>, Error>,
     ) -> Result<Vec<f64>, Error> {
         let mut sums = vec![0.0; n];
-        for chunk in self.held_out.chunks(self.batch_size) {
+        for chunk in scenes.chunks(self.batch_size) {
             for (sum, figure) in sums.iter_mut().zip(figures(&self.held_out_batch(chunk, change)?)?) {
                 *sum += f64::from(figure.to_scalar::<f32>()?) * chunk.len() as f64;
             }
         }
-        let n_scenes = self.held_out.len().max(1) as f64;
+        let n_scenes = scenes.len().max(1) as f64;
         Ok(sums.into_iter().map(|sum| sum / n_scenes).collect())
     }
 
-    /// Which scenes make the batch of `step`: the groups take turns, each with consecutive entries of a shuffle that each of its
-    /// epochs has its own of.
+    /// Which scenes make the batch of `step`.
     pub(super) fn batch_indices(&self, step: u64) -> Vec<usize> {
-        let (n_groups, batch_size) = (self.train.len() as u64, self.batch_size as u64);
-        (step * batch_size..(step + 1) * batch_size)
-            .map(|position| {
-                let (group, turn) = ((position % n_groups) as usize, position / n_groups);
-                let n = self.train[group].len() as u64;
-                self.shuffle_of(group, turn / n)[(turn % n) as usize]
-            })
-            .collect()
+        let batch_size = self.batch_size as u64;
+        (step * batch_size..(step + 1) * batch_size).filter_map(|position| self.scene_at(position)).collect()
     }
 
-    /// The scenes of a group, in the order of one of its epochs.
-    fn shuffle_of(&self, group: usize, epoch: u64) -> Arc<[usize]> {
+    /// The scene at a position of the training: sources follow each other as evenly as their weights allow (of the first n positions,
+    /// one with the share w has ⌊n w⌋, and the others go on alike over the rest), their groups take turns, and each group gives
+    /// consecutive entries of a shuffle that each of its epochs has its own of.
+    fn scene_at(&self, position: u64) -> Option<usize> {
+        let (last, others) = self.train.split_last()?;
+        let (mut place, mut first_group) = (position, 0);
+        let mut rest: f64 = self.train.iter().map(|source| source.weight).sum();
+        for source in others {
+            let share = source.weight / rest;
+            let before = (place as f64 * share).floor() as u64;
+            if ((place + 1) as f64 * share).floor() as u64 > before {
+                return Some(self.scene_of(source, first_group, before));
+            }
+            place -= before;
+            rest -= source.weight;
+            first_group += source.groups.len();
+        }
+        Some(self.scene_of(last, first_group, place))
+    }
+
+    /// The scene of a source's turn.
+    fn scene_of(&self, WeightedGroups { groups, .. }: &WeightedGroups, first_group: usize, turn: u64) -> usize {
+        let (group, turn) = ((turn % groups.len() as u64) as usize, turn / groups.len() as u64);
+        let n = groups[group].len() as u64;
+        self.shuffle_of(first_group + group, &groups[group], turn / n)[(turn % n) as usize]
+    }
+
+    /// The scenes of a group, in the order of one of its epochs. Groups count through all sources.
+    fn shuffle_of(&self, group: usize, scenes: &[usize], epoch: u64) -> Arc<[usize]> {
         let mut shuffles = self.ahead.shuffles.lock().unwrap_or_else(PoisonError::into_inner);
         match shuffles.get(&group) {
             Some((of_epoch, order)) if *of_epoch == epoch => order.clone(),
             _ => {
-                let mut order = self.train[group].clone();
+                let mut order = scenes.to_vec();
                 let seed = match group {
                     0 => self.seed.derive("epoch", &[epoch]),
                     _ => self.seed.derive("epoch of group", &[group as u64, epoch]),

@@ -70,7 +70,11 @@ fn training(steps: u64) -> DenoiserTraining {
     config.resolve().unwrap()
 }
 
-fn train(dataset: &dyn SceneDataset, training: &DenoiserTraining, dir: &Path) -> Result<DenoiserOutcome, Error> {
+fn train(
+    dataset: &dyn SceneDataset,
+    training: &DenoiserTraining,
+    dir: &Path,
+) -> Result<TrainOutcome<DenoiserSpec>, Error> {
     train_from(None, dataset, training, dir)
 }
 
@@ -79,17 +83,20 @@ fn train_from(
     dataset: &dyn SceneDataset,
     training: &DenoiserTraining,
     dir: &Path,
-) -> Result<DenoiserOutcome, Error> {
+) -> Result<TrainOutcome<DenoiserSpec>, Error> {
     let n = dataset.len();
     let data = TrainingData {
         dataset,
-        train: (0..n - 8).collect(),
-        places: vec![0; n - 8],
-        held_out: (n - 8..n).collect(),
+        sources: vec![TrainingSource {
+            weight: 1.0,
+            train: (0..n - 8).collect(),
+            places: vec![0; n - 8],
+            held_out: (n - 8..n).collect(),
+        }],
         state_dim: 3,
         fingerprint: "scenes".to_owned(),
     };
-    train_denoiser(training, &data, start, Seed(3), dir, &Device::Cpu, &Silent)
+    train_denoiser(training, &data, start, TrainJob { seed: Seed(3), dir, device: &Device::Cpu, progress: &Silent })
 }
 
 #[test]
@@ -151,7 +158,7 @@ fn the_same_seed_gives_the_same_checkpoint_and_an_interruption_changes_nothing()
 /// Draws batches of four scenes from these groups.
 fn draws_of_four<'a>(
     dataset: &'a Arcs,
-    train: &'a [Vec<usize>],
+    train: &'a [WeightedGroups],
     collator: &'a Collator,
     masks: &'a MaskSampler,
 ) -> SceneDraws<'a> {
@@ -174,8 +181,8 @@ fn a_batch_made_in_advance_is_the_one_that_would_be_drawn() {
     let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(20));
     let training = training(1);
     let spec = train(&dataset, &training, dir.path()).unwrap().spec;
-    let (collator, masks) = (spec.collator(), MaskSampler::new(&training.tasks).unwrap());
-    let train = [vec![0, 1, 2, 3, 4, 5, 6, 7, 8, 9]];
+    let (collator, masks) = (spec.collator(), MaskSampler::new(&training.common.tasks).unwrap());
+    let train = [WeightedGroups::single((0..10).collect())];
     let draws = || draws_of_four(&dataset, &train, &collator, &masks);
     let values = |drawn: DrawnBatch| {
         let of = |x: &Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
@@ -200,8 +207,8 @@ fn the_loss_is_the_weighted_error_at_the_noise_levels_that_were_drawn() {
     let denoiser = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, Seed(5)).unwrap();
     let zeros = params.tensors().into_iter().map(|(name, tensor)| (name, tensor.zeros_like().unwrap()));
     params.load(&zeros.collect()).unwrap();
-    let (collator, masks) = (spec.collator(), MaskSampler::new(&training.tasks).unwrap());
-    let train = [(0..12).collect()];
+    let (collator, masks) = (spec.collator(), MaskSampler::new(&training.common.tasks).unwrap());
+    let train = [WeightedGroups::single((0..12).collect())];
     let draws = draws_of_four(&dataset, &train, &collator, &masks);
     let task = DenoisingTask { denoiser: &denoiser, frozen: &denoiser, training: &training, draws };
 
@@ -226,7 +233,7 @@ fn the_loss_is_the_weighted_error_at_the_noise_levels_that_were_drawn() {
 #[test]
 fn training_can_start_from_a_checkpoint() {
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let early = |outcome: &DenoiserOutcome| {
+    let early = |outcome: &TrainOutcome<DenoiserSpec>| {
         let mut losses = outcome.statistics.iter().filter_map(|line| line.evaluation.get("held_out_loss_at_sigma_0.8"));
         *losses.next().unwrap()
     };
@@ -264,18 +271,21 @@ fn groups_count_the_same_however_many_scenes_they_have() {
     let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(18));
     let data = TrainingData {
         dataset: &dataset,
-        train: (0..10).collect(),
-        places: vec![4, 4, 4, 4, 4, 4, 4, 4, 9, 9],
-        held_out: Vec::new(),
+        sources: vec![TrainingSource {
+            weight: 1.0,
+            train: (0..10).collect(),
+            places: vec![4, 4, 4, 4, 4, 4, 4, 4, 9, 9],
+            held_out: Vec::new(),
+        }],
         state_dim: 3,
         fingerprint: String::new(),
     };
-    assert_eq!(data.groups(Balance::Scenes), [(0..10).collect::<Vec<_>>()]);
+    assert_eq!(data.groups(Balance::Scenes), [WeightedGroups::single((0..10).collect())]);
     let places = data.groups(Balance::Places);
-    assert_eq!(places, [(0..8).collect::<Vec<_>>(), vec![8, 9]]);
+    assert_eq!(places[0].groups, [(0..8).collect::<Vec<_>>(), vec![8, 9]]);
     // Every second row is of the small place, whose two scenes take turns.
     let spec = train(&dataset, &training(1), dir.path()).unwrap().spec;
-    let masks = MaskSampler::new(&training(1).tasks).unwrap();
+    let masks = MaskSampler::new(&training(1).common.tasks).unwrap();
     let collator = spec.collator();
     let draws = draws_of_four(&dataset, &places, &collator, &masks);
     let drawn: Vec<usize> = (0..4).flat_map(|step| draws.batch_indices(step)).collect();
@@ -286,6 +296,52 @@ fn groups_count_the_same_however_many_scenes_they_have() {
     };
     assert_eq!(sorted(large), (0..8).collect::<Vec<_>>());
     assert!(small.chunks(2).all(|epoch| sorted(epoch.to_vec()) == [8, 9]), "{small:?}");
+}
+
+#[test]
+fn draws_follow_the_weights_of_sources() {
+    let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(18));
+    let source = |weight, groups: &[std::ops::Range<usize>]| WeightedGroups {
+        weight,
+        groups: groups.iter().map(|group| group.clone().collect()).collect(),
+    };
+    // Half of the draws, three eighths and one eighth, whatever the number of scenes; the second source has two places.
+    let sources = [source(4.0, &[0..2]), source(3.0, &[2..3, 3..10]), source(1.0, &[10..18])];
+    let training = training(1);
+    let spec = train(&dataset, &training, dir.path()).unwrap().spec;
+    let (collator, masks) = (spec.collator(), MaskSampler::new(&training.common.tasks).unwrap());
+    let draws = draws_of_four(&dataset, &sources, &collator, &masks);
+    let drawn: Vec<usize> = (0..32).flat_map(|step| draws.batch_indices(step)).collect();
+    let n_of =
+        |drawn: &[usize], scenes: std::ops::Range<usize>| drawn.iter().filter(|idx| scenes.contains(*idx)).count();
+    assert_eq!([n_of(&drawn, 0..2), n_of(&drawn, 2..10), n_of(&drawn, 10..18)], [64, 48, 16]);
+    assert_eq!(n_of(&drawn, 2..3), 24, "places of a source count the same");
+    // Every stretch of the training is mixed alike, and every scene of a source has its turn.
+    assert!(drawn.chunks(8).all(|stretch| n_of(stretch, 0..2) == 4), "{drawn:?}");
+    assert!((10..18).all(|idx| n_of(&drawn, idx..idx + 1) == 2), "{drawn:?}");
+    // A resumed training asks for later steps alone.
+    assert_eq!(draws_of_four(&dataset, &sources, &collator, &masks).batch_indices(31), drawn[124..]);
+}
+
+#[test]
+fn scales_and_held_out_scenes_are_of_all_sources_by_their_weights() {
+    let dataset = Arcs::new(40);
+    let source = |weight, from: usize, n: usize| TrainingSource {
+        weight,
+        train: (from..from + n).collect(),
+        places: vec![0; n],
+        held_out: (from + n..from + n + 4).collect(),
+    };
+    let data = TrainingData {
+        dataset: &dataset,
+        sources: vec![source(3.0, 0, 20), source(1.0, 24, 4)],
+        state_dim: 3,
+        fingerprint: String::new(),
+    };
+    assert_eq!((data.n_train(), data.n_held_out()), (24, 8));
+    let chosen = data.chosen_held_out(4, Seed(1));
+    assert_eq!(chosen.iter().filter(|idx| (20..24).contains(*idx)).count(), 3);
+    assert_eq!(chosen.iter().filter(|idx| (28..32).contains(*idx)).count(), 1);
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! The scenes of a training run, and the constants that are gathered from them.
 
-use super::{Balance, Error, SceneDataset};
-use crate::progress::Progress;
+use super::{Balance, Error, SceneDataset, TrainJob, WeightedGroups};
 use crate::seed::Seed;
 use crate::tensor::{Normalizer, NormalizerFit, StateParametrization};
 use std::collections::BTreeMap;
@@ -13,16 +12,25 @@ const N_NORMALIZER_SCENES: usize = 2_000;
 pub struct TrainingData<'a> {
     /// The scenes.
     pub dataset: &'a dyn SceneDataset,
+    /// Which of them are drawn, by where they are from; not empty.
+    pub sources: Vec<TrainingSource>,
+    /// Dimensions of a diffused state.
+    pub state_dim: usize,
+    /// Fingerprint of the scenes.
+    pub fingerprint: String,
+}
+
+/// The scenes of one ingest.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrainingSource {
+    /// How often one of them is drawn, relative to other sources.
+    pub weight: f64,
     /// Indices of the scenes to train on.
     pub train: Vec<usize>,
     /// The place of each of them, by number.
     pub places: Vec<usize>,
     /// Indices of held-out scenes; those evaluated on are chosen from them.
     pub held_out: Vec<usize>,
-    /// Dimensions of a diffused state.
-    pub state_dim: usize,
-    /// Fingerprint of the scenes.
-    pub fingerprint: String,
 }
 
 /// What all training scenes have in common.
@@ -38,41 +46,65 @@ pub(super) struct SceneConstants {
 }
 
 impl TrainingData<'_> {
-    /// The scenes to train on, in groups that count the same; no group is empty.
-    pub(super) fn groups(&self, balance: Balance) -> Vec<Vec<usize>> {
-        let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-        for (idx, place) in self.train.iter().zip(&self.places) {
-            let group = if balance == Balance::Places { *place } else { 0 };
-            groups.entry(group).or_default().push(*idx);
-        }
-        groups.into_values().collect()
+    /// Number of scenes to train on.
+    pub fn n_train(&self) -> usize {
+        self.sources.iter().map(|source| source.train.len()).sum()
     }
 
-    /// The held-out scenes to evaluate on, at most `n`.
+    /// Number of held-out scenes.
+    pub fn n_held_out(&self) -> usize {
+        self.sources.iter().map(|source| source.held_out.len()).sum()
+    }
+
+    /// The scenes to train on: of each source in groups that count the same; no group is empty.
+    pub(super) fn groups(&self, balance: Balance) -> Vec<WeightedGroups> {
+        let of_source = |source: &TrainingSource| {
+            let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+            for (idx, place) in source.train.iter().zip(&source.places) {
+                let group = if balance == Balance::Places { *place } else { 0 };
+                groups.entry(group).or_default().push(*idx);
+            }
+            WeightedGroups { weight: source.weight, groups: groups.into_values().collect() }
+        };
+        self.sources.iter().map(of_source).collect()
+    }
+
+    /// The held-out scenes to evaluate on, at most `n`: of each source its share.
     pub(super) fn chosen_held_out(&self, n: usize, seed: Seed) -> Vec<usize> {
-        let mut held_out = self.held_out.clone();
-        seed.derive("held-out", &[]).rng().shuffle(&mut held_out);
-        held_out.truncate(n);
-        held_out
+        self.sample(n, |source| &source.held_out, seed.derive("held-out", &[]))
+    }
+
+    /// At most about `n` of the scenes that `of` names, at random: of each source as many as its weight says.
+    fn sample(&self, n: usize, of: impl Fn(&TrainingSource) -> &Vec<usize>, seed: Seed) -> Vec<usize> {
+        let total: f64 = self.sources.iter().map(|source| source.weight).sum();
+        let chosen = self.sources.iter().enumerate().flat_map(|(i, source)| {
+            let mut scenes = of(source).clone();
+            let seed = if i == 0 { seed } else { seed.derive("source", &[i as u64]) };
+            seed.rng().shuffle(&mut scenes);
+            scenes.truncate((n as f64 * source.weight / total).ceil() as usize);
+            scenes
+        });
+        chosen.collect()
     }
 }
 
 impl SceneConstants {
-    /// Gathers the constants of the training set.
+    /// Gathers the constants of the training set, where the network derives headings without those that were derived before.
     ///
     /// # Errors
     /// When there is no scene to train on, scenes differ in their timesteps, or one cannot be loaded.
     pub(super) fn gather(
         data: &TrainingData<'_>,
         parametrization: StateParametrization,
-        seed: Seed,
-        progress: &dyn Progress,
+        network_derives_headings: bool,
+        TrainJob { seed, progress, .. }: TrainJob<'_>,
     ) -> Result<Self, Error> {
-        let mut sample = data.train.clone();
-        seed.derive("normalizer", &[]).rng().shuffle(&mut sample);
-        sample.truncate(N_NORMALIZER_SCENES);
+        let sample = data.sample(N_NORMALIZER_SCENES, |source| &source.train, seed.derive("normalizer", &[]));
         progress.start("normalize", sample.len() as u64, "scenes");
         let mut fit = NormalizerFit::default();
+        if network_derives_headings && data.state_dim > 2 {
+            fit = fit.without_derived_headings();
+        }
         let mut shape: Option<(usize, usize, f64)> = None;
         for idx in sample {
             let scene = data.dataset.scene(idx).map_err(Error::Scene)?;

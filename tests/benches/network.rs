@@ -8,13 +8,13 @@ use crate::cpu_time::{Elapsed, timed};
 use candle_core::{Device, Tensor};
 use djinn::diffusion::sampler::HeunConfig;
 use djinn::diffusion::{Denoiser, NoiseSource, SamplerConfig, rows_like};
-use djinn::model::{DenoiserKind, DenoiserSpec, SceneDenoiser};
+use djinn::model::{DenoiserKind, DenoiserSpec, ModelSpec, SceneDenoiser};
 use djinn::nn::{Adam, Params, Precision, in_pool, keep_freed_memory};
 use djinn::scene::{ObservationMask, Split};
 use djinn::seed::Seed;
 use djinn::store::SceneStore;
 use djinn::tensor::{FutureValidity, MaskSampler, NormalizerFit, SceneBatch, SceneView};
-use djinn::train::{Ahead, DenoiserTraining, DenoiserTrainingConfig, DrawnBatch, Preset, SceneDraws};
+use djinn::train::{Ahead, DenoiserTraining, DenoiserTrainingConfig, DrawnBatch, Preset, SceneDraws, WeightedGroups};
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -81,7 +81,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     let training = DenoiserTrainingConfig { preset, ..DenoiserTrainingConfig::default() }.resolve()?;
     let (name, batch_size) = match preset {
         Preset::Paper => ("paper", 4),
-        _ => ("small", training.batch_size),
+        _ => ("small", training.common.batch_size),
     };
     let batch_size = options.batch_size.unwrap_or(batch_size);
     println!("the network of the preset {name}");
@@ -105,7 +105,9 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
         steps: 0,
         seed: SEED.0,
         scenes: String::new(),
+        objectives: Vec::new(),
         changed_losses: Vec::new(),
+        losses_by_place: Vec::new(),
         distillation: None,
     };
     let mut params = Params::new(&Device::Cpu);
@@ -114,9 +116,9 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     let draws = SceneDraws {
         collator: &spec.collator(),
         dataset: &store,
-        train: &[train],
+        train: &[WeightedGroups::single(train)],
         held_out: &[],
-        masks: &MaskSampler::new(&training.tasks).ok_or("no task has a weight")?,
+        masks: &MaskSampler::new(&training.common.tasks).ok_or("no task has a weight")?,
         batch_size,
         with_context: false,
         seed: SEED,

@@ -206,7 +206,7 @@ fn the_carried_checkpoint_gives_what_it_gives_in_pytorch() {
     let golden = golden("carried_geometric.safetensors");
     let x = Var::from_tensor(&golden["x"]).unwrap();
     let n_samples = x.dim(0).unwrap() / batch.n_rows();
-    let x0_hat = trained.denoiser.bind(&batch, n_samples).unwrap().denoise(x.as_tensor(), &golden["sigma"]).unwrap();
+    let x0_hat = trained.network.bind(&batch, n_samples).unwrap().denoise(x.as_tensor(), &golden["sigma"]).unwrap();
     assert_rows_close("x0_hat", &x0_hat, &golden["output"]);
     let gradients = (x0_hat * &golden["probe"]).unwrap().sum_all().unwrap().backward().unwrap();
     assert_rows_close("gradient by x", gradients.get(x.as_tensor()).unwrap(), &golden["gradient_x"]);

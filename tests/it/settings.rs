@@ -27,6 +27,7 @@ const BEYOND_RANGES: &[(&str, &[&str], &str)] = &[
     ("train.denoiser.n_eval_scenes", &["9223372036854775807"], "0 to 1000000"),
     ("train.denoiser.evaluate_every", &["0"], "1 to 1000000000"),
     ("train.denoiser.save_every", &["0"], "1 to 1000000000"),
+    ("train.denoiser.own_weight", &["-0.5", "inf"], "a number of at least 0"),
     ("train.denoiser.path_loss", &["-0.1", "inf"], "a number of at least 0"),
     ("train.denoiser.objectives_below_sigma", &["0.0", "inf"], "a positive number"),
     ("train.denoiser.diffusion.sigma_data", &["0.0", "0.7", "1.0"], "0.5: it is fixed"),
@@ -168,6 +169,12 @@ const REFUSED: &[(&[&str], &[&str])] = &[
         &["negative_heading_change_rad is 2, expected at most min_heading_change_rad"],
     ),
     (&["mine.behaviors=[{ kind = \"cut_in\" }, { kind = \"cut_in\" }]"], &["mine.behaviors.1", "given twice"]),
+    // Scenes of other runs.
+    (
+        &["train.denoiser.data=[{ scenes = \"a\", weight = 0.0 }]"],
+        &["train.denoiser.data.0.weight is 0, expected a positive number"],
+    ),
+    (&["train.denoiser.own_weight=0"], &["train.denoiser.own_weight is 0", "scenes of other runs"]),
     // Networks.
     (
         &["train.denoiser.network.layers=TXYZ"],

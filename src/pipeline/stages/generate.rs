@@ -1,14 +1,13 @@
 //! Recorded histories and models to generated scenarios, shard by shard; finished shards are kept when interrupted.
 
 use super::mine::MineConfig;
+use super::models::{LoadedModels, needed_models};
 use super::request_rounds::Fulfilment;
 use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledWith};
-use super::train_denoiser::checkpoint_file;
 use super::with_precision;
 use crate::diffusion::Edm;
-use crate::generate::{self, GenerateConfig, Generator, Models, Plan, ResolvedGeneration, ResolvedSweep, Shortfall};
+use crate::generate::{self, GenerateConfig, Generator, Plan, ResolvedGeneration, ResolvedSweep, Shortfall};
 use crate::metrics::MetricSettings;
-use crate::model::{TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::Precision;
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
@@ -74,23 +73,12 @@ impl Stage for Generate<'_> {
     }
 
     fn inputs(&self) -> Vec<StageInput> {
-        let mut inputs = vec![
-            StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
-            StageInput::made_by(StageId::TrainDenoiser, "denoiser", &self.layout.denoiser),
-        ];
-        // A section that cannot work needs nothing: it is refused. Unguided sampling needs no classifier, except to rank pairs:
-        // there it is used if some sweep is guided.
-        let sweeps = self.resolve().map(|resolved| resolved.sweeps).unwrap_or_default();
-        if sweeps.iter().any(ResolvedSweep::uses_distilled) {
-            inputs.push(StageInput::made_by(StageId::TrainDistill, "distilled", &self.layout.distilled));
-        }
-        if sweeps.iter().any(ResolvedSweep::needs_classifier) {
-            inputs.push(StageInput::made_by(StageId::TrainClassifier, "classifier", &self.layout.classifier));
-        }
-        if sweeps.iter().any(ResolvedSweep::uses_baseline) {
-            inputs.push(StageInput::made_by(StageId::TrainBaseline, "baseline", &self.layout.baseline));
-        }
-        inputs
+        // A section that cannot work needs nothing more: it has been refused.
+        let needed = self.resolve().map(|resolved| needed_models(&resolved.sweeps)).unwrap_or_default();
+        let made =
+            |stage: StageId| stage.output(self.layout).map(|(name, path)| StageInput::made_by(stage, name, path));
+        let scenes = StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes);
+        std::iter::once(scenes).chain(needed.into_iter().filter_map(made)).collect()
     }
 
     fn outputs(&self) -> &'static [&'static str] {
@@ -100,30 +88,12 @@ impl Stage for Generate<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let device = context.device;
         let resolved = self.resolve()?;
-        let needs = |what: fn(&ResolvedSweep) -> bool| resolved.sweeps.iter().any(what);
         let store = SceneStore::open(&self.layout.scenes)?;
-        let denoiser = TrainedDenoiser::read(&checkpoint_file(&self.layout.denoiser), device)?;
-        let mut classifiers = Vec::new();
-        if needs(ResolvedSweep::needs_classifier) {
-            classifiers.push(TrainedClassifier::read(&checkpoint_file(&self.layout.classifier), device)?);
-        }
-        let distilled = match needs(ResolvedSweep::uses_distilled) {
-            true => Some(TrainedDenoiser::read(&checkpoint_file(&self.layout.distilled), device)?),
-            false => None,
-        };
-        let baseline = match needs(ResolvedSweep::uses_baseline) {
-            true => Some(TrainedSceneTransformer::read(&checkpoint_file(&self.layout.baseline), device)?),
-            false => None,
-        };
+        let models = LoadedModels::read(self.layout, &resolved.sweeps, device)?;
         let behaviors = self.mine.build()?;
-        let models = Models {
-            denoiser: &denoiser,
-            classifiers: &classifiers,
-            distilled: distilled.as_ref(),
-            baseline: baseline.as_ref(),
-        };
         let load = |idx: usize| Ok(store.scene(idx)?);
-        let generator = Generator::new(&resolved, models, &behaviors, &load, self.metric_settings.clone(), device)?;
+        let metric_settings = self.metric_settings.clone();
+        let generator = Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, device)?;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
         let (mine, generate) = (self.mine.clone(), self.config.clone());
         let metric_settings = self.decisive_settings().cloned();
@@ -145,10 +115,10 @@ impl Stage for Generate<'_> {
             shards,
             SampledWith {
                 scenes: store.fingerprint().to_owned(),
-                denoiser: denoiser.fingerprint.clone(),
-                classifier: classifiers.first().map(|classifier| classifier.fingerprint.clone()),
-                distilled: distilled.as_ref().map(|distilled| distilled.fingerprint.clone()),
-                baseline: baseline.as_ref().map(|baseline| baseline.fingerprint.clone()),
+                denoiser: models.fingerprint(StageId::TrainDenoiser).unwrap_or_default(),
+                classifier: models.fingerprint(StageId::TrainClassifier),
+                distilled: models.fingerprint(StageId::TrainDistill),
+                baseline: models.fingerprint(StageId::TrainBaseline),
                 shortfalls: plan.shortfalls,
             },
         )?;

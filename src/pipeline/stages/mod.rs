@@ -5,9 +5,11 @@ mod evaluate;
 mod generate;
 mod ingest;
 mod mine;
+mod models;
 mod report;
 mod request_rounds;
 mod sample_folder;
+mod train;
 mod train_baseline;
 mod train_classifier;
 mod train_denoiser;
@@ -18,14 +20,12 @@ pub use evaluate::Evaluate;
 pub use generate::Generate;
 pub use ingest::Ingest;
 pub use mine::{Mine, MineConfig};
+pub(in crate::pipeline) use models::{LoadedModels, needed_models};
 pub use report::{About, Report};
 pub(in crate::pipeline) use sample_folder::{FoundShard, find_shard, shard_name};
 pub use sample_folder::{SampleFolder, SampleManifest, SampleSettings, SampleSidecar, SampledWith, read_requests};
-pub use train_baseline::TrainBaseline;
-pub use train_classifier::TrainClassifier;
-pub use train_denoiser::TrainDenoiser;
-pub(in crate::pipeline) use train_denoiser::checkpoint_file;
-pub use train_distill::TrainDistill;
+pub(in crate::pipeline) use train::checkpoint_file;
+pub use train::{Recipe, Train};
 
 use super::config::PipelineConfig;
 use super::failure::{Failure, Result};
@@ -78,14 +78,15 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
         StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()? }),
         StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
         StageId::TrainDenoiser => {
-            Box::new(TrainDenoiser { config: train.denoiser.as_ref()?, seed: run.seed, precision, layout })
+            Box::new(Train { recipe: train.denoiser.as_ref()?, seed: run.seed, precision, layout })
         }
-        StageId::TrainDistill => {
-            Box::new(TrainDistill { config: train.distill.as_ref()?, seed: run.seed, precision, layout })
+        StageId::TrainDistill => Box::new(Train { recipe: train.distill.as_ref()?, seed: run.seed, precision, layout }),
+        StageId::TrainClassifier => {
+            let recipe = train.classifier.as_ref()?;
+            Box::new(Train { recipe, seed: recipe.seed, precision, layout })
         }
-        StageId::TrainClassifier => Box::new(TrainClassifier { config: train.classifier.as_ref()?, precision, layout }),
         StageId::TrainBaseline => {
-            Box::new(TrainBaseline { config: train.baseline.as_ref()?, seed: run.seed, precision, layout })
+            Box::new(Train { recipe: train.baseline.as_ref()?, seed: run.seed, precision, layout })
         }
         StageId::Generate => Box::new(Generate {
             config: generate.as_ref()?,

@@ -1,75 +1,41 @@
-//! Scenes to a Scene Transformer, the baseline; or one that was trained elsewhere, taken over.
+//! Scenes to a Scene Transformer, the baseline.
 
-use super::train_denoiser::{checkpoint_file, take_over};
-use super::training_scenes::{training_data, training_summary};
-use super::with_precision;
-use crate::model::TrainedSceneTransformer;
-use crate::nn::Precision;
+use super::train::Recipe;
+use super::training_scenes::{OpenedScenes, training_summary};
+use crate::model::SceneTransformerSpec;
 use crate::pipeline::layout::{BASELINE, Layout};
-use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
-use crate::seed::Seed;
-use crate::store::SceneStore;
-use crate::train::{BaselineTrainingConfig, train_baseline};
+use crate::pipeline::{Result, StageId};
+use crate::train::{BaselineTrainingConfig, SceneChoice, TrainJob, train_baseline};
 use serde_json::{Value, json};
+use std::path::Path;
 
-/// The stage.
-pub struct TrainBaseline<'a> {
-    /// Its section.
-    pub config: &'a BaselineTrainingConfig,
-    /// Seed of the weights and batches.
-    pub seed: u64,
-    /// How products of networks are rounded.
-    pub precision: Precision,
-    /// Where the scenes are.
-    pub layout: &'a Layout,
-}
+impl Recipe for BaselineTrainingConfig {
+    type Spec = SceneTransformerSpec;
+    const STAGE: StageId = StageId::TrainBaseline;
+    const VERSION: u32 = 1;
+    const OUTPUTS: &'static [&'static str] = &[BASELINE];
+    const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
 
-impl Stage for TrainBaseline<'_> {
-    fn id(&self) -> StageId {
-        StageId::TrainBaseline
+    fn checkpoint(&self) -> Option<&Path> {
+        self.checkpoint.as_deref()
     }
 
-    fn version(&self) -> u32 {
-        1
+    fn scenes(&self) -> Option<SceneChoice<'_>> {
+        Some(self.scene_choice())
     }
 
-    fn check(&self) -> Result<()> {
-        self.config.resolve()?;
-        Ok(())
+    fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
+        Ok(Some(json!(self.resolve()?)))
     }
 
-    fn config(&self) -> anyhow::Result<Value> {
-        let mut config = serde_json::to_value(self.config)?;
-        config["seed"] = json!(self.seed);
-        // Presets change from version to version: what they come to counts.
-        config["resolved"] = serde_json::to_value(self.config.resolve()?)?;
-        Ok(with_precision(config, self.config.checkpoint.is_none().then_some(self.precision)))
+    fn about(spec: &SceneTransformerSpec) -> Value {
+        json!({ "steps": spec.steps })
     }
 
-    fn inputs(&self) -> Vec<StageInput> {
-        vec![match &self.config.checkpoint {
-            Some(path) => StageInput::external("checkpoint", &checkpoint_file(path)),
-            None => StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
-        }]
-    }
-
-    fn outputs(&self) -> &'static [&'static str] {
-        &[BASELINE]
-    }
-
-    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
-        let dir = context.root.join(BASELINE);
-        if let Some(path) = &self.config.checkpoint {
-            let trained = TrainedSceneTransformer::read(&checkpoint_file(path), context.device)?;
-            take_over(path, &dir)?;
-            return Ok(json!({ "fingerprint": trained.fingerprint, "steps": trained.spec.steps, "trained": false }));
-        }
-        let training = self.config.resolve()?;
-        let store = SceneStore::open(&self.layout.scenes)?;
-        let config = self.config;
-        let data = training_data(&store, (&config.splits, &config.places), config.state_dim, "train.baseline")?;
-        let outcome = train_baseline(&training, &data, Seed(self.seed), &dir, context.device, context.progress)?;
-        let model = (outcome.fingerprint.as_str(), training.fit.steps, outcome.n_parameters);
-        Ok(training_summary(&data, model, &outcome.statistics))
+    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
+        let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
+        let data = scenes.training_data(self.state_dim, false)?;
+        let outcome = train_baseline(&self.resolve()?, &data, job)?;
+        Ok(training_summary(&data, outcome.spec.steps, &outcome))
     }
 }

@@ -1,87 +1,52 @@
-//! A denoiser and scenes to a denoiser that needs few evaluations; or one that was distilled elsewhere, taken over.
+//! A denoiser and scenes to a denoiser that needs few evaluations.
 
-use super::train_denoiser::{checkpoint_file, take_over};
-use super::training_scenes::{training_data, training_summary};
-use super::with_precision;
-use crate::model::{DenoiserSpec, TrainedDenoiser};
-use crate::nn::{Precision, read_checkpoint};
+use super::train::{Recipe, checkpoint_file};
+use super::training_scenes::{OpenedScenes, training_summary};
+use crate::model::DenoiserSpec;
+use crate::nn::read_checkpoint;
 use crate::pipeline::layout::{DISTILLED, Layout};
-use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
-use crate::seed::Seed;
-use crate::store::SceneStore;
-use crate::train::{DistillSource, DistillTrainingConfig, distill_denoiser};
+use crate::pipeline::{Result, StageId};
+use crate::train::{DistillSource, DistillTrainingConfig, SceneChoice, TrainJob, distill_denoiser};
 use serde_json::{Value, json};
+use std::path::Path;
 
-/// The stage.
-pub struct TrainDistill<'a> {
-    /// Its section.
-    pub config: &'a DistillTrainingConfig,
-    /// Seed of the batches and noise.
-    pub seed: u64,
-    /// How products of networks are rounded.
-    pub precision: Precision,
-    /// Where the scenes and the denoiser are.
-    pub layout: &'a Layout,
-}
+impl Recipe for DistillTrainingConfig {
+    type Spec = DenoiserSpec;
+    const STAGE: StageId = StageId::TrainDistill;
+    const VERSION: u32 = 1;
+    const OUTPUTS: &'static [&'static str] = &[DISTILLED];
+    const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::TrainDenoiser];
 
-impl Stage for TrainDistill<'_> {
-    fn id(&self) -> StageId {
-        StageId::TrainDistill
+    fn checkpoint(&self) -> Option<&Path> {
+        self.checkpoint.as_deref()
     }
 
-    fn version(&self) -> u32 {
-        1
+    fn start_from(&self) -> Option<&Path> {
+        self.start_from.as_deref()
     }
 
-    fn check(&self) -> Result<()> {
-        self.config.resolve()?;
-        Ok(())
+    fn scenes(&self) -> Option<SceneChoice<'_>> {
+        Some(self.scene_choice())
     }
 
-    fn config(&self) -> anyhow::Result<Value> {
-        let mut config = serde_json::to_value(self.config)?;
-        config["seed"] = json!(self.seed);
-        Ok(with_precision(config, self.config.checkpoint.is_none().then_some(self.precision)))
+    fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
+        // The section has no preset: it says all.
+        self.resolve()?;
+        Ok(None)
     }
 
-    fn inputs(&self) -> Vec<StageInput> {
-        match &self.config.checkpoint {
-            Some(path) => vec![StageInput::external("checkpoint", &checkpoint_file(path))],
-            None => {
-                let made = [
-                    StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
-                    StageInput::made_by(StageId::TrainDenoiser, "denoiser", &self.layout.denoiser),
-                ];
-                let start = self.config.start_from.as_deref();
-                let start = start.map(|path| StageInput::external("start_from", &checkpoint_file(path)));
-                made.into_iter().chain(start).collect()
-            }
-        }
+    fn about(spec: &DenoiserSpec) -> Value {
+        json!({ "steps": spec.steps })
     }
 
-    fn outputs(&self) -> &'static [&'static str] {
-        &[DISTILLED]
-    }
-
-    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
-        let dir = context.root.join(DISTILLED);
-        if let Some(path) = &self.config.checkpoint {
-            let trained = TrainedDenoiser::read(&checkpoint_file(path), context.device)?;
-            take_over(path, &dir)?;
-            return Ok(json!({ "fingerprint": trained.fingerprint, "steps": trained.spec.steps, "trained": false }));
-        }
-        let training = self.config.resolve()?;
-        let store = SceneStore::open(&self.layout.scenes)?;
-        let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&self.layout.denoiser), context.device)?;
-        let start = self.config.start_from.as_deref().map(checkpoint_file);
-        let start = start.map(|path| read_checkpoint::<DenoiserSpec>(&path, context.device)).transpose()?;
-        let state_dim = Some(teacher.metadata.normalizer.state_dim);
-        let config = self.config;
-        let data = training_data(&store, (&config.splits, &config.places), state_dim, "train.distill")?;
+    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
+        let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&layout.denoiser), job.device)?;
+        let start = self.read_start(job.device)?;
+        let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
+        let DenoiserSpec { normalizer, network, .. } = &teacher.metadata;
+        let data = scenes.training_data(Some(normalizer.state_dim), network.geometry.is_some())?;
         let source = DistillSource { teacher: &teacher, start: start.as_ref() };
-        let seed = Seed(self.seed);
-        let outcome = distill_denoiser(&training, &data, source, seed, &dir, context.device, context.progress)?;
-        let model = (outcome.fingerprint.as_str(), training.fit.steps, outcome.n_parameters);
-        Ok(training_summary(&data, model, &outcome.statistics))
+        let outcome = distill_denoiser(&self.resolve()?, &data, source, job)?;
+        Ok(training_summary(&data, outcome.spec.steps, &outcome))
     }
 }

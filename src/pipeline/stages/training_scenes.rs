@@ -1,10 +1,13 @@
-//! Which scenes of a store does a model train on, and which are held out?
+//! Which scenes of which stores does a model train on, and which are held out?
 
+use crate::pipeline::fingerprint::fingerprint_value;
+use crate::pipeline::layout::SCENES;
 use crate::pipeline::{Failure, Result as StageResult};
 use crate::scene::{Scene, Split};
-use crate::store::{SceneIndexEntry, SceneStore};
-use crate::train::{FitStatistics, SceneDataset, TrainingData};
+use crate::store::{SceneIndexEntry, SceneManifest, SceneStore};
+use crate::train::{MoreScenes, SceneChoice, SceneDataset, TrainOutcome, TrainingData, TrainingSource};
 use serde_json::{Value, json};
+use std::path::Path;
 
 /// Where the store has no `val` split, every so many-th scene is held out.
 const HOLD_OUT_EVERY: usize = 20;
@@ -57,48 +60,182 @@ impl TrainingScenes {
     }
 }
 
-/// The scenes of `store` that the `section` trains on and those held out. Left out, `state_dim` is that of the dataset.
-pub(super) fn training_data<'a>(
-    store: &'a SceneStore,
-    (splits, places): (&[Split], &[String]),
-    state_dim: Option<usize>,
-    section: &str,
-) -> StageResult<TrainingData<'a>> {
-    let TrainingScenes { train, held_out } = TrainingScenes::new(store.index(), splits, places);
-    let Some(first) = train.first() else {
-        return Err(Failure::input_message(format_args!("no scene is of the splits and places of {section}")));
+/// The scenes that a training draws from: those of the run, and of others.
+pub(super) struct OpenedScenes<'a> {
+    section: &'static str,
+    sources: Vec<OpenedSource<'a>>,
+}
+
+/// An ingest, and what of it is trained on.
+struct OpenedSource<'a> {
+    /// What the user calls it: its key, or the run's own scenes.
+    name: String,
+    store: SceneStore,
+    /// Index of its first scene among those of all sources.
+    first: usize,
+    weight: f64,
+    splits: &'a [Split],
+    places: &'a [String],
+}
+
+impl SceneDataset for OpenedScenes<'_> {
+    fn len(&self) -> usize {
+        self.sources.iter().map(|source| source.store.len()).sum()
+    }
+
+    fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
+        let source = self.sources.iter().rfind(|source| source.first <= idx).ok_or("there are no scenes")?;
+        Ok(source.store.scene(idx - source.first)?)
+    }
+}
+
+impl<'a> OpenedScenes<'a> {
+    /// Opens the run's `own` scenes, unless they have no weight, and the others that were chosen.
+    pub(super) fn open(choice: SceneChoice<'a>, own: &Path) -> StageResult<Self> {
+        let SceneChoice { section, splits, places, own_weight, data } = choice;
+        let own = (own_weight > 0.0).then(|| ("the ingest of this run".to_owned(), own, own_weight, splits, places));
+        let more = data.iter().enumerate().map(|(i, more)| {
+            let MoreScenes { scenes, weight, splits, places } = more;
+            (format!("{section}.data.{i}"), scenes.as_path(), *weight, splits.as_slice(), places.as_slice())
+        });
+        let mut sources: Vec<OpenedSource<'a>> = Vec::new();
+        for (name, path, weight, splits, places) in own.into_iter().chain(more) {
+            let first = sources.last().map_or(0, |last| last.first + last.store.len());
+            sources.push(OpenedSource { name, store: SceneStore::open(path)?, first, weight, splits, places });
+        }
+        Ok(Self { section, sources })
+    }
+
+    /// The scenes to train on and those held out. Left out, `state_dim` is that of the datasets. Only a network that derives headings
+    /// can learn from vehicles with recorded headings and from others at once.
+    pub(super) fn training_data(
+        &self,
+        state_dim: Option<usize>,
+        derives_headings: bool,
+    ) -> StageResult<TrainingData<'_>> {
+        let mut sources: Vec<TrainingSource> = Vec::new();
+        let mut has_headings = Vec::new();
+        for source in &self.sources {
+            let chosen = TrainingScenes::new(source.store.index(), source.splits, source.places);
+            let Some(first) = chosen.train.first() else {
+                let message =
+                    format_args!("no scene of {} is of the splits and places of {}", source.name, self.section);
+                return Err(Failure::input_message(message));
+            };
+            has_headings.push(source.store.index()[*first].dataset.facts().has_headings);
+            let n_places = sources.iter().flat_map(|source| &source.places).max().map_or(0, |last| last + 1);
+            sources.push(source.training_source(chosen, n_places));
+        }
+        self.check_shapes(&sources)?;
+        // Where headings are derived from the positions, so are those of samples.
+        let state_dim = state_dim.unwrap_or(if has_headings.contains(&true) { 3 } else { 2 });
+        let without = has_headings.iter().position(|has| !has).filter(|_| has_headings.contains(&true));
+        if let Some(without) = without.filter(|_| state_dim == 3 && !derives_headings) {
+            let message = format_args!(
+                "{} has no recorded headings, other scenes of {} have them: this network cannot learn from both",
+                self.sources[without].name, self.section
+            );
+            return Err(Failure::input_message(message).with_hint(
+                "set state_dim = 2, and headings follow from the motion; or train a denoiser with network.geometry",
+            ));
+        }
+        Ok(TrainingData { fingerprint: self.fingerprint()?, dataset: self, sources, state_dim })
+    }
+
+    /// Refuses sources whose scenes are of another shape than those of the first one.
+    fn check_shapes(&self, sources: &[TrainingSource]) -> StageResult<()> {
+        let mut expected: Option<(usize, usize, f64)> = None;
+        for (opened, source) in self.sources.iter().zip(sources) {
+            let scene = opened.store.scene(source.train[0] - opened.first)?;
+            let found = (scene.n_history, scene.n_timesteps - scene.n_history, scene.dt_s);
+            let expected = *expected.get_or_insert(found);
+            if found != expected {
+                let words = |(n_history, n_future, dt_s)| format!("{n_history} + {n_future} timesteps of {dt_s} s");
+                return Err(Failure::input_message(format_args!(
+                    "{} has scenes of {}, expected {} as in {}",
+                    opened.name,
+                    words(found),
+                    words(expected),
+                    self.sources[0].name
+                ))
+                .with_hint(format!("ingest it with n_history = {} and n_future = {}", expected.0, expected.1)));
+            }
+        }
+        Ok(())
+    }
+
+    /// Hash of the scenes, and of how they are mixed: that of the store where there is one.
+    fn fingerprint(&self) -> StageResult<String> {
+        let mixed: Vec<_> = self.sources.iter().map(|source| (source.store.fingerprint(), source.weight)).collect();
+        Ok(match mixed.as_slice() {
+            [(fingerprint, _)] => (*fingerprint).to_owned(),
+            _ => fingerprint_value(&mixed)?,
+        })
+    }
+}
+
+impl OpenedSource<'_> {
+    /// The chosen scenes, whose places are numbered from `first_place`.
+    fn training_source(
+        &self,
+        TrainingScenes { train, held_out }: TrainingScenes,
+        first_place: usize,
+    ) -> TrainingSource {
+        let place = |idx: &usize| self.store.index()[*idx].place.as_str();
+        let mut names: Vec<&str> = train.iter().map(place).collect();
+        names.sort_unstable();
+        names.dedup();
+        let number = |idx: &usize| first_place + names.partition_point(|other| *other < place(idx));
+        let among_all = |scenes: &[usize]| scenes.iter().map(|idx| self.first + idx).collect();
+        TrainingSource {
+            weight: self.weight,
+            places: train.iter().map(number).collect(),
+            train: among_all(&train),
+            held_out: among_all(&held_out),
+        }
+    }
+}
+
+/// Refuses folders of other runs that hold no ingested scenes, and the run's own among them.
+pub(super) fn check_folders(SceneChoice { section, data, .. }: SceneChoice<'_>, own: &Path) -> StageResult<()> {
+    let is_same = |one: &Path, other: &Path| {
+        one.canonicalize().is_ok_and(|one| other.canonicalize().is_ok_and(|other| one == other))
     };
-    // Where headings are derived from the positions, so are those of samples.
-    let default_state_dim = if store.index()[*first].dataset.facts().has_headings { 3 } else { 2 };
-    let mut names: Vec<&str> = train.iter().map(|idx| store.index()[*idx].place.as_str()).collect();
-    let of_scenes = names.clone();
-    names.sort_unstable();
-    names.dedup();
-    let places = of_scenes.iter().map(|name| names.partition_point(|other| other < name)).collect();
-    Ok(TrainingData {
-        places,
-        state_dim: state_dim.unwrap_or(default_state_dim),
-        fingerprint: store.fingerprint().to_owned(),
-        dataset: store,
-        train,
-        held_out,
-    })
+    for (i, MoreScenes { scenes, .. }) in data.iter().enumerate() {
+        let refuse = |why: &str, hint: String| {
+            let message = format!("{section}.data.{i}.scenes is {}, {why}", scenes.display());
+            Err(Failure::input_message(message).with_hint(hint))
+        };
+        if let Err(error) = SceneManifest::read(scenes) {
+            let inside = scenes.join(SCENES);
+            let hint = match SceneManifest::read(&inside) {
+                Ok(_) => format!("name {}", inside.display()),
+                Err(_) => {
+                    "`djinn ingest` makes such folders; relative paths are relative to the current directory".to_owned()
+                }
+            };
+            return refuse(&format!("expected a folder of ingested scenes: {error}"), hint);
+        }
+        if is_same(scenes, own) {
+            return refuse("the run's own scenes", format!("take the entry out, and set {section}.own_weight"));
+        }
+        if data[..i].iter().any(|earlier| is_same(scenes, &earlier.scenes)) {
+            return refuse("as in an earlier entry", "name it once, with the sum of the weights".to_owned());
+        }
+    }
+    Ok(())
 }
 
 /// What a training stage says of itself, beside what is particular to it.
-pub(super) fn training_summary(
-    data: &TrainingData<'_>,
-    (fingerprint, steps, n_parameters): (&str, u64, usize),
-    statistics: &[FitStatistics],
-) -> Value {
+pub(super) fn training_summary<S>(data: &TrainingData<'_>, steps: u64, outcome: &TrainOutcome<S>) -> Value {
     json!({
-        "fingerprint": fingerprint,
+        "fingerprint": outcome.fingerprint,
         "steps": steps,
         "trained": true,
-        "n_parameters": n_parameters,
-        "n_train_scenes": data.train.len(),
-        "n_held_out_scenes": data.held_out.len(),
-        "last_evaluation": statistics.iter().rev().find(|line| !line.evaluation.is_empty()),
+        "n_parameters": outcome.n_parameters,
+        "n_train_scenes": data.n_train(),
+        "n_held_out_scenes": data.n_held_out(),
+        "last_evaluation": outcome.statistics.iter().rev().find(|line| !line.evaluation.is_empty()),
     })
 }
 

@@ -1,5 +1,6 @@
 //! How were the networks trained, and how good is the classifier?
 
+use super::plain::plain_table;
 use super::{Section, facts, table};
 use crate::report::model::{Chart, Curve, ReportModel};
 use crate::report::number::{count, optional, percent, value};
@@ -15,6 +16,7 @@ pub(super) fn networks(model: &ReportModel) -> Option<Section> {
                 h3 { (network.name) }
                 (facts(&network.facts))
                 div class="grid" { @for chart in &network.charts { (line_chart(chart)) } }
+                @for table in &network.tables { (plain_table(table)) }
             }
         };
         Section::new("training", "Training", body)

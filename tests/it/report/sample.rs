@@ -113,6 +113,7 @@ fn training(name: &str, scale: f64) -> TrainingSummary {
         name: name.into(),
         facts: vec![Fact::new("Steps", "6 000"), Fact::new("Batch size", 16), Fact::new("Parameters", "604 931")],
         charts: vec![loss("Loss", "loss"), loss("minSceneADE of 6 samples", "m")],
+        tables: Vec::new(),
     }
 }
 

@@ -5,14 +5,13 @@ use super::drawings::drawings;
 use crate::evaluate::EvaluationSummary;
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
-use crate::model::{TrainedDenoiser, TrainedSceneTransformer};
+use crate::model::{DenoiserSpec, TrainedDenoiser, TrainedSceneTransformer};
 use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY};
-use crate::pipeline::stages::train_denoiser::checkpoint_file;
-use crate::pipeline::stages::{SampleManifest, read_requests};
+use crate::pipeline::stages::{SampleManifest, checkpoint_file, read_requests};
 use crate::pipeline::{Classify, Result, StageId};
 use crate::report::{Drawings, Fact, MetricTable, ReportModel, TrainingSummary, Warning, cautions};
 use crate::store::{SceneManifest, read_json};
-use crate::train::{ClassifierReport, FitStatistics};
+use crate::train::{ClassifierReport, FitStatistics, map_warnings};
 use candle_core::Device;
 use std::path::Path;
 
@@ -38,13 +37,13 @@ pub(super) fn model(stage: &Report<'_>) -> Result<ReportModel> {
         model.mining = Some(read_json(&stage.layout.events.with_file_name(MINE_SUMMARY)).blame_input()?);
     }
     if stage.has(StageId::TrainDenoiser) {
-        model.training.push(denoiser("denoiser", &stage.layout.denoiser)?);
+        add_denoiser(&mut model, &stage.layout.denoiser)?;
     }
     if stage.has(StageId::TrainClassifier) {
         add_classifier(&mut model, &stage.layout.classifier)?;
     }
     if stage.has(StageId::TrainDistill) {
-        model.training.push(denoiser("distilled denoiser", &stage.layout.distilled)?);
+        model.training.push(denoiser("distilled denoiser", &stage.layout.distilled)?.0);
     }
     if stage.has(StageId::TrainBaseline) {
         model.training.push(baseline(&stage.layout.baseline)?);
@@ -71,10 +70,18 @@ fn add_ingest(model: &mut ReportModel, scenes: &Path) -> Result<()> {
     Ok(())
 }
 
-fn denoiser(name: &str, dir: &Path) -> Result<TrainingSummary> {
+fn add_denoiser(model: &mut ReportModel, dir: &Path) -> Result<()> {
+    let (summary, spec) = denoiser("denoiser", dir)?;
+    let warnings = map_warnings(&spec.changed_losses).into_iter();
+    model.warnings.extend(warnings.map(|message| warning(StageId::TrainDenoiser, message)));
+    model.training.push(summary.with_losses(&spec.changed_losses, &spec.losses_by_place));
+    Ok(())
+}
+
+fn denoiser(name: &str, dir: &Path) -> Result<(TrainingSummary, DenoiserSpec)> {
     let TrainedDenoiser { spec, fingerprint, .. } = TrainedDenoiser::read(&checkpoint_file(dir), &Device::Cpu)?;
     let statistics = fit_statistics(dir)?;
-    let facts = vec![
+    let mut facts = vec![
         Fact::new("Layers", &spec.network.layers),
         Fact::new("Width", spec.network.width),
         Fact::new("State", format!("{:?}", spec.normalizer.parametrization).to_lowercase()),
@@ -82,7 +89,11 @@ fn denoiser(name: &str, dir: &Path) -> Result<TrainingSummary> {
         Fact::new("Steps", spec.steps),
         Fact::new("Fingerprint", fingerprint),
     ];
-    Ok(TrainingSummary::of_fit(name, facts, &statistics))
+    let objectives: Vec<&str> = spec.objectives.iter().filter_map(|objective| objective["kind"].as_str()).collect();
+    if !objectives.is_empty() {
+        facts.push(Fact::new("Trained toward", objectives.join(", ")));
+    }
+    Ok((TrainingSummary::of_fit(name, facts, &statistics), spec))
 }
 
 fn baseline(dir: &Path) -> Result<TrainingSummary> {

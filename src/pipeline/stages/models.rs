@@ -1,0 +1,70 @@
+//! The trained models that sweeps sample with: which do they need, and where are these?
+
+use super::train::checkpoint_file;
+use crate::generate::{Models, ResolvedSweep};
+use crate::model::{ModelSpec, TrainedClassifier, TrainedDenoiser, TrainedModel, TrainedSceneTransformer};
+use crate::pipeline::layout::Layout;
+use crate::pipeline::{Result, StageId};
+use candle_core::Device;
+
+/// The stages whose models `sweeps` need, with the denoiser's first.
+pub(in crate::pipeline) fn needed_models(sweeps: &[ResolvedSweep]) -> Vec<StageId> {
+    let optional: [(StageId, fn(&ResolvedSweep) -> bool); 3] = [
+        (StageId::TrainDistill, ResolvedSweep::uses_distilled),
+        // Unguided sampling needs none, except to rank pairs: there it is used if some sweep is guided.
+        (StageId::TrainClassifier, ResolvedSweep::needs_classifier),
+        (StageId::TrainBaseline, ResolvedSweep::uses_baseline),
+    ];
+    let needed = optional.into_iter().filter(|(_, needs)| sweeps.iter().any(needs)).map(|(stage, _)| stage);
+    std::iter::once(StageId::TrainDenoiser).chain(needed).collect()
+}
+
+/// The models of some sweeps.
+pub(in crate::pipeline) struct LoadedModels {
+    denoiser: TrainedDenoiser,
+    distilled: Option<TrainedDenoiser>,
+    classifiers: Vec<TrainedClassifier>,
+    baseline: Option<TrainedSceneTransformer>,
+}
+
+impl LoadedModels {
+    /// Reads the models that `sweeps` need.
+    pub(in crate::pipeline) fn read(layout: &Layout, sweeps: &[ResolvedSweep], device: &Device) -> Result<Self> {
+        let needed = needed_models(sweeps);
+        let needs = |stage| needed.contains(&stage);
+        fn read<S: ModelSpec>(dir: &std::path::Path, device: &Device) -> Result<TrainedModel<S>> {
+            Ok(TrainedModel::read(&checkpoint_file(dir), device)?)
+        }
+        Ok(Self {
+            denoiser: read(&layout.denoiser, device)?,
+            distilled: needs(StageId::TrainDistill).then(|| read(&layout.distilled, device)).transpose()?,
+            classifiers: match needs(StageId::TrainClassifier) {
+                true => vec![read(&layout.classifier, device)?],
+                false => Vec::new(),
+            },
+            baseline: needs(StageId::TrainBaseline).then(|| read(&layout.baseline, device)).transpose()?,
+        })
+    }
+
+    /// As generation takes them.
+    pub(in crate::pipeline) fn borrowed(&self) -> Models<'_> {
+        Models {
+            denoiser: &self.denoiser,
+            classifiers: &self.classifiers,
+            distilled: self.distilled.as_ref(),
+            baseline: self.baseline.as_ref(),
+        }
+    }
+
+    /// The fingerprint of the model that a stage makes, where it was read.
+    pub(in crate::pipeline) fn fingerprint(&self, stage: StageId) -> Option<String> {
+        match stage {
+            StageId::TrainDenoiser => Some(&self.denoiser.fingerprint),
+            StageId::TrainDistill => self.distilled.as_ref().map(|model| &model.fingerprint),
+            StageId::TrainClassifier => self.classifiers.first().map(|model| &model.fingerprint),
+            StageId::TrainBaseline => self.baseline.as_ref().map(|model| &model.fingerprint),
+            _ => None,
+        }
+        .cloned()
+    }
+}

@@ -1,0 +1,147 @@
+//! The training stages: what they have in common. What is particular to a model is its recipe.
+
+use super::training_scenes::check_folders;
+use super::with_precision;
+use crate::model::{ModelSpec, TrainedModel};
+use crate::nn::{Checkpoint, Precision, read_checkpoint};
+use crate::pipeline::layout::Layout;
+use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
+use crate::seed::Seed;
+use crate::store::write_atomically;
+use crate::train::{MODEL_FILE, SceneChoice, TrainJob};
+use candle_core::Device;
+use serde::Serialize;
+use serde_json::{Value, json};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// How a model comes to be: the section of a training stage, and what is done with it.
+pub trait Recipe: Serialize {
+    /// What its checkpoint says.
+    type Spec: ModelSpec;
+    /// The stage.
+    const STAGE: StageId;
+    /// The version of the stage.
+    const VERSION: u32;
+    /// The folder of the model.
+    const OUTPUTS: &'static [&'static str];
+    /// The stages whose outputs it learns from.
+    const LEARNS_FROM: &'static [StageId];
+
+    /// The checkpoint to use instead of training.
+    fn checkpoint(&self) -> Option<&Path>;
+
+    /// The checkpoint to start from.
+    fn start_from(&self) -> Option<&Path> {
+        None
+    }
+
+    /// The scenes that it trains on, where it may train on those of several runs.
+    fn scenes(&self) -> Option<SceneChoice<'_>> {
+        None
+    }
+
+    /// What the section comes to, where presets decide a part of it: they change from version to version, and what they come to counts.
+    ///
+    /// # Errors
+    /// When a value makes no sense, naming it.
+    fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error>;
+
+    /// What the summary says of a model that was trained elsewhere.
+    fn about(spec: &Self::Spec) -> Value;
+
+    /// Trains the model, and says what it came to.
+    ///
+    /// # Errors
+    /// When there is nothing to learn from, or training fails.
+    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value>;
+
+    /// Reads the checkpoint to start from.
+    ///
+    /// # Errors
+    /// When it is not one of such a model.
+    fn read_start(&self, device: &Device) -> Result<Option<Checkpoint<Self::Spec>>> {
+        Ok(self.start_from().map(|path| read_checkpoint(&checkpoint_file(path), device)).transpose()?)
+    }
+}
+
+/// The stage of a recipe.
+pub struct Train<'a, R> {
+    /// The recipe.
+    pub recipe: &'a R,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// How products of networks are rounded.
+    pub precision: Precision,
+    /// Where the outputs of earlier stages are.
+    pub layout: &'a Layout,
+}
+
+impl<R: Recipe> Stage for Train<'_, R> {
+    fn id(&self) -> StageId {
+        R::STAGE
+    }
+
+    fn version(&self) -> u32 {
+        R::VERSION
+    }
+
+    fn check(&self) -> Result<()> {
+        self.recipe.resolved()?;
+        match self.recipe.scenes().filter(|_| self.recipe.checkpoint().is_none()) {
+            Some(choice) => check_folders(choice, &self.layout.scenes),
+            None => Ok(()),
+        }
+    }
+
+    fn config(&self) -> anyhow::Result<Value> {
+        let mut config = serde_json::to_value(self.recipe)?;
+        config["seed"] = json!(self.seed);
+        if let Some(resolved) = self.recipe.resolved()? {
+            config["resolved"] = resolved;
+        }
+        Ok(with_precision(config, self.recipe.checkpoint().is_none().then_some(self.precision)))
+    }
+
+    fn inputs(&self) -> Vec<StageInput> {
+        if let Some(path) = self.recipe.checkpoint() {
+            return vec![StageInput::external("checkpoint", &checkpoint_file(path))];
+        }
+        let choice = self.recipe.scenes();
+        let is_read =
+            |stage: &&StageId| **stage != StageId::Ingest || choice.is_none_or(|choice| choice.own_weight > 0.0);
+        let made = R::LEARNS_FROM
+            .iter()
+            .filter(is_read)
+            .filter_map(|stage| stage.output(self.layout).map(|(name, path)| StageInput::made_by(*stage, name, path)));
+        let more = choice.map_or(&[][..], |choice| choice.data).iter().enumerate();
+        let more = more.map(|(i, more)| StageInput::made_by(StageId::Ingest, &format!("data.{i}"), &more.scenes));
+        let start = self.recipe.start_from().map(|path| StageInput::external("start_from", &checkpoint_file(path)));
+        made.chain(more).chain(start).collect()
+    }
+
+    fn outputs(&self) -> &'static [&'static str] {
+        R::OUTPUTS
+    }
+
+    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
+        let StageContext { device, progress, .. } = *context;
+        let dir = context.root.join(R::OUTPUTS[0]);
+        let Some(path) = self.recipe.checkpoint() else {
+            return self.recipe.train(self.layout, TrainJob { seed: Seed(self.seed), dir: &dir, device, progress });
+        };
+        let trained = TrainedModel::<R::Spec>::read(&checkpoint_file(path), device)?;
+        fs_err::create_dir_all(&dir)?;
+        let bytes = fs_err::read(checkpoint_file(path))?;
+        write_atomically::<std::io::Error>(&dir.join(MODEL_FILE), |file| file.write_all(&bytes))?;
+        let mut summary = R::about(&trained.spec);
+        summary["fingerprint"] = json!(trained.fingerprint);
+        summary["trained"] = json!(false);
+        Ok(summary)
+    }
+}
+
+/// A checkpoint is named by its file or by the folder of the model.
+pub(in crate::pipeline) fn checkpoint_file(path: &Path) -> PathBuf {
+    if path.is_dir() { path.join(MODEL_FILE) } else { path.to_owned() }
+}

@@ -1,0 +1,223 @@
+//! What the sections of `[train]` have in common, said once: the scenes, and the schedule.
+//!
+//! Sections are flat tables. Macros write their types, because a table that serde flattens into another one loses the places of its
+//! mistakes.
+
+use super::{Error, FitConfig};
+use crate::scene::Split;
+use crate::settings::Issue;
+use crate::tensor::TaskWeights;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// The type of a setting that has a default of its own, where others are an `Option` that a preset fills.
+pub(super) type Own<T> = T;
+
+/// What every training on scenes decides, beside its network and loss.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SceneTraining {
+    /// How often each observation task is drawn.
+    pub tasks: TaskWeights,
+    /// Scenes a step.
+    pub batch_size: usize,
+    /// Held-out scenes of each evaluation during training.
+    pub n_eval_scenes: usize,
+    /// The loop.
+    pub fit: FitConfig,
+}
+
+impl Default for SceneTraining {
+    fn default() -> Self {
+        Self { tasks: TaskWeights::default(), batch_size: 8, n_eval_scenes: 48, fit: FitConfig::default() }
+    }
+}
+
+/// Ingested scenes of another run, to train on as well.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MoreScenes {
+    /// The folder of the scenes, such as `output/argoverse/main/scenes`.
+    pub scenes: PathBuf,
+    /// How often one of them is drawn, relative to those of the run itself (`own_weight`) and of other entries.
+    #[serde(default = "one")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub weight: f64,
+    /// Splits to train on, as in the section.
+    #[serde(default)]
+    pub splits: Vec<Split>,
+    /// Places to train on, as in the section.
+    #[serde(default)]
+    pub places: Vec<String>,
+}
+
+const fn one() -> f64 {
+    1.0
+}
+
+/// Which scenes a section trains on.
+#[derive(Debug, Clone, Copy)]
+pub struct SceneChoice<'a> {
+    /// The section.
+    pub section: &'static str,
+    /// Splits of the run's own scenes; empty for the usual ones.
+    pub splits: &'a [Split],
+    /// Their places; empty for all.
+    pub places: &'a [String],
+    /// Their weight; 0 for none of them.
+    pub own_weight: f64,
+    /// Scenes of other runs.
+    pub data: &'a [MoreScenes],
+}
+
+/// Fails where there is nothing to draw from.
+pub(super) fn check_weights(own_weight: Option<f64>, data: &[MoreScenes]) -> Result<(), Issue> {
+    match own_weight == Some(0.0) && data.is_empty() {
+        true => Err(Issue::new("own_weight", "is 0, expected a positive number, or scenes of other runs in `data`")),
+        false => Ok(()),
+    }
+}
+
+/// What the section says, or else what its preset does.
+pub(super) fn or<T>(said: impl Into<Option<T>>, otherwise: T) -> T {
+    said.into().unwrap_or(otherwise)
+}
+
+/// Fails where no task is ever drawn.
+pub(super) fn check_tasks(section: &str, tasks: &TaskWeights) -> Result<(), Error> {
+    match tasks.probabilities() {
+        Some(_) => Ok(()),
+        None => Err(Error::Config(format!(
+            "{section}.tasks are no weights: give numbers of at least 0, one of them positive"
+        ))),
+    }
+}
+
+/// Defines the type of a section: its own settings, and those of every training.
+macro_rules! training_section {
+    ($(#[$meta:meta])* pub struct $name:ident in $section:literal, each $value:ident { $($own:tt)* }) => {
+        $(#[$meta])*
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[serde(deny_unknown_fields, default)]
+        pub struct $name {
+            $($own)*
+            /// Splits to train on; empty means `train`, or everything unsplit where there is no such split.
+            pub splits: Vec<crate::scene::Split>,
+            /// Places to train on; empty means all.
+            pub places: Vec<String>,
+            /// Optimizer steps in all.
+            #[schemars(range(min = 1, max = 1_000_000_000))]
+            pub steps: $value<u64>,
+            /// Examples a step: scenes, or the classifier's pairs, half of them positive.
+            #[schemars(range(min = 1, max = 16_384))]
+            pub batch_size: $value<usize>,
+            /// Learning rate after warm-up.
+            #[schemars(extend("exclusiveMinimum" = 0))]
+            pub learning_rate: $value<f64>,
+            /// Steps over which the learning rate rises from 0.
+            #[schemars(range(max = 1_000_000_000))]
+            pub warmup_steps: $value<u64>,
+            /// How the learning rate goes on: `constant` or `cosine`.
+            pub decay: $value<crate::train::LearningRateDecay>,
+            /// Gradients are scaled down to this global norm.
+            #[schemars(extend("exclusiveMinimum" = 0))]
+            pub clip_norm: $value<f64>,
+            /// Steps between evaluations.
+            #[schemars(range(min = 1, max = 1_000_000_000))]
+            pub evaluate_every: $value<u64>,
+            /// Steps between saved states.
+            #[schemars(range(min = 1, max = 1_000_000_000))]
+            pub save_every: $value<u64>,
+            /// A trained checkpoint to use instead of training.
+            pub checkpoint: Option<std::path::PathBuf>,
+        }
+
+        impl $name {
+            /// Its place in a pipeline file.
+            pub const SECTION: &'static str = $section;
+
+            /// The schedule of `base` with everything that the section says laid over it.
+            fn schedule(&self, base: &FitConfig) -> FitConfig {
+                use crate::train::section::or;
+                FitConfig {
+                    steps: or(self.steps, base.steps),
+                    learning_rate: or(self.learning_rate, base.learning_rate),
+                    warmup_steps: or(self.warmup_steps, base.warmup_steps),
+                    decay: or(self.decay, base.decay),
+                    clip_norm: or(self.clip_norm, base.clip_norm),
+                    evaluate_every: or(self.evaluate_every, base.evaluate_every),
+                    save_every: or(self.save_every, base.save_every),
+                    ..base.clone()
+                }
+            }
+
+            /// Refuses numbers beyond their ranges.
+            fn check_ranges(&self) -> Result<(), Error> {
+                crate::settings::check_ranges(self).map_err(Self::refusal)
+            }
+
+            /// What is wrong with one of its settings.
+            fn refusal(issue: crate::settings::Issue) -> Error {
+                Error::Config(issue.within(Self::SECTION).to_string())
+            }
+        }
+    };
+}
+
+/// The same with the settings of every training on scenes.
+macro_rules! scene_training_section {
+    ($(#[$meta:meta])* pub struct $name:ident in $section:literal, each $value:ident { $($own:tt)* }) => {
+        crate::train::section::training_section! {
+            $(#[$meta])*
+            pub struct $name in $section, each $value {
+                $($own)*
+                /// How often each observation task is drawn; `{ predictive = 1.0, goal_conditioned = 0.0, … }` trains for prediction alone.
+                pub tasks: TaskWeights,
+                /// Decay of the moving average of the weights; 0 for none.
+                #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1))]
+                pub ema_decay: $value<f64>,
+                /// Held-out scenes of each evaluation during training.
+                #[schemars(range(max = 1_000_000))]
+                pub n_eval_scenes: $value<usize>,
+                /// Ingested scenes of other runs to train on as well, each with a weight.
+                #[serde(skip_serializing_if = "Vec::is_empty")]
+                pub data: Vec<crate::train::MoreScenes>,
+                /// How often one of the run's own scenes is drawn beside those of `data` (default 1); 0: never.
+                #[serde(skip_serializing_if = "Option::is_none")]
+                #[schemars(range(min = 0.0))]
+                pub own_weight: Option<f64>,
+            }
+        }
+
+        impl $name {
+            /// Which scenes it trains on.
+            pub fn scene_choice(&self) -> crate::train::SceneChoice<'_> {
+                crate::train::SceneChoice {
+                    section: Self::SECTION,
+                    splits: &self.splits,
+                    places: &self.places,
+                    own_weight: self.own_weight.unwrap_or(1.0),
+                    data: &self.data,
+                }
+            }
+
+            /// The settings of `base` with everything that the section says laid over them.
+            fn scene_training(&self, base: &SceneTraining) -> Result<SceneTraining, Error> {
+                use crate::train::section::{check_tasks, check_weights, or};
+                check_tasks(Self::SECTION, &self.tasks)?;
+                check_weights(self.own_weight, &self.data).map_err(Self::refusal)?;
+                Ok(SceneTraining {
+                    tasks: self.tasks,
+                    batch_size: or(self.batch_size, base.batch_size),
+                    n_eval_scenes: or(self.n_eval_scenes, base.n_eval_scenes),
+                    fit: FitConfig {
+                        ema_decay: or(self.ema_decay, base.fit.ema_decay),
+                        ..self.schedule(&base.fit)
+                    },
+                })
+            }
+        }
+    };
+}
+
+pub(super) use {scene_training_section, training_section};

@@ -1,0 +1,117 @@
+//! A network under training, and the checkpoint that it becomes: the same for every model.
+
+use super::section::SceneTraining;
+use super::training_data::TrainingData;
+use super::{Ahead, Balance, Error, FitOutcome, FitStatistics, SceneDraws, WeightedGroups};
+use crate::model::ModelSpec;
+use crate::nn::{Checkpoint, Params};
+use crate::progress::Progress;
+use crate::seed::Seed;
+use crate::tensor::{Collator, MaskSampler};
+use candle_core::Device;
+use std::path::Path;
+
+/// Name of the trained weights in a model's folder.
+pub const MODEL_FILE: &str = "model.safetensors";
+
+/// Where and with what a model is trained.
+#[derive(Clone, Copy)]
+pub struct TrainJob<'a> {
+    /// Seed of everything random.
+    pub seed: Seed,
+    /// The folder of the model. What an interrupted training left there is taken up.
+    pub dir: &'a Path,
+    /// What networks compute on.
+    pub device: &'a Device,
+    /// Who is told about the progress.
+    pub progress: &'a dyn Progress,
+}
+
+/// What training a model came to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrainOutcome<S> {
+    /// Fingerprint of the checkpoint.
+    pub fingerprint: String,
+    /// What the model is.
+    pub spec: S,
+    /// Number of trained values.
+    pub n_parameters: usize,
+    /// Losses and evaluations.
+    pub statistics: Vec<FitStatistics>,
+}
+
+/// Parameters, with the network over them twice.
+pub(super) struct Trainable<S: ModelSpec> {
+    /// The parameters.
+    pub(super) params: Params,
+    /// The network whose parameters take gradients.
+    pub(super) network: S::Network,
+    /// The same without gradients, for evaluations.
+    pub(super) frozen: S::Network,
+}
+
+impl<S: ModelSpec> Trainable<S> {
+    /// The network that `spec` describes, with the weights of `start` or else new ones.
+    pub(super) fn new(spec: &S, start: Option<&Checkpoint<S>>, job: TrainJob<'_>) -> Result<Self, Error> {
+        let mut params = Params::new(job.device);
+        let network = spec.build(&mut params, job.seed.derive("weights", &[]))?;
+        if let Some(start) = start {
+            params.load(&start.tensors)?;
+        }
+        let frozen = spec.build(&mut params.frozen(), job.seed)?;
+        Ok(Self { params, network, frozen })
+    }
+
+    /// Writes the checkpoint that training led to.
+    pub(super) fn finish(self, spec: S, outcome: FitOutcome, job: TrainJob<'_>) -> Result<TrainOutcome<S>, Error> {
+        let fingerprint = spec.write(&self.params, &job.dir.join(MODEL_FILE))?;
+        let n_parameters = self.params.n_parameters();
+        Ok(TrainOutcome { fingerprint, spec, n_parameters, statistics: outcome.statistics })
+    }
+}
+
+/// The scenes of a training, in the form that draws borrow from.
+pub(super) struct ScenesOfFit<'a> {
+    data: &'a TrainingData<'a>,
+    groups: Vec<WeightedGroups>,
+    held_out: Vec<usize>,
+    masks: MaskSampler,
+    collator: Collator,
+    batch_size: usize,
+}
+
+impl<'a> ScenesOfFit<'a> {
+    pub(super) fn new(
+        data: &'a TrainingData<'a>,
+        training: &SceneTraining,
+        balance: Balance,
+        collator: Collator,
+        seed: Seed,
+    ) -> Result<Self, Error> {
+        let no_task = || Error::Config("the tasks to train on are no weights".to_owned());
+        Ok(Self {
+            data,
+            groups: data.groups(balance),
+            held_out: data.chosen_held_out(training.n_eval_scenes, seed),
+            masks: MaskSampler::new(&training.tasks).ok_or_else(no_task)?,
+            collator,
+            batch_size: training.batch_size,
+        })
+    }
+
+    /// Draws batches; with `with_context`, what objectives read comes along.
+    pub(super) fn draws<'b>(&'b self, with_context: bool, job: TrainJob<'b>) -> SceneDraws<'b> {
+        SceneDraws {
+            collator: &self.collator,
+            dataset: self.data.dataset,
+            train: &self.groups,
+            held_out: &self.held_out,
+            masks: &self.masks,
+            batch_size: self.batch_size,
+            with_context,
+            seed: job.seed,
+            device: job.device,
+            ahead: Ahead::default(),
+        }
+    }
+}
