@@ -1,8 +1,8 @@
 //! OpenSCENARIO XML 1.2: what is a scenario as entities that follow trajectories?
 //!
 //! Every road user follows a polyline of timed vertices. Players differ in what they make of times, so that one form is kept to
-//! that all of them read: times count from the start of the action (`relative`), and conditions have no edge (`rising`
-//! would never fire at the start).
+//! that all of them read: vertices have times of the scenario (`absolute`), which some players take them for in any case, and
+//! conditions have no edge (`rising` would never fire at the start).
 
 mod entities;
 mod storyboard;
@@ -19,7 +19,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 pub(super) const NOTES: &str = "<id>.xosc: OpenSCENARIO XML 1.2, valid against its schema. Every road user follows a trajectory, \
-    whose times count from the start of its action; positions of vehicles are those of their rear axles, as the standard has it, and the bounding box says where the center \
+    whose times are those of the scenario; positions of vehicles are those of their rear axles, as the standard has it, and the bounding box says where the center \
     is. Who enters later is added when it does, and who leaves is deleted. There is no road network: no faithful way leads \
     from the recordings' maps to OpenDRIVE, so players show an empty plane. Sizes along the vertical, axles and performance \
     are not recorded; usual ones are written. The date in the files is a placeholder: equal corpora give equal files.";
@@ -51,7 +51,7 @@ impl Exporter for OpenScenario {
             let mut stretches = stretches(&item.world_states(agent_idx));
             let is_free = self.ego == EgoMotion::Free && agent_idx == scene.ego_idx;
             if is_free {
-                stretches.truncate(1);
+                stretches = up_to_present(stretches, scene.current_timestep());
             }
             if stretches.is_empty() {
                 tracks.push(Err("no_states"));
@@ -91,7 +91,7 @@ struct Actor {
     first_timestep: usize,
     /// One state a timestep, of its center, in the recording's frame; at least one.
     states: Vec<State>,
-    /// Whether only its start is written.
+    /// Whether a driving function takes it over after its last state.
     is_free: bool,
 }
 
@@ -147,6 +147,14 @@ fn stretches(entries: &[Option<State>]) -> Vec<(usize, Vec<State>)> {
         }
     }
     stretches
+}
+
+/// The stretch that holds the present, up to it; none where there is no state at present.
+fn up_to_present(stretches: Vec<(usize, Vec<State>)>, present: usize) -> Vec<(usize, Vec<State>)> {
+    let holds_present =
+        |(first, states): &(usize, Vec<State>)| (*first..first + states.len()).contains(&present);
+    let held = stretches.into_iter().filter(holds_present);
+    held.map(|(first, states)| (first, states.into_iter().take(present - first + 1).collect())).collect()
 }
 
 fn header(item: &Item<'_>) -> Element {
