@@ -12,7 +12,6 @@ package brings it. Ends with 1 when a check fails.
 """
 
 import argparse
-import csv
 import importlib
 import importlib.util
 import json
@@ -20,7 +19,9 @@ import math
 import pathlib
 import sys
 
-TOLERANCE = 1e-6  # metres, radians, metres per second
+from exports.opendrive import compare_roads
+from exports.openscenario import compare_trajectories, last_of_ego, play
+from exports.tables import Corpus, Export, part
 
 skipped = {}
 
@@ -41,101 +42,6 @@ def folder_of(package):
         skipped[package] = "not installed"
         return None
     return pathlib.Path(list(spec.submodule_search_locations)[0])
-
-
-def rows(path):
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file, delimiter="\t"))
-
-
-class Export:
-    """An export, and where the corpus says that its tracks are."""
-
-    def __init__(self, folder, corpus, judged=None):
-        self.folder = folder
-        self.report = json.loads((folder / "export.json").read_text())
-        self.scenarios = rows(folder / "index.tsv")
-        self.tracks = {}
-        for row in rows(folder / "tracks.tsv"):
-            self.tracks.setdefault(row["scenario_id"], []).append(row)
-        self.corpus, self.judged = corpus, judged
-        self.found = set()
-        self.worst = 0.0
-        assert len(self.scenarios) == self.report["n_scenarios"] > 0, "index.tsv and export.json differ"
-        assert (folder / "NOTICE.txt").read_text().count("Sources and terms") == 1, "NOTICE.txt names no terms"
-
-    def assumed(self, what):
-        return self.report["assumed"].get(what, 0)
-
-    def ego(self, scenario):
-        return next(row for row in self.tracks[scenario["scenario_id"]] if row["is_ego"] == "true")
-
-    def compare(self, scenario, name, timestep, **said):
-        """Demands of a state of the track that is called `name` in the file that all that is said of it is as in the corpus."""
-        if self.corpus is None:
-            return
-        track = next(row for row in self.tracks[scenario["scenario_id"]] if row["name"] == name)
-        self.compare_track(scenario["scenario_id"], track["track_id"], timestep, said)
-
-    def compare_track(self, scenario_id, track_id, timestep, said):
-        where = f"{track_id} of {scenario_id} at {timestep}"
-        expected = self.corpus.states.get((scenario_id, track_id, timestep))
-        assert expected is not None, f"{where} is not in the corpus"
-        for what, value in said.items():
-            if expected[what] is None:
-                continue  # a size that is not recorded
-            error = abs(value - expected[what])
-            if what == "heading":
-                error = abs((error + math.pi) % (2 * math.pi) - math.pi)
-            assert error < TOLERANCE, f"{where}: {what} is {value}, and {expected[what]} in the corpus"
-            self.worst = max(self.worst, error)
-        self.found.add((scenario_id, track_id, timestep))
-
-    def demand_all(self, is_shown=lambda scenario, row, timestep: True, n_left_out=0):
-        """Demands that of the tracks that are in the files, all states are for which `is_shown`, but for `n_left_out`."""
-        if self.corpus is None:
-            return
-        n_missing = 0
-        for scenario in self.scenarios:
-            for row in self.tracks[scenario["scenario_id"]]:
-                timesteps = self.corpus.timesteps[scenario["scenario_id"], row["track_id"]] if row["name"] else []
-                shown = [t for t in timesteps if t >= int(scenario["first_timestep"]) and is_shown(scenario, row, t)]
-                missing = [t for t in shown if (scenario["scenario_id"], row["track_id"], t) not in self.found]
-                n_missing += len(missing)
-        assert n_missing == n_left_out, f"{n_missing} states of the corpus are missing, not the {n_left_out} that export.json tells of"
-
-    def compared(self, what):
-        if self.corpus is None:
-            return ""
-        return f", {len(self.found)} states as in the corpus ({what}; largest difference {self.worst:.1e})"
-
-
-class Corpus:
-    """States in the recording's frame by (scenario, track, timestep), and the timesteps of each track of a scenario."""
-
-    def __init__(self, folder, dataset):
-        columns = ["scenario_id", "track_id", "timestep", "world_x_m", "world_y_m", "world_heading_rad", "vx_mps", "vy_mps"]
-        columns += ["length_m", "width_m"]
-        table = part(folder, "tracks", dataset).to_table(columns=columns).to_pydict()
-        scenarios = part(folder, "scenarios", dataset).to_table(
-            columns=["scenario_id", "world_from_scene", "dt_s", "n_history", "n_timesteps"]
-        )
-        self.scenarios = {row["scenario_id"]: row for row in scenarios.to_pylist()}
-        rotation = {key: row["world_from_scene"]["rotation_rad"] for key, row in self.scenarios.items()}
-        self.states, self.timesteps = {}, {}
-        for s, t, k, x, y, heading, vx, vy, length, width in zip(*(table[name] for name in columns)):
-            cos, sin = math.cos(rotation[s]), math.sin(rotation[s])
-            state = {"x": x, "y": y, "heading": heading, "vx": cos * vx - sin * vy, "vy": sin * vx + cos * vy}
-            state |= {"speed": math.hypot(vx, vy), "length": length, "width": width}
-            state["along"] = state["vx"] * math.cos(heading) + state["vy"] * math.sin(heading)
-            state["across"] = state["vy"] * math.cos(heading) - state["vx"] * math.sin(heading)
-            self.states[s, t, k] = state
-            self.timesteps.setdefault((s, t), []).append(k)
-
-
-def part(folder, name, dataset):
-    path = folder / name if (folder / name).exists() else folder / f"{name}.parquet"
-    return dataset.dataset(path, format="parquet", partitioning="hive")
 
 
 def states(folder):
@@ -257,6 +163,7 @@ def check_openscenario(export, schema):
         for scenario in export.scenarios:
             compare_trajectories(etree, export, scenario)
         export.demand_all(lambda scenario, row, timestep: row["is_ego"] == "false" or timestep <= last_of_ego(export, scenario))
+        said.append(check_roads(etree, export))
         compared = export.compared("positions, headings, sizes; velocities are not in the format but at the start")
         said.append(f"lxml read {len(export.scenarios)} files{compared}")
     player = available("scenario_gym")
@@ -267,75 +174,17 @@ def check_openscenario(export, schema):
     return said
 
 
-def last_of_ego(export, scenario):
-    """The last timestep at which the ego is moved by the file."""
-    about = export.corpus.scenarios[scenario["scenario_id"]]
-    return about["n_history"] - 1 if export.report["ego"] == "free" else about["n_timesteps"] - 1
-
-
-def compare_trajectories(etree, export, scenario):
-    """Demands that the centers of all entities are where the corpus has them, at the times of the scenario, and that nobody is triggered
-    after the first time of its trajectory."""
-    root = etree.parse(str(export.folder / scenario["file"])).getroot()
-    boxes = {o.get("name"): o.find(".//BoundingBox") for o in root.iter("ScenarioObject")}
-    dt_s = 0.1 if export.corpus is None else export.corpus.scenarios[scenario["scenario_id"]]["dt_s"]
-
-    def compare(name, timestep, position, **more):
-        box, world = boxes[name], {key: float(value) for key, value in position.find(".//WorldPosition").attrib.items()}
-        ahead, size = float(box.find("Center").get("x")), box.find("Dimensions")
-        x, y = (world[k] + ahead * f(world["h"]) for k, f in (("x", math.cos), ("y", math.sin)))
-        more |= {"heading": world["h"], "length": float(size.get("length")), "width": float(size.get("width"))}
-        export.compare(scenario, name.split("_part")[0], timestep, x=x, y=y, **more)
-
-    for private in root.iter("Private"):
-        speed = float(private.find(".//AbsoluteTargetSpeed").get("value"))
-        compare(private.get("entityRef"), 0, private.find(".//TeleportAction"), speed=speed)
-    for event in root.iter("Event"):
-        action = event.find(".//FollowTrajectoryAction")
-        if action is None:
-            continue
-        name = action.find(".//Trajectory").get("name").removeprefix("trajectory_")
-        timing = dict(action.find(".//Timing").attrib)
-        assert timing == {"domainAbsoluteRelative": "absolute", "offset": "0.0", "scale": "1.0"}, f"{name}: {timing}"
-        vertices = list(action.iter("Vertex"))
-        first_s = float(vertices[0].get("time"))
-        begin_s = float(event.find(".//SimulationTimeCondition").get("value"))
-        assert first_s - 0.01 < begin_s <= first_s, f"{name} begins at {begin_s} s, not at {first_s} s"
-        positions = [dict(vertex.find(".//WorldPosition").attrib) for vertex in vertices]
-        if len(vertices) == 2 and positions[0] == positions[1] and round(first_s / dt_s) + 1 not in times_of(export, scenario, name):
-            vertices.pop()  # there for one timestep alone
-        for vertex in vertices:
-            compare(name, round(float(vertex.get("time")) / dt_s), vertex)
-
-
-def times_of(export, scenario, name):
-    """The timesteps of the track of an entity in the corpus."""
-    if export.corpus is None:
-        return []
-    track = next(row for row in export.tracks[scenario["scenario_id"]] if row["name"] == name.split("_part")[0])
-    return export.corpus.timesteps[scenario["scenario_id"], track["track_id"]]
-
-
-def play(player, export, scenario):
-    """Plays a file step by step, and demands that everybody is where the corpus says, when it says so. Returns how many poses there were."""
-    dt_s = 0.1 if export.corpus is None else export.corpus.scenarios[scenario["scenario_id"]]["dt_s"]
-    gym = player.ScenarioGym(timestep=dt_s)
-    gym.load_scenario(str(export.folder / scenario["file"]), relabel=False)
-    gym.reset_scenario()
-    n_poses, seen = 0, set()
-    while True:
-        timestep = round(gym.state.t / dt_s)
-        for entity, pose in gym.state.poses.items():
-            ahead, heading = entity.bounding_box.center_x, pose[3]
-            x, y = pose[0] + ahead * math.cos(heading), pose[1] + ahead * math.sin(heading)
-            export.compare(scenario, entity.ref.split("_part")[0], timestep, x=x, y=y, heading=heading)
-            seen.add((entity.ref.split("_part")[0], timestep))
-            n_poses += 1
-        if gym.state.is_done:
-            break
-        gym.step()
-    assert gym.state.t > gym.state.scenario.length - 1.5 * dt_s, f"{scenario['file']} stopped at {gym.state.t} s"
-    return n_poses
+def check_roads(etree, export):
+    """Validates the roads, and compares them with the lanes of the corpus."""
+    files, package = sorted(export.folder.glob("roads/*.xodr")), folder_of("qc_opendrive")
+    said = f"{len(files)} files of roads"
+    if package is not None:
+        validate(etree, package / "schema/1.7.0/opendrive_17_core.xsd", files)
+        said += " valid against the schema of OpenDRIVE 1.7"
+    if export.corpus is not None:
+        n_lanes, worst_m, share = compare_roads(etree, export)
+        said += f", {n_lanes} lanes within {worst_m:.3f} m of those of the corpus ({share:.2%} of points at square ends left out)"
+    return said
 
 
 def check_openlabel(export):

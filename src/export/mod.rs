@@ -12,6 +12,7 @@ mod index;
 mod interaction;
 mod lane_bounds;
 mod notice;
+mod opendrive;
 mod openlabel;
 mod openscenario;
 mod report;
@@ -42,7 +43,7 @@ pub enum ExportFormat {
     Argoverse2,
     /// CommonRoad scenarios with planning problems.
     CommonRoad,
-    /// OpenSCENARIO XML with trajectories.
+    /// OpenSCENARIO XML with trajectories, and OpenDRIVE with the roads.
     OpenScenario,
     /// OpenLABEL scenario tags.
     OpenLabel,
@@ -70,7 +71,9 @@ impl ExportFormat {
             Self::Interaction => "cases as INTERACTION v1.2 has them: one CSV for each place and split",
             Self::Argoverse2 => "Argoverse 2 motion forecasting: a folder for each scenario with Parquet and map JSON",
             Self::CommonRoad => "CommonRoad 2020a XML: lanelets, obstacles from the present on, a planning problem",
-            Self::OpenScenario => "OpenSCENARIO XML 1.2: every road user follows its trajectory; no road network",
+            Self::OpenScenario => {
+                "OpenSCENARIO XML 1.2: every road user follows its trajectory, on roads in OpenDRIVE 1.7"
+            }
             Self::OpenLabel => "OpenLABEL 1.0 JSON: tags for behaviors, roles, parameters and provenance; no states",
         }
     }

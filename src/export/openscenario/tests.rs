@@ -28,6 +28,9 @@ fn events<'a>(root: &'a Node, entity: &str) -> Vec<(String, f64, &'a Node)> {
     events.into_iter().map(event).collect()
 }
 
+/// The scene's lanes have boundaries.
+const NO_NOMINAL_LANES: [(&str, u64); 2] = [("nominal_lane_width", 0), ("lane_without_extent", 0)];
+
 fn place(position: &Node) -> (f64, f64, f64) {
     let world = position.at("WorldPosition");
     (world.attr_number("x"), world.attr_number("y"), world.attr_number("h"))
@@ -42,7 +45,7 @@ fn the_ego_comes_first_and_is_where_it_is() {
     let names: Vec<&str> = objects.iter().map(|object| object.attr("name")).collect();
     assert_eq!(names, ["Ego", "track_2", "track_P3", "track_P3_part2"]);
     assert_eq!(outcome.tracks, ["Ego", "track_2", "track_P3"].map(|name| Ok(name.to_owned())));
-    assert_eq!(outcome.assumed, [("nominal_size", 1), ("split_at_gap", 1)]);
+    assert_eq!(outcome.assumed, [("nominal_size", 1), ("split_at_gap", 1), NO_NOMINAL_LANES[0], NO_NOMINAL_LANES[1]]);
 
     // A car of 4.5 m has its axles 2.7 m apart, and its center half of that ahead of the rear one.
     let car = objects[0].at("Vehicle");
@@ -156,4 +159,21 @@ fn who_has_one_state_alone_stays_there_for_a_timestep() {
     let vertices = events(&root, "track_2")[1].2.below("Vertex");
     let times: Vec<f64> = vertices.iter().map(|vertex| vertex.attr_number("time")).collect();
     assert_eq!((times, place(vertices[0].at("Position"))), (vec![0.5, 0.6], place(vertices[1].at("Position"))));
+}
+
+#[test]
+fn scenarios_of_a_scene_share_their_roads() {
+    let scene = testing::scene();
+    let other = Scene { id: "other".into(), ..scene.clone() };
+    let roadless = Scene { id: "roadless".into(), lanes: std::sync::Arc::default(), ..scene.clone() };
+    let dir = tempfile::tempdir().unwrap();
+    let scenes = [scene.clone(), scene, other, roadless];
+    let written = add_all(Box::new(OpenScenario::new(dir.path(), EgoMotion::Replayed)), &scenes);
+    let roads = |i: usize| {
+        let root = Node::parse(&testing::read(dir.path(), &written[i].as_ref().unwrap().file));
+        root.at("RoadNetwork").children.first().map(|file| file.attr("filepath").to_owned())
+    };
+    let expected = ["roads/0a1b0.xodr", "roads/0a1b0.xodr", "roads/0a1b2.xodr"].map(|file| Some(file.to_owned()));
+    assert_eq!(([0, 1, 2].map(roads), roads(3)), (expected, None));
+    assert_eq!(Node::parse(&testing::read(dir.path(), "roads/0a1b2.xodr")).all("road").len(), 2);
 }
