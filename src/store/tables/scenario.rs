@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-/// `scenario.v4`.
+/// `scenario.v5`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = provenance::fields();
     fields.extend(scene_header::fields());
@@ -31,7 +31,7 @@ pub(crate) fn schema() -> TableSchema {
     fields.extend(assessment::fields());
     TableSchema {
         name: "scenario",
-        version: 4,
+        version: 5,
         description: "One row a generated scenario; parameters are those of the first requested event found in it.",
         fields,
         open: vec![parameters::open_columns()],
