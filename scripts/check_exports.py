@@ -5,13 +5,13 @@
     readers/bin/python scripts/check_exports.py output/xosc output/commonroad ...
 
 What is not installed is skipped, and said so; `--may-skip NAME` makes it a failure for all but the named ones. With `--corpus DIR`,
-positions and judgments are compared with the corpus, too (pyarrow). `scenario_gym` plays OpenSCENARIO where it is installed
-(`pip install scenario-gym`, in an environment of its own: it needs an older NumPy). `--schema FILE` names an XSD of OpenSCENARIO 1.2 where
-no package brings it. Ends with 1 when a check fails.
+every state of every track is compared with the corpus (pyarrow): position, heading, velocity and size, as far as the format holds them, to
+a millionth; and no state may be missing. Judgments are compared, too. `scenario_gym` plays OpenSCENARIO where it is installed (`pip install
+scenario-gym "numpy<2" "shapely<2.1" pyarrow`, in an environment of its own). `--schema FILE` names an XSD of OpenSCENARIO 1.2 where no
+package brings it. Ends with 1 when a check fails.
 """
 
 import argparse
-import csv
 import importlib
 import importlib.util
 import json
@@ -19,7 +19,9 @@ import math
 import pathlib
 import sys
 
-TOLERANCE_M = 5e-6  # files have six decimals, corpora single precision
+from exports.opendrive import compare_roads
+from exports.openscenario import compare_trajectories, last_of_ego, play
+from exports.tables import Corpus, Export, part
 
 skipped = {}
 
@@ -42,66 +44,24 @@ def folder_of(package):
     return pathlib.Path(list(spec.submodule_search_locations)[0])
 
 
-def rows(path):
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file, delimiter="\t"))
-
-
-class Export:
-    """An export, and where the corpus says that its tracks are."""
-
-    def __init__(self, folder, corpus, judged=None):
-        self.folder = folder
-        self.report = json.loads((folder / "export.json").read_text())
-        self.scenarios = rows(folder / "index.tsv")
-        self.tracks = {}
-        for row in rows(folder / "tracks.tsv"):
-            self.tracks.setdefault(row["scenario_id"], []).append(row)
-        self.corpus, self.judged = corpus, judged
-        assert len(self.scenarios) == self.report["n_scenarios"] > 0, "index.tsv and export.json differ"
-        assert (folder / "NOTICE.txt").read_text().count("Sources and terms") == 1, "NOTICE.txt names no terms"
-
-    def compare(self, scenario, name, timestep, x, y):
-        """Demands that the track that is called `name` is at (x, y) at a timestep. True where there is something to compare."""
-        if self.corpus is None:
-            return False
-        track = next(row for row in self.tracks[scenario["scenario_id"]] if row["name"] == name)
-        key = scenario["scenario_id"], track["track_id"], timestep
-        assert key in self.corpus, f"{key} is not in the corpus"
-        distance = math.dist(self.corpus[key], (x, y))
-        assert distance < TOLERANCE_M, f"{key} is {distance} m away from where the corpus has it"
-        return True
-
-    def compared(self, n):
-        return "" if self.corpus is None else f", {n} positions compared with the corpus"
-
-
-def world_positions(folder):
-    """(scenario, track, timestep) -> position in the recording's frame."""
+def states(folder):
     dataset = available("pyarrow.dataset")
-    if folder is None or dataset is None:
-        return None
-    path = folder / "tracks" if (folder / "tracks").exists() else folder / "tracks.parquet"
-    columns = ["scenario_id", "track_id", "timestep", "world_x_m", "world_y_m"]
-    table = dataset.dataset(path, format="parquet", partitioning="hive").to_table(columns=columns).to_pydict()
-    return {(s, t, k): (x, y) for s, t, k, x, y in zip(*(table[name] for name in columns))}
+    return None if folder is None or dataset is None else Corpus(folder, dataset)
 
 
 def judgments(folder):
-    """scenario -> its row of the scenario table, without nested columns."""
+    """scenario -> its row of the scenario table."""
     dataset = available("pyarrow.dataset")
     if folder is None or dataset is None:
         return None
-    path = folder / "scenarios" if (folder / "scenarios").exists() else folder / "scenarios.parquet"
-    table = dataset.dataset(path, format="parquet", partitioning="hive").to_table()
-    return {row["scenario_id"]: row for row in table.to_pylist()}
+    return {row["scenario_id"]: row for row in part(folder, "scenarios", dataset).to_table().to_pylist()}
 
 
 def check_interaction(export):
     pandas = available("pandas")
     if pandas is None:
         return []
-    n_compared, tables = 0, {}
+    tables = {}
     for scenario in export.scenarios:
         if scenario["file"] not in tables:
             tables[scenario["file"]] = pandas.read_csv(export.folder / scenario["file"], dtype={"track_id": str})
@@ -111,13 +71,17 @@ def check_interaction(export):
         first_frame = case.frame_id.min()
         for row in case.itertuples():
             timestep = int(scenario["first_timestep"]) + row.frame_id - first_frame
-            n_compared += export.compare(scenario, row.track_id, timestep, row.x, row.y)
+            said = {"x": row.x, "y": row.y, "vx": row.vx, "vy": row.vy}
+            if row.agent_type == "car":
+                said |= {"heading": row.psi_rad, "length": row.length, "width": row.width}
+            export.compare(scenario, row.track_id, timestep, **said)
+    export.demand_all(lambda scenario, row, timestep: timestep < int(scenario["first_timestep"]) + 40)
     for name, table in tables.items():
         ids = table.case_id.drop_duplicates().tolist()
         assert ids == [float(i + 1) for i in range(len(ids))], f"cases of {name} are not consecutive"
         cars = table[table.agent_type == "car"]
         assert not cars.isna().any().any(), f"{name}: a car lacks a value"
-    return [f"pandas read {len(tables)} tables{export.compared(n_compared)}"]
+    return [f"pandas read {len(tables)} tables{export.compared('positions, velocities; headings and sizes of vehicles')}"]
 
 
 def check_argoverse2(export):
@@ -125,7 +89,6 @@ def check_argoverse2(export):
     maps = available("av2.map.map_api", "av2.map.lane_segment")
     said = []
     if reader is not None:
-        n_compared = 0
         for scenario in export.scenarios:
             folder = export.folder / scenario["file"]
             read = reader.load_argoverse_scenario_parquet(folder / f"scenario_{scenario['name']}.parquet")
@@ -134,17 +97,21 @@ def check_argoverse2(export):
             assert tracks[read.focal_track_id]["is_ego"] == "true"
             for track in read.tracks:
                 for state in track.object_states:
-                    n_compared += export.compare(scenario, track.track_id, state.timestep, *state.position)
-        said.append(f"av2 read {len(export.scenarios)} scenarios{export.compared(n_compared)}")
+                    (x, y), (vx, vy) = state.position, state.velocity
+                    export.compare(scenario, track.track_id, state.timestep, x=x, y=y, heading=state.heading, vx=vx, vy=vy)
+        export.demand_all()
+        said.append(f"av2 read {len(export.scenarios)} scenarios{export.compared('positions, headings, velocities')}")
     if maps is not None:
         n_lanes = 0
         for scenario in export.scenarios:
             path = export.folder / scenario["file"] / f"log_map_archive_{scenario['name']}.json"
             static = maps[0].ArgoverseStaticMap.from_json(path)
             n_lanes += len(static.vector_lane_segments)
+            assert len(static.vector_drivable_areas) == len(static.vector_lane_segments), "lanes without drivable areas"
             for lane in static.vector_lane_segments.values():
                 assert static.get_lane_segment_centerline(lane.id).shape[0] > 1
-        said.append(f"av2 read maps with {n_lanes} lanes")
+                assert static.vector_drivable_areas[lane.id].xyz.shape[0] > 3
+        said.append(f"av2 read maps with {n_lanes} lanes and as many drivable areas")
     return said
 
 
@@ -157,20 +124,31 @@ def check_commonroad(export):
         said.append("valid against the schema of commonroad-io")
     if reader is None:
         return said
-    n_compared = n_lanelets = 0
+    n_lanelets = 0
     for scenario in export.scenarios:
-        read, problems = reader.CommonRoadFileReader(str(export.folder / scenario["file"])).open()
+        path, first = export.folder / scenario["file"], int(scenario["first_timestep"])
+        read, problems = reader.CommonRoadFileReader(str(path)).open()
         assert str(read.scenario_id) == scenario["name"], f"{read.scenario_id} is not {scenario['name']}"
         names = [row["name"] for row in export.tracks[scenario["scenario_id"]] if row["name"]]
         assert sorted(str(o.obstacle_id) for o in read.dynamic_obstacles) == sorted(names)
         (problem,) = problems.planning_problem_dict.values()
         assert problem.goal.state_list[0].time_step.end >= 1
+        if export.corpus is not None:
+            (x, y), start = problem.initial_state.position, problem.initial_state
+            said_of_ego = {"x": x, "y": y, "heading": start.orientation, "along": start.velocity}
+            export.compare_track(scenario["scenario_id"], export.ego(scenario)["track_id"], first + start.time_step, said_of_ego)
         n_lanelets += len(read.lanelet_network.lanelets)
         for obstacle in read.dynamic_obstacles:
+            shape = obstacle.obstacle_shape
             for state in [obstacle.initial_state, *obstacle.prediction.trajectory.state_list]:
-                timestep = int(scenario["first_timestep"]) + state.time_step
-                n_compared += export.compare(scenario, str(obstacle.obstacle_id), timestep, *state.position)
-    said.append(f"commonroad-io read {len(export.scenarios)} files with {n_lanelets} lanelets{export.compared(n_compared)}")
+                (x, y), of_state = state.position, {"heading": state.orientation, "along": state.velocity}
+                if state.time_step > 0:  # the reader's initial states have no such member
+                    of_state["across"] = state.velocity_y
+                of_state |= {"length": shape.length, "width": shape.width}
+                export.compare(scenario, str(obstacle.obstacle_id), first + state.time_step, x=x, y=y, **of_state)
+    export.demand_all(n_left_out=export.assumed("states_after_gap"))
+    compared = export.compared("positions, headings, velocities, sizes")
+    said.append(f"commonroad-io read {len(export.scenarios)} files with {n_lanelets} lanelets{compared}")
     return said
 
 
@@ -182,44 +160,31 @@ def check_openscenario(export, schema):
         if schema is not None:
             validate(etree, schema, [export.folder / scenario["file"] for scenario in export.scenarios])
             said.append("valid against the schema of OpenSCENARIO 1.2")
-        n_compared = sum(compare_trajectories(etree, export, scenario) for scenario in export.scenarios)
-        said.append(f"lxml read {len(export.scenarios)} files{export.compared(n_compared)}")
+        for scenario in export.scenarios:
+            compare_trajectories(etree, export, scenario)
+        export.demand_all(lambda scenario, row, timestep: row["is_ego"] == "false" or timestep <= last_of_ego(export, scenario))
+        said.append(check_roads(etree, export))
+        compared = export.compared("positions, headings, sizes; velocities are not in the format but at the start")
+        said.append(f"lxml read {len(export.scenarios)} files{compared}")
     player = available("scenario_gym")
     if player is not None:
-        for scenario in export.scenarios:
-            gym = player.ScenarioGym(timestep=0.1)
-            gym.load_scenario(str(export.folder / scenario["file"]))
-            gym.rollout()
-            ego, t = gym.state.scenario.entities[0], gym.state.t
-            vertex = min(ego.trajectory.data, key=lambda vertex: abs(vertex[0] - t))
-            distance = math.dist(gym.state.poses[ego][:2], vertex[1:3])
-            assert t > gym.state.scenario.length - 0.2 and distance < 0.01, f"{scenario['file']} stopped at {t} s, {distance} m off"
-        said.append(f"scenario_gym played {len(export.scenarios)} files")
+        n_poses = sum(play(player, export, scenario) for scenario in export.scenarios)
+        compared = "" if export.corpus is None else f", {n_poses} poses as in the corpus"
+        said.append(f"scenario_gym played {len(export.scenarios)} files{compared}")
     return said
 
 
-def compare_trajectories(etree, export, scenario):
-    """Demands that the centers of all entities are where the corpus has them. Returns how many were compared."""
-    root = etree.parse(str(export.folder / scenario["file"])).getroot()
-    ahead = {o.get("name"): float(o.find(".//Center").get("x")) for o in root.iter("ScenarioObject")}
-    n_compared = 0
-    for event in root.iter("Event"):
-        action = event.find(".//FollowTrajectoryAction")
-        if action is None:
-            continue
-        name = action.find(".//Trajectory").get("name").removeprefix("trajectory_")
-        begin_s = float(event.find(".//SimulationTimeCondition").get("value"))
-        vertices = list(action.iter("Vertex"))
-        dt_s = float(vertices[1].get("time")) - float(vertices[0].get("time"))
-        positions = [dict(vertex.find(".//WorldPosition").attrib) for vertex in vertices]
-        if len(vertices) == 2 and positions[0] == positions[1]:
-            vertices.pop()  # there for one timestep alone
-        for vertex in vertices:
-            world = {key: float(value) for key, value in vertex.find(".//WorldPosition").attrib.items()}
-            timestep = round((begin_s + float(vertex.get("time"))) / dt_s)
-            x, y = (world[k] + ahead[name] * f(world["h"]) for k, f in (("x", math.cos), ("y", math.sin)))
-            n_compared += export.compare(scenario, name.split("_part")[0], timestep, x, y)
-    return n_compared
+def check_roads(etree, export):
+    """Validates the roads, and compares them with the lanes of the corpus."""
+    files, package = sorted(export.folder.glob("roads/*.xodr")), folder_of("qc_opendrive")
+    said = f"{len(files)} files of roads"
+    if package is not None:
+        validate(etree, package / "schema/1.7.0/opendrive_17_core.xsd", files)
+        said += " valid against the schema of OpenDRIVE 1.7"
+    if export.corpus is not None:
+        n_lanes, worst_m, share = compare_roads(etree, export)
+        said += f", {n_lanes} lanes within {worst_m:.3f} m of those of the corpus ({share:.2%} of points at square ends left out)"
+    return said
 
 
 def check_openlabel(export):
@@ -268,7 +233,7 @@ def main():
     parser.add_argument("--schema", type=pathlib.Path)
     parser.add_argument("--may-skip", action="append", metavar="NAME")
     args = parser.parse_args()
-    corpus, judged = world_positions(args.corpus), judgments(args.corpus)
+    corpus, judged = states(args.corpus), judgments(args.corpus)
     checks = {
         "interaction": check_interaction,
         "argoverse2": check_argoverse2,

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Runs the example queries of the documents on a corpus: do DuckDB, polars and pyarrow read what djinn writes?
+"""Runs the example queries of the documents on a corpus: do DuckDB, polars, pyarrow and pandas read what djinn writes?
 
     python3 scripts/check_readme_queries.py output/quickstart/main/corpus
 
 Takes the SQL and Python blocks of README.md and schemas/README.md with the corpus in place of the quickstart's, and those of the
-corpus's own card in its folder. What needs a package that is not installed (pip install duckdb polars pyarrow) is skipped, and said to be.
+corpus's own card in its folder. What needs a package that is not installed (pip install duckdb polars pyarrow pandas) is skipped, and said to be.
 """
 
 import importlib.util

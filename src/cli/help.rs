@@ -100,7 +100,7 @@ hold for the export, too. What a format cannot hold is left out, counted by reas
 
 Examples:
   djinn export openscenario output/quickstart/main/corpus --only-verified --out output/xosc
-  djinn export commonroad output/quickstart/main/corpus --limit 10 --free-ego --out output/commonroad
+  djinn export commonroad output/quickstart/main/corpus --limit 10 --out output/commonroad
   python scripts/check_exports.py output/xosc        reads an export with the readers of its format";
 
 /// Of `corpus validate`.

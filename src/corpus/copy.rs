@@ -17,6 +17,7 @@ use arrow::compute::filter_record_batch;
 use arrow::datatypes::SchemaRef;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use std::sync::Arc;
 
 /// Decides which scenarios come along.
 pub(super) trait Selection {
@@ -61,6 +62,8 @@ pub(super) fn copy(
         n_differing_recordings: 0,
         n_aggregates_left_out: 0,
     };
+    // Queries over a corpus without scenarios find the columns, too.
+    copier.sink.write_scenarios(&RecordBatch::new_empty(Arc::clone(&copier.schema)))?;
     progress.start("copy", inputs.iter().map(|scan| scan.manifest().n_scenarios).sum(), "scenarios");
     let mut needed = Needed::default();
     for (i, scan) in inputs.iter().enumerate() {

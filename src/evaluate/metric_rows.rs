@@ -160,7 +160,9 @@ mod tests {
         assert_eq!(ids("s-5").collect::<Vec<_>>(), vec![Some("s-5".to_owned()); n_values]);
         let all: Vec<MetricRow> = rows.of_scenarios(|_| true).collect();
         assert_eq!((all.len(), all[0].scenario_id.as_deref()), (2 * n_values, Some("s-4")));
-        assert!(all.iter().all(|row| row.group == own && row.place == "Test" && row.n == 1 && row.level.strength == 2.0));
+        assert!(
+            all.iter().all(|row| row.group == own && row.place == "Test" && row.n == 1 && row.level.strength == 2.0)
+        );
         assert!(all.iter().all(|row| row.scene_id == Some(recorded().id) && row.std_error.is_none()));
     }
 }

@@ -178,9 +178,9 @@ mod tests {
         assert_eq!(lines[0], HEADER.join(","));
         // 12 + 11 + 11 states a case; four observed timesteps end at frame 10.
         assert_eq!(lines.len(), 1 + 2 * (12 + 11 + 11));
-        assert_eq!(lines[1], "1.0,1,7,700,car,1000,2000,0,10,1.570796,4.5,1.8");
-        assert_eq!(lines[12], "1.0,1,18,1800,car,1000,2011,0,10,1.570796,4.5,1.8");
-        assert_eq!(lines[13], "1.0,2,8,800,car,997,2001,0,10,1.570796,4.5,1.8");
+        assert_eq!(lines[1], "1.0,1,7,700,car,1000,2000,0,10,1.570796327,4.5,1.8");
+        assert_eq!(lines[12], "1.0,1,18,1800,car,1000,2011,0,10,1.570796327,4.5,1.8");
+        assert_eq!(lines[13], "1.0,2,8,800,car,997,2001,0,10,1.570796327,4.5,1.8");
         // Who walks to the left of north goes west.
         assert_eq!(lines[24], "1.0,P3,7,700,pedestrian/bicycle,1000,2005,-1,0,,,");
         assert_eq!(lines[26], "1.0,P3,10,1000,pedestrian/bicycle,999.7,2005,-1,0,,,");
@@ -207,7 +207,7 @@ mod tests {
         assert_eq!(first.tracks, [Ok("1".to_owned()), Err("static_object"), Ok("P3".to_owned())]);
         assert_eq!(first.assumed, [("nominal_size", 1), ("cut_to_window", 0), ("renumbered_track", 1)]);
         assert!(
-            read(dir.path(), "train/Test_train.csv").contains("\n1.0,1,7,700,car,1000,2000,0,10,1.570796,4.6,1.9\n")
+            read(dir.path(), "train/Test_train.csv").contains("\n1.0,1,7,700,car,1000,2000,0,10,1.570796327,4.6,1.9\n")
         );
         assert_eq!(outcomes[1].as_ref().err(), Some(&"not_10_hz"));
         let third = outcomes[2].as_ref().unwrap();

@@ -12,6 +12,7 @@ mod index;
 mod interaction;
 mod lane_bounds;
 mod notice;
+mod opendrive;
 mod openlabel;
 mod openscenario;
 mod report;
@@ -42,7 +43,7 @@ pub enum ExportFormat {
     Argoverse2,
     /// CommonRoad scenarios with planning problems.
     CommonRoad,
-    /// OpenSCENARIO XML with trajectories.
+    /// OpenSCENARIO XML with trajectories, and OpenDRIVE with the roads.
     OpenScenario,
     /// OpenLABEL scenario tags.
     OpenLabel,
@@ -70,7 +71,9 @@ impl ExportFormat {
             Self::Interaction => "cases as INTERACTION v1.2 has them: one CSV for each place and split",
             Self::Argoverse2 => "Argoverse 2 motion forecasting: a folder for each scenario with Parquet and map JSON",
             Self::CommonRoad => "CommonRoad 2020a XML: lanelets, obstacles from the present on, a planning problem",
-            Self::OpenScenario => "OpenSCENARIO XML 1.2: every road user follows its trajectory; no road network",
+            Self::OpenScenario => {
+                "OpenSCENARIO XML 1.2: every road user follows its trajectory, on roads in OpenDRIVE 1.7"
+            }
             Self::OpenLabel => "OpenLABEL 1.0 JSON: tags for behaviors, roles, parameters and provenance; no states",
         }
     }
@@ -87,12 +90,12 @@ impl ExportFormat {
     }
 
     /// Begins an export into `dir`, which exists and is empty.
-    fn begin(self, dir: &Path, options: ExportOptions) -> Box<dyn Exporter> {
+    fn begin(self, dir: &Path, ego: EgoMotion) -> Box<dyn Exporter> {
         match self {
             Self::Interaction => Box::new(interaction::Interaction::new(dir)),
             Self::Argoverse2 => Box::new(argoverse2::Argoverse2::new(dir)),
-            Self::CommonRoad => Box::new(commonroad::CommonRoad::new(dir, options.ego)),
-            Self::OpenScenario => Box::new(openscenario::OpenScenario::new(dir, options.ego)),
+            Self::CommonRoad => Box::new(commonroad::CommonRoad::new(dir, ego)),
+            Self::OpenScenario => Box::new(openscenario::OpenScenario::new(dir, ego)),
             Self::OpenLabel => Box::new(openlabel::OpenLabel::new(dir)),
         }
     }
@@ -101,23 +104,24 @@ impl ExportFormat {
     pub const fn can_free_ego(self) -> bool {
         matches!(self, Self::CommonRoad | Self::OpenScenario)
     }
-}
 
-/// How a format is to be written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct ExportOptions {
-    /// What becomes of the ego agent.
-    pub ego: EgoMotion,
+    /// What becomes of the ego where nothing is asked for: CommonRoad is for planners, which would collide with a recorded
+    /// ego at their first step.
+    pub const fn usual_ego(self) -> EgoMotion {
+        match self {
+            Self::CommonRoad => EgoMotion::Free,
+            Self::Interaction | Self::Argoverse2 | Self::OpenScenario | Self::OpenLabel => EgoMotion::Replayed,
+        }
+    }
 }
 
 /// What becomes of the ego agent in formats for simulation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EgoMotion {
     /// It moves as in the scenario, like everybody.
-    #[default]
     Replayed,
-    /// Only where it starts is written (and in CommonRoad where it is to go): a driving function moves it.
+    /// It moves as in the scenario up to the present, from which on a driving function moves it.
     Free,
 }
 

@@ -34,7 +34,10 @@ pub(super) fn text(report: &ExportReport) -> String {
     paragraph(&mut text, "export.json: what was asked for, and what was left out, by reason. Written last.");
     paragraph(&mut text, "Positions are those of the recording's frame, in metres; headings in radians.");
     if report.ego == EgoMotion::Free {
-        paragraph(&mut text, "The ego is left to whoever drives it: only its start is written.");
+        paragraph(
+            &mut text,
+            "The ego is left to whoever drives it from the present on; before, it moves as in the scenario.",
+        );
     }
     heading(&mut text, "Left out and assumed");
     for (what, left_out) in [("scenarios", &report.scenarios_left_out), ("tracks", &report.tracks_left_out)] {

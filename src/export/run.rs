@@ -1,7 +1,7 @@
 //! How does a corpus become a folder in another format: which scenarios are chosen, counted and written, in which order?
 
 use super::index::Index;
-use super::{Error, ExportFormat, ExportOptions, ExportReport, Item, Outcome, Result, Selection, notice, text};
+use super::{EgoMotion, Error, ExportFormat, ExportReport, Item, Outcome, Result, Selection, notice, text};
 use crate::files::NewFolder;
 use crate::progress::Progress;
 use crate::store::{CorpusReader, write_atomically, write_json_atomically};
@@ -18,7 +18,8 @@ pub const NOTICE_FILE: &str = "NOTICE.txt";
 pub const EXPORT_FILE: &str = "export.json";
 
 /// Exports the scenarios of the corpus in `corpus` that `selection` wants, in the corpus's order, into the folder `out`,
-/// which must be new or empty and is there once it is whole. Scenarios are read and written one by one. The same corpus gives the same bytes.
+/// which must be new or empty and is there once it is whole. `ego` says what becomes of the ego; without it, what is usual for
+/// the format. Scenarios are read and written one by one. The same corpus gives the same bytes.
 ///
 /// # Errors
 /// [`Error::Files`] when `out` holds something or overlaps the corpus; [`Error::Store`] when the corpus cannot be read or lacks a scenario
@@ -29,17 +30,18 @@ pub fn export_corpus(
     format: ExportFormat,
     out: &Path,
     selection: &Selection,
-    options: ExportOptions,
+    ego: Option<EgoMotion>,
     progress: &dyn Progress,
 ) -> Result<ExportReport> {
-    if options.ego == super::EgoMotion::Free && !format.can_free_ego() {
+    let ego = ego.unwrap_or(format.usual_ego());
+    if ego == EgoMotion::Free && !format.can_free_ego() {
         return Err(Error::EgoIsReplayed { format: format.name() });
     }
     let reader = CorpusReader::open(corpus)?;
     let positions = positions(&reader, selection)?;
     let folder = NewFolder::begin(out, [("corpus", corpus)])?;
     let limit = selection.limit.unwrap_or(usize::MAX);
-    let mut report = ExportReport::new(format, selection, options.ego);
+    let mut report = ExportReport::new(format, selection, ego);
     let mut writer: Option<Writer> = None;
     let mut n_chosen = 0;
     progress.start("export", positions.len().min(limit) as u64, "scenarios");
@@ -56,7 +58,7 @@ pub fn export_corpus(
         let item = Item { record: &record, number: n_chosen, stem };
         let writer = match &mut writer {
             Some(writer) => writer,
-            none => none.insert(Writer::begin(format, folder.path(), options)?),
+            none => none.insert(Writer::begin(format, folder.path(), ego)?),
         };
         writer.add(&item, &reader, &mut report)?;
         progress.advance(1);
@@ -97,9 +99,9 @@ struct Writer {
 }
 
 impl Writer {
-    fn begin(format: ExportFormat, out: &Path, options: ExportOptions) -> Result<Self> {
+    fn begin(format: ExportFormat, out: &Path, ego: EgoMotion) -> Result<Self> {
         let index = Index::begin(&out.join(INDEX_FILE), &out.join(TRACKS_FILE))?;
-        Ok(Self { exporter: format.begin(out, options), index })
+        Ok(Self { exporter: format.begin(out, ego), index })
     }
 
     fn add(&mut self, item: &Item<'_>, reader: &CorpusReader, report: &mut ExportReport) -> Result<()> {

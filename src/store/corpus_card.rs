@@ -100,7 +100,7 @@ fn sources(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
 
 const LOADING: &str = r#"## How to load it
 
-The folder names of `scenarios`, `tracks` and `recordings` hold columns (`behavior`, `place`), which all three readers understand.
+The folder names of `scenarios`, `tracks` and `recordings` hold columns (`behavior`, `place`), which all readers below understand.
 In this folder:
 
 ```sql
@@ -114,6 +114,12 @@ FROM read_parquet('tracks/**/*.parquet', hive_partitioning = true) AS t
 JOIN read_parquet('scenarios/**/*.parquet', hive_partitioning = true) AS s USING (scenario_id)
 LEFT JOIN read_parquet('recordings/**/*.parquet', hive_partitioning = true) AS r USING (scene_id, track_id, timestep)
 WHERE s.behavior = 'cut_in' AND s.verified;
+```
+
+```python
+import pandas as pd
+
+scenarios = pd.read_parquet("scenarios")
 ```
 
 ```python
@@ -153,7 +159,7 @@ fn write_table(text: &mut String, table: CorpusTable, entry: &TableEntry) -> fmt
     };
     writeln!(text, "{n_rows} rows, {n_bytes} bytes, files{by}: {n_files}.\n")?;
     writeln!(text, "| Column | Type | Unit | Frame | |\n|---|---|---|---|---|")?;
-    for field in &schema.fields {
+    for field in schema.fields.iter().chain(schema.open.iter().flat_map(|open| &open.known)) {
         let of = |key: &str| field.metadata().get(key).map_or_else(String::new, |value| value.to_string());
         let plain = |value: String| if value == "none" { String::new() } else { value };
         let (unit, frame) = (plain(of("unit")), plain(of("frame")));

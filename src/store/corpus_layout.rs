@@ -61,6 +61,14 @@ impl CorpusTable {
         }
     }
 
+    /// Its columns as its files have them: what a table is cut by stands in the names of folders alone, because pyarrow and
+    /// pandas take a column that stands in both places for two of different types.
+    pub(crate) fn file_schema(self) -> TableSchema {
+        let mut schema = self.schema();
+        schema.fields.retain(|field| !self.keys().contains(&field.name().as_str()));
+        schema
+    }
+
     /// The columns that it is cut by, outermost first; empty for a single file.
     pub const fn keys(self) -> &'static [&'static str] {
         match self {
@@ -77,12 +85,8 @@ impl CorpusTable {
             return path + ".parquet";
         }
         for key in self.keys() {
-            let value = match *key {
-                "behavior" => &partition.behavior,
-                _ => &partition.place,
-            };
             // Writing to a string cannot fail.
-            let _ = write!(path, "/{key}={}", encoded(value.as_deref().unwrap_or_default()));
+            let _ = write!(path, "/{key}={}", encoded(partition.value(key)));
         }
         path + "/part-00000.parquet"
     }
@@ -106,6 +110,17 @@ pub struct Partition {
     /// The place; missing where the table is not cut by it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub place: Option<String>,
+}
+
+impl Partition {
+    /// The value of a column that tables are cut by; empty where there is none.
+    pub(crate) fn value(&self, key: &str) -> &str {
+        let value = match key {
+            "behavior" => &self.behavior,
+            _ => &self.place,
+        };
+        value.as_deref().unwrap_or_default()
+    }
 }
 
 /// A value as the name of a folder: whatever is not a plain letter, digit, `_`, `-` or `.` as `%` and two digits, as Hive,

@@ -5,11 +5,12 @@ use super::corpus_manifest::{CorpusManifest, FileEntry};
 use super::maps::MapTable;
 use super::parquet_file::{self, Batches};
 use super::scene_manifest::MANIFEST_FILE;
+use super::schema::TableSchema;
 use super::tables::columns::Columns;
 use super::{Error, Result};
 use arrow::array::{Array, RecordBatch, StringArray, UInt64Array, new_null_array};
 use arrow::compute::concat_batches;
-use arrow::datatypes::{Field, SchemaRef};
+use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
 use fs_err as fs;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -109,9 +110,9 @@ impl CorpusScan {
     pub(crate) fn chunks(&self, i: usize, with_tracks: bool) -> Result<Chunks> {
         let (scenarios, tracks) = self.part(i)?;
         let (path, tracks_path) = (self.path(scenarios), self.path(tracks));
-        let batches = parquet_file::stream(&path, &CorpusTable::Scenarios.schema(), None)?;
+        let batches = self.batches(CorpusTable::Scenarios, scenarios, None)?;
         let feed = match with_tracks {
-            true => Some(parquet_file::stream(&tracks_path, &CorpusTable::Tracks.schema(), None)?),
+            true => Some(self.batches(CorpusTable::Tracks, tracks, None)?),
             false => None,
         };
         Ok(Chunks { path, scenarios: Feed::new(batches), tracks_path, tracks: feed.map(Feed::new), is_over: false })
@@ -128,20 +129,31 @@ impl CorpusScan {
         })
     }
 
-    /// The batches of a file: whole rows, or only some columns.
-    pub(crate) fn batches(&self, table: CorpusTable, file: &FileEntry, columns: Option<&[&str]>) -> Result<Batches> {
-        parquet_file::stream(&self.path(file), &table.schema(), columns)
+    /// The batches of a file, with what the name of its folder says: whole rows, or only some columns.
+    pub(crate) fn batches(
+        &self,
+        table: CorpusTable,
+        file: &FileEntry,
+        columns: Option<&[&str]>,
+    ) -> Result<PartBatches> {
+        let path = self.path(file);
+        let batches = parquet_file::stream(&path, &table.file_schema(), columns)?;
+        let schema = table.schema();
+        let is_wanted = |key: &&&str| schema.has(key) && columns.is_none_or(|columns| columns.contains(*key));
+        let keys = table.keys().iter().filter(is_wanted).map(|key| (*key, file.partition.value(key).to_owned()));
+        let keys = keys.collect();
+        Ok(PartBatches { path, batches, keys, schema: columns.is_none().then_some(schema) })
     }
 
     /// The number of rows that a file has, by its footer.
     pub(crate) fn n_rows(&self, table: CorpusTable, file: &FileEntry) -> Result<u64> {
-        parquet_file::n_rows(&self.path(file), &table.schema())
+        parquet_file::n_rows(&self.path(file), &table.file_schema())
     }
 
     /// The columns of all scenarios: those of the table, then every parameter that occurs in a file, sorted.
     pub(crate) fn scenario_schema(&self) -> Result<SchemaRef> {
         let files = self.manifest.files(CorpusTable::Scenarios).iter();
-        let schemas = files.map(|file| parquet_file::schema(&self.path(file), &CorpusTable::Scenarios.schema()));
+        let schemas = files.map(|file| parquet_file::schema(&self.path(file), &CorpusTable::Scenarios.file_schema()));
         Ok(united(&schemas.collect::<Result<Vec<_>>>()?))
     }
 
@@ -154,6 +166,40 @@ impl CorpusScan {
             }
         }
         Ok(maps)
+    }
+}
+
+/// The batches of a file of a corpus.
+pub(crate) struct PartBatches {
+    path: PathBuf,
+    batches: Batches,
+    /// Columns that stand in the name of the folder, with their values. Files of earlier versions have them, too.
+    keys: Vec<(&'static str, String)>,
+    /// All columns in their order; `None` where only some are read.
+    schema: Option<TableSchema>,
+}
+
+impl PartBatches {
+    fn with_keys(&self, batch: &RecordBatch) -> Result<RecordBatch> {
+        let mut fields = batch.schema().fields().to_vec();
+        let mut columns = batch.columns().to_vec();
+        for (key, value) in self.keys.iter().filter(|(key, _)| batch.column_by_name(key).is_none()) {
+            fields.push(Arc::new(Field::new(*key, DataType::Utf8, false)));
+            columns.push(Arc::new(StringArray::from_iter_values(std::iter::repeat_n(value, batch.num_rows()))));
+        }
+        let schema = Arc::new(Schema::new_with_metadata(fields, batch.schema().metadata().clone()));
+        let batch =
+            RecordBatch::try_new(schema, columns).map_err(|error| Error::corrupt(&self.path, error.to_string()))?;
+        self.schema.as_ref().map_or(Ok(batch.clone()), |schema| schema.conform(&self.path, &batch))
+    }
+}
+
+impl Iterator for PartBatches {
+    type Item = Result<RecordBatch>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let batch = self.batches.next()?;
+        Some(if self.keys.is_empty() { batch } else { batch.and_then(|batch| self.with_keys(&batch)) })
     }
 }
 
@@ -288,14 +334,14 @@ impl CorpusChunk {
 
 /// Hands out the rows of a file in portions of any size.
 struct Feed {
-    batches: Batches,
+    batches: PartBatches,
     /// What is left of the last batch.
     rest: Option<RecordBatch>,
     n_taken: usize,
 }
 
 impl Feed {
-    const fn new(batches: Batches) -> Self {
+    const fn new(batches: PartBatches) -> Self {
         Self { batches, rest: None, n_taken: 0 }
     }
 

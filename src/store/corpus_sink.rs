@@ -13,10 +13,12 @@ use crate::files::{clear, write_atomically};
 use crate::scene::{Dataset, LaneGraph, MapId};
 use arrow::array::{RecordBatch, UInt32Array};
 use arrow::compute::{concat_batches, take_record_batch};
+use arrow::datatypes::SchemaRef;
 use fs_err as fs;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Rows that a file is given at a time: whatever the sizes of the batches that come, its pages break at the same rows.
 const ROWS_PER_WRITE: usize = 4 * 1024;
@@ -29,6 +31,8 @@ pub(crate) struct CorpusSink {
     parts: BTreeMap<(CorpusTable, Partition), Part>,
     counts: BTreeMap<(String, String), PartitionCount>,
     manifest: CorpusManifest,
+    /// The columns of scenarios, for a corpus that has none.
+    scenario_schema: SchemaRef,
 }
 
 /// A file that is being written, and rows that wait until there are enough of them.
@@ -45,12 +49,14 @@ impl CorpusSink {
     pub(crate) fn create(dir: &Path) -> Result<Self> {
         clear(dir)?;
         let (parts, counts) = (BTreeMap::new(), BTreeMap::new());
-        Ok(Self { dir: dir.to_owned(), parts, counts, manifest: CorpusManifest::empty() })
+        let (manifest, scenario_schema) = (CorpusManifest::empty(), CorpusTable::Scenarios.schema().arrow());
+        Ok(Self { dir: dir.to_owned(), parts, counts, manifest, scenario_schema })
     }
 
     /// Adds rows of scenarios, whose columns must be the same in all calls, to their partitions, and counts them.
     pub(crate) fn write_scenarios(&mut self, batch: &RecordBatch) -> Result<()> {
         let path = self.dir.join(CorpusTable::Scenarios.name());
+        self.scenario_schema = batch.schema();
         self.count(&Columns::of_batch(batch, &path), batch.num_rows())?;
         for (partition, rows) in partitioned(batch, &path)? {
             self.write(CorpusTable::Scenarios, &partition, &taken(batch, &rows)?)?;
@@ -70,16 +76,17 @@ impl CorpusSink {
         self.write(CorpusTable::Lanes, &Partition::default(), &lane::encode(&[(id, lanes)])?)
     }
 
-    /// Adds rows to a file of a table.
+    /// Adds rows to a file of a table, without the columns that its folder's name holds.
     pub(crate) fn write(&mut self, table: CorpusTable, partition: &Partition, batch: &RecordBatch) -> Result<()> {
+        let batch = without(batch, table.keys())?;
         let key = (table, partition.clone());
         if !self.parts.contains_key(&key) {
-            let part = Part::create(&self.dir, table, partition, batch)?;
+            let part = Part::create(&self.dir, table, partition, &batch)?;
             self.parts.insert(key.clone(), part);
         }
         let Some(part) = self.parts.get_mut(&key) else { return Ok(()) };
         part.n_pending += batch.num_rows();
-        part.pending.push(batch.clone());
+        part.pending.push(batch);
         while part.n_pending >= ROWS_PER_WRITE {
             part.write_pending(ROWS_PER_WRITE)?;
         }
@@ -131,7 +138,11 @@ impl CorpusSink {
     pub(crate) fn finish(mut self, about: &CorpusNotes, history: &[String]) -> Result<CorpusManifest> {
         for table in CorpusTable::ALL {
             if !self.parts.keys().any(|(other, _)| *other == table) {
-                let empty = RecordBatch::new_empty(table.schema().arrow());
+                let schema = match table {
+                    CorpusTable::Scenarios => Arc::clone(&self.scenario_schema),
+                    _ => table.schema().arrow(),
+                };
+                let empty = RecordBatch::new_empty(schema);
                 self.write(table, &table.partition(None, ""), &empty)?;
             }
         }
@@ -171,7 +182,7 @@ impl Part {
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder)?;
         }
-        let file = ParquetFile::create(&path, &table.schema(), batch.schema())?;
+        let file = ParquetFile::create(&path, &table.file_schema(), batch.schema())?;
         Ok(Self { file, path, pending: Vec::new(), n_pending: 0 })
     }
 
@@ -205,6 +216,15 @@ pub(crate) fn partitioned(batch: &RecordBatch, path: &Path) -> Result<BTreeMap<P
         rows.entry(partition).or_default().push(row as u32);
     }
     Ok(rows)
+}
+
+/// The batch without these columns, as far as it has them.
+fn without(batch: &RecordBatch, columns: &[&str]) -> Result<RecordBatch> {
+    let schema = batch.schema();
+    let fields = schema.fields().iter().enumerate();
+    let kept: Vec<usize> =
+        fields.filter(|(_, field)| !columns.contains(&field.name().as_str())).map(|(i, _)| i).collect();
+    batch.project(&kept).map_err(|error| Error::invalid("rows", error.to_string()))
 }
 
 /// These rows of a batch.

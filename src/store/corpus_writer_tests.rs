@@ -5,7 +5,7 @@ use crate::files::keep_list;
 use crate::metrics::Group;
 use crate::scene::{GuidanceLevel, LaneGraph, Scene};
 use crate::store::testing::{assessment, event, folder_bytes, map, record, scene};
-use crate::store::{CorpusReader, SceneStore, SceneWriter, SceneWriterOptions};
+use crate::store::{Columns, CorpusReader, CorpusScan, SceneStore, SceneWriter, SceneWriterOptions};
 use serde_json::Value;
 
 /// A scene at one of two places.
@@ -171,6 +171,31 @@ fn partitions_are_folders_and_counted() {
         records.iter().flat_map(|r| &r.scenario.scene.tracks).map(|track| track.trajectory.n_valid()).sum();
     assert_eq!(manifest.tables["tracks"].n_rows, n_states as u64);
     assert_eq!(manifest.tables["tracks"].files[1].partition.place.as_deref(), Some("São Paulo"));
+}
+
+#[test]
+fn what_folders_are_named_for_is_no_column_of_their_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, records) = store_and_records(dir.path());
+    let path = dir.path().join("corpus");
+    let manifest = write(&path, &store, &records, 7);
+    for table in CorpusTable::ALL {
+        for file in manifest.files(table) {
+            let (content, _) = fs_err::File::open(path.join(&file.path)).unwrap().into_parts();
+            let reader = parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder::try_new(content).unwrap();
+            for key in table.keys() {
+                assert!(reader.schema().field_with_name(key).is_err(), "{} has {key}", file.path);
+            }
+        }
+    }
+    // Whoever reads by our own reader finds it, among all columns or alone.
+    let scan = CorpusScan::open(&path).unwrap();
+    let file = &manifest.files(CorpusTable::Scenarios)[0];
+    for columns in [None, Some(["place"].as_slice())] {
+        let batch = scan.batches(CorpusTable::Scenarios, file, columns).unwrap().next().unwrap().unwrap();
+        let columns = Columns::of_batch(&batch, &path);
+        assert_eq!(Some(columns.text("place", 0).unwrap()), file.partition.place.as_deref());
+    }
 }
 
 #[test]

@@ -27,6 +27,8 @@ pub struct OpenColumns {
     pub data_type: DataType,
     /// What they hold.
     pub description: &'static str,
+    /// Those that are known beforehand.
+    pub known: Vec<Field>,
 }
 
 /// The schema of one table.
@@ -156,6 +158,7 @@ impl TableSchema {
             data_type: type_name(&columns.data_type),
             nullable: true,
             description: columns.description,
+            known: columns.known.iter().map(ColumnDoc::of).collect(),
         };
         let doc = TableDoc {
             schema: self.id(),
@@ -212,6 +215,8 @@ struct OpenColumnsDoc {
     data_type: String,
     nullable: bool,
     description: &'static str,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    known: Vec<ColumnDoc>,
 }
 
 impl ColumnDoc {
@@ -334,7 +339,8 @@ mod tests {
             }
         }
         for table in TableSchema::all() {
-            table.fields.iter().for_each(|field| check(table.name, field));
+            let known = table.open.iter().flat_map(|open| &open.known);
+            table.fields.iter().chain(known).for_each(|field| check(table.name, field));
         }
     }
 

@@ -38,7 +38,9 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
         assert_eq!(index.len(), n_scenarios, "{format}");
         assert!(index.iter().all(|row| folder.join(&row["file"]).exists()));
         let tracks = rows(&folder.join("tracks.tsv"));
-        let is_ego = |row: &&BTreeMap<String, String>| row["is_ego"] == "true" && row["left_out"].is_empty();
+        let is_ego = |row: &&BTreeMap<String, String>| {
+            row["is_ego"] == "true" && row["left_out"].is_empty() != (format == "commonroad")
+        };
         assert_eq!(tracks.iter().filter(is_ego).count(), n_scenarios, "{format}");
         let notice = fs_err::read_to_string(folder.join("NOTICE.txt")).unwrap();
         assert!(
@@ -99,10 +101,22 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
     let n_verified = index.iter().filter(|row| row["verified"] == "true").count();
     assert_eq!(Some(n_verified as u64), manifest["n_verified"].as_u64());
 
-    // The ego can be left to a driving function.
-    export("commonroad", "free", &["--free-ego", "--limit", "1"]).expect(0);
-    let ego = rows(&workspace.path("free").join("tracks.tsv")).into_iter().find(|row| row["is_ego"] == "true").unwrap();
-    assert_eq!((ego["name"].as_str(), ego["left_out"].as_str()), ("", "ego_is_free"));
+    // CommonRoad leaves the ego to a planner unless told otherwise, OpenSCENARIO where it is asked to.
+    for (format, option, motion) in [
+        ("commonroad", None, "free"),
+        ("commonroad", Some("--free-ego"), "free"),
+        ("commonroad", Some("--replay-ego"), "replayed"),
+        ("openscenario", None, "replayed"),
+        ("openscenario", Some("--free-ego"), "free"),
+        ("interaction", Some("--replay-ego"), "replayed"),
+    ] {
+        let out = format!("{format}_{}", option.unwrap_or("as_usual"));
+        export(format, &out, &[&["--limit", "1"], option.as_slice()].concat()).expect(0);
+        assert_eq!(json(&workspace.path(&out).join("export.json"))["ego"].as_str(), Some(motion), "{out}");
+        let tracks = rows(&workspace.path(&out).join("tracks.tsv"));
+        let left_out = &tracks.iter().find(|row| row["is_ego"] == "true").unwrap()["left_out"];
+        assert_eq!(left_out == "ego_is_free", format == "commonroad" && motion == "free", "{out}");
+    }
 
     // What cannot be done says why, and leaves nothing behind.
     for (format, out, more, message) in [
@@ -110,6 +124,7 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
         ("openlabel", "none", vec!["--scenario", "nobody"], "holds no scenario nobody"),
         ("openlabel", "none", vec!["--behavior", "left_turn"], "asked to hold left_turn"),
         ("interaction", "none", vec!["--free-ego"], "cannot leave the ego out"),
+        ("commonroad", "none", vec!["--free-ego", "--replay-ego"], "cannot be used with"),
         ("opendrive", "none", vec![], "openscenario"),
         ("openlabel", "small.toml/below", vec![], "small.toml"),
     ] {

@@ -32,9 +32,12 @@ pub(in crate::cli) struct ExportArgs {
     /// At most this many scenarios, the first ones of the corpus
     #[arg(long, value_name = "N", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
     pub(in crate::cli) limit: Option<usize>,
-    /// Leave the ego to your driving function: write its start alone (commonroad, openscenario)
+    /// Leave the ego to your driving function from the present on (openscenario; commonroad does so unless told otherwise)
     #[arg(long)]
     pub(in crate::cli) free_ego: bool,
+    /// Write the ego as a road user like all others, in commonroad as an obstacle beside the planning problem
+    #[arg(long, conflicts_with = "free_ego")]
+    pub(in crate::cli) replay_ego: bool,
 }
 
 /// Reads the name of a format; help and errors list them all.

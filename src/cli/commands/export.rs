@@ -3,7 +3,7 @@
 use crate::cli::args::{ExportArgs, OutputArgs};
 use crate::cli::printer::{Printer, stderr_line};
 use crate::cli::progress::TerminalProgress;
-use crate::export::{EgoMotion, ExportOptions, Selection, export_corpus};
+use crate::export::{EgoMotion, Selection, export_corpus};
 use crate::pipeline::{Failure, Result};
 use std::path::Path;
 
@@ -16,10 +16,14 @@ pub(in crate::cli) fn export(args: &ExportArgs, output: &OutputArgs, printer: &P
         scenario_ids: args.scenarios.clone(),
         limit: args.limit,
     };
-    let options = ExportOptions { ego: if args.free_ego { EgoMotion::Free } else { EgoMotion::Replayed } };
+    let ego = match (args.free_ego, args.replay_ego) {
+        (true, _) => Some(EgoMotion::Free),
+        (false, true) => Some(EgoMotion::Replayed),
+        (false, false) => None,
+    };
     super::begins_anew(&args.out);
     let progress = TerminalProgress::new(output, *printer);
-    let report = export_corpus(&args.corpus, args.format, &args.out, &selection, options, &progress);
+    let report = export_corpus(&args.corpus, args.format, &args.out, &selection, ego, &progress);
     let report = report.map_err(|error| hinted(error.into(), &args.corpus))?;
     for warning in report.warnings() {
         stderr_line(&printer.warning_line(&warning));

@@ -18,8 +18,9 @@ use std::sync::Arc;
 
 pub(super) const NOTES: &str = "<split>/<id>/scenario_<id>.parquet and log_map_archive_<id>.json, with the columns of Argoverse \
     2; the focal track is the ego. Scenarios have as many timesteps as they have: those of other datasets are not 110 long, \
-    which the av2 package reads and models for Argoverse 2 may not expect. Maps hold the lanes near the scenario, without \
-    heights, drivable areas and crossings.";
+    which the av2 package reads and models for Argoverse 2 may not expect. Maps hold the lanes near the scenario, \
+    without heights and crossings; drivable areas are the lanes, one area each, so that shoulders and parking lots are not \
+    in them.";
 
 /// Kinds of lanes that the format knows; others become `VEHICLE`.
 const LANE_TYPES: [&str; 3] = ["VEHICLE", "BIKE", "BUS"];
@@ -63,8 +64,8 @@ impl Exporter for Argoverse2 {
         let folder = format!("{}/{id}", scene.source.split.name());
         fs_err::create_dir_all(self.dir.join(&folder))?;
         let map = scene.lanes.transformed(&scene.world_from_scene);
-        let (lanes, assumed) = lane_segments(&map);
-        let json = json!({ "drivable_areas": {}, "lane_segments": lanes, "pedestrian_crossings": {} });
+        let (lanes, areas, assumed) = lanes_and_areas(&map);
+        let json = json!({ "drivable_areas": areas, "lane_segments": lanes, "pedestrian_crossings": {} });
         let map_path = self.dir.join(&folder).join(format!("log_map_archive_{id}.json"));
         write_atomically::<Error>(&map_path, |file| {
             file.write_all(&serde_json::to_vec(&json).map_err(Error::encode(&map_path))?)?;
@@ -151,26 +152,29 @@ fn category(item: &Item<'_>, agent_idx: usize) -> i64 {
     }
 }
 
-/// The lanes by their ids, and what was assumed of them.
-fn lane_segments(map: &LaneGraph) -> (Map<String, Value>, Vec<(&'static str, u64)>) {
+/// The lanes and the areas that they cover, both by the lanes' ids, and what was assumed of them.
+fn lanes_and_areas(map: &LaneGraph) -> (Map<String, Value>, Map<String, Value>, Vec<(&'static str, u64)>) {
     let (mut n_nominal, mut n_left_out) = (0, 0);
-    let mut segments = Map::new();
+    let (mut segments, mut areas) = (Map::new(), Map::new());
     for lane in map.lanes() {
         match LaneBounds::of(lane) {
             Some(bounds) => {
                 n_nominal += u64::from(bounds.is_nominal);
                 segments.insert(lane.id.0.to_string(), lane_segment(lane, &bounds));
+                let outline: Vec<Vec2> = bounds.left.0.iter().chain(bounds.right.0.iter().rev()).copied().collect();
+                areas.insert(lane.id.0.to_string(), json!({ "id": lane.id.0, "area_boundary": points(&outline) }));
             }
             None => n_left_out += 1,
         }
     }
-    (segments, vec![("nominal_lane_width", n_nominal), ("lane_without_extent", n_left_out)])
+    (segments, areas, vec![("nominal_lane_width", n_nominal), ("lane_without_extent", n_left_out)])
+}
+
+fn points(points: &[Vec2]) -> Vec<Value> {
+    points.iter().map(|point| json!({ "x": rounded(point.x), "y": rounded(point.y), "z": 0.0 })).collect()
 }
 
 fn lane_segment(lane: &Lane, bounds: &LaneBounds) -> Value {
-    let points = |points: &[Vec2]| -> Vec<Value> {
-        points.iter().map(|point| json!({ "x": rounded(point.x), "y": rounded(point.y), "z": 0.0 })).collect()
-    };
     let known = |name: &str, names: &[&'static str]| names.iter().copied().find(|known| *known == name);
     let mark = |tag: &str| lane.attributes.tags.get(tag).and_then(|mark| known(mark, &MARK_TYPES)).unwrap_or("UNKNOWN");
     let ids = |ids: &[crate::scene::LaneId]| ids.iter().map(|id| id.0).collect::<Vec<_>>();

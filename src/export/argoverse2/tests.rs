@@ -87,7 +87,15 @@ fn maps_hold_the_lanes_in_the_recordings_frame() {
     let expected = json!([{ "x": 998.0, "y": 2000.0, "z": 0.0 }, { "x": 998.0, "y": 2040.0, "z": 0.0 }]);
     assert_eq!(lane["left_lane_boundary"], expected);
     assert_eq!(lane["right_neighbor_id"], Value::Null);
-    assert_eq!((&map["drivable_areas"], &map["pedestrian_crossings"]), (&json!({}), &json!({})));
+    // All the way round: up the left boundary, down the right one.
+    let area = &map["drivable_areas"]["-5"];
+    let corner = |i: usize| (area["area_boundary"][i]["x"].as_f64(), area["area_boundary"][i]["y"].as_f64());
+    let at = |x: f64, y: f64| (Some(x), Some(y));
+    assert_eq!(area["id"].as_i64(), Some(-5));
+    let corners = [at(998.0, 2000.0), at(998.0, 2040.0), at(1002.0, 2040.0), at(1002.0, 2000.0)];
+    assert_eq!([0, 1, 2, 3].map(corner), corners);
+    assert_eq!(map["drivable_areas"].as_object().unwrap().len(), 2);
+    assert_eq!(&map["pedestrian_crossings"], &json!({}));
 }
 
 /// A scene as long as the dataset's: 110 timesteps, 50 of them observed.

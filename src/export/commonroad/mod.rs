@@ -19,8 +19,8 @@ use std::path::{Path, PathBuf};
 
 pub(super) const NOTES: &str = "<benchmark id>.xml: CommonRoad 2020a, valid against its schema. Time step 0 is the present of the \
     scenario; what was observed before is not written. The planning problem begins where the ego is at present and ends \
-    where it is at the end. The ego is among the obstacles, too (tracks.tsv says which one), unless the export was asked \
-    to leave it free: take it out before you plan. Lanelets are numbered in ascending order of the map's lane ids. The \
+    where it is at the end. The ego itself is no obstacle, unless the export was asked to replay it (tracks.tsv says which \
+    one it is then): take it out before you plan. velocity is that along the heading, velocityY that to the left of it. Lanelets are numbered in ascending order of the map's lane ids. The \
     date in the files is a placeholder: equal corpora give equal files.";
 
 /// Writes a file for each scenario.
@@ -72,13 +72,14 @@ fn exact(name: &'static str, value: impl std::fmt::Display) -> Element {
     element(name).child(leaf("exact", value))
 }
 
-/// What all states have: position, orientation, time and velocity, the last along the heading.
+/// What all states have: position, orientation, time, and velocity along the heading and to its left.
 fn state(name: &'static str, state: &State, time_step: usize) -> Element {
     element(name)
         .child(position(state))
         .child(exact("orientation", number(state.heading_rad)))
         .child(exact("time", time_step))
         .child(exact("velocity", number(speed_mps(state))))
+        .child(exact("velocityY", number(state.velocity.rotated(-state.heading_rad).y)))
 }
 
 fn position(state: &State) -> Element {

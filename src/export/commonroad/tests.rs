@@ -51,7 +51,12 @@ fn lanelets_are_connected_and_lie_where_the_lanes_lie() {
 
 #[test]
 fn obstacles_move_from_the_present_on() {
-    let (root, written) = written(&testing::scene(), EgoMotion::Replayed).unwrap();
+    let mut scene = testing::scene();
+    // The pedestrian moves 1 m/s to the left and looks ahead.
+    let ahead = |state: &Option<State>| state.map(|state| State { heading_rad: 0.0, ..state });
+    let entries = scene.tracks[2].trajectory.entries().iter().map(ahead).collect();
+    scene.tracks[2].trajectory = crate::scene::Trajectory::new(entries);
+    let (root, written) = written(&scene, EgoMotion::Replayed).unwrap();
     let obstacles = root.all("dynamicObstacle");
     assert_eq!(obstacles.iter().map(|o| o.attr("id")).collect::<Vec<_>>(), ["3", "4", "5"]);
     assert_eq!(written.tracks, ["3", "4", "5"].map(|id| Ok(id.to_owned())));
@@ -59,6 +64,9 @@ fn obstacles_move_from_the_present_on() {
     // The present is timestep 3: three metres to the north of the origin, heading north at 10 m/s.
     assert_eq!(xy(initial.at("position").at("point")), (1000.0, 2003.0));
     assert_eq!((initial.at("time").number("exact"), initial.at("velocity").number("exact")), (0.0, 10.0));
+    let sideways = obstacles[2].at("initialState");
+    let velocity = |name: &str| sideways.at(name).number("exact");
+    assert_eq!((velocity("velocity"), velocity("velocityY")), (0.0, 1.0));
     assert!((initial.at("orientation").number("exact") - std::f64::consts::FRAC_PI_2).abs() < 1e-6);
     let states = obstacles[0].at("trajectory").all("state");
     let steps: Vec<f64> = states.iter().map(|state| state.at("time").number("exact")).collect();

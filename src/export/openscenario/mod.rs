@@ -1,8 +1,8 @@
 //! OpenSCENARIO XML 1.2: what is a scenario as entities that follow trajectories?
 //!
 //! Every road user follows a polyline of timed vertices. Players differ in what they make of times, so that one form is kept to
-//! that all of them read: times count from the start of the action (`relative`), and conditions have no edge (`rising`
-//! would never fire at the start).
+//! that all of them read: vertices have times of the scenario (`absolute`), which some players take them for in any case, and
+//! conditions have no edge (`rising` would never fire at the start).
 
 mod entities;
 mod storyboard;
@@ -11,31 +11,61 @@ mod tests;
 
 use super::text::{number, plain};
 use super::xml::{Element, element};
-use super::{EgoMotion, Error, Exporter, Item, Outcome, Result, Written};
-use crate::scene::State;
+use super::{EgoMotion, Error, Exporter, Item, Outcome, Result, Written, opendrive};
+use crate::scene::{SceneId, State};
 use crate::store::write_atomically;
 use entities::Body;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 pub(super) const NOTES: &str = "<id>.xosc: OpenSCENARIO XML 1.2, valid against its schema. Every road user follows a trajectory, \
-    whose times count from the start of its action; positions of vehicles are those of their rear axles, as the standard has it, and the bounding box says where the center \
-    is. Who enters later is added when it does, and who leaves is deleted. There is no road network: no faithful way leads \
-    from the recordings' maps to OpenDRIVE, so players show an empty plane. Sizes along the vertical, axles and performance \
+    whose times are those of the scenario; positions of vehicles are those of their rear axles, as the standard has it, and the bounding box says where the center \
+    is. Who enters later is added when it does, and who leaves is deleted. roads/<id>.xodr: OpenDRIVE 1.7 with the lanes near \
+    the scenario, one file for all scenarios of a scene; each lane is a road of its own, named for it, on a plane, so that \
+    lanes side by side do not know of each other. Sizes along the vertical, axles and performance \
     are not recorded; usual ones are written. The date in the files is a placeholder: equal corpora give equal files.";
 
+/// Where the roads are.
+const ROADS_FOLDER: &str = "roads";
 /// The files have no date of their own, and the format demands one.
 const DATE: &str = "1970-01-01T00:00:00";
 
-/// Writes a file for each scenario.
+/// Writes a file for each scenario, and one with its roads for each scene.
 pub(super) struct OpenScenario {
     dir: PathBuf,
     ego: EgoMotion,
+    /// The roads of scenes that were met.
+    roads: BTreeMap<SceneId, Roads>,
+}
+
+/// The roads of a scene.
+#[derive(Debug, Clone, Default)]
+struct Roads {
+    /// Relative to the export's folder; none where the scene has no lanes.
+    file: Option<String>,
+    assumed: Vec<(&'static str, u64)>,
 }
 
 impl OpenScenario {
     pub(super) fn new(dir: &Path, ego: EgoMotion) -> Self {
-        Self { dir: dir.to_owned(), ego }
+        Self { dir: dir.to_owned(), ego, roads: BTreeMap::new() }
+    }
+
+    /// The roads of a scenario's scene, which are written for its first scenario and named for it.
+    fn roads(&mut self, item: &Item<'_>) -> Result<Roads> {
+        let scene = item.scene();
+        if let Some(roads) = self.roads.get(&scene.id) {
+            return Ok(roads.clone());
+        }
+        let mut roads = Roads::default();
+        if let Some(network) = opendrive::of(&scene.lanes.transformed(&scene.world_from_scene)) {
+            let file = format!("{ROADS_FOLDER}/{}.xodr", item.stem);
+            fs_err::create_dir_all(self.dir.join(ROADS_FOLDER))?;
+            write_atomically::<Error>(&self.dir.join(&file), |sink| Ok(network.root.write_document(sink)?))?;
+            roads = Roads { file: Some(file), assumed: network.assumed };
+        }
+        self.roads.insert(scene.id.clone(), roads.clone());
+        Ok(roads)
     }
 }
 
@@ -51,7 +81,7 @@ impl Exporter for OpenScenario {
             let mut stretches = stretches(&item.world_states(agent_idx));
             let is_free = self.ego == EgoMotion::Free && agent_idx == scene.ego_idx;
             if is_free {
-                stretches.truncate(1);
+                stretches = up_to_present(stretches, scene.current_timestep());
             }
             if stretches.is_empty() {
                 tracks.push(Err("no_states"));
@@ -68,17 +98,19 @@ impl Exporter for OpenScenario {
         if tracks.get(scene.ego_idx).is_none_or(|track| track.is_err()) {
             return Ok(Outcome::LeftOut("no_ego"));
         }
+        let roads = self.roads(item)?;
+        let logic = roads.file.as_ref().map(|file| element("LogicFile").attr("filepath", file));
         // Players take the first entity for the ego.
         actors.sort_by_key(|actor| actor.name != EGO_NAME);
         let root = element("OpenSCENARIO")
             .child(header(item))
             .child(element("CatalogLocations"))
-            .child(element("RoadNetwork"))
+            .child(element("RoadNetwork").children(logic))
             .child(element("Entities").children(actors.iter().map(Actor::scenario_object)))
             .child(storyboard::of(&actors, scene.n_timesteps, scene.dt_s));
         let file = format!("{}.xosc", item.stem);
         write_atomically::<Error>(&self.dir.join(&file), |sink| Ok(root.write_document(sink)?))?;
-        let assumed = vec![("nominal_size", n_nominal), ("split_at_gap", n_split)];
+        let assumed = [vec![("nominal_size", n_nominal), ("split_at_gap", n_split)], roads.assumed].concat();
         Ok(Outcome::Written(Written { file, name: item.stem.clone(), first_timestep: 0, tracks, assumed }))
     }
 }
@@ -91,7 +123,7 @@ struct Actor {
     first_timestep: usize,
     /// One state a timestep, of its center, in the recording's frame; at least one.
     states: Vec<State>,
-    /// Whether only its start is written.
+    /// Whether a driving function takes it over after its last state.
     is_free: bool,
 }
 
@@ -147,6 +179,13 @@ fn stretches(entries: &[Option<State>]) -> Vec<(usize, Vec<State>)> {
         }
     }
     stretches
+}
+
+/// The stretch that holds the present, up to it; none where there is no state at present.
+fn up_to_present(stretches: Vec<(usize, Vec<State>)>, present: usize) -> Vec<(usize, Vec<State>)> {
+    let holds_present = |(first, states): &(usize, Vec<State>)| (*first..first + states.len()).contains(&present);
+    let held = stretches.into_iter().filter(holds_present);
+    held.map(|(first, states)| (first, states.into_iter().take(present - first + 1).collect())).collect()
 }
 
 fn header(item: &Item<'_>) -> Element {

@@ -4,9 +4,13 @@ use super::Actor;
 use crate::export::text::number;
 use crate::export::xml::{Element, element};
 
+/// Triggers fire this long before the timestep that they are meant for: times that a player sums up from its time steps end
+/// a little below their decimal value, and would be late by a whole step. Far below any player's step.
+const TRIGGER_LEAD_S: f64 = 1e-3;
+
 /// The storyboard of these actors over `n_timesteps`.
 pub(super) fn of(actors: &[Actor], n_timesteps: usize, dt_s: f64) -> Element {
-    let at_start = actors.iter().filter(|actor| actor.first_timestep == 0 || actor.is_free);
+    let at_start = actors.iter().filter(|actor| actor.first_timestep == 0);
     let init = element("Init").child(element("Actions").children(at_start.map(begin)));
     let groups: Vec<Element> = actors.iter().filter_map(|actor| maneuver_group(actor, n_timesteps, dt_s)).collect();
     // A story needs somebody who does something.
@@ -35,11 +39,8 @@ fn begin(actor: &Actor) -> Element {
 }
 
 /// What an actor does: it is added where it comes later, follows its trajectory, and is deleted where it leaves before the
-/// end. `None` for who is moved by others.
+/// end, unless somebody takes it over. `None` for who is taken over from the start.
 fn maneuver_group(actor: &Actor, n_timesteps: usize, dt_s: f64) -> Option<Element> {
-    if actor.is_free {
-        return None;
-    }
     let name = &actor.name;
     let begin_s = actor.first_timestep as f64 * dt_s;
     let mut events = Vec::new();
@@ -47,11 +48,16 @@ fn maneuver_group(actor: &Actor, n_timesteps: usize, dt_s: f64) -> Option<Elemen
         let added = element("AddEntityAction").children(actor.positions().into_iter().take(1));
         events.push(event(&format!("add_{name}"), entity_action(name, added), begin_s));
     }
-    events.push(event(&format!("follow_{name}"), follow(actor, dt_s), begin_s));
+    if !actor.is_free || actor.states.len() > 1 {
+        events.push(event(&format!("follow_{name}"), follow(actor, dt_s), begin_s));
+    }
     let end_timestep = actor.first_timestep + actor.states.len();
-    if end_timestep < n_timesteps {
+    if end_timestep < n_timesteps && !actor.is_free {
         let deleted = entity_action(name, element("DeleteEntityAction"));
         events.push(event(&format!("delete_{name}"), deleted, end_timestep as f64 * dt_s));
+    }
+    if events.is_empty() {
+        return None;
     }
     let actors =
         element("Actors").attr("selectTriggeringEntities", "false").child(element("EntityRef").attr("entityRef", name));
@@ -64,10 +70,11 @@ fn entity_action(name: &str, action: Element) -> Element {
     element("GlobalAction").child(element("EntityAction").attr("entityRef", name).child(action))
 }
 
-/// The action that follows an actor's trajectory, whose first vertex has time 0.
+/// The action that follows an actor's trajectory, whose vertices have the times of the scenario.
 fn follow(actor: &Actor, dt_s: f64) -> Element {
-    let vertex =
-        |(i, position): (usize, Element)| element("Vertex").attr("time", number(i as f64 * dt_s)).child(position);
+    let vertex = |(i, position): (usize, Element)| {
+        element("Vertex").attr("time", number((actor.first_timestep + i) as f64 * dt_s)).child(position)
+    };
     let mut positions = actor.positions();
     // A polyline has at least two vertices, and some players want one of everybody: who is there for one timestep alone stays
     // where it is for as long.
@@ -80,7 +87,7 @@ fn follow(actor: &Actor, dt_s: f64) -> Element {
         .attr("closed", "false")
         .child(element("Shape").child(polyline));
     let timing =
-        element("Timing").attr("domainAbsoluteRelative", "relative").attr("offset", "0.0").attr("scale", "1.0");
+        element("Timing").attr("domainAbsoluteRelative", "absolute").attr("offset", "0.0").attr("scale", "1.0");
     let action = element("FollowTrajectoryAction")
         .child(element("TrajectoryRef").child(trajectory))
         .child(element("TimeReference").child(timing))
@@ -103,6 +110,7 @@ fn start_trigger(name: &str, begin_s: f64) -> Element {
 
 /// Holds from a time on. Without an edge, so that it holds at the very start, too.
 fn after(name: &str, time_s: f64) -> Element {
+    let time_s = (time_s - TRIGGER_LEAD_S).max(0.0);
     let time = element("SimulationTimeCondition").attr("value", number(time_s)).attr("rule", "greaterOrEqual");
     let condition = element("Condition")
         .attr("name", name)

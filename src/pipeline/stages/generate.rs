@@ -6,7 +6,7 @@ use super::request_rounds::Fulfilment;
 use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledWith};
 use super::with_precision;
 use crate::diffusion::Edm;
-use crate::generate::{self, GenerateConfig, Generator, Plan, ResolvedGeneration, ResolvedSweep, Shortfall};
+use crate::generate::{self, GenerateConfig, Generator, Plan, ResolvedGeneration, Shortfall};
 use crate::metrics::MetricSettings;
 use crate::nn::Precision;
 use crate::pipeline::layout::{Layout, SAMPLES};

@@ -6,6 +6,7 @@ pub(crate) mod event;
 mod event_list;
 pub(crate) mod lane;
 pub(crate) mod metric;
+mod parameter_descriptions;
 mod parameters;
 pub(crate) mod prediction;
 mod provenance;

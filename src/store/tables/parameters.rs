@@ -2,6 +2,7 @@
 //! `SELECT avg(gap_m) FROM events WHERE behavior = 'cut_in'` works.
 
 use super::columns::{Columns, optional_numbers};
+use super::parameter_descriptions::{DESCRIPTIONS, describe};
 use crate::store::schema::{ColumnExt, OpenColumns, TableSchema, column, unit_of_name};
 use crate::store::{Error, Result};
 use arrow::array::{ArrayRef, RecordBatch};
@@ -17,7 +18,13 @@ pub(crate) fn open_columns() -> OpenColumns {
         pattern: "<parameter>",
         data_type: DataType::Float64,
         description: "A parameter of the event, such as gap_m; its name ends in its unit; missing where the event has none of this name.",
+        known: DESCRIPTIONS.iter().map(|(name, _)| field(name)).collect(),
     }
+}
+
+/// The column of a parameter.
+fn field(name: &str) -> Field {
+    column(name, DataType::Float64, describe(name)).unit(unit_of_name(name)).optional()
 }
 
 /// The parameters that occur in these rows.
@@ -61,10 +68,7 @@ pub(crate) fn flatten(names: &BTreeSet<&str>, rows: &[Option<&Parameters>]) -> V
             values.push(own.next_if(|(other, _)| other.as_str() == *name).map(|(_, value)| *value));
         }
     }
-    let array = |(name, values): (&str, Vec<Option<f64>>)| {
-        let field = column(name, DataType::Float64, "Parameter of the event; see its behavior.");
-        (field.unit(unit_of_name(name)).optional(), optional_numbers::<Float64Type>(values))
-    };
+    let array = |(name, values): (&str, Vec<Option<f64>>)| (field(name), optional_numbers::<Float64Type>(values));
     columns.into_iter().map(array).collect()
 }
 

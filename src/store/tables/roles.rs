@@ -42,6 +42,7 @@ pub(crate) fn open_columns() -> OpenColumns {
         pattern: "<role>_track_id",
         data_type: DataType::Utf8,
         description: "The track in this role, such as ego_track_id; missing where the row has no such role.",
+        known: Vec::new(),
     }
 }
 

@@ -1,0 +1,89 @@
+//! How far to the left and right of its reference line does a lane reach?
+
+use super::reference_line::ReferenceLine;
+use crate::export::lane_bounds::LaneBounds;
+use crate::geometry::{Polyline, Vec2};
+
+/// Records that the one before foretells to within this are left out, metres.
+const FORETOLD_M: f64 = 1e-3;
+/// A boundary further away is another part of a lane that comes back, metres.
+const MAX_OFFSET_M: f64 = 30.0;
+
+/// The edges of a lane at a place along its reference line, metres to the left.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Edges {
+    pub(super) s_m: f64,
+    pub(super) left_m: f64,
+    pub(super) right_m: f64,
+}
+
+/// The edges along the line, from its start to its end; linear in between. Two at least.
+pub(super) fn edges(line: &ReferenceLine, bounds: &LaneBounds) -> Vec<Edges> {
+    let length_m = line.length_m();
+    let pieces = line.pieces.iter().map(|piece| piece.s_m);
+    // A boundary bends where it has a point: there, too.
+    let middle =
+        Polyline(line.pieces.iter().map(|piece| piece.start).chain(line.at(length_m).map(|end| end.0)).collect());
+    let points = bounds.left.0.iter().chain(&bounds.right.0);
+    let bends = points.filter_map(|point| Some(middle.project(*point)?.station_m));
+    let mut stations: Vec<f64> =
+        pieces.chain(bends).filter(|s_m| (0.0..=length_m).contains(s_m)).chain([0.0, length_m]).collect();
+    stations.sort_by(f64::total_cmp);
+    stations.dedup_by(|later, earlier| *later - *earlier < FORETOLD_M);
+    if let Some(last) = stations.last_mut() {
+        *last = length_m;
+    }
+    let at = |s_m: f64| {
+        let (point, heading_rad) = line.at(s_m)?;
+        let (left_m, right_m) =
+            (offset_m(point, heading_rad, &bounds.left)?, offset_m(point, heading_rad, &bounds.right)?);
+        // Where the boundaries cross, the lane has no width.
+        let middle_m = 0.5 * (left_m + right_m);
+        let (left_m, right_m) = if left_m < right_m { (middle_m, middle_m) } else { (left_m, right_m) };
+        Some(Edges { s_m, left_m, right_m })
+    };
+    without_foretold(stations.into_iter().filter_map(at).collect())
+}
+
+/// How far to the left of a point on the reference line a boundary lies, straight across. The boundary goes on straight
+/// beyond its ends: the ends of a lane need not be square.
+fn offset_m(point: Vec2, heading_rad: f64, boundary: &Polyline) -> Option<f64> {
+    let ahead = Vec2::from_angle(heading_rad);
+    let last = boundary.0.len().checked_sub(2)?;
+    let across = boundary.0.windows(2).enumerate().filter_map(|(i, pair)| {
+        let from = (pair[0] - point).rotated(-heading_rad);
+        let to = (pair[1] - point).rotated(-heading_rad);
+        let (step, share) = (to.x - from.x, -from.x / (to.x - from.x));
+        let is_within = (share >= 0.0 || i == 0) && (share <= 1.0 || i == last);
+        (step.abs() > 1e-9 && is_within).then(|| share.mul_add(to.y - from.y, from.y))
+    });
+    let nearest = across.filter(|offset_m| offset_m.abs() < MAX_OFFSET_M).min_by(|a, b| a.abs().total_cmp(&b.abs()));
+    // Where no boundary lies across, its nearest point is as far as it is.
+    nearest.or_else(|| {
+        let beside = boundary.0.iter().min_by(|a, b| a.distance(point).total_cmp(&b.distance(point)))?;
+        Some(ahead.cross(*beside - point))
+    })
+}
+
+/// The edges without those that lie on the line from one that is kept to the next that is.
+fn without_foretold(edges: Vec<Edges>) -> Vec<Edges> {
+    let is_foretold = |before: &Edges, here: &Edges, after: &Edges| {
+        let share = (here.s_m - before.s_m) / (after.s_m - before.s_m);
+        let between = |from: f64, to: f64| share.mul_add(to - from, from);
+        (between(before.left_m, after.left_m) - here.left_m).abs() < FORETOLD_M
+            && (between(before.right_m, after.right_m) - here.right_m).abs() < FORETOLD_M
+    };
+    let mut kept = Vec::new();
+    let mut last = 0;
+    for (i, here) in edges.iter().enumerate() {
+        let can_go = i > 0
+            && edges
+                .get(i + 1)
+                .is_some_and(|after| edges[last + 1..=i].iter().all(|e| is_foretold(&edges[last], e, after)));
+        if !can_go {
+            kept.push(*here);
+            last = i;
+        }
+    }
+    kept
+}

@@ -1,0 +1,160 @@
+//! OpenDRIVE: does who evaluates a file by the standard's formulas find the lanes where they were?
+
+use super::*;
+use crate::export::testing::{self, Node};
+use crate::geometry::{Polyline, Vec2};
+use std::f64::consts::FRAC_PI_2;
+
+/// How far a lane may be from its road, metres.
+const NEAR_M: f64 = 0.03;
+
+fn document(lanes: Vec<Lane>) -> Node {
+    let network = of(&LaneGraph::new(lanes)).unwrap();
+    let mut bytes = Vec::new();
+    network.root.write_document(&mut bytes).unwrap();
+    Node::parse(&String::from_utf8(bytes).unwrap())
+}
+
+fn lane(id: i64, left: Vec<Vec2>, right: Vec<Vec2>) -> Lane {
+    Lane { left: Polyline(left), right: Polyline(right), ..testing::lane(id) }
+}
+
+/// The value of the last of these records that begins at or before `s`.
+fn polynomial(records: &[&Node], place: &str, s: f64) -> f64 {
+    let record = records.iter().rev().find(|record| record.attr_number(place) <= s + 1e-9).unwrap();
+    let ds = s - record.attr_number(place);
+    ["d", "c", "b", "a"].iter().fold(0.0, |sum, name| sum * ds + record.attr_number(name))
+}
+
+/// Left edge, middle and right edge of the road's lane at `s`, by sections 9 (geometry) and 11 (lanes) of the standard.
+fn across(road: &Node, s: f64) -> [Vec2; 3] {
+    let pieces = road.at("planView").all("geometry");
+    let piece = pieces.iter().rev().find(|piece| piece.attr_number("s") <= s + 1e-9).unwrap();
+    let ds = s - piece.attr_number("s");
+    let (mut u, mut v, mut slope) = (ds, 0.0, 0.0);
+    for poly in piece.all("paramPoly3") {
+        assert_eq!(poly.attr("pRange"), "normalized");
+        let p = ds / piece.attr_number("length");
+        let value = |of: &str| {
+            let [a, b, c, d] = ["a", "b", "c", "d"].map(|name| poly.attr_number(&format!("{name}{of}")));
+            (a + p * (b + p * (c + p * d)), b + p * (2.0 * c + p * 3.0 * d))
+        };
+        let ((at_u, du), (at_v, dv)) = (value("U"), value("V"));
+        (u, v, slope) = (at_u, at_v, dv.atan2(du));
+    }
+    let heading = piece.attr_number("hdg");
+    let start = Vec2::new(piece.attr_number("x"), piece.attr_number("y"));
+    let middle = start + Vec2::new(u, v).rotated(heading);
+    let to_left = Vec2::from_angle(heading + slope + FRAC_PI_2);
+    let lanes = road.at("lanes");
+    let offset = polynomial(&lanes.all("laneOffset"), "s", s);
+    let lane = lanes.at("laneSection").at("right").at("lane");
+    assert_eq!(lane.attr("id"), "-1");
+    let width = polynomial(&lane.all("width"), "sOffset", s);
+    assert!(width >= 0.0);
+    [offset, offset - 0.5 * width, offset - width].map(|t| middle + to_left * t)
+}
+
+/// The largest distance from points along `line` to one of the three lines along the road. Roads end square and lanes need not:
+/// edges are looked at from `from_end_m` off their ends on.
+fn largest_distance(road: &Node, which: usize, line: &Polyline, from_end_m: f64) -> f64 {
+    let length = road.attr_number("length");
+    let n = (length / 0.01).ceil();
+    let drawn = Polyline((0..=n as usize).map(|i| across(road, length * i as f64 / n)[which]).collect());
+    let distance = |point: Vec2| drawn.project(point).unwrap().point.distance(point);
+    let n_skipped = (200.0 * from_end_m / line.length_m()).ceil() as usize;
+    let inner = line.resampled(201).0.into_iter().skip(n_skipped).take(201 - 2 * n_skipped);
+    inner.map(distance).fold(0.0, f64::max)
+}
+
+/// An arc about the origin, of `n` chords.
+fn arc(radius_m: f64, n: usize) -> Vec<Vec2> {
+    (0..=n).map(|i| Vec2::from_angle(FRAC_PI_2 * i as f64 / n as f64) * radius_m).collect()
+}
+
+#[test]
+fn points_along_lanes_lie_on_their_roads_within_centimetres() {
+    let point = |x: f64, y: f64| Vec2::new(x, y);
+    let turn = lane(1, arc(10.0, 24), arc(13.5, 31));
+    // A lane that narrows to nothing, one with oblique ends, and one whose boundaries have corners in different places.
+    let tapered =
+        lane(2, vec![point(0.0, 3.0), point(50.0, 3.0), point(80.0, 0.0)], vec![point(0.0, 0.0), point(80.0, 0.0)]);
+    let oblique = lane(3, vec![point(2.0, 3.5), point(42.0, 3.5)], vec![point(0.0, 0.0), point(40.0, 0.0)]);
+    let bent = lane(
+        4,
+        vec![point(0.0, 3.0), point(20.0, 3.0), point(40.0, 4.0), point(60.0, 4.0)],
+        vec![point(0.0, -1.0), point(25.0, -1.0), point(45.0, 0.5), point(60.0, 0.5)],
+    );
+    let lanes = vec![turn, tapered, oblique, bent];
+    let root = document(lanes.clone());
+    for (road, lane) in root.all("road").into_iter().zip(&lanes) {
+        let name = road.attr("name");
+        assert_eq!(name, format!("lane {}", lane.id.0));
+        let middle: Vec<Vec2> = (0..=100)
+            .map(|i| {
+                let at = |line: &Polyline| line.point_at(line.length_m() * f64::from(i) / 100.0).unwrap();
+                at(&lane.left).lerp(at(&lane.right), 0.5)
+            })
+            .collect();
+        let cut_m = if lane.id.0 == 3 { 1.1 } else { 0.2 };
+        for (which, line, cut_m) in [(0, &lane.left, cut_m), (1, &Polyline(middle), 0.0), (2, &lane.right, cut_m)] {
+            let distance = largest_distance(road, which, line, cut_m);
+            assert!(distance < NEAR_M, "{name}, line {which}: {distance} m");
+        }
+    }
+    // As long as the arc between its boundaries.
+    let length = root.all("road")[0].attr_number("length");
+    assert!((length - 11.75 * FRAC_PI_2).abs() < 0.02, "{length}");
+}
+
+#[test]
+fn roads_follow_each_other_and_fork_in_junctions() {
+    let mut lanes: Vec<Lane> = (1..=6).map(testing::lane).collect();
+    // 1 → 2; 2 → 3 and 4; 4 and 5 → 6.
+    for (from, to) in [(0, 1), (1, 2), (1, 3), (3, 5), (4, 5)] {
+        let id = lanes[to].id;
+        lanes[from].successors.push(id);
+    }
+    lanes[0].left_neighbor = Some(LaneId(5));
+    let root = document(lanes);
+    let roads = root.all("road");
+    let link = |i: usize, end: &str| {
+        let found = roads[i].at("link").all(end);
+        found.first().map(|link| (link.attr("elementType").to_owned(), link.attr("elementId").to_owned()))
+    };
+    let to = |kind: &str, id: &str| Some((kind.to_owned(), id.to_owned()));
+    assert_eq!((link(0, "predecessor"), link(0, "successor")), (None, to("road", "2")));
+    assert_eq!(roads[0].at("link").at("successor").attr("contactPoint"), "start");
+    assert_eq!(link(1, "predecessor"), to("road", "1"));
+    assert_eq!(roads[1].at("link").at("predecessor").attr("contactPoint"), "end");
+    let (fork, join) = (link(1, "successor"), link(5, "predecessor"));
+    assert_eq!(
+        [&fork, &fork, &join, &join],
+        [&link(2, "predecessor"), &link(3, "predecessor"), &link(3, "successor"), &link(4, "successor")]
+    );
+    let connections = |junction: &Node| -> Vec<(String, String)> {
+        assert_eq!(junction.attr("type"), "direct");
+        let pair = |node: &&Node| (node.attr("incomingRoad").to_owned(), node.attr("linkedRoad").to_owned());
+        junction.all("connection").iter().map(pair).collect()
+    };
+    let junctions = root.all("junction");
+    let pair = |from: &str, to: &str| (from.to_owned(), to.to_owned());
+    assert_eq!(connections(junctions[0]), [pair("2", "3"), pair("2", "4")]);
+    assert_eq!(connections(junctions[1]), [pair("4", "6"), pair("5", "6")]);
+    assert_eq!(fork, to("junction", junctions[0].attr("id")));
+    assert_eq!(join, to("junction", junctions[1].attr("id")));
+    // A lane beside: a line that may be crossed.
+    let lanes = roads[0].at("lanes").at("laneSection");
+    let mark = |side: &str| lanes.at(side).at("lane").at("roadMark").attr("type").to_owned();
+    assert_eq!((mark("center"), mark("right")), ("broken".to_owned(), "solid".to_owned()));
+    assert_eq!(lanes.at("right").at("lane").at("link").at("successor").attr("id"), "-1");
+}
+
+#[test]
+fn lanes_of_no_length_are_left_out_and_told() {
+    let point = Lane { left: Polyline::default(), centerline: Polyline::default(), ..testing::lane(2) };
+    let center = Lane { left: Polyline::default(), ..testing::lane(3) };
+    assert!(of(&LaneGraph::new(vec![point.clone()])).is_none());
+    let network = of(&LaneGraph::new(vec![testing::lane(1), point, center])).unwrap();
+    assert_eq!(network.assumed, [("nominal_lane_width", 1), ("lane_without_extent", 1)]);
+}

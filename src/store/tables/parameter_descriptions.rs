@@ -1,0 +1,74 @@
+//! What do the parameters of events mean? Their columns say so in files, cards and schemas.
+//!
+//! The definitions are with the behaviors; some names occur in several of them, and mean the same there.
+
+/// The parameters by name, sorted.
+pub(crate) const DESCRIPTIONS: &[(&str, &str)] = &[
+    ("crossing_timestep", "Timestep at which the agent has crossed into the new lane."),
+    ("duration_s", "From the event's start to its end."),
+    ("ego_length_m", "Length of the ego; nominal where no size is recorded."),
+    ("ego_speed_mps", "Speed of the ego when the other reaches its path."),
+    ("end_speed_mps", "Speed at the end."),
+    ("first_speed_mps", "Speed of the first of the two when they are closest."),
+    (
+        "gap_m",
+        "Along the ego's path, from its front to the nearest part of the other, when the other reaches the path; negative alongside.",
+    ),
+    ("heading_change_rad", "How far the agent turns in all; positive to the left."),
+    (
+        "heading_difference_rad",
+        "Difference of the headings when the two are closest, from 0 to π: following, crossing, oncoming.",
+    ),
+    ("intrusion_timestep", "Timestep at which the other reaches the ego's path."),
+    ("lateral_acceleration_mps2", "Mean speed squared per radius of the turn."),
+    (
+        "lateral_speed_mps",
+        "Speed across the ego's path (cut-in) or toward the new lane (lane change), at the crossing.",
+    ),
+    ("margin_m", "Smallest distance to the side of the lane, of agents that stay in it."),
+    ("max_deceleration_mps2", "Largest smoothed deceleration."),
+    ("mean_deceleration_mps2", "Mean deceleration from the event's start to its end."),
+    ("mean_speed_mps", "Mean speed from the event's start to its end."),
+    ("min_distance_m", "Smallest distance of the two boxes at the same time."),
+    ("min_ttc_s", "Smallest time to collision of the two; missing where their courses do not meet within 10 s."),
+    ("other_length_m", "Length of the other; nominal where no size is recorded."),
+    ("other_speed_mps", "Speed of the other when it reaches the ego's path."),
+    ("path_m", "Length of the path from the event's start to its end."),
+    (
+        "pet_s",
+        "Post-encroachment time: the least time between the two being in one place; missing where they never are.",
+    ),
+    ("radius_m", "Path per change of heading of the turn."),
+    (
+        "relative_speed_mps",
+        "Cut-in: the ego's speed less the other's along the path, positive when closing. Near miss: speed of one seen from the other, when closest.",
+    ),
+    ("second_speed_mps", "Speed of the second of the two when they are closest."),
+    ("shift_m", "How far the other moves sideways toward the ego's path."),
+    ("side", "Where the other comes from (cut-in) or the new lane lies (lane change): +1 left, -1 right."),
+    ("speed_mps", "Speed at the crossing (lane change) or at the start (hard braking)."),
+    ("t_ego_s", "When the ego gets to where the other reached its path, since timestep 0."),
+    ("t_other_s", "When the other reaches the ego's path, since timestep 0."),
+    ("time_headway_s", "Gap per speed of the ego; missing where the ego stands or is alongside."),
+    ("ttc_s", "Gap per relative speed; missing where the two do not close in or are alongside."),
+];
+
+/// What the parameter of this name is.
+pub(crate) fn describe(name: &str) -> &'static str {
+    let found = DESCRIPTIONS.iter().find(|(known, _)| *known == name);
+    found.map_or("Parameter of an event of a behavior that this version does not know.", |(_, description)| description)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_parameter_of_every_behavior_is_described_and_no_other() {
+        let mut names: Vec<&str> =
+            crate::behavior::ALL.iter().flat_map(|behavior| behavior.parameters).copied().collect();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(DESCRIPTIONS.iter().map(|(name, _)| *name).collect::<Vec<_>>(), names);
+    }
+}
