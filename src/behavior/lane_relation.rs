@@ -96,6 +96,11 @@ impl<'a> LaneIndex<'a> {
         Self { graph, lanes: graph.lanes().iter().filter_map(IndexedLane::new).collect() }
     }
 
+    /// The lane of this id. `None` for one without points.
+    pub(crate) fn get(&self, id: LaneId) -> Option<&IndexedLane<'a>> {
+        self.lanes.binary_search_by_key(&id, |lane| lane.lane.id).ok().map(|i| &self.lanes[i])
+    }
+
     /// The lanes that `point` is on, with its place there, by ascending lane id.
     pub(crate) fn lanes_at(&self, point: Vec2) -> impl Iterator<Item = (&IndexedLane<'a>, LanePlace)> {
         self.lanes
