@@ -189,7 +189,7 @@ pub static ALL: &[BehaviorEntry] = &[
         id: near_miss::ID,
         roles: near_miss::ROLES,
         parameters: near_miss::PARAMETERS,
-        description: "two road users come within 1 m, or within 1.5 s of a collision, without touching",
+        description: "two road users come within 1.5 s of a collision, cross within 1 s or pass within 0.3 m, without touching",
         default_config: || BehaviorConfig::NearMiss(NearMissConfig::default()),
     },
 ];
