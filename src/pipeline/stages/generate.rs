@@ -40,7 +40,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn check(&self) -> Result<()> {
