@@ -20,10 +20,10 @@ import subprocess
 
 import bench_common as bench
 
-CUT_INS = '[{ kind = "cut_in", negative_distance_m = 0.0, same_time = true }]'
-WITH_NEGATIVES = '[{ kind = "cut_in" }]'
+CUT_INS = '[{ kind = "cut_in_paper", negative_distance_m = 0.0, same_time = true }]'
+WITH_NEGATIVES = '[{ kind = "cut_in_paper" }]'
 NO_PAIRS = '[{ kind = "hard_brake" }]'
-DETECT = "<djinn::behavior::cut_in::CutIn as djinn::behavior::Behavior>::detect"
+DETECT = "<djinn::behavior::cut_in_paper::CutInPaper as djinn::behavior::Behavior>::detect"
 
 
 class Runs:

@@ -59,7 +59,8 @@ impl Default for HardBrakeConfig {
 ///
 /// **Positive**: the agent's smoothed deceleration is at least 4 m/s² over at least 0.3 s without a break, beginning
 /// at a speed of at least 3 m/s. The deceleration at a timestep is the slope of the least-squares line through the
-/// speeds in the 0.4 s around it, so it is not known within 0.2 s of the ends of a track and of its gaps.
+/// speeds in the 0.4 s around it, so it is not known within 0.2 s of the ends of a track and of its gaps; nor of the present where positions
+/// are smoothed, as what was observed is smoothed without the rest.
 ///
 /// - The event *starts* at the first timestep with that deceleration and is *complete* at the last one.
 /// - *What does not count*: single noisy speeds; decelerations beyond 12 m/s², which no tire gives; the last moments of a stop from walking speed; braking that lies
@@ -83,7 +84,8 @@ impl HardBrake {
 
     fn detect_agent(&self, scene: &Scene, agent_idx: usize, track: &Track) -> Vec<BehaviorEvent> {
         let config = &self.config;
-        let accelerations = smoothed_accelerations_mps2(&track.trajectory, scene.dt_s, config.smoothing_s);
+        let accelerations =
+            smoothed_accelerations_mps2(&track.trajectory, scene.current_timestep(), scene.dt_s, config.smoothing_s);
         let lasts =
             |run: &RangeInclusive<usize>| (run.end() - run.start()) as f64 * scene.dt_s >= config.min_duration_s - 1e-9;
         let is_plausible = |run: &RangeInclusive<usize>| {

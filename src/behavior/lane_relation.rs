@@ -3,7 +3,7 @@
 use super::footprint::Bounds;
 use crate::geometry::{Polyline, Vec2, angle_difference};
 use crate::scene::{Lane, LaneGraph, LaneId};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Half the width to assume of a lane without boundaries, metres; Argoverse 1's own reader assumes 3.8 m.
 pub(crate) const HALF_NOMINAL_WIDTH_M: f64 = 1.9;
@@ -96,6 +96,11 @@ impl<'a> LaneIndex<'a> {
         Self { graph, lanes: graph.lanes().iter().filter_map(IndexedLane::new).collect() }
     }
 
+    /// The lane of this id. `None` for one without points.
+    pub(crate) fn get(&self, id: LaneId) -> Option<&IndexedLane<'a>> {
+        self.lanes.binary_search_by_key(&id, |lane| lane.lane.id).ok().map(|i| &self.lanes[i])
+    }
+
     /// The lanes that `point` is on, with its place there, by ascending lane id.
     pub(crate) fn lanes_at(&self, point: Vec2) -> impl Iterator<Item = (&IndexedLane<'a>, LanePlace)> {
         self.lanes
@@ -115,6 +120,28 @@ impl<'a> LaneIndex<'a> {
             });
             if is_beside { LaneRelation::Beside } else { LaneRelation::Elsewhere }
         })
+    }
+
+    /// Whether `start` leads back to itself within `length_m`, as on a roundabout.
+    pub(crate) fn is_on_loop(&self, start: &Lane, length_m: f64) -> bool {
+        // Lanes with the least length from the end of `start` to theirs at which they were reached.
+        let mut reached: BTreeMap<LaneId, f64> = BTreeMap::new();
+        let mut open = vec![(start.id, 0.0)];
+        while let Some((id, before_m)) = open.pop() {
+            for next in self.get(id).into_iter().flat_map(|lane| &lane.lane.successors) {
+                let Some(lane) = self.get(*next) else { continue };
+                let end_m = before_m + lane.length_m;
+                if end_m > length_m || reached.get(next).is_some_and(|known| *known <= end_m) {
+                    continue;
+                }
+                if *next == start.id {
+                    return true;
+                }
+                reached.insert(*next, end_m);
+                open.push((*next, end_m));
+            }
+        }
+        false
     }
 
     /// What the map says of two lanes. `None` if nothing.

@@ -5,16 +5,20 @@
 
 mod agent_filter;
 mod cut_in;
+mod cut_in_paper;
 pub(crate) mod driven_path;
 mod event;
 pub(crate) mod footprint;
 mod hard_brake;
+mod intrusion;
+mod kept_lane;
 mod lane_change;
 pub(crate) mod lane_relation;
 mod lane_tracker;
 mod left_turn;
 mod near_miss;
 mod outcome;
+mod pairs;
 mod right_turn;
 pub(crate) mod speed_profile;
 pub(crate) mod sweep;
@@ -25,6 +29,7 @@ mod turn;
 
 pub use agent_filter::AgentFilter;
 pub use cut_in::{CutIn, CutInConfig};
+pub use cut_in_paper::{CutInPaper, CutInPaperConfig};
 pub use event::{BehaviorEvent, EventLabel};
 pub use hard_brake::{HardBrake, HardBrakeConfig};
 pub use lane_change::{LaneChange, LaneChangeConfig};
@@ -58,8 +63,10 @@ pub trait Behavior: Send + Sync {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum BehaviorConfig {
-    /// One vehicle moves into the path of another.
+    /// One vehicle crosses into the lane of another, shortly ahead of it.
     CutIn(CutInConfig),
+    /// One vehicle gets into the path of another, whoever of the two changes course: the paper's cut-in.
+    CutInPaper(CutInPaperConfig),
     /// An agent turns left.
     LeftTurn(TurnConfig),
     /// An agent turns right.
@@ -77,6 +84,7 @@ impl BehaviorConfig {
     pub fn build(&self) -> Box<dyn Behavior> {
         match self.clone() {
             Self::CutIn(config) => Box::new(CutIn::new(config)),
+            Self::CutInPaper(config) => Box::new(CutInPaper::new(config)),
             Self::LeftTurn(config) => Box::new(LeftTurn::new(config)),
             Self::RightTurn(config) => Box::new(RightTurn::new(config)),
             Self::LaneChange(config) => Box::new(LaneChange::new(config)),
@@ -102,7 +110,7 @@ impl BehaviorConfig {
                 settings::ascending(negative, ("min_heading_change_rad", config.min_heading_change_rad))?;
                 settings::ascending(("min_radius_m", config.min_radius_m), ("max_radius_m", config.max_radius_m))
             }
-            Self::CutIn(_) | Self::LaneChange(_) | Self::NearMiss(_) => Ok(()),
+            Self::CutIn(_) | Self::CutInPaper(_) | Self::LaneChange(_) | Self::NearMiss(_) => Ok(()),
         }
     }
 
@@ -110,6 +118,7 @@ impl BehaviorConfig {
     pub const fn id(&self) -> &'static str {
         match self {
             Self::CutIn(_) => cut_in::ID,
+            Self::CutInPaper(_) => cut_in_paper::ID,
             Self::LeftTurn(_) => left_turn::ID,
             Self::RightTurn(_) => right_turn::ID,
             Self::LaneChange(_) => lane_change::ID,
@@ -145,8 +154,15 @@ pub static ALL: &[BehaviorEntry] = &[
         id: cut_in::ID,
         roles: cut_in::ROLES,
         parameters: cut_in::PARAMETERS,
-        description: "one vehicle (other) moves into the path of another (ego) less than 3 s before that one gets there",
+        description: "one vehicle (other) crosses into the lane that another (ego) keeps, less than 3 s ahead of it",
         default_config: || BehaviorConfig::CutIn(CutInConfig::default()),
+    },
+    BehaviorEntry {
+        id: cut_in_paper::ID,
+        roles: cut_in_paper::ROLES,
+        parameters: cut_in_paper::PARAMETERS,
+        description: "one vehicle (other) gets into the path of another (ego) less than 3 s before that one gets there",
+        default_config: || BehaviorConfig::CutInPaper(CutInPaperConfig::default()),
     },
     BehaviorEntry {
         id: left_turn::ID,
@@ -180,7 +196,7 @@ pub static ALL: &[BehaviorEntry] = &[
         id: near_miss::ID,
         roles: near_miss::ROLES,
         parameters: near_miss::PARAMETERS,
-        description: "two road users come within 1 m, or within 1.5 s of a collision, without touching",
+        description: "two road users come within 1.5 s of a collision, cross within 1 s or pass within 0.3 m, without touching",
         default_config: || BehaviorConfig::NearMiss(NearMissConfig::default()),
     },
 ];

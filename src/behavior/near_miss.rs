@@ -1,12 +1,15 @@
 //! Near miss: do two road users come dangerously close without touching?
 
+use super::driven_path::DrivenPath;
 use super::sweep::Sweep;
 use super::time_to_collision::time_to_collision_s;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
-use crate::geometry::angle_difference;
-use crate::scene::Scene;
+use crate::geometry::{OrientedBox, angle_difference};
+use crate::scene::{Extent, Scene};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::FRAC_PI_6;
+use std::ops::RangeInclusive;
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "near_miss";
@@ -25,6 +28,10 @@ pub(super) const PARAMETERS: &[&str] = &[
 
 /// Times to collision beyond this say nothing: nobody keeps course and speed for so long, seconds.
 const MAX_TTC_S: f64 = 10.0;
+/// Steps in which agents are moved on along their paths, seconds.
+const PATH_STEP_S: f64 = 0.1;
+/// Who is where the other was, heading within this of it, follows it, radians.
+const FOLLOWING_RAD: f64 = FRAC_PI_6;
 
 /// Options of [`NearMiss`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -32,12 +39,15 @@ const MAX_TTC_S: f64 = 10.0;
 pub struct NearMissConfig {
     /// Road users that take part. Default `road_users`: pedestrians too, but no static objects.
     pub agents: AgentFilter,
-    /// Boxes closer together than this are a near miss, metres. Default 1.
+    /// Boxes closer together than this are a near miss, metres. Default 0.3: mirrors touch; in dense traffic 1 m is usual.
     #[schemars(range(min = 0.0))]
     pub max_distance_m: f64,
     /// Boxes on a course to touch in less than this are a near miss, seconds. Default 1.5.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_ttc_s: f64,
+    /// Being where the other was less than this before, on another course, is a near miss, seconds. Default 1.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_pet_s: f64,
     /// Boxes that come closer than this without a near miss are a hard negative, metres. Default 2.
     #[schemars(range(min = 0.0))]
     pub negative_distance_m: f64,
@@ -53,8 +63,9 @@ impl Default for NearMissConfig {
     fn default() -> Self {
         Self {
             agents: AgentFilter::RoadUsers,
-            max_distance_m: 1.0,
+            max_distance_m: 0.3,
             max_ttc_s: 1.5,
+            max_pet_s: 1.0,
             negative_distance_m: 2.0,
             negative_ttc_s: 3.0,
             min_speed_mps: 1.0,
@@ -64,14 +75,20 @@ impl Default for NearMissConfig {
 
 /// Two road users (`first` and `second`) barely avoid each other.
 ///
-/// **Positive**: at some timestep of the scene the boxes are less than 1 m apart, or would touch in less than 1.5 s if
-/// both kept their velocities and headings, while at least one of the two moves with 1 m/s or more.
+/// **Positive**: at some timestep of the scene, any of
 ///
-/// - The event *starts* at the first such timestep and is *complete* at the last one, with or without breaks between.
-/// - *What does not count*: pairs whose boxes overlap at any timestep, which collide; two that stand; static
-///   objects; being on the same place one after the other, which `pet_s` measures but which is no criterion.
+/// - The boxes would touch in less than 1.5 s if both kept their velocities and headings, and also if both went on at these speeds along the
+///   paths that they drive: who waits beside a bend is in nobody's way. At least one of the two moves with 1 m/s or more.
+/// - One is where the other was less than 1 s before, on courses that differ by at least 30 degrees, both with 1 m/s or more.
+/// - The boxes are less than 0.3 m apart, and at least one of the two moves with 1 m/s or more.
 ///
-/// **Negative**: the same with 2 m and 3 s, where no timestep meets the stricter limits.
+/// The event *starts* at the first such timestep and is *complete* at the last one, with or without breaks between.
+///
+/// *What does not count*: pairs whose boxes overlap at any timestep, which collide; two that stand; static objects; following and driving side
+/// by side, however long.
+///
+/// **Negative**: boxes that come closer than 2 m, or whose time to collision in the first sense is less than 3 s, where nothing meets the
+/// stricter limits.
 ///
 /// Parameters over the whole scene: `min_distance_m`, `min_ttc_s` (absent where the courses do not meet within 10 s), `pet_s` (post-encroachment
 /// time: the least time between the two being on the same place; absent where they never are). At the closest timestep:
@@ -86,6 +103,8 @@ struct Encounter {
     timestep: usize,
     distance_m: f64,
     ttc_s: Option<f64>,
+    /// The time to collision, or that along the paths where it is longer. `None` where either is too long for any limit.
+    conflict_s: Option<f64>,
 }
 
 impl NearMiss {
@@ -98,14 +117,18 @@ impl NearMiss {
         let encounters = self.encounters(scene, pair, [first, second])?;
         let config = &self.config;
         let is_below = |e: &Encounter, distance_m: f64, ttc_s: f64| {
-            e.distance_m < distance_m || e.ttc_s.is_some_and(|ttc| ttc < ttc_s)
+            e.distance_m < distance_m || e.conflict_s.is_some_and(|conflict_s| conflict_s < ttc_s)
         };
         let span = |distance_m: f64, ttc_s: f64| {
             let mut hits = encounters.iter().filter(|e| is_below(e, distance_m, ttc_s)).map(|e| e.timestep);
             let start = hits.next()?;
             Some(start..=hits.next_back().unwrap_or(start))
         };
-        let positive = span(config.max_distance_m, config.max_ttc_s).map(|span| (EventLabel::Positive, span));
+        let close = span(config.max_distance_m, config.max_ttc_s);
+        let crossing = self.crossing(scene, pair, [first, second]);
+        let both = close.clone().zip(crossing.clone());
+        let joined = both.map(|(a, b)| *a.start().min(b.start())..=*a.end().max(b.end()));
+        let positive = joined.or(close).or(crossing).map(|span| (EventLabel::Positive, span));
         let negative =
             || span(config.negative_distance_m, config.negative_ttc_s).map(|span| (EventLabel::Negative, span));
         let (label, timesteps) = positive.or_else(negative)?;
@@ -140,10 +163,38 @@ impl NearMiss {
             }
             if a.speed_mps().max(b.speed_mps()) >= config.min_speed_mps {
                 let ttc_s = time_to_collision_s(one, a.velocity, other, b.velocity).filter(|ttc| *ttc <= MAX_TTC_S);
-                encounters.push(Encounter { timestep, distance_m: one.distance_m(other), ttc_s });
+                let conflict_s = ttc_s
+                    .filter(|ttc_s| *ttc_s < wide_ttc_s)
+                    .and_then(|ttc_s| Some(ttc_s.max(time_along_paths_s(scene, pair, timestep, wide_ttc_s)?)));
+                encounters.push(Encounter { timestep, distance_m: one.distance_m(other), ttc_s, conflict_s });
             }
         }
         Some(encounters)
+    }
+
+    /// The timesteps at which one leaves and the other reaches a place that both cover within the longest time, on different courses.
+    fn crossing(&self, scene: &Scene, pair: [usize; 2], [first, second]: [&Sweep; 2]) -> Option<RangeInclusive<usize>> {
+        if !first.may_come_within(second, 0.0) {
+            return None;
+        }
+        let moves = |agent_idx: usize, timestep: usize| {
+            scene.state(agent_idx, timestep).is_some_and(|state| state.speed_mps() >= self.config.min_speed_mps)
+        };
+        let crosses = |[a, b]: [usize; 2], [one, other]: [&Sweep; 2], t: usize, u: usize| {
+            one.at(t).zip(other.at(u)).is_some_and(|(one, other)| {
+                one.overlaps(other)
+                    && one.forward.dot(other.forward) < FOLLOWING_RAD.cos()
+                    && moves(a, t)
+                    && moves(b, u)
+            })
+        };
+        // Delays that are a whole number of timesteps but for rounding are excluded.
+        let max_delay = (self.config.max_pet_s / scene.dt_s - 1e-6).floor().max(0.0) as usize;
+        let found = |t: usize, u: usize| {
+            crosses(pair, [first, second], t, u) || crosses([pair[1], pair[0]], [second, first], t, u)
+        };
+        let timesteps = 0..scene.n_timesteps;
+        (0..=max_delay).find_map(|delay| timesteps.clone().find(|t| found(*t, t + delay)).map(|t| t..=t + delay))
     }
 
     /// Farther apart than this, over the whole scene, no two agents have an encounter.
@@ -185,6 +236,23 @@ impl Behavior for NearMiss {
         }
         events
     }
+}
+
+/// When the boxes first touch if both go on along the paths that they drive, at their speeds of `timestep`, seconds; `None` where they do not
+/// within `limit_s`.
+fn time_along_paths_s(scene: &Scene, pair: [usize; 2], timestep: usize, limit_s: f64) -> Option<f64> {
+    let [one, other] = pair.map(|agent_idx| {
+        let track = &scene.tracks[agent_idx];
+        let speed_mps = track.trajectory.get(timestep)?.speed_mps();
+        Some((track.extent_or_nominal(), speed_mps, DrivenPath::from(track, timestep)?))
+    });
+    let (one, other) = (one?, other?);
+    let body = |(extent, speed_mps, path): &(Extent, f64, DrivenPath), time_s: f64| {
+        let (center, heading_rad) = path.pose_at(speed_mps * time_s);
+        OrientedBox { center, heading_rad, length_m: extent.length_m, width_m: extent.width_m }
+    };
+    let times_s = (0..=(limit_s / PATH_STEP_S).floor() as usize).map(|step| step as f64 * PATH_STEP_S);
+    times_s.into_iter().find(|time_s| body(&one, *time_s).overlaps(&body(&other, *time_s)))
 }
 
 /// The least time between the two agents covering the same place, seconds. `None` where they never do.

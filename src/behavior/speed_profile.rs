@@ -4,8 +4,14 @@ use crate::scene::Trajectory;
 
 /// The acceleration at every timestep, m/s² along the motion: the slope of the least-squares line through the
 /// speeds in a window of at least `window_s` (and at least three timesteps) centred there.
-/// `None` where the window reaches beyond the trajectory or over a timestep that is not tracked.
-pub(crate) fn smoothed_accelerations_mps2(trajectory: &Trajectory, dt_s: f64, window_s: f64) -> Vec<Option<f64>> {
+/// `None` where the window reaches beyond the trajectory or over a timestep that is not tracked, and of a trajectory that was smoothed where it
+/// holds states from before and from after `present`: the first were smoothed without the others, so that the speed steps there.
+pub(crate) fn smoothed_accelerations_mps2(
+    trajectory: &Trajectory,
+    present: usize,
+    dt_s: f64,
+    window_s: f64,
+) -> Vec<Option<f64>> {
     let speeds: Vec<Option<f64>> = trajectory
         .entries()
         .iter()
@@ -14,7 +20,11 @@ pub(crate) fn smoothed_accelerations_mps2(trajectory: &Trajectory, dt_s: f64, wi
     let half = half_window(dt_s, window_s);
     // Σ i² over the offsets -half..=half.
     let spread = (half * (half + 1) * (2 * half + 1)) as f64 / 3.0;
+    let has_seam = trajectory.derivation().is_some_and(|derivation| !derivation.recorded.is_empty());
     let slope = |center: usize| {
+        if has_seam && (center.saturating_sub(half)..center + half).contains(&present) {
+            return None;
+        }
         let window = speeds.get(center.checked_sub(half)?..=center + half)?;
         let weighted = window.iter().zip(0..).map(|(speed, i)| speed.map(|v| (f64::from(i) - half as f64) * v));
         weighted.sum::<Option<f64>>().map(|sum| sum / (spread * dt_s))
@@ -31,7 +41,7 @@ fn half_window(dt_s: f64, window_s: f64) -> usize {
 mod tests {
     use super::*;
     use crate::geometry::Vec2;
-    use crate::scene::State;
+    use crate::scene::{Derivation, RecordedPosition, State};
 
     fn trajectory(speeds: &[f64]) -> Trajectory {
         let state = |v: &f64| v.is_finite().then(|| State { velocity: Vec2::new(0.0, *v), ..State::default() });
@@ -41,7 +51,7 @@ mod tests {
     #[test]
     fn a_steady_change_has_its_own_slope() {
         let speeds: Vec<f64> = (0..7).map(|t| 10.0 - 0.4 * f64::from(t)).collect();
-        let slopes = smoothed_accelerations_mps2(&trajectory(&speeds), 0.1, 0.3);
+        let slopes = smoothed_accelerations_mps2(&trajectory(&speeds), 3, 0.1, 0.3);
         assert_eq!(
             slopes.iter().map(Option::is_some).collect::<Vec<_>>(),
             [false, false, true, true, true, false, false]
@@ -52,10 +62,24 @@ mod tests {
     #[test]
     fn a_single_outlier_is_damped_and_a_gap_ends_the_window() {
         // Weights -2..2 over Σ i² = 10: an outlier of +1 m/s two timesteps ahead adds 2 / 10 / 0.1 s = 2 m/s².
-        let slopes = smoothed_accelerations_mps2(&trajectory(&[5.0, 5.0, 5.0, 5.0, 6.0, 5.0]), 0.1, 0.3);
+        let slopes = smoothed_accelerations_mps2(&trajectory(&[5.0, 5.0, 5.0, 5.0, 6.0, 5.0]), 3, 0.1, 0.3);
         assert!((slopes[2].expect("inside") - 2.0).abs() < 1e-9);
-        let slopes = smoothed_accelerations_mps2(&trajectory(&[5.0, 5.0, f64::NAN, 5.0, 5.0, 5.0, 5.0, 5.0]), 0.1, 0.3);
+        let slopes =
+            smoothed_accelerations_mps2(&trajectory(&[5.0, 5.0, f64::NAN, 5.0, 5.0, 5.0, 5.0, 5.0]), 3, 0.1, 0.3);
         assert_eq!(slopes.iter().filter(|slope| slope.is_some()).count(), 1);
+    }
+
+    #[test]
+    fn the_step_where_a_smoothed_trajectory_begins_anew_is_no_braking() {
+        // 10 m/s up to timestep 4, the present, and 8 m/s from then on.
+        let stepped = trajectory(&[10.0, 10.0, 10.0, 10.0, 10.0, 8.0, 8.0, 8.0, 8.0, 8.0]);
+        let steepest = |trajectory: &Trajectory| {
+            let slopes = smoothed_accelerations_mps2(trajectory, 4, 0.1, 0.3);
+            slopes.into_iter().flatten().fold(0.0, f64::min)
+        };
+        let recorded = vec![RecordedPosition { time_s: 0.0, position: Vec2::ZERO }];
+        let smoothed = stepped.clone().derived(Derivation { held_headings: vec![false; 10], recorded });
+        assert!(steepest(&stepped) < -5.0 && steepest(&smoothed) == 0.0);
     }
 
     #[test]

@@ -1,11 +1,13 @@
 //! Turning by a large angle in little room: what left and right turns have in common.
 
+use super::lane_relation::LaneIndex;
 use super::{AgentFilter, BehaviorEvent, EventLabel};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, Track};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::f64::consts::{FRAC_PI_3, FRAC_PI_6};
+use std::cell::OnceCell;
+use std::f64::consts::{FRAC_PI_3, FRAC_PI_4, FRAC_PI_6};
 
 /// The role of a turn.
 pub(crate) const ROLES: &[&str] = &["agent"];
@@ -16,6 +18,10 @@ pub(super) const PARAMETERS: &[&str] =
 /// A turn begins and ends where these shares of its change of heading are reached.
 const START_SHARE: f64 = 0.1;
 const END_SHARE: f64 = 0.9;
+/// Lanes that lead back to themselves within this length are a roundabout, metres; around a block of houses it is farther.
+const MAX_ROUNDABOUT_M: f64 = 250.0;
+/// An agent is only in lanes whose direction differs from its heading by less than this, radians.
+const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
 
 /// Options of [`super::LeftTurn`] and [`super::RightTurn`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -73,16 +79,26 @@ impl TurnSide {
 /// The turns of all agents to `side`, in the order of tracks: at most one an agent.
 pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene) -> Vec<BehaviorEvent> {
     let considered = scene.tracks.iter().enumerate().filter(|(_, track)| config.agents.admits(track.class));
-    considered.filter_map(|(agent_idx, track)| turn(id, side, config, scene, agent_idx, track)).collect()
+    let lanes = OnceCell::new();
+    let is_on_roundabout = |pose: &TurnedPose| {
+        let lanes = lanes.get_or_init(|| LaneIndex::new(&scene.lanes));
+        let along = lanes.lanes_at(pose.position).filter(|(_, place)| {
+            angle_difference(place.heading_rad, pose.heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD
+        });
+        along.into_iter().any(|(lane, _)| lanes.is_on_loop(lane.lane, MAX_ROUNDABOUT_M))
+    };
+    considered
+        .filter_map(|(agent_idx, track)| turn((id, side), config, scene, agent_idx, track, &is_on_roundabout))
+        .collect()
 }
 
 fn turn(
-    id: &str,
-    side: TurnSide,
+    (id, side): (&str, TurnSide),
     config: &TurnConfig,
     scene: &Scene,
     agent_idx: usize,
     track: &Track,
+    is_on_roundabout: &dyn Fn(&TurnedPose) -> bool,
 ) -> Option<BehaviorEvent> {
     let poses = poses_turned(track, side);
     let turned_rad = poses.last()?.turned_rad;
@@ -97,7 +113,10 @@ fn turn(
     if path_m < config.min_path_m || radius_m < config.min_radius_m {
         return None;
     }
-    let is_turn = turned_rad >= config.min_heading_change_rad && radius_m <= config.max_radius_m;
+    let is_halfway = |pose: &&TurnedPose| 2.0 * pose.turned_rad >= turned_rad;
+    let is_turn = turned_rad >= config.min_heading_change_rad
+        && radius_m <= config.max_radius_m
+        && !poses[start..=end].iter().find(is_halfway).is_some_and(is_on_roundabout);
     let label = if is_turn { EventLabel::Positive } else { EventLabel::Negative };
     let duration_s = (last.timestep - first.timestep) as f64 * scene.dt_s;
     let mean_speed_mps = path_m / duration_s;
@@ -115,6 +134,7 @@ fn turn(
 struct TurnedPose {
     timestep: usize,
     position: Vec2,
+    heading_rad: f64,
     /// Unwrapped change of heading since the first tracked timestep, positive to the side asked for.
     turned_rad: f64,
 }
@@ -127,7 +147,7 @@ fn poses_turned(track: &Track, side: TurnSide) -> Vec<TurnedPose> {
         .map(|(timestep, state)| {
             turned_rad += side.sign() * previous_rad.map_or(0.0, |angle| angle_difference(state.heading_rad, angle));
             previous_rad = Some(state.heading_rad);
-            TurnedPose { timestep, position: state.position, turned_rad }
+            TurnedPose { timestep, position: state.position, heading_rad: state.heading_rad, turned_rad }
         })
         .collect()
 }

@@ -12,8 +12,8 @@ use rayon::prelude::*;
 
 /// Recorded scenes from which the ranges of motion are taken: enough for a thousandth at either end, few enough to be quick.
 const N_REFERENCE_SCENES: usize = 400;
-/// The behavior that the careful driver is about.
-const CUT_IN: &str = "cut_in";
+/// The behaviors that the careful driver is about.
+const CUT_INS: [&str; 2] = ["cut_in", "cut_in_paper"];
 
 /// Everything that scenarios are judged by.
 pub(super) struct Judge<'a> {
@@ -69,7 +69,7 @@ impl<'a> Judge<'a> {
             pair: pair.and_then(|pair| PairCriticality::of(scene, pair)),
             scene: SceneCriticality::of(scene),
             cut_in: pair
-                .filter(|_| asked == Some(CUT_IN))
+                .filter(|_| asked.is_some_and(|asked| CUT_INS.contains(&asked)))
                 .and_then(|pair| CutInJudgment::of(scene, pair, &self.config.careful_driver)),
             nearest_recorded_event: record
                 .main_event()

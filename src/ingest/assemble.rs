@@ -1,7 +1,7 @@
 //! From a recorded scene to one of ours: who is the ego, who else takes part, and which lanes are near?
 
 use super::config::{AgentsPresent, IngestConfig};
-use super::lane_index::LaneIndex;
+use super::lane_index::{Circle, LaneIndex};
 use super::raw::{HeadingGap, RawScene, Reject};
 use super::report::IngestReport;
 use crate::geometry::{Transform2, Vec2};
@@ -11,6 +11,11 @@ use std::sync::Arc;
 
 /// A standing vehicle takes the direction of a lane no farther than this from its center, metres.
 const MAX_LANE_DISTANCE_M: f64 = 5.0;
+
+/// An agent can gain speed by this at most, m/s²: the limit of what is taken for possible in generated traffic.
+const MAX_ACCELERATION_MPS2: f64 = 5.0;
+/// Lanes belong to a scene if they are within this distance of where anybody can get, metres.
+const SURROUNDINGS_M: f64 = 10.0;
 
 /// Beyond these a state is a fault of the recording, whatever the dataset: places are within kilometres of their origin. Single
 /// precision, in which scenes are stored, would not hold much more.
@@ -47,8 +52,8 @@ pub(super) fn assemble(
     let Some((ego_idx, ego_state)) = choose_ego(&raw, present, Seed(config.seed)) else {
         return Err(reject(&raw, "no_ego", format!("no motorized track is present at timestep {present}")));
     };
-    let lane_ids = map.map(|map| map.within(ego_state.position, config.map_radius_m));
-    if lane_ids.as_ref().is_some_and(Vec::is_empty) {
+    let around_ego = Circle { center: ego_state.position, radius_m: config.map_radius_m };
+    if map.is_some_and(|map| !map.has_any_within(around_ego)) {
         let Vec2 { x, y } = ego_state.position;
         let detail = format!("no lane of {} within {} m of ({x:.1}, {y:.1})", raw.map_id, config.map_radius_m);
         return Err(reject(&raw, "no_lanes_in_radius", detail));
@@ -63,13 +68,15 @@ pub(super) fn assemble(
     let ego_heading_rad = raw.tracks[ego_idx].trajectory.get(present).map_or(0.0, |state| state.heading_rad);
     let world_from_scene = Transform2::from_pose(ego_state.position, ego_heading_rad);
     let scene_from_world = world_from_scene.inverse();
+    let lanes = map.map_or_else(LaneGraph::default, |map| {
+        let future_s = raw.n_timesteps.saturating_sub(raw.n_history) as f64 * raw.dt_s;
+        let reached = kept.iter().filter_map(|idx| reach(&raw.tracks[*idx], present, future_s));
+        let circles: Vec<Circle> = reached.chain([around_ego]).collect();
+        map.graph().subset(&map.within_any(&circles)).into_frame(&scene_from_world)
+    });
     let is_kept = |(idx, track)| kept.binary_search(&idx).is_ok().then_some(track);
     let into_frame = |track: Track| Track { trajectory: track.trajectory.into_frame(&scene_from_world), ..track };
     let tracks: Vec<Track> = raw.tracks.into_iter().enumerate().filter_map(is_kept).map(into_frame).collect();
-    let lanes = match (map, &lane_ids) {
-        (Some(map), Some(ids)) => map.graph().subset(ids).into_frame(&scene_from_world),
-        _ => LaneGraph::default(),
-    };
     counts.count_scene(&raw.source, tracks.len());
     let scene = Scene {
         ego_idx: kept.binary_search(&ego_idx).unwrap_or_default(),
@@ -84,6 +91,15 @@ pub(super) fn assemble(
         tracks,
     };
     Ok((scene, counts))
+}
+
+/// Where an agent can get in `future_s` seconds, whatever it does, and a little beyond. It follows from what is observed alone, so that the
+/// lanes of a scene tell nothing of its future.
+fn reach(track: &Track, present: usize, future_s: f64) -> Option<Circle> {
+    let (_, state) = track.trajectory.valid().rev().find(|(timestep, _)| *timestep <= present)?;
+    let gained_m = MAX_ACCELERATION_MPS2 / 2.0 * future_s * future_s;
+    let radius_m = SURROUNDINGS_M + state.velocity.norm() * future_s + gained_m;
+    Some(Circle { center: state.position, radius_m })
 }
 
 fn states(raw: &RawScene) -> impl Iterator<Item = (&Track, &State)> {

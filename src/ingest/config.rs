@@ -59,7 +59,8 @@ pub struct IngestConfig {
     /// Whether to keep objects that do not move by themselves (Argoverse 2's static, background, construction, riderless bicycle).
     #[serde(default)]
     pub keep_static: bool,
-    /// Lanes with any point within this distance of the ego's present position belong to the scene, metres.
+    /// Lanes with any point within this distance of the ego's present position belong to the scene, and those that any agent of it can reach,
+    /// metres.
     #[serde(default = "default_map_radius_m")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub map_radius_m: f64,

@@ -1,4 +1,4 @@
-//! Which lanes of a map are near a point?
+//! Which lanes of a map are near points?
 
 use crate::geometry::Vec2;
 use crate::scene::{Lane, LaneGraph, LaneId};
@@ -23,12 +23,18 @@ impl LaneIndex {
         &self.graph
     }
 
-    /// The lanes whose centerline comes within `radius_m` of `point`, by ascending id.
-    pub(super) fn within(&self, point: Vec2, radius_m: f64) -> Vec<LaneId> {
-        self.candidates(point, radius_m)
-            .filter(|lane| lane.centerline.project(point).is_some_and(|p| p.offset_m.abs() <= radius_m))
-            .map(|lane| lane.id)
-            .collect()
+    /// Whether the centerline of any lane comes within the circle.
+    pub(super) fn has_any_within(&self, circle: Circle) -> bool {
+        self.candidates(circle.center, circle.radius_m).any(|lane| circle.meets(lane))
+    }
+
+    /// The lanes whose centerline comes within any of the circles, by ascending id.
+    pub(super) fn within_any(&self, circles: &[Circle]) -> Vec<LaneId> {
+        let lanes = self.graph.lanes().iter().zip(&self.bounds);
+        let is_within = |(lane, bounds): &(&Lane, &(Vec2, Vec2))| {
+            circles.iter().any(|circle| circle.may_meet(**bounds) && circle.meets(lane))
+        };
+        lanes.filter(is_within).map(|(lane, _)| lane.id).collect()
     }
 
     /// Direction of the lane nearest to `point`, if one comes within `radius_m`.
@@ -41,13 +47,32 @@ impl LaneIndex {
     }
 
     fn candidates(&self, point: Vec2, radius_m: f64) -> impl Iterator<Item = &Lane> {
-        self.graph.lanes().iter().zip(&self.bounds).filter_map(move |(lane, (least, greatest))| {
-            let is_near = point.x >= least.x - radius_m
-                && point.x <= greatest.x + radius_m
-                && point.y >= least.y - radius_m
-                && point.y <= greatest.y + radius_m;
-            is_near.then_some(lane)
-        })
+        let circle = Circle { center: point, radius_m };
+        let near = self.graph.lanes().iter().zip(&self.bounds).filter(move |(_, bounds)| circle.may_meet(**bounds));
+        near.map(|(lane, _)| lane)
+    }
+}
+
+/// All points within a distance of one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Circle {
+    pub(super) center: Vec2,
+    pub(super) radius_m: f64,
+}
+
+impl Circle {
+    /// Whether a lane within these bounds may come within the circle.
+    fn may_meet(&self, (least, greatest): (Vec2, Vec2)) -> bool {
+        let Self { center, radius_m } = *self;
+        center.x >= least.x - radius_m
+            && center.x <= greatest.x + radius_m
+            && center.y >= least.y - radius_m
+            && center.y <= greatest.y + radius_m
+    }
+
+    /// Whether the centerline of `lane` comes within the circle.
+    fn meets(&self, lane: &Lane) -> bool {
+        lane.centerline.project(self.center).is_some_and(|place| place.offset_m.abs() <= self.radius_m)
     }
 }
 
@@ -69,9 +94,17 @@ mod tests {
         let lanes = vec![lane(1, (0.0, 0.0), (100.0, 100.0)), lane(2, (0.0, 200.0), (100.0, 200.0))];
         let index = LaneIndex::new(Arc::new(LaneGraph::new(lanes)));
         let point = Vec2::new(60.0, 50.0);
-        assert_eq!(index.within(point, 7.0), []);
-        assert_eq!(index.within(point, 7.2), [LaneId(1)]);
-        assert_eq!(index.within(point, 150.0), [LaneId(1), LaneId(2)]);
+        let circle = |radius_m: f64| Circle { center: point, radius_m };
+        assert_eq!(index.within_any(&[circle(7.0)]), []);
+        assert_eq!(index.within_any(&[circle(7.2)]), [LaneId(1)]);
+        assert_eq!(index.within_any(&[circle(150.0)]), [LaneId(1), LaneId(2)]);
+        assert_eq!((index.has_any_within(circle(7.0)), index.has_any_within(circle(7.2))), (false, true));
+        let at_the_other = Circle { center: Vec2::new(0.0, 200.0), radius_m: 1.0 };
+        assert_eq!(
+            index.within_any(&[circle(7.2), at_the_other]),
+            [LaneId(1), LaneId(2)],
+            "each circle brings its lanes"
+        );
         assert!(index.heading_at(point, 7.0).is_none());
         let heading = index.heading_at(point, 160.0).expect("both lanes are near");
         assert!((heading - std::f64::consts::FRAC_PI_4).abs() < 1e-12);

@@ -3,7 +3,7 @@
 use crate::behavior::footprint::Bounds;
 use crate::behavior::lane_relation::{HALF_NOMINAL_WIDTH_M, is_in_polygon};
 use crate::geometry::{Polyline, Vec2};
-use crate::scene::{Lane, LaneGraph};
+use crate::scene::{Lane, LaneGraph, LaneId};
 
 /// Points this far outside the outlines still count as on the road, metres (nuPlan's tolerance).
 const SLACK_M: f64 = 0.3;
@@ -23,7 +23,8 @@ enum Piece {
 }
 
 impl Road {
-    /// The road of these lanes. Beyond the ends that no lane of `lanes` continues, lanes are carried straight on.
+    /// The road of these lanes. Where the map ends, lanes are carried straight on: beyond ends that no lane of `lanes` continues, unless a
+    /// neighbor is continued there. Such a lane ends on the road, and there is nothing beyond.
     pub(super) fn new(lanes: &LaneGraph) -> Self {
         let pieces = lanes.lanes().iter().flat_map(|lane| {
             let outline = lane.outline().map(|outline| {
@@ -31,7 +32,7 @@ impl Road {
                 Piece::Outline(outline, Polyline(closed))
             });
             let piece = outline.unwrap_or_else(|| Piece::Strip(lane.centerline.clone()));
-            open_ends(lane).into_iter().chain([piece])
+            open_ends(lanes, lane).into_iter().chain([piece])
         });
         Self { pieces: pieces.filter_map(|piece| Some((piece.bounds()?, piece))).collect() }
     }
@@ -88,15 +89,20 @@ impl Piece {
     }
 }
 
-/// The continuations of a lane before its start and beyond its end, where no other lane is connected.
-fn open_ends(lane: &Lane) -> Vec<Piece> {
+/// The continuations of a lane before its start and beyond its end, where the map ends.
+fn open_ends(lanes: &LaneGraph, lane: &Lane) -> Vec<Piece> {
+    let is_map_end = |connected: fn(&Lane) -> &Vec<LaneId>| {
+        let mut neighbors =
+            [lane.left_neighbor, lane.right_neighbor].into_iter().flatten().filter_map(|id| lanes.get(id));
+        connected(lane).is_empty() && neighbors.all(|neighbor| connected(neighbor).is_empty())
+    };
     let points = &lane.centerline.0;
     let ray = |from: Option<&Vec2>, end: Option<&Vec2>| {
         let (from, end) = (*from?, *end?);
         let onward = Vec2::from_angle((end - from).angle()) * EXTENSION_M;
         Some(Piece::Strip(Polyline(vec![end, end + onward])))
     };
-    let before = lane.predecessors.is_empty().then(|| ray(points.get(1), points.first())).flatten();
-    let beyond = lane.successors.is_empty().then(|| ray(points.iter().rev().nth(1), points.last())).flatten();
+    let before = is_map_end(|lane| &lane.predecessors).then(|| ray(points.get(1), points.first())).flatten();
+    let beyond = is_map_end(|lane| &lane.successors).then(|| ray(points.iter().rev().nth(1), points.last())).flatten();
     before.into_iter().chain(beyond).collect()
 }

@@ -159,6 +159,11 @@ const REFUSED: &[(&[&str], &[&str])] = &[
         &["mine.behaviors=[{ kind = \"cut_in\" }, { kind = \"near_miss\", max_ttc_s = -1.0 }]"],
         &["mine.behaviors.1.max_ttc_s is -1, expected 0 to 100"],
     ),
+    (
+        &["mine.behaviors=[{ kind = \"near_miss\", max_pet_s = -1.0 }]"],
+        &["mine.behaviors.0.max_pet_s is -1, expected 0 to 100"],
+    ),
+    (&["mine.behaviors=[{ kind = \"cut_in\", min_shift_m = -0.5 }]"], &["mine.behaviors.0.min_shift_m is -0.5"]),
     (&["mine.behaviors=[{ kind = \"lane_change\", min_stay_s = -1.0 }]"], &["mine.behaviors.0.min_stay_s is -1"]),
     (
         &["mine.behaviors=[{ kind = \"left_turn\", min_radius_m = 60.0 }]"],

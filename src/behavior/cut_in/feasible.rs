@@ -1,58 +1,69 @@
 //! Which cut-ins could a pair of vehicles still show?
 
 use super::CutIn;
+use crate::behavior::kept_lane::KeptLane;
+use crate::behavior::lane_relation::LaneIndex;
 use crate::behavior::outcome::Outcome;
 use crate::geometry::{Vec2, angle_difference};
-use crate::scene::{Scene, State, Track};
-use std::f64::consts::FRAC_PI_4;
+use crate::scene::{Scene, Track};
 
 /// The lateral acceleration of a brisk lane change, m/s². Half of the way accelerates with it and half of it brakes.
 const LATERAL_ACCELERATION_MPS2: f64 = 2.0;
 /// How hard the other may brake and accelerate on the way, m/s².
 const ACCELERATIONS_MPS2: std::ops::RangeInclusive<f64> = -4.0..=2.5;
 /// Spacing of the accelerations and of the times that are tried, m/s² and seconds.
-const SPACING: f64 = 0.25;
+const SPACING: f64 = 0.5;
 /// How far the boxes shall share a path, and the least gap, meters.
 const SHARE_M: f64 = 0.3;
-/// Speeds at which the ego counts as standing, m/s: nobody reaches the other's place then.
-const STANDING_MPS: f64 = 0.5;
+/// Below this speed somebody stands, m/s, and no cut-in is found.
+const STANDING_MPS: f64 = 1.0;
 
 impl CutIn {
-    /// What `other` could come to before `ego`, if the ego goes on straight at its present speed and the other moves over with at most
-    /// 2 m/s² across and -4 to 2.5 m/s² along the way.
+    /// What `other` could come to before `ego`, if the ego keeps its lane and its speed, and the other leaves the lane that it keeps with at most
+    /// 2 m/s² across and -4 to 2.5 m/s² along the way. Nothing but what was observed and the map is looked at.
     ///
-    /// Empty where the other is in the ego's way already, comes toward it or crosses, or is too far to the side or behind.
-    pub(super) fn outcomes(&self, scene: &Scene, ego: &Track, other: &Track) -> Vec<Outcome> {
-        let at_present = |track: &Track| {
-            let state = track.trajectory.get(scene.current_timestep()).filter(|state| state.is_finite()).copied();
-            state.filter(|_| self.config.agents.admits(track.class))
-        };
-        let Some((own, theirs)) = at_present(ego).zip(at_present(other)) else { return Vec::new() };
-        let (own_extent, their_extent) = (ego.extent_or_nominal(), other.extent_or_nominal());
-        let along = Vec2::from_angle(own.heading_rad);
-        let between = theirs.position - own.position;
-        let aside_m = along.cross(between).abs();
-        let shift_m = aside_m - (own_extent.width_m + their_extent.width_m) / 2.0 + SHARE_M;
-        let turned_rad = angle_difference(theirs.heading_rad, own.heading_rad).abs();
-        let (own_mps, their_mps) = (own.speed_mps(), along_mps(&theirs, along));
-        if shift_m <= SHARE_M || turned_rad >= FRAC_PI_4 || own_mps < STANDING_MPS {
-            return Vec::new();
+    /// Empty where the other is in the ego's lane already, does not head along it, or is too far to the side, ahead or behind.
+    pub(super) fn outcomes(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Vec<Outcome>> {
+        let lanes = LaneIndex::new(&scene.lanes);
+        let (ego, other) = (scene.tracks.get(ego_idx)?, scene.tracks.get(other_idx)?);
+        let admits = |track: &Track| self.config.agents.admits(track.class);
+        let at_present = |idx: usize| scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());
+        let (own, theirs) = (at_present(ego_idx)?, at_present(other_idx)?);
+        let (lane, their_lane) =
+            (KeptLane::as_observed(scene, &lanes, ego_idx)?, KeptLane::as_observed(scene, &lanes, other_idx)?);
+        let (own_place, place) = (lane.project(own.position)?, lane.project(theirs.position)?);
+        let their_place = their_lane.project(theirs.position)?;
+        let turned_rad = angle_difference(theirs.heading_rad, place.heading_rad).abs();
+        let (own_mps, their_mps) = (own.speed_mps(), theirs.velocity.dot(Vec2::from_angle(place.heading_rad)));
+        let is_possible = admits(ego)
+            && admits(other)
+            && turned_rad < self.config.max_heading_difference_rad
+            && own_mps.min(their_mps) >= STANDING_MPS
+            && !lane.holds(theirs.position);
+        if !is_possible {
+            return None;
         }
-        let gap_now_m = along.dot(between) - (own_extent.length_m + their_extent.length_m) / 2.0;
-        let side = if along.cross(between) < 0.0 { -1.0 } else { 1.0 };
+        let (own_extent, their_extent) = (ego.extent_or_nominal(), other.extent_or_nominal());
+        let half_widths_m = (own_extent.width_m + their_extent.width_m) / 2.0;
+        let half_lengths_m = (own_extent.length_m + their_extent.length_m) / 2.0;
+        let side = if place.offset_m < own_place.offset_m { -1.0 } else { 1.0 };
         let horizon_s = scene.n_timesteps.saturating_sub(scene.n_history) as f64 * scene.dt_s;
-        let least_s = 2.0 * (shift_m / LATERAL_ACCELERATION_MPS2).sqrt();
         let n = |range: f64| (range / SPACING).floor().max(0.0) as usize;
         let mut outcomes = Vec::new();
-        if least_s > horizon_s {
-            return outcomes;
-        }
-        for time_s in (0..=n(horizon_s - least_s)).map(|i| least_s + i as f64 * SPACING) {
+        for time_s in (1..=n(horizon_s)).map(|i| i as f64 * SPACING) {
             for i in 0..=n(ACCELERATIONS_MPS2.end() - ACCELERATIONS_MPS2.start()) {
                 let acceleration_mps2 = ACCELERATIONS_MPS2.start() + i as f64 * SPACING;
                 let then_mps = their_mps + acceleration_mps2 * time_s;
-                let gap_m = gap_now_m + ((their_mps + then_mps) / 2.0 - own_mps) * time_s;
-                if then_mps < 0.0 || gap_m < SHARE_M || gap_m >= own_mps * self.config.max_delay_s {
+                let driven_m = (their_mps + then_mps) / 2.0 * time_s;
+                // Where its lane leads it, beside its center line as far as now.
+                let on_lane = their_lane.point_at(their_place.station_m + driven_m)?;
+                let then = lane.project(on_lane)?;
+                let aside_m = (then.offset_m + their_place.offset_m - own_place.offset_m).abs();
+                let shift_m = (aside_m - half_widths_m + SHARE_M).max(0.0);
+                let least_s = 2.0 * (shift_m / LATERAL_ACCELERATION_MPS2).sqrt();
+                let gap_m = then.station_m - own_place.station_m - own_mps * time_s - half_lengths_m;
+                let is_reached = (SHARE_M..own_mps * self.config.max_delay_s).contains(&gap_m);
+                if then_mps < STANDING_MPS || least_s > time_s || !is_reached {
                     continue;
                 }
                 let relative_mps = own_mps - then_mps;
@@ -71,7 +82,7 @@ impl CutIn {
                 );
             }
         }
-        outcomes
+        Some(outcomes)
     }
 }
 
@@ -79,11 +90,6 @@ impl CutIn {
 fn effort(acceleration_mps2: f64) -> f64 {
     let limit = if acceleration_mps2 < 0.0 { *ACCELERATIONS_MPS2.start() } else { *ACCELERATIONS_MPS2.end() };
     acceleration_mps2 / limit
-}
-
-/// The speed of a state in a direction, m/s.
-fn along_mps(state: &State, along: Vec2) -> f64 {
-    state.velocity.dot(along)
 }
 
 #[cfg(test)]

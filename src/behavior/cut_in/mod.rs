@@ -1,17 +1,21 @@
-//! Cut-in: does one vehicle move into the path of another shortly before that one gets there?
+//! Cut-in: does one vehicle cross into the lane of another, shortly ahead of it?
 
+mod crossing;
 mod feasible;
-mod intrusion;
 #[cfg(test)]
 mod tests;
 
+use super::kept_lane::KeptLane;
+use super::lane_relation::LaneIndex;
+use super::pairs::PairSearch;
 use super::sweep::Sweep;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
-use crate::geometry::angle_difference;
 use crate::scene::Scene;
-use intrusion::Intrusion;
+use crossing::{Crossing, LaneCrossing};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::cell::OnceCell;
+use std::f64::consts::FRAC_PI_6;
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "cut_in";
@@ -20,6 +24,7 @@ pub(super) const ROLES: &[&str] = &["ego", "other"];
 /// What events say beyond their times; [`CutIn`] has the definitions.
 pub(super) const PARAMETERS: &[&str] = &[
     "intrusion_timestep",
+    "crossing_timestep",
     "t_other_s",
     "t_ego_s",
     "ego_speed_mps",
@@ -30,13 +35,14 @@ pub(super) const PARAMETERS: &[&str] = &[
     "time_headway_s",
     "lateral_speed_mps",
     "shift_m",
+    "ego_shift_m",
     "side",
     "ego_length_m",
     "other_length_m",
     "min_distance_m",
 ];
 
-/// Options of [`CutIn`]. The defaults are the definition of the DJINN paper, to the letter.
+/// Options of [`CutIn`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CutInConfig {
@@ -45,23 +51,16 @@ pub struct CutInConfig {
     /// The ego must reach the other's place less than this much later, seconds. Default 3.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_delay_s: f64,
-    /// A pair that is no cut-in is a hard negative if its boxes come closer than this, metres. Default 5.
+    /// A pair that is no cut-in is a hard negative if its boxes come closer than this at any two timesteps of the scene, metres. Default 5.
     #[schemars(range(min = 0.0))]
     pub negative_distance_m: f64,
-    /// If given, the two headings at the overlap must differ by less than this, radians. It keeps out crossing and
-    /// oncoming traffic; π/4 is a good value. Default none.
+    /// From the present until it is in the lane of the ego, the other must head along that lane within this, radians. It keeps out who turns
+    /// into it, enters a roundabout or comes toward the ego. Default π/6 (30 degrees).
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 6.3))]
-    pub max_heading_difference_rad: Option<f64>,
-    /// If given, the other must move sideways toward the ego's path by at least this within the future, metres across
-    /// its own heading at present. It keeps out egos that move in behind the other themselves, and boxes that graze
-    /// while both keep their lanes; 1 is a good value. On a bend any motion along the road is sideways too. Default none.
+    pub max_heading_difference_rad: f64,
+    /// The other must move over by at least this, across the lane of the ego, metres. Default 0.5.
     #[schemars(range(min = 0.0))]
-    pub min_shift_m: Option<f64>,
-    /// Whether the distance for hard negatives is between states at the same time. Default false: at any two times.
-    pub same_time: bool,
-    /// Whether lane following and the distance for hard negatives are judged from the present on. Default false: over
-    /// the whole scene.
-    pub future_only: bool,
+    pub min_shift_m: f64,
     /// Whether pairs whose boxes overlap at the same time, at present or in the future, are no cut-ins. Default false.
     pub collision_free: bool,
 }
@@ -72,46 +71,54 @@ impl Default for CutInConfig {
             agents: AgentFilter::Motorized,
             max_delay_s: 3.0,
             negative_distance_m: 5.0,
-            max_heading_difference_rad: None,
-            min_shift_m: None,
-            same_time: false,
-            future_only: false,
+            max_heading_difference_rad: FRAC_PI_6,
+            min_shift_m: 0.5,
             collision_free: false,
         }
     }
 }
 
-/// One vehicle (`other`) merges into the path of another (`ego`).
+/// One vehicle (`other`) crosses into the lane that another (`ego`) keeps, shortly ahead of it.
 ///
-/// **Positive** (DJINN, "Conditional Generation from Behavior Classes"): the box of `other` at a future time t_other
-/// overlaps the box of `ego` at a future time t_ego, with t_ego - 3 s < t_other < t_ego (both strict).
-/// The future is every timestep after the present t_obs - 1.
+/// The lane of the ego is the one it is in at present, with those that lead to it and follow on; the other is measured along and across its
+/// center line, so that a bend is no sideways motion. Where the ego is in no lane of the map, its own path takes the place of the center
+/// line, 1.9 m wide on either side. The future is every timestep after the present.
 ///
-/// - The event *starts* at the intrusion: the first t_other for which there is such a t_ego.
-/// - It is *complete* at the first such t_ego: the ego stands where the other was.
-/// - *What does not count*: pairs in which the box of `other` at present overlaps any box of the ego's trajectory,
-///   since there the ego merely follows; agents not tracked at present, since they have no initial state.
-/// - *What does count*, by the letter: crossing and oncoming traffic, unless `max_heading_difference_rad` is given; an ego
-///   that moves in behind the other itself, and boxes that only graze, unless `min_shift_m` is given; driving into
-///   the ego, unless `collision_free` is set.
+/// **Positive**: all of
 ///
-/// **Negative**: any other ordered pair whose boxes come closer than 5 m, by default at any two timesteps of the
-/// scene. Start and end are the first and the last timestep considered.
+/// - At present the other's center is beyond a side of the lane, and its box not in front of the ego's. In the future it crosses that side
+///   and stays beyond it for a second (or to the end of the scene), heading along the lane throughout (within 30 degrees).
+/// - It moves over by at least 0.5 m, and by more than the ego moves toward it, from the present to a second after it has come in.
+/// - The ego keeps its lane until the other has come in (its center is at most 0.3 m beyond a side).
+/// - The event is still there when the ego is replayed straight along its lane, that is at its offset of the present and with its own progress:
+///   at a future time t_other the other's box is in the strip that the replayed ego sweeps, and at t_ego with t_other < t_ego < t_other + 3 s the
+///   ego's box is where the other's was.
+/// - The other's center is ahead of the ego's then and when it crosses, its whole box when both have happened; and both move, with at least
+///   1 m/s at t_other.
 ///
-/// Parameters, all at the intrusion unless said otherwise. "Along" and "across" refer to the path that the ego goes on
-/// to drive; a parameter is absent where it is not defined.
+/// The event *starts* at the intrusion, the first such t_other, and is *complete* at the first such t_ego.
+///
+/// *What does not count*: an ego that moves in behind the other or changes lanes itself; boxes that graze while both keep their lanes; crossing,
+/// turning and oncoming traffic; agents not tracked at present. Where the two lanes lead into each other and each keeps its own, as on a ramp, or where
+/// the ego is in no lane, offsets do not tell who gives way: then the one who moves more across the mean of its headings at the two ends does.
+///
+/// **Negative**: any other ordered pair whose boxes come closer than 5 m at any two timesteps of the scene. Start and end are the first and the
+/// last timestep of the scene.
+///
+/// Parameters, all at the intrusion and of the replayed ego unless said otherwise; a parameter is absent where it is not defined.
 ///
 /// | name | meaning |
 /// |---|---|
 /// | `intrusion_timestep`, `t_other_s` | the start, as a timestep and in seconds since the first timestep of the scene |
+/// | `crossing_timestep` | when the other's center crosses the side of the lane |
 /// | `t_ego_s` | the end, in seconds since the first timestep of the scene |
 /// | `ego_speed_mps`, `other_speed_mps` | speeds |
-/// | `relative_speed_mps` | ego's speed less the other's along the path; positive when closing |
-/// | `gap_m` | along the path from the ego's front to the nearest part of the other; negative when alongside |
+/// | `relative_speed_mps` | ego's speed less the other's, along the lane; positive when closing |
+/// | `gap_m` | along the lane from the ego's front to the nearest part of the other; negative when alongside |
 /// | `ttc_s` | gap / relative speed; absent when not closing or alongside |
 /// | `time_headway_s` | gap / ego's speed; absent when the ego stands or is alongside |
-/// | `lateral_speed_mps` | the other's speed across the path, positive toward it |
-/// | `shift_m` | how far the other moves sideways toward the path within the future, across its heading at present |
+/// | `lateral_speed_mps` | the other's speed across the lane, positive toward the ego's side |
+/// | `shift_m`, `ego_shift_m` | how far the other moves over across the lane, and how far the ego moves toward it, from the present to a second after the other has come in |
 /// | `side` | the side the other comes from: +1 left, -1 right |
 /// | `ego_length_m`, `other_length_m` | lengths of the boxes, which tell cars from trucks where a dataset calls both vehicles; nominal where it gives no size |
 /// | `min_distance_m` | smallest distance of the boxes at the same time, from the present on; also for negatives |
@@ -126,74 +133,15 @@ impl CutIn {
         Self { config }
     }
 
-    /// (t_other, t_ego) of the cut-in of `other` before `ego`, if there is one. Both sweeps hold a box at present.
-    fn overlap(
-        &self,
-        scene: &Scene,
-        [ego_idx, other_idx]: [usize; 2],
-        ego: &Sweep,
-        other: &Sweep,
-    ) -> Option<(usize, usize)> {
-        let present = scene.current_timestep();
-        let same_way = |t_other: usize, t_ego: usize| {
-            self.config.max_heading_difference_rad.is_none_or(|limit_rad| {
-                let heading =
-                    |agent_idx: usize, timestep: usize| scene.state(agent_idx, timestep).map(|s| s.heading_rad);
-                heading(other_idx, t_other)
-                    .zip(heading(ego_idx, t_ego))
-                    .is_some_and(|(theirs, own)| angle_difference(theirs, own).abs() < limit_rad)
-            })
-        };
-        let overlap =
-            ego.first_overlap_after(other, scene.n_history..scene.n_timesteps, self.max_delay(scene.dt_s), same_way)?;
-        let initial = other.at(present)?;
-        let is_following = ego.overlaps_any(initial, self.judged_timesteps(scene));
-        let collides = self.config.collision_free
-            && ego.both_at(other, present..scene.n_timesteps).any(|(_, own, theirs)| own.overlaps(theirs));
-        let moves_over = || {
-            self.config.min_shift_m.is_none_or(|least_m| {
-                let intrusion = Intrusion::at(scene, [ego_idx, other_idx], overlap.0);
-                intrusion.and_then(|i| i.shift_m).is_some_and(|shift_m| shift_m >= least_m)
-            })
-        };
-        (!is_following && !collides && moves_over()).then_some(overlap)
-    }
-
-    /// The largest number of timesteps that is strictly less than the longest delay.
-    fn max_delay(&self, dt_s: f64) -> usize {
-        // Delays that are a whole number of timesteps but for rounding, such as 30 of 0.1 s, are excluded.
-        (self.config.max_delay_s / dt_s - 1e-6).floor().max(0.0) as usize
-    }
-
-    fn judged_timesteps(&self, scene: &Scene) -> std::ops::Range<usize> {
-        let start = if self.config.future_only { scene.current_timestep() } else { 0 };
-        start..scene.n_timesteps
-    }
-
-    fn is_near(&self, scene: &Scene, first: &Sweep, second: &Sweep) -> bool {
-        let (timesteps, limit_m) = (self.judged_timesteps(scene), self.config.negative_distance_m);
-        if self.config.same_time {
-            first.comes_within_at_same_time(second, timesteps, limit_m)
-        } else {
-            first.comes_within(second, timesteps, limit_m)
-        }
-    }
-
-    fn positive(&self, scene: &Scene, pair: [usize; 2], (t_other, t_ego): (usize, usize)) -> BehaviorEvent {
-        let event = BehaviorEvent::new((ID, ROLES), scene, EventLabel::Positive, &pair, t_other..=t_ego)
-            .with("intrusion_timestep", t_other as f64)
-            .with("t_other_s", t_other as f64 * scene.dt_s)
-            .with("t_ego_s", t_ego as f64 * scene.dt_s);
-        match Intrusion::at(scene, pair, t_other) {
-            Some(intrusion) => intrusion.describe(event),
-            None => event,
-        }
-    }
-
-    fn negative(&self, scene: &Scene, pair: [usize; 2]) -> BehaviorEvent {
-        let timesteps = self.judged_timesteps(scene);
-        let last = timesteps.end.saturating_sub(1);
-        BehaviorEvent::new((ID, ROLES), scene, EventLabel::Negative, &pair, timesteps.start..=last)
+    fn positive(&self, scene: &Scene, pair: [usize; 2], crossing: &Crossing) -> BehaviorEvent {
+        let timesteps = crossing.intrusion..=crossing.reached;
+        let event = BehaviorEvent::new((ID, ROLES), scene, EventLabel::Positive, &pair, timesteps)
+            .with("intrusion_timestep", crossing.intrusion as f64)
+            .with("crossing_timestep", crossing.crossing as f64)
+            .with("t_other_s", crossing.intrusion as f64 * scene.dt_s)
+            .with("t_ego_s", crossing.reached as f64 * scene.dt_s)
+            .with("ego_shift_m", crossing.ego_shift_m);
+        crossing.moment.describe(event)
     }
 }
 
@@ -207,50 +155,31 @@ impl Behavior for CutIn {
     }
 
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        match agents.iter().map(|agent_idx| scene.tracks.get(*agent_idx)).collect::<Option<Vec<_>>>().as_deref() {
-            Some([ego, other]) => self.outcomes(scene, ego, other),
-            _ => Vec::new(),
-        }
+        let [ego_idx, other_idx] = agents else { return Vec::new() };
+        self.outcomes(scene, *ego_idx, *other_idx).unwrap_or_default()
     }
 
     /// Pairs in the order of tracks, each pair first with the earlier track as the ego, then with the later one.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
-        let present = scene.current_timestep();
-        let takes_part = |agent_idx: usize| {
-            self.config.agents.admits(scene.tracks[agent_idx].class)
-                && scene.state(agent_idx, present).is_some_and(|state| state.is_finite())
+        let lanes = LaneIndex::new(&scene.lanes);
+        let kept: Vec<OnceCell<Option<KeptLane>>> = scene.tracks.iter().map(|_| OnceCell::new()).collect();
+        let kept = |agent_idx: usize| kept[agent_idx].get_or_init(|| KeptLane::of(scene, &lanes, agent_idx)).as_ref();
+        let collides = |ego: &Sweep, other: &Sweep| {
+            let future = scene.current_timestep()..scene.n_timesteps;
+            self.config.collision_free && ego.both_at(other, future).any(|(_, own, theirs)| own.overlaps(theirs))
         };
-        if scene.n_history == 0 || !scene.has_future() {
-            return Vec::new();
-        }
-        let sweeps: Vec<(usize, Sweep)> = (0..scene.tracks.len())
-            .filter(|agent_idx| takes_part(*agent_idx))
-            .filter_map(|agent_idx| Some((agent_idx, Sweep::new(&scene.tracks[agent_idx])?)))
-            .collect();
-        let mut events = Vec::new();
-        for (i, (first_idx, first)) in sweeps.iter().enumerate() {
-            for (second_idx, second) in &sweeps[i + 1..] {
-                if !first.may_come_within(second, self.config.negative_distance_m.max(0.0)) {
-                    continue;
-                }
-                let ordered = [([*first_idx, *second_idx], first, second), ([*second_idx, *first_idx], second, first)];
-                let overlaps = ordered.map(|(pair, ego, other)| self.overlap(scene, pair, ego, other));
-                let is_near = overlaps.iter().any(Option::is_none) && self.is_near(scene, first, second);
-                // The distance costs more than all else, so it is left out where no event comes of it.
-                let min_distance_m = (is_near || overlaps.iter().any(Option::is_some))
-                    .then(|| first.min_distance_m(second, present..scene.n_timesteps))
-                    .flatten()
-                    .map(|(distance_m, _)| distance_m);
-                for ((pair, _, _), overlap) in ordered.into_iter().zip(overlaps) {
-                    let event = match overlap {
-                        Some(overlap) => self.positive(scene, pair, overlap),
-                        None if is_near => self.negative(scene, pair),
-                        None => continue,
-                    };
-                    events.push(event.with("min_distance_m", min_distance_m));
-                }
-            }
-        }
-        events
+        let search = PairSearch {
+            scene,
+            names: (ID, ROLES),
+            agents: self.config.agents,
+            negative_distance_m: self.config.negative_distance_m,
+            judged: 0..scene.n_timesteps,
+            same_time: false,
+        };
+        search.events(|pair, ego, other| {
+            let lane = kept(pair[0])?;
+            let crossing = LaneCrossing { scene, pair, lane, config: &self.config }.find(|| kept(pair[1]))?;
+            (!collides(ego, other)).then(|| self.positive(scene, pair, &crossing))
+        })
     }
 }

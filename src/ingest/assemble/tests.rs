@@ -149,6 +149,31 @@ fn lanes_are_cropped_and_required() {
 }
 
 #[test]
+fn lanes_that_anybody_can_reach_belong_to_the_scene() {
+    let lanes = vec![lane(1, (0.0, 0.0), (10.0, 0.0)), lane(3, (300.0, 9.0), (400.0, 9.0))];
+    let index = LaneIndex::new(Arc::new(LaneGraph::new(lanes)));
+    let ids = |far: Track, max_agents: usize| {
+        let focal = track("f", TrackRole::Focal, Vec2::ZERO, 0.0, |_| true);
+        let config = IngestConfig { max_agents, ..config() };
+        let (scene, _) = assemble(raw(vec![focal, far]), Some(&index), &config).expect("complete");
+        scene.lanes.lanes().iter().map(|lane| lane.id.0).collect::<Vec<_>>()
+    };
+    // At 10 m/s and 5 m/s² the far agent gets 2.1 m in the two timesteps to come, and 10 m are around it: the lane is at 10.3 and at 13.5 m.
+    assert_eq!(ids(context("far", 295.0, 0.0), 2), [1, 3]);
+    assert_eq!(ids(context("far", 290.0, 0.0), 2), [1]);
+    assert_eq!(ids(context("far", 295.0, 0.0), 1), [1], "who does not take part counts for nothing");
+    // What it does after the present counts for nothing.
+    let jumps = |timestep: usize| if timestep > PRESENT { 5.0 } else { 0.0 };
+    let mut far = context("far", 290.0, 0.0);
+    let moved = far
+        .trajectory
+        .valid()
+        .map(|(timestep, state)| Some(State { position: state.position + Vec2::new(jumps(timestep), 0.0), ..*state }));
+    far.trajectory = Trajectory::new(moved.collect());
+    assert_eq!(ids(far, 2), [1]);
+}
+
+#[test]
 fn standing_tracks_take_the_direction_of_their_lane() {
     let index = LaneIndex::new(Arc::new(LaneGraph::new(vec![lane(1, (0.0, 0.0), (0.0, 90.0))])));
     let parked = |x| track("parked", TrackRole::Focal, Vec2::new(x, 10.0), 0.0, |_| true);

@@ -206,6 +206,25 @@ fn leaving_the_road_is_measured_in_metres() {
 }
 
 #[test]
+fn a_lane_that_ends_on_the_road_is_not_carried_on() {
+    // The right one of two lanes ends at 20 m, where the left one goes on; the car in it would be 12 m beyond after 3.9 s.
+    let lanes = |successors: &str| {
+        let spec: Result<SceneSpec, _> = toml::from_str(&format!(
+            "agents = [{{ id = \"a\", start = {{ x_m = -7, y_m = 0, speed_mps = 10 }} }}]\n\
+             lanes = [{{ id = 1, centerline = [[-60, 0], [20, 0]], width_m = 4.0, left_neighbor = 2 }},\
+             {{ id = 2, centerline = [[-60, 4], [20, 4]], width_m = 4.0, right_neighbor = 1, successors = [{successors}] }},\
+             {{ id = 3, centerline = [[20, 4], [300, 4]], width_m = 4.0, predecessors = [2] }}]"
+        ));
+        spec.expect("valid").build("judged")
+    };
+    // It is beside the left lane, 2 m from its outline.
+    let (check, value, _) = only(&lanes("3"), &defaults());
+    assert!(check == Check::Offroad && (value - 2.0).abs() < 1e-6, "{value}");
+    // Where both lanes end, the map does.
+    assert_eq!(checks(&lanes(""), &defaults()), [""; 0]);
+}
+
+#[test]
 fn motion_is_not_checked_where_positions_are_noise() {
     let mut hard = scene(15.0, "{ duration_s = 1.5 }, { duration_s = 1.5, acceleration_mps2 = -12.0 }");
     hard.source.dataset = Dataset::Argoverse1;

@@ -18,7 +18,7 @@ impl Stage for Ingest<'_> {
     }
 
     fn version(&self) -> u32 {
-        2
+        3
     }
 
     fn check(&self) -> Result<()> {

@@ -62,7 +62,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        2
+        3
     }
 
     fn check(&self) -> Result<()> {

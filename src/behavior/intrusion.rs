@@ -1,7 +1,7 @@
 //! The moment of a cut-in: how fast, how close, from which side?
 
-use crate::behavior::BehaviorEvent;
-use crate::behavior::driven_path::DrivenPath;
+use super::BehaviorEvent;
+use super::driven_path::DrivenPath;
 use crate::geometry::Vec2;
 use crate::scene::Scene;
 
@@ -9,22 +9,22 @@ use crate::scene::Scene;
 const STANDING_MPS: f64 = 0.1;
 
 /// How two agents stand to each other when one intrudes on the path of the other. The parameters of the same names
-/// of [`super::CutIn`] say what the fields mean.
+/// of [`super::CutIn`] and [`super::CutInPaper`] say what the fields mean.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Intrusion {
-    ego_speed_mps: f64,
-    other_speed_mps: f64,
-    relative_speed_mps: f64,
-    gap_m: f64,
-    lateral_speed_mps: f64,
-    side: f64,
-    ego_length_m: f64,
-    other_length_m: f64,
+    pub(super) ego_speed_mps: f64,
+    pub(super) other_speed_mps: f64,
+    pub(super) relative_speed_mps: f64,
+    pub(super) gap_m: f64,
+    pub(super) lateral_speed_mps: f64,
+    pub(super) side: f64,
+    pub(super) ego_length_m: f64,
+    pub(super) other_length_m: f64,
     pub(super) shift_m: Option<f64>,
 }
 
 impl Intrusion {
-    /// The intrusion of `other` at `timestep`. `None` where either of the two is not tracked then.
+    /// The intrusion of `other` at `timestep` into the path that the ego goes on to drive. `None` where either of the two is not tracked then.
     pub(super) fn at(scene: &Scene, [ego_idx, other_idx]: [usize; 2], timestep: usize) -> Option<Self> {
         let (ego, other) = (&scene.tracks[ego_idx], &scene.tracks[other_idx]);
         let (ego_state, other_state) = (ego.trajectory.get(timestep)?, other.trajectory.get(timestep)?);

@@ -1,0 +1,363 @@
+"""Are the cut-ins that djinn finds cut-ins? The definition of `cut_in` a second time, from lanes and states alone, compared pair by pair.
+
+    pip install numpy pyarrow
+    python scripts/check_cut_ins.py output/quickstart/main            # scenes/ and events.parquet of a run, and its corpus/
+    python scripts/check_cut_ins.py output/quickstart/main/corpus     # verified cut-ins of a corpus
+
+Of the recorded scenes every ordered pair is looked at that events.parquet names as a cut-in or as near one; of a corpus every verified scenario
+of which a cut-in was asked, for the pair that was asked. The exit code is 1 where the two disagree on more than 1 % of the cut-ins: states are
+stored in single precision, so that a case on the edge may fall to either side. `--collisions` is for runs whose `[mine]` lets cut-ins end in a
+collision; the carried pipelines do not.
+"""
+
+import argparse
+import math
+import pathlib
+import sys
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.dataset as ds
+import pyarrow.ipc as ipc
+import pyarrow.parquet as pq
+
+MAX_DELAY_S, MAX_HEADING_RAD, MIN_SHIFT_M, MIN_SPEED_MPS, SETTLING_S = 3.0, math.pi / 6, 0.5, 1.0, 1.0
+NOMINAL_HALF_WIDTH_M, HYSTERESIS_M, EXTENSION_M, AHEAD_M, BEHIND_M = 1.9, 0.3, 100.0, 200.0, 100.0
+NOMINAL = {"vehicle": (4.6, 1.9), "unknown": (4.6, 1.9), "bus": (12.0, 2.6), "motorcyclist": (2.0, 0.8)}  # where a dataset gives no size
+HEADING, VX = 2, 3
+
+
+def wrapped(angle):
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def unit(angle):
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+class Line:
+    """A polyline without repeated points: stations, offsets (positive to the left) and directions of points beside it."""
+
+    def __init__(self, points):
+        points = np.asarray(points, float)
+        keep = [0]
+        for i in range(1, len(points)):
+            if np.hypot(*(points[i] - points[keep[-1]])) > 1e-9:
+                keep.append(i)
+        points = points[keep]
+        self.start, self.along = points[:-1], np.diff(points, axis=0)
+        self.length = np.hypot(*self.along.T)
+        self.station = np.concatenate([[0.0], np.cumsum(self.length)])
+
+    def project(self, points):
+        points = np.atleast_2d(points)
+        from_start = points[:, None] - self.start
+        share = np.clip((from_start * self.along).sum(-1) / self.length**2, 0, 1)
+        away = from_start - share[..., None] * self.along
+        nearest = np.nan_to_num((away**2).sum(-1), nan=np.inf).argmin(1)
+        rows = np.arange(len(points))
+        away, along = away[rows, nearest], self.along[nearest]
+        side = np.where(along[:, 0] * from_start[rows, nearest, 1] < along[:, 1] * from_start[rows, nearest, 0], -1, 1)
+        station = self.station[nearest] + share[rows, nearest] * self.length[nearest]
+        return station, side * np.hypot(*away.T), np.arctan2(along[:, 1], along[:, 0])
+
+
+def is_in_polygon(polygon, points):
+    """Even-odd rule."""
+    a, b = polygon[None], np.roll(polygon, -1, 0)[None]
+    x, y = points[:, :1], points[:, 1:2]
+    with np.errstate(all="ignore"):
+        at_x = a[..., 0] + (b[..., 0] - a[..., 0]) * (y - a[..., 1]) / (b[..., 1] - a[..., 1])
+        hit = ((a[..., 1] > y) != (b[..., 1] > y)) & (x < at_x)
+    return hit.sum(1) % 2 == 1
+
+
+class Lane:
+    def __init__(self, row, to_scene):
+        points = lambda name: to_scene(np.stack([row[f"{name}_x_m"], row[f"{name}_y_m"]], -1).astype(float))
+        self.id, self.successors, self.predecessors = row["lane_id"], row["successors"], row["predecessors"]
+        self.center, self.left, self.right = points("centerline"), points("left"), points("right")
+        self.has_sides = len(self.left) >= 2 and len(self.right) >= 2
+        self.line = Line(self.center) if len(self.center) >= 2 else None
+        ends = [np.arctan2(*np.diff(self.center, axis=0)[i][::-1]) for i in (0, -1)] if self.line else [0, 0]
+        self.bend = abs(wrapped(ends[1] - ends[0]))
+
+    def holds(self, points):
+        if self.has_sides:
+            return is_in_polygon(np.vstack([self.left, self.right[::-1]]), points)
+        station, offset, _ = self.line.project(points)
+        return (abs(offset) <= NOMINAL_HALF_WIDTH_M) & (station > 0) & (station < self.line.station[-1])
+
+
+def extended(points):
+    kept = []
+    for point in points:
+        if not kept or np.hypot(*(point - kept[-1])) > 0.05:
+            kept.append(point)
+    onward = lambda a, b: b + (b - a) / np.hypot(*(b - a)) * EXTENSION_M
+    return Line([onward(kept[1], kept[0]), *kept, onward(kept[-2], kept[-1])])
+
+
+class Scene:
+    """States as an array (agent, timestep, 5), NaN where an agent is not tracked; lanes in the scene frame."""
+
+    def __init__(self, header, names, states, sizes, lane_rows):
+        frame = header["world_from_scene"]
+        if isinstance(frame, dict):
+            frame = [frame["x_m"], frame["y_m"], frame["rotation_rad"]]
+        cos, sin = np.cos(frame[2]), np.sin(frame[2])
+        turn = np.array([[cos, -sin], [sin, cos]])
+        to_scene = lambda points: (points - np.array(frame[:2])) @ turn if len(points) else points.reshape(0, 2)
+        self.dt_s, self.present, self.end = header["dt_s"], header["n_history"] - 1, header["n_timesteps"]
+        self.idx = {name: i for i, name in enumerate(names)}
+        self.states, self.sizes, self.kept_lanes = states, sizes, {}
+        lanes = [Lane(row, to_scene) for row in lane_rows]
+        self.lanes = {lane.id: lane for lane in lanes if lane.line}
+
+    def kept(self, agent):
+        if agent not in self.kept_lanes:
+            self.kept_lanes[agent] = KeptLane(self, agent)
+        return self.kept_lanes[agent]
+
+
+class KeptLane:
+    """The lane that an agent keeps, or the path that it drives where it is in none."""
+
+    def __init__(self, scene, agent):
+        states = scene.states[agent]
+        known = states[np.isfinite(states).all(1)]
+        here = states[scene.present]
+        future, history = states[scene.present :], states[: scene.present + 1]
+        future, history = (part[np.isfinite(part).all(1), :2] for part in (future, history))
+        best = None
+        for lane in scene.lanes.values():
+            if abs(wrapped(lane.line.project(here[:2])[2][0] - here[HEADING])) >= np.pi / 4 or not lane.holds(here[None, :2])[0]:
+                continue
+            route = self.follow(scene, [lane], history, BEHIND_M, lambda lane: lane.predecessors)[::-1]
+            self.use(self.follow(scene, route, future, AHEAD_M, lambda lane: lane.successors))
+            score = ((~self.holds(future)).sum(), abs(self.center.project(future)[1]).sum())
+            if best is None or score < best[0]:
+                best = (score, self.lanes)
+        if best:
+            self.use(best[1])
+            return
+        self.lanes, self.sides = [], None
+        path = [known[0]]
+        for state in known[1:]:
+            if np.hypot(*(state[:2] - path[-1][:2])) >= 0.1:
+                path.append(state)
+        ends = [path[0][:2] - 50 * unit(known[0][HEADING])], [path[-1][:2] + 50 * unit(known[-1][HEADING])]
+        self.center = Line(np.vstack([ends[0], [state[:2] for state in path], ends[1]]))
+
+    @staticmethod
+    def follow(scene, route, driven, length_m, connections):
+        added_m = 0.0
+        while added_m < length_m:
+            ids = [lane.id for lane in route]
+            onward = [scene.lanes[i] for i in connections(route[-1]) if i in scene.lanes and i not in ids]
+            if not onward:
+                break
+            route = [*route, min(onward, key=lambda lane: (-lane.holds(driven).sum(), lane.bend))]
+            added_m += route[-1].line.station[-1]
+        return route
+
+    def use(self, lanes):
+        joined = lambda name: extended(np.concatenate([getattr(lane, name) for lane in lanes]))
+        self.lanes, self.center = lanes, joined("center")
+        self.sides = (joined("left"), joined("right")) if all(lane.has_sides for lane in lanes) else None
+
+    def beyond(self, points, side):
+        """How far points are beyond the left (+1) or right (-1) side, metres."""
+        if self.sides:
+            return side * self.sides[0 if side > 0 else 1].project(points)[1]
+        return side * self.center.project(points)[1] - NOMINAL_HALF_WIDTH_M
+
+    def holds(self, points):
+        return np.maximum(self.beyond(points, 1), self.beyond(points, -1)) <= HYSTERESIS_M
+
+
+def moved_across_headings(states):
+    """To the left, across the mean of the headings at both ends."""
+    known = states[np.isfinite(states).all(1)]
+    first, last = known[0], known[-1]
+    across = unit(first[HEADING] + wrapped(last[HEADING] - first[HEADING]) / 2 + np.pi / 2)
+    return float((last[:2] - first[:2]) @ across)
+
+
+def cut_in(scene, ego, other):
+    """(t_other, t_ego) where `other` cuts in ahead of `ego`, or else why not, in a word."""
+    now, end, dt = scene.present, scene.end, scene.dt_s
+    own, theirs = scene.states[ego], scene.states[other]
+    tracked = np.isfinite(theirs).all(1)
+    if not (tracked[now] and np.isfinite(own[now]).all()):
+        return "absent"
+    lane = scene.kept(ego)
+    side = 1 if lane.center.project(theirs[now, :2])[1][0] >= 0 else -1
+    if lane.beyond(theirs[now, :2], side)[0] <= 0:
+        return "in_the_lane_before"
+    later = np.arange(now + 1, end)
+    with np.errstate(invalid="ignore"):
+        near_side, far_side = lane.beyond(theirs[:, :2], side), lane.beyond(theirs[:, :2], -side)
+        inside = later[tracked[later] & (near_side[later] <= 0) & (far_side[later] <= 0)]
+    if not len(inside):
+        return "never_in"
+    crossing, settling = inside[0], round(SETTLING_S / dt)
+    stay = np.arange(crossing, min(end, crossing + settling))
+    if (tracked[stay] & (near_side[stay] > 0)).any():
+        return "goes_back"
+    (s_own, o_own, h_own), (s_theirs, o_theirs, h_theirs) = (lane.center.project(agent[:, :2]) for agent in (own, theirs))
+    own_known = np.isfinite(own).all(1)
+    slant = wrapped(theirs[:, HEADING] - h_theirs)
+    until = np.arange(now, crossing + 1)
+    if (tracked[until] & (abs(slant[until]) >= MAX_HEADING_RAD)).any():
+        return "another_way"
+    (length, width), (their_length, their_width) = scene.sizes[ego], scene.sizes[other]
+    cos, sin = abs(np.cos(slant)), abs(np.sin(slant))
+    along, across = (cos * their_length + sin * their_width) / 2, (sin * their_length + cos * their_width) / 2
+    in_strip = tracked & (abs(o_theirs - o_own[now]) <= width / 2 + across)
+    if in_strip[now]:
+        return "in_front_before"
+    delay = math.floor(MAX_DELAY_S / dt - 1e-6)
+    found = None
+    for t in later[in_strip[later]]:
+        soon = np.arange(t + 1, min(end, t + delay + 1))
+        there = soon[own_known[soon] & (abs(s_own[soon] - s_theirs[t]) <= length / 2 + along[t])]
+        if len(there):
+            found = int(t), int(there[0])
+            break
+    if not found:
+        return "not_reached"
+    come_in = max(crossing, found[0])
+    if not all(own_known[t] and tracked[t] and s_theirs[t] > s_own[t] for t in (crossing, found[0])):
+        return "behind"
+    if not s_theirs[come_in] - along[come_in] - s_own[come_in] - length / 2 >= 0:
+        return "alongside"
+    until = np.arange(now, come_in + 1)
+    if not lane.holds(own[until[own_known[until]], :2]).all():
+        return "ego_leaves"
+    last = min(come_in + settling, end - 1)
+    until = np.arange(now, last + 1)
+    shift = max(-side * (o_theirs[until] - o_theirs[now])[tracked[until]])
+    ego_shift = max(side * (o_own[until] - o_own[now])[own_known[until]])
+    if shift < MIN_SHIFT_M or shift <= ego_shift:
+        return "moves_less"
+    keeps = lambda others: others.holds(theirs[now : crossing + 1][tracked[now : crossing + 1], :2]).all()
+    joins = lambda others: {lane.id for lane in others.lanes} & {lane.id for lane in lane.lanes}
+    if not lane.lanes or (joins(scene.kept(other)) and keeps(scene.kept(other))):
+        if side * moved_across_headings(own[until]) >= -side * moved_across_headings(theirs[until]):
+            return "ego_comes_in"
+    if min(np.hypot(*agent[found[0], VX:]) for agent in (own, theirs)) < MIN_SPEED_MPS:
+        return "stands"
+    return found
+
+
+def boxes_touch(scene, ego, other):
+    """Whether the boxes overlap at the same time, from the present on."""
+    for t in range(scene.present, scene.end):
+        pair = [scene.states[agent, t] for agent in (ego, other)]
+        if not np.isfinite(pair).all():
+            continue
+        halves = [np.array(scene.sizes[agent]) / 2 for agent in (ego, other)]
+        axes = [unit(state[HEADING] + turn) for state in pair for turn in (0, np.pi / 2)]
+        reach = lambda axis: sum(abs(axis @ unit(s[HEADING])) * h[0] + abs(axis @ unit(s[HEADING] + np.pi / 2)) * h[1] for s, h in zip(pair, halves))
+        if all(abs((pair[1][:2] - pair[0][:2]) @ axis) <= reach(axis) for axis in axes):
+            return True
+    return False
+
+
+def recorded_scenes(folder, wanted):
+    """The scenes of a run with these ids."""
+    rows = lambda name: [row for path in sorted(folder.glob(name)) for batch in [ipc.open_file(pa.memory_map(str(path))).read_all()] for row in batched(batch)]
+    lanes = {(row["map_id"], row["lane_id"]): row for row in rows("maps-*.arrow")}
+    for row in rows("scenes-*.arrow"):
+        if row["scene_id"] not in wanted:
+            continue
+        states = np.array([[track[name] for name in ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps")] for track in row["tracks"]])
+        states = states.transpose(0, 2, 1).astype(float)
+        states[~np.array([track["valid"] for track in row["tracks"]])] = np.nan
+        own = [lanes[row["map_id"], lane] for lane in row["lane_ids"]] if row["map_id"] else []
+        names = [track["track_id"] for track in row["tracks"]]
+        sizes = [size(track) for track in row["tracks"]]
+        yield row["scene_id"], Scene(row, names, states, sizes, own)
+
+
+def size(track):
+    return (track["length_m"], track["width_m"]) if track["length_m"] else NOMINAL.get(track["class"], (4.6, 1.9))
+
+
+def batched(table):
+    for batch in table.to_batches(max_chunksize=64):
+        yield from batch.to_pylist()
+
+
+def check_run(folder, collision_free):
+    events = pq.read_table(folder / "events.parquet").to_pylist()
+    events = [event for event in events if event["behavior"] == "cut_in"]
+    of_scene = {}
+    for event in events:
+        of_scene.setdefault(event["scene_id"], []).append(event)
+    both = only_djinn = only_here = 0
+    for scene_id, scene in recorded_scenes(folder / "scenes", of_scene):
+        for event in of_scene[scene_id]:
+            ego, other = (scene.idx[event[f"{role}_track_id"]] for role in ("ego", "other"))
+            found = cut_in(scene, ego, other)
+            if collision_free and not isinstance(found, str) and boxes_touch(scene, ego, other):
+                found = "collision"
+            theirs = (event["start_timestep"], event["end_timestep"]) if event["label"] == "positive" else None
+            if theirs and found == theirs:
+                both += 1
+            elif theirs or not isinstance(found, str):
+                only_djinn, only_here = only_djinn + bool(theirs), only_here + (not isinstance(found, str))
+                print(f"{scene_id}: {event['other_track_id']} before {event['ego_track_id']}: djinn {theirs or 'none'}, here {found}")
+    print(f"recorded: {both} cut-ins agree in {len(events)} pairs; {only_djinn} are found otherwise or only by djinn, {only_here} otherwise or only here")
+    return both, max(only_djinn, only_here)
+
+
+def check_corpus(folder):
+    part = lambda name: ds.dataset(folder / name if (folder / name).exists() else folder / f"{name}.parquet", format="parquet", partitioning="hive")
+    scenarios = [row for row in part("scenarios").to_table().to_pylist() if row["verified"] and row["requested_behavior"] == "cut_in"]
+    lanes = {(row["map_id"], row["lane_id"]): row for row in part("lanes").to_table().to_pylist()}
+    ids = pa.array([row["scenario_id"] for row in scenarios])
+    tracks = {}
+    for row in part("tracks").to_table(filter=ds.field("scenario_id").isin(ids)).to_pylist() if scenarios else []:
+        tracks.setdefault(row["scenario_id"], {}).setdefault(row["track_id"], []).append(row)
+    n_agree = 0
+    for row in scenarios:
+        own = tracks[row["scenario_id"]]
+        states = np.full((len(own), row["n_timesteps"], 5), np.nan)
+        for i, rows in enumerate(own.values()):
+            for state in rows:
+                states[i, state["timestep"]] = [state[name] for name in ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps")]
+        sizes = [size(rows[0]) for rows in own.values()]
+        near = [lanes[row["map_id"], lane] for lane in row["lane_ids"]] if row["map_id"] else []
+        scene = Scene(row, list(own), states, sizes, near)
+        roles = {name: rows[0]["event_role"] for name, rows in own.items()}
+        pair = [next((scene.idx[name] for name, role in roles.items() if role == wanted), None) for wanted in ("ego", "other")]
+        found = "no such roles" if None in pair else cut_in(scene, *pair)
+        theirs = row["event_start_timestep"], row["event_end_timestep"]
+        n_agree += found == theirs
+        if found != theirs:
+            print(f"{row['scenario_id']}: djinn {theirs}, here {found}")
+    print(f"generated: {n_agree} of {len(scenarios)} verified cut-ins agree")
+    return n_agree, len(scenarios) - n_agree
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=pathlib.Path, help="a run folder, or a corpus")
+    parser.add_argument("--collisions", action="store_true", help="cut-ins may end in a collision: [mine] does not say collision_free")
+    arguments = parser.parse_args()
+    results = []
+    if (arguments.folder / "events.parquet").exists():
+        results.append(check_run(arguments.folder, not arguments.collisions))
+    corpus = arguments.folder / "corpus" if (arguments.folder / "corpus").exists() else arguments.folder
+    if (corpus / "manifest.json").exists():
+        results.append(check_corpus(corpus))
+    if not results:
+        sys.exit(f"{arguments.folder}: neither a run with events.parquet nor a corpus with manifest.json")
+    if any(n_differ > 0.01 * (n_agree + n_differ) for n_agree, n_differ in results):
+        sys.exit("the two definitions disagree on more than 1 % of the cut-ins")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,177 @@
+//! One who crosses into the lane of another: when, how far does either move over, and is the other one still cut off if it drives straight?
+
+use super::CutInConfig;
+use crate::behavior::footprint::Footprint;
+use crate::behavior::intrusion::Intrusion;
+use crate::behavior::kept_lane::KeptLane;
+use crate::geometry::{Projection, Vec2, angle_difference};
+use crate::scene::{Scene, State, Track};
+use std::f64::consts::FRAC_PI_2;
+
+/// How long the other must stay in the lane, and how long after it has come in the two may move on, seconds.
+const SETTLING_S: f64 = 1.0;
+/// Both must move at least this fast, m/s: whoever stands is not cut off, and its heading may be noise.
+const MIN_SPEED_MPS: f64 = 1.0;
+
+/// A pair (ego, other), relative to the lane that the ego keeps.
+pub(super) struct LaneCrossing<'a> {
+    pub(super) scene: &'a Scene,
+    pub(super) pair: [usize; 2],
+    pub(super) lane: &'a KeptLane,
+    pub(super) config: &'a CutInConfig,
+}
+
+/// The other comes into the lane ahead of the ego.
+pub(super) struct Crossing {
+    /// When its box first is in the strip that the ego sweeps; t_other.
+    pub(super) intrusion: usize,
+    /// When the ego is there; t_ego.
+    pub(super) reached: usize,
+    /// When its center crosses the side of the lane.
+    pub(super) crossing: usize,
+    /// How far the ego moves toward it, metres.
+    pub(super) ego_shift_m: f64,
+    /// How they stand to each other at the intrusion.
+    pub(super) moment: Intrusion,
+}
+
+/// Where an agent is relative to the lane.
+#[derive(Clone, Copy)]
+struct Place {
+    station_m: f64,
+    /// Positive to the left of the center line.
+    offset_m: f64,
+    /// Direction of the lane.
+    heading_rad: f64,
+    /// Half the extent of its box along and across the lane.
+    half_along_m: f64,
+    half_across_m: f64,
+}
+
+impl LaneCrossing<'_> {
+    /// The cut-in, if there is one. `others_lane` is asked for the lane that the other keeps.
+    pub(super) fn find<'l>(&self, others_lane: impl Fn() -> Option<&'l KeptLane>) -> Option<Crossing> {
+        let (scene, config) = (self.scene, self.config);
+        let [ego, other] = self.pair.map(|agent_idx| &scene.tracks[agent_idx]);
+        let (present, end) = (scene.current_timestep(), scene.n_timesteps);
+        let start = self.place(other, present)?;
+        let side = if start.offset_m < 0.0 { -1.0 } else { 1.0 };
+        let beyond_m = |timestep: usize, side: f64| self.lane.beyond_m(state(other, timestep)?.position, side);
+        if beyond_m(present, side)? <= 0.0 {
+            return None;
+        }
+        let is_in =
+            |t: usize| [side, -side].into_iter().all(|side| beyond_m(t, side).is_some_and(|beyond| beyond <= 0.0));
+        let crossing = (scene.n_history..end).find(|timestep| is_in(*timestep))?;
+        let settling = (SETTLING_S / scene.dt_s).round() as usize;
+        let goes_back =
+            (crossing..end.min(crossing + settling)).any(|t| beyond_m(t, side).is_some_and(|beyond| beyond > 0.0));
+        let places: Vec<[Option<Place>; 2]> = (0..end)
+            .map(|t| if t < present { [None, None] } else { [self.place(ego, t), self.place(other, t)] })
+            .collect();
+        let is_along = |t: usize| {
+            let heading_rad = state(other, t).zip(places[t][1]);
+            heading_rad.is_none_or(|(state, place)| {
+                angle_difference(state.heading_rad, place.heading_rad).abs() < config.max_heading_difference_rad
+            })
+        };
+        if goes_back || !(present..=crossing).all(is_along) {
+            return None;
+        }
+        let (intrusion, reached) = self.replayed(&places)?;
+        let is_ahead =
+            |t: usize| places[t][0].zip(places[t][1]).is_some_and(|(own, theirs)| theirs.station_m > own.station_m);
+        let come_in = crossing.max(intrusion);
+        let [own, theirs] = places[come_in];
+        let half_length_m = ego.extent_or_nominal().length_m / 2.0;
+        let gap_m =
+            |own: &Place, theirs: &Place| theirs.station_m - theirs.half_along_m - own.station_m - half_length_m;
+        let is_clear = own.zip(theirs).is_some_and(|(own, theirs)| gap_m(&own, &theirs) >= 0.0);
+        let keeps = |t: usize| state(ego, t).is_none_or(|state| self.lane.holds(state.position));
+        if !is_ahead(crossing) || !is_ahead(intrusion) || !is_clear || !(present..=come_in).all(keeps) {
+            return None;
+        }
+        let last = (come_in + settling).min(end - 1);
+        let moved_m = |who: usize, toward: f64| {
+            let start = places[present][who]?;
+            let offsets = places[present..=last].iter().filter_map(|places| places[who]);
+            offsets.map(|place| toward * (place.offset_m - start.offset_m)).reduce(f64::max)
+        };
+        let (shift_m, ego_shift_m) = (moved_m(1, -side)?, moved_m(0, side)?);
+        if shift_m < config.min_shift_m || shift_m <= ego_shift_m {
+            return None;
+        }
+        // Where the two lanes are one ahead, each is as far from the other as the other from it.
+        let is_mutual = self.lane.is_driven_path()
+            || others_lane().is_some_and(|others| {
+                let keeps = |t: usize| state(other, t).is_none_or(|state| others.holds(state.position));
+                self.lane.joins(others) && (present..=crossing).all(keeps)
+            });
+        let across_m = |track: &Track| across_headings_m(track, present, last);
+        if is_mutual && side * across_m(ego)? >= -side * across_m(other)? {
+            return None;
+        }
+        let (own, theirs) = (places[intrusion][0]?, places[intrusion][1]?);
+        let (ego_state, other_state) = (state(ego, intrusion)?, state(other, intrusion)?);
+        if ego_state.speed_mps().min(other_state.speed_mps()) < MIN_SPEED_MPS {
+            return None;
+        }
+        let moment = Intrusion {
+            ego_speed_mps: ego_state.speed_mps(),
+            other_speed_mps: other_state.speed_mps(),
+            relative_speed_mps: ego_state.velocity.dot(Vec2::from_angle(own.heading_rad))
+                - other_state.velocity.dot(Vec2::from_angle(theirs.heading_rad)),
+            gap_m: gap_m(&own, &theirs),
+            lateral_speed_mps: -side * Vec2::from_angle(theirs.heading_rad).cross(other_state.velocity),
+            side,
+            ego_length_m: ego.extent_or_nominal().length_m,
+            other_length_m: other.extent_or_nominal().length_m,
+            shift_m: Some(shift_m),
+        };
+        Some(Crossing { intrusion, reached, crossing, ego_shift_m, moment })
+    }
+
+    fn place(&self, track: &Track, timestep: usize) -> Option<Place> {
+        let state = state(track, timestep)?;
+        let Projection { station_m, offset_m, heading_rad, .. } = self.lane.project(state.position)?;
+        let body = Footprint::new(&track.footprint(state));
+        let half_extent_m = |angle_rad: f64| body.half_extent_m(Vec2::from_angle(angle_rad));
+        let (half_along_m, half_across_m) = (half_extent_m(heading_rad), half_extent_m(heading_rad + FRAC_PI_2));
+        Some(Place { station_m, offset_m, heading_rad, half_along_m, half_across_m })
+    }
+
+    /// (t_other, t_ego) with the ego replayed straight along its lane. `None` also where the other is in its strip already at present.
+    fn replayed(&self, places: &[[Option<Place>; 2]]) -> Option<(usize, usize)> {
+        let (scene, extent) = (self.scene, self.scene.tracks[self.pair[0]].extent_or_nominal());
+        let kept_offset_m = places[scene.current_timestep()][0]?.offset_m;
+        let is_in_strip =
+            |place: &Place| (place.offset_m - kept_offset_m).abs() <= extent.width_m / 2.0 + place.half_across_m;
+        if is_in_strip(&places[scene.current_timestep()][1]?) {
+            return None;
+        }
+        // Delays that are a whole number of timesteps but for rounding, such as 30 of 0.1 s, are excluded.
+        let max_delay = (self.config.max_delay_s / scene.dt_s - 1e-6).floor().max(0.0) as usize;
+        (scene.n_history..scene.n_timesteps).find_map(|timestep| {
+            let theirs = places[timestep][1].filter(is_in_strip)?;
+            let is_there =
+                |own: &Place| (own.station_m - theirs.station_m).abs() <= extent.length_m / 2.0 + theirs.half_along_m;
+            let later = timestep + 1..scene.n_timesteps.min(timestep + max_delay + 1);
+            let reached = later.into_iter().find(|t| places[*t][0].as_ref().is_some_and(is_there))?;
+            Some((timestep, reached))
+        })
+    }
+}
+
+fn state(track: &Track, timestep: usize) -> Option<&State> {
+    track.trajectory.get(timestep).filter(|state| state.is_finite())
+}
+
+/// How far an agent gets to the left between two timesteps (or the first and last between them at which it is tracked), across the mean of its
+/// headings at both, metres: nothing on an even bend.
+fn across_headings_m(track: &Track, from: usize, to: usize) -> Option<f64> {
+    let mut states = (from..=to).filter_map(|timestep| state(track, timestep));
+    let first = states.next()?;
+    let last = states.next_back().unwrap_or(first);
+    let heading_rad = first.heading_rad + angle_difference(last.heading_rad, first.heading_rad) / 2.0;
+    Some(Vec2::from_angle(heading_rad).cross(last.position - first.position))
+}

@@ -1,0 +1,179 @@
+//! The lane that an agent keeps: where it leads, how wide it is, and where others are relative to it.
+
+use super::driven_path::DrivenPath;
+use super::lane_relation::{HALF_NOMINAL_WIDTH_M, IndexedLane, LaneIndex};
+use crate::geometry::{Polyline, Projection, Vec2, angle_difference};
+use crate::scene::{Lane, LaneId, Scene, State, Trajectory};
+use std::f64::consts::FRAC_PI_4;
+
+/// An agent keeps only a lane whose direction differs from its heading by less than this, radians.
+const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
+/// An agent is still in its lane when its center is beyond a side by no more than this, metres.
+const HYSTERESIS_M: f64 = 0.3;
+/// The lane is followed so far ahead of and behind the lane in which the agent is at present, metres: farther than anybody of interest.
+const AHEAD_M: f64 = 200.0;
+const BEHIND_M: f64 = 100.0;
+/// How far its lines run straight on where the map ends, metres.
+const EXTENSION_M: f64 = 100.0;
+/// Points closer together than this are one, metres: lanes that follow on repeat the last point.
+const MIN_SPACING_M: f64 = 0.05;
+
+/// The lane in which an agent is at present, with those that lead to it and those that follow on: where the road forks, those that the
+/// agent drives, or else the straightest. Of an agent who is in no lane, the path that it drives itself, 3.8 m wide.
+pub(super) struct KeptLane {
+    center: Polyline,
+    /// Left and right boundary, where all of its lanes have them.
+    sides: Option<[Polyline; 2]>,
+    /// The lanes in driving direction. Empty for a driven path.
+    lanes: Vec<LaneId>,
+}
+
+impl KeptLane {
+    /// That of an agent. `None` where it is not tracked at present.
+    pub(super) fn of(scene: &Scene, lanes: &LaneIndex<'_>, agent_idx: usize) -> Option<Self> {
+        Self::among(scene, lanes, agent_idx, scene.n_timesteps).or_else(|| {
+            let trajectory = &scene.tracks[agent_idx].trajectory;
+            scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
+            let first = trajectory.valid().find(|(_, state)| state.is_finite())?.0;
+            let center = DrivenPath::from(&scene.tracks[agent_idx], first)?.into_polyline();
+            Some(Self { center, sides: None, lanes: Vec::new() })
+        })
+    }
+
+    /// The lane as far as the past tells it: of an agent who is in no lane, straight on. `None` where it is not tracked at present.
+    pub(super) fn as_observed(scene: &Scene, lanes: &LaneIndex<'_>, agent_idx: usize) -> Option<Self> {
+        let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
+        Self::among(scene, lanes, agent_idx, scene.n_history).or_else(|| {
+            let ahead = Vec2::from_angle(state.heading_rad);
+            let center = extended([state.position, state.position + ahead].iter());
+            Some(Self { center, sides: None, lanes: Vec::new() })
+        })
+    }
+
+    /// The lane in which the agent is at present, told from its way up to `end`.
+    fn among(scene: &Scene, lanes: &LaneIndex<'_>, agent_idx: usize, end: usize) -> Option<Self> {
+        let trajectory = &scene.tracks[agent_idx].trajectory;
+        let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
+        let future: Vec<Vec2> = positions(trajectory, scene.current_timestep()..end);
+        let history: Vec<Vec2> = positions(trajectory, 0..scene.n_history);
+        let is_along =
+            |heading_rad: f64| angle_difference(heading_rad, state.heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD;
+        let own = lanes.lanes_at(state.position).filter(|(_, place)| is_along(place.heading_rad));
+        let kept = own.map(|(lane, _)| {
+            let kept = Self::along(&route(lanes, lane, &future, &history));
+            let n_outside = future.iter().filter(|point| !kept.holds(**point)).count();
+            let offsets_m = future.iter().filter_map(|point| Some(kept.project(*point)?.offset_m.abs()));
+            (n_outside, offsets_m.sum::<f64>(), kept)
+        });
+        let best = kept.min_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        best.map(|(_, _, kept)| kept)
+    }
+
+    fn along(lanes: &[&Lane]) -> Self {
+        let joined = |line: fn(&Lane) -> &Polyline| extended(lanes.iter().flat_map(|lane| &line(lane).0));
+        let has_sides = lanes.iter().all(|lane| lane.left.0.len() >= 2 && lane.right.0.len() >= 2);
+        Self {
+            center: joined(|lane| &lane.centerline),
+            sides: has_sides.then(|| [joined(|lane| &lane.left), joined(|lane| &lane.right)]),
+            lanes: lanes.iter().map(|lane| lane.id).collect(),
+        }
+    }
+
+    /// The point so far along the center line.
+    pub(super) fn point_at(&self, station_m: f64) -> Option<Vec2> {
+        self.center.point_at(station_m)
+    }
+
+    /// Where `point` is along the center line and beside it.
+    pub(super) fn project(&self, point: Vec2) -> Option<Projection> {
+        self.center.project(point)
+    }
+
+    /// How far `point` is beyond the side of the lane on the left (+1) or right (-1), metres; negative on this side of it.
+    pub(super) fn beyond_m(&self, point: Vec2, side: f64) -> Option<f64> {
+        match &self.sides {
+            Some([left, right]) => {
+                let line = if side > 0.0 { left } else { right };
+                line.project(point).map(|place| side * place.offset_m)
+            }
+            None => self.project(point).map(|place| side * place.offset_m - HALF_NOMINAL_WIDTH_M),
+        }
+    }
+
+    /// Whether an agent whose center is at `point` is in the lane, or beyond a side by no more than the hysteresis.
+    pub(super) fn holds(&self, point: Vec2) -> bool {
+        [1.0, -1.0].into_iter().all(|side| self.beyond_m(point, side).is_some_and(|beyond_m| beyond_m <= HYSTERESIS_M))
+    }
+
+    /// Whether it is the agent's own path, as there is no lane.
+    pub(super) const fn is_driven_path(&self) -> bool {
+        self.lanes.is_empty()
+    }
+
+    /// Whether the two lead into each other.
+    pub(super) fn joins(&self, other: &Self) -> bool {
+        self.lanes.iter().any(|lane| other.lanes.contains(lane))
+    }
+}
+
+fn positions(trajectory: &Trajectory, timesteps: std::ops::Range<usize>) -> Vec<Vec2> {
+    let states = timesteps.filter_map(|timestep| trajectory.get(timestep));
+    states.filter(|state| state.is_finite()).map(|state: &State| state.position).collect()
+}
+
+/// The lanes to `start`, itself, and those that follow on, in driving direction.
+fn route<'a>(lanes: &LaneIndex<'a>, start: &IndexedLane<'a>, future: &[Vec2], history: &[Vec2]) -> Vec<&'a Lane> {
+    let mut route = vec![start.lane];
+    extend_route(lanes, &mut route, history, BEHIND_M, |lane| &lane.predecessors);
+    route.reverse();
+    extend_route(lanes, &mut route, future, AHEAD_M, |lane| &lane.successors);
+    route
+}
+
+/// Follows connections from the last lane of `route`: at a fork, to the lane that holds most of `driven`, of equal ones the straightest.
+fn extend_route<'a>(
+    lanes: &LaneIndex<'a>,
+    route: &mut Vec<&'a Lane>,
+    driven: &[Vec2],
+    length_m: f64,
+    connections: impl Fn(&Lane) -> &Vec<LaneId>,
+) {
+    let mut added_m = 0.0;
+    while let Some(last) = route.last().filter(|_| added_m < length_m) {
+        let next = connections(last).iter().filter(|id| route.iter().all(|lane| lane.id != **id));
+        let next = next.filter_map(|id| lanes.get(*id)).min_by(|a, b| {
+            let n_held = |lane: &IndexedLane<'_>| {
+                driven.iter().filter(|point| lane.place(**point).is_some_and(|place| place.margin_m >= 0.0)).count()
+            };
+            let bend = |lane: &IndexedLane<'_>| bend_rad(&lane.lane.centerline);
+            n_held(b).cmp(&n_held(a)).then(bend(a).total_cmp(&bend(b)))
+        });
+        let Some(next) = next else { break };
+        added_m += next.lane.centerline.length_m();
+        route.push(next.lane);
+    }
+}
+
+/// How much a line changes its direction from its start to its end, radians.
+fn bend_rad(line: &Polyline) -> f64 {
+    let direction = |pair: &[Vec2]| (pair[1] - pair[0]).angle();
+    let (first, last) = (line.0.windows(2).next(), line.0.windows(2).next_back());
+    first.zip(last).map_or(0.0, |(first, last)| angle_difference(direction(last), direction(first)).abs())
+}
+
+/// The line through `points`, carried straight on at both ends.
+fn extended<'a>(points: impl Iterator<Item = &'a Vec2>) -> Polyline {
+    let mut line: Vec<Vec2> = Vec::new();
+    for point in points {
+        if line.last().is_none_or(|last| last.distance(*point) > MIN_SPACING_M) {
+            line.push(*point);
+        }
+    }
+    let onward = |from: Vec2, to: Vec2| to + Vec2::from_angle((to - from).angle()) * EXTENSION_M;
+    if let [first, second, ..] = line[..] {
+        let end = onward(line[line.len() - 2], line[line.len() - 1]);
+        line.insert(0, onward(second, first));
+        line.push(end);
+    }
+    Polyline(line)
+}

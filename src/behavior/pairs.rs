@@ -1,0 +1,78 @@
+//! Ordered pairs of agents: who does something to whom, and who only comes close?
+
+use super::sweep::Sweep;
+use super::{AgentFilter, BehaviorEvent, EventLabel};
+use crate::scene::Scene;
+use std::ops::Range;
+
+/// A search over the ordered pairs of agents that are tracked at present.
+pub(super) struct PairSearch<'a> {
+    pub(super) scene: &'a Scene,
+    /// Name and roles of the behavior.
+    pub(super) names: (&'static str, &'static [&'static str]),
+    pub(super) agents: AgentFilter,
+    /// Pairs without the behavior are hard negatives if their boxes come closer than this, metres. No others are looked at.
+    pub(super) negative_distance_m: f64,
+    /// When that counts; start and end of hard negatives.
+    pub(super) judged: Range<usize>,
+    /// Whether it counts between states at the same time alone.
+    pub(super) same_time: bool,
+}
+
+impl PairSearch<'_> {
+    /// The events of all pairs: `positive` makes that of a pair (the first role, the second one), or else it may be a hard negative.
+    /// Pairs in the order of tracks, each first with the earlier track in the first role, then with the later one. All have
+    /// `min_distance_m`, that of the boxes at the same time from the present on.
+    pub(super) fn events(
+        &self,
+        positive: impl Fn([usize; 2], &Sweep, &Sweep) -> Option<BehaviorEvent>,
+    ) -> Vec<BehaviorEvent> {
+        let scene = self.scene;
+        let present = scene.current_timestep();
+        if scene.n_history == 0 || !scene.has_future() {
+            return Vec::new();
+        }
+        let takes_part = |agent_idx: &usize| {
+            self.agents.admits(scene.tracks[*agent_idx].class)
+                && scene.state(*agent_idx, present).is_some_and(|state| state.is_finite())
+        };
+        let sweeps: Vec<(usize, Sweep)> = (0..scene.tracks.len())
+            .filter(takes_part)
+            .filter_map(|agent_idx| Some((agent_idx, Sweep::new(&scene.tracks[agent_idx])?)))
+            .collect();
+        let mut events = Vec::new();
+        for (i, (first_idx, first)) in sweeps.iter().enumerate() {
+            for (second_idx, second) in &sweeps[i + 1..] {
+                if !first.may_come_within(second, self.negative_distance_m.max(0.0)) {
+                    continue;
+                }
+                let pairs = [[*first_idx, *second_idx], [*second_idx, *first_idx]];
+                let found = [positive(pairs[0], first, second), positive(pairs[1], second, first)];
+                let is_near = found.iter().any(Option::is_none) && self.is_near(first, second);
+                // The distance costs more than all else, so it is left out where no event comes of it.
+                let min_distance_m = (is_near || found.iter().any(Option::is_some))
+                    .then(|| first.min_distance_m(second, present..scene.n_timesteps))
+                    .flatten()
+                    .map(|(distance_m, _)| distance_m);
+                for (pair, found) in pairs.into_iter().zip(found) {
+                    let event = found.or_else(|| is_near.then(|| self.negative(pair)));
+                    events.extend(event.map(|event| event.with("min_distance_m", min_distance_m)));
+                }
+            }
+        }
+        events
+    }
+
+    fn is_near(&self, first: &Sweep, second: &Sweep) -> bool {
+        if self.same_time {
+            first.comes_within_at_same_time(second, self.judged.clone(), self.negative_distance_m)
+        } else {
+            first.comes_within(second, self.judged.clone(), self.negative_distance_m)
+        }
+    }
+
+    fn negative(&self, pair: [usize; 2]) -> BehaviorEvent {
+        let last = self.judged.end.saturating_sub(1);
+        BehaviorEvent::new(self.names, self.scene, EventLabel::Negative, &pair, self.judged.start..=last)
+    }
+}
