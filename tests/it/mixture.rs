@@ -87,8 +87,8 @@ fn scenes_that_cannot_be_mixed_are_refused() {
     refused("other/scenes", &[], &["20 + 30 timesteps", "expected 10 + 30", "n_history = 10"]);
     // The ingest of this run is there by now.
     refused("out/mixed/main/scenes", &[], &[key, "the run's own scenes", "own_weight"]);
-    let paper = ["ingest.n_history=20", "ingest.n_future=20", "train.denoiser.network={ layers = \"TA\" }"];
-    fs_err::write(workspace.path("argoverse.toml"), argoverse(20) + "n_future = 20\n").unwrap();
+    let paper = ["train.denoiser.network={ layers = \"TA\" }"];
+    fs_err::write(workspace.path("argoverse.toml"), argoverse(10)).unwrap();
     djinn(&["run", &workspace.arg("argoverse.toml"), "--output", &workspace.arg("short")]).expect(0);
     refused("short/argoverse/main/scenes", &paper, &["no recorded headings", "state_dim = 2"]);
     // Without headings, any network learns from both.
