@@ -142,3 +142,20 @@ fn as_far_as_generated(recorded: &Scene, sample: &Scene) -> Scene {
     });
     Scene { tracks: tracks.collect(), ..recorded.clone() }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::testing::{record, recorded};
+
+    #[test]
+    fn who_is_asked_tells_cells_apart_and_references_are_measured_once_for_each() {
+        let mut exchanged = record(2.0, false, false, recorded());
+        exchanged.scenario.provenance.guidance.roles.reverse();
+        let asked = || record(2.0, false, false, recorded());
+        let records = [asked(), record(0.0, false, false, recorded()), exchanged, asked()];
+        let cells = into_cells(&records);
+        let found: Vec<(usize, bool)> = cells.iter().map(|cell| (cell.records.len(), cell.with_references)).collect();
+        assert_eq!(found, [(2, true), (1, false), (1, true)]);
+    }
+}

@@ -177,6 +177,39 @@ mod tests {
         scene
     }
 
+    /// Finds a cut-in of track 2 ahead of track 1 in every scene.
+    struct Always;
+
+    impl Behavior for Always {
+        fn id(&self) -> &'static str {
+            "cut_in"
+        }
+
+        fn roles(&self) -> &'static [&'static str] {
+            &["ego", "other"]
+        }
+
+        fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
+            vec![BehaviorEvent::new(("cut_in", self.roles()), scene, EventLabel::Positive, &[0, 1], 5..=6)]
+        }
+    }
+
+    #[test]
+    fn the_behavior_counts_with_those_who_were_asked() {
+        let config: EvaluateConfig = toml::from_str("metrics = ['min_fde_m']").expect("readable");
+        let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Always)];
+        let measures = Measures::new(&config, &behaviors);
+        let (recorded, samples) = (scene(0.0), [scene(1.0)]);
+        let roles = |ego: &str, other: &str| vec![("ego".to_owned(), ego.into()), ("other".to_owned(), other.into())];
+        let rates = |roles: &[(String, TrackId)]| {
+            let asked = Some(Requested { behavior: "cut_in", roles });
+            measures.evaluate(&SampleGroup::equally_likely(&recorded, &samples), asked, None)[1..3].to_vec()
+        };
+        assert_eq!(rates(&roles("1", "2")), [Some(1.0), Some(1.0)]);
+        assert_eq!(rates(&roles("2", "1")), [Some(0.0), Some(1.0)]);
+        assert_eq!(rates(&[]), [Some(1.0), Some(1.0)]);
+    }
+
     /// Four samples around 3 m and two around -1 m; the recording is at 0.
     #[test]
     fn figures_over_modes_stand_beside_those_over_samples() {

@@ -126,4 +126,22 @@ mod tests {
         assert_eq!(counts, [(2.0, 1, 3, 2, 1, 1), (0.0, 1, 1, 0, 0, 0)]);
         assert_eq!(rows[1].offroad_rate, Some(0.0));
     }
+
+    #[test]
+    fn the_offroad_rate_is_over_scenarios_that_have_roads() {
+        let mut tally = SamplingTally::default();
+        // Both cars leave the lane to its left, the one that is on it at present counts.
+        let leaving = || {
+            let mut scene = recorded();
+            let away = testing::scene(&[Drive::straight(0.0, 0.0, 1.0, 20.0)]).tracks.remove(0).trajectory;
+            let states = scene.tracks[0].trajectory.entries().iter().zip(away.entries()).enumerate();
+            let states = states.map(|(t, (here, away))| if t < scene.n_history { *here } else { *away }).collect();
+            scene.tracks[0].trajectory = crate::scene::Trajectory::new(states);
+            scene
+        };
+        let unmapped = || Scene { lanes: std::sync::Arc::default(), ..recorded() };
+        tally.add(&record(2.0, true, false, leaving()), &recorded(), 39);
+        tally.add(&record(2.0, true, false, unmapped()), &unmapped(), 39);
+        assert_eq!(tally.finish()[0].offroad_rate, Some(1.0));
+    }
 }

@@ -6,7 +6,7 @@ use crate::generate::RejectedSample;
 use crate::metrics::{Check, Violation};
 use crate::scene::testing::{Drive, provenance, scene};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, TrackId};
-use crate::store::{Assessment, ScenarioRecord};
+use crate::store::{Assessment, RequestOutcome, RequestTag, ScenarioRecord};
 
 /// A scenario of two cars, the second one `offset_m` to the side.
 fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> ScenarioRecord {
@@ -40,6 +40,34 @@ fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> Scen
             scene,
         },
     }
+}
+
+/// The second car is 0.4 m off throughout, the first one is not: 0.2 m in the mean.
+#[test]
+fn duplicates_are_nearer_than_the_limit() {
+    let repeats = |limit_m: f64| {
+        let config = EvaluateConfig { duplicate_distance_m: limit_m, ..EvaluateConfig::default() };
+        let mut verdicts = Verdicts::new(&config);
+        assert!(verdicts.decide(&mut record("first", 5.0, true, &[])));
+        let mut second = record("second", 5.4, true, &[]);
+        verdicts.decide(&mut second);
+        let assessment = second.assessment.unwrap();
+        (assessment.nearest_scenario_m.unwrap(), assessment.near_duplicate_of.is_some())
+    };
+    let (distance_m, _) = repeats(1.0);
+    assert!((distance_m - 0.2).abs() < 1e-9, "{distance_m}");
+    assert_eq!((repeats(0.19).1, repeats(0.21).1), (false, true));
+}
+
+#[test]
+fn what_a_request_has_no_room_for_is_not_kept_as_verified() {
+    let config = EvaluateConfig { keep: Keep::Verified, ..EvaluateConfig::default() };
+    let is_kept = |outcome: RequestOutcome| {
+        let mut record = record("a", 5.0, true, &[]);
+        record.request = Some(RequestTag { request: "r".to_owned(), round: 0, outcome, bucket: None });
+        Verdicts::new(&config).decide(&mut record)
+    };
+    assert!(is_kept(RequestOutcome::Accepted) && !is_kept(RequestOutcome::Surplus));
 }
 
 fn records() -> Vec<ScenarioRecord> {

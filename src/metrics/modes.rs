@@ -216,6 +216,8 @@ mod tests {
             // The mean of the three that turn is the one in their middle, of the two others it is halfway.
             assert!(end(&means.samples[0]).distance(end(&samples[3])) < 1e-9);
             assert!(end(&means.samples[1]).distance(end(&samples[0]).lerp(end(&samples[4]), 0.5)) < 1e-9);
+            let velocity = |scene: &Scene| scene.state(0, last).expect("driven").velocity;
+            assert!(velocity(&means.samples[0]).distance(velocity(&samples[1])) < 1e-9);
             let heading_rad = |scene: &Scene| scene.state(0, last).expect("driven").heading_rad;
             assert!((heading_rad(&means.samples[0]) - heading_rad(&samples[1])).abs() < 1e-9);
             // The second car does the same in all samples, and so in all modes; histories stay.

@@ -106,3 +106,22 @@ fn open_ends(lanes: &LaneGraph, lane: &Lane) -> Vec<Piece> {
     let beyond = is_map_end(|lane| &lane.successors).then(|| ray(points.iter().rev().nth(1), points.last())).flatten();
     before.into_iter().chain(beyond).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::testing;
+
+    #[test]
+    fn a_lane_without_boundaries_is_as_wide_as_usual() {
+        let mut lane = testing::scene(&[]).lanes.lanes()[0].clone();
+        for boundary in [&mut lane.left, &mut lane.right] {
+            boundary.0.clear();
+        }
+        let road = Road::new(&LaneGraph::new(vec![lane]));
+        for (x, offset_m, distance_m) in [(0.0, 0.0, 0.0), (0.0, 1.8, 0.0), (0.0, -5.0, 3.1), (130.0, 4.9, 3.0)] {
+            let found = road.distance_m(Vec2::new(x, offset_m));
+            assert!((found - distance_m).abs() < 1e-9, "{offset_m} m from its middle: {found}");
+        }
+    }
+}

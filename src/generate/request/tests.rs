@@ -321,3 +321,27 @@ fn samples_of_arms_that_aim_are_asked_for_an_open_bucket_that_their_cell_can_rea
     }
     assert!(n_aimed > 20, "{n_aimed} of {} tallies", tallies.len());
 }
+
+#[test]
+fn buckets_cost_what_is_spent_while_they_are_open() {
+    let request = tight("per_bucket = 1\nbudget = { n_samples = 1000 }");
+    let tally = |round: usize, n_accepted: u64| {
+        let hits = BTreeMap::from([(1, Hits { n_accepted, n_surplus: 2, ..Hits::default() })]);
+        let cell = CellTally { cell: 0, n_samples: 6, n_found: n_accepted + 2, hits, ..CellTally::default() };
+        ShardTally { request: "tight".to_owned(), round, arm: 0, cells: vec![cell] }
+    };
+    let mut ledger = Ledger::new(&request, &pool(2));
+    ledger.add(&tally(0, 1));
+    ledger.add(&tally(1, 0));
+    let each = request.arms[0].n_evaluations;
+    assert_eq!(ledger.spent_while_open[..2], [(12, 12 * each), (6, 6 * each)]);
+    assert_eq!((ledger.first_round[0].n_samples, ledger.arms[0].n_samples), (6, 12));
+
+    // A scene that has given a bucket all that it may is not drawn for it.
+    let request = tight("per_bucket = 5\nmax_per_scene = 1\nbudget = { n_samples = 1000 }");
+    let mut ledger = Ledger::new(&request, &pool(2));
+    ledger.add(&tally(0, 0));
+    assert_eq!(ledger.open_hits_of_cell(0), 2);
+    ledger.add(&tally(1, 1));
+    assert_eq!(ledger.open_hits_of_cell(0), 0);
+}

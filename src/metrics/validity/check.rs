@@ -140,3 +140,16 @@ impl Violation {
 pub(super) fn exceeds(value: f64, limit: f64) -> bool {
     value.is_nan() || value > limit
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::testing::{Drive, scene};
+
+    #[test]
+    fn what_is_no_number_is_the_worst() {
+        let scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);
+        let excess = |value: f64| Violation::new(Check::Jerk, &scene, 0, 5, (value, 2.0)).excess();
+        assert_eq!((excess(5.0), excess(f64::NAN)), (3.0, f64::INFINITY));
+    }
+}
