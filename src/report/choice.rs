@@ -8,7 +8,25 @@ use super::card::Verdict;
 use super::config::ReportConfig;
 use crate::scene::SceneId;
 use crate::store::ScenarioRecord;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
+
+/// How much of a sweep is drawn, and which setting keeps it from being more.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Drawn {
+    /// The sweep.
+    pub sweep: String,
+    /// What is drawn, such as `verified scenarios`.
+    pub what: String,
+    /// How many are drawn.
+    pub n_drawn: usize,
+    /// How many there are.
+    pub n_there: usize,
+    /// The setting of `[report]` that says how many are drawn at most.
+    pub setting: String,
+    /// Its value.
+    pub limit: usize,
+}
 
 /// What a drawing is of.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,7 +80,36 @@ impl<'a> Choice<'a> {
             Candidates::Asked { .. } => None,
         });
         let preferred = of_others.next().unwrap_or_default();
-        Candidates::Galleries(Galleries { limit: n_scenes_drawn, preferred, own: Vec::new(), kept: Vec::new() })
+        Candidates::Galleries(Galleries {
+            limit: n_scenes_drawn,
+            scenes: BTreeSet::new(),
+            preferred,
+            own: Vec::new(),
+            kept: Vec::new(),
+        })
+    }
+
+    /// How much of each sweep is drawn, in the order of the sweeps.
+    pub(super) fn drawn(&self) -> Vec<Drawn> {
+        let ReportConfig { n_drawn, n_failed_drawn, n_scenes_drawn, .. } = *self.config;
+        let row = |sweep: &str, what: &str, n_there: usize, setting: &str, limit: usize| Drawn {
+            sweep: sweep.to_owned(),
+            what: what.to_owned(),
+            n_drawn: n_there.min(limit),
+            n_there,
+            setting: setting.to_owned(),
+            limit,
+        };
+        let rows = self.sweeps.iter().flat_map(|(sweep, candidates)| match candidates {
+            Candidates::Asked { new, recorded, failed } => vec![
+                row(sweep, "verified scenarios", new.n_offered + recorded.n_offered, "n_drawn", n_drawn),
+                row(sweep, "scenarios without what was asked for", failed.n_offered, "n_failed_drawn", n_failed_drawn),
+            ],
+            Candidates::Galleries(galleries) => {
+                vec![row(sweep, "scenes, at each strength", galleries.scenes.len(), "n_scenes_drawn", n_scenes_drawn)]
+            }
+        });
+        rows.collect()
     }
 
     /// What is drawn, in the order of the sweeps.
@@ -85,6 +132,7 @@ impl<'a> Choice<'a> {
 /// Up to `limit` scenarios, the first of each scene before further ones.
 struct Ranked {
     limit: usize,
+    n_offered: usize,
     scenes: BTreeSet<SceneId>,
     firsts: Vec<ScenarioRecord>,
     further: Vec<ScenarioRecord>,
@@ -92,10 +140,11 @@ struct Ranked {
 
 impl Ranked {
     const fn new(limit: usize) -> Self {
-        Self { limit, scenes: BTreeSet::new(), firsts: Vec::new(), further: Vec::new() }
+        Self { limit, n_offered: 0, scenes: BTreeSet::new(), firsts: Vec::new(), further: Vec::new() }
     }
 
     fn offer(&mut self, record: &ScenarioRecord) {
+        self.n_offered += 1;
         let is_first = self.scenes.insert(record.scenario.provenance.scene_id.clone());
         let list = if is_first { &mut self.firsts } else { &mut self.further };
         if list.len() < self.limit {
@@ -111,6 +160,8 @@ impl Ranked {
 /// Samples of some scenes of a sweep without a behavior, by scene and strength.
 struct Galleries {
     limit: usize,
+    /// All scenes of this sweep.
+    scenes: BTreeSet<SceneId>,
     /// Scenes that an earlier sweep drew.
     preferred: Vec<SceneId>,
     /// The first scenes of this sweep.
@@ -122,6 +173,9 @@ impl Galleries {
     fn offer(&mut self, record: &ScenarioRecord, n_samples: usize) {
         let provenance = &record.scenario.provenance;
         let scene_id = &provenance.scene_id;
+        if !self.scenes.contains(scene_id) {
+            self.scenes.insert(scene_id.clone());
+        }
         if !self.own.contains(scene_id) && self.own.len() < self.limit {
             self.own.push(scene_id.clone());
         }

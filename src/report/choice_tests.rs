@@ -83,3 +83,21 @@ fn sweeps_without_a_behavior_show_samples_of_the_same_scenes() {
     let expected = ["one-a-0-0 one-a-0-1", "one-b-0-0 one-b-0-1", "two-a-0-0", "two-a-1-0", "two-d-0-0", "two-d-1-0"];
     assert_eq!(choose(&config, &records), expected);
 }
+
+#[test]
+fn what_keeps_drawings_from_being_more_is_told() {
+    let config = ReportConfig { n_drawn: 1000, n_failed_drawn: 1, n_scenes_drawn: 2, ..ReportConfig::default() };
+    let mut choice = Choice::new(&config);
+    for i in 0..5 {
+        choice.offer(&asked("a", i, i < 3, i == 0));
+    }
+    for (i, scene) in ["a", "b", "c", "c"].into_iter().enumerate() {
+        choice.offer(&record("one", scene, 0.0, i));
+    }
+    let drawn = choice.drawn();
+    let told: Vec<_> =
+        drawn.iter().map(|row| (row.sweep.as_str(), row.n_drawn, row.n_there, row.setting.as_str())).collect();
+    let expected = [("asked", 3, 3, "n_drawn"), ("asked", 1, 2, "n_failed_drawn"), ("one", 2, 3, "n_scenes_drawn")];
+    assert_eq!(told, expected);
+    assert_eq!(choice.finish().len(), 3 + 1 + 2);
+}

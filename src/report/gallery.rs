@@ -1,7 +1,7 @@
 //! Which scenes are drawn, and which motion and events are compared? From all samples of a run, one after the other.
 
 use super::card::{Acceptance, SceneCard};
-use super::choice::{Choice, Chosen};
+use super::choice::{Choice, Chosen, Drawn};
 use super::compared::Compared;
 use super::config::ReportConfig;
 use super::distribution::Distribution;
@@ -17,6 +17,8 @@ use std::collections::BTreeMap;
 pub struct Drawings {
     /// The scenes that are drawn.
     pub scenes: Vec<SceneCard>,
+    /// How much of each sweep they are.
+    pub drawn: Vec<Drawn>,
     /// Motion and events, recorded and generated.
     pub distributions: Vec<Distribution>,
 }
@@ -69,6 +71,7 @@ impl<'a> Gallery<'a> {
         let Self { store, choice, compared } = self;
         let mut distributions = compared.motion();
         distributions.extend(recorded_events.map(|events| compared.events(events)).into_iter().flatten());
+        let drawn = choice.drawn();
         let chosen = choice.finish();
         let figures = FiguresOfScenarios::new(metrics, records(&chosen));
         let decisions = decisions(verdicts, records(&chosen));
@@ -76,7 +79,7 @@ impl<'a> Gallery<'a> {
         for chosen in &chosen {
             scenes.extend(card(chosen, store, &figures, &decisions)?);
         }
-        Ok(Drawings { scenes, distributions })
+        Ok(Drawings { scenes, drawn, distributions })
     }
 }
 

@@ -35,6 +35,7 @@ pub use card::{
     ViewRect,
 };
 pub use cautions::cautions;
+pub use choice::Drawn;
 pub use comparison::{ComparedRun, Comparison};
 pub use config::ReportConfig;
 pub use distribution::{Distribution, DistributionSeries};

@@ -1,6 +1,7 @@
 //! What a report says, as plain data: the page is one rendering of it, JSON another.
 
 use super::card::SceneCard;
+use super::choice::Drawn;
 use super::distribution::Distribution;
 use super::plain::{PlainSection, PlainTable};
 use crate::evaluate::{AcceptanceRow, LeftOutRow, MetricDoc, MiningSummary, RealismRow, SamplingRow, ValidityRow};
@@ -50,6 +51,9 @@ pub struct ReportModel {
     pub distributions: Vec<Distribution>,
     /// Generated scenes beside their source recording.
     pub scenes: Vec<SceneCard>,
+    /// How much of each sweep these scenes are.
+    #[serde(default)]
+    pub drawn: Vec<Drawn>,
     /// Further parts, which come after the scenes, as plain tables and charts.
     #[serde(default)]
     pub more: Vec<PlainSection>,

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 const RECORDINGS: &str = "tests/fixtures/recordings/argoverse1";
 const MODEL: &str = "pipelines/models/simulated_places.safetensors";
-const CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v4";
+const CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v5";
 const OTHER_CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v3";
 
 fn put(path: &Path, text: &str) {

@@ -7,6 +7,7 @@ mod plain;
 mod quality;
 mod requests;
 mod scenes;
+mod summary;
 mod tradeoffs;
 mod training;
 mod verdict;
@@ -57,7 +58,15 @@ pub fn render(model: &ReportModel) -> String {
     let more = model.more.iter().map(|section| Some(plain::section(section)));
     let sections: Vec<Section> = first.into_iter().chain(more).chain(last).flatten().collect();
     let scripts = (!model.scenes.is_empty()).then(|| html! { script { (PreEscaped(PLAYER)) (PreEscaped(FILTERS)) } });
-    page(&model.title, &facts(&model.facts), &sections, &scripts.unwrap_or_default())
+    page(&model.title, &head(model), &sections, &scripts.unwrap_or_default())
+}
+
+/// What comes before the contents: the run at a glance, and what it was.
+fn head(model: &ReportModel) -> Markup {
+    html! {
+        (summary::summary(model))
+        @if !model.facts.is_empty() { details { summary { "About this run" } (facts(&model.facts)) } }
+    }
 }
 
 /// How the titles of our pages end: by it, a page is known for ours.
@@ -71,6 +80,7 @@ fn page(title: &str, head: &Markup, sections: &[Section], scripts: &Markup) -> S
             head {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
                 title { (title) (PAGE_MARK) }
                 style { (PreEscaped(STYLE)) (PreEscaped(DRAWING_STYLE)) }
             }
@@ -118,7 +128,7 @@ fn config(model: &ReportModel) -> Option<Section> {
     (!model.config.is_empty()).then(|| {
         let body = html! {
             p { "The configuration with every default filled in. Running it again with the same program and inputs gives the same bytes." }
-            pre tabindex="0" { code { (model.config) } }
+            details { summary { "All settings" } pre tabindex="0" { code { (model.config) } } }
         };
         Section::new("config", "Configuration", body)
     })

@@ -10,38 +10,13 @@ use crate::report::wilson::wilson_interval;
 use maud::{Markup, html};
 
 pub(super) fn section(model: &ReportModel) -> Option<Section> {
-    if model.sampling.is_empty() && model.ingest.is_none() {
-        return None;
-    }
-    let body = html! {
-        (headline(model))
-        @if !model.sampling.is_empty() {
+    (!model.sampling.is_empty()).then(|| {
+        let body = html! {
             (sampling_table(model))
             (yield_chart(&model.sampling))
-        }
-    };
-    Some(Section::new("outcome", "What was asked, what came out", body))
-}
-
-/// The run in a few large figures.
-fn headline(model: &ReportModel) -> Markup {
-    let sum = |of: fn(&SamplingRow) -> u64| model.sampling.iter().map(of).sum::<u64>();
-    let asked: Vec<&SamplingRow> = model.sampling.iter().filter(|row| row.behavior.is_some()).collect();
-    html! {
-        ul class="headline" {
-            @if let Some(ingest) = &model.ingest { (figure(ingest.n_scenes, "recorded scenes")) }
-            @if let Some(mining) = &model.mining { (figure(mining.counts.iter().map(|c| c.n_positive).sum(), "recorded events")) }
-            @if !model.sampling.is_empty() { (figure(sum(|row| row.n_scenarios), "generated scenarios")) }
-            @if !asked.is_empty() {
-                (figure(sum(|row| row.n_verified), "verified: the miner finds the behavior asked for"))
-                (figure(sum(|row| row.n_new), "of them not in the recording"))
-            }
-        }
-    }
-}
-
-fn figure(n: u64, what: &str) -> Markup {
-    html! { li { strong { (count(n)) } " " (what) } }
+        };
+        Section::new("outcome", "What was asked, what came out", body)
+    })
 }
 
 fn sampling_table(model: &ReportModel) -> Markup {

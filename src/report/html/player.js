@@ -256,6 +256,6 @@
   }, { rootMargin: "800px" });
   const cards = document.querySelectorAll("article.card");
   cards.forEach((card) => observer.observe(card));
-  addEventListener("beforeprint", () => cards.forEach((card) => card.hidden || draw(card)));
+  addEventListener("beforeprint", () => cards.forEach((card) => card.hidden || !card.classList.contains("still") || draw(card)));
   for (const note of document.querySelectorAll(".script-only")) note.hidden = false;
 }

@@ -10,6 +10,9 @@ use crate::report::svg::histogram;
 use crate::store::MetricRow;
 use maud::{Markup, html};
 
+/// Series that stand beside each other in a table of metrics: as many as a laptop's screen shows.
+const N_SERIES_BESIDE: usize = 7;
+
 /// The metric tables, one for each place, and the definitions.
 pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
     let MetricTable { docs, rows } = &model.metrics;
@@ -25,10 +28,11 @@ pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
         places.retain(|place| !place.is_empty());
     }
     let body = html! {
-        @for place in places {
-            (place_table(&place, &docs, &rows.iter().copied().filter(|row| row.place == place).collect::<Vec<_>>()))
+        @for place in &places {
+            @let tables = place_tables(place, &docs, &rows.iter().copied().filter(|row| row.place == *place).collect::<Vec<_>>());
+            @if place.is_empty() || places.len() == 1 { (tables) } @else { details { summary { "Metrics, " (place) } (tables) } }
         }
-        p class="note" { "Means with their standard error. Recorded futures are the reference: their own row shows what the metric says of real traffic. "
+        p class="note" { "Means with their standard error. Recorded futures are the reference: their own column shows what the metric says of real traffic. "
             "The constant-velocity baseline carries every agent on as it moved at the present." }
         details {
             summary { "What the metrics mean" }
@@ -40,25 +44,43 @@ pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
     Some(Section::new("metrics", "Metrics beside recording and baseline", body))
 }
 
-fn place_table(place: &str, docs: &[&MetricDoc], rows: &[&MetricRow]) -> Markup {
-    let head = html! {
-        tr {
-            th scope="col" { "Group" } th scope="col" class="n" { "Strength α" } th scope="col" class="n" { "n" }
-            @for doc in docs { th scope="col" class="n" { (heading(doc)) } }
+/// A row for each metric, a column for each series: metrics are many. More series than fit beside each other make further tables.
+fn place_tables(place: &str, docs: &[&MetricDoc], rows: &[&MetricRow]) -> Markup {
+    // In order of first appearance: the writer puts the recording and the baseline first.
+    let all_series = distinct(rows.iter().map(|row| row.series()));
+    let of =
+        |series: &SeriesKey| rows.iter().copied().filter(|row| row.series() == *series).collect::<Vec<&MetricRow>>();
+    let caption = format!("Metrics, {}", if place.is_empty() { "all places" } else { place });
+    html! {
+        @for part in all_series.chunks(N_SERIES_BESIDE) {
+            @let series: Vec<(&SeriesKey, Vec<&MetricRow>)> = part.iter().map(|series| (series, of(series))).collect();
+            @let head = html! {
+                tr {
+                    th scope="col" { "Metric" }
+                    @for (series, rows) in &series {
+                        th scope="col" class="n" { (column_of_series(series)) br; small { "n = " (count(rows.iter().map(|row| row.n).max().unwrap_or(0))) } }
+                    }
+                }
+            };
+            @let body = html! {
+                @for doc in docs {
+                    @let cells: Vec<_> = series.iter().map(|(_, rows)| rows.iter().copied().find(|row| row.metric == doc.metric)).collect();
+                    @if cells.iter().any(Option::is_some) {
+                        tr { th scope="row" { (heading(doc)) } @for row in cells { td class="n" { (cell(row)) } } }
+                    }
+                }
+            };
+            (table(&caption, &head, &body))
         }
-    };
-    // Grouped in order of first appearance: the writer puts the recording and the baseline first.
-    let body = html! {
-        @for series in distinct(rows.iter().map(|row| row.series())) {
-            @let of_series: Vec<&MetricRow> = rows.iter().copied().filter(|row| row.series() == series).collect();
-            tr class=[(!series.group.is_generated()).then_some("reference")] {
-                (heading_of_series(&series))
-                td class="n" { (count(of_series.iter().map(|row| row.n).max().unwrap_or(0))) }
-                @for doc in docs { td class="n" { (cell(of_series.iter().find(|row| row.metric == doc.metric).copied())) } }
-            }
-        }
-    };
-    table(&format!("Metrics, {}", if place.is_empty() { "all places" } else { place }), &head, &body)
+    }
+}
+
+/// Group, sweep and strength, in the heading of a column.
+fn column_of_series(SeriesKey { group, sweep, strength }: &SeriesKey) -> Markup {
+    html! {
+        (group) @if !sweep.is_empty() && sweep != group.name() { " (" (sweep) ")" }
+        @if group.is_generated() { br; "α = " (setting(*strength)) }
+    }
 }
 
 /// Group, sweep and strength, in two cells.
@@ -89,7 +111,7 @@ fn better(doc: &MetricDoc) -> &'static str {
 }
 
 /// Each item once, in order of first appearance.
-fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
+pub(super) fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
     let mut seen = Vec::new();
     for item in items {
         if !seen.contains(&item) {
@@ -137,7 +159,7 @@ fn realism_table(rows: &[RealismRow]) -> Markup {
             @if all_series[..i].iter().all(|before| before.sweep != *sweep) {
                 tr class="reference" {
                     th scope="row" { (Group::Recorded) " (" (sweep) ")" } td class="n" { (ABSENT) }
-                    @for (quantity, _) in &quantities { td class="n" { "0" small { " mean " (optional(recorded(sweep, quantity))) } } }
+                    @for (quantity, _) in &quantities { td class="n" { "0" small { br; "mean " (optional(recorded(sweep, quantity))) } } }
                 }
             }
             @let find = |quantity: &String| rows.iter().find(|row| row.series() == *series && row.quantity == *quantity);
@@ -147,7 +169,7 @@ fn realism_table(rows: &[RealismRow]) -> Markup {
                     td class="n" {
                         @let row = find(quantity);
                         (optional(row.and_then(|row| row.wasserstein)))
-                        small { " JS " (optional(row.and_then(|row| row.jensen_shannon))) " mean " (optional(row.and_then(|row| row.mean))) }
+                        small { br; "JS " (optional(row.and_then(|row| row.jensen_shannon))) br; "mean " (optional(row.and_then(|row| row.mean))) }
                     }
                 }
             }

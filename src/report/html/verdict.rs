@@ -1,6 +1,6 @@
 //! What was left out, and why? From samples to accepted scenarios, reason by reason, and what the checks say of the recordings.
 
-use super::quality::heading_of_series;
+use super::quality::{distinct, heading_of_series};
 use super::{Section, table};
 use crate::evaluate::{AcceptanceRow, LeftOutRow, ValidityRow};
 use crate::metrics::Check;
@@ -48,29 +48,44 @@ fn acceptance(rows: &[AcceptanceRow]) -> Markup {
     }
 }
 
+/// Reasons by sweeps, the most frequent first; samples of all strengths together.
 fn left_out(rows: &[LeftOutRow]) -> Markup {
+    let sweeps = distinct(rows.iter().map(|row| &row.sweep));
+    let mut reasons = distinct(rows.iter().map(|row| (&row.reason, &row.stage)));
+    let of = |reason: (&String, &String), sweep: Option<&String>| -> (u64, u64) {
+        let is_of =
+            |row: &&LeftOutRow| (&row.reason, &row.stage) == reason && sweep.is_none_or(|sweep| row.sweep == *sweep);
+        rows.iter()
+            .filter(is_of)
+            .fold((0, 0), |(left_out, found), row| (left_out + row.n_left_out, found + row.n_found))
+    };
+    reasons.sort_by_key(|reason| std::cmp::Reverse(of(*reason, None)));
     let head = html! {
         tr {
-            th scope="col" { "Stage" } th scope="col" { "Sweep" } th scope="col" class="n" { "Strength α" } th scope="col" { "Reason" }
-            th scope="col" class="n" { "Left out" } th scope="col" class="n" { "Found" }
+            th scope="col" { "Reason" } th scope="col" { "Stage" } th scope="col" class="n" { "All sweeps" }
+            @if sweeps.len() > 1 { @for sweep in &sweeps { th scope="col" class="n" { (sweep) } } }
+        }
+    };
+    let cell = |(n_left_out, n_found): (u64, u64)| {
+        html! {
+            @if n_found == 0 && n_left_out == 0 { (ABSENT) } @else {
+                (count(n_left_out)) @if n_found > n_left_out { small { " of " (count(n_found)) } }
+            }
         }
     };
     let body = html! {
-        @for row in rows {
+        @for reason in reasons {
             tr {
-                td { (row.stage) }
-                th scope="row" { (row.sweep) }
-                td class="n" { (row.level.map_or_else(|| ABSENT.to_owned(), level)) }
-                td { (row.reason.replace('_', " ")) }
-                td class="n" { (count(row.n_left_out)) }
-                td class="n" { (count(row.n_found)) }
+                th scope="row" { (reason.0.replace('_', " ")) } td { (reason.1) }
+                td class="n" { (cell(of(reason, None))) }
+                @if sweeps.len() > 1 { @for sweep in &sweeps { td class="n" { (cell(of(reason, Some(sweep)))) } } }
             }
         }
     };
     html! {
-        (table("What was left out, and why", &head, &body))
+        (table("Why samples are not in the corpus", &head, &body))
         p class="note" {
-            "Left out: samples that are not in the corpus, each counted once, for its first reason. Found: all that have the reason, alone or with others; "
+            "Each sample that is not in the corpus is counted once, for its first reason. “Of” so many samples have the reason, alone or with others; "
             "where they stay in the corpus, the configuration keeps them."
         }
     }

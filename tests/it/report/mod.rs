@@ -48,10 +48,35 @@ fn every_part_of_the_model_is_on_the_page() {
         "recorded (v17)",
         "Cost of a verified scenario",
         "observed: upsampling",
+        // The first screen, and what limits the drawings.
+        "Can it be trusted?",
+        "report.n_drawn = 12",
     ] {
         assert!(page.contains(text), "“{text}” is missing");
     }
     assert!(!page.contains("NaN") && !page.contains("inf "), "numbers that are not finite are written as a dash");
+}
+
+#[test]
+fn reasons_are_one_table_with_the_most_frequent_first() {
+    let page = sample_page();
+    let table = page.split("Why samples are not in the corpus</caption>").nth(1).unwrap();
+    let table = &table[..table.find("</table>").unwrap()];
+    let places = ["not verified", "selection: not among the best 6", "collision", "near duplicate"].map(|reason| {
+        table.find(&format!(r#"<th scope="row">{reason}</th>"#)).unwrap_or_else(|| panic!("no {reason}"))
+    });
+    assert!(places.is_sorted(), "{places:?}");
+    // Seven of the fifteen collisions are left out for nothing else before.
+    assert!(table.contains(r#"7<small> of 15</small>"#), "{table}");
+}
+
+#[test]
+fn no_table_has_more_columns_than_a_laptop_shows() {
+    let page = sample_page();
+    for row in page.split("<thead>").skip(1) {
+        let head = &row[..row.find("</thead>").unwrap()];
+        assert!(head.matches("<th").count() <= 13, "{head}");
+    }
 }
 
 #[test]

@@ -6,7 +6,7 @@ mod scenes;
 use djinn::evaluate::{BehaviorCount, BehaviorDoc, MiningSummary};
 use djinn::ingest::{IngestReport, RejectCount};
 use djinn::report::{
-    Chart, Curve, Distribution, Fact, PlainSection, PlainTable, ReportModel, TrainingSummary, Warning,
+    Chart, Curve, Distribution, Drawn, Fact, PlainSection, PlainTable, ReportModel, TrainingSummary, Warning,
 };
 use djinn::seed::Seed;
 use djinn::train::NoiseLevelReport;
@@ -55,6 +55,14 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
             card(1, name, 0.6, std::f64::consts::FRAC_PI_3),
             scenes::gallery(name),
         ],
+        drawn: vec![Drawn {
+            sweep: name.into(),
+            what: "verified scenarios".into(),
+            n_drawn: 12,
+            n_there: 1_313,
+            setting: "n_drawn".into(),
+            limit: 12,
+        }],
         more: vec![more(name)],
         config: format!("[run]\nname = \"{name}\"\nseed = 20\n\n[generate]\nsplit = \"val\"\nsampler = {{ kind = \"heun\", n_steps = 20 }}\n"),
     }

@@ -175,8 +175,8 @@ fn add_samples(model: &mut ReportModel, stage: &Report<'_>) -> Result<()> {
     model
         .warnings
         .extend(model.requests.iter().filter_map(short_buckets).map(|message| warning(StageId::Generate, message)));
-    let Drawings { scenes, distributions } = drawings(stage, &manifest)?;
-    model.scenes = scenes;
+    let Drawings { scenes, drawn, distributions } = drawings(stage, &manifest)?;
+    (model.scenes, model.drawn) = (scenes, drawn);
     model.distributions = distributions;
     Ok(())
 }

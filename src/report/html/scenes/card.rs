@@ -12,7 +12,7 @@ pub(super) fn card(card_idx: usize, card: &SceneCard, lanes_idx: usize, is_still
     let title_id = format!("scene-{card_idx}-title");
     let layout = if card.view.is_long() { "stack" } else { "beside" };
     html! {
-        article class="card" id=(format!("scene-{card_idx}")) aria-labelledby=(title_id) {
+        article class=(if is_still { "card still" } else { "card" }) id=(format!("scene-{card_idx}")) aria-labelledby=(title_id) {
             h3 id=(title_id) { (card.title) }
             div class=(format!("panels {layout}")) style=(format!("aspect-ratio:{}", aspect_ratio(card))) {
                 @if is_still { (still(card)) }

@@ -7,9 +7,11 @@ mod card;
 mod filters;
 mod ranges;
 
-use super::Section;
+use super::{Section, table};
+use crate::report::Drawn;
 use crate::report::card::pack_lanes;
 use crate::report::model::ReportModel;
+use crate::report::number::count;
 use crate::report::svg::{CONTEXT, GENERATED_CONTEXT};
 use maud::{Markup, PreEscaped, html};
 use serde_json::Value;
@@ -22,6 +24,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
     (!model.scenes.is_empty()).then(|| {
         let lanes = Lanes::of(model);
         let body = html! {
+            (drawn(&model.drawn))
             (reading_help(model.scenes.len()))
             (filters::form(&model.scenes))
             div id="cards" {
@@ -32,6 +35,21 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
         };
         Section::new("scenes", "Scenes", body)
     })
+}
+
+/// How much of each sweep is drawn, and what to change for more.
+fn drawn(rows: &[Drawn]) -> Markup {
+    let head = html! {
+        tr { th scope="col" { "Sweep" } th scope="col" { "What" } th scope="col" class="n" { "Drawn" } th scope="col" class="n" { "There are" }
+            th scope="col" { "At most" } }
+    };
+    let body = html! {
+        @for row in rows {
+            tr { th scope="row" { (row.sweep) } td { (row.what) } td class="n" { (count(row.n_drawn as u64)) }
+                td class="n" { (count(row.n_there as u64)) } td { code { "report." (row.setting) " = " (row.limit) } } }
+        }
+    };
+    html! { @if !rows.is_empty() { (table("What is drawn of each sweep", &head, &body)) } }
 }
 
 fn reading_help(n_scenes: usize) -> Markup {
@@ -50,6 +68,7 @@ fn reading_help(n_scenes: usize) -> Markup {
                 "Without script, drawings stand still" @if n_scenes > N_STILL { " and only the first " (N_STILL) " scenes are drawn" } "."
             }
         }
+        p class="note print-only" { "In print, the first " (n_scenes.min(N_STILL)) " of " (n_scenes) " scenes are drawn." }
         p class="note script-only" hidden { "With the focus on a scene, the space bar plays and pauses, the arrow keys go a step back and forth, Home and End to its ends." }
     }
 }

@@ -24,7 +24,7 @@ pub(super) fn acceptance(name: &str) -> Vec<AcceptanceRow> {
 
 pub(super) fn left_out(name: &str) -> Vec<LeftOutRow> {
     let row = |reason: &str, strength: Option<f64>, n_left_out, n_found| LeftOutRow {
-        stage: if strength == Some(2.0) { "evaluate" } else { "generate" }.into(),
+        stage: if strength.is_some() { "evaluate" } else { "generate" }.into(),
         sweep: name.into(),
         level: strength.map(GuidanceLevel::of_strength),
         reason: reason.into(),
@@ -32,6 +32,7 @@ pub(super) fn left_out(name: &str) -> Vec<LeftOutRow> {
         n_found,
     };
     vec![
+        row("not_verified", Some(0.0), 3, 4),
         row("selection: not among the best 6", None, 12, 12),
         row("not_verified", Some(2.0), 59, 59),
         row("collision", Some(2.0), 7, 15),

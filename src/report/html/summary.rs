@@ -1,0 +1,100 @@
+//! The first screen: what was asked, what was got, what it cost, and whether to trust it.
+
+use crate::evaluate::{SamplingRow, ValidityRow};
+use crate::metrics::Group;
+use crate::report::model::ReportModel;
+use crate::report::number::{count, share, value};
+use maud::{Markup, html};
+
+/// The run in four boxes; those of which the run tells nothing are left out.
+pub(super) fn summary(model: &ReportModel) -> Markup {
+    html! {
+        ul class="summary" {
+            @if !model.sampling.is_empty() || !model.requests.is_empty() {
+                (answer("Asked", &asked(model)))
+                (answer("Got", &got(model)))
+                (answer("Cost", &cost(model)))
+            } @else if let Some(ingest) = &model.ingest {
+                (answer("Got", &html! { p { strong { (count(ingest.n_scenes)) } " recorded scenes; nothing was generated." } }))
+            }
+            (answer("Can it be trusted?", &trust(model)))
+        }
+    }
+}
+
+fn answer(question: &str, body: &Markup) -> Markup {
+    html! { li { h2 { (question) } (body) } }
+}
+
+fn asked(model: &ReportModel) -> Markup {
+    let n_of = |behavior: Option<&str>| -> u64 {
+        let rows = model.sampling.iter().filter(|row| row.behavior.as_deref() == behavior);
+        rows.map(|row| row.n_scenarios).sum()
+    };
+    let mut behaviors: Vec<Option<&str>> = Vec::new();
+    for row in &model.sampling {
+        if !behaviors.contains(&row.behavior.as_deref()) {
+            behaviors.push(row.behavior.as_deref());
+        }
+    }
+    html! {
+        @for request in &model.requests {
+            p { strong { (count(request.n_wanted)) } " accepted scenarios of " (request.behavior.replace('_', " ")) ", by their parameters (" (request.name) ")" }
+        }
+        @for behavior in behaviors {
+            p { strong { (count(n_of(behavior))) } " futures "
+                @match behavior { Some(behavior) => { "with a " (behavior.replace('_', " ")) } None => "without a wish" } }
+        }
+        @if let Some(ingest) = &model.ingest { p { "from " (count(ingest.n_scenes)) " recorded scenes" } }
+    }
+}
+
+fn got(model: &ReportModel) -> Markup {
+    let asked: Vec<&SamplingRow> = model.sampling.iter().filter(|row| row.behavior.is_some()).collect();
+    let sum = |rows: &[&SamplingRow], of: fn(&SamplingRow) -> u64| rows.iter().map(|row| of(row)).sum::<u64>();
+    let n_accepted: u64 = model.acceptance.iter().map(|row| row.n_accepted).sum();
+    let n_judged: u64 = model.acceptance.iter().map(|row| row.n_scenarios).sum();
+    html! {
+        @if !model.acceptance.is_empty() {
+            p { strong { (count(n_accepted)) } " accepted of " (count(n_judged)) ": verified, valid, no near-duplicate" }
+        }
+        @if !asked.is_empty() {
+            p { strong { (count(sum(&asked, |row| row.n_verified))) } " verified: the miner finds what was asked; "
+                (count(sum(&asked, |row| row.n_new))) " of them are not in the recording" }
+        }
+        @for request in &model.requests {
+            p { strong { (count(request.n_accepted)) } " of " (count(request.n_wanted)) " for the request " (request.name) }
+        }
+    }
+}
+
+fn cost(model: &ReportModel) -> Markup {
+    let n_evaluations: u64 = model.sampling.iter().map(|row| row.n_evaluations * row.n_scenarios).sum();
+    let n_samples: u64 = model.sampling.iter().map(|row| row.n_scenarios).sum();
+    let n_accepted: u64 = model.acceptance.iter().map(|row| row.n_accepted).sum();
+    html! {
+        p { strong { (count(n_evaluations)) } " evaluations of the denoiser for " (count(n_samples)) " samples" }
+        @if n_accepted > 0 { p { strong { (value(n_evaluations as f64 / n_accepted as f64)) } " for each accepted scenario" } }
+    }
+}
+
+fn trust(model: &ReportModel) -> Markup {
+    let over_all = || model.validity.iter().filter(|row| row.place.is_empty());
+    let rate = |rows: Vec<&ValidityRow>| {
+        let (n_valid, n) = rows.iter().fold((0, 0), |(n_valid, n), row| (n_valid + row.n_valid, n + row.n));
+        (n > 0).then(|| share(n_valid, n))
+    };
+    let generated = rate(over_all().filter(|row| row.group.is_generated()).collect());
+    let recorded = rate(over_all().filter(|row| row.group == Group::Recorded).collect());
+    html! {
+        p {
+            @match model.warnings.len() {
+                0 => { strong class="fine" { "No warnings" } }
+                n => { strong class="warn" { (count(n as u64)) } " " a href="#warnings" { (if n == 1 { "warning" } else { "warnings" }) } ", to be read first" }
+            }
+        }
+        @if let Some(generated) = generated {
+            p { strong { (generated) } " of the samples are physically valid" @if let Some(recorded) = recorded { "; of the recordings " (recorded) } }
+        }
+    }
+}
