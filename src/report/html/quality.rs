@@ -76,10 +76,10 @@ fn place_tables(place: &str, docs: &[&MetricDoc], rows: &[&MetricRow]) -> Markup
 }
 
 /// Group, sweep and strength, in the heading of a column.
-fn column_of_series(SeriesKey { group, sweep, strength }: &SeriesKey) -> Markup {
+fn column_of_series(SeriesKey { group, sweep, level: own }: &SeriesKey) -> Markup {
     html! {
         (group) @if !sweep.is_empty() && sweep != group.name() { " (" (sweep) ")" }
-        @if group.is_generated() { br; "α = " (setting(*strength)) }
+        @if group.is_generated() { br; (level(*own)) }
     }
 }
 

@@ -15,7 +15,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
 
 fn one(request: &RequestSummary) -> Markup {
     let ended = match request.ended {
-        Ended::Full => "every bucket was full",
+        Ended::Full => "every bucket that can be filled was full",
         Ended::Budget => "its budget was spent",
     };
     html! {
@@ -23,7 +23,7 @@ fn one(request: &RequestSummary) -> Markup {
         p {
             (count(request.n_accepted)) " of " (count(request.n_wanted)) " scenarios were accepted, from " (count(request.n_samples))
             " samples and " (count(request.n_evaluations)) " evaluations of the denoiser, over " (count(request.n_scenes as u64))
-            " scenes (" (count(request.n_cells as u64)) " pairs of agents). It ended after " (count(request.n_rounds as u64))
+            " scenes (" (count(request.n_cells as u64)) " pairs of agents; " (count(request.n_infeasible as u64)) " more can fall into no bucket). It ended after " (count(request.n_rounds as u64))
             " rounds, when " (ended) "."
         }
         (buckets(request))
@@ -38,7 +38,7 @@ fn buckets(request: &RequestSummary) -> Markup {
             @if let Some(first) = request.buckets.first() {
                 @for part in &first.parts { th scope="col" { (part.parameter) } }
             }
-            th scope="col" class="n" { "Wanted" } th scope="col" class="n" { "Accepted" }
+            th scope="col" class="n" { "Pairs" } th scope="col" class="n" { "Wanted" } th scope="col" class="n" { "Accepted" }
             @for arm in &request.arms { th scope="col" class="n" { "by " (arm.name) } }
             th scope="col" class="n" { "Surplus" } th scope="col" class="n" { "Repeated" }
             th scope="col" class="n" { "Samples while open" } th scope="col" class="n" { "Evaluations per accepted" }
@@ -49,6 +49,7 @@ fn buckets(request: &RequestSummary) -> Markup {
         @for bucket in &request.buckets {
             tr class=[(bucket.n_accepted < bucket.n_wanted).then_some("reference")] {
                 @for part in &bucket.parts { td { (part.range.replace('-', "−").replace("..", " to ")) } }
+                td class="n" { (count(bucket.n_feasible as u64)) }
                 td class="n" { (count(bucket.n_wanted)) }
                 td class="n" { strong { (count(bucket.n_accepted)) } @if bucket.n_accepted < bucket.n_wanted { small { " short" } } }
                 @for n in &bucket.accepted_by_arm { td class="n" { (count(*n)) } }
@@ -63,7 +64,7 @@ fn buckets(request: &RequestSummary) -> Markup {
     html! {
         (table(&format!("Buckets of {}", request.name), &head, &body))
         p class="note" {
-            "A bucket holds its lower edge and not its upper one. Surplus scenarios are as asked, but came when their bucket was full; repeated ones, "
+            "A bucket holds its lower edge and not its upper one. Pairs can fall into it, as far as their past and the limits of driving tell. Surplus scenarios are as asked, but came when their bucket was full; repeated ones, "
             "when it had enough of the same scene and agents. Both are among the samples and not in the corpus. All buckets are filled from the same "
             "samples: the cost of a scenario is what was evaluated while its bucket was open, for other buckets too. Hits are scenarios in the bucket, "
             "accepted or not, of all samples of the arm."
