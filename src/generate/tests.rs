@@ -191,7 +191,7 @@ fn configurations_that_make_no_sense_are_refused() {
                      objective_guidance = { gradient = 'through_network' }"
                 )
             ),
-            "\"through_network\" supposes the mean",
+            "\"through_network\", which supposes the mean",
         ),
     ] {
         let message = refusal(&toml);

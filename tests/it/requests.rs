@@ -174,7 +174,7 @@ fn rows_are_generated_again(workspace: &Workspace, root: &Path) {
     for (_, records) in records(root) {
         last_of_sweep.extend(records.into_iter().map(|record| (record.sweep.clone(), record)));
     }
-    assert_eq!(last_of_sweep.len(), 8);
+    assert_eq!(last_of_sweep.len(), 9);
     for record in last_of_sweep.values() {
         let outcome = djinn(&["regenerate", &record.scenario.id, "--from", from]).expect(0);
         assert!(outcome.stdout.starts_with("identical"), "{}", outcome.stdout);

@@ -7,6 +7,7 @@ pub(crate) const DESCRIPTIONS: &[(&str, &str)] = &[
     ("crossing_timestep", "Timestep at which the agent has crossed into the new lane."),
     ("duration_s", "From the event's start to its end."),
     ("ego_length_m", "Length of the ego; nominal where no size is recorded."),
+    ("ego_shift_m", "How far the ego moves sideways toward the other, across the lane that it keeps."),
     ("ego_speed_mps", "Speed of the ego when the other reaches its path."),
     ("end_speed_mps", "Speed at the end."),
     ("first_speed_mps", "Speed of the first of the two when they are closest."),
