@@ -1,7 +1,7 @@
 //! Where is the road? Lanes as strips around their center lines, and the strip that is nearest to a point.
 
 use crate::geometry::{Polyline, Transform2, Vec2};
-use crate::scene::{Lane, LaneGraph};
+use crate::scene::{Lane, LaneGraph, LaneId};
 
 /// Half the width of a lane whose boundaries the map does not give, metres.
 const HALF_NOMINAL_WIDTH_M: f64 = 1.75;
@@ -43,8 +43,8 @@ pub(super) struct NearestRoad {
 impl RoadCorridors {
     /// The road of these lanes, in the frame that `to_from_here` leads to.
     pub(super) fn new(lanes: &LaneGraph, to_from_here: &Transform2) -> Self {
-        let lanes = lanes.lanes().iter().filter_map(|lane| Corridor::new(strips(lane, to_from_here)));
-        Self { lanes: lanes.collect() }
+        let corridor = |lane: &Lane| Corridor::new(strips(lanes, lane, to_from_here));
+        Self { lanes: lanes.lanes().iter().filter_map(corridor).collect() }
     }
 
     /// The center line of the strip that `point` is the fewest metres outside of (or, if it is on the road, one that it is
@@ -97,8 +97,13 @@ impl Strip {
     }
 }
 
-/// The strips of a lane, with extensions beyond ends that no other lane continues.
-fn strips(lane: &Lane, to_from_here: &Transform2) -> Vec<Strip> {
+/// The strips of a lane, with extensions beyond ends that no other lane continues. A lane that ends while one beside it goes on has none: the
+/// road becomes narrower there.
+fn strips(lanes: &LaneGraph, lane: &Lane, to_from_here: &Transform2) -> Vec<Strip> {
+    let beside = [lane.left_neighbor, lane.right_neighbor].map(|id| id.and_then(|id| lanes.get(id)));
+    let is_open = |connections: fn(&Lane) -> &[LaneId]| {
+        connections(lane).is_empty() && !beside.iter().flatten().any(|lane| !connections(lane).is_empty())
+    };
     let points: Vec<Vec2> = lane.centerline.0.iter().map(|point| to_from_here.point(*point)).collect();
     let middles = lane.centerline.0.windows(2).map(|pair| half_width_m(lane, pair[0].lerp(pair[1], 0.5)));
     let mut strips: Vec<Strip> = points
@@ -106,12 +111,12 @@ fn strips(lane: &Lane, to_from_here: &Transform2) -> Vec<Strip> {
         .zip(middles)
         .filter_map(|(pair, half_width_m)| Strip::new(pair[0], pair[1], half_width_m))
         .collect();
-    if let (true, Some(first)) = (lane.predecessors.is_empty(), strips.first().copied()) {
+    if let (true, Some(first)) = (is_open(|lane| &lane.predecessors), strips.first().copied()) {
         let start = first.start - first.along * EXTENSION_M;
         strips.extend(Strip::new(start, first.start, first.half_width_m));
         strips.rotate_right(1);
     }
-    if let (true, Some(last)) = (lane.successors.is_empty(), strips.last().copied()) {
+    if let (true, Some(last)) = (is_open(|lane| &lane.successors), strips.last().copied()) {
         strips.extend(Strip::new(last.end(), last.end() + last.along * EXTENSION_M, last.half_width_m));
     }
     strips
@@ -143,6 +148,36 @@ mod tests {
         let moved = Transform2::from_pose(Vec2::new(3.0, 0.0), std::f64::consts::FRAC_PI_2);
         let near = RoadCorridors::new(&lanes, &moved).nearest(Vec2::new(0.0, 7.0)).expect("a lane");
         assert!(near.point.distance(Vec2::new(3.0, 7.0)) < 1e-9);
+    }
+
+    #[test]
+    fn a_lane_that_ends_beside_one_that_goes_on_is_not_carried_on() {
+        let graph = scene(&[Drive::straight(0.0, 0.0, 0.0, 1.0)]).lanes;
+        let dropped = &graph.lanes()[0];
+        let line = |from: f64, to: f64| Polyline(vec![Vec2::new(from, 3.5), Vec2::new(to, 3.5)]);
+        let (beside, onward) = (LaneId(7001), LaneId(7002));
+        let lane = |id, centerline, predecessors, successors| Lane {
+            id,
+            centerline,
+            predecessors,
+            successors,
+            left: Polyline::default(),
+            right: Polyline::default(),
+            left_neighbor: None,
+            right_neighbor: None,
+            ..dropped.clone()
+        };
+        let road = |left_neighbor| {
+            let lanes = vec![
+                Lane { left_neighbor, ..dropped.clone() },
+                lane(beside, line(-40.0, 80.0), Vec::new(), vec![onward]),
+                lane(onward, line(80.0, 200.0), vec![beside], Vec::new()),
+            ];
+            RoadCorridors::new(&LaneGraph::new(lanes), &Transform2::IDENTITY)
+        };
+        let at = |road: RoadCorridors| road.nearest(Vec2::new(120.0, 0.0)).expect("a lane").point;
+        assert!(at(road(None)).distance(Vec2::new(120.0, 0.0)) < 1e-9);
+        assert!(at(road(Some(beside))).distance(Vec2::new(120.0, 3.5)) < 1e-9);
     }
 
     #[test]

@@ -43,7 +43,7 @@ objectives = [{ kind = "cut_in" }]
 
 [[generate.requests]]
 name = "tight"
-behavior = "cut_in"
+behavior = "cut_in_paper"
 buckets = { relative_speed_mps = [-900, 0, 900], side = ["left", "right"] }
 per_bucket = 3
 where = { gap_m = [-4, 900] }
@@ -57,7 +57,9 @@ budget = { n_samples = 72 }
 "#;
 
 fn pipeline() -> String {
-    let sampling = SMALL_PIPELINE.replace("[evaluate]", &format!("{REQUEST}\n[evaluate]"));
+    // A denoiser without training finds cut-ins of the wider definition alone.
+    let sampling = SMALL_PIPELINE.replace("\"cut_in\"", "\"cut_in_paper\"");
+    let sampling = sampling.replace("[evaluate]", &format!("{REQUEST}\n[evaluate]"));
     sampling.replace("keep = \"all\"", "keep = \"verified\"")
 }
 
@@ -112,7 +114,11 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     assert_eq!(summary.n_accepted, 0);
     let misspelt =
         workspace.run("out", &["--dry-run", "--set", "generate.requests.0.where={ gap = [0, 1] }"]).expect(1);
-    assert!(misspelt.stderr.contains("gap is no parameter of cut_in; the nearest are gap_m"), "{}", misspelt.stderr);
+    assert!(
+        misspelt.stderr.contains("gap is no parameter of cut_in_paper; the nearest are gap_m"),
+        "{}",
+        misspelt.stderr
+    );
 }
 
 /// What `requests.json` says is what the rows say, by a count of its own; and the corpus holds what was accepted.

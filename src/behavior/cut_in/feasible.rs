@@ -62,7 +62,9 @@ impl CutIn {
                 let shift_m = (aside_m - half_widths_m + SHARE_M).max(0.0);
                 let least_s = 2.0 * (shift_m / LATERAL_ACCELERATION_MPS2).sqrt();
                 let gap_m = then.station_m - own_place.station_m - own_mps * time_s - half_lengths_m;
-                let is_reached = (SHARE_M..own_mps * self.config.max_delay_s).contains(&gap_m);
+                // The ego must get there before the scene ends.
+                let left_s = self.config.max_delay_s.min(horizon_s - time_s);
+                let is_reached = (SHARE_M..own_mps * left_s).contains(&gap_m);
                 if then_mps < STANDING_MPS || least_s > time_s || !is_reached {
                     continue;
                 }

@@ -14,9 +14,10 @@ use serde::{Deserialize, Serialize};
 /// g(t) the gap along it from front to rear, u(t) the speed at which it closes, h half the sum of both widths, and v the speed of `before`,
 /// a moment costs
 ///
-/// c(t) = ½ ((|d| - h) / 0.5 m)² + ½ (\[g\] / τ)² + ½ (\[u\] / τ_u)² + ½ (max(g - 0.9 v Δ, 0) / τ)²,
+/// c(t) = ½ ((|d| - h) / 0.5 m)² + ½ (\[g\] / τ)² + ½ (\[u\] / τ_u)² + ½ (max(g - 0.9 v Δ(t), 0) / τ)²,
 ///
-/// where \[·\] is the distance to the wanted interval: the boxes begin to share a path there, and `before` follows within Δ. The best moment
+/// where \[·\] is the distance to the wanted interval: the boxes begin to share a path there, and `before` gets there within
+/// Δ(t), the longest delay or the time that is left of the scene. The best moment
 /// decides, smoothly: (Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01. To it comes the mean over the last second of
 /// ½ (max(|d| - (h - overlap), 0) / 0.5 m)² + ½ (max(1 m - g, 0) / τ)²: who has moved over stays, in front.
 ///
@@ -42,7 +43,7 @@ pub struct CutIn {
     /// The relative speed then, least and most, positive where `before` closes in, m/s. Left out: that of the bucket, else any.
     #[serde(default)]
     pub relative_speed_mps: Option<[f64; 2]>,
-    /// The time Δ after which `before` is to reach the place, seconds.
+    /// The time after which `before` is to reach the place, at most, seconds.
     #[serde(default = "default_max_delay_s")]
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_delay_s: f64,
@@ -159,7 +160,12 @@ impl SceneObjective for CutIn {
         let half_widths_m = halves(1)?;
         let excess_m = beside_m.broadcast_sub(&half_widths_m)?;
 
-        let reach_m: Vec<f64> = paths.speed_mps.iter().map(|v| DELAY_SHARE * v * self.max_delay_s).collect();
+        let reach_m: Vec<f64> = (paths.speed_mps.iter().enumerate())
+            .map(|(at, speed_mps)| {
+                let left_s = (n_timesteps - 1 - at % n_timesteps) as f64 * context.dt_s;
+                DELAY_SHARE * speed_mps * left_s.min(self.max_delay_s)
+            })
+            .collect();
         let wanted_m = context.wanted(GAP, self.gap_m, ANY_GAP_M, states)?;
         let mut cost =
             (penalty(&excess_m, LATERAL_TOLERANCE_M)? + penalty(&beyond(&gap_m, &wanted_m)?, self.tolerance_m)?)?;

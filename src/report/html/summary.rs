@@ -43,7 +43,7 @@ fn asked(model: &ReportModel) -> Markup {
         }
         @for behavior in behaviors {
             p { strong { (count(n_of(behavior))) } " futures "
-                @match behavior { Some(behavior) => { "with a " (behavior.replace('_', " ")) } None => "without a wish" } }
+                @match behavior { Some(behavior) => { "with a " (behavior.replace('_', " ")) } None => "as traffic may go on" } }
         }
         @if let Some(ingest) = &model.ingest { p { "from " (count(ingest.n_scenes)) " recorded scenes" } }
     }
