@@ -279,7 +279,7 @@ fn what_appears_while_a_stage_works_is_not_replaced_and_the_work_not_lost() {
 #[test]
 fn a_kill_while_outputs_come_to_their_places_loses_nothing() {
     for is_cheap in [true, false] {
-        for n_steps in 0..=7 {
+        for n_steps in 0..=8 {
             let dir = tempfile::tempdir().unwrap();
             let root = dir.path();
             let work = root.join("train_denoiser.partial");
@@ -292,7 +292,8 @@ fn a_kill_while_outputs_come_to_their_places_loses_nothing() {
             assert_eq!(keep.is_empty(), is_cheap);
             let away = keep.get("denoiser").map_or(work.join("replaced/denoiser"), |name| root.join(name));
             let (new, place) = (work.join("denoiser"), root.join("denoiser"));
-            let steps: [&dyn Fn(); 7] = [
+            let half_a_mark = new.join(".djinn-new.0123456789abcdef.partial");
+            let steps: [&dyn Fn(); 8] = [
                 &|| fs::remove_file(work.join("started.json")).unwrap(),
                 &|| {
                     let mut list = fs::File::options().append(true).open(work.join(".djinn-written")).unwrap();
@@ -300,6 +301,11 @@ fn a_kill_while_outputs_come_to_their_places_loses_nothing() {
                         writeln!(list, "\"denoiser/{name}\"\n\"replaced/denoiser/{name}\"").unwrap();
                     }
                     fs::create_dir_all(work.join("replaced")).unwrap();
+                    writeln!(list, "\"denoiser/.djinn-new\"").unwrap();
+                    fs::write(&half_a_mark, "").unwrap();
+                },
+                &|| {
+                    fs::remove_file(&half_a_mark).unwrap();
                     write_atomically::<std::io::Error>(&new.join(".djinn-new"), |_| Ok(())).unwrap();
                 },
                 &|| {
@@ -315,11 +321,12 @@ fn a_kill_while_outputs_come_to_their_places_loses_nothing() {
             ];
             steps[..n_steps].iter().for_each(|step| step());
             let model = text(root, "denoiser/deep/model.safetensors");
-            assert_eq!(model, if n_steps < 3 { "old" } else { "next" }, "{n_steps} steps");
+            assert_eq!(model, if n_steps < 4 { "old" } else { "next" }, "{n_steps} steps");
             let planned = run(root, &Toy { is_cheap, ..toy("next") }, &[]).unwrap();
             assert_eq!(planned.action, Action::Reuse, "{n_steps} steps");
             assert_eq!(text(root, "denoiser/deep/model.safetensors"), "next");
             assert!(!work.exists(), "{n_steps} steps");
+            assert!(!place.join(".djinn-new.0123456789abcdef.partial").exists(), "{n_steps} steps");
             if !is_cheap {
                 assert_eq!(fs::read_to_string(away.join("deep/model.safetensors")).unwrap(), "old");
             }

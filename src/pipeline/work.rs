@@ -168,6 +168,8 @@ impl Work {
         if new.exists() && !mark.exists() {
             if new.is_dir() && place.is_dir() {
                 self.list_replaced(name)?;
+                // A kill while the mark was written left a part of it, which would come along.
+                remove_leftovers(&self.dir)?;
                 write_atomically::<std::io::Error>(&new.join(NEW_FILE), |_| Ok(()))?;
                 fs::create_dir_all(self.dir.join(REPLACED))?;
                 if !exchange(&new, &place)? {

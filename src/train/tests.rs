@@ -301,12 +301,12 @@ fn groups_count_the_same_however_many_scenes_they_have() {
 #[test]
 fn draws_follow_the_weights_of_sources() {
     let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(18));
-    let source = |weight, groups: &[std::ops::Range<usize>]| WeightedGroups {
+    let source = |weight, groups: &[(usize, usize)]| WeightedGroups {
         weight,
-        groups: groups.iter().map(|group| group.clone().collect()).collect(),
+        groups: groups.iter().map(|(first, end)| (*first..*end).collect()).collect(),
     };
     // Half of the draws, three eighths and one eighth, whatever the number of scenes; the second source has two places.
-    let sources = [source(4.0, &[0..2]), source(3.0, &[2..3, 3..10]), source(1.0, &[10..18])];
+    let sources = [source(4.0, &[(0, 2)]), source(3.0, &[(2, 3), (3, 10)]), source(1.0, &[(10, 18)])];
     let training = training(1);
     let spec = train(&dataset, &training, dir.path()).unwrap().spec;
     let (collator, masks) = (spec.collator(), MaskSampler::new(&training.common.tasks).unwrap());

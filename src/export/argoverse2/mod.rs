@@ -152,8 +152,11 @@ fn category(item: &Item<'_>, agent_idx: usize) -> i64 {
     }
 }
 
+/// What is assumed of a map, by code, and how often.
+type Assumed = Vec<(&'static str, u64)>;
+
 /// The lanes and the areas that they cover, both by the lanes' ids, and what was assumed of them.
-fn lanes_and_areas(map: &LaneGraph) -> (Map<String, Value>, Map<String, Value>, Vec<(&'static str, u64)>) {
+fn lanes_and_areas(map: &LaneGraph) -> (Map<String, Value>, Map<String, Value>, Assumed) {
     let (mut n_nominal, mut n_left_out) = (0, 0);
     let (mut segments, mut areas) = (Map::new(), Map::new());
     for lane in map.lanes() {

@@ -42,7 +42,8 @@ pub(super) fn edges(line: &ReferenceLine, bounds: &LaneBounds) -> Vec<Edges> {
         let (left_m, right_m) = if left_m < right_m { (middle_m, middle_m) } else { (left_m, right_m) };
         Some(Edges { s_m, left_m, right_m })
     };
-    without_foretold(stations.into_iter().filter_map(at).collect())
+    let edges: Vec<Edges> = stations.into_iter().filter_map(at).collect();
+    without_foretold(&edges)
 }
 
 /// How far to the left of a point on the reference line a boundary lies, straight across. The boundary goes on straight
@@ -66,7 +67,7 @@ fn offset_m(point: Vec2, heading_rad: f64, boundary: &Polyline) -> Option<f64> {
 }
 
 /// The edges without those that lie on the line from one that is kept to the next that is.
-fn without_foretold(edges: Vec<Edges>) -> Vec<Edges> {
+fn without_foretold(edges: &[Edges]) -> Vec<Edges> {
     let is_foretold = |before: &Edges, here: &Edges, after: &Edges| {
         let share = (here.s_m - before.s_m) / (after.s_m - before.s_m);
         let between = |from: f64, to: f64| share.mul_add(to - from, from);

@@ -9,14 +9,15 @@ use candle_core::Device;
 
 /// The stages whose models `sweeps` need, with the denoiser's first.
 pub(in crate::pipeline) fn needed_models(sweeps: &[ResolvedSweep]) -> Vec<StageId> {
-    let optional: [(StageId, fn(&ResolvedSweep) -> bool); 3] = [
-        (StageId::TrainDistill, ResolvedSweep::uses_distilled),
+    let any = |needs: fn(&ResolvedSweep) -> bool| sweeps.iter().any(needs);
+    let needed = [
+        (StageId::TrainDenoiser, true),
+        (StageId::TrainDistill, any(ResolvedSweep::uses_distilled)),
         // Unguided sampling needs none, except to rank pairs: there it is used if some sweep is guided.
-        (StageId::TrainClassifier, ResolvedSweep::needs_classifier),
-        (StageId::TrainBaseline, ResolvedSweep::uses_baseline),
+        (StageId::TrainClassifier, any(ResolvedSweep::needs_classifier)),
+        (StageId::TrainBaseline, any(ResolvedSweep::uses_baseline)),
     ];
-    let needed = optional.into_iter().filter(|(_, needs)| sweeps.iter().any(needs)).map(|(stage, _)| stage);
-    std::iter::once(StageId::TrainDenoiser).chain(needed).collect()
+    needed.into_iter().filter(|(_, is_needed)| *is_needed).map(|(stage, _)| stage).collect()
 }
 
 /// The models of some sweeps.
