@@ -98,6 +98,7 @@ fn effort(acceleration_mps2: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::behavior::{Behavior, CutInConfig};
+    use crate::scene::Trajectory;
     use crate::scene::testing::{Drive, scene};
 
     /// What the second of two cars could come to before the first, which drives along x at 10 m/s.
@@ -125,6 +126,20 @@ mod tests {
             assert!((value("relative_speed_mps") + changed_mps).abs() < 1e-9);
             assert!((0.0..=1.0).contains(&outcome.effort()));
         }
+    }
+
+    #[test]
+    fn the_future_is_not_looked_at() {
+        let mut known = scene(&[drive(0.0, 0.0, 0.0, 10.0), drive(12.0, 3.5, 0.0, 10.0)]);
+        known.dt_s = 0.5;
+        let mut unknown = known.clone();
+        for track in &mut unknown.tracks {
+            let observed = |t: usize| track.trajectory.get(t).copied().filter(|_| t < known.n_history);
+            track.trajectory = Trajectory::new((0..known.n_timesteps).map(observed).collect());
+        }
+        let of = |scene: &Scene| CutIn::new(CutInConfig::default()).feasible(scene, &[0, 1]);
+        assert!(!of(&known).is_empty());
+        assert_eq!(of(&known), of(&unknown));
     }
 
     #[test]
