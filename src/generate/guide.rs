@@ -15,7 +15,7 @@ use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Scene};
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
 
-/// Pairs of a scene that guidance toward any pair looks at: those nearest to each other.
+/// Pairs of a scene that guidance toward any pair looks at: those that can show the behavior most easily.
 const MAX_ANY_PAIRS: usize = 32;
 /// The noise level that clean estimates have for a classifier: low enough to leave a maneuver as it is, and yet among those
 /// that classifiers are trained on.
@@ -232,7 +232,7 @@ impl<'g> Generator<'g> {
         Ok(Box::new(ClassifierGuidance { classifier: &classifier.network, pairs }))
     }
 
-    /// The pairs of a cell's scene that may perform the behavior, nearest first, as places on the agent axis of its row.
+    /// The pairs of a cell's scene that may perform the behavior, those first that can most easily, as places on the agent axis of its row.
     fn any_pairs(&self, guided: &Guided<'_>, row: usize) -> Vec<(usize, usize)> {
         let Some(behavior) = self.behavior(guided.sweep) else { return Vec::new() };
         let mut candidates = possible_pairs(guided.sweep, behavior, guided.cells[row].1);

@@ -1,4 +1,4 @@
-//! What has come of a request so far? ArmCounts by bucket, arm and cell, from the tallies of finished shards in order.
+//! What has come of a request so far? Counts by bucket, arm and cell, from the tallies of finished shards in order.
 
 use super::resolve::ResolvedRequest;
 use super::rounds::Pool;
@@ -61,7 +61,7 @@ impl Hits {
     }
 }
 
-/// ArmCounts of one arm, or of its first round.
+/// Counts of one arm, or of its first round.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct ArmCounts {
     pub(super) n_samples: u64,
@@ -71,7 +71,7 @@ pub(super) struct ArmCounts {
     pub(super) hits: Vec<Hits>,
 }
 
-/// ArmCounts of one cell over all arms.
+/// Counts of one cell over all arms.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct CellCounts {
     /// Samples by arm.

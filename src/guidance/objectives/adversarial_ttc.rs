@@ -1,7 +1,7 @@
 //! Let two agents come shortly before a collision.
 
 use super::box_separation::separation_m;
-use super::motion::{norm, nothing, positions};
+use super::motion::{best_moment, norm, nothing, positions};
 use super::pairs::{PairQuery, Pairs};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{D, Result, Tensor};
@@ -63,10 +63,6 @@ fn ego() -> AgentSelector {
 
 /// The gap below which time to collision no longer shrinks, metres: its inverse would grow without bound.
 const LEAST_GAP_M: f64 = 0.5;
-/// The cost δ that is added to every moment's, lest the powers of none be infinite.
-const LEAST_COST: f64 = 0.01;
-/// Less than the inverse fourth power of any cost.
-const NO_MOMENT: f64 = 1e-30;
 
 impl SceneObjective for AdversarialTtc {
     fn kind(&self) -> &'static str {
@@ -105,10 +101,7 @@ impl SceneObjective for AdversarialTtc {
         let cost = ((slow.sqr()? + aside.sqr()?)? * 0.5)?;
         let counts = ((later(&pairs.counts)? + pairs.counts.narrow(1, 0, n_steps)?)?.minimum(1.0)?
             * (later(&pairs.both_valid)? * pairs.both_valid.narrow(1, 0, n_steps)?)?)?;
-        let any = counts.sum(1)?.minimum(1.0)?;
-        let powers = (counts * (cost + LEAST_COST)?.powf(-4.0)?)?.sum(1)?;
-        let best = (powers + NO_MOMENT)?.powf(-0.25)?.neg()?;
-        pairs.sum_over_rows(&(best * any)?)
+        pairs.sum_over_rows(&best_moment(&cost, &counts)?.neg()?)
     }
 }
 

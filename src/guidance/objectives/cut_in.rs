@@ -1,6 +1,6 @@
 //! Move into the lane of another, before it.
 
-use super::motion::{nothing, penalty};
+use super::motion::{best_moment, nothing, penalty};
 use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval};
 use crate::geometry::Vec2;
 use crate::settings::{self, Issue};
@@ -17,8 +17,7 @@ use serde::{Deserialize, Serialize};
 /// c(t) = ½ ((|d| - h) / 0.5 m)² + ½ (\[g\] / τ)² + ½ (\[u\] / τ_u)² + ½ (max(g - 0.9 v Δ(t), 0) / τ)²,
 ///
 /// where \[·\] is the distance to the wanted interval: the boxes begin to share a path there, and `before` gets there within
-/// Δ(t), the longest delay or the time that is left of the scene. The best moment
-/// decides, smoothly: (Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01. To it comes the mean over the last second of
+/// Δ(t), the longest delay or the time that is left of the scene. The best moment decides, smoothly: (Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01. To it comes the mean over the last second of
 /// ½ (max(|d| - (h - overlap), 0) / 0.5 m)² + ½ (max(1 m - g, 0) / τ)²: who has moved over stays, in front.
 ///
 /// `before` is taken as it is: nothing pulls at it, so that it does not move in behind the other instead. J = -(both), and 0 where one of the
@@ -92,10 +91,6 @@ const SETTLED_S: f64 = 1.0;
 const LEAST_GAP_M: f64 = 1.0;
 /// The share of the longest delay that is made use of.
 const DELAY_SHARE: f64 = 0.9;
-/// The cost δ that is added to every moment's, lest the powers of none be infinite.
-const LEAST_COST: f64 = 0.01;
-/// Less than the inverse fourth power of any cost.
-const NO_MOMENT: f64 = 1e-30;
 /// Rounding of |d| at zero, meters.
 const ROUNDING_M: f64 = 0.05;
 /// The step below which a heading does not follow from a motion, meters.
@@ -175,8 +170,7 @@ impl SceneObjective for CutIn {
         let closing_mps = (on_device(paths.speed_mps)? - own_mps)?;
         let wanted = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
         cost = (cost + penalty(&beyond(&closing_mps, &wanted)?, self.tolerance_mps)?)?;
-        let powers = (&counts * (cost.neg()? + LEAST_COST)?.powf(-4.0)?)?.sum(1)?;
-        let best = (powers + NO_MOMENT)?.powf(-0.25)?;
+        let best = best_moment(&cost.neg()?, &counts)?;
 
         let n_settled = (SETTLED_S / context.dt_s).round().max(1.0) as usize;
         let n_settled = n_settled.min(n_timesteps.saturating_sub(context.n_history));
@@ -191,8 +185,7 @@ impl SceneObjective for CutIn {
         let n_counted = (counted.sum(1)? + 1e-6)?;
         let unsettled = (unsettled * &counted)?.sum(1)?.div(&n_counted)?;
 
-        let any = counts.sum(1)?.minimum(1.0)?;
-        (unsettled - best)? * any
+        unsettled - best
     }
 }
 

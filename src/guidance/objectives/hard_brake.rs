@@ -1,6 +1,6 @@
 //! Brake hard.
 
-use super::motion::{norm, nothing, penalty, positions, rate};
+use super::motion::{best_moment, norm, nothing, penalty, positions, rate};
 use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval};
 use crate::settings;
 use candle_core::{Result, Tensor};
@@ -50,10 +50,6 @@ const MAX_DECELERATION: &str = "max_deceleration_mps2";
 const ANY_MPS2: [f64; 2] = [5.0, 8.0];
 /// The time over which braking is measured, seconds: what a hard braking lasts at least, and the smoothing of speeds.
 const WINDOW_S: f64 = 0.6;
-/// The cost δ that is added to every moment's, lest the powers of none be infinite.
-const LEAST_COST: f64 = 0.01;
-/// Less than the inverse fourth power of any cost.
-const NO_MOMENT: f64 = 1e-30;
 
 impl SceneObjective for HardBrake {
     fn kind(&self) -> &'static str {
@@ -92,10 +88,7 @@ impl SceneObjective for HardBrake {
         let slow = (self.least_speed_mps - before)?.relu()?;
         let cost = (penalty(&missed, self.tolerance_mps2)? + penalty(&slow, 1.0)?)?.neg()?;
         let counts = context.terms(n_window + 1)?;
-        let powers = (&counts * (cost + LEAST_COST)?.powf(-4.0)?)?.sum(2)?;
-        let best = (powers + NO_MOMENT)?.powf(-0.25)?.neg()?;
-        let any = counts.sum(2)?.minimum(1.0)?;
-        ((best * any)? * context.selected(&self.agents)?)?.sum(1)
+        (best_moment(&cost, &counts)?.neg()? * context.selected(&self.agents)?)?.sum(1)
     }
 }
 

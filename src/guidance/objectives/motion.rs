@@ -4,6 +4,10 @@ use candle_core::{D, Result, Tensor};
 
 /// Least value of a rounded norm: ‖v‖ has no gradient at zero.
 const ROUNDING: f64 = 0.05;
+/// The cost δ that is added to every moment's, lest the powers of none be infinite.
+const LEAST_COST: f64 = 0.01;
+/// Less than the inverse fourth power of any cost.
+const NO_MOMENT: f64 = 1e-30;
 
 /// The positions (B, A, T, 2) of `states` (B, A, T, 3).
 pub(super) fn positions(states: &Tensor) -> Result<Tensor> {
@@ -29,6 +33,14 @@ pub(super) fn norm(v: &Tensor) -> Result<Tensor> {
 /// -(x / tolerance)² / 2, the log density of a normal distribution up to a constant.
 pub(super) fn penalty(x: &Tensor, tolerance: f64) -> Result<Tensor> {
     x.sqr()? * (-0.5 / (tolerance * tolerance))
+}
+
+/// The cost of the best of the moments that count, smoothly: (Σ (c + δ)⁻⁴)^(-1/4) over the last dimension, 0 where no moment counts. `costs` are at
+/// least 0; `counts` has the same shape, and is 0 or 1.
+pub(super) fn best_moment(costs: &Tensor, counts: &Tensor) -> Result<Tensor> {
+    let powers = (counts * (costs + LEAST_COST)?.powf(-4.0)?)?.sum(D::Minus1)?;
+    let any = counts.sum(D::Minus1)?.minimum(1.0)?;
+    (powers + NO_MOMENT)?.powf(-0.25)? * any
 }
 
 /// Σ over agents of ∫ `values` dt over the terms that count: `values` and `terms` (B, A, N), `agents` (B, A), to (B).
