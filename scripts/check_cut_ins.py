@@ -167,7 +167,7 @@ class KeptLane:
         self.sides = (joined("left"), joined("right")) if all(lane.has_sides for lane in lanes) else None
 
     def beyond(self, points, side):
-        """How far points are beyond the left (+1) or right (-1) side, metres."""
+        """How far points are beyond the left (+1) or right (-1) side, meters."""
         if self.sides:
             return side * self.sides[0 if side > 0 else 1].project(points)[1]
         return side * self.center.project(points)[1] - NOMINAL_HALF_WIDTH_M

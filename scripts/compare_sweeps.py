@@ -5,7 +5,7 @@
 
 Prints a Markdown table: for each unguided sweep of the same scenes its means over them, and the relative difference to the
 reference with the middle 95 % of 10,000 draws of scenes with replacement (paired bootstrap, fixed seed). The last column is how
-far agents end from where they end in the reference's sample of the same number, metres: near 0 where noise becomes the same sample.
+far agents end from where they end in the reference's sample of the same number, meters: near 0 where noise becomes the same sample.
 """
 
 import argparse

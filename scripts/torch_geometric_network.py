@@ -79,7 +79,7 @@ def network(w, config, seen, poses, known, c_noise):
 
 
 def decode(batch, x):
-    """Metres and radians in each row's ego frame, (B, A, T, 3): base + rotation (unit path x)."""
+    """Meters and radians in each row's ego frame, (B, A, T, 3): base + rotation (unit path x)."""
     residual = torch.nn.functional.pad(batch["path"] @ (x * batch["latent"][..., None]), (0, 3 - x.shape[-1]))
     along, across, turn = (residual * batch["unit"][:, :, None]).unbind(-1)
     cos, sin = batch["rotation"][:, :, None].unbind(-1)

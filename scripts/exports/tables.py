@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-TOLERANCE = 1e-6  # metres, radians, metres per second
+TOLERANCE = 1e-6  # meters, radians, meters per second
 
 
 def rows(path):

@@ -9,11 +9,11 @@ const MIN_SPACING_M: f64 = 0.1;
 /// have a place on it. Longer than any road user.
 const EXTENSION_M: f64 = 50.0;
 
-/// The centres of an agent from a timestep to the end of its track, carried straight on at both ends.
+/// The centers of an agent from a timestep to the end of its track, carried straight on at both ends.
 #[derive(Debug, Clone)]
 pub(crate) struct DrivenPath {
     polyline: Polyline,
-    /// Half the length of the agent: its front bumper is this far ahead of its centre.
+    /// Half the length of the agent: its front bumper is this far ahead of its center.
     half_length_m: f64,
 }
 
@@ -60,7 +60,7 @@ impl DrivenPath {
         (end.0 + Vec2::from_angle(end.1) * left_m, end.1)
     }
 
-    /// Distance along the path from the agent's front bumper to the nearest part of `body`, metres; negative
+    /// Distance along the path from the agent's front bumper to the nearest part of `body`, meters; negative
     /// where they are alongside each other.
     pub(crate) fn gap_m(&self, body: &OrientedBox) -> Option<f64> {
         let stations = body.corners().into_iter().filter_map(|corner| self.project(corner)).map(|p| p.station_m);
@@ -73,7 +73,7 @@ mod tests {
     use super::*;
     use crate::scene::{AgentClass, Extent, TrackRole, Trajectory};
 
-    /// Ten metres east, then north, one metre a timestep.
+    /// Ten meters east, then north, one meter a timestep.
     fn corner_track() -> Track {
         let state = |t: usize| {
             let (position, heading_rad) = if t <= 10 {

@@ -42,15 +42,15 @@ impl Bounds {
 /// hundreds of others, and trigonometry would take most of that time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Footprint {
-    /// Centre, metres.
+    /// Center, meters.
     pub(crate) center: Vec2,
     /// Unit vector along the heading.
     pub(crate) forward: Vec2,
-    /// Half the side along the heading, metres.
+    /// Half the side along the heading, meters.
     pub(crate) half_length_m: f64,
-    /// Half the side across the heading, metres.
+    /// Half the side across the heading, meters.
     pub(crate) half_width_m: f64,
-    /// Half the diagonal, metres.
+    /// Half the diagonal, meters.
     pub(crate) radius_m: f64,
     /// The corners, in the order of [`OrientedBox::corners`].
     pub(crate) corners: [Vec2; 4],
@@ -74,7 +74,7 @@ impl Footprint {
         }
     }
 
-    /// Distance between the centres, squared, in m².
+    /// Distance between the centers, squared, in m².
     fn center_distance_squared(&self, other: &Self) -> f64 {
         squared(other.center - self.center)
     }
@@ -97,7 +97,7 @@ impl Footprint {
                 <= other.half_width_m + self.half_length_m * sin + self.half_width_m * cos
     }
 
-    /// Smallest distance between the two boxes, metres; 0 when they overlap.
+    /// Smallest distance between the two boxes, meters; 0 when they overlap.
     pub(crate) fn distance_m(&self, other: &Self) -> f64 {
         if self.overlaps(other) {
             return 0.0;
@@ -123,7 +123,7 @@ impl Footprint {
         between < near * near || self.distance_m(other) < limit_m
     }
 
-    /// A lower bound of the distance between the two boxes, metres: the distance between the circles around them.
+    /// A lower bound of the distance between the two boxes, meters: the distance between the circles around them.
     pub(crate) fn distance_lower_bound_m(&self, other: &Self) -> f64 {
         self.center_distance_squared(other).sqrt() - self.radius_m - other.radius_m
     }
@@ -140,7 +140,7 @@ impl Footprint {
         along * along + across * across
     }
 
-    /// Half the extent of the box along the unit vector `axis`, metres.
+    /// Half the extent of the box along the unit vector `axis`, meters.
     pub(crate) fn half_extent_m(&self, axis: Vec2) -> f64 {
         dot(self.forward, axis).abs() * self.half_length_m + cross(self.forward, axis).abs() * self.half_width_m
     }

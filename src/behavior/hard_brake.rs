@@ -101,9 +101,9 @@ impl HardBrake {
             .into_iter()
             .filter(|run| lasts(run) && is_plausible(run) && !hard.iter().any(|h| run.contains(h.start())))
             .collect();
-        let labelled = |runs: Vec<_>, label: EventLabel| runs.into_iter().map(move |run| (run, label));
-        labelled(hard, EventLabel::Positive)
-            .chain(labelled(near, EventLabel::Negative))
+        let labeled = |runs: Vec<_>, label: EventLabel| runs.into_iter().map(move |run| (run, label));
+        labeled(hard, EventLabel::Positive)
+            .chain(labeled(near, EventLabel::Negative))
             .map(|(run, label)| event(scene, agent_idx, track, &accelerations, run, label))
             .collect()
     }

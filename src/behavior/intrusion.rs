@@ -66,7 +66,7 @@ impl Intrusion {
 }
 
 /// The largest distance that the agent moves in the future to one side (+1 left, -1 right) of the line along its
-/// heading at present, metres. `None` where it is not tracked at present or has no future.
+/// heading at present, meters. `None` where it is not tracked at present or has no future.
 fn shift_m(scene: &Scene, agent_idx: usize, toward: f64) -> Option<f64> {
     let start = scene.state(agent_idx, scene.current_timestep())?;
     let forward = Vec2::from_angle(start.heading_rad);

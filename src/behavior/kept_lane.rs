@@ -8,14 +8,14 @@ use std::f64::consts::FRAC_PI_4;
 
 /// An agent keeps only a lane whose direction differs from its heading by less than this, radians.
 const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
-/// An agent is still in its lane when its center is beyond a side by no more than this, metres.
+/// An agent is still in its lane when its center is beyond a side by no more than this, meters.
 const HYSTERESIS_M: f64 = 0.3;
-/// The lane is followed so far ahead of and behind the lane in which the agent is at present, metres: farther than anybody of interest.
+/// The lane is followed so far ahead of and behind the lane in which the agent is at present, meters: farther than anybody of interest.
 const AHEAD_M: f64 = 200.0;
 const BEHIND_M: f64 = 100.0;
-/// How far its lines run straight on where the map ends, metres.
+/// How far its lines run straight on where the map ends, meters.
 const EXTENSION_M: f64 = 100.0;
-/// Points closer together than this are one, metres: lanes that follow on repeat the last point.
+/// Points closer together than this are one, meters: lanes that follow on repeat the last point.
 const MIN_SPACING_M: f64 = 0.05;
 
 /// The lane in which an agent is at present, with those that lead to it and those that follow on: where the road forks, those that the
@@ -89,7 +89,7 @@ impl KeptLane {
         self.center.project(point)
     }
 
-    /// How far `point` is beyond the side of the lane on the left (+1) or right (-1), metres; negative on this side of it.
+    /// How far `point` is beyond the side of the lane on the left (+1) or right (-1), meters; negative on this side of it.
     pub(super) fn beyond_m(&self, point: Vec2, side: f64) -> Option<f64> {
         match &self.sides {
             Some([left, right]) => {

@@ -22,16 +22,16 @@ pub(super) const PARAMETERS: &[&str] =
 pub struct LaneChangeConfig {
     /// Road users that are looked at. Default `motorized`.
     pub agents: AgentFilter,
-    /// How far the centre must be beyond the lane's side before it has left the lane, metres. Default 0.3.
+    /// How far the center must be beyond the lane's side before it has left the lane, meters. Default 0.3.
     #[schemars(range(min = 0.0))]
     pub hysteresis_m: f64,
-    /// How long the centre must stay in the new lane, seconds. Default 1.
+    /// How long the center must stay in the new lane, seconds. Default 1.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub min_stay_s: f64,
-    /// How far the centre must be from the old centre line for the change to have begun, metres. Default 0.5.
+    /// How far the center must be from the old center line for the change to have begun, meters. Default 0.5.
     #[schemars(range(min = 0.0))]
     pub start_offset_m: f64,
-    /// An agent that stays in its lane but comes closer to the lane beside it than this is a hard negative, metres.
+    /// An agent that stays in its lane but comes closer to the lane beside it than this is a hard negative, meters.
     /// Default 0.5.
     #[schemars(range(min = 0.0))]
     pub negative_margin_m: f64,
@@ -51,18 +51,18 @@ impl Default for LaneChangeConfig {
 
 /// One agent (`agent`) changes lanes. Scenes without lanes have no events.
 ///
-/// **Positive**: the agent's centre moves from its lane into a lane beside it in the same direction (a left or right
+/// **Positive**: the agent's center moves from its lane into a lane beside it in the same direction (a left or right
 /// neighbor by the map, or a parallel lane at its side) and stays there for at least 1 s. It has left a lane
 /// when it is more than 0.3 m beyond its side, and not before.
 ///
-/// - The event *starts* when the centre is more than 0.5 m off the old centre line and keeps being so until it crosses.
-/// - It is *complete* when the centre has been in the new lane for 1 s. Crossing several lanes, each in less than
+/// - The event *starts* when the center is more than 0.5 m off the old center line and keeps being so until it crosses.
+/// - It is *complete* when the center has been in the new lane for 1 s. Crossing several lanes, each in less than
 ///   that, is one event: the last crossing.
 /// - *What does not count*: going on to a lane that follows, forks or merges (unless the map names it as a neighbor);
 ///   moving over to an oncoming lane; weaving within 0.3 m of a line; changes that the scene ends too early to
 ///   confirm.
 ///
-/// **Negative**: the agent crosses, but goes back within 1 s; or it never crosses, but its centre comes within
+/// **Negative**: the agent crosses, but goes back within 1 s; or it never crosses, but its center comes within
 /// 0.5 m of a lane beside its own.
 ///
 /// Parameters: `side` (+1 left, -1 right); at the crossing `crossing_timestep`, `speed_mps` and `lateral_speed_mps`

@@ -5,9 +5,9 @@ use crate::geometry::{Polyline, Vec2, angle_difference};
 use crate::scene::{Lane, LaneGraph, LaneId};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Half the width to assume of a lane without boundaries, metres; Argoverse 1's own reader assumes 3.8 m.
+/// Half the width to assume of a lane without boundaries, meters; Argoverse 1's own reader assumes 3.8 m.
 pub(crate) const HALF_NOMINAL_WIDTH_M: f64 = 1.9;
-/// Lanes that follow on may leave a gap of this size between them, metres.
+/// Lanes that follow on may leave a gap of this size between them, meters.
 const END_TOLERANCE_M: f64 = 0.5;
 /// How many connections apart two lanes may be and still count as one following the other.
 const MAX_HOPS: usize = 3;
@@ -17,9 +17,9 @@ const PARALLEL_RAD: f64 = 0.35;
 /// Where a point is on a lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LanePlace {
-    /// Signed distance from the centre line, metres; positive to its left.
+    /// Signed distance from the center line, meters; positive to its left.
     pub(crate) offset_m: f64,
-    /// Distance to the nearer side of the lane, metres; negative outside.
+    /// Distance to the nearer side of the lane, meters; negative outside.
     pub(crate) margin_m: f64,
     /// Direction of the lane, radians.
     pub(crate) heading_rad: f64,

@@ -7,7 +7,7 @@ use std::f64::consts::FRAC_PI_4;
 
 /// An agent is only in lanes whose direction differs from its heading by less than this, radians.
 const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
-/// How far into the next lane a point is set to ask which lane is there, metres.
+/// How far into the next lane a point is set to ask which lane is there, meters.
 const PROBE_M: f64 = 0.5;
 
 /// A move from one lane to one beside it.
@@ -29,7 +29,7 @@ pub(crate) struct Crossing<'a> {
 pub(crate) struct Drift {
     /// The timestep.
     pub(crate) timestep: usize,
-    /// Distance to the side of its lane, metres; negative while it is beyond it by less than the hysteresis.
+    /// Distance to the side of its lane, meters; negative while it is beyond it by less than the hysteresis.
     pub(crate) margin_m: f64,
     /// +1 when the other lane is to the left, -1 to the right.
     pub(crate) side: f64,
@@ -50,7 +50,7 @@ struct LaneStep<'a> {
 }
 
 impl<'a> LaneTrace<'a> {
-    /// Follows an agent. It stays in its lane until its centre is more than `hysteresis_m` beyond a side or the lane
+    /// Follows an agent. It stays in its lane until its center is more than `hysteresis_m` beyond a side or the lane
     /// ends, and is lost where more than `max_gap` timesteps are not tracked.
     pub(crate) fn follow(lanes: &'a LaneIndex<'a>, trajectory: &Trajectory, hysteresis_m: f64, max_gap: usize) -> Self {
         let mut trace = Self { steps: Vec::new(), crossings: Vec::new() };
@@ -107,7 +107,7 @@ impl<'a> LaneTrace<'a> {
         Some((lane, place))
     }
 
-    /// The first timestep of those up to `crossing` at which the agent is more than `offset_m` off the centre line
+    /// The first timestep of those up to `crossing` at which the agent is more than `offset_m` off the center line
     /// of its lane, toward the side to which it crosses.
     pub(crate) fn departure(&self, crossing: &Crossing<'_>, offset_m: f64) -> usize {
         let before = self.steps.iter().rev().skip_while(|step| step.timestep >= crossing.timestep);

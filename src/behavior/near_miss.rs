@@ -39,7 +39,7 @@ const FOLLOWING_RAD: f64 = FRAC_PI_6;
 pub struct NearMissConfig {
     /// Road users that take part. Default `road_users`: pedestrians too, but no static objects.
     pub agents: AgentFilter,
-    /// Boxes closer together than this are a near miss, metres. Default 0.3: mirrors touch; in dense traffic 1 m is usual.
+    /// Boxes closer together than this are a near miss, meters. Default 0.3: mirrors touch; in dense traffic 1 m is usual.
     #[schemars(range(min = 0.0))]
     pub max_distance_m: f64,
     /// Boxes on a course to touch in less than this are a near miss, seconds. Default 1.5.
@@ -48,7 +48,7 @@ pub struct NearMissConfig {
     /// Being where the other was less than this before, on another course, is a near miss, seconds. Default 1.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_pet_s: f64,
-    /// Boxes that come closer than this without a near miss are a hard negative, metres. Default 2.
+    /// Boxes that come closer than this without a near miss are a hard negative, meters. Default 2.
     #[schemars(range(min = 0.0))]
     pub negative_distance_m: f64,
     /// Boxes on a course to touch in less than this without a near miss are a hard negative, seconds. Default 3.

@@ -11,7 +11,7 @@ pub(super) struct PairSearch<'a> {
     /// Name and roles of the behavior.
     pub(super) names: (&'static str, &'static [&'static str]),
     pub(super) agents: AgentFilter,
-    /// Pairs without the behavior are hard negatives if their boxes come closer than this, metres. No others are looked at.
+    /// Pairs without the behavior are hard negatives if their boxes come closer than this, meters. No others are looked at.
     pub(super) negative_distance_m: f64,
     /// When that counts; start and end of hard negatives.
     pub(super) judged: Range<usize>,

@@ -3,7 +3,7 @@
 use crate::scene::Trajectory;
 
 /// The acceleration at every timestep, m/s² along the motion: the slope of the least-squares line through the
-/// speeds in a window of at least `window_s` (and at least three timesteps) centred there.
+/// speeds in a window of at least `window_s` (and at least three timesteps) centered there.
 /// `None` where the window reaches beyond the trajectory or over a timestep that is not tracked, and of a trajectory that was smoothed where it
 /// holds states from before and from after `present`: the first were smoothed without the others, so that the speed steps there.
 pub(crate) fn smoothed_accelerations_mps2(
@@ -32,7 +32,7 @@ pub(crate) fn smoothed_accelerations_mps2(
     (0..speeds.len()).map(slope).collect()
 }
 
-/// Timesteps on either side of the centre, such that the window spans at least `window_s`.
+/// Timesteps on either side of the center, such that the window spans at least `window_s`.
 fn half_window(dt_s: f64, window_s: f64) -> usize {
     ((window_s / dt_s / 2.0 - 1e-9).ceil().max(1.0)) as usize
 }

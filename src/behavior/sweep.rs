@@ -113,7 +113,7 @@ impl Sweep {
         timesteps.filter_map(|timestep| Some((timestep, self.at(timestep)?, other.at(timestep)?)))
     }
 
-    /// Smallest distance between the boxes at the same one of `timesteps`, metres, with the first timestep at which
+    /// Smallest distance between the boxes at the same one of `timesteps`, meters, with the first timestep at which
     /// it is reached. `None` when the agents are never tracked together.
     pub(crate) fn min_distance_m(&self, other: &Self, timesteps: Range<usize>) -> Option<(f64, usize)> {
         let mut closest: Option<(f64, usize)> = None;

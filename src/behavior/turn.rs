@@ -18,7 +18,7 @@ pub(super) const PARAMETERS: &[&str] =
 /// A turn begins and ends where these shares of its change of heading are reached.
 const START_SHARE: f64 = 0.1;
 const END_SHARE: f64 = 0.9;
-/// Lanes that lead back to themselves within this length are a roundabout, metres; around a block of houses it is farther.
+/// Lanes that lead back to themselves within this length are a roundabout, meters; around a block of houses it is farther.
 const MAX_ROUNDABOUT_M: f64 = 250.0;
 /// An agent is only in lanes whose direction differs from its heading by less than this, radians.
 const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
@@ -35,13 +35,13 @@ pub struct TurnConfig {
     /// A smaller change of heading than that, but at least this, is a hard negative, radians. Default π/6 (30 degrees).
     #[schemars(range(min = 0.0))]
     pub negative_heading_change_rad: f64,
-    /// Largest mean radius of a turn, metres; a wider one is a bend of the road and a hard negative. Default 50.
+    /// Largest mean radius of a turn, meters; a wider one is a bend of the road and a hard negative. Default 50.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_radius_m: f64,
-    /// Smallest mean radius of a turn, metres; less is more than a vehicle can steer, so the heading is noise. Default 3.
+    /// Smallest mean radius of a turn, meters; less is more than a vehicle can steer, so the heading is noise. Default 3.
     #[schemars(range(min = 0.0))]
     pub min_radius_m: f64,
-    /// Shortest path between start and end, metres; less is a noisy heading while creeping. Default 3.
+    /// Shortest path between start and end, meters; less is a noisy heading while creeping. Default 3.
     #[schemars(range(min = 0.0))]
     pub min_path_m: f64,
 }

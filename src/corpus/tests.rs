@@ -223,7 +223,7 @@ fn a_sample_is_balanced_and_the_same_for_the_same_seed() {
     assert_eq!((ids(&folder.path("few")).len(), ids(&folder.path("many")).len()), (10, 30));
     assert!(ids(&folder.path("few")).is_subset(&ids(&folder.path("many"))));
     assert_eq!(draw("all", 1000, Some("place"), 1).n_scenarios, 80);
-    for (by, n) in [("behaviour", 5), ("gap_m", 5), ("place", 0)] {
+    for (by, n) in [("behaviors", 5), ("gap_m", 5), ("place", 0)] {
         let options = SampleOptions { n, by: Some(by.to_owned()), seed: 0 };
         assert!(sample(&a, &options, &folder.path("wrong"), &Silent).is_err(), "{by}");
     }

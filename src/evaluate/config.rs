@@ -28,7 +28,7 @@ pub struct EvaluateConfig {
     pub validity: ValidityConfig,
     /// Who stands in for the one who is cut off: could a collision have been prevented?
     pub careful_driver: CarefulDriverConfig,
-    /// A scenario is a near-duplicate of an accepted one before it if the paths of those who were asked differ by less than this, metres:
+    /// A scenario is a near-duplicate of an accepted one before it if the paths of those who were asked differ by less than this, meters:
     /// the mean over the future, in the frame of the first of them. 0 for none. Default 0.25.
     #[schemars(range(min = 0.0))]
     pub duplicate_distance_m: f64,

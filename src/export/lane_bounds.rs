@@ -3,7 +3,7 @@
 use crate::geometry::{Polyline, Vec2};
 use crate::scene::Lane;
 
-/// Half the width of a lane whose map tells none, metres: the official reader of Argoverse 1 takes 3.8 m for all.
+/// Half the width of a lane whose map tells none, meters: the official reader of Argoverse 1 takes 3.8 m for all.
 const NOMINAL_HALF_WIDTH_M: f64 = 1.9;
 
 /// The boundaries of a lane in driving direction, with at least two points and some length each.

@@ -32,7 +32,7 @@ pub(super) fn text(report: &ExportReport) -> String {
     );
     paragraph(&mut text, "tracks.tsv: which name each track has in the file, who is the ego, and roles in the event.");
     paragraph(&mut text, "export.json: what was asked for, and what was left out, by reason. Written last.");
-    paragraph(&mut text, "Positions are those of the recording's frame, in metres; headings in radians.");
+    paragraph(&mut text, "Positions are those of the recording's frame, in meters; headings in radians.");
     if report.ego == EgoMotion::Free {
         paragraph(
             &mut text,

@@ -1,7 +1,7 @@
 //! How are numbers and names written in text formats?
 
 /// A number with nine decimals and no more zeros than needed: what readers put together from several numbers, such as the
-/// center of a vehicle from its rear axle, its heading and its length, is still the corpus's to within a micrometre.
+/// center of a vehicle from its rear axle, its heading and its length, is still the corpus's to within a micrometer.
 pub(super) fn number(value: f64) -> String {
     let text = format!("{value:.9}");
     let text = text.trim_end_matches('0').trim_end_matches('.');

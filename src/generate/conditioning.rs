@@ -24,9 +24,9 @@ pub struct ClassifierFreeConfig {
     /// A sweep that varies its strengths as well takes a single weight, and the other way around.
     #[serde(default = "one_weight")]
     pub weights: Vec<f64>,
-    /// Standard deviation of what is added to the wanted positions, metres in each direction; drawn once for each agent and
+    /// Standard deviation of what is added to the wanted positions, meters in each direction; drawn once for each agent and
     /// sample.
-    #[serde(default = "one_metre")]
+    #[serde(default = "one_meter")]
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub goal_std_m: f64,
     /// Whether the denoiser is not told the velocity of wanted states.
@@ -38,7 +38,7 @@ fn one_weight() -> Vec<f64> {
     vec![1.0]
 }
 
-const fn one_metre() -> f64 {
+const fn one_meter() -> f64 {
     1.0
 }
 

@@ -66,7 +66,7 @@ fn masks_do_not_depend_on_batches() {
 
 const GOALS: &str = "classifier_free = { extra = [{ agents = 'all', times = 'goal' }], goal_std_m = 0.0, weights =";
 
-/// The mean distance of all agents to their recorded place at the last timestep, metres.
+/// The mean distance of all agents to their recorded place at the last timestep, meters.
 fn goal_distance_m(records: &[ScenarioRecord]) -> f64 {
     let distances: Vec<f64> = records
         .iter()

@@ -70,7 +70,7 @@ pub struct PairSelectionConfig {
     /// Pairs of each scene that are asked, one at a time.
     #[schemars(range(min = 1, max = 10_000))]
     pub per_scene: usize,
-    /// Their largest distance at present, metres.
+    /// Their largest distance at present, meters.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_distance_m: f64,
     /// Whether pairs are left out that cannot show the behavior, as far as their past and the limits of driving tell. The recorded

@@ -132,7 +132,7 @@ fn proximity_rank(scene: &Scene, center: usize, agent_idx: usize) -> usize {
     (0..scene.tracks.len()).filter(|other| key(*other) < own).count()
 }
 
-/// Distance of two agents at present, metres; infinite unless both are tracked then.
+/// Distance of two agents at present, meters; infinite unless both are tracked then.
 fn distance_m(scene: &Scene, a: usize, b: usize) -> f64 {
     let position = |agent_idx| scene.state(agent_idx, scene.current_timestep()).map(|state| state.position);
     position(a).zip(position(b)).map_or(f64::INFINITY, |(a, b)| a.distance(b))

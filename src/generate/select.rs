@@ -234,7 +234,7 @@ mod tests {
 
     #[test]
     fn ranges_choose_how_critical_the_pair_is() {
-        // Cars of 4.5 m, ten metres apart from center to center, so 5.5 m from bumper to bumper at present. The one behind
+        // Cars of 4.5 m, ten meters apart from center to center, so 5.5 m from bumper to bumper at present. The one behind
         // drives at 10 m/s, the other at 6, 8 and 10 m/s for the 0.8 s of the future: the gap ends at 5.5 - 0.8 Δv, with
         // TTC = gap / Δv of 0.575 s, 1.95 s, and none for the third.
         let at = |speed_mps: f64| {

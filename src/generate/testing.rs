@@ -155,7 +155,7 @@ pub(super) fn generate(config: &GenerateConfig) -> Vec<ScenarioRecord> {
     })
 }
 
-/// The largest distance of two generated scenes' states, metres.
+/// The largest distance of two generated scenes' states, meters.
 pub(super) fn difference_m(a: &Scene, b: &Scene) -> f64 {
     let states = |scene: &Scene| -> Vec<_> {
         scene.tracks.iter().flat_map(|track| track.trajectory.valid().map(|(_, s)| *s).collect::<Vec<_>>()).collect()

@@ -13,7 +13,7 @@ pub fn angle_difference(to_rad: f64, from_rad: f64) -> f64 {
     wrap_angle(to_rad - from_rad)
 }
 
-/// Adds multiples of 2π so that neighbouring entries differ by at most π; the first entry is kept.
+/// Adds multiples of 2π so that neighboring entries differ by at most π; the first entry is kept.
 pub fn unwrap_angles(angles_rad: &mut [f64]) {
     for i in 1..angles_rad.len() {
         angles_rad[i] = angles_rad[i - 1] + angle_difference(angles_rad[i], angles_rad[i - 1]);

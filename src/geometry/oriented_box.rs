@@ -2,16 +2,16 @@
 
 use super::Vec2;
 
-/// A rectangle with its centre, heading and side lengths, such as a vehicle seen from above.
+/// A rectangle with its center, heading and side lengths, such as a vehicle seen from above.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OrientedBox {
-    /// Centre, metres.
+    /// Center, meters.
     pub center: Vec2,
     /// Direction of the long side, radians.
     pub heading_rad: f64,
-    /// Side along the heading, metres.
+    /// Side along the heading, meters.
     pub length_m: f64,
-    /// Side across the heading, metres.
+    /// Side across the heading, meters.
     pub width_m: f64,
 }
 
@@ -28,7 +28,7 @@ impl OrientedBox {
         ]
     }
 
-    /// Half the diagonal: no point of the box is farther from its centre.
+    /// Half the diagonal: no point of the box is farther from its center.
     pub fn radius(&self) -> f64 {
         self.length_m.hypot(self.width_m) / 2.0
     }
@@ -59,7 +59,7 @@ impl OrientedBox {
             .all(|axis| between.dot(axis).abs() <= half_extent(self, axis) + half_extent(other, axis))
     }
 
-    /// Smallest distance between the two boxes, metres; 0 when they overlap.
+    /// Smallest distance between the two boxes, meters; 0 when they overlap.
     pub fn distance(&self, other: &Self) -> f64 {
         if self.overlaps(other) {
             return 0.0;

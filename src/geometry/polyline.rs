@@ -9,9 +9,9 @@ pub struct Polyline(pub Vec<Vec2>);
 /// Where a point falls on a polyline.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Projection {
-    /// Distance along the polyline to the closest point, metres.
+    /// Distance along the polyline to the closest point, meters.
     pub station_m: f64,
-    /// Signed distance from the polyline, metres; positive to its left.
+    /// Signed distance from the polyline, meters; positive to its left.
     pub offset_m: f64,
     /// Direction of the polyline there, radians.
     pub heading_rad: f64,
@@ -20,7 +20,7 @@ pub struct Projection {
 }
 
 impl Polyline {
-    /// Length, metres.
+    /// Length, meters.
     pub fn length_m(&self) -> f64 {
         self.0.windows(2).map(|pair| pair[0].distance(pair[1])).sum()
     }

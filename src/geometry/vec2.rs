@@ -2,7 +2,7 @@
 
 use std::ops::{Add, Mul, Neg, Sub};
 
-/// A point or displacement, in metres (or metres per second for velocities).
+/// A point or displacement, in meters (or meters per second for velocities).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Vec2 {
     /// First coordinate.

@@ -3,9 +3,9 @@
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::scene::{Lane, LaneGraph, LaneId};
 
-/// Half the width of a lane whose boundaries the map does not give, metres.
+/// Half the width of a lane whose boundaries the map does not give, meters.
 const HALF_NOMINAL_WIDTH_M: f64 = 1.75;
-/// How far lanes are carried straight on where the map ends, metres: nothing is known of the road there.
+/// How far lanes are carried straight on where the map ends, meters: nothing is known of the road there.
 const EXTENSION_M: f64 = 100.0;
 
 /// The road of a scene: each lane as a chain of straight strips.
@@ -36,7 +36,7 @@ struct Strip {
 pub(super) struct NearestRoad {
     /// The nearest point of the center line of the nearest strip.
     pub(super) point: Vec2,
-    /// Half the width of that strip, metres.
+    /// Half the width of that strip, meters.
     pub(super) half_width_m: f64,
 }
 
@@ -47,7 +47,7 @@ impl RoadCorridors {
         Self { lanes: lanes.lanes().iter().filter_map(corridor).collect() }
     }
 
-    /// The center line of the strip that `point` is the fewest metres outside of (or, if it is on the road, one that it is
+    /// The center line of the strip that `point` is the fewest meters outside of (or, if it is on the road, one that it is
     /// inside of). `None` without lanes.
     pub(super) fn nearest(&self, point: Vec2) -> Option<NearestRoad> {
         let mut best: Option<(f64, NearestRoad)> = None;

@@ -38,7 +38,7 @@ pub struct SceneContext {
     pub valid: Tensor,
     /// 1 where the state is generated, (B, A, T).
     pub latent: Tensor,
-    /// Length and width of each agent, metres, (B, A, 2); 0 for padding.
+    /// Length and width of each agent, meters, (B, A, 2); 0 for padding.
     pub extent_m: Tensor,
     /// 1 for agents that drive on lanes, as far as is known, (B, A).
     pub motorized: Tensor,

@@ -9,15 +9,15 @@ use crate::scene::{AgentClass, LaneGraph, Scene, State, Track, TrackRole, Trajec
 use crate::seed::Seed;
 use std::sync::Arc;
 
-/// A standing vehicle takes the direction of a lane no farther than this from its center, metres.
+/// A standing vehicle takes the direction of a lane no farther than this from its center, meters.
 const MAX_LANE_DISTANCE_M: f64 = 5.0;
 
 /// An agent can gain speed by this at most, m/s²: the limit of what is taken for possible in generated traffic.
 const MAX_ACCELERATION_MPS2: f64 = 5.0;
-/// Lanes belong to a scene if they are within this distance of where anybody can get, metres.
+/// Lanes belong to a scene if they are within this distance of where anybody can get, meters.
 const SURROUNDINGS_M: f64 = 10.0;
 
-/// Beyond these a state is a fault of the recording, whatever the dataset: places are within kilometres of their origin. Single
+/// Beyond these a state is a fault of the recording, whatever the dataset: places are within kilometers of their origin. Single
 /// precision, in which scenes are stored, would not hold much more.
 pub(super) const MAX_COORDINATE_M: f64 = 1e6;
 const MAX_SPEED_MPS: f64 = 1e6;

@@ -60,7 +60,7 @@ pub struct IngestConfig {
     #[serde(default)]
     pub keep_static: bool,
     /// Lanes with any point within this distance of the ego's present position belong to the scene, and those that any agent of it can reach,
-    /// metres.
+    /// meters.
     #[serde(default = "default_map_radius_m")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub map_radius_m: f64,

@@ -96,7 +96,7 @@ fn eight_digits(text: &[u8]) -> Option<(u64, usize)> {
     if (((values & each(0x7f)) + each(0x7f - 9)) | values) & each(0x80) != 0 {
         return None;
     }
-    // Neighbours are joined: to pairs, to fours, to one number.
+    // Neighbors are joined: to pairs, to fours, to one number.
     let pairs = values.wrapping_mul(1 + (10 << 8)) >> 8;
     let fours = (pairs & 0x00ff_00ff_00ff_00ff).wrapping_mul(1 + (100 << 16)) >> 16;
     let whole = (fours & 0x0000_ffff_0000_ffff).wrapping_mul(1 + (10_000 << 32)) >> 32;

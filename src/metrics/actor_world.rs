@@ -6,7 +6,7 @@ use super::sample_group::{future, present_agents};
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 use crate::scene::{Benchmark, MissRule, Scene, TrackRole};
 
-/// Agents whose centers are closer than this collide, metres (Argoverse 2).
+/// Agents whose centers are closer than this collide, meters (Argoverse 2).
 const COLLISION_M: f64 = 1.0;
 
 /// Figures of Argoverse 2's benchmark of worlds, its word for joint samples.

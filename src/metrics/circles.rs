@@ -3,7 +3,7 @@
 use crate::geometry::Vec2;
 use crate::scene::{Extent, State, Track};
 
-/// Agents from these lengths on have three and five circles; shorter ones have two. Metres.
+/// Agents from these lengths on have three and five circles; shorter ones have two. Meters.
 const THREE_FROM_M: f64 = 4.0;
 const FIVE_FROM_M: f64 = 8.0;
 

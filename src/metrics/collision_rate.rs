@@ -5,7 +5,7 @@ use super::{Direction, Metric, MetricSpec, SampleGroup};
 use crate::behavior::sweep::Sweep;
 use crate::scene::{AgentClass, Scene};
 
-/// An agent that stays within this distance of its place at present stands, metres.
+/// An agent that stays within this distance of its place at present stands, meters.
 const MIN_MOTION_M: f64 = 1.0;
 
 /// Collision rate: the share of samples in which any two agents collide.

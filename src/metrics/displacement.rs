@@ -33,14 +33,14 @@ fn is_target(recorded: &Scene, agent_idx: usize) -> bool {
         && (0..recorded.n_timesteps).all(|timestep| track.trajectory.is_valid(timestep))
 }
 
-/// The distances of an agent to its recorded positions at the future timesteps at which it is recorded, metres.
+/// The distances of an agent to its recorded positions at the future timesteps at which it is recorded, meters.
 /// `None` where the sample lacks one of these states.
 pub(super) fn displacements_m(recorded: &Scene, sample: &Scene, agent_idx: usize) -> Option<Vec<f64>> {
     let recorded_timesteps = future(recorded).filter(|timestep| recorded.state(agent_idx, *timestep).is_some());
     recorded_timesteps.map(|timestep| displacement_m(recorded, sample, agent_idx, timestep)).collect()
 }
 
-/// The distance of an agent to its recorded position at the last timestep, metres. `None` where it is not recorded
+/// The distance of an agent to its recorded position at the last timestep, meters. `None` where it is not recorded
 /// then, where the sample lacks it, or where there is no future.
 pub(super) fn final_displacement_m(recorded: &Scene, sample: &Scene, agent_idx: usize) -> Option<f64> {
     displacement_m(recorded, sample, agent_idx, future(recorded).last()?)

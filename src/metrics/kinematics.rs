@@ -54,7 +54,7 @@ impl Metric for JerkViolationRate {
 }
 
 /// For every motorized agent tracked at present that has such a difference of positions in the future, whether any of
-/// them exceeds `limit` (in metres per second to the power of the order of the difference) or is no number.
+/// them exceeds `limit` (in meters per second to the power of the order of the difference) or is no number.
 fn exceeds(scene: &Scene, weights: &[f64], limit: f64) -> Vec<bool> {
     let stride = (STRIDE_S / scene.dt_s).round().max(1.0) as usize;
     let order = weights.len() - 1;

@@ -53,12 +53,12 @@ impl Metric for MinAdeOfMinFde {
     }
 }
 
-/// The mean displacement of the ego over the future, metres.
+/// The mean displacement of the ego over the future, meters.
 pub(super) fn ego_ade_m(recorded: &Scene, sample: &Scene) -> Option<f64> {
     mean(&displacements_m(recorded, sample, recorded.ego_idx)?)
 }
 
-/// The displacement of the ego at the last timestep, metres.
+/// The displacement of the ego at the last timestep, meters.
 pub(super) fn ego_fde_m(recorded: &Scene, sample: &Scene) -> Option<f64> {
     final_displacement_m(recorded, sample, recorded.ego_idx)
 }

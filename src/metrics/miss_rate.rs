@@ -3,12 +3,12 @@
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 use crate::scene::{MissRule, State};
 
-/// Farthest miss along the motion of a slow and of a fast vehicle, metres, and the speeds these are, m/s (INTERACTION).
+/// Farthest miss along the motion of a slow and of a fast vehicle, meters, and the speeds these are, m/s (INTERACTION).
 const LONGITUDINAL_M: [f64; 2] = [1.0, 2.0];
 const SPEEDS_MPS: [f64; 2] = [1.4, 11.0];
-/// Farthest miss across the motion, metres (INTERACTION).
+/// Farthest miss across the motion, meters (INTERACTION).
 const LATERAL_M: f64 = 1.0;
-/// Farthest miss in any direction, metres (Argoverse).
+/// Farthest miss in any direction, meters (Argoverse).
 const RADIAL_M: f64 = 2.0;
 
 /// Miss rate of the ego: 1 where every sample misses at the last timestep, else 0.

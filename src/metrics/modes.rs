@@ -25,7 +25,7 @@ pub struct ModesConfig {
     /// Fits from different starts, of which the likeliest is taken.
     #[schemars(range(min = 1, max = 1_000))]
     pub n_starts: usize,
-    /// Least standard deviation of a mode in any coordinate, metres. With fewer samples than coordinates a mixture needs one.
+    /// Least standard deviation of a mode in any coordinate, meters. With fewer samples than coordinates a mixture needs one.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_std_m: f64,
 }

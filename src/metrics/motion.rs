@@ -12,7 +12,7 @@ use crate::scene::{Scene, Track};
 
 /// Timesteps between those at which distances are measured: neighboring ones say the same.
 const DISTANCE_STRIDE: usize = 5;
-/// Below this speed a heading says little, metres per second.
+/// Below this speed a heading says little, meters per second.
 const MOVING_MPS: f64 = 1.0;
 /// Time between the positions whose third differences are taken, seconds: the noise of positions is divided by its cube.
 const JERK_STRIDE_S: f64 = 0.3;
@@ -123,7 +123,7 @@ fn over_tracks(scene: &Scene, values: fn(&Scene, &Track) -> Vec<f64>) -> Vec<f64
     scene.tracks.iter().flat_map(|track| values(scene, track)).collect()
 }
 
-/// The velocity over the `stride` timesteps that end at `timestep`, metres per second.
+/// The velocity over the `stride` timesteps that end at `timestep`, meters per second.
 fn velocity(scene: &Scene, track: &Track, timestep: usize, stride: usize) -> Option<Vec2> {
     let before = track.trajectory.get(timestep.checked_sub(stride)?)?;
     Some((track.trajectory.get(timestep)?.position - before.position) * (1.0 / (stride as f64 * scene.dt_s)))

@@ -7,8 +7,8 @@ use crate::scene::Scene;
 
 /// Off-road rate: of the motorized agents, over all samples, that are on the road at present, the share that leaves it.
 ///
-/// An agent is on the road if its centre is within the outline of any lane, or at most 0.3 m outside; for lanes without
-/// boundaries, if it is at most 1.9 m from the centre line. Where the map ends nothing is known of the road, so lanes
+/// An agent is on the road if its center is within the outline of any lane, or at most 0.3 m outside; for lanes without
+/// boundaries, if it is at most 1.9 m from the center line. Where the map ends nothing is known of the road, so lanes
 /// are carried straight on beyond ends that no lane continues. Not defined for scenes without lanes.
 #[derive(Debug, Clone, Copy)]
 pub struct OffroadRate;

@@ -5,12 +5,12 @@ use crate::behavior::lane_relation::{HALF_NOMINAL_WIDTH_M, is_in_polygon};
 use crate::geometry::{Polyline, Vec2};
 use crate::scene::{Lane, LaneGraph, LaneId};
 
-/// Points this far outside the outlines still count as on the road, metres (nuPlan's tolerance).
+/// Points this far outside the outlines still count as on the road, meters (nuPlan's tolerance).
 const SLACK_M: f64 = 0.3;
-/// How far a lane is carried straight on where the map ends, metres: nothing is known of the road there.
+/// How far a lane is carried straight on where the map ends, meters: nothing is known of the road there.
 const EXTENSION_M: f64 = 100.0;
 
-/// The union of the outlines of all lanes; of lanes without boundaries the strip of 3.8 m around the centre line.
+/// The union of the outlines of all lanes; of lanes without boundaries the strip of 3.8 m around the center line.
 pub(super) struct Road {
     pieces: Vec<(Bounds, Piece)>,
 }
@@ -18,7 +18,7 @@ pub(super) struct Road {
 enum Piece {
     /// An area with a closed outline, and that outline.
     Outline(Vec<Vec2>, Polyline),
-    /// A strip around a centre line.
+    /// A strip around a center line.
     Strip(Polyline),
 }
 
@@ -47,7 +47,7 @@ impl Road {
         candidates().any(|piece| piece.contains(point)) || candidates().any(|piece| piece.is_near(point))
     }
 
-    /// How far `point` is off the road, metres: 0 on it. No number for a point that is none.
+    /// How far `point` is off the road, meters: 0 on it. No number for a point that is none.
     pub(super) fn distance_m(&self, point: Vec2) -> f64 {
         if !point.is_finite() {
             return f64::NAN;
@@ -70,7 +70,7 @@ impl Piece {
         matches!(self, Self::Outline(outline, _) if is_in_polygon(outline, point))
     }
 
-    /// How far `point`, which is within no outline, is from the piece, metres.
+    /// How far `point`, which is within no outline, is from the piece, meters.
     fn distance_m(&self, point: Vec2) -> f64 {
         let (line, half_width_m) = match self {
             Self::Outline(_, closed) => (closed, 0.0),

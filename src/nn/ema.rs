@@ -7,7 +7,7 @@ use candle_core::{Result, Tensor, bail};
 use super::ops;
 use super::params::Params;
 
-/// A moving average of a model's parameters. Its decay grows from 0.1 towards the nominal one as min(decay,
+/// A moving average of a model's parameters. Its decay grows from 0.1 toward the nominal one as min(decay,
 /// (1 + n) / (10 + n)) after n updates, so that short runs are not dominated by the first, random values.
 #[derive(Debug, Clone)]
 pub struct Ema {
@@ -40,7 +40,7 @@ impl Ema {
         &self.tensors
     }
 
-    /// Moves the average towards the present values of `params`.
+    /// Moves the average toward the present values of `params`.
     ///
     /// # Errors
     /// When `params` are not those that the average was made of.

@@ -88,8 +88,8 @@ impl AgentClass {
 /// Length and width of a road user seen from above.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Extent {
-    /// Along the heading, metres.
+    /// Along the heading, meters.
     pub length_m: f64,
-    /// Across the heading, metres.
+    /// Across the heading, meters.
     pub width_m: f64,
 }

@@ -48,11 +48,11 @@ pub struct ShiftTime {
 pub struct Shift {
     /// Who.
     pub agent: AgentRef,
-    /// How far ahead, metres; negative: behind.
+    /// How far ahead, meters; negative: behind.
     #[serde(default)]
     #[schemars(range(min = -1e4, max = 1e4))]
     pub along_m: f64,
-    /// How far to the left, metres; negative: to the right.
+    /// How far to the left, meters; negative: to the right.
     #[serde(default)]
     #[schemars(range(min = -1e4, max = 1e4))]
     pub left_m: f64,
@@ -93,10 +93,10 @@ pub struct TimedPoint {
     /// When, seconds after the present.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 60.0))]
     pub t_s: f64,
-    /// Where: metres ahead of the scene's ego agent at present, along its heading then.
+    /// Where: meters ahead of the scene's ego agent at present, along its heading then.
     #[schemars(range(min = -1e6, max = 1e6))]
     pub x_m: f64,
-    /// Where: metres to the left of it.
+    /// Where: meters to the left of it.
     #[schemars(range(min = -1e6, max = 1e6))]
     pub y_m: f64,
 }
@@ -112,7 +112,7 @@ pub struct Meet {
     /// When, seconds after the present.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 60.0))]
     pub at_s: f64,
-    /// How far ahead of the other one, metres along its heading; negative: behind.
+    /// How far ahead of the other one, meters along its heading; negative: behind.
     #[serde(default)]
     #[schemars(range(min = -1e4, max = 1e4))]
     pub ahead_m: f64,

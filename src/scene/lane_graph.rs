@@ -41,7 +41,7 @@ pub struct LaneAttributes {
 pub struct Lane {
     /// The map's name for it.
     pub id: LaneId,
-    /// Points in driving direction, metres.
+    /// Points in driving direction, meters.
     pub centerline: Polyline,
     /// Left boundary in driving direction; empty where the map has none.
     pub left: Polyline,

@@ -3,7 +3,7 @@
 use super::{Scene, State, Trajectory};
 use crate::geometry::{Polyline, Vec2, angle_difference, wrap_angle};
 
-/// Steps below this length say nothing of the heading, metres.
+/// Steps below this length say nothing of the heading, meters.
 const STANDING_STEP_M: f64 = 0.05;
 
 /// A recorded course as a function of continuous time: linear between states, carried on at constant velocity beyond them.
@@ -98,7 +98,7 @@ mod tests {
 
     #[test]
     fn courses_are_interpolated_and_carried_on() {
-        // 10 m/s at 10 Hz: one metre a timestep; no states at 5 and 6, nor after 9.
+        // 10 m/s at 10 Hz: one meter a timestep; no states at 5 and 6, nor after 9.
         let scene = without_states(scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]), 0, |t| t == 5 || t == 6 || t > 9);
         let motion = Motion::new(&scene.tracks[0].trajectory, scene.dt_s).unwrap();
         for time in [-2.0, 0.0, 3.25, 5.5, 9.0, 14.5] {

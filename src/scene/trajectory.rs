@@ -5,16 +5,16 @@ use crate::geometry::{Transform2, Vec2};
 /// One agent at one timestep.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct State {
-    /// Centre of the agent in the scene frame, metres.
+    /// Center of the agent in the scene frame, meters.
     pub position: Vec2,
     /// Direction in the scene frame, radians in (-π, π].
     pub heading_rad: f64,
-    /// Velocity in the scene frame, metres per second.
+    /// Velocity in the scene frame, meters per second.
     pub velocity: Vec2,
 }
 
 impl State {
-    /// Speed, metres per second.
+    /// Speed, meters per second.
     pub fn speed_mps(&self) -> f64 {
         self.velocity.norm()
     }
@@ -49,7 +49,7 @@ pub struct Derivation {
 pub struct RecordedPosition {
     /// Seconds after the present.
     pub time_s: f64,
-    /// Centre of the agent in the scene frame, metres.
+    /// Center of the agent in the scene frame, meters.
     pub position: Vec2,
 }
 

@@ -19,7 +19,7 @@ pub struct Assessment {
     pub cut_in: Option<CutInJudgment>,
     /// Distance of its event from the nearest recorded one, in typical spreads.
     pub nearest_recorded_event: Option<f64>,
-    /// Distance of the paths of those who were asked from the nearest accepted scenario before it, metres.
+    /// Distance of the paths of those who were asked from the nearest accepted scenario before it, meters.
     pub nearest_scenario_m: Option<f64>,
     /// That scenario, where it is too near to be another one.
     pub near_duplicate_of: Option<String>,

@@ -257,7 +257,7 @@ mod tests {
                     for (state, original) in track.trajectory.entries().iter().zip(original.trajectory.entries()) {
                         prop_assert_eq!(state.is_some(), original.is_some());
                         let (Some(state), Some(original)) = (state, original) else { continue };
-                        // In the recording's frame, to which single precision would give only decimetres.
+                        // In the recording's frame, to which single precision would give only decimeters.
                         let world = |s: &crate::scene::State| scene.world_from_scene.point(s.position);
                         prop_assert!(world(state).distance(world(original)) < 1e-4);
                     }

@@ -78,7 +78,7 @@ impl AgentFrame {
     }
 }
 
-/// Distance below which motion says nothing of the heading, metres.
+/// Distance below which motion says nothing of the heading, meters.
 const STANDING_STEP_M: f64 = 0.05;
 
 /// Velocities of generated entries by backward difference, and where wanted headings along the motion.

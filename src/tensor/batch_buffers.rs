@@ -47,7 +47,7 @@ impl BatchBuffers {
         }
     }
 
-    /// Writes the clean diffused states of the agent at `at` in (B, A), given by timestep in metres and radians.
+    /// Writes the clean diffused states of the agent at `at` in (B, A), given by timestep in meters and radians.
     pub(super) fn write_x0(&mut self, at: usize, values: impl IntoIterator<Item = (usize, [f64; 3])>, unit: &[f64; 3]) {
         write_entries(&mut self.x0, at, &self.shape, values, unit);
     }
@@ -123,7 +123,7 @@ impl BatchBuffers {
     }
 }
 
-/// Writes values in metres and radians, by timestep, as those of the agent at `at` in (B, A) of a (B, A, T, D) buffer.
+/// Writes values in meters and radians, by timestep, as those of the agent at `at` in (B, A) of a (B, A, T, D) buffer.
 fn write_entries(
     buffer: &mut [f32],
     at: usize,

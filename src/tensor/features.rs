@@ -44,7 +44,7 @@ pub(super) fn lane_polylines(
     pieces.into_iter().map(|(_, points, lane)| polyline_features(&points, lane, normalizer)).collect()
 }
 
-/// Approximately equal pieces of at most `LANE_POINTS` points; neighbours share a point.
+/// Approximately equal pieces of at most `LANE_POINTS` points; neighbors share a point.
 fn split(line: &Polyline) -> Vec<Vec<Vec2>> {
     let n_segments = line.0.len().saturating_sub(1);
     if n_segments == 0 {

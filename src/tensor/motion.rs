@@ -1,6 +1,6 @@
 //! From residuals to residual motion and back: smooth paths out of independent numbers.
 //!
-//! Independent errors of a few centimetres in neighbouring positions are accelerations that no vehicle reaches. The motion
+//! Independent errors of a few centimeters in neighboring positions are accelerations that no vehicle reaches. The motion
 //! parametrization diffuses instead the numbers z from which a Brownian path makes the residuals r of an agent: away from
 //! its observed states r is the running sum of z, and between two of them a Brownian bridge. Whatever z is, r is
 //! continuous with the observed states, and small errors in z are small errors in velocity.

@@ -22,7 +22,7 @@ pub enum StateParametrization {
     Motion,
 }
 
-/// Scales from normalized units to metres and radians. Constants of the training set, so that nothing of a
+/// Scales from normalized units to meters and radians. Constants of the training set, so that nothing of a
 /// scene's future leaks into its scaling, and any scene can be mapped back.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -31,25 +31,25 @@ pub struct Normalizer {
     pub parametrization: StateParametrization,
     /// Dimensions of a diffused state: 3 (x, y, heading), or 2 where headings are not recorded.
     pub state_dim: usize,
-    /// Metres per unit of position in the ego frame, one for both axes; also scales the map.
+    /// Meters per unit of position in the ego frame, one for both axes; also scales the map.
     pub position_unit_m: f64,
     /// Radians per unit of heading in the ego frame.
     pub heading_unit_rad: f64,
-    /// Metres per unit of residual along the agent's heading.
+    /// Meters per unit of residual along the agent's heading.
     pub longitudinal_unit_m: f64,
-    /// Metres per unit of residual across the agent's heading.
+    /// Meters per unit of residual across the agent's heading.
     pub lateral_unit_m: f64,
     /// Radians per unit of residual heading.
     pub residual_heading_unit_rad: f64,
-    /// Metres per timestep per unit of residual motion along the agent's heading.
+    /// Meters per timestep per unit of residual motion along the agent's heading.
     pub motion_longitudinal_unit_m: f64,
-    /// Metres per timestep per unit of residual motion across the agent's heading.
+    /// Meters per timestep per unit of residual motion across the agent's heading.
     pub motion_lateral_unit_m: f64,
     /// Radians per timestep per unit of residual turning.
     pub motion_heading_unit_rad: f64,
-    /// Metres per second per unit of observed velocity.
+    /// Meters per second per unit of observed velocity.
     pub velocity_unit_mps: f64,
-    /// Metres per unit of an agent's size.
+    /// Meters per unit of an agent's size.
     pub extent_unit_m: f64,
     /// How diffused motion is correlated along time (motion parametrization only); checkpoints written before it was
     /// gathered have none.

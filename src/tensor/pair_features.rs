@@ -4,7 +4,7 @@ use super::{SceneBatch, StateParametrization};
 use crate::geometry::{Transform2, Vec2, wrap_angle};
 use candle_core::{Result, Tensor};
 
-/// Metres per unit of the fixed positions; of the order of what separates two agents that meet.
+/// Meters per unit of the fixed positions; of the order of what separates two agents that meet.
 const POSITION_UNIT_M: f32 = 20.0;
 /// Fixed features of an agent at a timestep: base position (2), cosine and sine of the base heading, observed, latent.
 const FIXED: usize = 6;

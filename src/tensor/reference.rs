@@ -45,7 +45,7 @@ impl<'a> Reference<'a> {
     }
 
     /// What an agent was seen to do: for each observed timestep but the first, its motion from the observed state before,
-    /// per timestep, beyond that of constant velocity in its own frame: (longitudinal and lateral metres, radians).
+    /// per timestep, beyond that of constant velocity in its own frame: (longitudinal and lateral meters, radians).
     pub(super) fn observed_motion(&self) -> impl Iterator<Item = (usize, [f64; 3])> + '_ {
         let carried = self.observed.get(self.anchor).map_or(Vec2::ZERO, |(_, state)| state.velocity * self.dt_s);
         self.observed.windows(2).map(move |pair| {

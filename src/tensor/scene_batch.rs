@@ -8,7 +8,7 @@ use std::sync::Arc;
 /// Scenes as padded tensors: B scenes, A agents, T timesteps, L polylines, D dimensions of a diffused state.
 ///
 /// An entry is *latent* when it is to be generated, *observed* when it is given, *valid* when it is either.
-/// Everything else is padding, and zero. Diffused values x are related to metres and radians in the row's ego
+/// Everything else is padding, and zero. Diffused values x are related to meters and radians in the row's ego
 /// frame by `decode`: base + rotation · (unit · path · x) on latent entries; observed entries are the base itself.
 #[derive(Debug, Clone)]
 pub struct SceneBatch {
@@ -34,11 +34,11 @@ pub struct SceneBatch {
     pub lanes: Tensor,
     /// 1 where a polyline is no padding, (B, L).
     pub lane_valid: Tensor,
-    /// Decoding: base (B, A, T, 3), metres and radians.
+    /// Decoding: base (B, A, T, 3), meters and radians.
     pub base: Tensor,
     /// Decoding: cosine and sine of each agent's frame in the ego frame, (B, A, 2).
     pub rotation: Tensor,
-    /// Decoding: metres and radians per unit of x, (B, A, 3).
+    /// Decoding: meters and radians per unit of x, (B, A, 3).
     pub unit: Tensor,
     /// Decoding: the matrix of each agent by which residuals along time follow from x, (B, A, T, T), in the motion
     /// parametrization; in the others x is the residual itself.
@@ -116,7 +116,7 @@ impl SceneBatch {
         })
     }
 
-    /// Positions and headings of diffused states `x` (B, A, T, D): (B, A, T, 3), metres and radians in each row's
+    /// Positions and headings of diffused states `x` (B, A, T, D): (B, A, T, 3), meters and radians in each row's
     /// ego frame. Linear in `x`, and differentiable. Without a diffused heading (D = 2) the base heading is returned.
     ///
     /// # Errors

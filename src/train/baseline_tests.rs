@@ -59,10 +59,10 @@ fn scalar(tensor: &Tensor) -> f64 {
 #[test]
 fn the_loss_is_that_of_the_best_future_by_hand() {
     let batch = batch(StateParametrization::Residual, 2);
-    // Futures that are the recorded one, moved along the agent's axis by so many metres in every latent state.
+    // Futures that are the recorded one, moved along the agent's axis by so many meters in every latent state.
     let unit = batch.unit.narrow(2, 0, 1).unwrap().unsqueeze(2).unwrap();
-    let moved = |row: usize, metres: f64| {
-        let shift = (unit.recip().unwrap() * metres).unwrap();
+    let moved = |row: usize, meters: f64| {
+        let shift = (unit.recip().unwrap() * meters).unwrap();
         let zero = shift.zeros_like().unwrap();
         let shift = Tensor::cat(&[&shift, &zero, &zero], 3).unwrap();
         let x0 = batch.x0.broadcast_add(&shift).unwrap();

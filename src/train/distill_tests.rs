@@ -172,7 +172,7 @@ fn jumps(levels: &[f64]) -> SamplerConfig {
     SamplerConfig::Consistency(ConsistencyConfig { sigma_max: None, levels: levels.to_vec() })
 }
 
-/// Where the car ends sideways in 64 samples of a few evaluations, metres.
+/// Where the car ends sideways in 64 samples of a few evaluations, meters.
 fn endings_m(trained: &TrainedDenoiser, sampler: &SamplerConfig) -> Vec<f64> {
     let forked = fork(0);
     let mask = ObservationMask::predictive(1, 12, 4);

@@ -330,7 +330,7 @@ mod tests {
     use crate::seed::Seed;
     use candle_core::Device;
 
-    /// Least squares towards a target that depends on the step; fails at one step, as a killed process would.
+    /// Least squares toward a target that depends on the step; fails at one step, as a killed process would.
     struct Chase {
         x: Tensor,
         fails_at: Option<u64>,

@@ -18,7 +18,7 @@ pub struct JointLoss {
 impl JointLoss {
     /// The loss of `futures` predicted for `batch`.
     ///
-    /// The error of a decoded state is √(1 + d²) - 1 of its distance d in metres, plus the same of its angle in radians: Huber's
+    /// The error of a decoded state is √(1 + d²) - 1 of its distance d in meters, plus the same of its angle in radians: Huber's
     /// loss with a smooth turn, d² / 2 near zero and d - 1 far out. The error of a future is its mean over the scene's latent
     /// states; the future with the least is the best one, and the only one whose states get a gradient. Decoded states count,
     /// rather than diffused ones, because displacements are what futures are compared by, in every parametrization.

@@ -110,7 +110,7 @@ impl PairExample {
     }
 }
 
-/// At most `max_examples` of the labelled pairs, in their order.
+/// At most `max_examples` of the labeled pairs, in their order.
 fn limit(labels: BTreeMap<PairKey, bool>, max_examples: usize, seed: Seed) -> Vec<(PairKey, bool)> {
     let mut labels: Vec<(PairKey, bool)> = labels.into_iter().collect();
     if labels.len() > max_examples {

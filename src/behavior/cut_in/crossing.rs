@@ -29,7 +29,7 @@ pub(super) struct Crossing {
     pub(super) reached: usize,
     /// When its center crosses the side of the lane.
     pub(super) crossing: usize,
-    /// How far the ego moves toward it, metres.
+    /// How far the ego moves toward it, meters.
     pub(super) ego_shift_m: f64,
     /// How they stand to each other at the intrusion.
     pub(super) moment: Intrusion,
@@ -167,7 +167,7 @@ fn state(track: &Track, timestep: usize) -> Option<&State> {
 }
 
 /// How far an agent gets to the left between two timesteps (or the first and last between them at which it is tracked), across the mean of its
-/// headings at both, metres: nothing on an even bend.
+/// headings at both, meters: nothing on an even bend.
 fn across_headings_m(track: &Track, from: usize, to: usize) -> Option<f64> {
     let mut states = (from..=to).filter_map(|timestep| state(track, timestep));
     let first = states.next()?;

@@ -103,7 +103,7 @@ const fn default_class() -> AgentClass {
     AgentClass::Vehicle
 }
 
-/// A lane: a centre line and, if `width_m` is given, boundaries beside it.
+/// A lane: a center line and, if `width_m` is given, boundaries beside it.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct LaneSpec {

@@ -13,11 +13,11 @@ use std::ops::Range;
 
 /// The fastest that anything on a road is, m/s.
 const MAX_SPEED_MPS: f64 = 100.0;
-/// The largest size of a road user, metres.
+/// The largest size of a road user, meters.
 const MAX_SIZE_M: f32 = 40.0;
-/// The farthest that a state can be from its scene's origin, metres.
+/// The farthest that a state can be from its scene's origin, meters.
 const MAX_DISTANCE_M: f64 = 5000.0;
-/// How well both frames must agree, metres: single precision within [`MAX_DISTANCE_M`] is good to half of a millimetre.
+/// How well both frames must agree, meters: single precision within [`MAX_DISTANCE_M`] is good to half of a millimeter.
 const FRAME_TOLERANCE_M: f64 = 0.01;
 
 /// The columns of states.

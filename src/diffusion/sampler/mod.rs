@@ -188,7 +188,7 @@ fn slope(x: &Tensor, x0_hat: &Tensor, sigma: f64) -> Result<Tensor> {
     (x - x0_hat)? / sigma
 }
 
-/// The pairs of neighbouring noise levels, with their index.
+/// The pairs of neighboring noise levels, with their index.
 fn steps(sigmas: &[f64]) -> impl Iterator<Item = (usize, f64, f64)> {
     sigmas.windows(2).enumerate().map(|(step_idx, pair)| (step_idx, pair[0], pair[1]))
 }

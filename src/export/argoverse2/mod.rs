@@ -197,7 +197,7 @@ fn lane_segment(lane: &Lane, bounds: &LaneBounds) -> Value {
     })
 }
 
-/// To the micrometre, which is shorter to write.
+/// To the micrometer, which is shorter to write.
 fn rounded(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }

@@ -61,7 +61,7 @@ fn obstacles_move_from_the_present_on() {
     assert_eq!(obstacles.iter().map(|o| o.attr("id")).collect::<Vec<_>>(), ["3", "4", "5"]);
     assert_eq!(written.tracks, ["3", "4", "5"].map(|id| Ok(id.to_owned())));
     let initial = obstacles[0].at("initialState");
-    // The present is timestep 3: three metres to the north of the origin, heading north at 10 m/s.
+    // The present is timestep 3: three meters to the north of the origin, heading north at 10 m/s.
     assert_eq!(xy(initial.at("position").at("point")), (1000.0, 2003.0));
     assert_eq!((initial.at("time").number("exact"), initial.at("velocity").number("exact")), (0.0, 10.0));
     let sideways = obstacles[2].at("initialState");

@@ -4,12 +4,12 @@ use super::reference_line::ReferenceLine;
 use crate::export::lane_bounds::LaneBounds;
 use crate::geometry::{Polyline, Vec2};
 
-/// Records that the one before foretells to within this are left out, metres.
+/// Records that the one before foretells to within this are left out, meters.
 const FORETOLD_M: f64 = 1e-3;
-/// A boundary further away is another part of a lane that comes back, metres.
+/// A boundary further away is another part of a lane that comes back, meters.
 const MAX_OFFSET_M: f64 = 30.0;
 
-/// The edges of a lane at a place along its reference line, metres to the left.
+/// The edges of a lane at a place along its reference line, meters to the left.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Edges {
     pub(super) s_m: f64,

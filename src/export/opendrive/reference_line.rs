@@ -1,23 +1,23 @@
 //! Which smooth curve runs along the middle of a lane? Straight pieces with rounded corners between them.
 //!
 //! The standard wants a curve without jumps of its direction, and the map has polylines. Each corner is rounded by a parabola
-//! that stays within [`ROUNDED_BY_M`] of it, so that the curve is the polyline's to within a centimetre.
+//! that stays within [`ROUNDED_BY_M`] of it, so that the curve is the polyline's to within a centimeter.
 
 use crate::geometry::{Vec2, wrap_angle};
 
-/// How far the curve may pass beside a corner, metres.
+/// How far the curve may pass beside a corner, meters.
 const ROUNDED_BY_M: f64 = 0.01;
-/// Directions that differ by less are one, radians: a millimetre over ten metres.
+/// Directions that differ by less are one, radians: a millimeter over ten meters.
 const STRAIGHT_RAD: f64 = 1e-4;
-/// Points of the polyline that are closer to each other are one: shorter pieces have no direction of their own, metres.
+/// Points of the polyline that are closer to each other are one: shorter pieces have no direction of their own, meters.
 const MIN_SPACING_M: f64 = 0.05;
 
 /// A piece of the curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Piece {
-    /// Distance along the curve at which it begins, metres.
+    /// Distance along the curve at which it begins, meters.
     pub(super) s_m: f64,
-    /// Metres along the curve.
+    /// Meters along the curve.
     pub(super) length_m: f64,
     pub(super) start: Vec2,
     pub(super) heading_rad: f64,
@@ -83,7 +83,7 @@ impl ReferenceLine {
         Some(Self { pieces })
     }
 
-    /// Metres.
+    /// Meters.
     pub(super) fn length_m(&self) -> f64 {
         self.pieces.last().map_or(0.0, |last| last.s_m + last.length_m)
     }
@@ -153,7 +153,7 @@ mod tests {
     use std::f64::consts::FRAC_PI_2;
 
     #[test]
-    fn corners_are_rounded_within_a_centimetre_and_nothing_jumps() {
+    fn corners_are_rounded_within_a_centimeter_and_nothing_jumps() {
         let points: Vec<Vec2> =
             [(0.0, 0.0), (10.0, 0.0), (20.0, 0.0), (20.0, 30.0), (21.0, 60.0)].map(|(x, y)| Vec2::new(x, y)).into();
         let line = ReferenceLine::along(&points).unwrap();

@@ -5,7 +5,7 @@ use crate::export::testing::{self, Node};
 use crate::geometry::{Polyline, Vec2};
 use std::f64::consts::FRAC_PI_2;
 
-/// How far a lane may be from its road, metres.
+/// How far a lane may be from its road, meters.
 const NEAR_M: f64 = 0.03;
 
 fn document(lanes: Vec<Lane>) -> Node {
@@ -73,7 +73,7 @@ fn arc(radius_m: f64, n: usize) -> Vec<Vec2> {
 }
 
 #[test]
-fn points_along_lanes_lie_on_their_roads_within_centimetres() {
+fn points_along_lanes_lie_on_their_roads_within_centimeters() {
     let point = |x: f64, y: f64| Vec2::new(x, y);
     let turn = lane(1, arc(10.0, 24), arc(13.5, 31));
     // A lane that narrows to nothing, one with oblique ends, and one whose boundaries have corners in different places.

@@ -26,7 +26,7 @@ fn at(records: &[ScenarioRecord], strength: f64, weight: f64) -> Vec<&ScenarioRe
     records.iter().filter(|record| record.scenario.provenance.guidance.level == level).collect()
 }
 
-/// The largest distance of states of the same samples, metres.
+/// The largest distance of states of the same samples, meters.
 fn apart_m(a: &[&ScenarioRecord], b: &[&ScenarioRecord]) -> f64 {
     assert!(!a.is_empty() && a.len() == b.len());
     a.iter().zip(b).map(|(a, b)| difference_m(&a.scenario.scene, &b.scenario.scene)).fold(0.0, f64::max)

@@ -39,7 +39,7 @@ pub struct AdversarialTtc {
     #[serde(default = "default_tolerance_per_s")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_per_s: f64,
-    /// The distance τ_m of passing that costs ½, metres.
+    /// The distance τ_m of passing that costs ½, meters.
     #[serde(default = "default_tolerance_m")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
@@ -61,7 +61,7 @@ fn ego() -> AgentSelector {
     AgentSelector::new(AgentSelector::EGO)
 }
 
-/// The gap below which time to collision no longer shrinks, metres: its inverse would grow without bound.
+/// The gap below which time to collision no longer shrinks, meters: its inverse would grow without bound.
 const LEAST_GAP_M: f64 = 0.5;
 
 impl SceneObjective for AdversarialTtc {
@@ -105,7 +105,7 @@ impl SceneObjective for AdversarialTtc {
     }
 }
 
-/// Rounding of the distance of passing at zero, in metres times m/s.
+/// Rounding of the distance of passing at zero, in meters times m/s.
 const SMALL: f64 = 0.05;
 
 #[cfg(test)]

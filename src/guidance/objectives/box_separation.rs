@@ -3,13 +3,13 @@
 use super::pairs::Pairs;
 use candle_core::{D, Result, Tensor};
 
-/// Width over which the largest of the four separations goes over into the next, metres.
+/// Width over which the largest of the four separations goes over into the next, meters.
 const BLEND_M: f64 = 0.1;
-/// Rounding of |z| at zero: of distances along an axis (metres) and of |cos|, |sin| (1).
+/// Rounding of |z| at zero: of distances along an axis (meters) and of |cos|, |sin| (1).
 const ROUNDING_M: f64 = 0.02;
 const ROUNDING: f64 = 0.01;
 
-/// The separation of the boxes of each pair at each timestep, metres, (P, T): the largest gap between their projections onto
+/// The separation of the boxes of each pair at each timestep, meters, (P, T): the largest gap between their projections onto
 /// any of their four axes, which is negative exactly when they overlap, and never more than their distance.
 ///
 /// The largest of the four is taken as β (ln Σ exp(gₖ / β) - ln 4) with β = 0.1 m, and |z| as √(z² + r²): smooth, and at
@@ -42,7 +42,7 @@ fn magnitude(z: &Tensor, rounding: f64) -> Result<Tensor> {
     (z.sqr()? + rounding * rounding)?.sqrt()
 }
 
-/// Half the sides of boxes, each (P, 1), metres.
+/// Half the sides of boxes, each (P, 1), meters.
 struct Half {
     length_m: Tensor,
     width_m: Tensor,

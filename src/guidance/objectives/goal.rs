@@ -22,17 +22,17 @@ pub struct Goal {
     /// In which frame the place is given.
     #[serde(default)]
     pub frame: GoalFrame,
-    /// The place g, along the x axis of its frame (ahead), metres.
+    /// The place g, along the x axis of its frame (ahead), meters.
     #[schemars(range(min = -1e6, max = 1e6))]
     pub x_m: f64,
-    /// The place g, along the y axis of its frame (to the left), metres.
+    /// The place g, along the y axis of its frame (to the left), meters.
     #[schemars(range(min = -1e6, max = 1e6))]
     pub y_m: f64,
     /// The time t*, seconds after the present. Left out: the last timestep, as also for times beyond it.
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub time_s: Option<f64>,
-    /// The distance τ from the place that costs ½, metres.
+    /// The distance τ from the place that costs ½, meters.
     #[serde(default = "default_tolerance_m")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,

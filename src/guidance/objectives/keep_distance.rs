@@ -25,14 +25,14 @@ pub struct KeepDistance {
     /// To whom: `all`, `ego` or a role.
     #[serde(default)]
     pub to: AgentSelector,
-    /// The least distance d_min of the centers, metres.
+    /// The least distance d_min of the centers, meters.
     #[schemars(range(min = 0.0))]
     pub min_m: f64,
-    /// The largest distance d_max of the centers, metres. Left out: any.
+    /// The largest distance d_max of the centers, meters. Left out: any.
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub max_m: Option<f64>,
-    /// The deviation τ that costs ½ a second, metres.
+    /// The deviation τ that costs ½ a second, meters.
     #[serde(default = "default_tolerance_m")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,

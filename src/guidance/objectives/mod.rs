@@ -69,7 +69,7 @@ pub trait SceneObjective {
         Ok(())
     }
     /// The log potential J ≤ 0 of each row, (B), higher is better, without the weight. `states` (B, A, T, 3) are positions
-    /// and headings in metres and radians of each row's ego frame. Differentiable in them, row by row.
+    /// and headings in meters and radians of each row's ego frame. Differentiable in them, row by row.
     ///
     /// # Errors
     /// When shapes do not fit, or nobody has a role.

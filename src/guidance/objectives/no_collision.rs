@@ -22,11 +22,11 @@ pub struct NoCollision {
     /// Who shall not collide with anybody: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
-    /// The separation m below which a pair costs something, metres.
+    /// The separation m below which a pair costs something, meters.
     #[serde(default = "default_margin_m")]
     #[schemars(range(min = 0.0))]
     pub margin_m: f64,
-    /// The lack of separation τ that costs ½ a second, metres.
+    /// The lack of separation τ that costs ½ a second, meters.
     #[serde(default = "default_tolerance_m")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
@@ -70,7 +70,7 @@ impl SceneObjective for NoCollision {
     }
 }
 
-/// More than smoothing takes off a separation, metres.
+/// More than smoothing takes off a separation, meters.
 const SMOOTHING_M: f64 = 0.25;
 
 #[cfg(test)]

@@ -28,11 +28,11 @@ pub(super) struct PairQuery<'a> {
     /// and the other of these.
     pub(super) other: &'a AgentSelector,
     /// Pairs that are never nearer than this count nothing: center distance, in sums of the radii around both boxes, and
-    /// metres beyond. `None` for all pairs.
+    /// meters beyond. `None` for all pairs.
     pub(super) reach: Option<Reach>,
 }
 
-/// A distance, as a multiple of both radii together and metres.
+/// A distance, as a multiple of both radii together and meters.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reach {
     pub(super) per_radius: f64,

@@ -28,11 +28,11 @@ pub struct StayOnRoad {
     /// Which points of an agent shall be on the road.
     #[serde(default)]
     pub points: RoadPoints,
-    /// How far inside of the edge points shall stay at least, the margin m, metres.
+    /// How far inside of the edge points shall stay at least, the margin m, meters.
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub margin_m: f64,
-    /// The distance τ off the road that costs ½ a second, metres.
+    /// The distance τ off the road that costs ½ a second, meters.
     #[serde(default = "default_tolerance_m")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
@@ -120,7 +120,7 @@ fn outside_m(points: &Tensor, counts: &Tensor, context: &SceneContext) -> Result
     norm(&(points - nearest)?)? - half_width_m.to_dtype(points.dtype())?
 }
 
-/// Half the width of a road that is everywhere, metres.
+/// Half the width of a road that is everywhere, meters.
 const INSIDE_M: f64 = 1e6;
 
 #[cfg(test)]

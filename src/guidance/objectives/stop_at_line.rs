@@ -24,10 +24,10 @@ pub struct StopAtLine {
     /// Who shall stop: `all`, `ego` or a role.
     #[serde(default = "ego")]
     pub agents: AgentSelector,
-    /// How far ahead of the agent's front the line lies at present, metres.
+    /// How far ahead of the agent's front the line lies at present, meters.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub distance_m: f64,
-    /// The way τ_s beyond or before the line that costs ½, metres.
+    /// The way τ_s beyond or before the line that costs ½, meters.
     #[serde(default = "default_tolerance_m")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,

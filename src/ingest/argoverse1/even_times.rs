@@ -10,7 +10,7 @@ use super::{DT_S, RECORDED};
 use crate::geometry::Vec2;
 use crate::scene::{RecordedPosition, State};
 
-/// The heading of who has come this far, metres, is the direction of the velocity, above this speed, m/s; below, where noise turns the
+/// The heading of who has come this far, meters, is the direction of the velocity, above this speed, m/s; below, where noise turns the
 /// velocity too much, it is the direction from where the agent was last that far away; and slower still it is held.
 const HEADING_DISTANCE_M: f64 = 2.0;
 const VELOCITY_HEADING_SPEED_MPS: f64 = 2.0;
@@ -31,7 +31,7 @@ pub(super) struct Row {
     pub(super) time_idx: usize,
     /// Seconds after the present.
     pub(super) time_s: f64,
-    /// Metres.
+    /// Meters.
     pub(super) position: Vec2,
 }
 

@@ -5,7 +5,7 @@
 use crate::geometry::Vec2;
 use crate::scene::{RecordedPosition, State};
 
-/// Displacements shorter than this tell no direction, metres: positions jitter by some decimetres.
+/// Displacements shorter than this tell no direction, meters: positions jitter by some decimeters.
 const MIN_DISPLACEMENT_M: f64 = 1.0;
 
 /// What follows from the positions of one track.

@@ -11,14 +11,14 @@ use crate::geometry::Vec2;
 /// the one under which the tracks of the train split are most likely together.
 const ACCELERATION_DENSITY_M2PS3: f64 = 0.3;
 
-/// Standard deviations of recorded positions that a track may have, metres.
+/// Standard deviations of recorded positions that a track may have, meters.
 const NOISE_M: [f64; 8] = [0.02, 0.035, 0.06, 0.1, 0.17, 0.3, 0.5, 0.85];
 
-/// Before a track is seen its noise is log-normal with this median, metres, and this standard deviation of the logarithm.
+/// Before a track is seen its noise is log-normal with this median, meters, and this standard deviation of the logarithm.
 const NOISE_MEDIAN_M: f64 = 0.15;
 const NOISE_LOG_STD: f64 = 0.9;
 
-/// Before a track is seen it is this close to its first position, metres, and this fast, m/s; standard deviations.
+/// Before a track is seen it is this close to its first position, meters, and this fast, m/s; standard deviations.
 const START_STD_M: f64 = 10.0;
 const START_STD_MPS: f64 = 10.0;
 
@@ -34,7 +34,7 @@ pub(super) struct Node {
 /// What is known of a track at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Estimate {
-    /// Mean of the position, metres.
+    /// Mean of the position, meters.
     pub(super) position: Vec2,
     /// Mean of the velocity, m/s.
     pub(super) velocity: Vec2,
@@ -120,7 +120,7 @@ pub(super) fn smooth(nodes: &[Node], noise_m: f64, before: Option<(f64, Estimate
     estimates
 }
 
-/// The likeliest standard deviation of the recorded positions, metres.
+/// The likeliest standard deviation of the recorded positions, meters.
 pub(super) fn likeliest_noise_m(nodes: &[Node]) -> f64 {
     let posterior = |noise_m: f64| {
         let deviation = (noise_m / NOISE_MEDIAN_M).ln() / NOISE_LOG_STD;

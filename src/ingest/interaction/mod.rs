@@ -11,7 +11,7 @@
 //! |---|---|
 //! | `malformed_row` | too few or too many columns, a cell that is no number, no whole number, or no id; a motorized agent without `psi_rad` |
 //! | `non_finite` | a number is NaN or infinite |
-//! | `out_of_range` | a position beyond 1000 km, a speed beyond 1 km/s, a size below a millimetre or beyond 1 km, a frame that no recording has |
+//! | `out_of_range` | a position beyond 1000 km, a speed beyond 1 km/s, a size below a millimeter or beyond 1 km, a frame that no recording has |
 //! | `bad_timestamp` | `timestamp_ms` is not 100 times `frame_id`, the recordings being at 10 Hz |
 //! | `duplicate_frame` | a track is twice at the same frame |
 //! | `too_many_tracks` | more than 100,000 tracks, which no recording has |

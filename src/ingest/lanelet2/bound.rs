@@ -13,7 +13,7 @@ pub(super) struct Bound {
     pub(super) first_node: i64,
     /// The node it ends at.
     pub(super) last_node: i64,
-    /// Its points, metres.
+    /// Its points, meters.
     pub(super) line: Polyline,
 }
 

@@ -7,7 +7,7 @@ use crate::geometry::{Polyline, Vec2};
 use crate::scene::{LaneAttributes, TurnDirection};
 use std::collections::BTreeMap;
 
-/// Distance between the points of a centerline, metres.
+/// Distance between the points of a centerline, meters.
 const CENTERLINE_SPACING_M: f64 = 2.0;
 /// Most points of a centerline.
 const MAX_CENTERLINE_POINTS: usize = 500;

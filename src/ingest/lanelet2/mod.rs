@@ -1,7 +1,7 @@
 //! Which lanes does a Lanelet2 map hold?
 //!
 //! Lanelet2 maps are OSM XML: nodes, ways (polylines of nodes), and relations. A relation of type `lanelet` has a left and
-//! a right bound. Coordinates are metres on the plane (`.osm_xy`), metres disguised as latitude and longitude near (0°, 0°)
+//! a right bound. Coordinates are meters on the plane (`.osm_xy`), meters disguised as latitude and longitude near (0°, 0°)
 //! (INTERACTION's `.osm`), or true WGS84 coordinates, for which the frame of the map is the UTM zone of its first node with
 //! the origin at that node. x points east and y north.
 
@@ -102,7 +102,7 @@ fn lanelets(osm: &Osm, report: &mut MapReport) -> Result<Vec<Lanelet>, String> {
     Ok(lanelets)
 }
 
-/// Where the nodes lie in the frame of the map, metres.
+/// Where the nodes lie in the frame of the map, meters.
 fn positions(osm: &Osm) -> BTreeMap<i64, Vec2> {
     let projection = osm.first_geo.map(LocalUtm::for_map);
     osm.nodes

@@ -3,20 +3,20 @@
 //! Lanelet2 projects with the universal transverse Mercator (UTM) zone of a map's origin and subtracts the origin's
 //! coordinates. The series is Krüger's to the sixth order in the third flattening (Karney, "Transverse Mercator with an
 //! accuracy of a few nanometers", Journal of Geodesy 85, 2011, equations 7 to 11 and 35); within a zone it is exact to
-//! nanometres.
+//! nanometers.
 
 use crate::geometry::Vec2;
 
-/// WGS84 equatorial radius, metres.
+/// WGS84 equatorial radius, meters.
 const EQUATORIAL_RADIUS_M: f64 = 6_378_137.0;
 /// WGS84 flattening.
 const FLATTENING: f64 = 1.0 / 298.257_223_563;
 /// Scale on the central meridian of a UTM zone.
 const CENTRAL_SCALE: f64 = 0.9996;
-/// Easting of the central meridian of a UTM zone, metres.
+/// Easting of the central meridian of a UTM zone, meters.
 const FALSE_EASTING_M: f64 = 500_000.0;
 
-/// Maps this close to latitude and longitude zero are metres in disguise: INTERACTION publishes its maps so. No road
+/// Maps this close to latitude and longitude zero are meters in disguise: INTERACTION publishes its maps so. No road
 /// lies there, so real coordinates cannot be mistaken for it.
 const DISGUISE_LIMIT_DEG: f64 = 0.5;
 
@@ -34,7 +34,7 @@ pub(super) struct GeoPoint {
     pub(super) longitude_deg: f64,
 }
 
-/// From latitude and longitude to metres in one UTM zone, relative to an origin.
+/// From latitude and longitude to meters in one UTM zone, relative to an origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LocalUtm {
     central_meridian_deg: f64,
@@ -52,14 +52,14 @@ impl LocalUtm {
     }
 
     /// The projection for a map whose first node is `first_node`: around (0°, 0°), hence zone 31, for maps that are
-    /// metres in disguise (all of INTERACTION), else around the first node itself.
+    /// meters in disguise (all of INTERACTION), else around the first node itself.
     pub(super) fn for_map(first_node: GeoPoint) -> Self {
         let disguised =
             first_node.latitude_deg.abs() < DISGUISE_LIMIT_DEG && first_node.longitude_deg.abs() < DISGUISE_LIMIT_DEG;
         Self::around(if disguised { GeoPoint { latitude_deg: 0.0, longitude_deg: 0.0 } } else { first_node })
     }
 
-    /// Metres east and north of the origin.
+    /// Meters east and north of the origin.
     pub(super) fn project(&self, point: GeoPoint) -> Vec2 {
         let northing_easting = transverse_mercator(
             point.latitude_deg.to_radians(),
@@ -69,7 +69,7 @@ impl LocalUtm {
     }
 }
 
-/// Metres east of the central meridian and north of the equator, scaled by the UTM central scale.
+/// Meters east of the central meridian and north of the equator, scaled by the UTM central scale.
 fn transverse_mercator(latitude_rad: f64, longitude_rad: f64) -> Vec2 {
     let n = FLATTENING / (2.0 - FLATTENING);
     let eccentricity = (FLATTENING * (2.0 - FLATTENING)).sqrt();
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn disguised_metres_are_found_again() {
+    fn disguised_meters_are_found_again() {
         // Reference values of UTM zone 31, given to 1e-8 m.
         let projection = LocalUtm::for_map(geo(0.009, 0.009));
         let near = |lat, lon, x, y| projection.project(geo(lat, lon)).distance(Vec2::new(x, y)) < 2e-8;

@@ -34,7 +34,7 @@ impl Braking<'_> {
         (self.speed_mps - a * ramping_s * ramping_s / (2.0 * self.config.ramp_s) - a * full_s).max(0.0)
     }
 
-    /// Distance driven since the present, metres.
+    /// Distance driven since the present, meters.
     pub(super) fn driven_m(&self, time_s: f64) -> f64 {
         let time_s = self.stands_from_s().map_or(time_s, |stands_s| time_s.min(stands_s));
         let (ramping_s, full_s) = self.phases_s(time_s);

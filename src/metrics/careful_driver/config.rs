@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CarefulDriverConfig {
-    /// A vehicle that moves sideways by no more than this only wanders, metres. Default 0.375.
+    /// A vehicle that moves sideways by no more than this only wanders, meters. Default 0.375.
     #[schemars(range(min = 0.0))]
     pub wandering_m: f64,
     /// Time to see that a vehicle cuts in, seconds. Default 0.4.
@@ -25,10 +25,10 @@ pub struct CarefulDriverConfig {
     /// The largest deceleration, m/s². Default 7.593, that is 0.774 g.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_deceleration_mps2: f64,
-    /// Width of a lane, metres: its markings lie half of it beside the path. Default 3.5.
+    /// Width of a lane, meters: its markings lie half of it beside the path. Default 3.5.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub lane_width_m: f64,
-    /// A vehicle that is so far beyond the marking intrudes, metres. Default 0.3.
+    /// A vehicle that is so far beyond the marking intrudes, meters. Default 0.3.
     #[schemars(range(min = 0.0))]
     pub intrusion_m: f64,
     /// The deceleration in the bound on the time to collision at the intrusion, m/s². Default 6.

@@ -27,11 +27,11 @@ pub(super) struct Encounter<'a> {
 /// Where the other is relative to the path of the ego.
 #[derive(Clone, Copy)]
 struct Place {
-    /// Distance of its center from the path, metres; positive on the side on which it is at present.
+    /// Distance of its center from the path, meters; positive on the side on which it is at present.
     offset_m: f64,
-    /// Distance of its nearer flank from the path, metres; negative where it is across it.
+    /// Distance of its nearer flank from the path, meters; negative where it is across it.
     flank_m: f64,
-    /// From the ego's front, where the ego is at present, to its nearest part, metres along the path.
+    /// From the ego's front, where the ego is at present, to its nearest part, meters along the path.
     ahead_m: f64,
     /// Its speed along the path, m/s.
     along_mps: f64,
@@ -39,7 +39,7 @@ struct Place {
 
 /// The moment at which the other is in the lane of the ego.
 pub(super) struct Intrusion {
-    /// From the ego's front to the nearest part of the other, metres.
+    /// From the ego's front to the nearest part of the other, meters.
     pub(super) gap_m: f64,
     /// The ego's speed then, m/s.
     pub(super) ego_speed_mps: f64,

@@ -21,7 +21,7 @@ impl MovingAgent {
         Some(Self { agent_idx, sweep, velocities: velocities(&track.trajectory, scene.dt_s) })
     }
 
-    /// Its velocity at `timestep`, metres per second.
+    /// Its velocity at `timestep`, meters per second.
     pub(super) fn velocity(&self, timestep: usize) -> Option<Vec2> {
         self.velocities.get(timestep).copied().flatten()
     }

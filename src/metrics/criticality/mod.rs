@@ -50,7 +50,7 @@ pub struct PairCriticality {
     pub min_headway_s: Option<f64>,
     /// Post-encroachment time, seconds; `None` where paths do not cross, or one stays on the other's.
     pub pet_s: Option<f64>,
-    /// Smallest distance between the boxes, metres.
+    /// Smallest distance between the boxes, meters.
     pub min_distance_m: f64,
 }
 
@@ -61,7 +61,7 @@ pub struct SceneCriticality {
     pub min_ttc_s: Option<f64>,
     /// Largest deceleration rate to avoid a crash, m/s².
     pub max_drac_mps2: f64,
-    /// Smallest distance between two boxes, metres.
+    /// Smallest distance between two boxes, meters.
     pub min_distance_m: f64,
 }
 

@@ -33,7 +33,7 @@ impl PairPath {
         Some(Self { points, n_agents: agents.len() })
     }
 
-    /// Mean distance between the positions of the same agent at the same timestep, metres. It is a metric: the mean of norms.
+    /// Mean distance between the positions of the same agent at the same timestep, meters. It is a metric: the mean of norms.
     fn distance_m(&self, other: &Self) -> f64 {
         let sum: f64 = self.points.iter().zip(&other.points).map(|(a, b)| a.distance(*b)).sum();
         sum / self.points.len().max(1) as f64
@@ -60,7 +60,7 @@ struct OfKind {
 }
 
 impl PathIndex {
-    /// The nearest scenario of this kind so far, by its id, and its distance in metres. `None` where there is none.
+    /// The nearest scenario of this kind so far, by its id, and its distance in meters. `None` where there is none.
     pub fn nearest(&self, behavior: &str, path: &PairPath) -> Option<(&str, f64)> {
         let OfKind { ids, paths } = self.kinds.get(&kind(behavior, path))?;
         let (idx, distance_m) = paths.nearest(path, PairPath::distance_m)?;

@@ -45,14 +45,14 @@ pub struct ValidityConfig {
     /// Largest angle between heading and motion, radians, for vehicles faster than 2 m/s. Default 0.35, 20 degrees.
     #[schemars(range(min = 0.0))]
     pub max_slip_rad: f64,
-    /// Where given and generated states meet: largest distance of the next state from where the last motion leads, metres.
+    /// Where given and generated states meet: largest distance of the next state from where the last motion leads, meters.
     /// Default 0.3.
     #[schemars(range(min = 0.0))]
     pub max_start_offset_m: f64,
     /// Where given and generated states meet: largest turn from one timestep to the next, radians. Default 0.2.
     #[schemars(range(min = 0.0))]
     pub max_start_turn_rad: f64,
-    /// How far the center of a vehicle may leave the lanes (those without boundaries: 1.9 m on either side of their center line), metres.
+    /// How far the center of a vehicle may leave the lanes (those without boundaries: 1.9 m on either side of their center line), meters.
     /// Default 0.3.
     #[schemars(range(min = 0.0))]
     pub offroad_slack_m: f64,

@@ -195,7 +195,7 @@ fn who_has_no_known_size_collides_by_its_core() {
 }
 
 #[test]
-fn leaving_the_road_is_measured_in_metres() {
+fn leaving_the_road_is_measured_in_meters() {
     // The road ends 2 m to the left.
     let leaving =
         |shift: f64| scene(10.0, &format!("{{ duration_s = 1 }}, {{ duration_s = 2.5, shift_m = {shift:?} }}"));

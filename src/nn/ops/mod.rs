@@ -247,7 +247,7 @@ pub(super) fn sum_of_squares(tensors: &[&Tensor]) -> Result<f64> {
     Ok(sum)
 }
 
-/// Moves `average` by the share 1 - `decay` towards `value`, in place.
+/// Moves `average` by the share 1 - `decay` toward `value`, in place.
 ///
 /// # Errors
 /// When shapes do not fit.

@@ -107,8 +107,8 @@ fn linear_agrees() {
     }
 }
 
-/// Sums in another order may go to the neighbour of a number of eight bits.
-pub(super) const NEIGHBOUR: f64 = 1.0 / 128.0;
+/// Sums in another order may go to the neighbor of a number of eight bits.
+pub(super) const NEIGHBOR: f64 = 1.0 / 128.0;
 
 #[test]
 fn linear_agrees_in_halved_precision() {
@@ -120,7 +120,7 @@ fn linear_agrees_in_halved_precision() {
             &|a| linear::reference(&a[0], &a[1], &a[2], Activation::Relu, valid.as_ref(), Precision::Bf16);
         let (fused, plain) = (run(fused, &arguments, DType::F32), run(plain, &arguments, DType::F32));
         for (fused, plain) in fused.iter().zip(&plain) {
-            assert_close(fused, plain, NEIGHBOUR, "halved");
+            assert_close(fused, plain, NEIGHBOR, "halved");
         }
         // Result and gradients of input and weight are rounded; that of the bias, the last, is a sum without a product.
         let exact = run(&|a| linear(&a[0], &a[1], &a[2], Activation::None, valid.as_ref()), &arguments, DType::F32);

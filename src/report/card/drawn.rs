@@ -4,10 +4,10 @@ use super::ViewRect;
 use crate::scene::{Lane, ObservationMask, Scene, TrackId};
 use serde::{Deserialize, Serialize};
 
-/// How far a drawn lane may lie from the mapped one, metres.
+/// How far a drawn lane may lie from the mapped one, meters.
 const LANE_TOLERANCE_M: f64 = 0.05;
 
-/// A lane's lines in the scene frame, metres; empty where the map has none.
+/// A lane's lines in the scene frame, meters; empty where the map has none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DrawnLane {
     /// Points in driving direction.
@@ -49,9 +49,9 @@ pub struct DrawnAgent {
     pub id: String,
     /// Its part in the event, such as `ego`; `None` for everybody else.
     pub role: Option<String>,
-    /// Length along the heading, metres.
+    /// Length along the heading, meters.
     pub length_m: f64,
-    /// Width, metres.
+    /// Width, meters.
     pub width_m: f64,
     /// x (m), y (m) and heading (rad) in the scene frame by timestep; `None` where it was not tracked.
     pub states: Vec<Option<[f64; 3]>>,
@@ -126,7 +126,7 @@ impl DrawnAgent {
     }
 }
 
-/// Hundredths: centimetres, and half a degree.
+/// Hundredths: centimeters, and half a degree.
 fn centi(value: f64) -> f64 {
     (value * 100.0).round() / 100.0
 }

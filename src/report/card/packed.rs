@@ -1,6 +1,6 @@
 //! How are thousands of scenes embedded in one page? As whole numbers, differenced, in as few letters as they need.
 //!
-//! Positions are centimetres and headings hundredths of a radian. A number is written in base 64 with five bits a letter, the
+//! Positions are centimeters and headings hundredths of a radian. A number is written in base 64 with five bits a letter, the
 //! lowest bit of all being the sign (the variable-length quantities of source maps). Of states that follow each other only the
 //! error of going straight on is written, which is a letter for most traffic. `player.js` reads what this file writes.
 
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn states_come_back_to_the_centimetre() {
+    fn states_come_back_to_the_centimeter() {
         let states: Vec<Option<[f64; 3]>> = (0..30)
             .map(|t| f64::from(t) * 0.1)
             .map(|t| ((t - 1.0).abs() > 0.25).then_some([12.5 * t, -3.5 + 0.4 * t * t, 0.05 * t]))

@@ -4,12 +4,12 @@ use crate::geometry::Vec2;
 use crate::scene::{Scene, TrackId};
 use serde::{Deserialize, Serialize};
 
-/// Around the tracks of interest, metres.
+/// Around the tracks of interest, meters.
 const MARGIN_M: f64 = 9.0;
-/// The least extent of a view in each direction, metres.
+/// The least extent of a view in each direction, meters.
 const MIN_VIEW_M: Vec2 = Vec2 { x: 60.0, y: 20.0 };
 
-/// An axis-parallel part of the scene frame, metres.
+/// An axis-parallel part of the scene frame, meters.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ViewRect {
     /// Least coordinates.
@@ -52,7 +52,7 @@ impl ViewRect {
         width > 1.6 * height
     }
 
-    /// Width and height, metres.
+    /// Width and height, meters.
     pub fn size(&self) -> [f64; 2] {
         [self.max[0] - self.min[0], self.max[1] - self.min[1]]
     }

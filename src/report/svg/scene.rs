@@ -67,7 +67,7 @@ impl Pen<'_> {
         role.map_or(context, role_color)
     }
 
-    /// Where the agents of a sample go: dotted grey lines where states were given, colored ones where they were not.
+    /// Where the agents of a sample go: dotted gray lines where states were given, colored ones where they were not.
     fn traces(&self, sample: &DrawnSample) -> Markup {
         let steps = ((GHOST_INTERVAL_S / self.panel.dt_s.max(1e-3)).round() as usize).max(1);
         html! {

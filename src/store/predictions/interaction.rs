@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 const N_MODES: usize = 6;
 
 /// Writes `<place>_sub.csv` for each place into a folder: `case_id,track_id,frame_id,timestamp_ms,track_to_predict,
-/// interesting_agent,x1,y1,psi_rad1,…,x6,y6,psi_rad6`, in the recording's frame, metres and radians, the likeliest mode first.
+/// interesting_agent,x1,y1,psi_rad1,…,x6,y6,psi_rad6`, in the recording's frame, meters and radians, the likeliest mode first.
 ///
 /// Predicted are the tracks that the recording marks, or where it marks none (train and val) the ego and the vehicles that are
 /// recorded throughout, with the ego as the interesting agent. Where there are fewer than six modes the last one is

@@ -18,8 +18,8 @@ pub(crate) fn schema() -> TableSchema {
     let fields = vec![
         column("map_id", DataType::Utf8, "The map."),
         column("lane_id", DataType::Int64, "The map's name for the lane; ascending within a map."),
-        line("centerline_x_m", "Centre line in driving direction."),
-        line("centerline_y_m", "Centre line in driving direction."),
+        line("centerline_x_m", "Center line in driving direction."),
+        line("centerline_y_m", "Center line in driving direction."),
         line("left_x_m", "Left boundary in driving direction; empty where the map has none."),
         line("left_y_m", "Left boundary in driving direction; empty where the map has none."),
         line("right_x_m", "Right boundary in driving direction; empty where the map has none."),

@@ -68,7 +68,7 @@ pub(crate) fn check(record: &ScenarioRecord) -> Result<()> {
     Ok(())
 }
 
-/// The records in a batch. Neighbouring samples of a scene share their lanes.
+/// The records in a batch. Neighboring samples of a scene share their lanes.
 pub(crate) fn decode(batch: &RecordBatch, path: &Path, maps: &dyn MapSource) -> Result<Vec<ScenarioRecord>> {
     let columns = Columns::of_batch(batch, path);
     let mut lanes = LaneCache::default();

@@ -27,8 +27,8 @@ pub(crate) fn field() -> Field {
             "s",
             "Where states are smoothed, the times after the present at which the agent was recorded; else empty.",
         ),
-        recorded("recorded_x_m", "m", "Recorded centre, one entry a recorded time."),
-        recorded("recorded_y_m", "m", "Recorded centre, one entry a recorded time."),
+        recorded("recorded_x_m", "m", "Recorded center, one entry a recorded time."),
+        recorded("recorded_y_m", "m", "Recorded center, one entry a recorded time."),
     ];
     column(NAME, list_of_structs(fields), "The tracks whose headings, or whose whole states, are not as recorded.")
         .optional()

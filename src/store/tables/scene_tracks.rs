@@ -21,8 +21,8 @@ pub(crate) fn field() -> Field {
         column("role", DataType::Utf8, "What the recording marks the track as: focal, scored, recorder or context."),
         size("length_m", "Size along the heading; missing where the recording gives none."),
         size("width_m", "Size across the heading; missing where the recording gives none."),
-        states("x_m", "m", "Centre, one entry a timestep; 0 where not valid."),
-        states("y_m", "m", "Centre, one entry a timestep; 0 where not valid."),
+        states("x_m", "m", "Center, one entry a timestep; 0 where not valid."),
+        states("y_m", "m", "Center, one entry a timestep; 0 where not valid."),
         states("heading_rad", "rad", "Direction in (-π, π], one entry a timestep; 0 where not valid."),
         states("vx_mps", "m/s", "Velocity, one entry a timestep; 0 where not valid."),
         states("vy_mps", "m/s", "Velocity, one entry a timestep; 0 where not valid."),
@@ -113,7 +113,7 @@ pub(crate) fn single(state: &State) -> [f32; 5] {
     [position.x as f32, position.y as f32, single_heading(heading_rad), velocity.x as f32, velocity.y as f32]
 }
 
-/// Rounds towards zero near ±π: the nearest single-precision number would lie outside (-π, π].
+/// Rounds toward zero near ±π: the nearest single-precision number would lie outside (-π, π].
 fn single_heading(heading_rad: f64) -> f32 {
     let rounded = heading_rad as f32;
     if f64::from(rounded).abs() > PI && heading_rad.abs() <= PI {

@@ -86,13 +86,13 @@ pub(crate) fn state_fields() -> Vec<Field> {
     };
     let size = |name: &str, description: &str| column(name, DataType::Float32, description).unit("m").optional();
     vec![
-        scene("x_m", "m", "Centre."),
-        scene("y_m", "m", "Centre."),
+        scene("x_m", "m", "Center."),
+        scene("y_m", "m", "Center."),
         scene("heading_rad", "rad", "Direction in (-π, π]."),
         scene("vx_mps", "m/s", "Velocity."),
         scene("vy_mps", "m/s", "Velocity."),
-        world("world_x_m", "m", "Centre."),
-        world("world_y_m", "m", "Centre."),
+        world("world_x_m", "m", "Center."),
+        world("world_y_m", "m", "Center."),
         world("world_heading_rad", "rad", "Direction in (-π, π]."),
         size("length_m", "Size along the heading; missing where the recording gives none."),
         size("width_m", "Size across the heading; missing where the recording gives none."),

@@ -3,7 +3,7 @@
 use candle_core::{DType, Device, Result, Tensor, Var};
 use gemmkit::bf16;
 
-use super::super::tests::{NEIGHBOUR, Op, assert_close, check, mask, normal, padded_states, run, values};
+use super::super::tests::{NEIGHBOR, Op, assert_close, check, mask, normal, padded_states, run, values};
 use super::super::{self as ops, Activation, AdamStep, Moments};
 use super::launch::{self, Argument, Launch};
 use super::*;
@@ -274,7 +274,7 @@ fn what_only_products_read_is_kept_halved() {
                 y.to_device(&Device::Cpu)
             };
             for (i, (found, expected)) in run(&kernels, &arguments, DType::F32).iter().zip(&expected).enumerate() {
-                assert_close(found, expected, 2.0 * NEIGHBOUR, &format!("{i} on {:?}", device.location()));
+                assert_close(found, expected, 2.0 * NEIGHBOR, &format!("{i} on {:?}", device.location()));
             }
         }
     }
