@@ -14,6 +14,7 @@ use crate::model::TrainedClassifier;
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Scene};
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
+use std::ops::Range;
 
 /// Pairs of a scene that guidance toward any pair looks at: those that can show the behavior most easily.
 const MAX_ANY_PAIRS: usize = 32;
@@ -60,10 +61,10 @@ pub(super) struct Guided<'a> {
     pub(super) agents: &'a [(usize, usize)],
     /// One row for each cell.
     pub(super) batch: &'a SceneBatch,
-    /// `n_samples` rows for each cell.
+    /// A row for each sample of each cell.
     pub(super) repeated: &'a SceneBatch,
-    /// Samples of each cell.
-    pub(super) n_samples: usize,
+    /// The samples of each cell, by their numbers.
+    pub(super) samples: Range<usize>,
 }
 
 /// Scenes as the classifier knows them, and the way there from what is sampled.
@@ -76,14 +77,11 @@ impl Guided<'_> {
     /// What objectives know of the batch that is sampled.
     fn objective_context(&self) -> Result<SceneContext, Error> {
         let rows: Vec<ContextRow<'_>> = (self.cells.iter().zip(self.agents))
-            .map(|((cell, scene), agents)| ContextRow {
-                scene,
-                ego_idx: agents.0,
-                roles: &cell.roles,
-                target: Some(&cell.target),
-            })
+            .map(|((cell, scene), agents)| ContextRow { scene, ego_idx: agents.0, roles: &cell.roles })
             .collect();
-        Ok(SceneContext::new(self.batch, &rows)?.repeated(self.n_samples)?)
+        let targets = self.cells.iter().flat_map(|(cell, _)| self.samples.clone().map(|sample| cell.target(sample)));
+        let context = SceneContext::new(self.batch, &rows)?.repeated(self.samples.len())?;
+        Ok(context.aiming_at(targets.collect())?)
     }
 
     /// The value of each objective with its kind for each of the samples `x`, where the sweep selects by them; else nothing.
@@ -206,7 +204,7 @@ impl<'g> Generator<'g> {
             .map(|(((_, scene), agents), mask)| SceneView { scene, ego_idx: agents.0, mask })
             .collect();
         let batch = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
-        let batch = batch.repeated(guided.n_samples)?;
+        let batch = batch.repeated(guided.samples.len())?;
         let change = MaskChange::new(&batch, guided.repeated)?;
         Ok(Some(Classified { batch, change }))
     }
@@ -219,7 +217,7 @@ impl<'g> Generator<'g> {
         batch: Option<&SceneBatch>,
     ) -> Result<Box<dyn Guidance + 'a>, Error> {
         let batch = batch.unwrap_or(guided.repeated);
-        let every = |row: usize| std::iter::repeat_n(row, guided.n_samples);
+        let every = |row: usize| std::iter::repeat_n(row, guided.samples.len());
         if guided.sweep.asks_anybody() {
             let own: Vec<Vec<(usize, usize)>> =
                 (0..guided.cells.len()).map(|row| self.any_pairs(guided, row)).collect();

@@ -4,6 +4,7 @@
 //! shards. A shard depends on the plan, the models and the seed alone, so that shards can be generated in any order, by any
 //! number of threads and in any number of attempts, to the same bytes.
 
+mod aim;
 mod baseline;
 #[cfg(test)]
 mod baseline_tests;
@@ -46,7 +47,7 @@ pub use request::{
 pub use sample::{RejectedSample, ShardOutput};
 pub use select::SelectConfig;
 pub use sweep::{
-    ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
+    Aim, ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
     SamplingConfig, SweepConfig, SweepGuidance, SweepModel,
 };
 pub use verify::{Verification, verify};

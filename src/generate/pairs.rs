@@ -26,6 +26,8 @@ pub(super) struct CandidatePair {
     pub(super) roles: Vec<(String, TrackId)>,
     /// How well it is suited; higher is better.
     pub(super) score: f64,
+    /// What it could come to.
+    pub(super) outcomes: Vec<Outcome>,
 }
 
 impl Generator<'_> {
@@ -109,7 +111,7 @@ pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, sce
             let roles = behavior.roles().iter().zip(&agents);
             let roles = roles.map(|(role, agent_idx)| ((*role).to_owned(), scene.tracks[*agent_idx].id.clone()));
             let score = -effort.unwrap_or(1.0) - distance_m(scene, first, second) / FAR_M;
-            candidates.push(CandidatePair { agents: (first, second), roles: roles.collect(), score });
+            candidates.push(CandidatePair { agents: (first, second), roles: roles.collect(), score, outcomes });
         }
     }
     candidates

@@ -42,9 +42,18 @@ pub struct Cell {
     pub scene_id: SceneId,
     /// Roles and their tracks; none when no behavior is asked for, or nobody in particular. They are the same at strength 0.
     pub roles: Vec<(String, TrackId)>,
-    /// What the event is asked to be like, where a request aims.
-    #[serde(default, skip_serializing_if = "Target::is_empty")]
-    pub target: Target,
+    /// What the events of its samples are asked to be like: of one after the other, and then the first again; empty where nothing in
+    /// particular is.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub targets: Vec<Target>,
+}
+
+impl Cell {
+    /// What the event of this sample is asked to be like.
+    pub(super) fn target(&self, sample_idx: usize) -> Target {
+        let n_targets = self.targets.len().max(1);
+        self.targets.get(sample_idx % n_targets).cloned().unwrap_or_default()
+    }
 }
 
 /// A sweep for which there were too few scenes.
@@ -207,8 +216,12 @@ impl Generator<'_> {
         if sweep.asks_anybody() {
             return Ok(Some(RankedScene { score, cells: vec![listed.cell(Vec::new())] }));
         }
-        let cells = candidates.into_iter().take(sweep.pairs.per_scene).map(|pair| listed.cell(pair.roles)).collect();
-        Ok(Some(RankedScene { score, cells }))
+        let asked = candidates.into_iter().take(sweep.pairs.per_scene);
+        let cells = asked.map(|pair| {
+            let targets = self.targets(sweep, listed.id, &pair);
+            Cell { targets, ..listed.cell(pair.roles) }
+        });
+        Ok(Some(RankedScene { score, cells: cells.collect() }))
     }
 }
 
@@ -221,6 +234,6 @@ struct ListedScene<'a> {
 
 impl ListedScene<'_> {
     fn cell(&self, roles: Vec<(String, TrackId)>) -> Cell {
-        Cell { scene_idx: self.scene_idx, scene_id: self.id.clone(), roles, target: Target::new() }
+        Cell { scene_idx: self.scene_idx, scene_id: self.id.clone(), roles, targets: Vec::new() }
     }
 }

@@ -200,7 +200,7 @@ impl Generator<'_> {
             agents: &agents,
             batch: own,
             repeated: &tensors,
-            n_samples,
+            samples: batch.samples.clone(),
         };
         let denoise = |denoiser: &dyn Denoiser| self.denoise((batch, diffusion), &tensors, denoiser, progress);
         let x = match wanted {

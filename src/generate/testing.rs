@@ -1,7 +1,7 @@
 //! A behavior, models and scenes for the tests of generation.
 
 use super::*;
-use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
+use crate::behavior::{Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
 use crate::guidance::testing::{denoiser_spec, scene};
@@ -54,6 +54,12 @@ impl Behavior for Drift {
             }
         }
         events
+    }
+
+    fn feasible(&self, _scene: &Scene, _agents: &[usize]) -> Vec<Outcome> {
+        (0..8)
+            .map(|i| Outcome::default().with("gap_m", 2.0 + 3.0 * f64::from(i)).at_effort(f64::from(i) / 8.0))
+            .collect()
     }
 }
 

@@ -20,8 +20,6 @@ pub struct ContextRow<'a> {
     pub ego_idx: usize,
     /// Roles and their tracks; every row of a batch has the same roles.
     pub roles: &'a [(String, TrackId)],
-    /// What is asked of its event in particular, where something is.
-    pub target: Option<&'a Target>,
 }
 
 /// A batch as objectives see it: everything that does not change while a sample is denoised.
@@ -75,7 +73,7 @@ impl SceneContext {
             roads: Vec::with_capacity(n_rows),
             ego: Vec::with_capacity(n_rows),
             roles: BTreeMap::new(),
-            targets: rows.iter().map(|row| row.target.cloned().unwrap_or_default()).collect(),
+            targets: vec![Target::new(); n_rows],
         };
         for (row, (ContextRow { scene, ego_idx, roles, .. }, frame)) in rows.iter().zip(&batch.frames).enumerate() {
             for (slot, track_idx) in frame.agents.iter().enumerate() {
@@ -122,6 +120,17 @@ impl SceneContext {
             targets: rows.items(&self.targets),
             ..*self
         })
+    }
+
+    /// The same where the events of the rows are asked to be like `targets`, one a row.
+    ///
+    /// # Errors
+    /// When there is not one for each row.
+    pub fn aiming_at(self, targets: Vec<Target>) -> Result<Self> {
+        if targets.len() != self.ego.len() {
+            bail!("{} targets given for {} rows", targets.len(), self.ego.len());
+        }
+        Ok(Self { targets, ..self })
     }
 
     /// The interval of the parameter `name` that is asked of each row, (B, 2): the one that is `configured`, or the row's target, or `any`.

@@ -32,11 +32,8 @@ fn contexts_know_who_is_who() {
         scenes.iter().zip(egos).map(|(scene, ego_idx)| SceneView { scene, ego_idx, mask: &mask }).collect();
     let collator = denoiser_spec(StateParametrization::Residual).collator();
     let batch = collator.collate(&views, FutureValidity::Everything, &Device::Cpu).unwrap();
-    let rows: Vec<ContextRow<'_>> = scenes
-        .iter()
-        .zip(egos)
-        .map(|(scene, ego_idx)| ContextRow { scene, ego_idx, roles: &roles, target: None })
-        .collect();
+    let rows: Vec<ContextRow<'_>> =
+        scenes.iter().zip(egos).map(|(scene, ego_idx)| ContextRow { scene, ego_idx, roles: &roles }).collect();
     let context = SceneContext::new(&batch, &rows).unwrap().repeated(2).unwrap();
     let selected = |name: &str| context.selected(&AgentSelector::new(name)).unwrap().to_vec2::<f32>().unwrap();
     let (behind, ahead) = (([0.0, 1.0, 0.0], [1.0, 0.0, 0.0]), ([0.0, 0.0, 1.0], [0.0, 1.0, 0.0]));
@@ -50,7 +47,7 @@ fn contexts_know_who_is_who() {
     assert_eq!(context.extent_m.get(3).unwrap().to_vec2::<f32>().unwrap()[2], [4.6, 1.9]);
     assert_eq!(context.latent.to_vec3::<f32>().unwrap()[1][2][N_HISTORY - 1..=N_HISTORY], [0.0, 1.0]);
     let stranger = [("ego".to_owned(), TrackId("nobody".to_owned()))];
-    let row = ContextRow { scene: &scenes[0], ego_idx: 1, roles: &stranger, target: None };
+    let row = ContextRow { scene: &scenes[0], ego_idx: 1, roles: &stranger };
     assert!(SceneContext::new(&batch, &[row, row]).unwrap_err().to_string().contains("track nobody"));
 }
 
@@ -102,8 +99,7 @@ fn objectives_with_nothing_to_say_change_nothing() {
     let (scene, roles) = (scene(3), roles());
     let batch = batch(std::slice::from_ref(&scene), 1);
     let bound = network.bind(&batch, 1).unwrap();
-    let context =
-        SceneContext::new(&batch, &[ContextRow { scene: &scene, ego_idx: 1, roles: &roles, target: None }]).unwrap();
+    let context = SceneContext::new(&batch, &[ContextRow { scene: &scene, ego_idx: 1, roles: &roles }]).unwrap();
     // The scene has no lanes to stay on.
     let objectives: Vec<ObjectiveConfig> = serde_json::from_str(r#"[{ "kind": "stay_on_road" }]"#).unwrap();
     let potential = ObjectiveSum { objectives: &objectives, batch: &batch, context: &context };

@@ -245,8 +245,7 @@ impl SceneDraws<'_> {
         let batch = self.collator.collate(&views, validity, self.device)?;
         let context = match self.with_context {
             true => {
-                let rows =
-                    drawn.iter().map(|d| ContextRow { scene: &d.scene, ego_idx: d.ego_idx, roles: &[], target: None });
+                let rows = drawn.iter().map(|d| ContextRow { scene: &d.scene, ego_idx: d.ego_idx, roles: &[] });
                 Some(SceneContext::new(&batch, &rows.collect::<Vec<_>>())?)
             }
             false => None,

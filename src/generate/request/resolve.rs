@@ -98,7 +98,7 @@ impl GenerateConfig {
                         n_samples: sweep.n_samples,
                         n_evaluations: sweep.n_evaluations(),
                         level,
-                        aims: sweep.aims(),
+                        aims: !sweep.aims_at().is_empty(),
                     });
                     resolved.sweeps.push(sweep);
                 }

@@ -208,7 +208,7 @@ impl ResolvedRequest {
             let mut own = context.pool.cells[*cell].clone();
             if let (true, Some(bucket)) = (arm.aims, self.aim(context, (idx, *cell), &aimed)) {
                 aimed[bucket] += 1;
-                own.target = self.buckets.target(bucket);
+                own.targets = vec![self.buckets.target(bucket)];
             }
             own
         });

@@ -45,7 +45,7 @@ fn pool(n: usize) -> Pool {
         scene_idx: i,
         scene_id: format!("scene-{i}").as_str().into(),
         roles: vec![("ego".to_owned(), "1".into()), ("other".to_owned(), "2".into())],
-        target: BTreeMap::new(),
+        targets: Vec::new(),
     };
     Pool {
         request: "tight".to_owned(),
@@ -306,12 +306,12 @@ fn samples_of_arms_that_aim_are_asked_for_an_open_bucket_that_their_cell_can_rea
     let mut n_aimed = 0;
     for shard in rounds.iter().flat_map(|round| &round.shards) {
         for (cell, member) in shard.plan.cells.iter().zip(&shard.members) {
-            match (shard.arm, cell.target.get("gap_m")) {
+            match (shard.arm, cell.target(0).get("gap_m").copied()) {
                 (0, None) => {}
                 (1, Some([least, most])) => {
                     n_aimed += 1;
                     let low = if member % 4 < 2 { 0.0 } else { 5.0 };
-                    assert!(low < *least && least < most && *most < low + 5.0, "{least} to {most} for cell {member}");
+                    assert!(low < least && least < most && most < low + 5.0, "{least} to {most} for cell {member}");
                 }
                 // A cell whose bucket is full is asked for nothing in particular.
                 (1, None) => assert_eq!(member % 4, 0),

@@ -19,6 +19,8 @@ pub struct SweepConfig {
     pub behavior: Option<String>,
     /// Which agents are asked for the behavior.
     pub pairs: PairSelectionConfig,
+    /// What the events are asked to be like.
+    pub aim: Aim,
     /// Which samples become scenarios; `None`: all.
     pub select: Option<SelectConfig>,
     /// No further shard is begun once so many scenarios are verified; `None`: all are generated.
@@ -117,4 +119,16 @@ pub enum ClassifierInput {
     /// The denoiser's clean estimate, as objectives are. Needed where more than the history is observed (`observe`): of other
     /// masks the classifier knows no noisy states. `objective_guidance` says how its gradient becomes a shift.
     CleanEstimate,
+}
+
+/// What the events of guided samples are asked to be like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Aim {
+    /// As the objectives say themselves.
+    #[default]
+    Anything,
+    /// Each sample like another outcome that its pair can come to, as far as the past and the limits of driving tell: easy ones more
+    /// often. Samples of a pair then differ in what their objectives can aim at, such as gap and relative speed.
+    Feasible,
 }

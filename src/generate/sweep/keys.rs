@@ -4,7 +4,7 @@
 //! Each kind of sweep then takes the keys that it knows; what is left over is refused.
 
 use super::config::{
-    ArmConfig, ClassifierInput, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig,
+    Aim, ArmConfig, ClassifierInput, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig,
     SweepGuidance,
 };
 use crate::diffusion::SamplerConfig;
@@ -15,7 +15,7 @@ use schemars::{JsonSchema, Schema};
 use serde::{Deserialize, Serialize};
 
 /// Keys that an arm does not have, because the request that names the arm decides them.
-const OF_REQUESTS: [&str; 5] = ["n_scenes", "behavior", "pairs", "select", "stop_after_verified"];
+const OF_REQUESTS: [&str; 6] = ["n_scenes", "behavior", "pairs", "aim", "select", "stop_after_verified"];
 
 /// A sweep or an arm as TOML has it.
 #[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
@@ -68,6 +68,9 @@ pub(super) struct SweepKeys {
     /// Which agents are asked for the behavior.
     #[serde(skip_serializing_if = "Option::is_none")]
     pairs: Option<PairSelectionConfig>,
+    /// What the events of guided samples are asked to be like.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    aim: Option<Aim>,
     /// Which states are observed: the name of a training task (`predictive`, `goal_conditioned`, `agent_conditioned`,
     /// `ego_conditioned`, `windowed`, `upsampling`, `imputation`), or a list of rules. The rest is generated. Left out: `predictive`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -158,6 +161,7 @@ impl TryFrom<SweepKeys> for SweepConfig {
             n_scenes: keys.n_scenes.take().unwrap_or_default(),
             behavior: keys.behavior.take(),
             pairs: keys.pairs.take().unwrap_or_default(),
+            aim: keys.aim.take().unwrap_or_default(),
             select: keys.select.take(),
             stop_after_verified: keys.stop_after_verified.take(),
             sampling: keys.take_sampling(),
@@ -181,6 +185,7 @@ impl From<SweepConfig> for SweepKeys {
             n_scenes: Some(config.n_scenes),
             behavior: config.behavior,
             pairs: Some(config.pairs),
+            aim: Some(config.aim),
             select: config.select,
             stop_after_verified: config.stop_after_verified,
             ..Self::from(ArmConfig { name: config.name, sampling: config.sampling })

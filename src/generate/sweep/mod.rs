@@ -9,7 +9,7 @@ mod resolved;
 mod settings;
 
 pub use config::{
-    ArmConfig, ClassifierInput, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig,
+    Aim, ArmConfig, ClassifierInput, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig,
     SweepGuidance,
 };
 pub(super) use resolve::mined;

@@ -1,7 +1,7 @@
 //! Can a sweep as it is written be sampled? The one place where that is asked, and where what it left open is filled in.
 
 use super::{
-    ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
+    Aim, ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
     SamplingConfig, SweepConfig, SweepModel,
 };
 use crate::behavior::Behavior;
@@ -44,11 +44,19 @@ impl SweepConfig {
             n_samples: self.sampling.n_samples,
             behavior: self.behavior.clone(),
             pairs: self.pairs.clone(),
+            aim: self.aim,
             select: self.select.clone(),
             stop_after_verified: self.stop_after_verified,
             observe: self.sampling.observe.clone(),
             model,
         };
+        if self.aim == Aim::Feasible && (sweep.asks_anybody() || sweep.aims_at().is_empty()) {
+            return Err(Issue::new(
+                "aim",
+                "is \"feasible\", which needs a behavior that two agents are asked for, and an objective that can aim at its parameters, \
+                 at strengths other than 0: such as objectives = [{ kind = \"cut_in\" }]",
+            ));
+        }
         if let Some(select) = &self.select {
             let objectives = sweep.diffusion().map_or(&[][..], |diffusion| &diffusion.guidance.objectives);
             let kinds: Vec<&str> = objectives.iter().map(|objective| objective.objective().kind()).collect();
@@ -102,6 +110,7 @@ impl ArmConfig {
             n_samples: self.sampling.n_samples,
             behavior: Some(request.behavior.clone()),
             pairs: request.pairs.clone(),
+            aim: Aim::default(),
             select: None,
             stop_after_verified: None,
             observe: self.sampling.observe.clone(),

@@ -1,11 +1,11 @@
 //! A sweep that can be sampled: nothing in it is left open, and nothing contradicts.
 
-use super::{ClassifierScope, SweepGuidance};
+use super::{Aim, ClassifierScope, SweepGuidance};
 use crate::diffusion::{Edm, SamplerConfig};
 use crate::generate::{ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig};
-use crate::guidance::ObjectiveConfig;
 use crate::model::Distillation;
 use crate::scene::GuidanceLevel;
+use std::collections::BTreeSet;
 
 /// A sweep that was checked. Only `GenerateConfig::resolve` makes one.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,6 +20,8 @@ pub struct ResolvedSweep {
     pub behavior: Option<String>,
     /// Which agents are asked for it.
     pub pairs: PairSelectionConfig,
+    /// What the events of its guided samples are asked to be like.
+    pub aim: Aim,
     /// Which samples become scenarios; `None`: all.
     pub select: Option<SelectConfig>,
     /// No further shard is begun once so many scenarios are verified.
@@ -96,12 +98,11 @@ impl ResolvedSweep {
             })
     }
 
-    /// Whether an objective of its guidance can aim at parameters of the event.
-    pub(in crate::generate) fn aims(&self) -> bool {
-        self.diffusion().is_some_and(|diffusion| {
-            let aims = |objective: &ObjectiveConfig| !objective.objective().aims_at().is_empty();
-            diffusion.is_guided() && diffusion.guidance.objectives.iter().any(aims)
-        })
+    /// The parameters of the event at which objectives of its guidance can aim.
+    pub(in crate::generate) fn aims_at(&self) -> BTreeSet<&'static str> {
+        let guided = self.diffusion().filter(|diffusion| diffusion.is_guided());
+        let objectives = guided.into_iter().flat_map(|diffusion| &diffusion.guidance.objectives);
+        objectives.flat_map(|objective| objective.objective().aims_at()).copied().collect()
     }
 
     /// Whether nobody in particular is asked for the behavior.

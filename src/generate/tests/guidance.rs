@@ -7,6 +7,7 @@ use crate::diffusion::sampler::HeunConfig;
 use crate::metrics::MetricSettings;
 use crate::scene::Track;
 use crate::store::ScenarioRecord;
+use std::collections::BTreeSet;
 
 const OBJECTIVES: &str = "
     splits = ['train']
@@ -114,6 +115,28 @@ fn objectives_alone_may_serve_a_behavior() {
 }
 
 #[test]
+fn each_sample_of_a_pair_aims_at_another_of_its_outcomes_whatever_the_batch() {
+    let asked = "behavior = 'drift'\n    classifier_scope = 'none'\n    objectives = [{ kind = 'cut_in' }]\n    aim = 'feasible'";
+    let aimed = SWEEPS.replace("behavior = 'drift'", asked).replace("n_samples = 2", "n_samples = 5");
+    let plan = with_generator(&config(&aimed), 0, |generator| generator.plan(&index(12)).unwrap());
+    for cell in &plan.shards.last().unwrap().cells {
+        let gaps: BTreeSet<u64> = cell.targets.iter().map(|target| target["gap_m"][0].to_bits()).collect();
+        assert_eq!((cell.targets.len(), gaps.len()), (5, 5), "{:?}", cell.targets);
+        assert!(cell.targets.iter().all(|target| target["gap_m"][1] - target["gap_m"][0] == 1.0));
+    }
+    let own = |config: &GenerateConfig| generate(config).split_off(15);
+    let (reference, same) = (own(&config(&aimed)), own(&config(&aimed.replace("aim = 'feasible'", ""))));
+    assert_eq!(reference.len(), 4 * 5 * 2);
+    let moved = reference.iter().zip(&same).filter(|(a, b)| difference_m(&a.scenario.scene, &b.scenario.scene) > 1e-3);
+    assert!(moved.clone().all(|(a, _)| a.scenario.provenance.guidance.level.strength != 0.0) && moved.count() > 10);
+    for batch_size in [1, 2, 7] {
+        for (a, b) in reference.iter().zip(&own(&GenerateConfig { batch_size, ..config(&aimed) })) {
+            assert!(difference_m(&a.scenario.scene, &b.scenario.scene) < ROUNDING_M, "batches of {batch_size}");
+        }
+    }
+}
+
+#[test]
 fn anybody_may_perform_the_behavior() {
     let toml = SWEEPS.replace("behavior = 'drift'", "behavior = 'drift'\n    classifier_scope = 'any_pair'");
     let records = generate(&config(&toml));
@@ -152,6 +175,8 @@ fn guidance_that_makes_no_sense_is_refused() {
             "nobody has the role \"other\"",
         ),
         (cut_in("classifier_scope = 'none'"), "they need objectives"),
+        (cut_in("aim = 'feasible'"), "aim is \"feasible\", which needs a behavior that two agents"),
+        (cut_in(&format!("aim = 'feasible'\n{}", speed(""))), "aim is \"feasible\""),
         (guided("classifier_scope = 'any_pair'"), "classifier_scope is \"any_pair\", which needs a behavior"),
         (sweep(&speed("")), "objectives guide at strengths other than 0"),
         (guided(&format!("objective_guidance = {{ inner_steps = 0 }}\n{}", speed(""))), "inner_steps is 0"),
