@@ -1,7 +1,7 @@
 //! Hard braking: does an agent slow down faster than comfortable traffic does?
 
 use super::speed_profile::smoothed_accelerations_mps2;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::scene::{Scene, Track};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -82,6 +82,11 @@ impl HardBrake {
         Self { config }
     }
 
+    /// Its options.
+    pub(super) const fn config(&self) -> &HardBrakeConfig {
+        &self.config
+    }
+
     fn detect_agent(&self, scene: &Scene, agent_idx: usize, track: &Track) -> Vec<BehaviorEvent> {
         let config = &self.config;
         let accelerations =
@@ -116,6 +121,10 @@ impl Behavior for HardBrake {
 
     fn roles(&self) -> &'static [&'static str] {
         ROLES
+    }
+
+    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
+        agents.first().map_or_else(Vec::new, |agent_idx| self.outcomes(scene, *agent_idx))
     }
 
     /// Agents in the order of tracks; of each agent first its positive, then its negative events, by time.

@@ -162,7 +162,7 @@ fn bend_rad(line: &Polyline) -> f64 {
 }
 
 /// The line through `points`, carried straight on at both ends.
-fn extended<'a>(points: impl Iterator<Item = &'a Vec2>) -> Polyline {
+pub(super) fn extended<'a>(points: impl Iterator<Item = &'a Vec2>) -> Polyline {
     let mut line: Vec<Vec2> = Vec::new();
     for point in points {
         if line.last().is_none_or(|last| last.distance(*point) > MIN_SPACING_M) {

@@ -2,7 +2,7 @@
 
 use super::lane_relation::LaneIndex;
 use super::lane_tracker::{Crossing, LaneTrace};
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::geometry::Vec2;
 use crate::scene::Scene;
 use schemars::JsonSchema;
@@ -79,6 +79,11 @@ impl LaneChange {
         Self { config }
     }
 
+    /// Its options.
+    pub(super) const fn config(&self) -> &LaneChangeConfig {
+        &self.config
+    }
+
     fn detect_agent<'a>(&self, scene: &Scene, lanes: &'a LaneIndex<'a>, agent_idx: usize) -> Vec<BehaviorEvent> {
         let config = &self.config;
         let trajectory = &scene.tracks[agent_idx].trajectory;
@@ -150,6 +155,10 @@ impl Behavior for LaneChange {
 
     fn roles(&self) -> &'static [&'static str] {
         ROLES
+    }
+
+    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
+        agents.first().map_or_else(Vec::new, |agent_idx| self.outcomes(scene, *agent_idx))
     }
 
     /// Agents in the order of tracks; of each agent by time.

@@ -122,6 +122,26 @@ impl<'a> LaneIndex<'a> {
         })
     }
 
+    /// The lanes beside `from` at `point`, a point on it, with the side on which they lie: +1 left, -1 right.
+    pub(crate) fn beside(&self, from: &IndexedLane<'_>, point: Vec2) -> Vec<(&IndexedLane<'a>, f64)> {
+        let near = self.lanes.iter().filter(|lane| lane.lane.id != from.lane.id);
+        let near = near.filter(|lane| lane.bounds.contains(point, 2.0 * HALF_NOMINAL_WIDTH_M));
+        near.filter_map(|lane| {
+            let there = lane.lane.centerline.project(point)?;
+            let is_next = (HALF_NOMINAL_WIDTH_M..3.0 * HALF_NOMINAL_WIDTH_M).contains(&there.offset_m.abs());
+            let edge = from.lane.centerline.project(point)?.point.lerp(there.point, 0.5);
+            let is_beside = is_next && self.relation(from, lane, edge) == LaneRelation::Beside;
+            // A point to the right of a line has a negative offset from it.
+            is_beside.then_some((lane, -there.offset_m.signum()))
+        })
+        .collect()
+    }
+
+    /// The ways that lead on from `start` for at least `length_m`, or to the end of the map.
+    pub(crate) fn ways_ahead(&self, start: &Lane, length_m: f64, n_ways: usize) -> Vec<Vec<&Lane>> {
+        self.graph.ways_ahead(start.id, length_m, n_ways)
+    }
+
     /// Whether `start` leads back to itself within `length_m`, as on a roundabout.
     pub(crate) fn is_on_loop(&self, start: &Lane, length_m: f64) -> bool {
         // Lanes with the least length from the end of `start` to theirs at which they were reached.

@@ -8,6 +8,7 @@ mod cut_in;
 mod cut_in_paper;
 pub(crate) mod driven_path;
 mod event;
+mod feasible;
 pub(crate) mod footprint;
 mod hard_brake;
 mod intrusion;
@@ -39,7 +40,7 @@ pub use outcome::Outcome;
 pub use right_turn::RightTurn;
 pub use turn::TurnConfig;
 
-use crate::scene::Scene;
+use crate::scene::{AgentClass, Scene};
 use crate::settings;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -52,6 +53,10 @@ pub trait Behavior: Send + Sync {
     fn roles(&self) -> &'static [&'static str];
     /// All events of the scene, positive and (where the behavior defines them) hard negative, in a fixed order.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent>;
+    /// Whether agents of this class may be asked to show it.
+    fn admits(&self, class: AgentClass) -> bool {
+        class.is_motorized()
+    }
     /// What `agents`, in the order of the roles, could still come to, told from what was observed and the map alone; empty where they
     /// cannot show the behavior. Where nothing speaks against it, one outcome that names no parameter.
     fn feasible(&self, _scene: &Scene, _agents: &[usize]) -> Vec<Outcome> {

@@ -3,9 +3,9 @@
 use super::driven_path::DrivenPath;
 use super::sweep::Sweep;
 use super::time_to_collision::time_to_collision_s;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::geometry::{OrientedBox, angle_difference};
-use crate::scene::{Extent, Scene};
+use crate::scene::{AgentClass, Extent, Scene};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_6;
@@ -113,6 +113,11 @@ impl NearMiss {
         Self { config }
     }
 
+    /// Its options.
+    pub(super) const fn config(&self) -> &NearMissConfig {
+        &self.config
+    }
+
     fn detect_pair(&self, scene: &Scene, pair: [usize; 2], [first, second]: [&Sweep; 2]) -> Option<BehaviorEvent> {
         let encounters = self.encounters(scene, pair, [first, second])?;
         let config = &self.config;
@@ -214,6 +219,17 @@ impl Behavior for NearMiss {
 
     fn roles(&self) -> &'static [&'static str] {
         ROLES
+    }
+
+    fn admits(&self, class: AgentClass) -> bool {
+        self.config.agents.admits(class)
+    }
+
+    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
+        match agents {
+            [first, second] => self.outcomes(scene, [*first, *second]),
+            _ => Vec::new(),
+        }
     }
 
     /// At most one event a pair, in the order of tracks.

@@ -1,7 +1,8 @@
 //! Right turn: does an agent turn right by a large angle in little room?
 
+use super::feasible::turn_outcomes as outcomes;
 use super::turn::{ROLES, TurnConfig, TurnSide, turns};
-use super::{Behavior, BehaviorEvent};
+use super::{Behavior, BehaviorEvent, Outcome};
 use crate::scene::Scene;
 
 /// Name of the behavior in configs and tables.
@@ -44,6 +45,11 @@ impl Behavior for RightTurn {
 
     fn roles(&self) -> &'static [&'static str] {
         ROLES
+    }
+
+    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
+        let outcomes = |agent_idx: &usize| outcomes(TurnSide::Right, &self.config, scene, *agent_idx);
+        agents.first().map_or_else(Vec::new, outcomes)
     }
 
     /// At most one event an agent, in the order of tracks.

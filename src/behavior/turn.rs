@@ -68,7 +68,7 @@ pub(crate) enum TurnSide {
 
 impl TurnSide {
     /// The sign of a change of heading to this side.
-    const fn sign(self) -> f64 {
+    pub(super) const fn sign(self) -> f64 {
         match self {
             Self::Left => 1.0,
             Self::Right => -1.0,
@@ -82,14 +82,18 @@ pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene
     let lanes = OnceCell::new();
     let is_on_roundabout = |pose: &TurnedPose| {
         let lanes = lanes.get_or_init(|| LaneIndex::new(&scene.lanes));
-        let along = lanes.lanes_at(pose.position).filter(|(_, place)| {
-            angle_difference(place.heading_rad, pose.heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD
-        });
-        along.into_iter().any(|(lane, _)| lanes.is_on_loop(lane.lane, MAX_ROUNDABOUT_M))
+        is_on_roundabout(lanes, pose.position, pose.heading_rad)
     };
     considered
         .filter_map(|(agent_idx, track)| turn((id, side), config, scene, agent_idx, track, &is_on_roundabout))
         .collect()
+}
+
+/// Whether an agent with this pose is in a lane that leads back to itself.
+pub(super) fn is_on_roundabout(lanes: &LaneIndex<'_>, position: Vec2, heading_rad: f64) -> bool {
+    let is_along = |lane_rad: f64| angle_difference(lane_rad, heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD;
+    let mut along = lanes.lanes_at(position).filter(|(_, place)| is_along(place.heading_rad));
+    along.any(|(lane, _)| lanes.is_on_loop(lane.lane, MAX_ROUNDABOUT_M))
 }
 
 fn turn(

@@ -86,13 +86,13 @@ impl Generator<'_> {
     }
 }
 
-/// Motorized agents tracked over the whole history, near each other, who can still show the behavior as far as the past tells.
+/// Agents of the classes that the behavior admits, tracked over the whole history, near each other, who can still show the behavior as far as the past tells.
 /// Scored by how easily they can; where that says nothing, by their distance.
 pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
     let eligible: Vec<usize> = (0..scene.tracks.len())
         .filter(|agent_idx| {
             let track = &scene.tracks[*agent_idx];
-            track.class.is_motorized() && (0..scene.n_history).all(|timestep| track.trajectory.is_valid(timestep))
+            behavior.admits(track.class) && (0..scene.n_history).all(|timestep| track.trajectory.is_valid(timestep))
         })
         .collect();
     let is_single = behavior.roles().len() == 1;

@@ -9,6 +9,7 @@ mod classifier_free;
 mod clean_guided_denoiser;
 mod estimate_potential;
 mod guided_denoiser;
+mod lane_ways;
 mod mask_change;
 mod objectives;
 mod road_corridors;
@@ -31,8 +32,9 @@ pub use estimate_potential::EstimatePotential;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
 pub use objectives::{
-    AccelerationLimit, AdversarialTtc, CutIn, Goal, GoalFrame, HardBrake, KeepDistance, NoCollision, ObjectiveConfig,
-    RoadPoints, SceneObjective, SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,
+    AccelerationLimit, AdversarialTtc, CutIn, Goal, GoalFrame, HardBrake, KeepDistance, LaneChange, NearMiss,
+    NoCollision, ObjectiveConfig, RoadPoints, SceneObjective, Side, SlipLimit, SpeedLimit, StayOnRoad, StopAtLine,
+    TargetSpeed, Turn,
 };
 pub use scene_context::{ContextRow, SceneContext, Target};
 

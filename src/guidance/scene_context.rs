@@ -1,6 +1,7 @@
 //! What do objectives know of a batch beside its states? Who is who, what is valid, how large agents are, where the road is.
 
 use super::AgentSelector;
+use super::lane_ways::LaneWays;
 use super::road_corridors::RoadCorridors;
 use crate::scene::{Scene, TrackId};
 use crate::tensor::{RepeatedRows, SceneBatch};
@@ -42,6 +43,8 @@ pub struct SceneContext {
     pub motorized: Tensor,
     /// The road of each row, in its ego frame.
     pub(super) roads: Vec<Arc<RoadCorridors>>,
+    /// The lanes of each row, with the way into its ego frame.
+    pub(super) ways: Vec<Arc<LaneWays>>,
     /// Place on the agent axis of the agent at the center of each row.
     pub(super) ego: Vec<usize>,
     /// Places on the agent axis, one a row, by role.
@@ -71,6 +74,7 @@ impl SceneContext {
             extent_m: batch.latent.clone(),
             motorized: batch.latent.clone(),
             roads: Vec::with_capacity(n_rows),
+            ways: Vec::with_capacity(n_rows),
             ego: Vec::with_capacity(n_rows),
             roles: BTreeMap::new(),
             targets: vec![Target::new(); n_rows],
@@ -92,6 +96,7 @@ impl SceneContext {
                 context.roles.entry(role.clone()).or_default().push(slot);
             }
             context.roads.push(Arc::new(RoadCorridors::new(&scene.lanes, &frame.ego_from_scene)));
+            context.ways.push(Arc::new(LaneWays::new(&scene.lanes, &frame.ego_from_scene)));
         }
         if let Some((role, slots)) = context.roles.iter().find(|(_, slots)| slots.len() != n_rows) {
             bail!("{} of {n_rows} rows have the role {role}, expected all", slots.len());
@@ -115,6 +120,7 @@ impl SceneContext {
             extent_m: repeat(&self.extent_m)?,
             motorized: repeat(&self.motorized)?,
             roads: rows.items(&self.roads),
+            ways: rows.items(&self.ways),
             ego: rows.items(&self.ego),
             roles: self.roles.iter().map(|(role, own)| (role.clone(), rows.items(own))).collect(),
             targets: rows.items(&self.targets),

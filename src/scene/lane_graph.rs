@@ -104,6 +104,28 @@ impl LaneGraph {
         self.lanes.binary_search_by_key(&id, |lane| lane.id).ok().map(|i| &self.lanes[i])
     }
 
+    /// The ways on from a lane, itself first, as far as `length_m` beyond its end or to the end of the map: one for each choice at each
+    /// fork, in the order of connections, and at most `n_ways` of them. No way passes a lane twice.
+    pub fn ways_ahead(&self, start: LaneId, length_m: f64, n_ways: usize) -> Vec<Vec<&Lane>> {
+        let mut ways = Vec::new();
+        let mut open: Vec<(Vec<&Lane>, f64)> = self.get(start).map(|lane| (vec![lane], 0.0)).into_iter().collect();
+        while let Some((way, added_m)) = open.pop().filter(|_| ways.len() < n_ways) {
+            let ahead = way.last().map_or(&[][..], |lane| &lane.successors);
+            let next =
+                ahead.iter().filter_map(|id| self.get(*id)).filter(|lane| way.iter().all(|own| own.id != lane.id));
+            let next: Vec<&Lane> = next.filter(|_| added_m < length_m).collect();
+            if next.is_empty() {
+                ways.push(way);
+                continue;
+            }
+            for lane in next.into_iter().rev() {
+                let longer = way.iter().copied().chain([lane]).collect();
+                open.push((longer, added_m + lane.centerline.length_m()));
+            }
+        }
+        ways
+    }
+
     /// The same graph in another frame.
     pub fn transformed(&self, to_from_here: &Transform2) -> Self {
         self.clone().into_frame(to_from_here)

@@ -1,7 +1,7 @@
 //! Which buckets does a request have, which one does an event fall into, and how many are wanted in each?
 
 use super::config::{Divisions, RequestConfig};
-use super::facts::{Facts, side};
+use super::facts::{Facts, SIDE, side};
 use crate::behavior::Outcome;
 use crate::guidance::Target;
 use serde::{Deserialize, Serialize};
@@ -123,7 +123,11 @@ impl Buckets {
                 let inset = (INSET_SHARE * (most - least)).min(MAX_INSET);
                 Some((name.clone(), [least + inset, most - inset]))
             }
-            Divisions::Texts(_) => None,
+            // The one parameter whose texts stand for numbers.
+            Divisions::Texts(texts) => {
+                let value = [-1.0, 1.0].into_iter().find(|value| name == SIDE && side(*value) == texts[part]);
+                value.map(|value| (name.clone(), [value - INSET_SHARE, value + INSET_SHARE]))
+            }
         };
         self.dimensions.iter().zip(self.part_indices(bucket)).filter_map(interval).collect()
     }

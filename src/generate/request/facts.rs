@@ -7,7 +7,7 @@ use crate::scene::{AgentClass, Scene};
 /// The place of a scene.
 const PLACE: &str = "place";
 /// The parameter that has words for its numbers: +1 is the left side, -1 the right one.
-const SIDE: &str = "side";
+pub(super) const SIDE: &str = "side";
 const SIDES: [&str; 2] = ["left", "right"];
 /// What follows a role in the name of its class.
 const CLASS_SUFFIX: &str = "_class";

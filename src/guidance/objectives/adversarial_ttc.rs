@@ -1,10 +1,11 @@
 //! Let two agents come shortly before a collision.
 
+use super::approach::Approach;
 use super::box_separation::separation_m;
-use super::motion::{best_moment, norm, nothing, positions};
+use super::motion::{best_moment, nothing};
 use super::pairs::{PairQuery, Pairs};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
-use candle_core::{D, Result, Tensor};
+use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -61,9 +62,6 @@ fn ego() -> AgentSelector {
     AgentSelector::new(AgentSelector::EGO)
 }
 
-/// The gap below which time to collision no longer shrinks, meters: its inverse would grow without bound.
-const LEAST_GAP_M: f64 = 0.5;
-
 impl SceneObjective for AdversarialTtc {
     fn kind(&self) -> &'static str {
         "adversarial_ttc"
@@ -78,35 +76,17 @@ impl SceneObjective for AdversarialTtc {
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let n_steps = states.dim(2)?.saturating_sub(1);
         let query = PairQuery { one: &self.agents, other: &self.to, reach: None };
-        let Some(pairs) = Pairs::gather(states, context, &query)?.filter(|_| n_steps > 0) else {
+        let Some(pairs) = Pairs::gather(states, context, &query)?.filter(|_| states.dim(2).is_ok_and(|n| n > 1)) else {
             return nothing(states);
         };
-        // Moments lie at timesteps from the second on, with the velocity that led there.
-        let later = |tensor: &Tensor| tensor.narrow(1, 1, n_steps);
-        let between = (positions(&pairs.second)? - positions(&pairs.first)?)?;
-        let offset = later(&between)?;
-        let relative = ((&offset - between.narrow(1, 0, n_steps)?)? * (1.0 / context.dt_s))?;
-        let (distance_m, speed_mps) = (norm(&offset)?, norm(&relative)?);
-        let closing_mps = (&offset * &relative)?.sum(D::Minus1)?.neg()?.div(&distance_m)?;
-        let gap_m = (later(&separation_m(&pairs)?)?.relu()? + LEAST_GAP_M)?;
-        let component = |tensor: &Tensor, dim: usize| tensor.narrow(2, dim, 1)?.squeeze(2);
-        let cross = ((component(&offset, 0)? * component(&relative, 1)?)?
-            - (component(&offset, 1)? * component(&relative, 0)?)?)?;
-        let pass_m = ((cross.sqr()? + SMALL * SMALL)?.sqrt()?).div(&speed_mps)?;
-        let width_m = ((pairs.first_extent_m.narrow(1, 1, 1)? + pairs.second_extent_m.narrow(1, 1, 1)?)? * 0.5)?;
-        let slow = ((1.0 / self.ttc_s - closing_mps.div(&gap_m)?)?.relu()? * (1.0 / self.tolerance_per_s))?;
-        let aside = (pass_m.broadcast_sub(&width_m)?.relu()? * (1.0 / self.tolerance_m))?;
+        let approach = Approach::new(&pairs, &separation_m(&pairs)?, context.dt_s)?;
+        let slow = ((1.0 / self.ttc_s - approach.inverse_ttc_per_s)?.relu()? * (1.0 / self.tolerance_per_s))?;
+        let aside = (approach.aside_m * (1.0 / self.tolerance_m))?;
         let cost = ((slow.sqr()? + aside.sqr()?)? * 0.5)?;
-        let counts = ((later(&pairs.counts)? + pairs.counts.narrow(1, 0, n_steps)?)?.minimum(1.0)?
-            * (later(&pairs.both_valid)? * pairs.both_valid.narrow(1, 0, n_steps)?)?)?;
-        pairs.sum_over_rows(&best_moment(&cost, &counts)?.neg()?)
+        pairs.sum_over_rows(&best_moment(&cost, &approach.counts)?.neg()?)
     }
 }
-
-/// Rounding of the distance of passing at zero, in meters times m/s.
-const SMALL: f64 = 0.05;
 
 #[cfg(test)]
 mod tests {

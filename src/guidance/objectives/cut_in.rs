@@ -1,9 +1,9 @@
 //! Move into the lane of another, before it.
 
 use super::motion::{best_moment, nothing, penalty};
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval};
+use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval, one_agent};
 use crate::geometry::Vec2;
-use crate::settings::{self, Issue};
+use crate::settings;
 use candle_core::{D, DType, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -114,11 +114,8 @@ impl SceneObjective for CutIn {
     }
 
     fn validate(&self) -> settings::Result {
-        for (key, selector) in [("agents", &self.agents), ("before", &self.before)] {
-            if selector.name() == AgentSelector::ALL {
-                return Err(Issue::new(key, "is \"all\", expected one agent: a role of the behavior, or \"ego\""));
-            }
-        }
+        one_agent("agents", &self.agents)?;
+        one_agent("before", &self.before)?;
         interval(GAP, self.gap_m)?;
         interval(RELATIVE_SPEED, self.relative_speed_mps)
     }

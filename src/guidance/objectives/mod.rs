@@ -11,12 +11,16 @@
 
 mod acceleration_limit;
 mod adversarial_ttc;
+mod approach;
 mod box_separation;
 mod cut_in;
 mod goal;
 mod hard_brake;
 mod keep_distance;
+mod lane_change;
+mod line_frame;
 mod motion;
+mod near_miss;
 mod no_collision;
 mod pairs;
 mod slip_limit;
@@ -28,6 +32,7 @@ mod target_speed;
 mod testing;
 #[cfg(test)]
 mod tests;
+mod turn;
 
 pub use acceleration_limit::AccelerationLimit;
 pub use adversarial_ttc::AdversarialTtc;
@@ -35,13 +40,16 @@ pub use cut_in::CutIn;
 pub use goal::{Goal, GoalFrame};
 pub use hard_brake::HardBrake;
 pub use keep_distance::KeepDistance;
+pub use lane_change::LaneChange;
 pub(super) use motion::nothing;
+pub use near_miss::NearMiss;
 pub use no_collision::NoCollision;
 pub use slip_limit::SlipLimit;
 pub use speed_limit::SpeedLimit;
 pub use stay_on_road::{RoadPoints, StayOnRoad};
 pub use stop_at_line::StopAtLine;
 pub use target_speed::TargetSpeed;
+pub use turn::Turn;
 
 use super::{AgentSelector, SceneContext};
 use crate::settings::{self, Issue};
@@ -104,6 +112,12 @@ pub enum ObjectiveConfig {
     CutIn(CutIn),
     /// Brake hard.
     HardBrake(HardBrake),
+    /// Barely avoid each other.
+    NearMiss(NearMiss),
+    /// Move over to the lane beside one's own.
+    LaneChange(LaneChange),
+    /// Turn left or right.
+    Turn(Turn),
 }
 
 impl ObjectiveConfig {
@@ -122,6 +136,9 @@ impl ObjectiveConfig {
             Self::AdversarialTtc(objective) => objective,
             Self::CutIn(objective) => objective,
             Self::HardBrake(objective) => objective,
+            Self::NearMiss(objective) => objective,
+            Self::LaneChange(objective) => objective,
+            Self::Turn(objective) => objective,
         }
     }
 
@@ -156,6 +173,36 @@ fn interval(key: &str, interval: Option<[f64; 2]>) -> settings::Result {
             Err(Issue::new(key, format!("is [{least}, {most}], expected [least, most] with least < most")))
         }
         _ => Ok(()),
+    }
+}
+
+/// Refuses to mean everybody where one agent is meant.
+fn one_agent(key: &str, selector: &AgentSelector) -> settings::Result {
+    match selector.name() {
+        AgentSelector::ALL => {
+            Err(Issue::new(key, "is \"all\", expected one agent: a role of the behavior, or \"ego\""))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// One of the two sides, seen in driving direction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Side {
+    /// To the left.
+    Left,
+    /// To the right.
+    Right,
+}
+
+impl Side {
+    /// +1 for left, -1 for right.
+    const fn sign(self) -> f64 {
+        match self {
+            Self::Left => 1.0,
+            Self::Right => -1.0,
+        }
     }
 }
 

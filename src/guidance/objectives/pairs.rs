@@ -96,6 +96,11 @@ impl Pairs {
         }))
     }
 
+    /// What belongs to the row of each pair, (P, ..), of `values` (B, ..).
+    pub(super) fn of_rows(&self, values: &Tensor) -> Result<Tensor> {
+        values.index_select(&self.rows, 0)
+    }
+
     /// Sums over the pairs of each row, (B), of one value a pair, (P).
     pub(super) fn sum_over_rows(&self, values: &Tensor) -> Result<Tensor> {
         Tensor::zeros(self.n_rows, values.dtype(), values.device())?.index_add(&self.rows, values, 0)

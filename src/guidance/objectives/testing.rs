@@ -1,7 +1,10 @@
 //! Traffic for tests of objectives, in double precision: gradients against finite differences, and what following them does.
 
 use super::SceneObjective;
+use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::guidance::SceneContext;
+use crate::guidance::lane_ways::LaneWays;
+use crate::scene::{Lane, LaneGraph, LaneId};
 use candle_core::{Device, Tensor, Var};
 use std::ops::Range;
 
@@ -38,6 +41,7 @@ impl Traffic {
             extent_m: Tensor::from_vec([4.5, 1.8].repeat(n_agents), (1, n_agents, 2), &device).unwrap(),
             motorized: Tensor::from_vec(vec![1.0; n_agents], (1, n_agents), &device).unwrap(),
             roads: vec![std::sync::Arc::default()],
+            ways: vec![std::sync::Arc::default()],
             ego: vec![0],
             targets: vec![std::collections::BTreeMap::new()],
             roles: std::iter::once(("other".to_owned(), vec![1.min(n_agents - 1)])).collect(),
@@ -69,6 +73,37 @@ impl Traffic {
         let gradients = total.backward().unwrap();
         gradients.get(self.states.as_tensor()).unwrap().flatten_all().unwrap().to_vec1().unwrap()
     }
+}
+
+/// Two lanes along x beside each other, with center lines at y = 0 and 3.5 m.
+pub(super) fn two_lanes() -> LaneWays {
+    ways(vec![(1, vec![(-50.0, 0.0), (100.0, 0.0)], vec![]), (2, vec![(-50.0, 3.5), (100.0, 3.5)], vec![])])
+}
+
+/// A lane along x to x = 10 m, where it goes on straight, and turns to the left on a quarter of a circle of 10 m.
+pub(super) fn fork() -> LaneWays {
+    let bend = (0..=18).map(|i| f64::from(i) * 5f64.to_radians());
+    let bend = bend.map(|angle| (10.0 + 10.0 * angle.sin(), 10.0 - 10.0 * angle.cos())).collect();
+    ways(vec![
+        (1, vec![(-50.0, 0.0), (10.0, 0.0)], vec![2, 3]),
+        (2, vec![(10.0, 0.0), (100.0, 0.0)], vec![]),
+        (3, bend, vec![]),
+    ])
+}
+
+fn ways(lanes: Vec<(i64, Vec<(f64, f64)>, Vec<i64>)>) -> LaneWays {
+    let lane = |(id, points, successors): (i64, Vec<(f64, f64)>, Vec<i64>)| Lane {
+        id: LaneId(id),
+        centerline: Polyline(points.into_iter().map(|(x, y)| Vec2::new(x, y)).collect()),
+        left: Polyline::default(),
+        right: Polyline::default(),
+        successors: successors.into_iter().map(LaneId).collect(),
+        predecessors: Vec::new(),
+        left_neighbor: None,
+        right_neighbor: None,
+        attributes: std::sync::Arc::default(),
+    };
+    LaneWays::new(&LaneGraph::new(lanes.into_iter().map(lane).collect()), &Transform2::IDENTITY)
 }
 
 pub(super) fn nested(states: &Tensor) -> Vec<Vec<Vec<Vec<f64>>>> {

@@ -1,0 +1,48 @@
+//! Which events could agents still show? Told from what was observed, the map, and the limits of driving; never from the recorded future.
+//!
+//! One behavior a file; that of the cut-in is in its own folder.
+
+mod hard_brake;
+mod lane_change;
+mod near_miss;
+mod turn;
+mod ways;
+
+pub(super) use turn::outcomes as turn_outcomes;
+
+/// How hard vehicles may brake and accelerate, m/s².
+const ACCELERATIONS_MPS2: std::ops::RangeInclusive<f64> = -4.0..=2.5;
+/// How hard they may accelerate across, m/s².
+const LATERAL_ACCELERATION_MPS2: f64 = 2.0;
+
+/// The share of the limits that an acceleration takes.
+fn effort(acceleration_mps2: f64) -> f64 {
+    let limit = if acceleration_mps2 < 0.0 { *ACCELERATIONS_MPS2.start() } else { *ACCELERATIONS_MPS2.end() };
+    acceleration_mps2 / limit
+}
+
+/// The time from the present to the end of a scene, seconds.
+fn horizon_s(scene: &crate::scene::Scene) -> f64 {
+    scene.n_timesteps.saturating_sub(scene.n_history) as f64 * scene.dt_s
+}
+
+/// A behavior in a scene with 4 s of future.
+#[cfg(test)]
+fn outcomes(
+    behavior: &dyn super::Behavior,
+    drives: &[crate::scene::testing::Drive],
+    lanes: crate::scene::LaneGraph,
+    agents: &[usize],
+) -> Vec<super::Outcome> {
+    let mut scene = crate::scene::testing::scene(drives);
+    scene.dt_s = 0.5;
+    scene.lanes = lanes.into();
+    let mut unknown = scene.clone();
+    for track in &mut unknown.tracks {
+        let observed = |t: usize| track.trajectory.get(t).copied().filter(|_| t < scene.n_history);
+        track.trajectory = crate::scene::Trajectory::new((0..scene.n_timesteps).map(observed).collect());
+    }
+    let found = behavior.feasible(&scene, agents);
+    assert_eq!(found, behavior.feasible(&unknown, agents), "the recorded future was looked at");
+    found
+}

@@ -1,0 +1,167 @@
+//! Which ways does the map leave an agent? Center lines that lead on from where it is, or from the lane beside that one.
+
+use crate::geometry::{Polyline, Transform2, Vec2, angle_difference};
+use crate::scene::{Lane, LaneGraph, LaneId};
+use std::collections::BTreeSet;
+use std::f64::consts::{FRAC_PI_4, FRAC_PI_8};
+
+/// An agent is in a lane whose center line is within half a wide lane of it, meters, and leads its way but for this angle.
+const IN_LANE_M: f64 = 2.0;
+const ALONG_RAD: f64 = FRAC_PI_4;
+/// Lanes beside each other have parallel center lines, and these distances between them, meters.
+const PARALLEL_RAD: f64 = FRAC_PI_8;
+const BESIDE_M: std::ops::Range<f64> = 2.0..5.5;
+/// How far ways lead on from the lane in which they begin, meters, and how many of them there may be.
+const AHEAD_M: f64 = 120.0;
+const N_WAYS: usize = 12;
+/// How far they run straight on at both ends, meters.
+const EXTENSION_M: f64 = 60.0;
+/// Points closer together than this are one, meters.
+const MIN_SPACING_M: f64 = 0.05;
+
+/// The lanes of a row, in its ego frame.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct LaneWays {
+    lanes: LaneGraph,
+}
+
+/// A pose in the row's frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct WayPose {
+    pub(super) position: Vec2,
+    pub(super) heading_rad: f64,
+}
+
+impl LaneWays {
+    /// The ways of these lanes, in the frame that `to_from_here` leads to.
+    pub(super) fn new(lanes: &LaneGraph, to_from_here: &Transform2) -> Self {
+        Self { lanes: lanes.transformed(to_from_here) }
+    }
+
+    /// The lines on which an agent at `pose` can drive on in the lanes that it is in.
+    pub(super) fn ahead(&self, pose: WayPose) -> Vec<Polyline> {
+        self.own(pose).into_iter().flat_map(|lane| self.lines(lane.id)).collect()
+    }
+
+    /// The lines of the lanes beside those that an agent at `pose` is in, on its left (`side` > 0) or right: lanes that the map names as
+    /// neighbors, and parallel ones that do not join.
+    pub(super) fn beside(&self, pose: WayPose, side: f64) -> Vec<Polyline> {
+        let own = self.own(pose);
+        let named: BTreeSet<LaneId> = own
+            .iter()
+            .filter_map(|lane| if side > 0.0 { lane.left_neighbor } else { lane.right_neighbor })
+            .filter(|id| self.lanes.get(*id).is_some_and(|lane| self.is_beside(lane, pose, side)))
+            .collect();
+        if !named.is_empty() {
+            return named.into_iter().flat_map(|id| self.lines(id)).collect();
+        }
+        let joined: BTreeSet<LaneId> = own.iter().flat_map(|lane| self.ids_ahead(lane.id)).collect();
+        let parallel = self.lanes.lanes().iter().filter(|lane| self.is_beside(lane, pose, side));
+        let parallel = parallel.filter(|lane| !own.is_empty() && self.ids_ahead(lane.id).is_disjoint(&joined));
+        parallel.flat_map(|lane| self.lines(lane.id)).collect()
+    }
+
+    /// The lanes that an agent at `pose` is in.
+    fn own(&self, pose: WayPose) -> Vec<&Lane> {
+        let is_own = |lane: &&Lane| passes(lane, pose, ALONG_RAD).is_some_and(|offset_m| offset_m.abs() < IN_LANE_M);
+        self.lanes.lanes().iter().filter(is_own).collect()
+    }
+
+    fn is_beside(&self, lane: &Lane, pose: WayPose, side: f64) -> bool {
+        // Who is to the right of a line has a negative offset from it.
+        passes(lane, pose, PARALLEL_RAD).is_some_and(|offset_m| BESIDE_M.contains(&(-side.signum() * offset_m)))
+    }
+
+    fn ids_ahead(&self, start: LaneId) -> BTreeSet<LaneId> {
+        self.lanes.ways_ahead(start, AHEAD_M, N_WAYS).into_iter().flatten().map(|lane| lane.id).collect()
+    }
+
+    fn lines(&self, start: LaneId) -> Vec<Polyline> {
+        let ways = self.lanes.ways_ahead(start, AHEAD_M, N_WAYS);
+        ways.into_iter().filter_map(|way| carried_on(way.into_iter().flat_map(|lane| &lane.centerline.0))).collect()
+    }
+}
+
+/// How far an agent at `pose` is to the left of the lane's center line, where the lane passes it in its direction.
+fn passes(lane: &Lane, pose: WayPose, within_rad: f64) -> Option<f64> {
+    let place = lane.centerline.project(pose.position)?;
+    let is_along = angle_difference(place.heading_rad, pose.heading_rad).abs() < within_rad;
+    let aside = (pose.position - place.point).dot(Vec2::from_angle(place.heading_rad)).abs();
+    (is_along && aside < 1.0).then_some(place.offset_m)
+}
+
+/// The line through `points`, carried straight on at both ends.
+fn carried_on<'a>(points: impl Iterator<Item = &'a Vec2>) -> Option<Polyline> {
+    let mut line: Vec<Vec2> = Vec::new();
+    for point in points {
+        if line.last().is_none_or(|last| last.distance(*point) > MIN_SPACING_M) {
+            line.push(*point);
+        }
+    }
+    let onward = |from: Vec2, to: Vec2| to + Vec2::from_angle((to - from).angle()) * EXTENSION_M;
+    let [first, second, ..] = line[..] else { return None };
+    let end = onward(line[line.len() - 2], line[line.len() - 1]);
+    line.insert(0, onward(second, first));
+    line.push(end);
+    Some(Polyline(line))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lane(id: i64, points: &[(f64, f64)], successors: &[i64]) -> Lane {
+        Lane {
+            id: LaneId(id),
+            centerline: Polyline(points.iter().map(|(x, y)| Vec2::new(*x, *y)).collect()),
+            left: Polyline::default(),
+            right: Polyline::default(),
+            successors: successors.iter().map(|id| LaneId(*id)).collect(),
+            predecessors: Vec::new(),
+            left_neighbor: None,
+            right_neighbor: None,
+            attributes: std::sync::Arc::default(),
+        }
+    }
+
+    /// Lane 1 along x forks into 2, straight on, and 3, to the left; 4 lies to its left, 5 beyond that, 6 to its right and joins 2, and 7
+    /// comes toward it.
+    fn ways() -> LaneWays {
+        let lanes = vec![
+            lane(1, &[(0.0, 0.0), (50.0, 0.0)], &[2, 3]),
+            lane(2, &[(50.0, 0.0), (100.0, 0.0)], &[]),
+            lane(3, &[(50.0, 0.0), (60.0, 10.0), (60.0, 60.0)], &[]),
+            lane(4, &[(0.0, 3.5), (100.0, 3.5)], &[]),
+            lane(5, &[(0.0, 7.0), (100.0, 7.0)], &[]),
+            lane(6, &[(0.0, -3.5), (50.0, -3.5)], &[2]),
+            lane(7, &[(100.0, 3.4), (0.0, 3.4)], &[]),
+        ];
+        LaneWays::new(&LaneGraph::new(lanes), &Transform2::IDENTITY)
+    }
+
+    fn pose(x: f64, y: f64) -> WayPose {
+        WayPose { position: Vec2::new(x, y), heading_rad: 0.05 }
+    }
+
+    #[test]
+    fn a_fork_is_two_ways() {
+        let ends: Vec<Vec2> = ways().ahead(pose(20.0, 0.5)).iter().map(|line| line.0[line.0.len() - 1]).collect();
+        assert_eq!(ends.len(), 2);
+        assert!(ends[0].distance(Vec2::new(160.0, 0.0)) < 1e-9 && ends[1].distance(Vec2::new(60.0, 120.0)) < 1e-9);
+        assert!(ways().ahead(pose(20.0, 30.0)).is_empty());
+    }
+
+    #[test]
+    fn the_lane_beside_leads_the_same_way_and_does_not_join() {
+        let beside = |side: f64| ways().beside(pose(20.0, 0.2), side);
+        let left = beside(1.0);
+        assert_eq!(left.len(), 1);
+        assert!(left[0].0.iter().all(|point| (point.y - 3.5).abs() < 1e-9));
+        assert!(beside(-1.0).is_empty());
+        // The map's word counts where lanes join.
+        let mut named = ways().lanes.lanes().to_vec();
+        named[0].right_neighbor = Some(LaneId(6));
+        let named = LaneWays { lanes: LaneGraph::new(named) };
+        assert_eq!(named.beside(pose(20.0, 0.2), -1.0).len(), 1);
+    }
+}

@@ -1,0 +1,46 @@
+//! How soon two agents would collide, and how far beside each other they would pass.
+
+use super::motion::{norm, positions};
+use super::pairs::Pairs;
+use candle_core::{D, Result, Tensor};
+
+/// The gap below which time to collision no longer shrinks, meters: its inverse would grow without bound.
+const LEAST_GAP_M: f64 = 0.5;
+/// Rounding of the distance of passing at zero, in meters times m/s.
+const SMALL: f64 = 0.05;
+
+/// Pairs at the timesteps from the second on, with the velocity that led there, both going straight on: (P, T - 1) each.
+pub(super) struct Approach {
+    /// The inverse time to collision q = -(d · u / ‖d‖) / (max(s, 0) + ½ m), of relative position d, relative velocity u and separation s, 1/s.
+    pub(super) inverse_ttc_per_s: Tensor,
+    /// By how much the centers would pass each other farther apart than half of both widths, meters.
+    pub(super) aside_m: Tensor,
+    /// 1 where both timesteps have states of both, of which one is generated.
+    pub(super) counts: Tensor,
+}
+
+impl Approach {
+    /// Of `pairs`, whose boxes are `separation_m` (P, T) apart. There must be two timesteps.
+    pub(super) fn new(pairs: &Pairs, separation_m: &Tensor, dt_s: f64) -> Result<Self> {
+        let n_steps = separation_m.dim(1)? - 1;
+        let (earlier, later) =
+            (|tensor: &Tensor| tensor.narrow(1, 0, n_steps), |tensor: &Tensor| tensor.narrow(1, 1, n_steps));
+        let between = (positions(&pairs.second)? - positions(&pairs.first)?)?;
+        let offset = later(&between)?;
+        let relative = ((&offset - earlier(&between)?)? * (1.0 / dt_s))?;
+        let (distance_m, speed_mps) = (norm(&offset)?, norm(&relative)?);
+        let closing_mps = (&offset * &relative)?.sum(D::Minus1)?.neg()?.div(&distance_m)?;
+        let gap_m = (later(separation_m)?.relu()? + LEAST_GAP_M)?;
+        let component = |tensor: &Tensor, dim: usize| tensor.narrow(2, dim, 1)?.squeeze(2);
+        let cross = ((component(&offset, 0)? * component(&relative, 1)?)?
+            - (component(&offset, 1)? * component(&relative, 0)?)?)?;
+        let pass_m = ((cross.sqr()? + SMALL * SMALL)?.sqrt()?).div(&speed_mps)?;
+        let width_m = ((pairs.first_extent_m.narrow(1, 1, 1)? + pairs.second_extent_m.narrow(1, 1, 1)?)? * 0.5)?;
+        Ok(Self {
+            inverse_ttc_per_s: closing_mps.div(&gap_m)?,
+            aside_m: pass_m.broadcast_sub(&width_m)?.relu()?,
+            counts: ((later(&pairs.counts)? + earlier(&pairs.counts)?)?.minimum(1.0)?
+                * (later(&pairs.both_valid)? * earlier(&pairs.both_valid)?)?)?,
+        })
+    }
+}

@@ -1,0 +1,156 @@
+//! Move over to the lane beside one's own.
+
+use super::line_frame::OneAgent;
+use super::motion::{nothing, penalty};
+use super::{AgentSelector, SceneContext, SceneObjective, Side, default_weight, one_agent};
+use crate::geometry::Polyline;
+use crate::settings;
+use candle_core::{Result, Tensor};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Be in the lane beside one's own by the end, and stay there.
+///
+/// With d(t) the offset from the center line of the lane beside the one that the agent is in at present, carried on along its nearest
+/// successors, J = -mean of ½ (max(|d| - within, 0) / τ)² over the last seconds (`settled_s`). Of several lanes the one counts that costs least.
+/// 0 where the map has none on the wanted side: see `pairs.only_feasible`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LaneChange {
+    /// How much this objective counts beside others.
+    #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub weight: f64,
+    /// Who changes lanes: `ego` or a role.
+    #[serde(default = "agent")]
+    pub agents: AgentSelector,
+    /// To which side. Left out: that of the bucket that a request asks for, else the one that costs less.
+    #[serde(default)]
+    pub side: Option<Side>,
+    /// How long the agent is in the new lane at the end, at least, seconds.
+    #[serde(default = "default_settled_s")]
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub settled_s: f64,
+    /// How far from the center line of the new lane it may be then, meters.
+    #[serde(default = "default_within_m")]
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub within_m: f64,
+    /// The error τ of the offset that costs ½, meters.
+    #[serde(default = "default_tolerance_m")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub tolerance_m: f64,
+}
+
+fn agent() -> AgentSelector {
+    AgentSelector::new("agent")
+}
+
+const fn default_settled_s() -> f64 {
+    1.2
+}
+
+const fn default_within_m() -> f64 {
+    0.7
+}
+
+const fn default_tolerance_m() -> f64 {
+    0.5
+}
+
+/// The parameter at which it aims, as the events report it: +1 left, -1 right.
+const SIDE: &str = "side";
+impl SceneObjective for LaneChange {
+    fn kind(&self) -> &'static str {
+        "lane_change"
+    }
+
+    fn weight(&self) -> f64 {
+        self.weight
+    }
+
+    fn agents(&self) -> Vec<&AgentSelector> {
+        vec![&self.agents]
+    }
+
+    fn aims_at(&self) -> &'static [&'static str] {
+        &[SIDE]
+    }
+
+    fn validate(&self) -> settings::Result {
+        one_agent("agents", &self.agents)
+    }
+
+    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let (n_rows, _, n_timesteps, _) = states.dims4()?;
+        let n_settled = (self.settled_s / context.dt_s).round().max(1.0) as usize;
+        let n_settled = n_settled.min(n_timesteps.saturating_sub(context.n_history));
+        if n_settled == 0 {
+            return nothing(states);
+        }
+        let asked = OneAgent::gather(states, context, &self.agents)?;
+        let lines: Vec<Option<Polyline>> = (0..n_rows).map(|row| self.line(&asked, context, row)).collect();
+        let frame = asked.along(&lines)?;
+        let last = |tensor: &Tensor| tensor.narrow(1, n_timesteps - n_settled, n_settled);
+        let aside_m = (last(&frame.across_m)?.abs()? - self.within_m)?.relu()?;
+        let counts = last(&asked.counts)?;
+        let costs = (penalty(&aside_m, self.tolerance_m)? * &counts)?.sum(1)?.div(&(counts.sum(1)? + 1e-6)?)?;
+        costs * frame.has_line
+    }
+}
+
+impl LaneChange {
+    /// The center line to move over to: the one that the agent is nearest to when it was last seen.
+    fn line(&self, asked: &OneAgent, context: &SceneContext, row: usize) -> Option<Polyline> {
+        let sides = match (self.side, context.targets[row].get(SIDE)) {
+            (Some(side), _) => vec![side.sign()],
+            (None, Some([least, most])) => vec![(least + most).signum()],
+            (None, None) => vec![1.0, -1.0],
+        };
+        let end = asked.position(row, asked.span(row)?.1);
+        let lines = sides.into_iter().flat_map(|side| context.ways[row].beside(asked.pose(row), side));
+        let aside_m = |line: &Polyline| line.project(end).map_or(f64::INFINITY, |place| place.offset_m.abs());
+        lines.min_by(|a, b| aside_m(a).total_cmp(&aside_m(b)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Traffic, after_ascent, assert_gradients_match, two_lanes};
+    use super::*;
+
+    fn objective(side: Option<Side>) -> LaneChange {
+        let defaults: LaneChange = toml::from_str("agents = 'ego'").expect("everything else has a default");
+        LaneChange { side, ..defaults }
+    }
+
+    /// A car in the right one of two lanes along x, whose center lines are at y = 0 and 3.5 m.
+    fn traffic() -> Traffic {
+        let mut traffic = Traffic::straight(&[(0.0, 0.3, 0.0, 8.0)]);
+        traffic.context.ways = vec![std::sync::Arc::new(two_lanes())];
+        traffic
+    }
+
+    #[test]
+    fn gradients_match_and_the_car_ends_in_the_lane_beside() {
+        for side in [None, Some(Side::Left)] {
+            assert_gradients_match(&objective(side), &traffic());
+            let states = &after_ascent(&objective(side), &traffic(), 100)[0];
+            let last = traffic().generated().end - 1;
+            assert!((states[0][last][1] - 3.5).abs() < 0.75, "{:?}", states[0][last]);
+        }
+    }
+
+    #[test]
+    fn the_cost_is_that_of_the_offset_and_nothing_without_a_lane_there() {
+        // 3.2 m from the other center line, of which 0.7 m are free: 2.5 m are five tolerances.
+        let found = traffic().potential(&objective(None))[0];
+        assert!((found + 12.5).abs() < 1e-5, "{found}");
+        assert_eq!(traffic().potential(&objective(Some(Side::Right))), [0.0]);
+        assert_eq!(Traffic::straight(&[(0.0, 0.3, 0.0, 8.0)]).potential(&objective(None)), [0.0]);
+        // What a bucket asks for decides where the configuration leaves it open.
+        let mut asked = traffic();
+        asked.context.targets[0] = [(SIDE.to_owned(), [-1.5, -0.5])].into();
+        assert_eq!(asked.potential(&objective(None)), [0.0]);
+        assert!(asked.potential(&objective(Some(Side::Left)))[0] < -12.0);
+    }
+}

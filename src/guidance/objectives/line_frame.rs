@@ -1,0 +1,97 @@
+//! The one agent of each row that an objective is about, along and across a line.
+
+use super::{AgentSelector, SceneContext};
+use crate::geometry::{Polyline, Vec2};
+use crate::guidance::lane_ways::WayPose;
+use candle_core::{D, DType, Result, Tensor};
+
+/// One agent a row.
+pub(super) struct OneAgent {
+    /// Its states, (B, T, 3).
+    states: Tensor,
+    /// 1 where they are generated and valid, (B, T).
+    pub(super) counts: Tensor,
+    /// The same on the host.
+    at: Vec<f64>,
+    is_valid: Vec<f64>,
+    n_timesteps: usize,
+    present: usize,
+}
+
+impl OneAgent {
+    /// The agents that `selector` names.
+    pub(super) fn gather(states: &Tensor, context: &SceneContext, selector: &AgentSelector) -> Result<Self> {
+        let (n_rows, n_agents, n_timesteps, _) = states.dims4()?;
+        let slots = context.slots(selector)?;
+        let flat: Vec<u32> = slots.iter().enumerate().map(|(row, slot)| (row * n_agents + slot) as u32).collect();
+        let flat = Tensor::from_vec(flat, n_rows, states.device())?;
+        let of = |tensor: &Tensor| tensor.flatten(0, 1)?.index_select(&flat, 0);
+        let host = |tensor: &Tensor| tensor.detach().to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>();
+        let (states, valid) = (of(states)?, of(&context.valid)?);
+        let counts = (&valid * of(&context.latent)?)?;
+        let (at, is_valid) = (host(&states)?, host(&valid)?);
+        Ok(Self { states, counts, at, is_valid, n_timesteps, present: context.n_history.saturating_sub(1) })
+    }
+
+    /// Where it is at a timestep.
+    pub(super) fn position(&self, row: usize, timestep: usize) -> Vec2 {
+        let at = 3 * (row * self.n_timesteps + timestep);
+        Vec2::new(self.at[at], self.at[at + 1])
+    }
+
+    /// Its pose at present.
+    pub(super) fn pose(&self, row: usize) -> WayPose {
+        let heading_rad = self.at[3 * (row * self.n_timesteps + self.present) + 2];
+        WayPose { position: self.position(row, self.present), heading_rad }
+    }
+
+    /// The first and the last timestep at which it has a state.
+    pub(super) fn span(&self, row: usize) -> Option<(usize, usize)> {
+        let own = &self.is_valid[row * self.n_timesteps..(row + 1) * self.n_timesteps];
+        own.iter().position(|valid| *valid > 0.0).zip(own.iter().rposition(|valid| *valid > 0.0))
+    }
+
+    /// The agents relative to one line a row; where there is none, along and across are 0. The nearest point of a line is found on the host and
+    /// held: by the envelope theorem the gradients are those of station and offset, up to the line's curvature.
+    pub(super) fn along(&self, lines: &[Option<Polyline>]) -> Result<LineFrame> {
+        let n_rows = lines.len();
+        let list = || Vec::with_capacity(n_rows * self.n_timesteps);
+        let (mut x, mut y, mut cos, mut sin, mut station_m) = (list(), list(), list(), list(), list());
+        for (row, line) in lines.iter().enumerate() {
+            for timestep in 0..self.n_timesteps {
+                let place = self.position(row, timestep);
+                let near = line.as_ref().and_then(|line| line.project(place));
+                let (point, along, at_m) = near.map_or((place, Vec2::ZERO, 0.0), |near| {
+                    (near.point, Vec2::from_angle(near.heading_rad), near.station_m)
+                });
+                x.push(point.x);
+                y.push(point.y);
+                cos.push(along.x);
+                sin.push(along.y);
+                station_m.push(at_m);
+            }
+        }
+        let states = &self.states;
+        let constant = |values: Vec<f64>| {
+            Tensor::from_vec(values, (n_rows, self.n_timesteps), states.device())?.to_dtype(states.dtype())
+        };
+        let coordinate = |dim: usize| states.narrow(D::Minus1, dim, 1)?.squeeze(D::Minus1);
+        let (dx, dy) = ((coordinate(0)? - constant(x)?)?, (coordinate(1)? - constant(y)?)?);
+        let (cos, sin) = (constant(cos)?, constant(sin)?);
+        let along_m = (((&dx * &cos)? + (&dy * &sin)?)? + constant(station_m)?)?;
+        let across_m = ((&dy * &cos)? - (&dx * &sin)?)?;
+        let has_line: Vec<f64> = lines.iter().map(|line| f64::from(u8::from(line.is_some()))).collect();
+        let has_line = Tensor::from_vec(has_line, n_rows, states.device())?.to_dtype(states.dtype())?;
+        Ok(LineFrame { along_m, across_m, has_line })
+    }
+}
+
+/// Where agents are relative to one line a row.
+pub(super) struct LineFrame {
+    /// Way along the line, (B, T), meters.
+    pub(super) along_m: Tensor,
+    /// Way to the left of it, (B, T), meters.
+    pub(super) across_m: Tensor,
+    /// 1 for rows with a line, (B).
+    pub(super) has_line: Tensor,
+}
