@@ -1,5 +1,6 @@
 //! What was asked by parameters, and what was got: buckets, arms, and what each accepted scenario cost.
 
+use super::request_grid::{grid, range};
 use super::{Section, table};
 use crate::generate::{BucketSummary, Ended, RequestSummary, Yield};
 use crate::report::model::ReportModel;
@@ -26,6 +27,7 @@ fn one(request: &RequestSummary) -> Markup {
             " scenes (" (count(request.n_cells as u64)) " pairs of agents; " (count(request.n_infeasible as u64)) " more can fall into no bucket). It ended after " (count(request.n_rounds as u64))
             " rounds, when " (ended) "."
         }
+        @if let Some(grid) = grid(&request.buckets) { (grid) }
         (buckets(request))
         (arms(request))
     }
@@ -48,7 +50,7 @@ fn buckets(request: &RequestSummary) -> Markup {
     let body = html! {
         @for bucket in &request.buckets {
             tr class=[(bucket.n_accepted < bucket.n_wanted).then_some("reference")] {
-                @for part in &bucket.parts { td { (part.range.replace('-', "−").replace("..", " to ")) } }
+                @for part in &bucket.parts { td { (range(&part.range)) } }
                 td class="n" { (count(bucket.n_feasible as u64)) }
                 td class="n" { (count(bucket.n_wanted)) }
                 td class="n" { strong { (count(bucket.n_accepted)) } @if bucket.n_accepted < bucket.n_wanted { small { " short" } } }
