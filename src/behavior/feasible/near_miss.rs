@@ -6,7 +6,7 @@ use crate::behavior::lane_relation::LaneIndex;
 use crate::behavior::near_miss::NearMiss;
 use crate::behavior::outcome::Outcome;
 use crate::geometry::Vec2;
-use crate::scene::Scene;
+use crate::scene::{Extent, Scene};
 
 /// The accelerations that are tried, m/s²: the limits, coasting, and braking gently.
 const TRIED_MPS2: [f64; 4] = [*ACCELERATIONS_MPS2.start(), -2.0, 0.0, *ACCELERATIONS_MPS2.end()];
@@ -21,7 +21,8 @@ const TTC_SPACING_S: f64 = 0.2;
 /// Where an agent could be if it went on along one of its ways with one acceleration.
 struct Course {
     effort: f64,
-    positions: Vec<Vec2>,
+    /// Positions and directions at the times that are tried.
+    places: Vec<(Vec2, Vec2)>,
 }
 
 impl NearMiss {
@@ -33,22 +34,17 @@ impl NearMiss {
         let n_times = (horizon_s(scene) / SPACING_S).floor() as usize;
         let courses = |agent_idx: usize| courses(scene, &lanes, agent_idx, n_times);
         let (Some(own), Some(others)) = (courses(first), courses(second)) else { return Vec::new() };
-        let half_length_m = |agent_idx: usize| scene.tracks[agent_idx].extent_or_nominal().length_m / 2.0;
-        let near_m = half_length_m(first) + half_length_m(second) + config.max_distance_m;
+        let extents = [first, second].map(|agent_idx| scene.tracks[agent_idx].extent_or_nominal());
         let admits = |agent_idx: usize| config.agents.admits(scene.tracks[agent_idx].class);
+        if !admits(first) || !admits(second) {
+            return Vec::new();
+        }
         let mut least: Option<f64> = None;
         for (one, other) in own.iter().flat_map(|one| others.iter().map(move |other| (one, other))) {
-            let effort = one.effort.max(other.effort);
-            if least.is_some_and(|least| effort >= least) || !admits(first) || !admits(second) {
-                continue;
-            }
-            let meets = |(i, (a, b)): (usize, (&Vec2, &Vec2))| {
-                let elapsed_s = (i + 1) as f64 * SPACING_S;
-                let aside_m = (LATERAL_ACCELERATION_MPS2 * elapsed_s.powi(2) / 4.0).min(MOST_ASIDE_M);
-                a.distance(*b) <= near_m + aside_m
-            };
-            if one.positions.iter().zip(&other.positions).enumerate().any(meets) {
-                least = Some(effort);
+            for (i, (a, b)) in one.places.iter().zip(&other.places).enumerate() {
+                let evaded = evasion_effort([*a, *b], extents, config.max_distance_m, (i + 1) as f64 * SPACING_S);
+                let effort = evaded.map(|evaded| evaded.max(one.effort).max(other.effort));
+                least = least.into_iter().chain(effort).reduce(f64::min);
             }
         }
         let Some(effort) = least else { return Vec::new() };
@@ -56,6 +52,23 @@ impl NearMiss {
         let ttc_s = (0..=n).map(|i| LEAST_TTC_S + i as f64 * TTC_SPACING_S);
         ttc_s.map(|ttc_s| Outcome::default().with("min_ttc_s", ttc_s).at_effort(effort)).collect()
     }
+}
+
+/// What it takes two agents to touch at these places, `elapsed_s` from now, if one of them moves across to the other: the share of the way that it
+/// can move across. `None` where they cannot.
+fn evasion_effort(
+    [(one, along), (other, other_along)]: [(Vec2, Vec2); 2],
+    [extent, other_extent]: [Extent; 2],
+    near_m: f64,
+    elapsed_s: f64,
+) -> Option<f64> {
+    // The other's box as seen from the one: half of what it takes up along and across.
+    let (cos, sin) = (along.dot(other_along).abs(), along.cross(other_along).abs());
+    let (length_m, width_m) = (other_extent.length_m / 2.0, other_extent.width_m / 2.0);
+    let ahead_m = along.dot(other - one).abs() - extent.length_m / 2.0 - (length_m * cos + width_m * sin) - near_m;
+    let aside_m = along.cross(other - one).abs() - extent.width_m / 2.0 - (length_m * sin + width_m * cos) - near_m;
+    let most_m = (LATERAL_ACCELERATION_MPS2 * elapsed_s.powi(2) / 4.0).min(MOST_ASIDE_M);
+    (ahead_m <= 0.0 && aside_m <= most_m).then(|| aside_m.max(0.0) / most_m)
 }
 
 /// The courses of an agent; `None` where it is not tracked at present.
@@ -71,8 +84,8 @@ fn courses(scene: &Scene, lanes: &LaneIndex<'_>, agent_idx: usize, n_times: usiz
                 if acceleration_mps2 < 0.0 { elapsed_s.min(-speed_mps / acceleration_mps2) } else { elapsed_s };
             speed_mps * moving_s + acceleration_mps2 * moving_s.powi(2) / 2.0
         };
-        let positions = (1..=n_times).filter_map(|i| way.position(driven_m(i as f64 * SPACING_S))).collect();
-        Course { effort: effort(acceleration_mps2), positions }
+        let places = (1..=n_times).map_while(|i| way.place(driven_m(i as f64 * SPACING_S))).collect();
+        Course { effort: effort(acceleration_mps2), places }
     });
     Some(courses.collect())
 }
@@ -92,6 +105,9 @@ mod tests {
             assert!(found.iter().all(|outcome| outcome.get("min_ttc_s").is_some_and(|ttc_s| ttc_s < 1.5)));
             found.iter().map(super::super::super::Outcome::effort).reduce(f64::min)
         };
+        // Beside each other, with 1.7 m between them less what is near enough, of the 1.75 m that they can move across.
+        let beside = effort(Drive::straight(0.0, 3.5, 0.0, 10.0)).expect("near enough");
+        assert!((beside - 1.4 / 1.75).abs() < 1e-9, "{beside}");
         // On a course to collide already; when the one ahead brakes; never.
         assert_eq!(effort(Drive::straight(20.0, 0.0, 0.0, 2.0)), Some(0.0));
         assert_eq!(effort(Drive::straight(26.0, 0.0, 0.0, 10.0)), Some(1.0));

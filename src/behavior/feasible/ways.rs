@@ -20,11 +20,11 @@ pub(super) struct Way {
 }
 
 impl Way {
-    /// Where the agent is after `driven_m` along the way, as far beside its line as now.
-    pub(super) fn position(&self, driven_m: f64) -> Option<Vec2> {
+    /// Where the agent is after `driven_m` along the way, as far beside its line as now, and the direction of the way there.
+    pub(super) fn place(&self, driven_m: f64) -> Option<(Vec2, Vec2)> {
         let on_line = self.line.point_at(self.station_m + driven_m)?;
         let along = Vec2::from_angle(self.line.project(on_line)?.heading_rad);
-        Some(on_line + Vec2::new(-along.y, along.x) * self.offset_m)
+        Some((on_line + Vec2::new(-along.y, along.x) * self.offset_m, along))
     }
 }
 

@@ -1,7 +1,7 @@
 //! Move over to the lane beside one's own.
 
-use super::line_frame::OneAgent;
 use super::motion::{nothing, penalty};
+use super::one_agent::OneAgent;
 use super::{AgentSelector, SceneContext, SceneObjective, Side, default_weight, one_agent};
 use crate::geometry::Polyline;
 use crate::settings;
@@ -89,7 +89,7 @@ impl SceneObjective for LaneChange {
         }
         let asked = OneAgent::gather(states, context, &self.agents)?;
         let lines: Vec<Option<Polyline>> = (0..n_rows).map(|row| self.line(&asked, context, row)).collect();
-        let frame = asked.along(&lines)?;
+        let frame = asked.across(&lines)?;
         let last = |tensor: &Tensor| tensor.narrow(1, n_timesteps - n_settled, n_settled);
         let aside_m = (last(&frame.across_m)?.abs()? - self.within_m)?.relu()?;
         let counts = last(&asked.counts)?;

@@ -18,10 +18,11 @@ mod goal;
 mod hard_brake;
 mod keep_distance;
 mod lane_change;
-mod line_frame;
+
 mod motion;
 mod near_miss;
 mod no_collision;
+mod one_agent;
 mod pairs;
 mod slip_limit;
 mod speed_limit;

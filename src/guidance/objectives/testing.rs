@@ -118,6 +118,19 @@ pub(super) fn assert_gradients_match(objective: &dyn SceneObjective, traffic: &T
 
 /// The same for the entries of these agents.
 pub(super) fn assert_gradients_of_match(objective: &dyn SceneObjective, traffic: &Traffic, agents: &[usize]) {
+    assert_gradients_match_where(objective, traffic, |at| agents.contains(&(at / (3 * N_TIMESTEPS))));
+}
+
+/// The same for generated entries: what is wished may follow from the observed ones, which nothing moves.
+pub(super) fn assert_generated_gradients_match(objective: &dyn SceneObjective, traffic: &Traffic) {
+    assert_gradients_match_where(objective, traffic, |at| traffic.generated().contains(&(at / 3 % N_TIMESTEPS)));
+}
+
+fn assert_gradients_match_where(
+    objective: &dyn SceneObjective,
+    traffic: &Traffic,
+    is_compared: impl Fn(usize) -> bool,
+) {
     let gradient = traffic.gradient(objective);
     let states: Vec<f64> = traffic.states.flatten_all().unwrap().to_vec1().unwrap();
     let value = |at: usize, h: f64| {
@@ -130,7 +143,6 @@ pub(super) fn assert_gradients_of_match(objective: &dyn SceneObjective, traffic:
     let largest = gradient.iter().map(|g| g.abs()).fold(0.0, f64::max);
     assert!(largest > 1e-3, "there is no gradient");
     let h = 1e-5;
-    let is_compared = |at: usize| agents.contains(&(at / (3 * N_TIMESTEPS)));
     for (at, own) in gradient.iter().enumerate().filter(|(at, _)| is_compared(*at)) {
         let expected = (value(at, h) - value(at, -h)) / (2.0 * h);
         assert!((own - expected).abs() < 1e-4 * largest, "entry {at}: {own}, expected {expected}");

@@ -1,9 +1,9 @@
 //! Turn left or right.
 
-use super::line_frame::OneAgent;
 use super::motion::{nothing, penalty};
+use super::one_agent::OneAgent;
 use super::{AgentSelector, SceneContext, SceneObjective, Side, default_weight, one_agent};
-use crate::geometry::{Polyline, angle_difference};
+use crate::geometry::{Polyline, Vec2, angle_difference};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -12,11 +12,9 @@ use serde::{Deserialize, Serialize};
 /// Take a way that turns, and get through the turn.
 ///
 /// Of the center lines that lead on from the lanes in which the agent is at present, those count that turn by the wanted angle to the wanted
-/// side, from their direction where the agent was first seen; s* is the station at which they have. With s and d along and across the line,
-///
-/// J = -mean of ½ (max(|d| - within, 0) / τ)² over the generated timesteps - ½ (max(s* - s(end), 0) / τ_s)²,
-///
-/// for the line of which that is least. 0 where no way turns like that: see `pairs.only_feasible`.
+/// side, from their direction where the agent was first seen. Along each, a course r(t) leads from where the agent is at present, at its speed, with
+/// a constant acceleration by which it has turned when it is last seen. J = -½ the mean of (max(‖p - r‖ - within, 0) / τ)² over the generated
+/// timesteps, for the line of which that is least. 0 where no way turns like that: see `pairs.only_feasible`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Turn {
@@ -33,18 +31,14 @@ pub struct Turn {
     #[serde(default = "default_angle_rad")]
     #[schemars(range(min = 0.1, max = 6.0))]
     pub angle_rad: f64,
-    /// How far from the center line it may be on the way, meters.
+    /// How far from the course it may be, meters.
     #[serde(default = "default_within_m")]
     #[schemars(range(min = 0.0, max = 10.0))]
     pub within_m: f64,
-    /// The error τ of the offset that costs ½, meters.
+    /// The distance τ that costs ½, meters.
     #[serde(default = "default_tolerance_m")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
-    /// The way τ_s that lacks at the end and costs ½, meters.
-    #[serde(default = "default_along_tolerance_m")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub along_tolerance_m: f64,
 }
 
 fn agent() -> AgentSelector {
@@ -64,9 +58,10 @@ const fn default_tolerance_m() -> f64 {
     0.5
 }
 
-const fn default_along_tolerance_m() -> f64 {
-    3.0
-}
+/// How far beyond the place by which it has turned the agent comes, meters.
+const BEYOND_M: f64 = 1.5;
+/// How hard it brakes and accelerates on its course at most, m/s².
+const ACCELERATIONS_MPS2: [f64; 2] = [-4.0, 2.5];
 
 impl SceneObjective for Turn {
     fn kind(&self) -> &'static str {
@@ -91,52 +86,37 @@ impl SceneObjective for Turn {
             return nothing(states);
         }
         let asked = OneAgent::gather(states, context, &self.agents)?;
-        let ways: Vec<Option<TurningWay>> = (0..n_rows).map(|row| self.way(&asked, context, row)).collect();
-        let mut is_end = vec![0.0; n_rows * n_timesteps];
-        for row in 0..n_rows {
-            if let Some((_, last)) = asked.span(row) {
-                is_end[row * n_timesteps + last] = 1.0;
-            }
-        }
-        let turned_m: Vec<f64> = ways.iter().map(|way| way.as_ref().map_or(0.0, |way| way.turned_m)).collect();
-        let lines: Vec<Option<Polyline>> = ways.into_iter().map(|way| way.map(|way| way.line)).collect();
-        let frame = asked.along(&lines)?;
-        let constant = |values: Vec<f64>, shape: &[usize]| {
-            Tensor::from_vec(values, shape, states.device())?.to_dtype(states.dtype())
-        };
-        let aside_m = (frame.across_m.abs()? - self.within_m)?.relu()?;
-        let on_the_way = (penalty(&aside_m, self.tolerance_m)? * &asked.counts)?.sum(1)?;
-        let on_the_way = on_the_way.div(&(asked.counts.sum(1)? + 1e-6)?)?;
-        let is_end = (constant(is_end, &[n_rows, n_timesteps])? * &asked.counts)?;
-        let end_m = (&frame.along_m * &is_end)?.sum(1)?;
-        let lacks_m = ((constant(turned_m, &[n_rows])? - end_m)?.relu()? * is_end.sum(1)?)?;
-        (on_the_way + penalty(&lacks_m, self.along_tolerance_m)?)? * frame.has_line
+        let courses: Vec<Option<Vec<Vec2>>> = (0..n_rows).map(|row| self.course(&asked, context, row)).collect();
+        let away_m = (asked.distance_m(&courses)? - self.within_m)?.relu()?;
+        let counted = (penalty(&away_m, self.tolerance_m)? * &asked.counts)?.sum(1)?;
+        counted.div(&(asked.counts.sum(1)? + 1e-6)?)
     }
 }
 
-/// A line that turns, and the station by which it has.
-struct TurningWay {
-    line: Polyline,
-    turned_m: f64,
-}
-
 impl Turn {
-    /// The way to take: the one that costs the agent least at its end.
-    fn way(&self, asked: &OneAgent, context: &SceneContext, row: usize) -> Option<TurningWay> {
+    /// Where the agent is to be at each timestep: on the way that is nearest to where it goes now.
+    fn course(&self, asked: &OneAgent, context: &SceneContext, row: usize) -> Option<Vec<Vec2>> {
         let (first, last) = asked.span(row)?;
-        let (start, end) = (asked.position(row, first), asked.position(row, last));
-        let turning = context.ways[row].ahead(asked.pose(row)).into_iter().filter_map(|line| {
-            let from = line.project(start)?;
-            let turned_m = self.turned_m(&line, from.station_m, from.heading_rad)?;
-            Some(TurningWay { line, turned_m })
+        let (present, dt_s) = (context.n_history.saturating_sub(1), context.dt_s);
+        let now = asked.position(row, present);
+        let speed_mps = now.distance(asked.position(row, present.saturating_sub(1).max(first))) / dt_s;
+        let horizon_s = last.checked_sub(present).filter(|n| *n > 0)? as f64 * dt_s;
+        let courses = context.ways[row].ahead(asked.pose(row)).into_iter().filter_map(|line| {
+            let (from, place) = (line.project(asked.position(row, first))?, line.project(now)?);
+            let ends_m = self.turned_m(&line, from.station_m, from.heading_rad)? + BEYOND_M - place.station_m;
+            let acceleration_mps2 = 2.0 * (ends_m - speed_mps * horizon_s) / horizon_s.powi(2);
+            let acceleration_mps2 = acceleration_mps2.clamp(ACCELERATIONS_MPS2[0], ACCELERATIONS_MPS2[1]);
+            let at = |timestep: usize| {
+                let elapsed_s = timestep.saturating_sub(present) as f64 * dt_s;
+                let driven_m = speed_mps * elapsed_s + acceleration_mps2 * elapsed_s.powi(2) / 2.0;
+                line.point_at(place.station_m + driven_m.max(0.0))
+            };
+            (0..=asked.last_timestep()).map(at).collect::<Option<Vec<Vec2>>>()
         });
-        let cost = |way: &TurningWay| {
-            way.line.project(end).map_or(f64::INFINITY, |place| {
-                let lacks_m = (way.turned_m - place.station_m).max(0.0);
-                (place.offset_m / self.tolerance_m).powi(2) + (lacks_m / self.along_tolerance_m).powi(2)
-            })
+        let away_m = |course: &Vec<Vec2>| -> f64 {
+            (present..=last).map(|timestep| course[timestep].distance(asked.position(row, timestep))).sum()
         };
-        turning.min_by(|a, b| cost(a).total_cmp(&cost(b)))
+        courses.min_by(|a, b| away_m(a).total_cmp(&away_m(b)))
     }
 
     /// The station at which `line`, seen from `from_m` on, has turned away from `heading_rad` as far as is wanted.
@@ -159,7 +139,7 @@ impl Turn {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{Traffic, after_ascent, assert_gradients_match, fork};
+    use super::super::testing::{Traffic, after_ascent, assert_generated_gradients_match, fork};
     use super::*;
 
     fn objective(side: Side) -> Turn {
@@ -175,15 +155,11 @@ mod tests {
     }
 
     #[test]
-    fn gradients_match_where_the_line_is_straight_and_the_car_takes_the_turn() {
-        // On a bend, the gradient along the line leaves its curvature out: before it, there is none to leave out.
-        let mut before = traffic();
-        before.context.ways = vec![std::sync::Arc::new(fork())];
-        let slow = Traffic { context: before.context, ..Traffic::straight(&[(0.0, 0.8, 0.0, 3.0)]) };
-        assert_gradients_match(&objective(Side::Left), &slow);
-        let states = &after_ascent(&objective(Side::Left), &traffic(), 400)[0];
+    fn gradients_match_and_the_car_takes_the_turn() {
+        assert_generated_gradients_match(&objective(Side::Left), &traffic());
+        let states = &after_ascent(&objective(Side::Left), &traffic(), 100)[0];
         let last = states[0][traffic().generated().end - 1].clone();
-        // Turned by 66 degrees or more: at least 9.1 m ahead of where the fork begins and 5.9 m to its left.
+        // Turned by 66 degrees or more: at least 9.1 m ahead of where the fork begins and 5.9 m to its left, but for what is free.
         assert!(last[0] > 18.5 && last[0] < 21.0 && last[1] > 5.0, "{last:?}");
     }
 

@@ -1,5 +1,6 @@
-//! The one agent of each row that an objective is about, along and across a line.
+//! The one agent of each row that an objective is about, relative to a line or to a course.
 
+use super::motion::{norm, positions};
 use super::{AgentSelector, SceneContext};
 use crate::geometry::{Polyline, Vec2};
 use crate::guidance::lane_ways::WayPose;
@@ -51,24 +52,43 @@ impl OneAgent {
         own.iter().position(|valid| *valid > 0.0).zip(own.iter().rposition(|valid| *valid > 0.0))
     }
 
-    /// The agents relative to one line a row; where there is none, along and across are 0. The nearest point of a line is found on the host and
-    /// held: by the envelope theorem the gradients are those of station and offset, up to the line's curvature.
-    pub(super) fn along(&self, lines: &[Option<Polyline>]) -> Result<LineFrame> {
+    /// The last timestep of the scene.
+    pub(super) const fn last_timestep(&self) -> usize {
+        self.n_timesteps - 1
+    }
+
+    /// How far the agents are from where they are to be, one place a timestep, (B, T), meters; rounded at 0. 0 in rows without places.
+    pub(super) fn distance_m(&self, courses: &[Option<Vec<Vec2>>]) -> Result<Tensor> {
+        let n_rows = courses.len();
+        let place = |row: usize, timestep: usize| match &courses[row] {
+            Some(course) => course[timestep],
+            None => self.position(row, timestep),
+        };
+        let rows = (0..n_rows).flat_map(|row| (0..self.n_timesteps).map(move |timestep| (row, timestep)));
+        let places: Vec<f64> = rows.map(|(row, timestep)| place(row, timestep)).flat_map(|at| [at.x, at.y]).collect();
+        let places = Tensor::from_vec(places, (n_rows, self.n_timesteps, 2), self.states.device())?;
+        let has_course: Vec<f64> = courses.iter().map(|course| f64::from(u8::from(course.is_some()))).collect();
+        let has_course =
+            Tensor::from_vec(has_course, (n_rows, 1), self.states.device())?.to_dtype(self.states.dtype())?;
+        norm(&(positions(&self.states)? - places.to_dtype(self.states.dtype())?)?)?.broadcast_mul(&has_course)
+    }
+
+    /// The agents across one line a row; where there is none, they are 0 beside it. The nearest point of a line is found on the host and held:
+    /// by the envelope theorem the gradients are those of the offset.
+    pub(super) fn across(&self, lines: &[Option<Polyline>]) -> Result<LineFrame> {
         let n_rows = lines.len();
         let list = || Vec::with_capacity(n_rows * self.n_timesteps);
-        let (mut x, mut y, mut cos, mut sin, mut station_m) = (list(), list(), list(), list(), list());
+        let (mut x, mut y, mut cos, mut sin) = (list(), list(), list(), list());
         for (row, line) in lines.iter().enumerate() {
             for timestep in 0..self.n_timesteps {
                 let place = self.position(row, timestep);
                 let near = line.as_ref().and_then(|line| line.project(place));
-                let (point, along, at_m) = near.map_or((place, Vec2::ZERO, 0.0), |near| {
-                    (near.point, Vec2::from_angle(near.heading_rad), near.station_m)
-                });
+                let (point, along) =
+                    near.map_or((place, Vec2::ZERO), |near| (near.point, Vec2::from_angle(near.heading_rad)));
                 x.push(point.x);
                 y.push(point.y);
                 cos.push(along.x);
                 sin.push(along.y);
-                station_m.push(at_m);
             }
         }
         let states = &self.states;
@@ -78,18 +98,15 @@ impl OneAgent {
         let coordinate = |dim: usize| states.narrow(D::Minus1, dim, 1)?.squeeze(D::Minus1);
         let (dx, dy) = ((coordinate(0)? - constant(x)?)?, (coordinate(1)? - constant(y)?)?);
         let (cos, sin) = (constant(cos)?, constant(sin)?);
-        let along_m = (((&dx * &cos)? + (&dy * &sin)?)? + constant(station_m)?)?;
         let across_m = ((&dy * &cos)? - (&dx * &sin)?)?;
         let has_line: Vec<f64> = lines.iter().map(|line| f64::from(u8::from(line.is_some()))).collect();
         let has_line = Tensor::from_vec(has_line, n_rows, states.device())?.to_dtype(states.dtype())?;
-        Ok(LineFrame { along_m, across_m, has_line })
+        Ok(LineFrame { across_m, has_line })
     }
 }
 
 /// Where agents are relative to one line a row.
 pub(super) struct LineFrame {
-    /// Way along the line, (B, T), meters.
-    pub(super) along_m: Tensor,
     /// Way to the left of it, (B, T), meters.
     pub(super) across_m: Tensor,
     /// 1 for rows with a line, (B).
