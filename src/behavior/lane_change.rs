@@ -1,7 +1,7 @@
 //! Lane change: does an agent move over to the lane beside its own and stay there?
 
-use super::lane_relation::LaneIndex;
-use super::lane_tracker::{Crossing, LaneTrace};
+use super::lane_relation::SceneLanes;
+use super::lane_tracker::{LaneMove, LaneTrace};
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::Scene;
@@ -79,7 +79,7 @@ impl LaneChange {
         Self { config }
     }
 
-    fn detect_agent<'a>(&self, scene: &Scene, lanes: &'a LaneIndex<'a>, agent_idx: usize) -> Vec<BehaviorEvent> {
+    fn detect_agent<'a>(&self, scene: &Scene, lanes: &'a SceneLanes<'a>, agent_idx: usize) -> Vec<BehaviorEvent> {
         let config = &self.config;
         let trajectory = &scene.tracks[agent_idx].trajectory;
         let stay = (config.min_stay_s / scene.dt_s - 1e-9).ceil().max(1.0) as usize;
@@ -90,7 +90,7 @@ impl LaneChange {
         let mut events = Vec::new();
         let mut crossings = trace.crossings.iter().peekable();
         while let Some(crossing) = crossings.next() {
-            let is_soon = |next: &Crossing<'_>| next.timestep < crossing.timestep + stay;
+            let is_soon = |next: &LaneMove<'_>| next.timestep < crossing.timestep + stay;
             let back = crossings.next_if(|next| is_soon(next) && next.side != crossing.side);
             let goes_on = crossings.peek().is_some_and(|next| is_soon(next));
             let (label, end) = match back {
@@ -108,7 +108,7 @@ impl LaneChange {
         &self,
         scene: &Scene,
         agent_idx: usize,
-        crossing: &Crossing<'_>,
+        crossing: &LaneMove<'_>,
         label: EventLabel,
         start: usize,
         end: usize,
@@ -127,7 +127,7 @@ impl LaneChange {
     fn drift<'a>(
         &self,
         scene: &Scene,
-        lanes: &'a LaneIndex<'a>,
+        lanes: &'a SceneLanes<'a>,
         trace: &LaneTrace<'a>,
         agent_idx: usize,
     ) -> Option<BehaviorEvent> {
@@ -157,7 +157,7 @@ impl Behavior for LaneChange {
         if scene.lanes.is_empty() {
             return Vec::new();
         }
-        let lanes = LaneIndex::new(&scene.lanes);
+        let lanes = SceneLanes::new(&scene.lanes);
         let considered = (0..scene.tracks.len()).filter(|i| self.config.agents.admits(scene.tracks[*i].class));
         considered.flat_map(|agent_idx| self.detect_agent(scene, &lanes, agent_idx)).collect()
     }

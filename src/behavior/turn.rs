@@ -1,6 +1,6 @@
 //! Turning by a large angle in little room: what left and right turns have in common.
 
-use super::lane_relation::LaneIndex;
+use super::lane_relation::SceneLanes;
 use super::{AgentFilter, BehaviorEvent, EventLabel};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, Track};
@@ -81,7 +81,7 @@ pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene
     let considered = scene.tracks.iter().enumerate().filter(|(_, track)| config.agents.admits(track.class));
     let lanes = OnceCell::new();
     let is_on_roundabout = |pose: &TurnedPose| {
-        let lanes = lanes.get_or_init(|| LaneIndex::new(&scene.lanes));
+        let lanes = lanes.get_or_init(|| SceneLanes::new(&scene.lanes));
         let along = lanes.lanes_at(pose.position).filter(|(_, place)| {
             angle_difference(place.heading_rad, pose.heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD
         });

@@ -1,7 +1,7 @@
 //! `djinn corpus sample`: a smaller corpus of the same kind, drawn at random and the same for the same seed.
 
 use super::condition::unknown_column;
-use super::copy::{Outcome, Selection, copy};
+use super::copy::{CopyOutcome, CopySelection, copy};
 use super::rows::{Fingerprint, column, fingerprint, texts};
 use super::{Error, Result};
 use crate::progress::Progress;
@@ -31,7 +31,7 @@ pub struct SampleOptions {
 ///
 /// # Errors
 /// [`Error::UnknownColumn`] when there is no such column; those of reading and writing corpora.
-pub fn sample(dir: &Path, options: &SampleOptions, out: &Path, progress: &dyn Progress) -> Result<Outcome> {
+pub fn sample(dir: &Path, options: &SampleOptions, out: &Path, progress: &dyn Progress) -> Result<CopyOutcome> {
     let SampleOptions { n, by, seed } = options;
     if *n == 0 {
         return Err(Error::Usage("a sample of 0 scenarios holds nothing: say how many with --n".to_owned()));
@@ -121,7 +121,7 @@ fn quotas(sizes: &[usize], n: usize) -> Vec<usize> {
 /// The scenarios that were drawn.
 struct Chosen(BTreeSet<Fingerprint>);
 
-impl Selection for Chosen {
+impl CopySelection for Chosen {
     fn keep(&mut self, _input: usize, chunk: &CorpusChunk) -> Result<Vec<bool>> {
         let ids = texts(&chunk.scenarios, "scenario_id", &chunk.path)?;
         Ok(ids.iter().map(|id| self.0.contains(&fingerprint(id.unwrap_or_default().as_bytes()))).collect())

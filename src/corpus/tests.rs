@@ -13,7 +13,7 @@ fn ids(dir: &Path) -> BTreeSet<String> {
     CorpusReader::open(dir).unwrap().scenario_ids().unwrap().map(str::to_owned).collect()
 }
 
-fn filtered(dir: &Path, conditions: &[&str], out: &Path) -> Result<Outcome> {
+fn filtered(dir: &Path, conditions: &[&str], out: &Path) -> Result<CopyOutcome> {
     let conditions: Vec<Condition> = conditions.iter().map(|text| text.parse().unwrap()).collect();
     filter(dir, &conditions, out, &Silent)
 }

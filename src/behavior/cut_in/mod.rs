@@ -6,7 +6,7 @@ mod feasible;
 mod tests;
 
 use super::kept_lane::KeptLane;
-use super::lane_relation::LaneIndex;
+use super::lane_relation::SceneLanes;
 use super::pairs::PairSearch;
 use super::sweep::Sweep;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
@@ -161,7 +161,7 @@ impl Behavior for CutIn {
 
     /// Pairs in the order of tracks, each pair first with the earlier track as the ego, then with the later one.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
-        let lanes = LaneIndex::new(&scene.lanes);
+        let lanes = SceneLanes::new(&scene.lanes);
         let kept: Vec<OnceCell<Option<KeptLane>>> = scene.tracks.iter().map(|_| OnceCell::new()).collect();
         let kept = |agent_idx: usize| kept[agent_idx].get_or_init(|| KeptLane::of(scene, &lanes, agent_idx)).as_ref();
         let collides = |ego: &Sweep, other: &Sweep| {

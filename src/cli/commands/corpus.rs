@@ -4,8 +4,8 @@ use crate::cli::args::{CorpusCommand, OutputArgs};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::corpus::{
-    Condition, DiffReport, Finding, Outcome, SampleOptions, Severity, ValidationReport, diff, filter, merge, sample,
-    validate,
+    Condition, CopyOutcome, DiffReport, Finding, SampleOptions, Severity, ValidationReport, diff, filter, merge,
+    sample, validate,
 };
 use crate::pipeline::{Failure, Result};
 use serde::Serialize;
@@ -68,8 +68,8 @@ fn print<T: Serialize>(printer: &Printer, json: bool, value: &T, text: fn(&T) ->
 }
 
 /// Says what was written.
-fn tell(printer: &Printer, outcome: &Outcome, out: &Path) {
-    let Outcome { manifest, n_duplicates, n_differing_recordings, n_aggregates_left_out } = outcome;
+fn tell(printer: &Printer, outcome: &CopyOutcome, out: &Path) {
+    let CopyOutcome { manifest, n_duplicates, n_differing_recordings, n_aggregates_left_out } = outcome;
     printer.message(format_args!(
         "{} scenarios ({} verified) of {} recorded scenes are in {}",
         manifest.n_scenarios,

@@ -4,7 +4,7 @@
 //! the others as they come and gathers those, as many as fit into memory; the rest is gathered in further passes.
 
 use super::cases::{Case, End, MAX_CASE_BYTES, cut_cases, plain_case_id};
-use super::columns::Columns;
+use super::columns::TrackColumns;
 use crate::ingest::csv_rows::Lines;
 use crate::ingest::{EmitUnit, RawUnit, Reject};
 use std::collections::BTreeMap;
@@ -46,7 +46,7 @@ struct Found {
 
 impl Survey {
     /// Reads a table from behind its header to its end; at most `max_bytes` are to be gathered at a time.
-    pub(super) fn of(lines: &mut Lines<'_>, columns: &Columns, max_bytes: usize) -> Self {
+    pub(super) fn of(lines: &mut Lines<'_>, columns: &TrackColumns, max_bytes: usize) -> Self {
         let mut found: BTreeMap<String, Found> = BTreeMap::new();
         let end = cut_cases(lines, columns, false, &mut |case| {
             let Case { first_line, n_bytes, section, .. } = case;
@@ -91,7 +91,7 @@ impl Survey {
         &self,
         pass: usize,
         lines: &mut Lines<'_>,
-        columns: &Columns,
+        columns: &TrackColumns,
         table: &RawUnit,
         emit: &mut EmitUnit<'_>,
     ) -> ControlFlow<()> {
@@ -194,11 +194,11 @@ mod tests {
 
     /// The units and rejects of a table of which at most `max_bytes` are gathered at a time, and the number of passes.
     fn split_within(text: &str, max_bytes: usize) -> (Vec<Result<RawUnit, Reject>>, usize) {
-        let pass_over = |visit: &mut dyn FnMut(&mut Lines<'_>, &Columns)| {
+        let pass_over = |visit: &mut dyn FnMut(&mut Lines<'_>, &TrackColumns)| {
             let mut bytes = text.as_bytes();
             let mut lines = Lines::new(&mut bytes);
             let (_, header) = lines.next().unwrap().unwrap();
-            let columns = Columns::of(header, false).unwrap();
+            let columns = TrackColumns::of(header, false).unwrap();
             visit(&mut lines, &columns);
         };
         let mut survey = Survey::default();

@@ -7,7 +7,7 @@
 mod load;
 mod overrides;
 
-pub use load::{ConfigError, Place, parse};
+pub use load::{ConfigError, ConfigPlace, parse};
 pub use overrides::Override;
 
 use crate::evaluate::EvaluateConfig;
@@ -15,7 +15,7 @@ use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
 use crate::nn::Precision;
 use crate::pipeline::StageId;
-use crate::pipeline::device::{Compute, DeviceChoice};
+use crate::pipeline::device::{ComputeChoice, DeviceChoice};
 use crate::pipeline::failure::{Failure, Result};
 use crate::pipeline::stages::MineConfig;
 use crate::report::ReportConfig;
@@ -93,8 +93,8 @@ impl Default for RunConfig {
 
 impl RunConfig {
     /// What networks compute on, and how exactly.
-    pub const fn compute(&self) -> Compute {
-        Compute { device: self.device, precision: self.precision }
+    pub const fn compute(&self) -> ComputeChoice {
+        ComputeChoice { device: self.device, precision: self.precision }
     }
 }
 

@@ -28,7 +28,7 @@ impl Override {
     /// about it can be told from one about the file.
     pub fn apply<'i>(&'i self, table: &mut DeTable<'i>, span: &Range<usize>) -> Result<(), String> {
         let (last, parents) = self.key.split_last().ok_or("its key is empty")?;
-        let mut place = Place::Table(table);
+        let mut place = Container::Table(table);
         for part in parents {
             place = place.enter(part, span)?;
         }
@@ -40,35 +40,35 @@ impl Override {
 }
 
 /// Somewhere in a parsed configuration that can hold values.
-enum Place<'t, 'i> {
+enum Container<'t, 'i> {
     Table(&'t mut DeTable<'i>),
     Array(&'t mut DeArray<'i>),
 }
 
-impl<'i> Place<'_, 'i> {
+impl<'i> Container<'_, 'i> {
     fn enter(self, part: &'i str, span: &Range<usize>) -> Result<Self, String> {
         let value = match self {
-            Place::Table(table) => table
+            Container::Table(table) => table
                 .entry(spanned_key(part, span))
                 .or_insert_with(|| Spanned::new(span.clone(), DeValue::Table(DeTable::new())))
                 .get_mut(),
-            Place::Array(array) => element(array, part)?.get_mut(),
+            Container::Array(array) => element(array, part)?.get_mut(),
         };
         match value {
-            DeValue::Table(table) => Ok(Place::Table(table)),
-            DeValue::Array(array) => Ok(Place::Array(array)),
+            DeValue::Table(table) => Ok(Container::Table(table)),
+            DeValue::Array(array) => Ok(Container::Array(array)),
             _ => Err(format!("`{part}` is a value, not a table")),
         }
     }
 
     fn set(self, part: &'i str, value: Spanned<DeValue<'i>>, span: &Range<usize>) -> Result<(), String> {
         match self {
-            Place::Table(table) => {
+            Container::Table(table) => {
                 // The old key is removed first: inserting alone would keep its place in the file.
                 table.remove(part);
                 table.insert(spanned_key(part, span), value);
             }
-            Place::Array(array) => *element(array, part)? = value,
+            Container::Array(array) => *element(array, part)? = value,
         }
         Ok(())
     }
