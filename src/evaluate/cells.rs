@@ -98,7 +98,7 @@ impl CellSamples<'_> {
             .as_deref()
             .map(|behavior| Requested { behavior, roles: &first.scenario.provenance.guidance.roles });
         let evaluate = |group: &SampleGroup<'_>, mode_seed| measures.evaluate(group, requested, mode_seed);
-        let asked: &[_] = &first.scenario.provenance.guidance.roles;
+        let asked = &first.scenario.provenance.guidance.roles;
         let figures = |samples: &[Scene]| {
             evaluate(&SampleGroup { asked, ..SampleGroup::equally_likely(&recorded, samples) }, None)
         };
@@ -147,11 +147,12 @@ fn as_far_as_generated(recorded: &Scene, sample: &Scene) -> Scene {
 mod tests {
     use super::*;
     use crate::evaluate::testing::{record, recorded};
+    use crate::scene::Roles;
 
     #[test]
     fn who_is_asked_tells_cells_apart_and_references_are_measured_once_for_each() {
         let mut exchanged = record(2.0, false, false, recorded());
-        exchanged.scenario.provenance.guidance.roles.reverse();
+        exchanged.scenario.provenance.guidance.roles = Roles::from([("other", "2"), ("ego", "1")]);
         let asked = || record(2.0, false, false, recorded());
         let records = [asked(), record(0.0, false, false, recorded()), exchanged, asked()];
         let cells = into_cells(&records);

@@ -6,7 +6,7 @@ use crate::behavior::BehaviorEvent;
 use crate::metrics::{
     CutInJudgment, EventSpace, Judged, MotionHistograms, PairCriticality, RecordedRanges, SceneCriticality, Violation,
 };
-use crate::scene::Scene;
+use crate::scene::{Roles, Scene};
 use crate::store::{Assessment, ScenarioRecord, SceneStore};
 use rayon::prelude::*;
 
@@ -83,7 +83,7 @@ impl<'a> Judge<'a> {
     /// What would be said of `scene` if its whole future had been generated.
     pub(super) fn judge_reference(&self, scene: &Scene) -> ReferenceJudgment {
         ReferenceJudgment {
-            violations: Judged::future_of(scene, &[]).violations(&self.config.validity),
+            violations: Judged::future_of(scene, Roles::none()).violations(&self.config.validity),
             plausibility: self.ranges.plausibility(scene),
         }
     }

@@ -3,7 +3,7 @@
 use super::config::EvaluateConfig;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
 use crate::metrics::{ALL, Direction, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, SampleGroup};
-use crate::scene::{Scene, TrackId};
+use crate::scene::{Roles, Scene};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
 
@@ -47,7 +47,7 @@ pub(super) struct Requested<'a> {
     /// Its name.
     pub(super) behavior: &'a str,
     /// Roles and tracks.
-    pub(super) roles: &'a [(String, TrackId)],
+    pub(super) roles: &'a Roles,
 }
 
 /// The names of all metrics that can be chosen.
@@ -94,7 +94,7 @@ impl<'a> Measures<'a> {
             is_defined.then(|| n_holding as f64 / events.len() as f64)
         };
         let requested = requested.and_then(|Requested { behavior, roles }| {
-            let is_asked = |event: &BehaviorEvent| roles.is_empty() || event.roles == roles;
+            let is_asked = |event: &BehaviorEvent| roles.is_empty() || event.roles == *roles;
             share(&|events| events.iter().any(|event| event.behavior == behavior && is_asked(event)))
         });
         let of_anybody = self
@@ -200,14 +200,14 @@ mod tests {
         let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Always)];
         let measures = Measures::new(&config, &behaviors);
         let (recorded, samples) = (scene(0.0), [scene(1.0)]);
-        let roles = |ego: &str, other: &str| vec![("ego".to_owned(), ego.into()), ("other".to_owned(), other.into())];
-        let rates = |roles: &[(String, TrackId)]| {
+        let roles = |ego: &str, other: &str| Roles::from([("ego", ego), ("other", other)]);
+        let rates = |roles: &Roles| {
             let asked = Some(Requested { behavior: "cut_in", roles });
             measures.evaluate(&SampleGroup::equally_likely(&recorded, &samples), asked, None)[1..3].to_vec()
         };
         assert_eq!(rates(&roles("1", "2")), [Some(1.0), Some(1.0)]);
         assert_eq!(rates(&roles("2", "1")), [Some(0.0), Some(1.0)]);
-        assert_eq!(rates(&[]), [Some(1.0), Some(1.0)]);
+        assert_eq!(rates(Roles::none()), [Some(1.0), Some(1.0)]);
     }
 
     /// Four samples around 3 m and two around -1 m; the recording is at 0.

@@ -7,7 +7,7 @@ use crate::geometry::Vec2;
 use crate::scene::{AgentRef, ObservationMask, Scene, SceneEdit, State, Trajectory};
 use crate::seed::Seed;
 use crate::settings::{self, Issue};
-use crate::tensor::{FeatureLayout, SceneBatch, SceneView};
+use crate::tensor::{FeatureLayout, SceneBatch, SceneTensors, SceneView};
 use candle_core::Tensor;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -256,13 +256,14 @@ fn displaced(scene: &Scene, std_m: f64, seed: Seed, is_wanted: &dyn Fn(usize, us
 }
 
 /// The batch without the velocities of states that it observes and `base` does not.
-pub(super) fn without_wanted_velocities(batch: SceneBatch, base: &SceneBatch) -> Result<SceneBatch, Error> {
+pub(super) fn without_wanted_velocities(batch: &SceneBatch, base: &SceneBatch) -> Result<SceneBatch, Error> {
     let wanted = (&batch.observed * (1.0 - &base.observed)?)?.unsqueeze(3)?;
     // The first two features are the velocity.
     let is_velocity: Vec<f32> = (0..FeatureLayout::AGENT).map(|i| f32::from(u8::from(i < 2))).collect();
     let is_velocity = Tensor::from_vec(is_velocity, (1, 1, 1, FeatureLayout::AGENT), batch.features.device())?;
     let kept = (1.0 - wanted.broadcast_mul(&is_velocity)?)?;
-    Ok(SceneBatch { features: (&batch.features * kept)?, ..batch })
+    let features = (&batch.features * kept)?;
+    Ok(SceneBatch::new(SceneTensors { features, ..SceneTensors::clone(batch) })?)
 }
 
 /// The state at which denoising of a guide begins.

@@ -1,6 +1,6 @@
 //! Which states of a scene are given to the denoiser? A training task by name, or a mask that is written as rules.
 
-use crate::scene::{AgentRef, ObservationMask, Scene, TrackId};
+use crate::scene::{AgentRef, ObservationMask, Roles, Scene};
 use crate::seed::Seed;
 use crate::settings::{self, Issue};
 use crate::tensor::MaskTask;
@@ -106,7 +106,7 @@ pub(super) struct Subject<'a> {
     /// The agent at the center.
     pub(super) ego_idx: usize,
     /// The roles of the behavior that is asked for.
-    pub(super) roles: &'a [(String, TrackId)],
+    pub(super) roles: &'a Roles,
 }
 
 impl Default for ObserveConfig {
@@ -285,7 +285,7 @@ mod tests {
 
     fn observed(toml: &str, seed: u64) -> Vec<Vec<usize>> {
         let scene = three();
-        let roles = [("other".to_owned(), TrackId::from("2"))];
+        let roles = Roles::from([("other", "2")]);
         let mask = parse(toml).mask(&Subject { scene: &scene, ego_idx: 1, roles: &roles }, Seed(seed)).unwrap();
         (0..3).map(|agent| (0..12).filter(|t| mask.is_observed(agent, *t)).collect()).collect()
     }
@@ -356,7 +356,7 @@ mod tests {
     #[test]
     fn a_scene_that_shows_nothing_is_refused() {
         let scene = three();
-        let subject = Subject { scene: &scene, ego_idx: 0, roles: &[] };
+        let subject = Subject { scene: &scene, ego_idx: 0, roles: Roles::none() };
         let nobody = parse("[{ agents = { track = '77' }, times = 'all' }]");
         assert!(nobody.mask(&subject, Seed(0)).unwrap_err().contains("no state"));
         let history_only = Scene { n_timesteps: 4, ..scene.clone() };

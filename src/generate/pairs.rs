@@ -4,7 +4,7 @@ use super::{Error, Generator, PairRanking, ResolvedSweep};
 use crate::behavior::{Behavior, Outcome};
 use crate::diffusion::NoiseSource;
 use crate::model::TrainedClassifier;
-use crate::scene::{ObservationMask, Scene, TrackId};
+use crate::scene::{ObservationMask, Roles, Scene};
 use crate::seed::Seed;
 use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
@@ -23,7 +23,7 @@ pub(super) struct CandidatePair {
     /// Its agents in the behavior's order of roles; the same one twice for behaviors of a single agent.
     pub(super) agents: (usize, usize),
     /// The roles with their tracks.
-    pub(super) roles: Vec<(String, TrackId)>,
+    pub(super) roles: Roles,
     /// How well it is suited; higher is better.
     pub(super) score: f64,
 }

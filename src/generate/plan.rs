@@ -4,7 +4,7 @@ use super::pairs::{CandidatePair, order_seed};
 use super::{Error, Generator, ResolvedGeneration, ResolvedSweep};
 use crate::behavior::Behavior;
 use crate::guidance::Target;
-use crate::scene::{SceneId, Split, TrackId};
+use crate::scene::{Roles, SceneId, Split};
 use crate::store::SceneIndexEntry;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -41,7 +41,7 @@ pub struct Cell {
     /// The scene.
     pub scene_id: SceneId,
     /// Roles and their tracks; none when no behavior is asked for, or nobody in particular. They are the same at strength 0.
-    pub roles: Vec<(String, TrackId)>,
+    pub roles: Roles,
     /// What the event is asked to be like, where a request aims.
     #[serde(default, skip_serializing_if = "Target::is_empty")]
     pub target: Target,
@@ -104,7 +104,7 @@ impl Generator<'_> {
         for (sweep_idx, sweep) in self.config.sweeps.iter().enumerate().take(n_sweeps) {
             let scenes = match self.behavior(sweep) {
                 Some(behavior) => self.scenes_with_pairs(sweep, behavior, &order)?,
-                None => order.iter().take(sweep.n_scenes).map(|scene| vec![scene.cell(Vec::new())]).collect(),
+                None => order.iter().take(sweep.n_scenes).map(|scene| vec![scene.cell(Roles::default())]).collect(),
             };
             if scenes.is_empty() {
                 let hint = match order.is_empty() {
@@ -205,7 +205,7 @@ impl Generator<'_> {
         let Some(CandidatePair { score, .. }) = candidates.first() else { return Ok(None) };
         let score = *score;
         if sweep.asks_anybody() {
-            return Ok(Some(RankedScene { score, cells: vec![listed.cell(Vec::new())] }));
+            return Ok(Some(RankedScene { score, cells: vec![listed.cell(Roles::default())] }));
         }
         let cells = candidates.into_iter().take(sweep.pairs.per_scene).map(|pair| listed.cell(pair.roles)).collect();
         Ok(Some(RankedScene { score, cells }))
@@ -220,7 +220,7 @@ struct ListedScene<'a> {
 }
 
 impl ListedScene<'_> {
-    fn cell(&self, roles: Vec<(String, TrackId)>) -> Cell {
+    fn cell(&self, roles: Roles) -> Cell {
         Cell { scene_idx: self.scene_idx, scene_id: self.id.clone(), roles, target: Target::new() }
     }
 }

@@ -89,7 +89,7 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
     ] {
         add(part);
     }
-    for (role, track) in &guidance.roles {
+    for (role, track) in guidance.roles.iter() {
         add(role);
         add(&track.0);
     }

@@ -8,7 +8,7 @@ use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::nn::in_pool;
 use crate::progress::Progress;
-use crate::scene::{GuidanceLevel, Scene, SceneId, TrackId};
+use crate::scene::{GuidanceLevel, Roles, Scene, SceneId};
 use crate::seed::Seed;
 use crate::store::ScenarioRecord;
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
@@ -243,7 +243,7 @@ impl Generator<'_> {
             .collect();
         let extended = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
         match config.mask_velocity {
-            true => without_wanted_velocities(extended, &base.repeated(batch.samples.len())?),
+            true => without_wanted_velocities(&extended, &base.repeated(batch.samples.len())?),
             false => Ok(extended),
         }
     }
@@ -277,7 +277,7 @@ impl Generator<'_> {
     fn select(
         &self,
         sweep: &ResolvedSweep,
-        (recorded, asked): (&Scene, &[(String, TrackId)]),
+        (recorded, asked): (&Scene, &Roles),
         sampled: Vec<Sampled>,
         unselected: &mut BTreeMap<String, u64>,
     ) -> Vec<Sampled> {

@@ -2,7 +2,7 @@
 
 use super::Limit;
 use crate::metrics::{ALL, Direction, MetricSettings, SampleGroup, by_id};
-use crate::scene::{Scene, TrackId};
+use crate::scene::{Roles, Scene};
 use crate::settings::{Issue, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -45,7 +45,7 @@ pub(super) struct Candidate<'a> {
     /// The value of each objective of the sweep, with its kind.
     pub(super) objectives: &'a [(&'static str, f64)],
     /// Who was asked to show something, as (role, track).
-    pub(super) asked: &'a [(String, TrackId)],
+    pub(super) asked: &'a Roles,
 }
 
 impl Candidate<'_> {
@@ -192,7 +192,7 @@ mod tests {
     }
 
     fn candidates(samples: &[Scene]) -> Vec<Candidate<'_>> {
-        samples.iter().map(|scene| Candidate { scene, objectives: &[], asked: &[] }).collect()
+        samples.iter().map(|scene| Candidate { scene, objectives: &[], asked: Roles::none() }).collect()
     }
 
     fn select(toml: &str) -> SelectConfig {
@@ -244,8 +244,7 @@ mod tests {
             ])
         };
         let scenes = [6.0, 8.0, 10.0].map(at);
-        let asked = ["ego", "other"].map(str::to_owned).into_iter().zip([TrackId::from("1"), TrackId::from("2")]);
-        let asked: Vec<(String, TrackId)> = asked.collect();
+        let asked = Roles::from([("ego", "1"), ("other", "2")]);
         let recorded = at(10.0);
         let samples: Vec<Candidate<'_>> =
             scenes.iter().map(|scene| Candidate { scene, objectives: &[], asked: &asked }).collect();
@@ -288,8 +287,11 @@ mod tests {
             &[("goal", 0.0), ("no_collision", -9.0), ("goal", 0.0)],
             &[("goal", -0.2), ("no_collision", -2.0), ("goal", -0.2)],
         ];
-        let samples: Vec<Candidate<'_>> =
-            scenes.iter().zip(values).map(|(scene, objectives)| Candidate { scene, objectives, asked: &[] }).collect();
+        let samples: Vec<Candidate<'_>> = scenes
+            .iter()
+            .zip(values)
+            .map(|(scene, objectives)| Candidate { scene, objectives, asked: Roles::none() })
+            .collect();
         let kept = |toml: &str| -> Vec<usize> {
             let verdicts = select(toml).verdicts(&recorded, &samples, &MetricSettings::default());
             (0..4).filter(|i| verdicts[*i].is_none()).collect()

@@ -2,7 +2,7 @@
 
 use super::AgentSelector;
 use super::road_corridors::RoadCorridors;
-use crate::scene::{Scene, TrackId};
+use crate::scene::{Roles, Scene};
 use crate::tensor::{RepeatedRows, SceneBatch};
 use candle_core::{DType, Result, Tensor, bail};
 use std::collections::BTreeMap;
@@ -19,7 +19,7 @@ pub struct ContextRow<'a> {
     /// The track at the center of the row: the ego of its frame.
     pub ego_idx: usize,
     /// Roles and their tracks; every row of a batch has the same roles.
-    pub roles: &'a [(String, TrackId)],
+    pub roles: &'a Roles,
     /// What is asked of its event in particular, where something is.
     pub target: Option<&'a Target>,
 }
@@ -87,7 +87,7 @@ impl SceneContext {
             let slot = |track_idx: Option<usize>| track_idx.and_then(|track_idx| frame.slot(track_idx));
             let Some(ego) = slot(Some(*ego_idx)) else { bail!("the ego agent of {} is not in its row", scene.id) };
             context.ego.push(ego);
-            for (role, track) in *roles {
+            for (role, track) in roles.iter() {
                 let Some(slot) = slot(scene.track_idx(track)) else {
                     bail!("track {track} of {}, the {role}, is not among the agents of its row", scene.id);
                 };

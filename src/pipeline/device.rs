@@ -1,7 +1,7 @@
 //! On what do the networks compute, and how exactly?
 
 use super::failure::{Failure, Result};
-use crate::nn::Precision;
+use crate::nn::{Compute, Precision};
 use candle_core::Device;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -87,27 +87,26 @@ impl From<DeviceChoice> for String {
     }
 }
 
-/// A device and the precision of products on it.
+/// What the configuration chooses for networks to compute on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Compute {
+pub struct ComputeChoice {
     /// What networks compute on.
     pub device: DeviceChoice,
     /// How exactly.
     pub precision: Precision,
 }
 
-impl Compute {
-    /// The device, ready to compute with this precision. The precision is one for the process: the last call decides.
+impl ComputeChoice {
+    /// The device, ready to compute.
     ///
     /// # Errors
     /// As [`DeviceChoice::open`].
-    pub fn open(self) -> Result<Device> {
-        self.precision.choose();
-        self.device.open()
+    pub fn open(self) -> Result<Compute> {
+        Ok(Compute { device: self.device.open()?, precision: self.precision })
     }
 }
 
-impl fmt::Display for Compute {
+impl fmt::Display for ComputeChoice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.precision {
             Precision::F32 => self.device.fmt(f),
@@ -122,8 +121,11 @@ mod tests {
 
     #[test]
     fn reports_say_when_products_are_rounded() {
-        let compute = Compute { device: DeviceChoice::Cuda(0), precision: Precision::Bf16 };
-        assert_eq!((compute.to_string().as_str(), Compute::default().to_string().as_str()), ("cuda, bf16", "cpu"));
+        let compute = ComputeChoice { device: DeviceChoice::Cuda(0), precision: Precision::Bf16 };
+        assert_eq!(
+            (compute.to_string().as_str(), ComputeChoice::default().to_string().as_str()),
+            ("cuda, bf16", "cpu")
+        );
     }
 
     #[test]

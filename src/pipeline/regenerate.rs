@@ -7,8 +7,8 @@ use super::stages::{
 };
 use super::{Failure, Result, StageId};
 use crate::generate::{Generator, Ledger, ResolvedGeneration, SampleKey};
+use crate::nn::Compute;
 use crate::store::{CorpusReader, Difference, ScenarioRecord, SceneStore, differences, sample_ids};
-use candle_core::Device;
 use std::path::Path;
 
 /// A scenario as it was stored, and as it came out again.
@@ -32,13 +32,13 @@ pub struct Regenerated {
 /// # Errors
 /// The input's fault when there is no such scenario, or the scenes or a model are not those that it was generated with; the
 /// machine's when one of them, or the plan, is missing.
-pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, device: &Device) -> Result<Regenerated> {
+pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, compute: &Compute) -> Result<Regenerated> {
     let manifest = SampleManifest::read(&layout.samples)?;
     let settings = SampleSettings::read(&layout.samples)?;
     let behaviors = settings.mine.build()?;
     let resolved = settings.generate.resolve(&behaviors)?;
     let store = open_scenes(layout, &manifest.sampled_with)?;
-    let models = open_models(layout, &resolved, &manifest.sampled_with, device)?;
+    let models = open_models(layout, &resolved, &manifest.sampled_with, compute)?;
     let from_corpus = corpus.map(|dir| -> Result<ScenarioRecord> {
         let reader = CorpusReader::open(dir)?;
         Ok(reader.scenario(reader.position(id)?)?)
@@ -49,7 +49,7 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, device: &Dev
 
     let load = |idx: usize| Ok(store.scene(idx)?);
     let metric_settings = settings.metric_settings.unwrap_or_default();
-    let generator = Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, device)?;
+    let generator = Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, &compute.device)?;
     let found = find_shard(&layout.samples, row.shard)?;
     let plan = match &found {
         FoundShard::OfSweep(plan) => plan,
@@ -115,7 +115,7 @@ fn open_models(
     layout: &Layout,
     resolved: &ResolvedGeneration,
     sampled_with: &SampledWith,
-    device: &Device,
+    compute: &Compute,
 ) -> Result<LoadedModels> {
     let sweeps = &resolved.sweeps;
     let places: Vec<_> =
@@ -124,7 +124,7 @@ fn open_models(
         require(path, name)?;
         require(&checkpoint_file(path), name)?;
     }
-    let models = LoadedModels::read(layout, sweeps, device)?;
+    let models = LoadedModels::read(layout, sweeps, compute)?;
     for (stage, (name, path)) in places {
         let then = match stage {
             StageId::TrainDistill => sampled_with.distilled.as_deref(),

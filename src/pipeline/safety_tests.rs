@@ -90,7 +90,7 @@ fn run(root: &Path, toy: &Toy, redo: &[StageId]) -> Result<Planned> {
     let mut planned: Vec<PlannedStage<'_>> = plan(root, vec![Box::new(toy.clone())], redo)?;
     let first = planned.first_mut().unwrap();
     let plan = Planned { action: first.action.clone(), redone: first.redone() };
-    let context = StageContext { root, device: &candle_core::Device::Cpu, progress: &Silent };
+    let context = StageContext { root, compute: &crate::nn::Compute::cpu(), progress: &Silent };
     execute(planned, &context, &mut |_| Ok(()), &mut |_, _| Ok(()))?;
     Ok(plan)
 }

@@ -1,8 +1,8 @@
 //! What is a stage: which section configures it, what does it read and write, and when must it be redone?
 
 use super::failure::Result;
+use crate::nn::Compute;
 use crate::progress::Progress;
-use candle_core::Device;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -121,7 +121,7 @@ pub struct StageContext<'a> {
     /// The folder in which it writes its outputs: not the run folder, to which they come once they are whole.
     pub root: &'a Path,
     /// What networks compute on.
-    pub device: &'a Device,
+    pub compute: &'a Compute,
     /// Who is told about the progress.
     pub progress: &'a dyn Progress,
 }

@@ -290,7 +290,7 @@ mod tests {
 
     fn applied(toml: &str) -> Scene {
         let scene = crossing();
-        edit(toml).apply(&scene, &|agent| agent.resolve(&scene, 0, &[])).unwrap()
+        edit(toml).apply(&scene, &|agent| agent.resolve(&scene, 0, crate::scene::Roles::none())).unwrap()
     }
 
     fn position(scene: &Scene, agent_idx: usize, timestep: usize) -> Vec2 {
@@ -370,7 +370,7 @@ mod tests {
         assert!(refusal("{ kind = 'scale_speed', agent = 'ego', factor = nan }").contains("factor is NaN"));
         assert!(refusal("{ kind = 'set_positions', agent = 'ego', points = [] }").contains("empty"));
         let scene = without_states(crossing(), 0, |t| t == 3);
-        let resolve = |agent: &AgentRef| agent.resolve(&scene, 0, &[]);
+        let resolve = |agent: &AgentRef| agent.resolve(&scene, 0, crate::scene::Roles::none());
         let error = edit("{ kind = 'scale_speed', agent = 'ego', factor = 2.0 }").apply(&scene, &resolve).unwrap_err();
         assert!(error.contains("tracked at present"), "{error}");
     }

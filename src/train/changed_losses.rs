@@ -4,7 +4,7 @@ use super::{DenoisingTask, Error};
 use crate::geometry::{Transform2, Vec2};
 use crate::model::{ChangedLoss, PlaceLoss, SceneChange};
 use crate::scene::{LaneGraph, Scene};
-use crate::tensor::SceneBatch;
+use crate::tensor::{SceneBatch, SceneTensors};
 use candle_core::Tensor;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -121,7 +121,8 @@ fn of_egos(batch: &SceneBatch) -> Result<SceneBatch, Error> {
         }
     }
     let is_ego = Tensor::from_vec(is_ego, (n_rows, n_agents, 1), batch.scored.device())?;
-    Ok(SceneBatch { scored: batch.scored.broadcast_mul(&is_ego)?, ..batch.clone() })
+    let scored = batch.scored.broadcast_mul(&is_ego)?;
+    Ok(SceneBatch::new(SceneTensors { scored, ..SceneTensors::clone(batch) })?)
 }
 
 #[cfg(test)]

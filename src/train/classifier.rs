@@ -123,7 +123,7 @@ pub fn train_classifier(
         train: data.train,
         held_out: data.held_out,
         seed: job.seed,
-        device: job.device,
+        device: &job.compute.device,
     };
     let outcome = fit(&fit_config, &mut model.params, &task, job.dir, job.progress)?;
     let by_noise_level = task.report()?;

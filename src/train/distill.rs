@@ -57,7 +57,7 @@ pub fn distill_denoiser(
             fit(&training.common.fit, params, &task, job.dir, job.progress)?
         }
         DistillMethod::Steps(steps) => {
-            let mut kept = Params::new(job.device).frozen();
+            let mut kept = Params::new(job.compute).frozen();
             let taught_by = spec.build(&mut kept, job.seed)?;
             kept.load(&teacher.tensors)?;
             let task = StepDistillationTask { denoiser, frozen, teacher: &taught_by, steps, training, draws };

@@ -3,7 +3,7 @@
 
 use super::Error;
 use crate::guidance::{ContextRow, SceneContext};
-use crate::scene::{ObservationMask, Scene};
+use crate::scene::{ObservationMask, Roles, Scene};
 use crate::seed::{Seed, SeededRng};
 use crate::tensor::{Collator, FutureValidity, MaskSampler, SceneBatch, SceneView};
 use candle_core::{Device, Tensor};
@@ -245,8 +245,12 @@ impl SceneDraws<'_> {
         let batch = self.collator.collate(&views, validity, self.device)?;
         let context = match self.with_context {
             true => {
-                let rows =
-                    drawn.iter().map(|d| ContextRow { scene: &d.scene, ego_idx: d.ego_idx, roles: &[], target: None });
+                let rows = drawn.iter().map(|d| ContextRow {
+                    scene: &d.scene,
+                    ego_idx: d.ego_idx,
+                    roles: Roles::none(),
+                    target: None,
+                });
                 Some(SceneContext::new(&batch, &rows.collect::<Vec<_>>())?)
             }
             false => None,

@@ -7,7 +7,7 @@ use crate::files::check_overlap;
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::regenerate::{Regenerated, regenerate as generate_again};
-use crate::pipeline::{Compute, Failure, Result};
+use crate::pipeline::{ComputeChoice, Failure, Result};
 use crate::store::write_samples;
 use std::path::Path;
 
@@ -29,7 +29,7 @@ pub(in crate::cli) fn regenerate(args: &RegenerateArgs, output: &OutputArgs, pri
         check_new(path, &layout, args.corpus.as_deref())?;
         begins_anew(path);
     }
-    let compute = Compute { device: args.device, precision: args.precision };
+    let compute = ComputeChoice { device: args.device, precision: args.precision };
     let Regenerated { stored, again, differences, n_columns } =
         generate_again(&args.scenario, &layout, args.corpus.as_deref(), &compute.open()?)?;
     if let Some(path) = &args.out {

@@ -62,7 +62,7 @@ impl Generator<'_> {
             return Ok(all.map(|bucket| (bucket, 0.0)).collect());
         };
         let scene = self.load(cell.scene_idx, &cell.scene_id)?;
-        let agents: Vec<usize> = cell.roles.iter().filter_map(|(_, track)| scene.track_idx(track)).collect();
+        let agents: Vec<usize> = cell.roles.tracks().filter_map(|track| scene.track_idx(track)).collect();
         let mut outcomes = behavior.feasible(&scene, &agents);
         outcomes.retain(|outcome| {
             request.config.conditions.iter().all(|(name, condition)| match (outcome.get(name), condition) {

@@ -3,6 +3,7 @@
 use super::*;
 use crate::behavior::BehaviorConfig;
 use crate::generate::{Cell, GenerateConfig};
+use crate::scene::Roles;
 use crate::seed::Seed;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -44,7 +45,7 @@ fn pool(n: usize) -> Pool {
     let cell = |i: usize| Cell {
         scene_idx: i,
         scene_id: format!("scene-{i}").as_str().into(),
-        roles: vec![("ego".to_owned(), "1".into()), ("other".to_owned(), "2".into())],
+        roles: Roles::from([("ego", "1"), ("other", "2")]),
         target: BTreeMap::new(),
     };
     Pool {

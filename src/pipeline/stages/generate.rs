@@ -86,14 +86,15 @@ impl Stage for Generate<'_> {
     }
 
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
-        let device = context.device;
+        let compute = context.compute;
         let resolved = self.resolve()?;
         let store = SceneStore::open(&self.layout.scenes)?;
-        let models = LoadedModels::read(self.layout, &resolved.sweeps, device)?;
+        let models = LoadedModels::read(self.layout, &resolved.sweeps, compute)?;
         let behaviors = self.mine.build()?;
         let load = |idx: usize| Ok(store.scene(idx)?);
         let metric_settings = self.metric_settings.clone();
-        let generator = Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, device)?;
+        let generator =
+            Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, &compute.device)?;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
         let (mine, generate) = (self.mine.clone(), self.config.clone());
         let metric_settings = self.decisive_settings().cloned();

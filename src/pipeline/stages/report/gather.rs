@@ -6,13 +6,13 @@ use crate::evaluate::EvaluationSummary;
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
 use crate::model::{DenoiserSpec, TrainedDenoiser, TrainedSceneTransformer};
+use crate::nn::Compute;
 use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use crate::pipeline::stages::{SampleManifest, checkpoint_file, read_requests};
 use crate::pipeline::{Classify, Result, StageId};
 use crate::report::{Drawings, Fact, MetricTable, ReportModel, TrainingSummary, Warning, cautions};
 use crate::store::{SceneManifest, read_json};
 use crate::train::{ClassifierReport, FitStatistics, map_warnings};
-use candle_core::Device;
 use std::path::Path;
 
 /// Everything that the report shows.
@@ -79,7 +79,7 @@ fn add_denoiser(model: &mut ReportModel, dir: &Path) -> Result<()> {
 }
 
 fn denoiser(name: &str, dir: &Path) -> Result<(TrainingSummary, DenoiserSpec)> {
-    let TrainedDenoiser { spec, fingerprint, .. } = TrainedDenoiser::read(&checkpoint_file(dir), &Device::Cpu)?;
+    let TrainedDenoiser { spec, fingerprint, .. } = TrainedDenoiser::read(&checkpoint_file(dir), &Compute::cpu())?;
     let statistics = fit_statistics(dir)?;
     let mut facts = vec![
         Fact::new("Layers", &spec.network.layers),
@@ -98,7 +98,7 @@ fn denoiser(name: &str, dir: &Path) -> Result<(TrainingSummary, DenoiserSpec)> {
 
 fn baseline(dir: &Path) -> Result<TrainingSummary> {
     let TrainedSceneTransformer { spec, fingerprint, .. } =
-        TrainedSceneTransformer::read(&checkpoint_file(dir), &Device::Cpu)?;
+        TrainedSceneTransformer::read(&checkpoint_file(dir), &Compute::cpu())?;
     let facts = vec![
         Fact::new("Layers", format!("{} + {}", spec.network.encoder, spec.network.decoder)),
         Fact::new("Width", spec.network.width),
