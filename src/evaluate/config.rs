@@ -81,7 +81,7 @@ impl EvaluateConfig {
             advice: "leave it out for its default".to_owned(),
         })?;
         if self.modes.as_ref().is_some_and(|modes| modes.by.is_empty()) {
-            let message = "evaluate.modes.by is empty: name mean, medoid or both".to_owned();
+            let message = "evaluate.modes.by is empty, expected mean, medoid or both".to_owned();
             return Err(Error::Config { message, advice: "leave it out for its default".to_owned() });
         }
         self.gates.validate(&self.metrics)?;
@@ -89,7 +89,7 @@ impl EvaluateConfig {
         let Some(unknown) = self.metrics.iter().find(|name| !known.contains(&name.as_str())) else { return Ok(()) };
         let nearest = known.iter().min_by_key(|name| strsim::damerau_levenshtein(unknown, name));
         Err(Error::Config {
-            message: format!("evaluate.metrics: there is no metric {unknown}; known: {}", known.join(", ")),
+            message: format!("evaluate.metrics: unknown metric {unknown}; known: {}", known.join(", ")),
             advice: nearest.map(|nearest| format!("did you mean `{nearest}`?")).unwrap_or_default(),
         })
     }

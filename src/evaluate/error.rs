@@ -15,7 +15,7 @@ pub enum Error {
         advice: String,
     },
     /// A sample of a scene that the store does not hold.
-    #[error("scene {0} of the samples is not among the scenes; give the scenes that the samples were generated from")]
+    #[error("scene {0} of the samples is not in the scene store; pass the scenes that the samples were generated from")]
     UnknownScene(SceneId),
     /// A file of ours could not be read or written.
     #[error(transparent)]

@@ -68,12 +68,11 @@ impl<'a> Measures<'a> {
         let metrics = self.metrics.iter().map(|metric| MetricDoc::from(metric.spec()));
         let requested = rate(
             BEHAVIOR_RATE.to_owned(),
-            "share of samples in which the miner finds the behavior that was asked for, with the agents that were asked"
-                .to_owned(),
+            "share of samples in which the miner finds the requested behavior with the requested agents".to_owned(),
         );
         let of_anybody = self.behaviors.iter().map(|behavior| {
             let id = behavior.id();
-            rate(format!("{id}_rate"), format!("share of samples in which the miner finds {id}, whoever takes part"))
+            rate(format!("{id}_rate"), format!("share of samples in which the miner finds {id}, between any agents"))
         });
         metrics.chain([requested]).chain(of_anybody).chain(self.docs_of_modes()).collect()
     }

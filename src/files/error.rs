@@ -56,7 +56,7 @@ pub enum Error {
         holder: String,
     },
     /// A folder that must be new.
-    #[error("{} exists and is not empty: name a new folder", .path.display())]
+    #[error("{} exists and is not empty; choose a new folder", .path.display())]
     Exists {
         /// The folder.
         path: PathBuf,

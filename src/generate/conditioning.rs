@@ -97,7 +97,7 @@ impl EditConfig {
             if let Some(agent) = edit.agents().into_iter().find(is_unknown) {
                 return Err(Issue::new(
                     key,
-                    format_args!("names the agent {agent}, whose role the behavior does not have"),
+                    format_args!("names the agent {agent}, which is not a role of the behavior"),
                 ));
             }
         }

@@ -209,13 +209,13 @@ fn conditions_that_make_no_sense_are_refused() {
     for (more, part) in [
         (
             "observe = [{ agents = { role = 'other' }, times = 'all' }]",
-            "observe.0.agents.role is \"other\", expected a role of the behavior (no behavior is asked for)",
+            "observe.0.agents.role is \"other\", expected a role of the behavior (no behavior is requested)",
         ),
         (
             "behavior = 'drift'\nobserve = [{ agents = { role = 'third' }, times = 'all' }]",
             "observe.0.agents.role is \"third\", expected a role of the behavior (ego, other)",
         ),
-        ("observe = [{ agents = { track = 'nobody' }, times = 'all' }]", "has no state that the mask observes"),
+        ("observe = [{ agents = { track = 'nobody' }, times = 'all' }]", "has no observed state"),
         ("behavior = 'drift'\nstrengths = [1.0]\nobserve = 'windowed'", "an observe that shows them"),
         (
             "classifier_free = { extra = [], weights = [1.0] }",

@@ -44,7 +44,7 @@ impl Limit {
             Self::Worst(value) if value.is_nan() => return Err(format!("is {value}, expected a number")),
             Self::Worst(value) if !has_direction => {
                 return Err(format!(
-                    "is {value}, but neither more nor less of it is better: say the side, as in {{ at_most = {value:?} }}, \
+                    "is {value}, but neither direction is better; give a side, as in {{ at_most = {value:?} }}, \
                      {{ at_least = {value:?} }} or [least, largest]"
                 ));
             }
@@ -53,12 +53,10 @@ impl Limit {
             Self::Range(range) => *range,
         };
         match (range.at_least, range.at_most) {
-            (None, None) => Err("is an empty range: say at_least, at_most or both".to_owned()),
-            (Some(least), Some(most)) if least > most => {
-                Err(format!("asks for at least {least} and at most {most}, which nothing is"))
-            }
+            (None, None) => Err("is an empty range; set at_least, at_most or both".to_owned()),
+            (Some(least), Some(most)) if least > most => Err(format!("is empty: at least {least} and at most {most}")),
             (least, most) if least.into_iter().chain(most).any(f64::is_nan) => {
-                Err("has an end that is no number".to_owned())
+                Err("has an end that is not a number".to_owned())
             }
             _ => Ok(()),
         }
@@ -119,7 +117,7 @@ impl<'de> Visitor<'de> for LimitVisitor {
         let ends: Vec<f64> = Vec::deserialize(SeqAccessDeserializer::new(seq))?;
         match ends.as_slice() {
             [least, most] => Ok(Limit::Between([*least, *most])),
-            _ => Err(A::Error::custom(format!("a range has two ends, [least, largest], and not {}", ends.len()))),
+            _ => Err(A::Error::custom(format!("expected a range of two ends, [least, largest], found {}", ends.len()))),
         }
     }
 

@@ -164,7 +164,7 @@ impl ObserveConfig {
                 ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history)
             }
             Self::Task(task) if !scene.has_future() => {
-                return Err(format!("has no recorded future, of which the task {} shows parts", task.name()));
+                return Err(format!("has no recorded future, which the task {} needs", task.name()));
             }
             Self::Task(task) => task.sample(scene, subject.ego_idx, &mut seed.derive("task", &[]).rng()),
             Self::Mask(rules) => rule_mask(rules, subject, seed),
@@ -174,7 +174,7 @@ impl ObserveConfig {
         };
         match (0..scene.tracks.len()).any(|agent| (0..scene.n_timesteps).any(|timestep| is_given(agent, timestep))) {
             true => Ok(mask),
-            false => Err("has no state that the mask observes".into()),
+            false => Err("has no observed state".into()),
         }
     }
 }
@@ -182,13 +182,13 @@ impl ObserveConfig {
 /// Refuses rules under the key `key` that observe nothing, or of which one cannot work where the behavior has these roles.
 pub(super) fn validate_rules(key: &str, rules: &[MaskRule], roles: &[&str]) -> settings::Result {
     if rules.iter().all(|rule| rule.hide) {
-        return Err(Issue::new(key, "has no rule that observes anything: add one without hide"));
+        return Err(Issue::new(key, "has no rule that observes states; add one without hide"));
     }
     for (i, rule) in rules.iter().enumerate() {
         let refuse = |part: &str, why: String| Err(Issue::new(format!("{key}.{i}.{part}"), why));
         match (&rule.agents, &rule.times) {
             (AgentChoice::Role(role), _) if !roles.contains(&role.as_str()) => {
-                let known = if roles.is_empty() { "no behavior is asked for".into() } else { roles.join(", ") };
+                let known = if roles.is_empty() { "no behavior is requested".into() } else { roles.join(", ") };
                 return refuse("agents.role", format!("is \"{role}\", expected a role of the behavior ({known})"));
             }
             (AgentChoice::NRandom(0), _) => return refuse("agents.n_random", "is 0, expected at least 1".to_owned()),

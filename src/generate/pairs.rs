@@ -119,7 +119,7 @@ pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, sce
 pub(super) fn slots(batch: &SceneBatch, agents: &[(usize, usize)]) -> Result<Vec<(usize, usize)>, Error> {
     let slot = |row: usize, agent_idx: usize| {
         let detail =
-            || Error::Config(format!("agent {agent_idx} is not among those nearest to its partner; plan again"));
+            || Error::Config(format!("agent {agent_idx} is no longer among those nearest to its partner; plan again"));
         batch.frames[row].slot(agent_idx).ok_or_else(detail)
     };
     agents.iter().enumerate().map(|(row, pair)| Ok((slot(row, pair.0)?, slot(row, pair.1)?))).collect()

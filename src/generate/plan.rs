@@ -40,7 +40,7 @@ pub struct Cell {
     pub scene_idx: usize,
     /// The scene.
     pub scene_id: SceneId,
-    /// Roles and their tracks; none when no behavior is asked for, or nobody in particular. They are the same at strength 0.
+    /// Roles and their tracks; none when no behavior is requested, or nobody in particular. They are the same at strength 0.
     pub roles: Roles,
     /// What the event is asked to be like, where a request aims.
     #[serde(default, skip_serializing_if = "Target::is_empty")]
@@ -109,7 +109,7 @@ impl Generator<'_> {
             if scenes.is_empty() {
                 let hint = match order.is_empty() {
                     true => "; choose other generate.splits or generate.places",
-                    false => ", but none has a pair of agents to ask; raise pairs.max_distance_m",
+                    false => ", but none has a suitable pair of agents; raise pairs.max_distance_m",
                 };
                 return Err(Error::NoScenes { sweep: sweep.name.clone(), n_considered: order.len(), hint });
             }

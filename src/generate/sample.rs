@@ -318,7 +318,7 @@ fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
     let mut indices = cell.roles.iter().map(|(role, track)| {
         scene.track_idx(track).ok_or_else(|| Error::Stale {
             scene_id: cell.scene_id.clone(),
-            detail: format!("it has no track {track} for the role {role}"),
+            detail: format!("track {track}, the {role}, is missing"),
         })
     });
     match (indices.next().transpose()?, indices.next().transpose()?) {

@@ -100,15 +100,15 @@ impl SelectConfig {
                 };
                 return Err(Issue::new(
                     key,
-                    format_args!("is no metric ({id}); known here: {}; {own}", known.join(", ")),
+                    format_args!("is not a metric ({id}); known here: {}; {own}", known.join(", ")),
                 ));
             }
             if id.starts_with(PAIR_PREFIX) && !asks_pairs {
                 return Err(Issue::new(
                     key,
                     format_args!(
-                        "({id}) is about the two agents that are asked for a behavior, and here no two are: ask for one of two \
-                         agents, such as behavior = \"cut_in\", or take a metric of the whole scene"
+                        "({id}) needs a requested pair, which this sweep does not have; request a behavior of two agents, such \
+                         as behavior = \"cut_in\", or use a metric of the whole scene"
                     ),
                 ));
             }
@@ -131,9 +131,9 @@ impl SelectConfig {
                 "best",
                 format_args!("is {n}, but needs metrics or objectives to compare by, such as by = [\"offroad_rate\"]"),
             )),
-            (None, false) => Err(Issue::new("by", "compares samples for nothing: say how many are kept (best)")),
+            (None, false) => Err(Issue::new("by", "has no effect without best, the number of samples to keep")),
             (None, true) if self.limits.is_empty() => {
-                Err(Issue::new("best", "is missing, and so are limits: give one"))
+                Err(Issue::new("best", "is missing, and so is limits; set one of them"))
             }
             _ => Ok(()),
         }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// Agents by name: `all`; a role of the behavior that the sweep asks for, such as `other`; or `ego`. Where the behavior has
 /// no role of that name, `ego` is the agent around whom the scene is seen: the first role's, or the scene's ego agent where
-/// no behavior is asked for.
+/// no behavior is requested.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct AgentSelector(String);

@@ -112,7 +112,7 @@ impl SeenFiles {
         let inputs: Vec<String> = config.inputs.iter().map(|input| input.display().to_string()).collect();
         let example = self.example_of_others.as_ref().map_or(String::new(), |path| format!(", such as {path}"));
         format!(
-            "{} holds {} files that are named like {} recordings of the wanted splits and {} others{example}",
+            "{} has {} files named like {} recordings of the chosen splits and {} other files{example}",
             inputs.join(", "),
             self.n_recordings,
             config.dataset.name(),

@@ -76,7 +76,7 @@ impl Params {
     pub fn get_or_init(&mut self, name: &str, shape: &[usize], init: Init, seed: Seed) -> Result<Tensor> {
         if let Some(var) = self.vars.get(name) {
             if var.dims() != shape {
-                bail!("parameter {name} has shape {:?}, but shape {shape:?} is asked for", var.dims());
+                bail!("parameter {name} has shape {:?}, expected {shape:?}", var.dims());
             }
             return Ok(self.handle(var));
         }

@@ -47,11 +47,11 @@ pub fn estimate(config: &PipelineConfig, layout: &Layout) -> Result<Vec<String>>
         n_evaluations += describe(request, &resolved, &mut lines);
     }
     let time = match evaluations_per_second(config, generate, layout)? {
-        None => "the time is not known: there is no denoiser to try yet".to_owned(),
+        None => "time unknown: no denoiser to measure yet".to_owned(),
         Some((rate, what)) => {
             let seconds = n_evaluations as f64 / rate;
             format!(
-                "{} at {rate:.0} evaluations a second (tried just now on {what}, with {} threads; guidance comes on top)",
+                "{} at {rate:.0} evaluations per second (measured now on {what} with {} threads; excludes guidance)",
                 duration(seconds),
                 rayon::current_num_threads()
             )

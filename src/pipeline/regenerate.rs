@@ -56,10 +56,15 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, compute: &Co
         FoundShard::OfRequest { shard, .. } => &shard.plan,
     };
     let wanted = SampleKey::of(plan, &row.scenario.provenance).ok_or_else(|| {
-        Failure::fault(anyhow::anyhow!("the plan of shard {} has no cell of scenario {id}; it was changed", row.shard))
+        Failure::fault(anyhow::anyhow!(
+            "the plan of shard {} no longer has the cell of scenario {id}; it was changed",
+            row.shard
+        ))
     })?;
     let mut again = generator.regenerate(plan, wanted)?.ok_or_else(|| {
-        Failure::input_message(format_args!("scenario {id} came to nothing this time: its sample is no scenario"))
+        Failure::input_message(format_args!(
+            "scenario {id} could not be generated again: its sample is not a valid scenario"
+        ))
     })?;
     if let FoundShard::OfRequest { request, round, pool, shard } = &found {
         // Whether there was room for it depends on what came before it: the shards, and the rows of its own.
@@ -99,7 +104,7 @@ fn rows_until(
 }
 
 fn unknown(id: &str, samples: &Path) -> Failure {
-    Failure::input_message(format_args!("no scenario {id} is among the samples of {}", samples.display()))
+    Failure::input_message(format_args!("scenario {id} is not among the samples of {}", samples.display()))
         .with_hint("ids are in the column scenario_id of samples and corpora; --from names the run folder")
 }
 
@@ -142,8 +147,8 @@ fn require(path: &Path, name: &str) -> Result<()> {
     if path.exists() {
         return Ok(());
     }
-    let error = anyhow::anyhow!("the {name} that the scenario was generated with is not there: {}", path.display());
-    Err(Failure::fault(error).with_hint(format!("--{name} names another place")))
+    let error = anyhow::anyhow!("the {name} that generated the scenario is missing: {}", path.display());
+    Err(Failure::fault(error).with_hint(format!("pass its path with --{name}")))
 }
 
 fn check(name: &str, path: &Path, then: &str, now: &str) -> Result<()> {
@@ -154,5 +159,5 @@ fn check(name: &str, path: &Path, then: &str, now: &str) -> Result<()> {
         "the {name} in {} changed since the scenario was generated: its fingerprint was {then}, and is {now}",
         path.display()
     );
-    Err(Failure::input_message(message).with_hint(format!("--{name} names the place of the old one")))
+    Err(Failure::input_message(message).with_hint(format!("pass the path of the old one with --{name}")))
 }

@@ -58,7 +58,7 @@ impl FromStr for StageId {
     fn from_str(name: &str) -> Result<Self, String> {
         Self::ALL.into_iter().find(|stage| stage.name() == name).ok_or_else(|| {
             let known: Vec<&str> = Self::ALL.iter().map(|stage| stage.name()).collect();
-            format!("there is no such stage; there are {}", known.join(", "))
+            format!("unknown stage; known stages: {}", known.join(", "))
         })
     }
 }

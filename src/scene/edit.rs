@@ -142,7 +142,9 @@ impl SceneEdit {
                     format!("is {}, expected more than 1.5 times by_s: the agent would drive backwards", e.onset_s);
                 Err(Issue::new("onset_s", message))
             }
-            Self::SetPositions(e) if e.points.is_empty() => Err(Issue::new("points", "is empty: name at least one")),
+            Self::SetPositions(e) if e.points.is_empty() => {
+                Err(Issue::new("points", "is empty, expected at least one entry"))
+            }
             Self::SetPositions(e) => match e.points.windows(2).position(|pair| pair[1].t_s <= pair[0].t_s) {
                 Some(i) => {
                     let (key, t_s) = (format!("points.{}.t_s", i + 1), e.points[i + 1].t_s);
@@ -151,7 +153,7 @@ impl SceneEdit {
                 None => Ok(()),
             },
             Self::Meet(e) if e.agent == e.with => {
-                Err(Issue::new("with", format_args!("is {}, the agent that is moved: name another", e.with)))
+                Err(Issue::new("with", format_args!("is {}, the agent that is moved; name another agent", e.with)))
             }
             _ => Ok(()),
         }

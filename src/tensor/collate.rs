@@ -56,7 +56,7 @@ impl Collator {
     /// Fails when the device runs out of memory.
     pub fn collate(&self, views: &[SceneView<'_>], validity: FutureValidity, device: &Device) -> Result<SceneBatch> {
         if self.sight.is_some() && self.normalizer.motion_covariance.is_none() {
-            bail!("agents are to see what surrounds them, but the normalizer knows no covariance of their motion");
+            bail!("surroundings need the covariance of motion, which the normalizer does not have");
         }
         let frames: Vec<AgentFrame> = views.iter().map(|view| self.frame(view)).collect();
         let lanes: Vec<Vec<[f32; FeatureLayout::LANE]>> = views

@@ -41,7 +41,7 @@ impl ConsistencyTuning {
         match shrunk <= MAX_SHRINKING {
             true => Ok(()),
             false => Err(format!(
-                "gap.ratio to the power of gap.n_stages is {shrunk}, expected 100000 at most: nearer levels cannot be told apart"
+                "gap.ratio to the power of gap.n_stages is {shrunk}, expected 100000 at most; closer levels are indistinguishable"
             )),
         }
     }

@@ -70,9 +70,12 @@ pub fn distill_denoiser(
 /// Fails where `start` is not what a distillation to `wanted` may lead to.
 fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error> {
     let differs = [
-        (start.network != wanted.network, "is of another network than the denoiser"),
-        (start.normalizer != wanted.normalizer, "has other scales than the denoiser"),
-        (start.distillation != wanted.distillation, "was distilled by another method, or onto other noise levels"),
+        (start.network != wanted.network, "has a different network than the denoiser"),
+        (start.normalizer != wanted.normalizer, "has different scales than the denoiser"),
+        (
+            start.distillation != wanted.distillation,
+            "was distilled by a different method, or onto different noise levels",
+        ),
     ];
     match differs.iter().find(|(differs, _)| *differs) {
         Some((_, how)) => Err(Error::Config(format!(
@@ -94,7 +97,7 @@ fn check_shape(spec: &DenoiserSpec, data: &TrainingData<'_>) -> Result<(), Error
         return Ok(());
     }
     Err(Error::Config(format!(
-        "scene {} has {} + {} timesteps of {} s, the denoiser was trained on {} + {} of {} s: distill on scenes of its own kind",
+        "scene {} has {} + {} timesteps of {} s, the denoiser was trained on {} + {} of {} s: distill on scenes of the same length",
         scene.id,
         scene.n_history,
         scene.n_timesteps.saturating_sub(scene.n_history),

@@ -49,7 +49,7 @@ impl DistillMethod {
     pub(super) fn check(&self, teacher: &DenoiserSpec) -> Result<(), Error> {
         let Self::Steps(steps) = self else { return Ok(()) };
         if teacher.distillation.is_some() {
-            let why = "the denoiser is a distilled one, whose answers are no means to take steps with; distill an ordinary one";
+            let why = "the denoiser is already distilled and does not predict means; distill an ordinary one";
             return Err(refused(why));
         }
         steps.check_levels(&teacher.edm).map_err(|why| refused(&why))

@@ -88,7 +88,7 @@ pub(super) fn check_tasks(section: &str, tasks: &TaskWeights) -> Result<(), Erro
     match tasks.probabilities() {
         Some(_) => Ok(()),
         None => Err(Error::Config(format!(
-            "{section}.tasks are no weights: give numbers of at least 0, one of them positive"
+            "{section}.tasks are not valid weights, expected numbers of at least 0, one of them positive"
         ))),
     }
 }

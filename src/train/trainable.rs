@@ -87,7 +87,7 @@ impl<'a> ScenesOfFit<'a> {
         collator: Collator,
         seed: Seed,
     ) -> Result<Self, Error> {
-        let no_task = || Error::Config("the tasks to train on are no weights".to_owned());
+        let no_task = || Error::Config("the weights of the training tasks are not valid".to_owned());
         Ok(Self {
             data,
             groups: data.groups(balance),

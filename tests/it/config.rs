@@ -90,7 +90,7 @@ fn mistakes_name_the_place_and_the_nearest_name() {
         ),
         (
             &["--set", "evaluate.gates.guidance_raises_rate=true", "--set", "generate.sweeps.1.strengths=[2.0]"],
-            &["guidance_raises_rate", "no sweep asks for a behavior at several strengths"],
+            &["guidance_raises_rate", "no sweep requests a behavior at several strengths"],
         ),
         (&["--set", "generate.sweeps.0.name=unguided"], &["sweeps.0.name is \"unguided\"", "choose another"]),
     ];

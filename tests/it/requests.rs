@@ -170,7 +170,7 @@ fn counts_agree_with_the_rows(root: &Path) {
     let n_kept = kept.filter(|r| r.request.as_ref().is_some_and(|tag| tag.outcome == RequestOutcome::Accepted)).count();
     assert_eq!(n_kept as u64, summary.n_accepted);
     let page = fs_err::read_to_string(root.join("report.html")).unwrap();
-    assert!(page.contains("What was asked and what was got") && page.contains("Buckets of tight"));
+    assert!(page.contains("Requested and delivered") && page.contains("Buckets of tight"));
 }
 
 /// Rows of every sweep and arm come out as they are stored; what changed or is missing is told.

@@ -83,8 +83,8 @@ pub(super) fn definitions() -> Map<String, Value> {
     let checks: Map<String, Value> =
         Check::ALL.into_iter().map(|check| (check.id().to_owned(), Value::from(check.description()))).collect();
     let assessment = json!({
-        "definition": "What was judged of the scenario, independently of what guided it. What is not defined for it is left out. Numbers \
-                       name their unit in the attribute unit; 1 is that of shares and ratios.",
+        "definition": "Judgments of the scenario, independent of what guided it; undefined ones are left out. The attribute unit \
+                       of a number names its unit, 1 for shares and ratios.",
         "data": data,
     });
     let violation = json!({

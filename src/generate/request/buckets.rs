@@ -47,7 +47,7 @@ impl Divisions {
         match self {
             Self::Edges(edges) if edges.len() < 2 => Err("has fewer than two edges".to_owned()),
             Self::Edges(edges) if edges.iter().any(|edge| !edge.is_finite()) => {
-                Err("has an edge that is no finite number; a very large one serves for an open end".to_owned())
+                Err("has an edge that is not finite; use a very large number for an open end".to_owned())
             }
             Self::Edges(edges) if edges.windows(2).any(|edges| edges[0] >= edges[1]) => {
                 Err("has edges that do not ascend".to_owned())

@@ -1,4 +1,4 @@
-//! What was asked and what was got: the figures of a request, for `requests.json` and the report.
+//! Requested and delivered: the figures of a request, for `requests.json` and the report.
 
 use super::buckets::BucketPart;
 use super::config::BudgetConfig;
@@ -18,7 +18,7 @@ pub enum Ended {
     Budget,
 }
 
-/// What was asked and what was got.
+/// Requested and delivered.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RequestSummary {
     /// Name of the request.

@@ -139,10 +139,10 @@ impl SweepKeys {
         let mut left_over = keys.filter(|(key, _)| !["name", "model"].contains(&key.as_str()));
         let Some((key, value)) = left_over.next() else { return Ok(()) };
         let why = match OF_REQUESTS.contains(&key.as_str()) {
-            true => "the request that names an arm decides it: leave it out",
+            true => "cannot be set in an arm: the request decides it",
             false => {
-                "model = \"baseline\" has no such key: Scene Transformer predicts in one pass, in which nothing can be guided or \
-                 edited; leave it out, or take model = \"denoiser\""
+                "model = \"baseline\" has no such key, because Scene Transformer predicts in one pass and cannot be guided or \
+                 edited; remove it, or set model = \"denoiser\""
             }
         };
         Err(Issue::new(format!("{key} of \"{}\"", self.name.escape_debug()), format_args!("is {value}, but {why}")))

@@ -136,7 +136,7 @@ impl ObjectiveConfig {
             Some(agents) => {
                 let others = roles.iter().copied().filter(|role| *role != AgentSelector::EGO);
                 let known: Vec<&str> = [AgentSelector::ALL, AgentSelector::EGO].into_iter().chain(others).collect();
-                Err(format!("nobody has the role {:?}, expected one of {}", agents.name(), known.join(", ")))
+                Err(format!("no agent has the role `{}`, expected one of {}", agents.name(), known.join(", ")))
             }
             None => Ok(()),
         }

@@ -83,7 +83,7 @@ pub(super) fn cut_cases(
                     (false, _) => "the last cases and the rest of the file",
                 };
                 let detail =
-                    format!("{error}; {rest} is left out, and where the file is damaged, so may what came before be");
+                    format!("{error}; {rest} is left out, and earlier rows of a damaged file may be wrong too");
                 // Who only counts wants to know of its rows all the same.
                 let is_stopped = !keeps_rows && cases.end_all(done).is_break();
                 return if is_stopped { End::Stopped } else { End::Unreadable(detail) };

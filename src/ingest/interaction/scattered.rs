@@ -107,13 +107,12 @@ impl Survey {
                     ControlFlow::Continue(())
                 }
                 Some(Fate::InTwoTables) if is_first_pass && rejected.insert(id.clone(), ()).is_none() => {
-                    let detail = format!(
-                        "case {id} stands before and after another header; the file is several tables, split it at its headers"
-                    );
+                    let detail =
+                        format!("case {id} appears before and after a second header; split the file at its headers");
                     emit(Err(table.reject_at("case_not_contiguous", case.first_line, detail)))
                 }
                 Some(Fate::CutShort) if is_first_pass && rejected.insert(id.clone(), ()).is_none() => {
-                    let detail = format!("the rows of case {id} do not stand together, and the file breaks off");
+                    let detail = format!("the rows of case {id} are not contiguous, and the file is truncated");
                     emit(Err(table.reject_at("case_not_contiguous", case.first_line, detail)))
                 }
                 _ => ControlFlow::Continue(()),
@@ -128,7 +127,8 @@ impl Survey {
         match end {
             End::Unreadable(detail) if is_first_pass => emit(Err(table.reject("unreadable", detail))),
             End::OtherHeader(line) if is_first_pass => {
-                let detail = "another header with other columns; the rest is left out, split the file at its headers";
+                let detail =
+                    "a second header has different columns, so the rest is left out; split the file at its headers";
                 emit(Err(table.reject_at("bad_header", line, detail)))
             }
             _ => ControlFlow::Continue(()),

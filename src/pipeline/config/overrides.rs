@@ -16,7 +16,7 @@ pub struct Override {
 impl Override {
     /// Reads `generate.sweeps.0.n_samples=2`. The error says what is wrong with the text.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let (key, value) = text.split_once('=').ok_or("it has no `=`: write key=value")?;
+        let (key, value) = text.split_once('=').ok_or("missing `=`; write key=value")?;
         let key: Vec<String> = key.split('.').map(|part| part.trim().to_owned()).collect();
         if key.iter().any(String::is_empty) {
             return Err("its key has an empty part".to_owned());
@@ -80,8 +80,8 @@ fn spanned_key<'i>(part: &'i str, span: &Range<usize>) -> Spanned<DeString<'i>> 
 
 fn element<'t, 'i>(array: &'t mut DeArray<'i>, part: &str) -> Result<&'t mut Spanned<DeValue<'i>>, String> {
     let n_elements = array.len();
-    let idx: usize = part.parse().map_err(|_| format!("`{part}` is no index into an array"))?;
-    array.get_mut(idx).ok_or_else(|| format!("index {idx} is outside an array of {n_elements}"))
+    let idx: usize = part.parse().map_err(|_| format!("`{part}` is not an array index"))?;
+    array.get_mut(idx).ok_or_else(|| format!("index {idx} is out of range for an array of {n_elements}"))
 }
 
 /// Gives a value and everything in it one span.

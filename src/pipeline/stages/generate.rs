@@ -105,7 +105,7 @@ impl Stage for Generate<'_> {
         };
         for shortfall in &plan.shortfalls {
             let Shortfall { sweep, n_wanted, n_found } = shortfall;
-            context.progress.warn(&format!("sweep {sweep}: {n_wanted} scenes were asked for, {n_found} fit"));
+            context.progress.warn(&format!("sweep {sweep}: {n_wanted} scenes requested, {n_found} suitable"));
         }
         let mut shards = generate_shards(&resolved, &generator, &plan, &folder, context)?;
         let fulfilment =
@@ -124,7 +124,7 @@ impl Stage for Generate<'_> {
             },
         )?;
         if manifest.n_rejected > 0 {
-            let message = format!("{} samples were no finite numbers and were rejected", manifest.n_rejected);
+            let message = format!("{} samples had non-finite values and were rejected", manifest.n_rejected);
             context.progress.warn(&message);
         }
         Ok(json!({

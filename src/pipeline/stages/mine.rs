@@ -88,7 +88,7 @@ impl Stage for Mine<'_> {
             |entry: &SceneIndexEntry| self.config.splits.is_empty() || self.config.splits.contains(&entry.split);
         let scenes: Vec<usize> = (0..store.len()).filter(|idx| wanted(&store.index()[*idx])).collect();
         if scenes.is_empty() {
-            return Err(Failure::input_message("no scene is of the splits of mine.splits"));
+            return Err(Failure::input_message("no scene is in the splits of mine.splits"));
         }
         let ids: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();
         let mut tally = MiningTally::new(&ids, scenes.iter().map(|idx| &store.index()[*idx]));

@@ -216,7 +216,7 @@ impl SampleManifest {
         let path = dir.join(&shard.file);
         shard.stamp.verify_file(&path).map_err(|error| {
             Failure::from(error)
-                .with_hint("the file was changed or the disk is failing; sample anew with --redo generate")
+                .with_hint("the file was changed or the disk is failing; sample again with --redo generate")
         })?;
         Ok(read_samples(&path, maps)?)
     }
@@ -246,7 +246,7 @@ impl SampleSettings {
     }
 }
 
-/// What was asked and what was got, request by request; none where the folder has no requests.
+/// Requested and delivered, request by request; none where the folder has no requests.
 ///
 /// # Errors
 /// When the file is damaged.

@@ -66,9 +66,7 @@ impl Recipe for ClassifierTrainingConfig {
 fn roles(behavior: &str, events: &[BehaviorEvent]) -> Result<Vec<String>> {
     let Some(event) = events.iter().find(|event| event.behavior == behavior) else {
         let n_positive = events.iter().filter(|event| event.label == EventLabel::Positive).count();
-        let message = format!(
-            "there are no events of {behavior} to learn from ({n_positive} positive events of other behaviors)"
-        );
+        let message = format!("no events of {behavior} to train on ({n_positive} positive events of other behaviors)");
         return Err(Failure::input_message(message)
             .with_hint(format!("add {{ kind = \"{behavior}\" }} to mine.behaviors, or ingest more scenes")));
     };

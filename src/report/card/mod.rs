@@ -115,9 +115,9 @@ impl Verdict {
     pub const fn words(self) -> &'static str {
         match self {
             Self::New => "verified, and not in the recording",
-            Self::Recorded => "verified; the recording holds it too",
+            Self::Recorded => "verified; also in the recording",
             Self::NotVerified => "not verified",
-            Self::NotAsked => "nothing was asked for",
+            Self::NotAsked => "no behavior requested",
         }
     }
 }

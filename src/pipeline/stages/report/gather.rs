@@ -157,13 +157,13 @@ fn add_samples(model: &mut ReportModel, stage: &Report<'_>) -> Result<()> {
     let manifest = SampleManifest::read(&stage.layout.samples)?;
     for shortfall in &manifest.sampled_with.shortfalls {
         let message = format!(
-            "Sweep {} continues {} scenes, {} were asked for: fewer fit.",
+            "Sweep {} continues {} of {} requested scenes; no others are suitable.",
             shortfall.sweep, shortfall.n_found, shortfall.n_wanted
         );
         model.warnings.push(warning(StageId::Generate, message));
     }
     if manifest.n_rejected > 0 {
-        let message = format!("{} samples were no finite numbers and were left out.", manifest.n_rejected);
+        let message = format!("{} samples had non-finite values and were rejected.", manifest.n_rejected);
         model.warnings.push(warning(StageId::Generate, message));
     }
     for (sweep, reasons) in &manifest.unselected {
