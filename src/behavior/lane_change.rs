@@ -20,7 +20,7 @@ pub(super) const PARAMETERS: &[&str] =
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LaneChangeConfig {
-    /// Road users that are looked at. Default `motorized`.
+    /// Road users to consider. Default `motorized`.
     pub agents: AgentFilter,
     /// How far the center must be beyond the lane's side before it has left the lane, meters. Default 0.3.
     #[schemars(range(min = 0.0))]

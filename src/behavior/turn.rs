@@ -27,21 +27,22 @@ const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TurnConfig {
-    /// Road users that are looked at. Default `motorized`.
+    /// Road users to consider. Default `motorized`.
     pub agents: AgentFilter,
     /// Smallest change of heading of a turn, radians. Default π/3 (60 degrees).
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_heading_change_rad: f64,
-    /// A smaller change of heading than that, but at least this, is a hard negative, radians. Default π/6 (30 degrees).
+    /// A smaller change of heading, but at least this, is a hard negative, radians. Default π/6 (30 degrees).
     #[schemars(range(min = 0.0))]
     pub negative_heading_change_rad: f64,
     /// Largest mean radius of a turn, meters; a wider one is a bend of the road and a hard negative. Default 50.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_radius_m: f64,
-    /// Smallest mean radius of a turn, meters; less is more than a vehicle can steer, so the heading is noise. Default 3.
+    /// Smallest mean radius of a turn, meters; less is tighter than a vehicle can steer, so the heading is noise.
+    /// Default 3.
     #[schemars(range(min = 0.0))]
     pub min_radius_m: f64,
-    /// Shortest path between start and end, meters; less is a noisy heading while creeping. Default 3.
+    /// Shortest path between start and end, meters; less is noise of the heading at low speed. Default 3.
     #[schemars(range(min = 0.0))]
     pub min_path_m: f64,
 }

@@ -279,6 +279,6 @@ fn damaged_and_foreign_folders_are_refused_before_anything_is_written() {
     let error = merge(&[a.clone(), b], &folder.path("out"), &Silent).unwrap_err().to_string();
     assert!(error.contains("did not finish"), "{error}");
     let error = merge(&[a, folder.0.path().to_owned()], &folder.path("out"), &Silent).unwrap_err().to_string();
-    assert!(error.contains("is no corpus"), "{error}");
+    assert!(error.contains("is not a corpus"), "{error}");
     assert!(!folder.path("out").exists() && !folder.path("out.partial").exists());
 }

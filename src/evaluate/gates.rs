@@ -11,16 +11,16 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Bounds that the results must keep. What is left out is not checked. A gate that cannot be judged, because nothing was measured
-/// for it, is not met.
+/// Bounds for the results. Gates that are left out are not checked. A gate that cannot be judged, because nothing was
+/// measured for it, fails.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GatesConfig {
-    /// At least so many scenarios, over all sweeps, hold the behavior that was asked for.
+    /// Minimum number of verified scenarios over all sweeps.
     pub min_verified: Option<u64>,
-    /// At least so many of them where the recording does not hold it for the same agents.
+    /// Minimum number of verified scenarios whose recording does not show the behavior for the same agents.
     pub min_new: Option<u64>,
-    /// At least so many scenarios, over all sweeps, are accepted: verified, valid and no near-duplicates.
+    /// Minimum number of accepted scenarios over all sweeps: verified, valid and no near-duplicates.
     pub min_accepted: Option<u64>,
     /// Smallest share of valid scenarios of any sweep at any strength, 0 to 1.
     #[schemars(range(min = 0.0, max = 1.0))]
@@ -34,8 +34,8 @@ pub struct GatesConfig {
     /// Whether unguided samples must be closer to the recording than a constant velocity, by minSceneADE, in every sweep that has
     /// some; at least one must.
     pub beat_constant_velocity: bool,
-    /// Whether in every sweep that asks for a behavior at several strengths the strongest must find it more often than strength 0;
-    /// at least one must.
+    /// Whether in every sweep that requests a behavior at several strengths the strongest must find it more often than
+    /// strength 0; at least one must.
     pub guidance_raises_rate: bool,
 }
 

@@ -220,11 +220,11 @@ fn bounds_must_be_shares_and_their_metrics_measured() {
         for bound in ["0", "1.0", "0.5"] {
             gates(&format!("{gate} = {bound}")).validate(&[]).unwrap();
             let why = gates(&format!("{gate} = {bound}")).validate(&ade_only).unwrap_err().to_string();
-            assert!(why.contains(&gate[4..]) && why.contains("evaluate.metrics leaves out"), "{why}");
+            assert!(why.contains(&gate[4..]) && why.contains("add it to evaluate.metrics"), "{why}");
         }
     }
     let why = gates("beat_constant_velocity = true").validate(&ade_only).unwrap_err().to_string();
-    assert!(why.contains("min_scene_ade_m, which evaluate.metrics leaves out"), "{why}");
+    assert!(why.contains("needs min_scene_ade_m; add it to evaluate.metrics"), "{why}");
     // The miner finds behaviors whatever is measured.
     gates("guidance_raises_rate = true\nmin_new = 1").validate(&ade_only).unwrap();
 }

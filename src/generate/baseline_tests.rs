@@ -140,5 +140,5 @@ fn what_the_baseline_cannot_do_is_refused() {
     let mut other = self::baseline();
     other.spec.n_timesteps += 1;
     let message = generate(&sweep("n_samples = 4"), Some(&other)).unwrap_err().to_string();
-    assert!(message.contains("other timesteps"), "{message}");
+    assert!(message.contains("different timesteps"), "{message}");
 }

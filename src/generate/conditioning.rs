@@ -17,11 +17,12 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields)]
 pub struct ClassifierFreeConfig {
     /// The wanted states, beyond those that are observed, as rules of a mask; such as the goal of every agent:
-    /// `[{ agents = "all", times = "goal" }]`. They are recorded (or edited) states; what is not generated anyway is left out.
+    /// `[{ agents = "all", times = "goal" }]`. They are recorded (or edited) states; those that are not generated are
+    /// ignored.
     pub extra: Vec<MaskRule>,
-    /// Weights λ, each of them sampled: 0 ignores the wanted states, 1 observes them, more exaggerates. The sampler has to
-    /// follow how wanted states are approached, the faster the larger λ is: with 20 steps up to about 1.5, with 50 up to 4.
-    /// A sweep that varies its strengths as well takes a single weight, and the other way around.
+    /// Weights λ, each of which is sampled: 0 ignores the wanted states, 1 observes them, more exaggerates. The sampler
+    /// has to follow how wanted states are approached, the faster the larger λ is: with 20 steps up to about 1.5, with
+    /// 50 up to 4. A sweep varies either its strengths or its weights.
     #[serde(default = "one_weight")]
     pub weights: Vec<f64>,
     /// Standard deviation of what is added to the wanted positions, meters in each direction; drawn once for each agent and
@@ -29,7 +30,7 @@ pub struct ClassifierFreeConfig {
     #[serde(default = "one_meter")]
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub goal_std_m: f64,
-    /// Whether the denoiser is not told the velocity of wanted states.
+    /// Whether the velocity of wanted states is hidden from the denoiser.
     #[serde(default = "yes")]
     pub mask_velocity: bool,
 }
@@ -46,13 +47,13 @@ const fn yes() -> bool {
     true
 }
 
-/// Recordings that are changed roughly and made realistic by the denoiser (paper, section 5.3): the edited future with noise
-/// of level `tau`, denoised from there.
+/// Recordings that are edited roughly and made realistic by the denoiser (paper, section 5.3): the edited future with
+/// noise of level `tau`, denoised from there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EditConfig {
-    /// The noise level at which denoising begins: 0 leaves the edited recording as it is, the denoiser's largest noise level
-    /// forgets it but for edited states that are observed.
+    /// The noise level at which denoising begins: 0 leaves the edited recording as it is, the denoiser's largest noise
+    /// level discards it except for edited states that are observed.
     #[serde(default = "default_tau")]
     #[schemars(range(min = 0.0, max = 1e6))]
     pub tau: f64,

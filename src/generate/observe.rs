@@ -18,17 +18,17 @@ use serde::{Deserialize as DeserializeDerive, Serialize};
 pub enum ObserveConfig {
     /// One of the seven tasks that the denoiser is trained on.
     Task(MaskTask),
-    /// A mask. What no rule mentions is not observed; agents that are never observed are left out of what the denoiser sees.
+    /// A mask. States without a rule are not observed; agents that are never observed are hidden from the denoiser.
     Mask(Vec<MaskRule>),
 }
 
-/// States that are observed, or hidden after all.
+/// A rule that observes states, or hides them again.
 #[derive(Debug, Clone, PartialEq, Serialize, DeserializeDerive, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MaskRule {
-    /// Whose states.
+    /// The agents.
     pub agents: AgentChoice,
-    /// Their states at which times.
+    /// The times.
     pub times: TimeChoice,
     /// Whether the states are hidden instead, though an earlier rule observes them.
     #[serde(default)]
@@ -41,13 +41,13 @@ pub struct MaskRule {
 pub enum AgentChoice {
     /// Every agent.
     All,
-    /// The agent at the center: who has the first role of the behavior that is asked for, else the scene's ego agent.
+    /// The agent at the center: the one with the first role of the requested behavior, else the scene's ego agent.
     Ego,
-    /// The agent who has this role of the behavior that is asked for.
+    /// The agent with this role in the requested behavior.
     Role(String),
-    /// The agent whose track the recording calls so.
+    /// The agent with this track id in the recording.
     Track(String),
-    /// So many agents, drawn from those that are tracked at all of the rule's times; all of them where there are fewer.
+    /// This many agents, drawn from those tracked at all of the rule's times; all of them if there are fewer.
     NRandom(usize),
 }
 
@@ -76,7 +76,7 @@ pub struct TimestepRange {
     /// The first timestep.
     #[serde(default)]
     pub from: usize,
-    /// The first timestep that is not meant any more; left out: the end of the scene.
+    /// The end, exclusive; left out: the end of the scene.
     #[serde(default)]
     pub to: Option<usize>,
     /// The distance of neighboring timesteps.
@@ -85,7 +85,7 @@ pub struct TimestepRange {
     pub every: usize,
 }
 
-/// The timesteps between two times, both included.
+/// The timesteps between two times, inclusive.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, DeserializeDerive, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SecondRange {
@@ -358,7 +358,7 @@ mod tests {
         let scene = three();
         let subject = Subject { scene: &scene, ego_idx: 0, roles: Roles::none() };
         let nobody = parse("[{ agents = { track = '77' }, times = 'all' }]");
-        assert!(nobody.mask(&subject, Seed(0)).unwrap_err().contains("no state"));
+        assert!(nobody.mask(&subject, Seed(0)).unwrap_err().contains("no observed state"));
         let history_only = Scene { n_timesteps: 4, ..scene.clone() };
         let subject = Subject { scene: &history_only, ..subject };
         assert!(parse("'windowed'").mask(&subject, Seed(0)).unwrap_err().contains("no recorded future"));

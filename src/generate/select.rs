@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Which samples of a scene at one strength become scenarios.
+/// Which samples of a scene at one strength to keep as scenarios.
 ///
 /// Samples are judged by metrics of the evaluation, each sample on its own, or by the sweep's objectives: by one of them,
 /// under the name of its kind such as `no_collision` (of several of a kind the sum), or by the sum of all, `objectives`. The
@@ -22,7 +22,7 @@ pub struct SelectConfig {
     /// comes that close to one, `{ pair_min_distance_m = { at_least = 1.0 } }` what stays that far apart.
     #[serde(default)]
     pub limits: BTreeMap<String, Limit>,
-    /// How many are kept of those within the limits: the best. Left out: all.
+    /// How many of those within the limits to keep: the best. Left out: all.
     #[serde(default)]
     #[schemars(range(min = 1))]
     pub best: Option<usize>,
@@ -306,11 +306,11 @@ mod tests {
     fn nonsense_is_named() {
         for (toml, what) in [
             ("best = 2", "best is 2, but needs metrics"),
-            ("by = ['min_ade_m']", "how many"),
-            ("", "best is missing, and so are limits"),
-            ("limits = { min_aed_m = 1.0 }", "limits.min_aed_m is no metric"),
-            ("limits = { mfd_m = 1.0 }", "limits.mfd_m is 1, but neither more nor less of it is better"),
-            ("limits = { pair_min_ttc_s = [3, 2] }", "limits.pair_min_ttc_s asks for at least 3"),
+            ("by = ['min_ade_m']", "number of samples to keep"),
+            ("", "best is missing, and so is limits"),
+            ("limits = { min_aed_m = 1.0 }", "limits.min_aed_m is not a metric"),
+            ("limits = { mfd_m = 1.0 }", "limits.mfd_m is 1, but neither direction is better"),
+            ("limits = { pair_min_ttc_s = [3, 2] }", "limits.pair_min_ttc_s is empty: at least 3"),
             ("best = 1\nby = ['pair_pet_s']", "by.0 is pair_pet_s, which cannot rank"),
         ] {
             let why = select(toml).validate(&[], true).unwrap_err().to_string();

@@ -57,11 +57,11 @@ impl CleanPotential for ObjectiveSum<'_> {
 pub struct ObjectiveGuidanceConfig {
     /// What stands for the covariance of the clean sample given the noisy one.
     pub gradient: CleanGradient,
-    /// Whether steps are shortened where the potential is strongly curved. Without, a strong wish overshoots: steps are then
-    /// limited by `guidance.max_shift` alone.
+    /// Whether steps are shortened where the potential is strongly curved. Without it, a strong objective overshoots:
+    /// steps are then limited by `guidance.max_shift` alone.
     pub damped: bool,
-    /// Gradient steps at each evaluation of the denoiser; more of them follow wishes that bend, such as that of boxes not to
-    /// overlap, more closely.
+    /// Gradient steps at each evaluation of the denoiser; more steps follow curved objectives, such as boxes that must
+    /// not overlap, more closely.
     #[schemars(range(min = 1, max = 1_000))]
     pub inner_steps: usize,
 }

@@ -7,18 +7,19 @@ use candle_core::{DType, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The precision of the matrix products of linear maps. Parameters, sums, the optimizer and whatever others than these products read
-/// are `f32` throughout.
+/// The precision of the matrix products of linear maps. Parameters, sums, the optimizer and everything that other
+/// operations read are `f32`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
     /// 24 bits.
     #[default]
     F32,
-    /// Factors cut to 11 bits, sums in `f32`: tensor cores of GPUs since Ampere. The processor cuts alike, which takes longer.
+    /// Factors truncated to 11 bits, sums in `f32`: tensor cores of GPUs since Ampere. Processors truncate in software,
+    /// which is slower.
     Tf32,
-    /// Factors and results rounded to 8 bits, sums in `f32`: tensor cores of GPUs, and processors with AVX-512 BF16. Other
-    /// processors round alike, which takes longer.
+    /// Factors and results rounded to 8 bits, sums in `f32`: tensor cores of GPUs, and processors with AVX-512 BF16.
+    /// Other processors round in software, which is slower.
     Bf16,
 }
 

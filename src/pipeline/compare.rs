@@ -131,7 +131,7 @@ mod tests {
     fn what_is_no_run_is_refused_with_advice() {
         let folder = tempfile::tempdir().unwrap();
         for (path, what) in
-            [(folder.path().to_owned(), "holds no run"), (folder.path().join("missing"), "is no folder")]
+            [(folder.path().to_owned(), "is not a run folder"), (folder.path().join("missing"), "is no folder")]
         {
             let failure = write_comparison(&path, &path, &folder.path().join("page.html")).unwrap_err();
             assert_eq!(failure.blame, crate::pipeline::Blame::Input);

@@ -10,9 +10,9 @@ use std::str::FromStr;
 
 /// What networks compute on: `cpu`, `cuda` (the first GPU) or `cuda:1` (the second one), and so on.
 ///
-/// It is no part of what decides whether a stage must run again: what is finished stays, whatever computed it, and what is resumed goes on
-/// with the device that is asked for now. Results are the same bytes on the same kind of device, not from one kind to another: sums are taken in another order. Noise is
-/// always drawn on the host, so that samples of one seed are alike on all of them.
+/// A change of device does not make a stage run again, and a resumed stage continues on the device that is chosen now.
+/// Results are the same bytes on the same kind of device only, because kinds of device sum in different orders. Noise
+/// is always drawn on the host, so that samples of one seed are alike on all devices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "String", into = "String")]
 #[schemars(with = "String")]

@@ -216,7 +216,7 @@ mod tests {
             "request tight: 4 scenarios in 2 buckets; 100 samples, 3900 evaluations",
             "arm long: heun-20, 39 evaluations a sample",
             "bucket 1: gap_m 5..10: 2 wanted",
-            "in all 3960 evaluations: the time is not known",
+            "in all 3960 evaluations: time unknown",
         ] {
             assert!(text.contains(part), "`{part}` is not in\n{text}");
         }

@@ -9,11 +9,11 @@ use std::fmt;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum AgentRef {
-    /// The agent at the center: who has the first role of the behavior that is asked for, else the scene's ego agent.
+    /// The agent at the center: the one with the first role of the requested behavior, else the scene's ego agent.
     Ego,
-    /// The agent who has this role of the behavior that is asked for.
+    /// The agent with this role in the requested behavior.
     Role(String),
-    /// The agent whose track the recording calls so.
+    /// The agent with this track id in the recording.
     Track(String),
 }
 

@@ -23,7 +23,7 @@ pub enum SceneEdit {
     ScaleSpeed(ScaleSpeed),
     /// The agent goes through given points.
     SetPositions(SetPositions),
-    /// The agent comes to where another one is at some time.
+    /// The agent meets another one at some time.
     Meet(Meet),
 }
 
@@ -86,7 +86,7 @@ pub struct SetPositions {
     pub points: Vec<TimedPoint>,
 }
 
-/// A place in the scene frame, to be at a time.
+/// A place in the scene frame and the time to be there.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TimedPoint {

@@ -54,7 +54,7 @@ pub fn ascending((low_key, low): (&str, f64), (high_key, high): (&str, f64)) -> 
 /// Names the second one.
 pub fn distinct<T: PartialEq + Display>(key: &str, entries: &[T]) -> Result {
     match (1..entries.len()).find(|i| entries[..*i].contains(&entries[*i])) {
-        Some(i) => Err(Issue::new(format!("{key}.{i}"), format_args!("lists {} twice", entries[i]))),
+        Some(i) => Err(Issue::new(format!("{key}.{i}"), format_args!("is {}, which is already listed", entries[i]))),
         None => Ok(()),
     }
 }

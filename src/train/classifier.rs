@@ -20,16 +20,16 @@ training_section! {
         pub behavior: String,
         /// The network.
         pub network: BehaviorClassifierConfig,
-        /// How much more a positive pair counts in the loss than a negative one. Left out: the number of negative pairs over
-        /// that of positive ones, so that both labels count the same.
+        /// Weight of a positive pair in the loss relative to a negative one. Left out: the number of negative pairs
+        /// over that of positive ones, which balances the labels.
         #[schemars(extend("exclusiveMinimum" = 0))]
         pub pos_weight: Option<f64>,
         /// Distribution of the training noise levels.
         pub noise: NoiseDistribution,
-        /// At most so many pairs to train on; negative ones are left out first.
+        /// Maximum number of pairs to train on; negative ones are dropped first.
         #[schemars(range(min = 1, max = 1_000_000_000))]
         pub max_examples: usize,
-        /// At most so many held-out pairs of each evaluation.
+        /// Maximum number of held-out pairs per evaluation.
         #[schemars(range(max = 1_000_000_000))]
         pub max_held_out: usize,
         /// Seed of everything random.

@@ -20,7 +20,7 @@ const MAX_SHRINKING: f64 = 1e5;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConsistencyTuning {
-    /// How near to each other the two noise levels are.
+    /// The gap between the two noise levels.
     pub gap: LevelGap,
     /// Distribution of the upper noise level.
     pub noise: NoiseDistribution,
@@ -47,7 +47,7 @@ impl ConsistencyTuning {
     }
 }
 
-/// How near to each other the two noise levels are whose answers shall agree.
+/// The gap between the two noise levels at which predictions shall agree.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LevelGap {
@@ -60,7 +60,7 @@ pub struct LevelGap {
     /// How much wider the gap is at low noise, k.
     #[schemars(range(min = 0.0))]
     pub widening: f64,
-    /// How soon that ends as the noise grows, b.
+    /// How quickly that vanishes as the noise grows, b.
     #[schemars(range(min = 0.0))]
     pub widening_decay: f64,
 }

@@ -11,13 +11,13 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// How the learning rate goes on after its warm-up.
+/// The learning-rate schedule after warm-up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
 #[serde(rename_all = "snake_case")]
 pub enum LearningRateDecay {
-    /// It stays (the paper's).
+    /// Constant (the paper's).
     Constant,
-    /// It falls to zero along half a cosine by the last step: more from a short budget.
+    /// Half a cosine down to zero at the last step: better for short training.
     #[default]
     Cosine,
 }

@@ -24,12 +24,12 @@ use std::collections::BTreeMap;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct StepDistillation {
-    /// Number of steps N, of one evaluation each.
+    /// Number of steps N, one evaluation each.
     #[schemars(range(min = 1, max = 1_000))]
     pub n_steps: usize,
-    /// The noise levels they begin at.
+    /// The noise levels at which the steps begin.
     pub grid: StepGrid,
-    /// Steps of the teacher for each of them.
+    /// Steps of the teacher per step.
     #[schemars(range(min = 1, max = 10_000))]
     pub teacher_steps: usize,
     /// The noise level of the teacher's last step, which leads to 0.

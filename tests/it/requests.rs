@@ -75,11 +75,9 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     let workspace = Workspace::new();
     fs_err::write(workspace.path("small.toml"), pipeline()).unwrap();
     let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
-    for part in [
-        "request tight: 12 scenarios in 4 buckets; 72 samples, 432 evaluations",
-        "arm guided@20",
-        "the time is not known",
-    ] {
+    for part in
+        ["request tight: 12 scenarios in 4 buckets; 72 samples, 432 evaluations", "arm guided@20", "time unknown"]
+    {
         assert!(plan.contains(part), "`{part}` is not in\n{plan}");
     }
     workspace.run("out", &["--threads", "1"]).expect(0);

@@ -51,17 +51,19 @@ pub struct CutInConfig {
     /// The ego must reach the other's place less than this much later, seconds. Default 3.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_delay_s: f64,
-    /// A pair that is no cut-in is a hard negative if its boxes come closer than this at any two timesteps of the scene, meters. Default 5.
+    /// A pair without a cut-in is a hard negative if its boxes come closer than this at any two timesteps of the scene,
+    /// meters. Default 5.
     #[schemars(range(min = 0.0))]
     pub negative_distance_m: f64,
-    /// From the present until it is in the lane of the ego, the other must head along that lane within this, radians. It keeps out who turns
-    /// into it, enters a roundabout or comes toward the ego. Default π/6 (30 degrees).
+    /// From the present until it is in the lane of the ego, the other must head along that lane within this, radians.
+    /// This excludes agents that turn into the lane, enter a roundabout or come toward the ego. Default π/6 (30
+    /// degrees).
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 6.3))]
     pub max_heading_difference_rad: f64,
     /// The other must move over by at least this, across the lane of the ego, meters. Default 0.5.
     #[schemars(range(min = 0.0))]
     pub min_shift_m: f64,
-    /// Whether pairs whose boxes overlap at the same time, at present or in the future, are no cut-ins. Default false.
+    /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
     pub collision_free: bool,
 }
 

@@ -205,7 +205,7 @@ mod tests {
         for (toml, what) in [
             ("gap_m = [3]", "fewer than two"),
             ("gap_m = [0, 0]", "do not ascend"),
-            ("gap_m = [0, inf]", "no finite"),
+            ("gap_m = [0, inf]", "not finite"),
             ("side = ['left', 'left']", "twice"),
         ] {
             let request = request(&format!("per_bucket = 1\nbuckets = {{ {toml} }}"));

@@ -118,8 +118,8 @@ mod tests {
         let texts = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
         let refusal = |name: &str, of: Option<&[String]>| check_name(cut_in(), name, of).unwrap_err();
         assert!(refusal("gap", None).contains("gap_m"), "{}", refusal("gap", None));
-        assert!(refusal("relativ_speed_mps", None).contains("the nearest are relative_speed_mps"));
-        assert!(refusal("place", None).contains("has no numbers"));
+        assert!(refusal("relativ_speed_mps", None).contains("similar: relative_speed_mps"));
+        assert!(refusal("place", None).contains("holds text"));
         assert!(refusal("gap_m", Some(&texts(&["small"]))).contains("is a number"));
         assert!(refusal("side", Some(&texts(&["above"]))).contains("left, right"));
         assert!(refusal("ego_class", Some(&texts(&["lorry"]))).contains("vehicle"));

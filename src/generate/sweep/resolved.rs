@@ -54,7 +54,7 @@ pub struct Diffusion {
     pub guidance: SweepGuidance,
     /// States that samples lean toward.
     pub classifier_free: Option<ClassifierFreeConfig>,
-    /// Changes of the recording that samples start from.
+    /// Edits of the recording that samples start from.
     pub edit: Option<EditConfig>,
 }
 

@@ -15,15 +15,15 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct HardBrake {
-    /// How much this objective counts beside others.
+    /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// Who brakes: `all`, `ego` or a role.
+    /// The agents that brake: `all`, `ego` or a role.
     #[serde(default = "agent")]
     pub agents: AgentSelector,
-    /// The wanted deceleration, least and most, m/s². Left out: that of the bucket that a request asks for
-    /// (`max_deceleration_mps2`), else 5 to 8.
+    /// The wanted deceleration, least and most, m/s². Left out: the open bucket of a request (`max_deceleration_mps2`),
+    /// else 5 to 8.
     #[serde(default)]
     pub deceleration_mps2: Option<[f64; 2]>,
     /// The least speed v_least from which to brake, m/s.

@@ -88,19 +88,19 @@ pub enum ObjectiveConfig {
     Goal(Goal),
     /// Accelerate, brake and turn no harder than a limit.
     AccelerationLimit(AccelerationLimit),
-    /// Point where you drive.
+    /// Keep the heading along the motion.
     SlipLimit(SlipLimit),
     /// Stay on the road.
     StayOnRoad(StayOnRoad),
-    /// Do not drive into each other.
+    /// Avoid collisions.
     NoCollision(NoCollision),
     /// Keep a distance.
     KeepDistance(KeepDistance),
     /// Come to a halt before a line.
     StopAtLine(StopAtLine),
-    /// Let two agents come shortly before a collision.
+    /// Bring two agents close to a collision.
     AdversarialTtc(AdversarialTtc),
-    /// Move into the lane of another, before it.
+    /// Move into the lane of another agent, ahead of it.
     CutIn(CutIn),
     /// Brake hard.
     HardBrake(HardBrake),

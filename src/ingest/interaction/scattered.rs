@@ -285,13 +285,13 @@ mod tests {
         let units = split(&[&first, HEADER, &row("2.0", 2), &row("3.0", 1)].concat());
         assert_eq!((&units[0], &units[2]), (&whole("1.0", 2, 1), &whole("3.0", 6, 1)));
         let reject = units[1].as_ref().unwrap_err();
-        assert!(reject.starts_with("case_not_contiguous") && reject.contains(":3: case 2 stands"), "{reject}");
+        assert!(reject.starts_with("case_not_contiguous") && reject.contains(":3: case 2 appears before"), "{reject}");
         assert_eq!(units.len(), 3);
         let other = HEADER.replace(",x,y", ",y,x");
         let units = split(&[first.as_str(), &other, &row("2.0", 2)].concat());
         assert_eq!(units[..2], [whole("1.0", 2, 1), whole("2.0", 3, 1)]);
         let reject = units[2].as_ref().unwrap_err();
-        assert!(reject.starts_with("bad_header") && reject.contains(":4: another header"), "{reject}");
+        assert!(reject.starts_with("bad_header") && reject.contains(":4: a second header"), "{reject}");
     }
 
     #[test]

@@ -248,7 +248,7 @@ mod tests {
         assert_eq!(wrong_key.suggestion.as_deref(), Some("seed"));
         let wrong_value = error("", &["run.seed=red"]);
         assert_eq!(wrong_value.place, ConfigPlace::Override("run.seed=red".to_owned()));
-        assert!(error("", &["run.seed"]).to_string().contains("no `=`"));
+        assert!(error("", &["run.seed"]).to_string().contains("missing `=`"));
         assert!(error("[run]\nseed = 1\n", &["run.seed.x=1"]).message.contains("`seed` is a value"));
     }
 

@@ -128,8 +128,8 @@ mod tests {
 
     #[test]
     fn impossible_places_are_refused() {
-        assert!(applied("a = [1]", "a.1=2").unwrap_err().contains("outside an array of 1"));
-        assert!(applied("a = [1]", "a.x=2").unwrap_err().contains("no index"));
+        assert!(applied("a = [1]", "a.1=2").unwrap_err().contains("out of range for an array of 1"));
+        assert!(applied("a = [1]", "a.x=2").unwrap_err().contains("not an array index"));
         assert!(applied("a = 1", "a.x=2").unwrap_err().contains("is a value"));
         assert!(applied("", "a..x=2").unwrap_err().contains("empty part"));
     }

@@ -16,11 +16,11 @@ use std::collections::BTreeMap;
 /// Scenes that are mined together: enough for every thread, few enough to show progress and to hold their events in memory.
 const SCENES_PER_CHUNK: usize = 256;
 
-/// What to look for, and in which scenes.
+/// Which behaviors to mine, and in which scenes.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MineConfig {
-    /// The behaviors with their definitions; empty: all that are known, each by its default definition.
+    /// The behaviors with their definitions; empty: all known ones, by their default definitions.
     pub behaviors: Vec<BehaviorConfig>,
     /// The splits to mine; empty: all.
     pub splits: Vec<Split>,
