@@ -319,7 +319,7 @@ mod tests {
         select("limits = { collision_rate = 0.0, mfd_m = [0, 9] }").validate(&[], true).unwrap();
         let close = select("limits = { pair_min_ttc_s = { at_most = 2 }, scene_min_ttc_s = { at_least = 0.1 } }");
         close.validate(&[], true).unwrap();
-        assert!(close.validate(&[], false).unwrap_err().message.contains("here no two are"));
+        assert!(close.validate(&[], false).unwrap_err().message.contains("needs a requested pair"));
         let by_wish = select("best = 1\nby = ['objectives']\nlimits = { goal = -1.0 }");
         by_wish.validate(&["goal"], false).unwrap();
         assert!(by_wish.names_objectives());

@@ -146,7 +146,7 @@ fn guidance_that_makes_no_sense_is_refused() {
     for (toml, part) in [
         (guided(&speed(", weight = -1.0")), "generate.sweeps.0.objectives.0.weight is -1, expected a positive number"),
         (guided(&speed(", agents = 'other'")), "no agent has the role `other`, expected one of all, ego"),
-        (cut_in(&speed(", agents = 'third'")), "no agent has the role \"third\", expected one of all, ego, other"),
+        (cut_in(&speed(", agents = 'third'")), "no agent has the role `third`, expected one of all, ego, other"),
         (
             cut_in(&format!("classifier_scope = 'any_pair'\n{}", speed(", agents = 'other'"))),
             "no agent has the role `other`",
