@@ -131,7 +131,7 @@ fn no_scenes_is_an_error_that_says_what_was_seen() {
     let text = message(&config(folder.path()));
     assert!(text.contains("3 rejected as bad_header (first: train/data/0000.csv:1: no column"), "{text}");
     let text = message(&IngestConfig { splits: vec![crate::scene::Split::Val], ..config(folder.path()) });
-    assert!(text.contains("0 files that are named like"), "{text}");
+    assert!(text.contains("0 files named like"), "{text}");
 }
 
 #[test]
