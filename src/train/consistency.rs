@@ -4,7 +4,7 @@ use super::latent_error::{pseudo_huber, squared_error};
 use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::{Denoiser, NoiseDistribution, NoiseSource, rows_like};
 use crate::model::SceneDenoiser;
-use crate::settings;
+use crate::settings::{self, Issue};
 use crate::tensor::SceneBatch;
 use candle_core::Tensor;
 use schemars::JsonSchema;
@@ -34,14 +34,19 @@ impl Default for ConsistencyTuning {
 }
 
 impl ConsistencyTuning {
-    /// Says what makes no sense, by the name of the setting.
-    pub(super) fn validate(&self) -> Result<(), String> {
-        settings::check_ranges(self).map_err(|issue| issue.to_string())?;
+    /// Refuses gaps that shrink too far.
+    pub(super) fn validate(&self) -> settings::Result {
+        settings::check_ranges(self)?;
         let shrunk = self.gap.ratio.powf(self.gap.n_stages as f64);
         match shrunk <= MAX_SHRINKING {
             true => Ok(()),
-            false => Err(format!(
-                "gap.ratio to the power of gap.n_stages is {shrunk}, expected 100000 at most; closer levels are indistinguishable"
+            false => Err(Issue::new(
+                "gap.n_stages",
+                format_args!(
+                    "is {}, by which gap.ratio grows to {shrunk}, expected 100000 at most; closer levels are \
+                     indistinguishable",
+                    self.gap.n_stages
+                ),
             )),
         }
     }

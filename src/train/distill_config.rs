@@ -6,6 +6,7 @@ use super::{ConsistencyTuning, Error, FitConfig, LearningRateDecay, StepDistilla
 use crate::diffusion::Edm;
 use crate::guidance::ObjectiveConfig;
 use crate::model::{DenoiserSpec, Distillation};
+use crate::settings::Issue;
 use crate::tensor::TaskWeights;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -42,22 +43,22 @@ impl DistillMethod {
             Self::Consistency(tuning) => tuning.validate(),
             Self::Steps(steps) => steps.validate(),
         };
-        checked.map_err(|why| refused(&why))
+        checked.map_err(refused)
     }
 
     /// Fails where the method does not fit the denoiser.
     pub(super) fn check(&self, teacher: &DenoiserSpec) -> Result<(), Error> {
         let Self::Steps(steps) = self else { return Ok(()) };
         if teacher.distillation.is_some() {
-            let why = "the denoiser is already distilled and does not predict means; distill an ordinary one";
-            return Err(refused(why));
+            let why = "needs an ordinary denoiser, but this one is already distilled and does not predict means";
+            return Err(DistillTrainingConfig::refusal(Issue::new("method", why)));
         }
-        steps.check_levels(&teacher.edm).map_err(|why| refused(&why))
+        steps.check_levels(&teacher.edm).map_err(refused)
     }
 }
 
-fn refused(why: &str) -> Error {
-    Error::Config(format!("train.distill.method: {why}"))
+fn refused(issue: Issue) -> Error {
+    DistillTrainingConfig::refusal(issue.within("method"))
 }
 
 scene_training_section! {

@@ -288,7 +288,7 @@ fn distillation_can_start_from_what_was_distilled_before() {
     // An ordinary denoiser is no such start.
     let other = tempfile::tempdir().unwrap();
     let message = distill(&short, Some(&checkpoint), other.path()).unwrap_err().to_string();
-    assert!(message.contains("train.distill.start_from was distilled by another method"), "{message}");
+    assert!(message.contains("train.distill.start_from was distilled by a different method"), "{message}");
 }
 
 #[test]

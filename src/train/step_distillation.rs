@@ -6,7 +6,7 @@ use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::sampler::{Dpmpp2mConfig, EulerConfig, StepGrid};
 use crate::diffusion::{Denoiser, Edm, NoiseSource, SamplerConfig, Step, rows_like};
 use crate::model::SceneDenoiser;
-use crate::settings;
+use crate::settings::{self, Issue};
 use candle_core::Tensor;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -50,32 +50,32 @@ impl StepDistillation {
         SamplerConfig::Euler(EulerConfig { n_steps: self.n_steps, grid: self.grid })
     }
 
-    /// Says what makes no sense whatever the denoiser, by the name of the setting.
-    pub(super) fn validate(&self) -> Result<(), String> {
-        settings::check_ranges(self).map_err(|issue| issue.to_string())?;
-        self.sampler().validate().map_err(|issue| issue.to_string())?;
+    /// Refuses steps that work with no denoiser.
+    pub(super) fn validate(&self) -> settings::Result {
+        settings::check_ranges(self)?;
+        self.sampler().validate()?;
         let last = if self.n_steps == 1 { self.grid.sigma_max } else { self.grid.sigma_min };
         self.check_last(last.unwrap_or(f64::INFINITY))
     }
 
-    /// Says what makes no sense for a denoiser of these constants.
-    pub(super) fn check_levels(&self, edm: &Edm) -> Result<(), String> {
+    /// Refuses steps that do not work with a denoiser of these constants.
+    pub(super) fn check_levels(&self, edm: &Edm) -> settings::Result {
         let sigmas = self.sigmas(edm);
         let (first, most) = (sigmas[0], edm.sigma_max);
         if first > most {
-            return Err(format!(
-                "the steps begin at {first}, expected at most the denoiser's largest noise level {most}"
-            ));
+            let why = format_args!("begins at {first}, expected at most the denoiser's largest noise level {most}");
+            return Err(Issue::new("grid", why));
         }
         self.check_last(sigmas[sigmas.len() - 2])
     }
 
-    fn check_last(&self, last: f64) -> Result<(), String> {
+    fn check_last(&self, last: f64) -> settings::Result {
         let found = self.teacher_sigma_min;
         match found > 0.0 && found < last {
             true => Ok(()),
-            false => Err(format!(
-                "teacher_sigma_min is {found}, expected a positive number below the last level of the steps, {last}"
+            false => Err(Issue::new(
+                "teacher_sigma_min",
+                format_args!("is {found}, expected a positive number below the last level of the steps, {last}"),
             )),
         }
     }
