@@ -9,7 +9,7 @@ use crate::scene::{GuidanceLevel, Scene, Track, Trajectory};
 use crate::seed::Seed;
 use crate::store::{Assessment, ScenarioRecord};
 
-/// The samples of one scene, asked of the same agents at the same level.
+/// The samples of one scene with the same requested agents at the same level.
 pub(super) struct CellSamples<'a> {
     /// The samples, in order.
     pub(super) records: Vec<&'a ScenarioRecord>,
@@ -33,7 +33,7 @@ pub(super) struct CellFigures {
     pub(super) references_judged: Option<[ReferenceJudgment; 2]>,
     /// How everybody moves.
     pub(super) motion: CellMotion,
-    /// What a benchmark is given, where that is asked for.
+    /// The predictions for a benchmark, if requested.
     pub(super) prediction: Option<Modes>,
 }
 

@@ -71,7 +71,7 @@ impl EvaluateConfig {
         MetricSettings { validity: self.validity.clone(), careful_driver: self.careful_driver.clone() }
     }
 
-    /// Refuses what makes no sense.
+    /// Rejects settings that cannot work.
     ///
     /// # Errors
     /// [`Error::Config`] with the key, its value and what was expected.

@@ -6,7 +6,7 @@ use crate::{files, store};
 /// A failure of evaluation.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// A setting that makes no sense.
+    /// A setting that cannot work.
     #[error("{message}; {advice}")]
     Config {
         /// The key, its value and what was expected.

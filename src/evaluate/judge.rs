@@ -1,4 +1,5 @@
-//! What is to be said of a single scenario, apart from whether it does what was asked: could it have happened, how critical is it, is it new?
+//! How is a single scenario judged, apart from its requested behavior: could it have happened, how critical is it, is
+//! it new?
 
 use super::config::EvaluateConfig;
 use super::error::Result;

@@ -7,7 +7,7 @@ use crate::scene::{Roles, Scene};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
 
-/// Share of samples that hold the behavior that was asked for, with the roles that were asked for.
+/// Share of samples that show the requested behavior in the requested roles.
 pub(super) const BEHAVIOR_RATE: &str = "behavior_rate";
 
 /// How to read a metric.
@@ -41,7 +41,7 @@ pub(super) struct Measures<'a> {
     behaviors: &'a [Box<dyn Behavior>],
 }
 
-/// The behavior that was asked for, and of whom.
+/// The requested behavior and its agents.
 #[derive(Clone, Copy)]
 pub(super) struct Requested<'a> {
     /// Its name.

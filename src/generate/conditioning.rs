@@ -81,14 +81,14 @@ pub enum EditNoise {
 }
 
 impl ClassifierFreeConfig {
-    /// Refuses wanted states that cannot be told where the behavior has these roles.
+    /// Rejects wanted states that name other agents than a behavior with these roles has.
     pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
         validate_rules("extra", &self.extra, roles)
     }
 }
 
 impl EditConfig {
-    /// Refuses changes that cannot be made, or name agents whom the behavior with these roles does not have.
+    /// Rejects edits that cannot be made, or that name other agents than a behavior with these roles has.
     pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
         for (i, edit) in self.edits.iter().enumerate() {
             let key = format!("edits.{i}");
@@ -134,7 +134,7 @@ pub(super) struct Conditioned {
     pub(super) scene: Scene,
     /// What of it is observed.
     pub(super) mask: ObservationMask,
-    /// Who is asked; the first is at the center.
+    /// The requested agents; the first is at the center.
     pub(super) agents: (usize, usize),
 }
 
@@ -160,7 +160,7 @@ pub(super) struct Wanted {
 }
 
 impl Generator<'_> {
-    /// The scene of a cell as it is shown to the denoiser, where `agents` are asked.
+    /// The scene of a cell as the denoiser sees it, with these requested `agents`.
     pub(super) fn condition(
         &self,
         sweep: &ResolvedSweep,
@@ -224,7 +224,7 @@ impl Generator<'_> {
         Ok(moved.collect())
     }
 
-    /// The seed of what is drawn for a scene and those who are asked in it.
+    /// The seed of draws for a scene and its requested agents.
     fn mask_seed(&self, purpose: &str, cell: &Cell) -> Seed {
         let scene = self.seed().derive_named(purpose, &cell.scene_id.0);
         cell.roles.iter().fold(scene, |seed, (role, track)| seed.derive_named(role, &track.0))

@@ -99,13 +99,13 @@ const fn one() -> usize {
     1
 }
 
-/// A scene in which something is asked of somebody.
+/// A scene with requested agents.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Subject<'a> {
     pub(super) scene: &'a Scene,
     /// The agent at the center.
     pub(super) ego_idx: usize,
-    /// The roles of the behavior that is asked for.
+    /// The roles of the requested behavior.
     pub(super) roles: &'a Roles,
 }
 

@@ -17,7 +17,7 @@ const FAR_M: f64 = 1e4;
 /// Noise draws that a rank is averaged over.
 const N_RANKING_DRAWS: u64 = 8;
 
-/// A pair that may be asked for a behavior.
+/// A pair that may be requested to show a behavior.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct CandidatePair {
     /// Its agents in the behavior's order of roles; the same one twice for behaviors of a single agent.
@@ -29,7 +29,7 @@ pub(super) struct CandidatePair {
 }
 
 impl Generator<'_> {
-    /// The pairs of `scene` that may be asked for `behavior`, best first.
+    /// The pairs of `scene` that may be requested to show `behavior`, best first.
     pub(super) fn candidates(
         &self,
         sweep: &ResolvedSweep,
@@ -84,8 +84,8 @@ impl Generator<'_> {
     }
 }
 
-/// Motorized agents tracked over the whole history, near each other, who can still show the behavior as far as the past tells.
-/// Scored by how easily they can; where that says nothing, by their distance.
+/// Motorized agents tracked over the whole history, near each other, that can still show the behavior, given their
+/// past. Scored by how easily they can; where that says nothing, by their distance.
 pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
     let eligible: Vec<usize> = (0..scene.tracks.len())
         .filter(|agent_idx| {

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub struct Plan {
     /// The shards; those of a sweep follow each other.
     pub shards: Vec<ShardPlan>,
-    /// Sweeps for which there were fewer scenes than asked for.
+    /// Sweeps with fewer suitable scenes than requested.
     pub shortfalls: Vec<Shortfall>,
 }
 
@@ -33,16 +33,16 @@ pub struct ShardPlan {
     pub first_sample: usize,
 }
 
-/// A scene and who is asked for the behavior in it.
+/// A scene and its requested agents.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
     /// Index of the scene in the store.
     pub scene_idx: usize,
     /// The scene.
     pub scene_id: SceneId,
-    /// Roles and their tracks; none when no behavior is requested, or nobody in particular. They are the same at strength 0.
+    /// The requested agents; none if no behavior or no particular pair is requested. The same at strength 0.
     pub roles: Roles,
-    /// What the event is asked to be like, where a request aims.
+    /// The target of the event, if a request aims.
     #[serde(default, skip_serializing_if = "Target::is_empty")]
     pub target: Target,
 }
@@ -52,7 +52,7 @@ pub struct Cell {
 pub struct Shortfall {
     /// Name of the sweep.
     pub sweep: String,
-    /// Scenes asked for.
+    /// Scenes requested.
     pub n_wanted: usize,
     /// Scenes found.
     pub n_found: usize,

@@ -5,7 +5,7 @@ use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scen
 use crate::store::{ScenarioRecord, as_stored};
 
 impl Generator<'_> {
-    /// The scenario that a sample of a cell is, checked for the behavior that was asked for.
+    /// The scenario of a sample of a cell, checked for the requested behavior.
     pub(super) fn record(
         &self,
         sweep: &ResolvedSweep,

@@ -44,7 +44,7 @@ pub(super) struct Candidate<'a> {
     pub(super) scene: &'a Scene,
     /// The value of each objective of the sweep, with its kind.
     pub(super) objectives: &'a [(&'static str, f64)],
-    /// Who was asked to show something, as (role, track).
+    /// The requested agents.
     pub(super) asked: &'a Roles,
 }
 
@@ -81,8 +81,8 @@ impl SelectConfig {
         self.limits.keys().chain(&self.by)
     }
 
-    /// Refuses what cannot judge samples of a sweep with objectives of these kinds. `asks_pairs` tells whether two agents are
-    /// asked for something, whom metrics of the pair look at.
+    /// Rejects metrics and objectives that cannot judge samples of a sweep with objectives of these kinds. `asks_pairs`
+    /// says whether a pair is requested, which metrics of pairs need.
     ///
     /// # Errors
     /// Names the key.

@@ -1,4 +1,4 @@
-//! Did a generated scenario do what was asked for? The miner that defined the behavior decides.
+//! Does a generated scenario show the requested behavior? The miner that defines the behavior decides.
 
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
 use crate::scene::{Roles, Scene};

@@ -8,7 +8,7 @@ use candle_core::{DType, Result, Tensor, bail};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// What an event is asked to be like: intervals (least, most) of its parameters, by their names.
+/// The target of an event: intervals (least, most) of its parameters, by name.
 pub type Target = BTreeMap<String, [f64; 2]>;
 
 /// What a row of a batch was made of.
@@ -20,7 +20,7 @@ pub struct ContextRow<'a> {
     pub ego_idx: usize,
     /// Roles and their tracks; every row of a batch has the same roles.
     pub roles: &'a Roles,
-    /// What is asked of its event in particular, where something is.
+    /// The target of its event, if any.
     pub target: Option<&'a Target>,
 }
 
@@ -48,7 +48,7 @@ pub struct SceneContext {
     pub(super) ego: Vec<usize>,
     /// Places on the agent axis, one a row, by role.
     pub(super) roles: BTreeMap<String, Vec<usize>>,
-    /// What is asked of the event of each row.
+    /// The target of each row's event.
     pub(super) targets: Vec<Target>,
 }
 

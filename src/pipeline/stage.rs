@@ -104,7 +104,7 @@ pub trait Stage {
     /// Refuses a section that cannot work, before anything runs.
     ///
     /// # Errors
-    /// When a value makes no sense, naming it.
+    /// When a value cannot work, naming it.
     fn check(&self) -> Result<()>;
     /// Its section, as JSON.
     fn config(&self) -> anyhow::Result<serde_json::Value>;
@@ -122,6 +122,6 @@ pub struct StageContext<'a> {
     pub root: &'a Path,
     /// What networks compute on.
     pub compute: &'a Compute,
-    /// Who is told about the progress.
+    /// Receives the progress.
     pub progress: &'a dyn Progress,
 }

@@ -130,7 +130,7 @@ impl SceneEdit {
         }
     }
 
-    /// Says which value makes no sense.
+    /// Rejects values that cannot work.
     ///
     /// # Errors
     /// When there is one.

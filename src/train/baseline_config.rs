@@ -71,9 +71,9 @@ pub struct BaselineTraining {
     pub parametrization: StateParametrization,
     /// Weight of -ln p of the best future in the loss.
     pub mode_loss: f64,
-    /// At most so many agents a scene.
+    /// Maximum number of agents per scene.
     pub max_agents: usize,
-    /// At most so many lane polylines a scene.
+    /// Maximum number of lane polylines per scene.
     pub max_lanes: usize,
     /// Tasks, batches, evaluations and the schedule.
     #[serde(flatten)]
@@ -84,7 +84,7 @@ impl BaselineTrainingConfig {
     /// The preset with everything that the section says laid over it.
     ///
     /// # Errors
-    /// When a value makes no sense, naming it.
+    /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<BaselineTraining, Error> {
         let base = self.preset.settings();
         self.check_ranges()?;

@@ -66,7 +66,7 @@ impl ClassifierTrainingConfig {
     /// The loop's settings.
     ///
     /// # Errors
-    /// When a value makes no sense, naming it.
+    /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<FitConfig, Error> {
         self.check_ranges()?;
         Ok(self.schedule(&FitConfig { ema_decay: 0.0, ..FitConfig::default() }))

@@ -14,7 +14,7 @@ use crate::nn::{Checkpoint, Params};
 pub struct DistillSource<'a> {
     /// The denoiser that is distilled.
     pub teacher: &'a Checkpoint<DenoiserSpec>,
-    /// Where training begins, if not at the denoiser: what became of it when it was distilled before.
+    /// The checkpoint to start from, if not the denoiser: an earlier result of its distillation.
     pub start: Option<&'a Checkpoint<DenoiserSpec>>,
 }
 

@@ -37,7 +37,7 @@ impl DistillMethod {
         }
     }
 
-    /// Says what makes no sense whatever the denoiser.
+    /// Rejects methods that work with no denoiser.
     fn validate(&self) -> Result<(), Error> {
         let checked = match self {
             Self::Consistency(tuning) => tuning.validate(),
@@ -128,7 +128,7 @@ impl DistillTrainingConfig {
     /// The settings of the training.
     ///
     /// # Errors
-    /// When a value makes no sense, naming it.
+    /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<DistillTraining, Error> {
         self.check_ranges()?;
         self.method.validate()?;

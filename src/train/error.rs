@@ -42,7 +42,7 @@ pub enum Error {
         /// Negative pairs.
         n_negative: usize,
     },
-    /// A setting that makes no sense.
+    /// A setting that cannot work.
     #[error("{0}")]
     Config(String),
     /// The loss is no longer a number.

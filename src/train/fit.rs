@@ -114,7 +114,7 @@ pub struct FitStatistics {
     pub evaluation: BTreeMap<String, f64>,
 }
 
-/// What a training run came to.
+/// The result of a training run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FitOutcome {
     /// Steps that this call took, beyond those of the state it resumed from.

@@ -104,9 +104,9 @@ pub struct DenoiserTraining {
     pub objectives_below_sigma: f64,
     /// What counts the same.
     pub balance: Balance,
-    /// At most so many agents a scene.
+    /// Maximum number of agents per scene.
     pub max_agents: usize,
-    /// At most so many lane polylines a scene.
+    /// Maximum number of lane polylines per scene.
     pub max_lanes: usize,
     /// Tasks, batches, evaluations and the schedule.
     #[serde(flatten)]
@@ -117,7 +117,7 @@ impl DenoiserTrainingConfig {
     /// The preset with everything that the section says laid over it.
     ///
     /// # Errors
-    /// When a value makes no sense, naming it.
+    /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<DenoiserTraining, Error> {
         let base = self.preset.settings();
         self.check_ranges()?;

@@ -14,10 +14,11 @@ use std::collections::BTreeMap;
 
 /// Onto which steps a denoiser is distilled, and how its teacher takes each of them.
 ///
-/// The student is asked at the levels of Euler's sampler σ_0 > σ_1 > … > 0. From noise at σ_0 the teacher goes down, each
-/// interval in `teacher_steps` steps of DPM-Solver++(2M), and the student learns the answer with which a single Euler step lands where the
-/// teacher does: (x_{k+1} - (σ_{k+1} / σ_k) x_k) / (1 - σ_{k+1} / σ_k) (Salimans and Ho 2022, progressive distillation, in one
-/// stage). What is learned is a function of the noise and not a mean over endings.
+/// The student predicts at the levels of Euler's sampler σ_0 > σ_1 > … > 0. From noise at σ_0 the teacher goes down,
+/// each interval in `teacher_steps` steps of DPM-Solver++(2M), and the student learns the answer with which a single
+/// Euler step lands where the teacher does: (x_{k+1} - (σ_{k+1} / σ_k) x_k) / (1 - σ_{k+1} / σ_k) (Salimans and Ho
+/// 2022, progressive distillation, in one stage). What is learned is a function of the noise and not a mean over
+/// endings.
 ///
 /// Objectives judge where the student's own steps end, and teach all of them (Clark et al. 2024, DRaFT); the distance to the teacher is
 /// then what keeps samples likely.
@@ -80,7 +81,7 @@ impl StepDistillation {
         }
     }
 
-    /// The noise levels at which the student is asked, and 0.
+    /// The noise levels at which the student predicts, and 0.
     pub fn sigmas(&self, edm: &Edm) -> Vec<f64> {
         self.sampler().schedule(edm, self.sampler().sigma_start(edm))
     }

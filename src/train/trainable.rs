@@ -22,11 +22,11 @@ pub struct TrainJob<'a> {
     pub dir: &'a Path,
     /// What networks compute on.
     pub compute: &'a Compute,
-    /// Who is told about the progress.
+    /// Receives the progress.
     pub progress: &'a dyn Progress,
 }
 
-/// What training a model came to.
+/// The result of training a model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainOutcome<S> {
     /// Fingerprint of the checkpoint.

@@ -42,7 +42,7 @@ impl Divisions {
         }
     }
 
-    /// Says what makes no sense.
+    /// Rejects settings that cannot work.
     pub(super) fn validate(&self) -> Result<(), String> {
         match self {
             Self::Edges(edges) if edges.len() < 2 => Err("has fewer than two edges".to_owned()),

@@ -125,7 +125,7 @@ impl BudgetConfig {
         by_samples.into_iter().chain(by_evaluations).min().unwrap_or(0)
     }
 
-    /// What a sample of so many evaluations costs, in what the budget counts.
+    /// The cost of a sample of this many evaluations, in the unit of the budget.
     pub(super) fn cost(&self, n_evaluations: u64) -> f64 {
         if self.n_evaluations.is_some() { n_evaluations.max(1) as f64 } else { 1.0 }
     }

@@ -19,7 +19,7 @@ enum Placement {
 }
 
 impl Generator<'_> {
-    /// Tags the records of a finished shard of `request`, in round `round`, with what became of them, and counts them.
+    /// Tags the records of a finished shard of `request`, in round `round`, with their outcome, and counts them.
     /// `ledger` holds all earlier shards. Scenarios of one cell count in the order of their records.
     ///
     /// # Errors

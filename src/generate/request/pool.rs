@@ -54,7 +54,7 @@ impl Generator<'_> {
         Ok(Pool { request: request.config.name.clone(), cells, n_scenes, feasible, n_infeasible })
     }
 
-    /// The buckets that a cell can reach, as far as its past tells, with the least effort that it takes.
+    /// The buckets that a cell can reach, given its past, with the least effort for each.
     fn feasible_buckets(&self, request: &ResolvedRequest, cell: &Cell) -> Result<BTreeMap<usize, f64>, Error> {
         let all = 0..request.buckets.len();
         let sweep = &self.config.sweeps[request.arms[0].sweep_idx];

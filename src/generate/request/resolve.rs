@@ -57,7 +57,7 @@ pub struct Arm {
     pub n_evaluations: u64,
     /// How strongly its samples are guided.
     pub level: GuidanceLevel,
-    /// Whether an objective of it aims at the bucket that is asked for.
+    /// Whether one of its objectives aims at the open bucket.
     pub aims: bool,
 }
 
@@ -108,7 +108,7 @@ impl GenerateConfig {
 }
 
 impl RequestConfig {
-    /// Says what makes no sense.
+    /// Rejects settings that cannot work.
     fn validate(&self) -> Result<(), String> {
         let Some(behavior) = behavior::ALL.iter().find(|known| known.id == self.behavior) else {
             let known: Vec<&str> = behavior::ALL.iter().map(|known| known.id).collect();

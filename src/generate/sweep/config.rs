@@ -1,4 +1,4 @@
-//! A sweep as it is written: what may be asked of each kind of model, and nothing else. Its keys are those of `SweepKeys`.
+//! A sweep as written: the settings of each kind of model, and nothing else. Its keys are those of `SweepKeys`.
 
 use super::keys::SweepKeys;
 use crate::diffusion::SamplerConfig;
@@ -21,7 +21,7 @@ pub struct SweepConfig {
     pub pairs: PairSelectionConfig,
     /// Which samples become scenarios; `None`: all.
     pub select: Option<SelectConfig>,
-    /// No further shard is begun once so many scenarios are verified; `None`: all are generated.
+    /// Stop beginning shards once this many scenarios are verified; `None`: generate all.
     pub stop_after_verified: Option<usize>,
     /// How samples are drawn.
     pub sampling: SamplingConfig,
@@ -45,7 +45,7 @@ pub struct SamplingConfig {
     pub n_samples: usize,
     /// Which states are observed; the rest is generated.
     pub observe: ObserveConfig,
-    /// The model, with what may be asked of it.
+    /// The model with its settings.
     pub model: ModelConfig,
 }
 

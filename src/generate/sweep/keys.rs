@@ -1,6 +1,6 @@
 //! The keys of sweeps and arms in TOML: one flat table.
 //!
-//! Serde reads the table as it stands and so can tell the line of a mistake, which it cannot within tagged or flattened types.
+//! Serde reads the flat table, so it can report the line of a mistake, which it cannot for tagged or flattened types.
 //! Each kind of sweep then takes the keys that it knows; what is left over is refused.
 
 use super::config::{

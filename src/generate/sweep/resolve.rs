@@ -1,4 +1,4 @@
-//! Can a sweep as it is written be sampled? The one place where that is asked, and where what it left open is filled in.
+//! Can a sweep be sampled as written? The only place that checks it and fills in defaults.
 
 use super::{
     ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
@@ -16,7 +16,7 @@ use crate::tensor::MaskTask;
 struct Purpose<'a> {
     /// The section, from which sweeps take what they leave out.
     config: &'a GenerateConfig,
-    /// The behavior that is asked for.
+    /// The requested behavior.
     behavior: Option<&'a dyn Behavior>,
     /// Whether samples are selected by objectives.
     selects_by_objectives: bool,

@@ -16,13 +16,13 @@ pub struct ResolvedSweep {
     pub n_scenes: usize,
     /// Samples of each scene (or pair) at each level.
     pub n_samples: usize,
-    /// The mined behavior that is asked for, if any.
+    /// The requested behavior, if any.
     pub behavior: Option<String>,
-    /// Which agents are asked for it.
+    /// Which agents are to show it.
     pub pairs: PairSelectionConfig,
     /// Which samples become scenarios; `None`: all.
     pub select: Option<SelectConfig>,
-    /// No further shard is begun once so many scenarios are verified.
+    /// Stop beginning shards once this many scenarios are verified.
     pub stop_after_verified: Option<usize>,
     /// Which states are observed.
     pub observe: ObserveConfig,
@@ -104,7 +104,7 @@ impl ResolvedSweep {
         })
     }
 
-    /// Whether nobody in particular is asked for the behavior.
+    /// Whether no particular pair is requested.
     pub(in crate::generate) fn asks_anybody(&self) -> bool {
         self.diffusion().is_some_and(|diffusion| diffusion.guidance.classifier_scope == ClassifierScope::AnyPair)
     }

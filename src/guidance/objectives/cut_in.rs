@@ -82,9 +82,9 @@ const GAP: &str = "gap_m";
 const RELATIVE_SPEED: &str = "relative_speed_mps";
 /// The error of a lateral offset that costs ½, meters.
 const LATERAL_TOLERANCE_M: f64 = 0.5;
-/// The gap where none is asked for, meters.
+/// The default gap, meters.
 const ANY_GAP_M: [f64; 2] = [1.0, 30.0];
-/// The relative speed where none is asked for, m/s.
+/// The default relative speed, m/s.
 const ANY_SPEED_MPS: [f64; 2] = [-1e3, 1e3];
 /// How long before the end who has moved over must stay there, seconds.
 const SETTLED_S: f64 = 1.0;

@@ -46,7 +46,7 @@ const fn default_least_speed_mps() -> f64 {
 
 /// The parameter at which it aims, as the events report it.
 const MAX_DECELERATION: &str = "max_deceleration_mps2";
-/// The deceleration where none is asked for, m/s².
+/// The default deceleration, m/s².
 const ANY_MPS2: [f64; 2] = [5.0, 8.0];
 /// The time over which braking is measured, seconds: what a hard braking lasts at least, and the smoothing of speeds.
 const WINDOW_S: f64 = 0.6;

@@ -31,7 +31,7 @@ pub struct SampleSidecar {
     pub n_scenarios: u64,
     /// How many of them are verified.
     pub n_verified: u64,
-    /// Samples that came to nothing.
+    /// Samples without a scenario.
     pub rejected: Vec<RejectedSample>,
     /// Number of samples that the sweep's selection left out, by reason.
     pub unselected: BTreeMap<String, u64>,

@@ -45,7 +45,7 @@ pub trait Recipe: Serialize {
     /// What the section comes to, where presets decide a part of it: they change from version to version, and what they come to counts.
     ///
     /// # Errors
-    /// When a value makes no sense, naming it.
+    /// When a value cannot work, naming it.
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error>;
 
     /// What the summary says of a model that was trained elsewhere.
