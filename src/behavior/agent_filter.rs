@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub enum AgentFilter {
     /// Vehicles, buses, motorcycles, and agents of unknown class (all of Argoverse 1).
     Motorized,
-    /// Everybody but static objects.
+    /// All road users except static objects.
     RoadUsers,
     /// Everything that has a track.
     All,

@@ -1,6 +1,6 @@
 //! One occurrence, or near-occurrence, of a behavior in a scene.
 
-use crate::scene::{Scene, SceneId, TrackId};
+use crate::scene::{Roles, Scene, SceneId, TrackId};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
@@ -35,7 +35,7 @@ pub struct BehaviorEvent {
     /// Example or hard negative.
     pub label: EventLabel,
     /// Who took part: (role, track), in the behavior's order of roles.
-    pub roles: Vec<(String, TrackId)>,
+    pub roles: Roles,
     /// First timestep of the event.
     pub start_timestep: usize,
     /// Last timestep of the event.
@@ -76,6 +76,6 @@ impl BehaviorEvent {
 
     /// The track in this role.
     pub fn track(&self, role: &str) -> Option<&TrackId> {
-        self.roles.iter().find(|(name, _)| name == role).map(|(_, track)| track)
+        self.roles.track(role)
     }
 }

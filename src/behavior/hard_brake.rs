@@ -19,12 +19,12 @@ pub(super) const PARAMETERS: &[&str] =
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HardBrakeConfig {
-    /// Road users that are looked at. Default `motorized`.
+    /// Road users to consider. Default `motorized`.
     pub agents: AgentFilter,
     /// Least deceleration of hard braking, m/s². Default 4.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_deceleration_mps2: f64,
-    /// Braking that stays below that, but reaches this, is a hard negative, m/s². Default 2.5.
+    /// Weaker braking that reaches this is a hard negative, m/s². Default 2.5.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub negative_deceleration_mps2: f64,
     /// Runs with a deceleration beyond this are errors of the tracker, not braking, m/s². Default 12.

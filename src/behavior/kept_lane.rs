@@ -1,7 +1,7 @@
 //! The lane that an agent keeps: where it leads, how wide it is, and where others are relative to it.
 
 use super::driven_path::DrivenPath;
-use super::lane_relation::{HALF_NOMINAL_WIDTH_M, IndexedLane, LaneIndex};
+use super::lane_relation::{HALF_NOMINAL_WIDTH_M, IndexedLane, SceneLanes};
 use crate::geometry::{Polyline, Projection, Vec2, angle_difference};
 use crate::scene::{Lane, LaneId, Scene, State, Trajectory};
 use std::f64::consts::FRAC_PI_4;
@@ -30,7 +30,7 @@ pub(super) struct KeptLane {
 
 impl KeptLane {
     /// That of an agent. `None` where it is not tracked at present.
-    pub(super) fn of(scene: &Scene, lanes: &LaneIndex<'_>, agent_idx: usize) -> Option<Self> {
+    pub(super) fn of(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
         Self::among(scene, lanes, agent_idx, scene.n_timesteps).or_else(|| {
             let trajectory = &scene.tracks[agent_idx].trajectory;
             scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
@@ -41,7 +41,7 @@ impl KeptLane {
     }
 
     /// The lane as far as the past tells it: of an agent who is in no lane, straight on. `None` where it is not tracked at present.
-    pub(super) fn as_observed(scene: &Scene, lanes: &LaneIndex<'_>, agent_idx: usize) -> Option<Self> {
+    pub(super) fn as_observed(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         Self::among(scene, lanes, agent_idx, scene.n_history).or_else(|| {
             let ahead = Vec2::from_angle(state.heading_rad);
@@ -51,7 +51,7 @@ impl KeptLane {
     }
 
     /// The lane in which the agent is at present, told from its way up to `end`.
-    fn among(scene: &Scene, lanes: &LaneIndex<'_>, agent_idx: usize, end: usize) -> Option<Self> {
+    fn among(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, end: usize) -> Option<Self> {
         let trajectory = &scene.tracks[agent_idx].trajectory;
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let future: Vec<Vec2> = positions(trajectory, scene.current_timestep()..end);
@@ -122,7 +122,7 @@ fn positions(trajectory: &Trajectory, timesteps: std::ops::Range<usize>) -> Vec<
 }
 
 /// The lanes to `start`, itself, and those that follow on, in driving direction.
-fn route<'a>(lanes: &LaneIndex<'a>, start: &IndexedLane<'a>, future: &[Vec2], history: &[Vec2]) -> Vec<&'a Lane> {
+fn route<'a>(lanes: &SceneLanes<'a>, start: &IndexedLane<'a>, future: &[Vec2], history: &[Vec2]) -> Vec<&'a Lane> {
     let mut route = vec![start.lane];
     extend_route(lanes, &mut route, history, BEHIND_M, |lane| &lane.predecessors);
     route.reverse();
@@ -132,7 +132,7 @@ fn route<'a>(lanes: &LaneIndex<'a>, start: &IndexedLane<'a>, future: &[Vec2], hi
 
 /// Follows connections from the last lane of `route`: at a fork, to the lane that holds most of `driven`, of equal ones the straightest.
 fn extend_route<'a>(
-    lanes: &LaneIndex<'a>,
+    lanes: &SceneLanes<'a>,
     route: &mut Vec<&'a Lane>,
     driven: &[Vec2],
     length_m: f64,

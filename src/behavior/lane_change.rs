@@ -1,7 +1,7 @@
 //! Lane change: does an agent move over to the lane beside its own and stay there?
 
-use super::lane_relation::LaneIndex;
-use super::lane_tracker::{Crossing, LaneTrace};
+use super::lane_relation::SceneLanes;
+use super::lane_tracker::{LaneMove, LaneTrace};
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::geometry::Vec2;
 use crate::scene::Scene;
@@ -20,7 +20,7 @@ pub(super) const PARAMETERS: &[&str] =
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LaneChangeConfig {
-    /// Road users that are looked at. Default `motorized`.
+    /// Road users to consider. Default `motorized`.
     pub agents: AgentFilter,
     /// How far the center must be beyond the lane's side before it has left the lane, meters. Default 0.3.
     #[schemars(range(min = 0.0))]
@@ -84,7 +84,7 @@ impl LaneChange {
         &self.config
     }
 
-    fn detect_agent<'a>(&self, scene: &Scene, lanes: &'a LaneIndex<'a>, agent_idx: usize) -> Vec<BehaviorEvent> {
+    fn detect_agent<'a>(&self, scene: &Scene, lanes: &'a SceneLanes<'a>, agent_idx: usize) -> Vec<BehaviorEvent> {
         let config = &self.config;
         let trajectory = &scene.tracks[agent_idx].trajectory;
         let stay = (config.min_stay_s / scene.dt_s - 1e-9).ceil().max(1.0) as usize;
@@ -95,7 +95,7 @@ impl LaneChange {
         let mut events = Vec::new();
         let mut crossings = trace.crossings.iter().peekable();
         while let Some(crossing) = crossings.next() {
-            let is_soon = |next: &Crossing<'_>| next.timestep < crossing.timestep + stay;
+            let is_soon = |next: &LaneMove<'_>| next.timestep < crossing.timestep + stay;
             let back = crossings.next_if(|next| is_soon(next) && next.side != crossing.side);
             let goes_on = crossings.peek().is_some_and(|next| is_soon(next));
             let (label, end) = match back {
@@ -113,7 +113,7 @@ impl LaneChange {
         &self,
         scene: &Scene,
         agent_idx: usize,
-        crossing: &Crossing<'_>,
+        crossing: &LaneMove<'_>,
         label: EventLabel,
         start: usize,
         end: usize,
@@ -132,7 +132,7 @@ impl LaneChange {
     fn drift<'a>(
         &self,
         scene: &Scene,
-        lanes: &'a LaneIndex<'a>,
+        lanes: &'a SceneLanes<'a>,
         trace: &LaneTrace<'a>,
         agent_idx: usize,
     ) -> Option<BehaviorEvent> {
@@ -166,7 +166,7 @@ impl Behavior for LaneChange {
         if scene.lanes.is_empty() {
             return Vec::new();
         }
-        let lanes = LaneIndex::new(&scene.lanes);
+        let lanes = SceneLanes::new(&scene.lanes);
         let considered = (0..scene.tracks.len()).filter(|i| self.config.agents.admits(scene.tracks[*i].class));
         considered.flat_map(|agent_idx| self.detect_agent(scene, &lanes, agent_idx)).collect()
     }

@@ -85,12 +85,12 @@ pub(crate) enum LaneRelation {
 }
 
 /// The lanes of a scene, with rectangles that say quickly which of them a point cannot be on.
-pub(crate) struct LaneIndex<'a> {
+pub(crate) struct SceneLanes<'a> {
     graph: &'a LaneGraph,
     lanes: Vec<IndexedLane<'a>>,
 }
 
-impl<'a> LaneIndex<'a> {
+impl<'a> SceneLanes<'a> {
     /// An index of all lanes of `graph`.
     pub(crate) fn new(graph: &'a LaneGraph) -> Self {
         Self { graph, lanes: graph.lanes().iter().filter_map(IndexedLane::new).collect() }
@@ -212,7 +212,7 @@ mod tests {
         let graph = graph(
             "lanes = [{ id = 1, centerline = [[0, 0], [50, 0]], width_m = 3.0 }, { id = 2, centerline = [[0, 0], [50, 0]] }]",
         );
-        let index = LaneIndex::new(&graph);
+        let index = SceneLanes::new(&graph);
         let margins = |x: f64, y: f64| {
             index.lanes.iter().map(|lane| lane.place(Vec2::new(x, y)).map(|place| place.margin_m)).collect::<Vec<_>>()
         };
@@ -240,7 +240,7 @@ mod tests {
                 { id = 6, centerline = [[40, -20], [40, 20]] },
             ]",
         );
-        let index = LaneIndex::new(&graph);
+        let index = SceneLanes::new(&graph);
         let relation = |from: i64, to: i64, x: f64, y: f64| {
             let lane = |id: i64| index.lanes.iter().find(|lane| lane.lane.id == LaneId(id)).expect("a lane");
             index.relation(lane(from), lane(to), Vec2::new(x, y))

@@ -1,6 +1,6 @@
 //! Which lane is an agent in over time, and when does it cross to one beside it?
 
-use super::lane_relation::{IndexedLane, LaneIndex, LanePlace, LaneRelation};
+use super::lane_relation::{IndexedLane, LanePlace, LaneRelation, SceneLanes};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{State, Trajectory};
 use std::f64::consts::FRAC_PI_4;
@@ -12,7 +12,7 @@ const PROBE_M: f64 = 0.5;
 
 /// A move from one lane to one beside it.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Crossing<'a> {
+pub(crate) struct LaneMove<'a> {
     /// The first timestep at which the agent is out of the old lane.
     pub(crate) timestep: usize,
     /// +1 to the left, -1 to the right.
@@ -39,7 +39,7 @@ pub(crate) struct Drift {
 pub(crate) struct LaneTrace<'a> {
     steps: Vec<LaneStep<'a>>,
     /// The moves to lanes beside, by time.
-    pub(crate) crossings: Vec<Crossing<'a>>,
+    pub(crate) crossings: Vec<LaneMove<'a>>,
 }
 
 struct LaneStep<'a> {
@@ -52,7 +52,12 @@ struct LaneStep<'a> {
 impl<'a> LaneTrace<'a> {
     /// Follows an agent. It stays in its lane until its center is more than `hysteresis_m` beyond a side or the lane
     /// ends, and is lost where more than `max_gap` timesteps are not tracked.
-    pub(crate) fn follow(lanes: &'a LaneIndex<'a>, trajectory: &Trajectory, hysteresis_m: f64, max_gap: usize) -> Self {
+    pub(crate) fn follow(
+        lanes: &'a SceneLanes<'a>,
+        trajectory: &Trajectory,
+        hysteresis_m: f64,
+        max_gap: usize,
+    ) -> Self {
         let mut trace = Self { steps: Vec::new(), crossings: Vec::new() };
         let mut current: Option<(usize, &'a IndexedLane<'a>)> = None;
         let mut first_crossing_followed = 0;
@@ -84,7 +89,7 @@ impl<'a> LaneTrace<'a> {
     /// The lane in which an agent goes on that has left `from`; notes a crossing if that lane is beside `from`.
     fn leave(
         &mut self,
-        lanes: &'a LaneIndex<'a>,
+        lanes: &'a SceneLanes<'a>,
         from: &'a IndexedLane<'a>,
         timestep: usize,
         state: &State,
@@ -101,7 +106,7 @@ impl<'a> LaneTrace<'a> {
             .copied()?;
         if relation == LaneRelation::Beside {
             let side = from.lane.centerline.project(state.position).map_or(1.0, |p| p.offset_m.signum());
-            let crossing = Crossing { timestep, side, heading_rad: place.heading_rad, last_followed: timestep, lane };
+            let crossing = LaneMove { timestep, side, heading_rad: place.heading_rad, last_followed: timestep, lane };
             self.crossings.push(crossing);
         }
         Some((lane, place))
@@ -109,7 +114,7 @@ impl<'a> LaneTrace<'a> {
 
     /// The first timestep of those up to `crossing` at which the agent is more than `offset_m` off the center line
     /// of its lane, toward the side to which it crosses.
-    pub(crate) fn departure(&self, crossing: &Crossing<'_>, offset_m: f64) -> usize {
+    pub(crate) fn departure(&self, crossing: &LaneMove<'_>, offset_m: f64) -> usize {
         let before = self.steps.iter().rev().skip_while(|step| step.timestep >= crossing.timestep);
         before
             .take_while(|step| {
@@ -120,7 +125,7 @@ impl<'a> LaneTrace<'a> {
     }
 
     /// The timesteps at which the agent is less than `margin_m` from a lane beside its own.
-    pub(crate) fn drifts(&self, lanes: &'a LaneIndex<'a>, margin_m: f64) -> impl Iterator<Item = Drift> {
+    pub(crate) fn drifts(&self, lanes: &'a SceneLanes<'a>, margin_m: f64) -> impl Iterator<Item = Drift> {
         self.steps.iter().filter(move |step| step.place.margin_m < margin_m).filter_map(|step| {
             let side = step.place.offset_m.signum();
             let to_side = Vec2::from_angle(step.place.heading_rad + side * std::f64::consts::FRAC_PI_2);
@@ -136,7 +141,7 @@ impl<'a> LaneTrace<'a> {
 }
 
 /// The lanes that an agent in `state` may be driving in.
-fn candidates<'a>(lanes: &'a LaneIndex<'a>, state: &State) -> impl Iterator<Item = (&'a IndexedLane<'a>, LanePlace)> {
+fn candidates<'a>(lanes: &'a SceneLanes<'a>, state: &State) -> impl Iterator<Item = (&'a IndexedLane<'a>, LanePlace)> {
     lanes.lanes_at(state.position).filter(|(_, place)| runs_along(place, state.heading_rad))
 }
 

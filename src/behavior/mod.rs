@@ -64,13 +64,13 @@ pub trait Behavior: Send + Sync {
     }
 }
 
-/// A behavior to look for, with its options: `{ kind = "cut_in", max_delay_s = 2.0 }`.
+/// A behavior to mine, with its options: `{ kind = "cut_in", max_delay_s = 2.0 }`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum BehaviorConfig {
     /// One vehicle crosses into the lane of another, shortly ahead of it.
     CutIn(CutInConfig),
-    /// One vehicle gets into the path of another, whoever of the two changes course: the paper's cut-in.
+    /// One vehicle gets into the path of another, whichever of the two changes course: the paper's cut-in.
     CutInPaper(CutInPaperConfig),
     /// An agent turns left.
     LeftTurn(TurnConfig),

@@ -37,7 +37,7 @@ const FOLLOWING_RAD: f64 = FRAC_PI_6;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NearMissConfig {
-    /// Road users that take part. Default `road_users`: pedestrians too, but no static objects.
+    /// Road users that take part. Default `road_users`: includes pedestrians, excludes static objects.
     pub agents: AgentFilter,
     /// Boxes closer together than this are a near miss, meters. Default 0.3: mirrors touch; in dense traffic 1 m is usual.
     #[schemars(range(min = 0.0))]

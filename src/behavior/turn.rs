@@ -1,6 +1,6 @@
 //! Turning by a large angle in little room: what left and right turns have in common.
 
-use super::lane_relation::LaneIndex;
+use super::lane_relation::SceneLanes;
 use super::{AgentFilter, BehaviorEvent, EventLabel};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, Track};
@@ -27,21 +27,22 @@ const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TurnConfig {
-    /// Road users that are looked at. Default `motorized`.
+    /// Road users to consider. Default `motorized`.
     pub agents: AgentFilter,
     /// Smallest change of heading of a turn, radians. Default π/3 (60 degrees).
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_heading_change_rad: f64,
-    /// A smaller change of heading than that, but at least this, is a hard negative, radians. Default π/6 (30 degrees).
+    /// A smaller change of heading, but at least this, is a hard negative, radians. Default π/6 (30 degrees).
     #[schemars(range(min = 0.0))]
     pub negative_heading_change_rad: f64,
     /// Largest mean radius of a turn, meters; a wider one is a bend of the road and a hard negative. Default 50.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_radius_m: f64,
-    /// Smallest mean radius of a turn, meters; less is more than a vehicle can steer, so the heading is noise. Default 3.
+    /// Smallest mean radius of a turn, meters; less is tighter than a vehicle can steer, so the heading is noise.
+    /// Default 3.
     #[schemars(range(min = 0.0))]
     pub min_radius_m: f64,
-    /// Shortest path between start and end, meters; less is a noisy heading while creeping. Default 3.
+    /// Shortest path between start and end, meters; less is noise of the heading at low speed. Default 3.
     #[schemars(range(min = 0.0))]
     pub min_path_m: f64,
 }
@@ -81,7 +82,7 @@ pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene
     let considered = scene.tracks.iter().enumerate().filter(|(_, track)| config.agents.admits(track.class));
     let lanes = OnceCell::new();
     let is_on_roundabout = |pose: &TurnedPose| {
-        let lanes = lanes.get_or_init(|| LaneIndex::new(&scene.lanes));
+        let lanes = lanes.get_or_init(|| SceneLanes::new(&scene.lanes));
         is_on_roundabout(lanes, pose.position, pose.heading_rad)
     };
     considered
@@ -90,7 +91,7 @@ pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene
 }
 
 /// Whether an agent with this pose is in a lane that leads back to itself.
-pub(super) fn is_on_roundabout(lanes: &LaneIndex<'_>, position: Vec2, heading_rad: f64) -> bool {
+pub(super) fn is_on_roundabout(lanes: &SceneLanes<'_>, position: Vec2, heading_rad: f64) -> bool {
     let is_along = |lane_rad: f64| angle_difference(lane_rad, heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD;
     let mut along = lanes.lanes_at(position).filter(|(_, place)| is_along(place.heading_rad));
     along.any(|(lane, _)| lanes.is_on_loop(lane.lane, MAX_ROUNDABOUT_M))

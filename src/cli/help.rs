@@ -3,27 +3,27 @@
 /// Of the program.
 pub(super) const TOP: &str = "\
 Examples:
-  djinn run pipelines/quickstart.toml                 the whole job on the recordings that the project carries
-  djinn run pipelines/quickstart.toml --dry-run       what it would do
-  djinn inspect output/quickstart/main                what came of it
+  djinn run pipelines/quickstart.toml                 run every stage on the recordings in this repository
+  djinn run pipelines/quickstart.toml --dry-run       show what would run
+  djinn inspect output/quickstart/main                show the results
 
-The same command again resumes where it was interrupted, and redoes only what changed. Files that djinn did not
-write are never removed or replaced.
+Running the same command again resumes an interrupted run and redoes only what changed. djinn never removes or
+replaces a file that it did not write.
 
 Exit codes:
   0  done
-  1  the input is at fault: arguments, configuration, recordings, files given
-  2  the program or the machine is at fault: a bug, a full disk, a damaged file of ours
-  3  everything ran, but a quality gate of the configuration was not met
-Ended by a signal (in a shell 130, 143 or 129), it says what stays and how to go on.";
+  1  bad input: arguments, configuration, recordings
+  2  program or machine failure: a bug, a full disk, a damaged file of djinn's
+  3  everything ran, but a quality gate failed
+A signal ends the program with 130, 143 or 129; it prints what is kept and how to continue.";
 
 /// Of `run`.
 pub(super) const RUN: &str = "\
-A pipeline file has one section a stage: [ingest], [mine], [train.denoiser], [train.distill],
-[train.classifier], [train.baseline], [generate], [evaluate], [report]. The stages whose sections are there run, in this order. Relative paths in it are relative to the
-current directory. Results go to <output>/<pipeline>/<run>/; stages whose configuration and inputs did not change are
-not run again. A model that took more than ten minutes to train is trained again only for a changed setting of its own
-section, or by --redo; the earlier one is moved aside.
+A pipeline file has one section per stage: [ingest], [mine], [train.denoiser], [train.distill], [train.classifier],
+[train.baseline], [generate], [evaluate], [report]. Stages with a section run, in this order. Relative paths are
+relative to the current directory. Results go to <output>/<pipeline>/<run>/. A stage runs again only if its
+configuration or inputs changed. A model that took more than ten minutes to train is retrained only if its own section
+changed, or with --redo; the old model is moved aside.
 
 Examples:
   djinn run pipelines/cut_in_corpus.toml
@@ -53,9 +53,9 @@ Examples:
 
 /// Of `train distill`.
 pub(super) const TRAIN_DISTILL: &str = "\
-The result has the same network, and samples in one to three evaluations. Sweeps of it have
-model = \"distilled\" and the sampler of train.distill.method: { kind = \"euler\", n_steps = 2, grid = … }
-after { kind = \"steps\", n_steps = 2, grid = … }, else { kind = \"consistency\", levels = [0.8] }.
+The distilled network has the same architecture and samples in one to three evaluations. To sweep it, set
+model = \"distilled\" and the sampler of train.distill.method: { kind = \"euler\", n_steps = 2, grid = … } for
+{ kind = \"steps\", n_steps = 2, grid = … }, otherwise { kind = \"consistency\", levels = [0.8] }.
 
 Examples:
   djinn train distill --config pipelines/few_evaluations.toml --output output/try
@@ -79,15 +79,15 @@ Example:
 
 /// Of `evaluate`.
 pub(super) const EVALUATE: &str = "\
-Ends with exit code 3 if a gate of [evaluate.gates] is not met; its outputs are written all the same.
+Exits with code 3 if a gate of [evaluate.gates] fails. The outputs are written either way.
 
 Example:
   djinn evaluate --config pipelines/cut_in_corpus.toml --output output/try";
 
 /// Of `report`.
 pub(super) const REPORT: &str = "\
-Writes report.html, one file that needs no network, and figures/ with its charts and scenes as SVG. A comparison needs two
-run folders: settings that differ, yield, metrics and realism side by side.
+Writes report.html, a single file that works offline, and figures/ with its charts and scenes as SVG. A comparison of two
+run folders shows changed settings, yield, metrics and realism side by side.
 
 Examples:
   djinn report --from output/cut_in_corpus/main --output output/try
@@ -95,8 +95,8 @@ Examples:
 
 /// Of `export`.
 pub(super) const EXPORT: &str = "\
-Beside the files, index.tsv and tracks.tsv lead back to the corpus, and NOTICE.txt names the sources and their terms, which
-hold for the export, too. What a format cannot hold is left out, counted by reason in export.json, and told.
+index.tsv and tracks.tsv map the files back to the corpus. NOTICE.txt names the sources and their terms, which apply to the
+export too. What a format cannot represent is left out; export.json counts it by reason.
 
 Examples:
   djinn export openscenario output/quickstart/main/corpus --only-verified --out output/xosc
@@ -105,9 +105,9 @@ Examples:
 
 /// Of `corpus validate`.
 pub(super) const CORPUS_VALIDATE: &str = "\
-Checks sizes, checksums, schemas and counts, that ids are unique, that states, lanes and recordings belong to scenarios,
-that numbers are numbers and possible, and that no file is there that queries would read by mistake. Findings go to
-stdout with file and row (from 0); the exit code is 1 when the corpus is damaged. Remarks are no damage.
+Checks sizes, checksums, schemas, counts and unique ids; that states, lanes and recordings belong to scenarios; that
+values are finite and physically possible; and that no stray file would be read by a query. Findings go to stdout with
+file and row (from 0). The exit code is 1 if the corpus is damaged; remarks do not count as damage.
 
 Examples:
   djinn corpus validate output/quickstart/main/corpus
@@ -115,8 +115,8 @@ Examples:
 
 /// Of `corpus merge`.
 pub(super) const CORPUS_MERGE: &str = "\
-A scenario that several corpora hold comes once; one that differs between them is refused. Recordings, maps, metric values
-of scenarios and the terms of all sources come along. Corpora of earlier versions are read, too, and become present ones.
+A scenario in several corpora is written once; if its content differs between them, the merge fails. Recordings, maps,
+metrics of scenarios and the terms of all sources are merged too. Corpora of earlier versions are upgraded.
 
 Example:
   djinn corpus merge output/cut_ins/main/corpus output/near_misses/main/corpus --out output/all";
@@ -124,7 +124,7 @@ Example:
 /// Of `corpus filter`.
 pub(super) const CORPUS_FILTER: &str = "\
 A condition is a column of `scenarios`, an operator and a value. Operators: =, !=, <, <=, >, >=, in (a, b), not in (a, b),
-is missing, is present. A flag may stand alone: verified, not recorded_event. A missing value fulfils no comparison.
+is missing, is present. A flag may stand alone: verified, not recorded_event. A missing value fails every comparison.
 
 Examples:
   djinn corpus filter output/quickstart/main/corpus --where verified --where \"gap_m < 5\" --out output/tight
@@ -132,8 +132,8 @@ Examples:
 
 /// Of `corpus sample`.
 pub(super) const CORPUS_SAMPLE: &str = "\
-The same seed draws the same scenarios, whatever their order, and a larger number draws more beside them. With --by, each
-value of the column gets the same number of scenarios as far as it has so many.
+The same seed draws the same scenarios regardless of their order, and a larger N adds to them. With --by, each value of
+the column gets the same number of scenarios, as far as there are enough.
 
 Examples:
   djinn corpus sample output/all --n 1000 --out output/thousand
@@ -141,8 +141,8 @@ Examples:
 
 /// Of `corpus diff`.
 pub(super) const CORPUS_DIFF: &str = "\
-Counts by behavior and place, scenarios that only one corpus holds or that changed and in which columns, and shifts of
-distributions. The comparison goes to stdout; the exit code is 0 whether or not there are differences.
+Compares counts by behavior and place, lists scenarios that were added, removed or changed (and in which columns), and
+shows how distributions shifted. The exit code is 0 whether or not the corpora differ.
 
 Examples:
   djinn corpus diff output/quickstart/before/corpus output/quickstart/main/corpus
@@ -150,13 +150,11 @@ Examples:
 
 /// Of `regenerate`.
 pub(super) const REGENERATE: &str = "\
-Needs what the run folder holds: samples/ with its plan and settings, scenes/, and the models. First their fingerprints
-are compared with those of the run. Then the batch that the scenario was denoised in is denoised again (the last digits
-depend on the batch), the miner judges it again, and every column is compared, bit by bit. The number of threads does not
-matter.
+Reads samples/, scenes/ and the models of the run folder and checks their fingerprints. Then it denoises the scenario's
+batch again (the last digits depend on the batch), mines the result and compares every column bit by bit. The number of
+threads does not matter.
 
-Ends with exit code 0 if it is identical, 1 if it differs or something it was made from changed, 2 if something that it
-needs is missing.
+Exits with code 0 if the scenario is identical, 1 if it differs or one of its inputs changed, 2 if an input is missing.
 
 Examples:
   djinn regenerate 0f3a5b1c9d2e4f60 --from output/cut_in_request/main
@@ -166,5 +164,5 @@ Examples:
 pub(super) const INSPECT: &str = "\
 Examples:
   djinn inspect output/quickstart/main
-  djinn inspect output/cut_in_request/main/samples    what a request got, bucket by bucket
+  djinn inspect output/cut_in_request/main/samples    show the results of requests by bucket
   djinn inspect output/quickstart/main/scenes --json | jq .n_scenes";

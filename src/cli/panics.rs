@@ -28,9 +28,9 @@ fn description(panic: &PanicHookInfo<'_>) -> String {
 
 fn failure() -> Failure {
     let what = FIRST.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
-    Failure::fault(anyhow::anyhow!("djinn {} failed by a bug of its own at {what}", env!("CARGO_PKG_VERSION"))).with_hint(
-        "please report these lines with the command, its configuration and log.txt of the run folder; what was finished stays, \
-         and the same command goes on from there",
+    Failure::fault(anyhow::anyhow!("djinn {} failed because of a bug at {what}", env!("CARGO_PKG_VERSION"))).with_hint(
+        "please report these lines with the command, its configuration and the run folder's log.txt; finished work is kept, and \
+         the same command continues from there",
     )
 }
 

@@ -20,7 +20,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Decides which scenarios come along.
-pub(super) trait Selection {
+pub(super) trait CopySelection {
     /// Whether a file can hold any of them; a corpus with one file a table has no partitions.
     fn wants_part(&self, _partition: &Partition) -> bool {
         true
@@ -32,7 +32,7 @@ pub(super) trait Selection {
 
 /// What a tool that writes has to tell.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Outcome {
+pub struct CopyOutcome {
     /// The manifest of the new corpus.
     pub manifest: CorpusManifest,
     /// Scenarios that several corpora held, and that came once.
@@ -48,9 +48,9 @@ pub(super) fn copy(
     inputs: &[CorpusScan],
     out: &Path,
     history: &str,
-    selection: &mut dyn Selection,
+    selection: &mut dyn CopySelection,
     progress: &dyn Progress,
-) -> Result<Outcome> {
+) -> Result<CopyOutcome> {
     let schemas = inputs.iter().map(CorpusScan::scenario_schema).collect::<Result<Vec<_>, _>>()?;
     let folder = NewFolder::begin(out, inputs.iter().map(|scan| ("corpus", scan.dir())))?;
     let mut copier = Copier {
@@ -84,7 +84,7 @@ pub(super) fn copy(
             steps.push(step.to_owned());
         }
     }
-    let outcome = Outcome {
+    let outcome = CopyOutcome {
         manifest: copier.sink.finish(&about, &steps)?,
         n_duplicates: 0,
         n_differing_recordings: copier.n_differing_recordings,
@@ -140,7 +140,7 @@ impl Copier {
         &mut self,
         input: usize,
         scan: &CorpusScan,
-        selection: &mut dyn Selection,
+        selection: &mut dyn CopySelection,
         needed: &mut Needed,
         progress: &dyn Progress,
     ) -> Result<BTreeSet<Fingerprint>> {

@@ -36,7 +36,7 @@ pub struct DiffReport {
     /// How many scenarios differ in each column; `states` stands for their rows of `tracks`.
     pub changed_by_column: BTreeMap<String, u64>,
     /// How numbers are distributed in A and B, where these differ.
-    pub shifts: Vec<Shift>,
+    pub shifts: Vec<DistributionShift>,
 }
 
 /// The counts of a partition in A and B.
@@ -54,7 +54,7 @@ pub struct PartitionDiff {
 
 /// The distribution of one number in A and B.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Shift {
+pub struct DistributionShift {
     /// A column of scenarios, or `speed_mps` of generated states.
     pub name: String,
     /// In A and B.
@@ -291,7 +291,7 @@ fn summarize(chunk: &CorpusChunk, summaries: &mut BTreeMap<String, Summary>) -> 
     Ok(())
 }
 
-fn shifts([mut a, mut b]: [BTreeMap<String, Summary>; 2]) -> Vec<Shift> {
+fn shifts([mut a, mut b]: [BTreeMap<String, Summary>; 2]) -> Vec<DistributionShift> {
     let names: BTreeSet<String> = a.keys().chain(b.keys()).cloned().collect();
     let mut shifts = Vec::new();
     for name in names {
@@ -300,7 +300,7 @@ fn shifts([mut a, mut b]: [BTreeMap<String, Summary>; 2]) -> Vec<Shift> {
             let [of_a, of_b] = summaries;
             let is_known = of_a.std > 0.0 && of_b.n > 0;
             let mean_shift_std = is_known.then(|| (of_b.mean - of_a.mean) / of_a.std);
-            shifts.push(Shift { name, summaries, mean_shift_std });
+            shifts.push(DistributionShift { name, summaries, mean_shift_std });
         }
     }
     shifts

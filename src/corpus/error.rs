@@ -13,7 +13,7 @@ pub enum Error {
     #[error(transparent)]
     Io(#[from] std::io::Error),
     /// A condition that cannot be understood.
-    #[error("condition {text:?}: {detail}")]
+    #[error("condition `{text}`: {detail}")]
     Condition {
         /// The condition as it was given.
         text: String,
@@ -21,7 +21,7 @@ pub enum Error {
         detail: String,
     },
     /// A column that the scenarios do not have.
-    #[error("the scenarios have no column {name:?}{hint}")]
+    #[error("scenarios have no column `{name}`{hint}")]
     UnknownColumn {
         /// What was asked for.
         name: String,
@@ -32,7 +32,7 @@ pub enum Error {
     #[error(transparent)]
     Files(files::Error),
     /// Two corpora hold different scenarios under one id.
-    #[error("scenario {id} is in {} and in {}, with different content: they are not from the same run and cannot be told apart; filter one of them first", .first.display(), .second.display())]
+    #[error("scenario {id} is in {} and in {} with different content; filter it out of one of them first", .first.display(), .second.display())]
     Conflict {
         /// The scenario.
         id: String,
@@ -42,7 +42,7 @@ pub enum Error {
         second: PathBuf,
     },
     /// Two corpora hold different maps under one name.
-    #[error("map {id} of {} differs from the map of that name that came before: corpora on different maps cannot share lanes", .dir.display())]
+    #[error("map {id} of {} differs from the map of the same name in an earlier corpus; corpora with different maps cannot be merged", .dir.display())]
     MapConflict {
         /// The map.
         id: String,

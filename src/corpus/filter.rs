@@ -1,6 +1,6 @@
 //! `djinn corpus filter`: the scenarios for which all conditions hold.
 
-use super::copy::{Outcome, Selection, copy};
+use super::copy::{CopyOutcome, CopySelection, copy};
 use super::{Condition, Error, Result};
 use crate::progress::Progress;
 use crate::store::{CorpusChunk, CorpusScan, Partition};
@@ -11,7 +11,7 @@ use std::path::Path;
 /// # Errors
 /// [`Error::UnknownColumn`] and [`Error::Condition`] when a condition does not fit the scenarios, before anything is
 /// written; those of reading and writing corpora.
-pub fn filter(dir: &Path, conditions: &[Condition], out: &Path, progress: &dyn Progress) -> Result<Outcome> {
+pub fn filter(dir: &Path, conditions: &[Condition], out: &Path, progress: &dyn Progress) -> Result<CopyOutcome> {
     if conditions.is_empty() {
         return Err(Error::Usage("a filter needs at least one condition, such as --where \"gap_m < 5\"".to_owned()));
     }
@@ -26,7 +26,7 @@ pub fn filter(dir: &Path, conditions: &[Condition], out: &Path, progress: &dyn P
 /// The scenarios for which all conditions hold.
 struct All<'c>(&'c [Condition]);
 
-impl Selection for All<'_> {
+impl CopySelection for All<'_> {
     fn wants_part(&self, partition: &Partition) -> bool {
         self.0.iter().all(|condition| condition.may_hold_in(partition))
     }

@@ -1,6 +1,6 @@
 //! `djinn corpus merge`: several corpora as one.
 
-use super::copy::{Outcome, Selection, copy};
+use super::copy::{CopyOutcome, CopySelection, copy};
 use super::rows::{Content, Fingerprint, contents, fingerprint, texts};
 use super::{Error, Result};
 use crate::progress::Progress;
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// [`Error::Conflict`] when two hold different scenarios under one id, [`Error::MapConflict`] when they hold different maps
 /// under one name; those of reading and writing corpora.
-pub fn merge(dirs: &[PathBuf], out: &Path, progress: &dyn Progress) -> Result<Outcome> {
+pub fn merge(dirs: &[PathBuf], out: &Path, progress: &dyn Progress) -> Result<CopyOutcome> {
     if dirs.len() < 2 {
         return Err(Error::Usage("a merge needs at least two corpora".to_owned()));
     }
@@ -22,7 +22,7 @@ pub fn merge(dirs: &[PathBuf], out: &Path, progress: &dyn Progress) -> Result<Ou
     let mut selection = Once { dirs, shared: shared(&scans)?, n_duplicates: 0 };
     let history = format!("merged from corpora {}", names.join(", "));
     let outcome = copy(&scans, out, &history, &mut selection, progress)?;
-    Ok(Outcome { n_duplicates: selection.n_duplicates, ..outcome })
+    Ok(CopyOutcome { n_duplicates: selection.n_duplicates, ..outcome })
 }
 
 /// The ids that several corpora hold.
@@ -50,7 +50,7 @@ struct Once<'d> {
     n_duplicates: u64,
 }
 
-impl Selection for Once<'_> {
+impl CopySelection for Once<'_> {
     fn keep(&mut self, input: usize, chunk: &CorpusChunk) -> Result<Vec<bool>> {
         let ids = texts(&chunk.scenarios, "scenario_id", &chunk.path)?;
         let hashes: Vec<Fingerprint> = ids.iter().map(|id| fingerprint(id.unwrap_or_default().as_bytes())).collect();

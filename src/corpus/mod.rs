@@ -19,8 +19,8 @@ mod tests;
 mod validate;
 
 pub use condition::Condition;
-pub use copy::Outcome;
-pub use diff::{DiffReport, Shift, diff};
+pub use copy::CopyOutcome;
+pub use diff::{DiffReport, DistributionShift, diff};
 pub use error::{Error, Result};
 pub use filter::filter;
 pub use merge::merge;

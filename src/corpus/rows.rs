@@ -29,7 +29,7 @@ pub(super) fn column<'b>(batch: &'b RecordBatch, name: &str, path: &Path) -> Res
 
 /// A column of texts.
 pub(super) fn texts<'b>(batch: &'b RecordBatch, name: &str, path: &Path) -> Result<&'b StringArray> {
-    let other = || store::Error::corrupt(path, format!("column {name} holds no texts"));
+    let other = || store::Error::corrupt(path, format!("column {name} does not hold text"));
     Ok(column(batch, name, path)?.as_any().downcast_ref().ok_or_else(other)?)
 }
 

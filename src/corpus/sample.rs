@@ -1,7 +1,7 @@
 //! `djinn corpus sample`: a smaller corpus of the same kind, drawn at random and the same for the same seed.
 
 use super::condition::unknown_column;
-use super::copy::{Outcome, Selection, copy};
+use super::copy::{CopyOutcome, CopySelection, copy};
 use super::rows::{Fingerprint, column, fingerprint, texts};
 use super::{Error, Result};
 use crate::progress::Progress;
@@ -31,10 +31,10 @@ pub struct SampleOptions {
 ///
 /// # Errors
 /// [`Error::UnknownColumn`] when there is no such column; those of reading and writing corpora.
-pub fn sample(dir: &Path, options: &SampleOptions, out: &Path, progress: &dyn Progress) -> Result<Outcome> {
+pub fn sample(dir: &Path, options: &SampleOptions, out: &Path, progress: &dyn Progress) -> Result<CopyOutcome> {
     let SampleOptions { n, by, seed } = options;
     if *n == 0 {
-        return Err(Error::Usage("a sample of 0 scenarios holds nothing: say how many with --n".to_owned()));
+        return Err(Error::Usage("a sample of 0 scenarios is empty; set --n to at least 1".to_owned()));
     }
     let scan = CorpusScan::open(dir)?;
     if let Some(by) = by {
@@ -48,7 +48,7 @@ pub fn sample(dir: &Path, options: &SampleOptions, out: &Path, progress: &dyn Pr
         .flat_map(|(stratum, quota)| stratum.iter().take(quota).map(|(_, id)| *id))
         .collect();
     if (chosen.len() as u64) < *n {
-        progress.warn(&format!("{n} scenarios were asked for; there are {}, and all of them were taken", chosen.len()));
+        progress.warn(&format!("{n} scenarios requested, but there are only {}; all of them were taken", chosen.len()));
     }
     let by = by.as_ref().map_or(String::new(), |by| format!(" by {by}"));
     let history = format!("sampled {n}{by} with seed {seed} from corpus {}", scan.fingerprint()?);
@@ -65,7 +65,7 @@ fn check_column(scan: &CorpusScan, name: &str) -> Result<()> {
     match schema.field_with_name(column_name(name)).map(arrow::datatypes::Field::data_type) {
         Ok(DataType::Utf8 | DataType::Boolean) => Ok(()),
         Ok(data_type) if data_type.is_integer() => Ok(()),
-        Ok(_) => Err(Error::Usage(format!("--by {name}: a column of texts, flags or whole numbers is needed"))),
+        Ok(_) => Err(Error::Usage(format!("--by {name}: expected a column of text, flags or whole numbers"))),
         Err(_) => {
             let names: Vec<&str> = schema.fields().iter().map(|f| f.name().as_str()).chain(["behavior"]).collect();
             Err(unknown_column(name, &names))
@@ -121,7 +121,7 @@ fn quotas(sizes: &[usize], n: usize) -> Vec<usize> {
 /// The scenarios that were drawn.
 struct Chosen(BTreeSet<Fingerprint>);
 
-impl Selection for Chosen {
+impl CopySelection for Chosen {
     fn keep(&mut self, _input: usize, chunk: &CorpusChunk) -> Result<Vec<bool>> {
         let ids = texts(&chunk.scenarios, "scenario_id", &chunk.path)?;
         Ok(ids.iter().map(|id| self.0.contains(&fingerprint(id.unwrap_or_default().as_bytes()))).collect())

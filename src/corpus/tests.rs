@@ -13,7 +13,7 @@ fn ids(dir: &Path) -> BTreeSet<String> {
     CorpusReader::open(dir).unwrap().scenario_ids().unwrap().map(str::to_owned).collect()
 }
 
-fn filtered(dir: &Path, conditions: &[&str], out: &Path) -> Result<Outcome> {
+fn filtered(dir: &Path, conditions: &[&str], out: &Path) -> Result<CopyOutcome> {
     let conditions: Vec<Condition> = conditions.iter().map(|text| text.parse().unwrap()).collect();
     filter(dir, &conditions, out, &Silent)
 }
@@ -279,6 +279,6 @@ fn damaged_and_foreign_folders_are_refused_before_anything_is_written() {
     let error = merge(&[a.clone(), b], &folder.path("out"), &Silent).unwrap_err().to_string();
     assert!(error.contains("did not finish"), "{error}");
     let error = merge(&[a, folder.0.path().to_owned()], &folder.path("out"), &Silent).unwrap_err().to_string();
-    assert!(error.contains("is no corpus"), "{error}");
+    assert!(error.contains("is not a corpus"), "{error}");
     assert!(!folder.path("out").exists() && !folder.path("out.partial").exists());
 }

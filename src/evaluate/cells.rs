@@ -9,7 +9,7 @@ use crate::scene::{GuidanceLevel, Scene, Track, Trajectory};
 use crate::seed::Seed;
 use crate::store::{Assessment, ScenarioRecord};
 
-/// The samples of one scene, asked of the same agents at the same level.
+/// The samples of one scene with the same requested agents at the same level.
 pub(super) struct CellSamples<'a> {
     /// The samples, in order.
     pub(super) records: Vec<&'a ScenarioRecord>,
@@ -33,7 +33,7 @@ pub(super) struct CellFigures {
     pub(super) references_judged: Option<[ReferenceJudgment; 2]>,
     /// How everybody moves.
     pub(super) motion: CellMotion,
-    /// What a benchmark is given, where that is asked for.
+    /// The predictions for a benchmark, if requested.
     pub(super) prediction: Option<Modes>,
 }
 
@@ -98,7 +98,7 @@ impl CellSamples<'_> {
             .as_deref()
             .map(|behavior| Requested { behavior, roles: &first.scenario.provenance.guidance.roles });
         let evaluate = |group: &SampleGroup<'_>, mode_seed| measures.evaluate(group, requested, mode_seed);
-        let asked: &[_] = &first.scenario.provenance.guidance.roles;
+        let asked = &first.scenario.provenance.guidance.roles;
         let figures = |samples: &[Scene]| {
             evaluate(&SampleGroup { asked, ..SampleGroup::equally_likely(&recorded, samples) }, None)
         };
@@ -147,11 +147,12 @@ fn as_far_as_generated(recorded: &Scene, sample: &Scene) -> Scene {
 mod tests {
     use super::*;
     use crate::evaluate::testing::{record, recorded};
+    use crate::scene::Roles;
 
     #[test]
     fn who_is_asked_tells_cells_apart_and_references_are_measured_once_for_each() {
         let mut exchanged = record(2.0, false, false, recorded());
-        exchanged.scenario.provenance.guidance.roles.reverse();
+        exchanged.scenario.provenance.guidance.roles = Roles::from([("other", "2"), ("ego", "1")]);
         let asked = || record(2.0, false, false, recorded());
         let records = [asked(), record(0.0, false, false, recorded()), exchanged, asked()];
         let cells = into_cells(&records);

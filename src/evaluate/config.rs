@@ -9,30 +9,30 @@ use crate::settings;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What is measured, what is kept and what must hold.
+/// What to measure, what to keep in the corpus, and the quality gates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct EvaluateConfig {
     /// The metrics, by name; empty: all.
     pub metrics: Vec<String>,
-    /// Reduces many samples to a few modes, as benchmarks take them, and reports their figures beside those of all samples, under
-    /// names that begin with `modes6_` (or whatever their number is). Left out: no reduction.
+    /// Reduces many samples to a few modes, as in benchmarks, and reports their metrics beside those of all samples,
+    /// under names that begin with `modes6_` (or another number). Left out: no reduction.
     pub modes: Option<ModesConfig>,
-    /// The datasets for which predictions are written into `predictions/`, in the format of their benchmark: INTERACTION's CSVs,
-    /// Argoverse's Parquet. Of each scene the first unguided samples count, reduced to modes where there are more (as
-    /// `modes` says, or to six means).
+    /// The datasets for which predictions are written into `predictions/`, in the format of their benchmark:
+    /// INTERACTION's CSVs, Argoverse's Parquet. The first unguided samples of each scene count, reduced to modes if
+    /// there are more (as in `modes`, or to six means).
     pub predictions: Vec<Dataset>,
     /// Which scenarios become the corpus.
     pub keep: Keep,
     /// The limits that a valid scenario keeps.
     pub validity: ValidityConfig,
-    /// Who stands in for the one who is cut off: could a collision have been prevented?
+    /// The careful driver in place of the agent that is cut off: could a collision have been prevented?
     pub careful_driver: CarefulDriverConfig,
-    /// A scenario is a near-duplicate of an accepted one before it if the paths of those who were asked differ by less than this, meters:
-    /// the mean over the future, in the frame of the first of them. 0 for none. Default 0.25.
+    /// A scenario is a near-duplicate of an earlier accepted one if the paths of the requested agents differ by less
+    /// than this, meters: the mean over the future, in the frame of the first of them. 0 for none. Default 0.25.
     #[schemars(range(min = 0.0))]
     pub duplicate_distance_m: f64,
-    /// What must hold; the program ends with exit code 3 where it does not.
+    /// Quality gates; if one fails, the exit code is 3.
     pub gates: GatesConfig,
 }
 
@@ -55,11 +55,11 @@ impl Default for EvaluateConfig {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Keep {
-    /// Those that hold the behavior that was asked for (of requests, those that fill a bucket), pass every check of validity, and are no
-    /// near-duplicates of one before. The default: a scenario that could not have happened, or that is there already, tests nothing.
+    /// Verified scenarios (of requests, those that fill a bucket) that pass every validity check and are not
+    /// near-duplicates of earlier ones. The default: an impossible or repeated scenario tests nothing.
     #[default]
     Accepted,
-    /// Those in which the behavior that was asked for is found (of requests, those that fill a bucket), valid or not.
+    /// Verified scenarios (of requests, those that fill a bucket), valid or not.
     Verified,
     /// All.
     All,
@@ -71,7 +71,7 @@ impl EvaluateConfig {
         MetricSettings { validity: self.validity.clone(), careful_driver: self.careful_driver.clone() }
     }
 
-    /// Refuses what makes no sense.
+    /// Rejects settings that cannot work.
     ///
     /// # Errors
     /// [`Error::Config`] with the key, its value and what was expected.
@@ -81,7 +81,7 @@ impl EvaluateConfig {
             advice: "leave it out for its default".to_owned(),
         })?;
         if self.modes.as_ref().is_some_and(|modes| modes.by.is_empty()) {
-            let message = "evaluate.modes.by is empty: name mean, medoid or both".to_owned();
+            let message = "evaluate.modes.by is empty, expected mean, medoid or both".to_owned();
             return Err(Error::Config { message, advice: "leave it out for its default".to_owned() });
         }
         self.gates.validate(&self.metrics)?;
@@ -89,7 +89,7 @@ impl EvaluateConfig {
         let Some(unknown) = self.metrics.iter().find(|name| !known.contains(&name.as_str())) else { return Ok(()) };
         let nearest = known.iter().min_by_key(|name| strsim::damerau_levenshtein(unknown, name));
         Err(Error::Config {
-            message: format!("evaluate.metrics: there is no metric {unknown}; known: {}", known.join(", ")),
+            message: format!("evaluate.metrics: unknown metric {unknown}; known: {}", known.join(", ")),
             advice: nearest.map(|nearest| format!("did you mean `{nearest}`?")).unwrap_or_default(),
         })
     }

@@ -6,7 +6,7 @@ use crate::{files, store};
 /// A failure of evaluation.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// A setting that makes no sense.
+    /// A setting that cannot work.
     #[error("{message}; {advice}")]
     Config {
         /// The key, its value and what was expected.
@@ -15,7 +15,7 @@ pub enum Error {
         advice: String,
     },
     /// A sample of a scene that the store does not hold.
-    #[error("scene {0} of the samples is not among the scenes; give the scenes that the samples were generated from")]
+    #[error("scene {0} of the samples is not in the scene store; pass the scenes that the samples were generated from")]
     UnknownScene(SceneId),
     /// A file of ours could not be read or written.
     #[error(transparent)]

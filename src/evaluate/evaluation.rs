@@ -26,7 +26,7 @@ use std::path::Path;
 pub struct EvaluationSummary {
     /// Number of generated scenarios.
     pub n_scenarios: u64,
-    /// How many of them hold the behavior that was asked for.
+    /// How many of them show the requested behavior.
     pub n_verified: u64,
     /// How many of the verified ones the recording does not hold already.
     pub n_new: u64,
@@ -40,7 +40,7 @@ pub struct EvaluationSummary {
     pub n_kept: u64,
     /// The gates.
     pub gates: Vec<GateResult>,
-    /// What was asked and what came out, by sweep, place and strength.
+    /// Requested and generated scenarios, by sweep, place and strength.
     pub sampling: Vec<SamplingRow>,
     /// What the metrics mean.
     pub docs: Vec<MetricDoc>,
@@ -48,7 +48,7 @@ pub struct EvaluationSummary {
     pub aggregates: Vec<MetricRow>,
     /// How far the motion of whole sweeps is from that of the recording.
     pub realism: Vec<RealismRow>,
-    /// What became of the scenarios of each sweep at each strength.
+    /// The verdicts on the scenarios of each sweep at each strength.
     #[serde(default)]
     pub acceptance: Vec<AcceptanceRow>,
     /// Why samples are not accepted, or not even scenarios.
@@ -59,7 +59,7 @@ pub struct EvaluationSummary {
     pub validity: Vec<ValidityRow>,
 }
 
-/// What evaluation comes to.
+/// The result of an evaluation.
 #[derive(Debug, PartialEq)]
 pub struct Evaluated {
     /// What is read first.
@@ -124,8 +124,8 @@ pub struct Evaluation<'a> {
 }
 
 impl<'a> Evaluation<'a> {
-    /// Begins an evaluation of scenarios that continue scenes of `store`. Novelty is told from `recorded_events`, the positive
-    /// ones. Predictions for benchmarks are written into the folder `predictions`, if any are asked for.
+    /// Begins an evaluation of scenarios that continue scenes of `store`. Novelty is measured against the positive
+    /// `recorded_events`. Predictions for benchmarks are written into the folder `predictions`, if any are asked for.
     ///
     /// # Errors
     /// When scenes cannot be read, or the folder must not be written into.
@@ -152,7 +152,8 @@ impl<'a> Evaluation<'a> {
         })
     }
 
-    /// Counts what generation left out: samples that came to nothing, and by sweep and reason those that its selection refused.
+    /// Counts what generation left out: samples without a scenario, and by sweep and reason those that its selection
+    /// rejected.
     pub fn count_left_out<'r>(
         &mut self,
         rejected: impl Iterator<Item = &'r RejectedSample>,

@@ -11,16 +11,16 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Bounds that the results must keep. What is left out is not checked. A gate that cannot be judged, because nothing was measured
-/// for it, is not met.
+/// Bounds for the results. Gates that are left out are not checked. A gate that cannot be judged, because nothing was
+/// measured for it, fails.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GatesConfig {
-    /// At least so many scenarios, over all sweeps, hold the behavior that was asked for.
+    /// Minimum number of verified scenarios over all sweeps.
     pub min_verified: Option<u64>,
-    /// At least so many of them where the recording does not hold it for the same agents.
+    /// Minimum number of verified scenarios whose recording does not show the behavior for the same agents.
     pub min_new: Option<u64>,
-    /// At least so many scenarios, over all sweeps, are accepted: verified, valid and no near-duplicates.
+    /// Minimum number of accepted scenarios over all sweeps: verified, valid and no near-duplicates.
     pub min_accepted: Option<u64>,
     /// Smallest share of valid scenarios of any sweep at any strength, 0 to 1.
     #[schemars(range(min = 0.0, max = 1.0))]
@@ -34,8 +34,8 @@ pub struct GatesConfig {
     /// Whether unguided samples must be closer to the recording than a constant velocity, by minSceneADE, in every sweep that has
     /// some; at least one must.
     pub beat_constant_velocity: bool,
-    /// Whether in every sweep that asks for a behavior at several strengths the strongest must find it more often than strength 0;
-    /// at least one must.
+    /// Whether in every sweep that requests a behavior at several strengths the strongest must find it more often than
+    /// strength 0; at least one must.
     pub guidance_raises_rate: bool,
 }
 
@@ -79,7 +79,7 @@ impl GatesConfig {
         let by_displacement = self.beat_constant_velocity.then_some(("beat_constant_velocity", "min_scene_ade_m"));
         for (name, metric) in by_rates.chain(by_displacement) {
             if !measured.is_empty() && !measured.iter().any(|id| id == metric) {
-                let why = format_args!("is judged by {metric}, which evaluate.metrics leaves out: add it there");
+                let why = format_args!("needs {metric}; add it to evaluate.metrics");
                 return Err(refusal(name, why));
             }
         }
@@ -94,12 +94,12 @@ impl GatesConfig {
         if self.max_offroad_rate.is_some() && !has_maps {
             return Err(refusal(
                 "max_offroad_rate",
-                "is set, but ingest.maps = \"none\" leaves no road to leave: ingest with maps",
+                "is set, but ingest.maps = \"none\" leaves no roads to judge by; ingest with maps",
             ));
         }
         let sweeps = &generated.sweeps;
         if self.beat_constant_velocity && !sweeps.iter().any(ResolvedSweep::has_unguided) {
-            let why = "is set, but no sweep has unguided samples: add 0.0 to the strengths of one that edits nothing";
+            let why = "is set, but no sweep has unguided samples; add 0.0 to the strengths of a sweep without edits";
             return Err(refusal("beat_constant_velocity", why));
         }
         if self.guidance_raises_rate {
@@ -111,12 +111,12 @@ impl GatesConfig {
             let without_zero = compared.clone().find(|sweep| !has_zero(sweep));
             if let Some(ResolvedSweep { name, .. }) = without_zero {
                 let why =
-                    format!("is set, but sweep {name} has no strength 0 to compare with: add 0.0 to its strengths");
+                    format!("is set, but sweep {name} has no strength 0 to compare with; add 0.0 to its strengths");
                 return Err(refusal("guidance_raises_rate", why));
             }
             if compared.next().is_none() {
                 let why =
-                    "is set, but no sweep asks for a behavior at several strengths, such as strengths = [0.0, 10.0]";
+                    "is set, but no sweep requests a behavior at several strengths, such as strengths = [0.0, 10.0]";
                 return Err(refusal("guidance_raises_rate", why));
             }
         }
@@ -177,14 +177,14 @@ impl<'a> Measured<'a> {
         let of_series = |series: &SeriesKey| {
             let gate = format!("{name} ({}, {})", series.sweep, series.level);
             let Some(found) = self.mean(metric, series) else {
-                return not_judged(gate, format_args!("{metric} is not defined for any scene of it"));
+                return not_judged(gate, format_args!("{metric} is undefined for all its scenes"));
             };
             match is_least {
                 true => judged(gate, found >= bound, format!("at least {bound} required, {found:.4} found")),
                 false => judged(gate, found <= bound, format!("at most {bound} allowed, {found:.4} found")),
             }
         };
-        or_not_judged(name, "there are no scenarios", self.generated.iter().map(of_series).collect())
+        or_not_judged(name, "there are no scenarios to judge", self.generated.iter().map(of_series).collect())
     }
 
     /// A result for each sweep with unguided samples.
@@ -198,7 +198,7 @@ impl<'a> Measured<'a> {
                 Some((own, baseline)) => {
                     judged(gate, own < baseline, format!("minSceneADE {own:.3} m against {baseline:.3} m"))
                 }
-                None => not_judged(gate, "min_scene_ade_m is not defined for any scene of it"),
+                None => not_judged(gate, "min_scene_ade_m is undefined for all its scenes"),
             }
         };
         let unguided = self.generated.iter().filter(|series| series.group == Group::Unguided);
@@ -228,13 +228,13 @@ impl<'a> Measured<'a> {
             };
             let rates = self.mean(BEHAVIOR_RATE, strongest).zip(self.mean(BEHAVIOR_RATE, zero));
             let Some((guided, without)) = rates else {
-                return Some(not_judged(gate, format_args!("{BEHAVIOR_RATE} is not defined for any scene of it")));
+                return Some(not_judged(gate, format_args!("{BEHAVIOR_RATE} is undefined for all its scenes")));
             };
             let detail = format!("{guided:.4} at {} against {without:.4} at {}", strongest.level, zero.level);
             Some(judged(gate, guided > without, detail))
         };
         let results = sweeps.iter().filter_map(of_sweep).collect();
-        or_not_judged(name, "no sweep asks for a behavior at several strengths", results)
+        or_not_judged(name, "no sweep requests a behavior at several strengths", results)
     }
 }
 

@@ -139,10 +139,10 @@ fn rates_without_data_are_not_met() {
         ("min_validity_rate = 0", "validity_rate"),
     ] {
         let (met, text) = only(gate, &found(&[], &[]));
-        assert!(!met && text.ends_with("cannot be judged: there are no scenarios"), "{text}");
+        assert!(!met && text.ends_with("cannot be judged: there are no scenarios to judge"), "{text}");
         let baseline = (series(Group::ConstantVelocity, 0.0), metric, 0.0);
         let (met, text) = only(gate, &found(&[guided()], &[baseline]));
-        assert!(!met && text.ends_with(&format!("cannot be judged: {metric} is not defined for any scene of it")));
+        assert!(!met && text.ends_with(&format!("cannot be judged: {metric} is undefined for all its scenes")));
         // One series alone is not all of them.
         let partial = results(gate, &found(&[unguided(), guided()], &[(unguided(), metric, 0.5)]));
         assert_eq!(partial.iter().map(|result| result.met).collect::<Vec<_>>(), [true, false]);
@@ -166,11 +166,11 @@ fn the_baseline_is_beaten_by_less_and_not_by_as_much() {
     for (generated, means, why) in [
         (vec![guided()], vec![baseline()], "no sweep has unguided samples"),
         (vec![], vec![], "no sweep has unguided samples"),
-        (vec![unguided()], vec![baseline()], "min_scene_ade_m is not defined for any scene of it"),
+        (vec![unguided()], vec![baseline()], "min_scene_ade_m is undefined for all its scenes"),
         (
             vec![unguided()],
             vec![(unguided(), "min_scene_ade_m", 0.1)],
-            "min_scene_ade_m is not defined for any scene of it",
+            "min_scene_ade_m is undefined for all its scenes",
         ),
     ] {
         let (met, text) = only(gate, &found(&generated, &means));
@@ -194,10 +194,10 @@ fn the_strongest_guidance_must_find_more_than_strength_0() {
     }
     let weaker = series(Group::Sweep(SWEEP.to_owned()), 1.0);
     for (generated, why) in [
-        (vec![], "no sweep asks for a behavior at several strengths"),
-        (vec![guided()], "no sweep asks for a behavior at several strengths"),
+        (vec![], "no sweep requests a behavior at several strengths"),
+        (vec![guided()], "no sweep requests a behavior at several strengths"),
         (vec![weaker, guided()], "it has no samples at strength 0"),
-        (vec![unguided(), guided()], "behavior_rate is not defined for any scene of it"),
+        (vec![unguided(), guided()], "behavior_rate is undefined for all its scenes"),
     ] {
         let (met, text) = only(gate, &found(&generated, &[]));
         assert!(!met && text.ends_with(&format!("cannot be judged: {why}")), "{text}");
@@ -205,7 +205,7 @@ fn the_strongest_guidance_must_find_more_than_strength_0() {
     let mut continued = found(&[unguided(), guided()], &[]);
     continued.sampling[0].behavior = None;
     let (met, text) = only(gate, &continued);
-    assert!(!met && text.ends_with("no sweep asks for a behavior at several strengths"), "{text}");
+    assert!(!met && text.ends_with("no sweep requests a behavior at several strengths"), "{text}");
 }
 
 #[test]
@@ -220,11 +220,11 @@ fn bounds_must_be_shares_and_their_metrics_measured() {
         for bound in ["0", "1.0", "0.5"] {
             gates(&format!("{gate} = {bound}")).validate(&[]).unwrap();
             let why = gates(&format!("{gate} = {bound}")).validate(&ade_only).unwrap_err().to_string();
-            assert!(why.contains(&gate[4..]) && why.contains("evaluate.metrics leaves out"), "{why}");
+            assert!(why.contains(&gate[4..]) && why.contains("add it to evaluate.metrics"), "{why}");
         }
     }
     let why = gates("beat_constant_velocity = true").validate(&ade_only).unwrap_err().to_string();
-    assert!(why.contains("min_scene_ade_m, which evaluate.metrics leaves out"), "{why}");
+    assert!(why.contains("needs min_scene_ade_m; add it to evaluate.metrics"), "{why}");
     // The miner finds behaviors whatever is measured.
     gates("guidance_raises_rate = true\nmin_new = 1").validate(&ade_only).unwrap();
 }
@@ -261,5 +261,5 @@ fn gates_that_the_sweeps_leave_nothing_to_judge_by_are_refused() {
     };
     assert_eq!(raises("[0.0, 10.0]"), None);
     assert!(raises("[5.0, 10.0]").expect("no zero").contains("sweep s has no strength 0"));
-    assert!(raises("[0.0]").expect("one strength").contains("no sweep asks for a behavior at several strengths"));
+    assert!(raises("[0.0]").expect("one strength").contains("no sweep requests a behavior at several strengths"));
 }

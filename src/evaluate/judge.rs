@@ -1,4 +1,5 @@
-//! What is to be said of a single scenario, apart from whether it does what was asked: could it have happened, how critical is it, is it new?
+//! How is a single scenario judged, apart from its requested behavior: could it have happened, how critical is it, is
+//! it new?
 
 use super::config::EvaluateConfig;
 use super::error::Result;
@@ -6,7 +7,7 @@ use crate::behavior::BehaviorEvent;
 use crate::metrics::{
     CutInJudgment, EventSpace, Judged, MotionHistograms, PairCriticality, RecordedRanges, SceneCriticality, Violation,
 };
-use crate::scene::Scene;
+use crate::scene::{Roles, Scene};
 use crate::store::{Assessment, ScenarioRecord, SceneStore};
 use rayon::prelude::*;
 
@@ -83,7 +84,7 @@ impl<'a> Judge<'a> {
     /// What would be said of `scene` if its whole future had been generated.
     pub(super) fn judge_reference(&self, scene: &Scene) -> ReferenceJudgment {
         ReferenceJudgment {
-            violations: Judged::future_of(scene, &[]).violations(&self.config.validity),
+            violations: Judged::future_of(scene, Roles::none()).violations(&self.config.validity),
             plausibility: self.ranges.plausibility(scene),
         }
     }

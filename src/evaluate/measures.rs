@@ -3,11 +3,11 @@
 use super::config::EvaluateConfig;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
 use crate::metrics::{ALL, Direction, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, SampleGroup};
-use crate::scene::{Scene, TrackId};
+use crate::scene::{Roles, Scene};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
 
-/// Share of samples that hold the behavior that was asked for, with the roles that were asked for.
+/// Share of samples that show the requested behavior in the requested roles.
 pub(super) const BEHAVIOR_RATE: &str = "behavior_rate";
 
 /// How to read a metric.
@@ -41,13 +41,13 @@ pub(super) struct Measures<'a> {
     behaviors: &'a [Box<dyn Behavior>],
 }
 
-/// The behavior that was asked for, and of whom.
+/// The requested behavior and its agents.
 #[derive(Clone, Copy)]
 pub(super) struct Requested<'a> {
     /// Its name.
     pub(super) behavior: &'a str,
     /// Roles and tracks.
-    pub(super) roles: &'a [(String, TrackId)],
+    pub(super) roles: &'a Roles,
 }
 
 /// The names of all metrics that can be chosen.
@@ -68,12 +68,11 @@ impl<'a> Measures<'a> {
         let metrics = self.metrics.iter().map(|metric| MetricDoc::from(metric.spec()));
         let requested = rate(
             BEHAVIOR_RATE.to_owned(),
-            "share of samples in which the miner finds the behavior that was asked for, with the agents that were asked"
-                .to_owned(),
+            "share of samples in which the miner finds the requested behavior with the requested agents".to_owned(),
         );
         let of_anybody = self.behaviors.iter().map(|behavior| {
             let id = behavior.id();
-            rate(format!("{id}_rate"), format!("share of samples in which the miner finds {id}, whoever takes part"))
+            rate(format!("{id}_rate"), format!("share of samples in which the miner finds {id}, between any agents"))
         });
         metrics.chain([requested]).chain(of_anybody).chain(self.docs_of_modes()).collect()
     }
@@ -94,7 +93,7 @@ impl<'a> Measures<'a> {
             is_defined.then(|| n_holding as f64 / events.len() as f64)
         };
         let requested = requested.and_then(|Requested { behavior, roles }| {
-            let is_asked = |event: &BehaviorEvent| roles.is_empty() || event.roles == roles;
+            let is_asked = |event: &BehaviorEvent| roles.is_empty() || event.roles == *roles;
             share(&|events| events.iter().any(|event| event.behavior == behavior && is_asked(event)))
         });
         let of_anybody = self
@@ -200,14 +199,14 @@ mod tests {
         let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Always)];
         let measures = Measures::new(&config, &behaviors);
         let (recorded, samples) = (scene(0.0), [scene(1.0)]);
-        let roles = |ego: &str, other: &str| vec![("ego".to_owned(), ego.into()), ("other".to_owned(), other.into())];
-        let rates = |roles: &[(String, TrackId)]| {
+        let roles = |ego: &str, other: &str| Roles::from([("ego", ego), ("other", other)]);
+        let rates = |roles: &Roles| {
             let asked = Some(Requested { behavior: "cut_in", roles });
             measures.evaluate(&SampleGroup::equally_likely(&recorded, &samples), asked, None)[1..3].to_vec()
         };
         assert_eq!(rates(&roles("1", "2")), [Some(1.0), Some(1.0)]);
         assert_eq!(rates(&roles("2", "1")), [Some(0.0), Some(1.0)]);
-        assert_eq!(rates(&[]), [Some(1.0), Some(1.0)]);
+        assert_eq!(rates(Roles::none()), [Some(1.0), Some(1.0)]);
     }
 
     /// Four samples around 3 m and two around -1 m; the recording is at 0.

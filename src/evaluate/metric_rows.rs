@@ -24,7 +24,7 @@ struct ScenarioFigures {
     values: Vec<Option<f64>>,
 }
 
-/// Collects figures and turns them into rows, which are many times as large: they are made one by one as they are asked for.
+/// Collects figures and turns them into rows. Rows are many times as large, so they are made one by one on demand.
 #[derive(Debug, PartialEq)]
 pub struct MetricRows {
     docs: Vec<MetricDoc>,

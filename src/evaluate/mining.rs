@@ -136,7 +136,7 @@ mod tests {
             behavior: "cut_in".to_owned(),
             scene_id: SceneId::from(case),
             label,
-            roles: Vec::new(),
+            roles: crate::scene::Roles::default(),
             start_timestep: 0,
             end_timestep: 0,
             parameters: BTreeMap::new(),

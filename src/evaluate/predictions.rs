@@ -11,8 +11,8 @@ use crate::store::{ArgoversePredictions, InteractionPredictions};
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// The predictions of each dataset asked for. Of a scene the first unguided samples count, in the order of sweeps: a benchmark
-/// takes one answer.
+/// The predictions of each requested dataset. Of a scene the first unguided samples count, in the order of sweeps: a
+/// benchmark takes one answer.
 pub(super) struct Predictions {
     interaction: Option<InteractionPredictions>,
     argoverse: Vec<(Dataset, ArgoversePredictions)>,
@@ -20,8 +20,9 @@ pub(super) struct Predictions {
     n_tracks_left_out: usize,
 }
 
-/// The modes that a cell offers as its scene's prediction: those of the ego where the benchmark predicts one agent, of everybody jointly else. Where
-/// there are no more samples than modes, the samples themselves. `None` for cells of what is no forecast and datasets that were not asked for.
+/// The modes that a cell offers as its scene's prediction: those of the ego where the benchmark predicts one agent, of
+/// everybody jointly else. Where there are no more samples than modes, the samples themselves. `None` for cells that
+/// are not forecasts and for datasets that were not requested.
 pub(super) fn of_cell(cell: &CellSamples<'_>, samples: &[Scene], config: &EvaluateConfig, seed: Seed) -> Option<Modes> {
     let first = samples.first()?;
     let dataset = first.source.dataset;

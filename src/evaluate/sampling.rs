@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 pub struct SamplingRow {
     /// The sweep's name in the configuration.
     pub sweep: String,
-    /// The behavior asked for; `None` where none was.
+    /// The requested behavior; `None` without one.
     pub behavior: Option<String>,
     /// The place of the source scenes; empty for all.
     pub place: String,
@@ -24,7 +24,7 @@ pub struct SamplingRow {
     pub n_scenes: u64,
     /// Scenarios sampled.
     pub n_scenarios: u64,
-    /// Scenarios in which the miner finds the behavior for the roles asked for.
+    /// Scenarios in which the miner finds the requested behavior in the requested roles.
     pub n_verified: u64,
     /// Verified scenarios whose recording does not hold the behavior for the same roles.
     pub n_new: u64,

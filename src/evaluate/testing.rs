@@ -6,7 +6,7 @@ use super::judge::Judge;
 use super::measures::{Measures, MetricDoc};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::scene::testing::{self, Drive};
-use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, Scene, TrackId};
+use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario, Scene};
 use crate::store::ScenarioRecord;
 use std::collections::BTreeMap;
 
@@ -29,7 +29,7 @@ pub(crate) fn recorded() -> Scene {
 
 /// A sample of it that was asked for a cut-in of track 2 ahead of track 1.
 pub(crate) fn record(strength: f64, verified: bool, recorded_event: bool, scene: Scene) -> ScenarioRecord {
-    let roles = vec![("ego".to_owned(), TrackId::from("1")), ("other".to_owned(), TrackId::from("2"))];
+    let roles = Roles::from([("ego", "1"), ("other", "2")]);
     let event = BehaviorEvent {
         behavior: "cut_in".into(),
         scene_id: scene.id.clone(),

@@ -24,7 +24,7 @@ pub struct ValidityRow {
     pub n: u64,
     /// That pass every check.
     pub n_valid: u64,
-    /// Check → how many fail it; those that nobody fails are missing.
+    /// Check → how many fail it; checks without failures are missing.
     pub violations: BTreeMap<String, u64>,
     /// Mean share of motion within the recorded ranges.
     pub plausibility: Option<f64>,

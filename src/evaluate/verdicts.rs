@@ -8,16 +8,16 @@ use crate::store::{RequestOutcome, ScenarioRecord, VerdictRow};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Why a scenario of which nothing was asked is not accepted.
+/// The reason not to accept a scenario without a requested behavior.
 const NOTHING_ASKED: &str = "nothing_asked";
-/// Why a scenario is not accepted in which the miner does not find what was asked.
+/// The reason not to accept a scenario in which the miner does not find the requested behavior.
 const NOT_VERIFIED: &str = "not_verified";
 /// Why a scenario is not accepted that is like one before it.
 const NEAR_DUPLICATE: &str = "near_duplicate";
 /// Why a sample is no scenario.
 const NOT_FINITE: &str = "not_finite";
 
-/// What became of the scenarios of one sweep at one level.
+/// The verdicts on the scenarios of one sweep at one level.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct AcceptanceRow {
     /// The sweep.
@@ -27,7 +27,7 @@ pub struct AcceptanceRow {
     pub level: GuidanceLevel,
     /// Scenarios sampled.
     pub n_scenarios: u64,
-    /// In which the miner finds the behavior for the roles asked for.
+    /// Those in which the miner finds the requested behavior in the requested roles.
     pub n_verified: u64,
     /// That pass every check of validity.
     pub n_valid: u64,
@@ -81,7 +81,7 @@ impl<'a> Verdicts<'a> {
         Self { config, accepted: PathIndex::default(), rows: Vec::new(), left_out: Vec::new(), decided: Vec::new() }
     }
 
-    /// Counts a sample that came to nothing.
+    /// Counts a sample without a scenario.
     pub(super) fn count_rejected(&mut self, rejected: &RejectedSample) {
         self.count(("generate", &rejected.sweep, Some(rejected.level)), NOT_FINITE, 1, true);
     }

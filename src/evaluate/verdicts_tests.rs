@@ -5,7 +5,7 @@ use super::verdicts::{AcceptanceRow, LeftOutRow, Verdicts, left_out_by_sweep};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, Violation};
 use crate::scene::testing::{Drive, provenance, scene};
-use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, TrackId};
+use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario, TrackId};
 use crate::store::{Assessment, RequestOutcome, RequestTag, ScenarioRecord};
 
 /// A scenario of two cars, the second one `offset_m` to the side.
@@ -13,7 +13,7 @@ fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> Scen
     let scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, offset_m, 0.0, 10.0)]);
     let violation =
         |check: &Check| Violation { check: *check, track: TrackId::from("1"), timestep: 5, value: 2.0, limit: 1.0 };
-    let roles = vec![("ego".to_owned(), TrackId::from("1")), ("other".to_owned(), TrackId::from("2"))];
+    let roles = Roles::from([("ego", "1"), ("other", "2")]);
     ScenarioRecord {
         sweep: "cut_ins".to_owned(),
         requested_behavior: Some("cut_in".to_owned()),

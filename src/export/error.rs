@@ -26,13 +26,13 @@ pub enum Error {
         wanted: String,
     },
     /// The format shows everybody as recordings do.
-    #[error("{format} cannot leave the ego out: it holds recorded traffic; commonroad and openscenario can")]
+    #[error("{format} cannot leave the ego free: it is a format of recordings; use commonroad or openscenario")]
     EgoIsReplayed {
         /// The format.
         format: &'static str,
     },
     /// The scenarios were found, but the format can hold none of them.
-    #[error("none of the {n_scenarios} scenarios can be written as {format}: {reasons}")]
+    #[error("none of the {n_scenarios} scenarios can be represented as {format}: {reasons}")]
     NothingWritten {
         /// The format.
         format: &'static str,

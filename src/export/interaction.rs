@@ -2,7 +2,7 @@
 
 use super::index::Table;
 use super::text::number;
-use super::{Exporter, Item, Outcome, Result, Written};
+use super::{ExportOutcome, Exporter, Item, Result, Written};
 use crate::scene::{AgentClass, Scene, State, Track};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -64,10 +64,10 @@ impl Interaction {
 }
 
 impl Exporter for Interaction {
-    fn add(&mut self, item: &Item<'_>) -> Result<Outcome> {
+    fn add(&mut self, item: &Item<'_>) -> Result<ExportOutcome> {
         let scene = item.scene();
         if (scene.dt_s - DT_S).abs() > 1e-6 {
-            return Ok(Outcome::LeftOut("not_10_hz"));
+            return Ok(ExportOutcome::LeftOut("not_10_hz"));
         }
         // Timestep 0 is this frame, counted from 1; below 1 where there are more than 10 observed timesteps.
         let first_frame = 1 + N_OBSERVED_FRAMES as i64 - scene.n_history as i64;
@@ -96,7 +96,7 @@ impl Exporter for Interaction {
             tracks.push(Ok(name));
         }
         let n_cut = frames.iter().filter(|frame| frame.is_none()).count() as u64;
-        Ok(Outcome::Written(Written {
+        Ok(ExportOutcome::Written(Written {
             file,
             name: case_id,
             first_timestep: frames.iter().position(Option::is_some).unwrap_or_default(),

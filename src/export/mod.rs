@@ -130,8 +130,8 @@ trait Exporter {
     /// Adds a scenario.
     ///
     /// # Errors
-    /// Those of the file system. What the format cannot hold is no error but [`Outcome::LeftOut`].
-    fn add(&mut self, item: &Item<'_>) -> Result<Outcome>;
+    /// Those of the file system. What the format cannot hold is no error but [`ExportOutcome::LeftOut`].
+    fn add(&mut self, item: &Item<'_>) -> Result<ExportOutcome>;
 
     /// Finishes what spans scenarios.
     ///
@@ -167,12 +167,12 @@ impl Item<'_> {
     fn event_role(&self, agent_idx: usize) -> Option<&str> {
         let id = &self.scene().tracks[agent_idx].id;
         let event = self.record.main_event()?;
-        event.roles.iter().find(|(_, track)| track == id).map(|(role, _)| role.as_str())
+        event.roles.role_of(id)
     }
 }
 
 /// What became of a scenario.
-enum Outcome {
+enum ExportOutcome {
     Written(Written),
     /// Why it was left out: a stable code, such as `no_lanes`.
     LeftOut(&'static str),

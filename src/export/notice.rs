@@ -19,7 +19,10 @@ pub(super) fn text(report: &ExportReport) -> String {
     );
     paragraph(&mut text, &what);
     heading(&mut text, "Sources and terms");
-    paragraph(&mut text, "What is made from recordings inherits their terms. Pass this notice on with the files.");
+    paragraph(
+        &mut text,
+        "The terms of the recordings apply to everything derived from them. Pass this notice on with the files.",
+    );
     for (dataset, terms) in &report.sources {
         paragraph(&mut text, &format!("{dataset}: {terms}"));
     }
@@ -27,16 +30,15 @@ pub(super) fn text(report: &ExportReport) -> String {
     paragraph(&mut text, report.format.notes());
     paragraph(
         &mut text,
-        "index.tsv: which file holds which scenario, and under which name. first_timestep is the scenario's timestep that the \
-         file's first time stands for.",
+        "index.tsv: the file and name of each scenario. first_timestep is the scenario's timestep at the file's first time.",
     );
-    paragraph(&mut text, "tracks.tsv: which name each track has in the file, who is the ego, and roles in the event.");
-    paragraph(&mut text, "export.json: what was asked for, and what was left out, by reason. Written last.");
+    paragraph(&mut text, "tracks.tsv: the name of each track in the file, the ego, and roles in the event.");
+    paragraph(&mut text, "export.json: the options of the export, and what was left out, by reason. Written last.");
     paragraph(&mut text, "Positions are those of the recording's frame, in meters; headings in radians.");
     if report.ego == EgoMotion::Free {
         paragraph(
             &mut text,
-            "The ego is left to whoever drives it from the present on; before, it moves as in the scenario.",
+            "From the present on, the ego is left to the driving function under test; before, it moves as in the scenario.",
         );
     }
     heading(&mut text, "Left out and assumed");

@@ -100,24 +100,24 @@ fn count(counts: &mut BTreeMap<&'static str, LeftOut>, reason: &'static str, fir
 /// What a code of a reason or of an assumption means.
 pub(super) fn meaning(code: &str) -> &str {
     match code {
-        "no_lanes" => "the scenario has no lanes, and the format demands some (no_lanes)",
+        "no_lanes" => "the scenario has no lanes, which the format requires (no_lanes)",
         "no_future" => "the scenario ends at the present (no_future)",
         "no_ego" => "the ego has no state at present (no_ego)",
-        "not_10_hz" => "the format is at 10 Hz, and the scenario is not (not_10_hz)",
-        "no_states" => "the track has no state in the time that the format shows (no_states)",
-        "static_object" => "the format has no class for objects that do not move by themselves (static_object)",
-        "absent_at_present" => {
-            "the format's time begins at the present, where the track has no state (absent_at_present)"
+        "not_10_hz" => "the format requires 10 Hz, which the scenario does not have (not_10_hz)",
+        "no_states" => "the track has no state in the format's time window (no_states)",
+        "static_object" => "the format has no class for static objects (static_object)",
+        "absent_at_present" => "the format starts at the present, where the track has no state (absent_at_present)",
+        "ends_at_present" => "the track ends at the present, where the format starts (ends_at_present)",
+        "ego_is_free" => "the ego is left to the driving function under test (ego_is_free)",
+        "nominal_size" => {
+            "the size of a road user is not recorded; a typical one for its class is written (nominal_size)"
         }
-        "ends_at_present" => "the track ends at the present, where the format's time begins (ends_at_present)",
-        "ego_is_free" => "the ego is left to whoever drives it (ego_is_free)",
-        "nominal_size" => "the size of a road user is not recorded; one usual for its kind is written (nominal_size)",
         "nominal_lane_width" => "a lane without boundaries is given a width of 3.8 m (nominal_lane_width)",
         "lane_without_extent" => "a lane of no length is left out (lane_without_extent)",
         "states_after_gap" => "states after a gap in a track are left out (states_after_gap)",
         "split_at_gap" => "a track with a gap becomes two entities (split_at_gap)",
         "cut_to_window" => "timesteps beyond the 40 of a case are left out (cut_to_window)",
-        "renumbered_track" => "a track has another name, because the format demands numbers (renumbered_track)",
+        "renumbered_track" => "a track is renamed, because the format requires numbers (renumbered_track)",
         other => other,
     }
 }

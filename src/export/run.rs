@@ -1,7 +1,7 @@
 //! How does a corpus become a folder in another format: which scenarios are chosen, counted and written, in which order?
 
 use super::index::Index;
-use super::{EgoMotion, Error, ExportFormat, ExportReport, Item, Outcome, Result, Selection, notice, text};
+use super::{EgoMotion, Error, ExportFormat, ExportOutcome, ExportReport, Item, Result, Selection, notice, text};
 use crate::files::NewFolder;
 use crate::progress::Progress;
 use crate::store::{CorpusReader, write_atomically, write_json_atomically};
@@ -107,7 +107,7 @@ impl Writer {
     fn add(&mut self, item: &Item<'_>, reader: &CorpusReader, report: &mut ExportReport) -> Result<()> {
         let scenario_id = item.record.scenario.id.as_str();
         match self.exporter.add(item)? {
-            Outcome::Written(written) => {
+            ExportOutcome::Written(written) => {
                 self.index.add(item, &written)?;
                 report.count_written(scenario_id, &written);
                 let dataset = item.scene().source.dataset;
@@ -115,7 +115,7 @@ impl Writer {
                 let terms = terms.map_or_else(|| dataset.facts().terms.to_owned(), Clone::clone);
                 report.sources.insert(dataset.name().to_owned(), terms);
             }
-            Outcome::LeftOut(reason) => report.count_left_out(scenario_id, reason),
+            ExportOutcome::LeftOut(reason) => report.count_left_out(scenario_id, reason),
         }
         Ok(())
     }

@@ -8,7 +8,7 @@ use serde::Serialize;
 pub struct Selection {
     /// Only scenarios in which the requested behavior was found.
     pub only_verified: bool,
-    /// Only scenarios that were accepted: verified, valid and no near-duplicates.
+    /// Only accepted scenarios: verified, valid and not a near-duplicate.
     pub only_accepted: bool,
     /// Only those for which this behavior was requested.
     pub behavior: Option<String>,

@@ -1,12 +1,12 @@
 //! Scenarios for the tests of this module: small, with positions that are easy to work out by hand.
 
-use super::{Exporter, Item, Outcome, Written};
+use super::{ExportOutcome, Exporter, Item, Written};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::scene::testing::{Drive, scene as straight_scene, without_states};
 use crate::scene::{
     AgentClass, GuidanceLevel, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Provenance,
-    Scenario, Scene,
+    Roles, Scenario, Scene,
 };
 use crate::store::ScenarioRecord;
 use quick_xml::Reader;
@@ -62,7 +62,7 @@ pub(super) fn record(scene: &Scene) -> ScenarioRecord {
         behavior: "cut_in".to_owned(),
         scene_id: scene.id.clone(),
         label: EventLabel::Positive,
-        roles: vec![("other".to_owned(), "2".into()), ("ego".to_owned(), "1".into())],
+        roles: Roles::from([("other", "2"), ("ego", "1")]),
         start_timestep: 4,
         end_timestep: 9,
         parameters: [("gap_m".to_owned(), 5.25)].into(),
@@ -83,7 +83,11 @@ pub(super) fn record(scene: &Scene) -> ScenarioRecord {
                 seed: 7,
                 sample_idx: 2,
                 probability: None,
-                guidance: GuidanceTag { kind: "none".to_owned(), level: GuidanceLevel::UNGUIDED, roles: Vec::new() },
+                guidance: GuidanceTag {
+                    kind: "none".to_owned(),
+                    level: GuidanceLevel::UNGUIDED,
+                    roles: Roles::default(),
+                },
                 sampler: "heun-20".to_owned(),
                 settings: String::new(),
             },
@@ -106,8 +110,8 @@ pub(super) fn add_all(mut exporter: Box<dyn Exporter>, scenes: &[Scene]) -> Vec<
         record.scenario.id = format!("{}{i}", record.scenario.id);
         let item = Item { record: &record, number: i + 1, stem: record.scenario.id.clone() };
         match exporter.add(&item).unwrap() {
-            Outcome::Written(written) => Ok(written),
-            Outcome::LeftOut(reason) => Err(reason),
+            ExportOutcome::Written(written) => Ok(written),
+            ExportOutcome::LeftOut(reason) => Err(reason),
         }
     });
     let outcomes = outcomes.collect();

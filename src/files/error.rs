@@ -20,7 +20,7 @@ pub enum Error {
         /// What would be written.
         output: PathBuf,
         /// How it lies to the input.
-        relation: Relation,
+        relation: PathRelation,
         /// What the input is to the command.
         name: String,
         /// Where the input is.
@@ -56,7 +56,7 @@ pub enum Error {
         holder: String,
     },
     /// A folder that must be new.
-    #[error("{} exists and is not empty: name a new folder", .path.display())]
+    #[error("{} exists and is not empty; choose a new folder", .path.display())]
     Exists {
         /// The folder.
         path: PathBuf,
@@ -78,7 +78,7 @@ impl Error {
 
 /// How an output lies to an input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Relation {
+pub enum PathRelation {
     /// They are the same file or folder.
     Same,
     /// The output lies inside the input.
@@ -87,7 +87,7 @@ pub enum Relation {
     Contains,
 }
 
-impl fmt::Display for Relation {
+impl fmt::Display for PathRelation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Same => "is",

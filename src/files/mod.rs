@@ -17,7 +17,7 @@ mod written;
 pub use atomic::{
     AtomicFile, FileStamp, PARTIAL_SUFFIX, is_partial_of, remove_if_present, unique_partial, write_atomically,
 };
-pub use error::{Error, Relation, Result};
+pub use error::{Error, PathRelation, Result};
 pub use exchange::exchange;
 pub use lock::{LOCK_FILE, Lock};
 pub use new_folder::NewFolder;

@@ -1,6 +1,6 @@
 //! Does an output overlap an input, whatever links and dots the paths are written with?
 
-use super::error::{Error, Relation, Result};
+use super::error::{Error, PathRelation, Result};
 use std::ffi::OsString;
 use std::io;
 use std::path::{Component, Path, PathBuf};
@@ -23,11 +23,11 @@ pub fn check_overlap<'a>(output: &Path, inputs: impl IntoIterator<Item = (&'a st
     Ok(())
 }
 
-fn relation(output: &Path, input: &Path) -> Option<Relation> {
+fn relation(output: &Path, input: &Path) -> Option<PathRelation> {
     match (output.starts_with(input), input.starts_with(output)) {
-        (true, true) => Some(Relation::Same),
-        (true, false) => Some(Relation::Inside),
-        (false, true) => Some(Relation::Contains),
+        (true, true) => Some(PathRelation::Same),
+        (true, false) => Some(PathRelation::Inside),
+        (false, true) => Some(PathRelation::Contains),
         (false, false) => None,
     }
 }

@@ -122,24 +122,24 @@ fn overlaps_are_seen_through_dots_links_and_what_is_not_there_yet() {
         std::os::unix::fs::symlink(target, at(link)).unwrap();
     }
     for (output, input, expected) in [
-        ("rec", "rec", Some(Relation::Same)),
-        ("rec/new/deep", "rec", Some(Relation::Inside)),
-        ("rec", "rec/part/x.csv", Some(Relation::Contains)),
-        ("rec/../rec/./part", "rec/part", Some(Relation::Same)),
-        ("nowhere/../rec/out", "rec", Some(Relation::Inside)),
+        ("rec", "rec", Some(PathRelation::Same)),
+        ("rec/new/deep", "rec", Some(PathRelation::Inside)),
+        ("rec", "rec/part/x.csv", Some(PathRelation::Contains)),
+        ("rec/../rec/./part", "rec/part", Some(PathRelation::Same)),
+        ("nowhere/../rec/out", "rec", Some(PathRelation::Inside)),
         ("rec", "recordings", None),
         ("rec/part", "rec/other", None),
         ("out", "rec", None),
         #[cfg(unix)]
-        ("link", "rec", Some(Relation::Same)),
+        ("link", "rec", Some(PathRelation::Same)),
         #[cfg(unix)]
-        ("rec/out", "link", Some(Relation::Inside)),
+        ("rec/out", "link", Some(PathRelation::Inside)),
         #[cfg(unix)]
-        ("chain/../out", "rec", Some(Relation::Inside)),
+        ("chain/../out", "rec", Some(PathRelation::Inside)),
         #[cfg(unix)]
-        ("dangling/out", "later/folder", Some(Relation::Inside)),
+        ("dangling/out", "later/folder", Some(PathRelation::Inside)),
         #[cfg(unix)]
-        ("later", "dangling", Some(Relation::Contains)),
+        ("later", "dangling", Some(PathRelation::Contains)),
     ] {
         let (from, to) = (at(output), at(input));
         let found = match check_overlap(&from, [("recordings", to.as_path())]) {

@@ -15,7 +15,7 @@ impl<'g> Generator<'g> {
     /// When there is none.
     pub(super) fn baseline(&self, sweep: &ResolvedSweep) -> Result<&'g TrainedSceneTransformer, Error> {
         self.models.baseline.ok_or_else(|| {
-            let why = "model = \"baseline\" needs a trained one; add a section [train.baseline]";
+            let why = "model = \"baseline\" needs a trained baseline; add a section [train.baseline]";
             Error::Config(format!("sweep {}: {why}", sweep.name))
         })
     }
@@ -36,7 +36,7 @@ impl<'g> Generator<'g> {
         let is_alike = (own.n_history, own.n_timesteps) == (denoiser.n_history, denoiser.n_timesteps)
             && (own.dt_s - denoiser.dt_s).abs() < 1e-6;
         if !is_alike {
-            return refuse("the baseline was trained on scenes of other timesteps than the denoiser".to_owned());
+            return refuse("the baseline and the denoiser were trained on scenes with different timesteps".to_owned());
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ use crate::guidance::testing::scene;
 use crate::metrics::MetricSettings;
 use crate::model::{SceneTransformer, SceneTransformerConfig, SceneTransformerKind, SceneTransformerSpec};
 use crate::model::{TrainedDenoiser, TrainedSceneTransformer};
-use crate::nn::Params;
+use crate::nn::{Compute, Params};
 use crate::progress::Silent;
 use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
@@ -40,7 +40,7 @@ fn baseline() -> TrainedSceneTransformer {
         scenes: String::new(),
     };
     let network = SceneTransformer::new(
-        &mut Params::new(&Device::Cpu).frozen(),
+        &mut Params::new(&Compute::cpu()).frozen(),
         &spec.network,
         3,
         StateParametrization::Motion,
@@ -140,5 +140,5 @@ fn what_the_baseline_cannot_do_is_refused() {
     let mut other = self::baseline();
     other.spec.n_timesteps += 1;
     let message = generate(&sweep("n_samples = 4"), Some(&other)).unwrap_err().to_string();
-    assert!(message.contains("other timesteps"), "{message}");
+    assert!(message.contains("different timesteps"), "{message}");
 }

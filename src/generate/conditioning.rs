@@ -7,7 +7,7 @@ use crate::geometry::Vec2;
 use crate::scene::{AgentRef, ObservationMask, Scene, SceneEdit, State, Trajectory};
 use crate::seed::Seed;
 use crate::settings::{self, Issue};
-use crate::tensor::{FeatureLayout, SceneBatch, SceneView};
+use crate::tensor::{FeatureLayout, SceneBatch, SceneTensors, SceneView};
 use candle_core::Tensor;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -17,11 +17,12 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields)]
 pub struct ClassifierFreeConfig {
     /// The wanted states, beyond those that are observed, as rules of a mask; such as the goal of every agent:
-    /// `[{ agents = "all", times = "goal" }]`. They are recorded (or edited) states; what is not generated anyway is left out.
+    /// `[{ agents = "all", times = "goal" }]`. They are recorded (or edited) states; those that are not generated are
+    /// ignored.
     pub extra: Vec<MaskRule>,
-    /// Weights λ, each of them sampled: 0 ignores the wanted states, 1 observes them, more exaggerates. The sampler has to
-    /// follow how wanted states are approached, the faster the larger λ is: with 20 steps up to about 1.5, with 50 up to 4.
-    /// A sweep that varies its strengths as well takes a single weight, and the other way around.
+    /// Weights λ, each of which is sampled: 0 ignores the wanted states, 1 observes them, more exaggerates. The sampler
+    /// has to follow how wanted states are approached, the faster the larger λ is: with 20 steps up to about 1.5, with
+    /// 50 up to 4. A sweep varies either its strengths or its weights.
     #[serde(default = "one_weight")]
     pub weights: Vec<f64>,
     /// Standard deviation of what is added to the wanted positions, meters in each direction; drawn once for each agent and
@@ -29,7 +30,7 @@ pub struct ClassifierFreeConfig {
     #[serde(default = "one_meter")]
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub goal_std_m: f64,
-    /// Whether the denoiser is not told the velocity of wanted states.
+    /// Whether the velocity of wanted states is hidden from the denoiser.
     #[serde(default = "yes")]
     pub mask_velocity: bool,
 }
@@ -46,13 +47,13 @@ const fn yes() -> bool {
     true
 }
 
-/// Recordings that are changed roughly and made realistic by the denoiser (paper, section 5.3): the edited future with noise
-/// of level `tau`, denoised from there.
+/// Recordings that are edited roughly and made realistic by the denoiser (paper, section 5.3): the edited future with
+/// noise of level `tau`, denoised from there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EditConfig {
-    /// The noise level at which denoising begins: 0 leaves the edited recording as it is, the denoiser's largest noise level
-    /// forgets it but for edited states that are observed.
+    /// The noise level at which denoising begins: 0 leaves the edited recording as it is, the denoiser's largest noise
+    /// level discards it except for edited states that are observed.
     #[serde(default = "default_tau")]
     #[schemars(range(min = 0.0, max = 1e6))]
     pub tau: f64,
@@ -80,14 +81,14 @@ pub enum EditNoise {
 }
 
 impl ClassifierFreeConfig {
-    /// Refuses wanted states that cannot be told where the behavior has these roles.
+    /// Rejects wanted states that name other agents than a behavior with these roles has.
     pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
         validate_rules("extra", &self.extra, roles)
     }
 }
 
 impl EditConfig {
-    /// Refuses changes that cannot be made, or name agents whom the behavior with these roles does not have.
+    /// Rejects edits that cannot be made, or that name other agents than a behavior with these roles has.
     pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
         for (i, edit) in self.edits.iter().enumerate() {
             let key = format!("edits.{i}");
@@ -97,7 +98,7 @@ impl EditConfig {
             if let Some(agent) = edit.agents().into_iter().find(is_unknown) {
                 return Err(Issue::new(
                     key,
-                    format_args!("names the agent {agent}, whose role the behavior does not have"),
+                    format_args!("names the agent {agent}, which is not a role of the behavior"),
                 ));
             }
         }
@@ -133,7 +134,7 @@ pub(super) struct Conditioned {
     pub(super) scene: Scene,
     /// What of it is observed.
     pub(super) mask: ObservationMask,
-    /// Who is asked; the first is at the center.
+    /// The requested agents; the first is at the center.
     pub(super) agents: (usize, usize),
 }
 
@@ -159,7 +160,7 @@ pub(super) struct Wanted {
 }
 
 impl Generator<'_> {
-    /// The scene of a cell as it is shown to the denoiser, where `agents` are asked.
+    /// The scene of a cell as the denoiser sees it, with these requested `agents`.
     pub(super) fn condition(
         &self,
         sweep: &ResolvedSweep,
@@ -223,7 +224,7 @@ impl Generator<'_> {
         Ok(moved.collect())
     }
 
-    /// The seed of what is drawn for a scene and those who are asked in it.
+    /// The seed of draws for a scene and its requested agents.
     fn mask_seed(&self, purpose: &str, cell: &Cell) -> Seed {
         let scene = self.seed().derive_named(purpose, &cell.scene_id.0);
         cell.roles.iter().fold(scene, |seed, (role, track)| seed.derive_named(role, &track.0))
@@ -256,13 +257,14 @@ fn displaced(scene: &Scene, std_m: f64, seed: Seed, is_wanted: &dyn Fn(usize, us
 }
 
 /// The batch without the velocities of states that it observes and `base` does not.
-pub(super) fn without_wanted_velocities(batch: SceneBatch, base: &SceneBatch) -> Result<SceneBatch, Error> {
+pub(super) fn without_wanted_velocities(batch: &SceneBatch, base: &SceneBatch) -> Result<SceneBatch, Error> {
     let wanted = (&batch.observed * (1.0 - &base.observed)?)?.unsqueeze(3)?;
     // The first two features are the velocity.
     let is_velocity: Vec<f32> = (0..FeatureLayout::AGENT).map(|i| f32::from(u8::from(i < 2))).collect();
     let is_velocity = Tensor::from_vec(is_velocity, (1, 1, 1, FeatureLayout::AGENT), batch.features.device())?;
     let kept = (1.0 - wanted.broadcast_mul(&is_velocity)?)?;
-    Ok(SceneBatch { features: (&batch.features * kept)?, ..batch })
+    let features = (&batch.features * kept)?;
+    Ok(SceneBatch::new(SceneTensors { features, ..SceneTensors::clone(batch) })?)
 }
 
 /// The state at which denoising of a guide begins.

@@ -209,18 +209,15 @@ fn conditions_that_make_no_sense_are_refused() {
     for (more, part) in [
         (
             "observe = [{ agents = { role = 'other' }, times = 'all' }]",
-            "observe.0.agents.role is \"other\", expected a role of the behavior (no behavior is asked for)",
+            "observe.0.agents.role is \"other\", expected a role of the behavior (no behavior is requested)",
         ),
         (
             "behavior = 'drift'\nobserve = [{ agents = { role = 'third' }, times = 'all' }]",
             "observe.0.agents.role is \"third\", expected a role of the behavior (ego, other)",
         ),
-        ("observe = [{ agents = { track = 'nobody' }, times = 'all' }]", "has no state that the mask observes"),
+        ("observe = [{ agents = { track = 'nobody' }, times = 'all' }]", "has no observed state"),
         ("behavior = 'drift'\nstrengths = [1.0]\nobserve = 'windowed'", "an observe that shows them"),
-        (
-            "classifier_free = { extra = [], weights = [1.0] }",
-            "classifier_free.extra has no rule that observes anything",
-        ),
+        ("classifier_free = { extra = [], weights = [1.0] }", "classifier_free.extra has no rule that observes states"),
         ("classifier_free = { extra = [{ agents = 'all', times = 'goal' }], goal_std_m = -1.0 }", "goal_std_m is -1"),
         ("edit = { tau = -1.0 }", "edit.tau is -1"),
         ("edit = { tau = 100.0 }", "at most the denoiser's largest noise level 80"),

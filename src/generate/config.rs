@@ -22,13 +22,14 @@ pub struct GenerateConfig {
     pub splits: Vec<Split>,
     /// Places whose scenes are continued; empty means all.
     pub places: Vec<String>,
-    /// How noise becomes a sample, where a sweep does not say it itself.
+    /// The sampler of sweeps without one of their own.
     pub sampler: SamplerConfig,
     /// How strongly samples are kept apart and on the road while they are denoised (the objectives `no_collision`,
-    /// `stay_on_road` and `slip_limit`), where a sweep does not say it itself; 0: not at all, as in the paper. It costs no evaluations of the network.
+    /// `stay_on_road` and `slip_limit`), for sweeps without one of their own; 0: not at all, as in the paper. It costs
+    /// no evaluations of the network.
     #[schemars(range(min = 0.0, max = 1e6))]
     pub validity_strength: f64,
-    /// Samples that are denoised together. Memory grows with it; of the results only the last digits can change with it.
+    /// Samples that are denoised together. Memory grows with it; results depend on it in the last digits only.
     #[schemars(range(min = 1, max = 10_000))]
     pub batch_size: usize,
     /// Scenes of a shard, the unit in which generation is resumed.
@@ -38,10 +39,10 @@ pub struct GenerateConfig {
     pub seed: u64,
     /// The sweeps, generated in order.
     pub sweeps: Vec<SweepConfig>,
-    /// Ways of sampling that requests may try: settings of sweeps without behavior, `n_scenes`, `pairs` and `select`, which
-    /// the request decides.
+    /// Ways of sampling that requests may try: settings of sweeps, without `behavior`, `n_scenes`, `pairs` and
+    /// `select`, which the request decides.
     pub arms: Vec<ArmConfig>,
-    /// Events that are asked for by their parameters, after the sweeps.
+    /// Events requested by their parameters, generated after the sweeps.
     pub requests: Vec<RequestConfig>,
 }
 
@@ -62,24 +63,24 @@ impl Default for GenerateConfig {
     }
 }
 
-/// Which agents of a scene are asked for a behavior of two agents, in the behavior's order of roles (for a cut-in: who is
-/// cut off, who cuts in).
+/// Which pairs of a scene are requested to show a behavior of two agents, in the behavior's order of roles (for a
+/// cut-in: the vehicle that is cut off, then the one that cuts in).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PairSelectionConfig {
-    /// Pairs of each scene that are asked, one at a time.
+    /// Number of pairs per scene, one at a time.
     #[schemars(range(min = 1, max = 10_000))]
     pub per_scene: usize,
     /// Their largest distance at present, meters.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_distance_m: f64,
-    /// Whether pairs are left out that cannot show the behavior, as far as their past and the limits of driving tell. The recorded
-    /// future is never looked at.
+    /// Whether to skip pairs that cannot show the behavior, given their past and the limits of driving. The recorded
+    /// future is never used.
     pub only_feasible: bool,
-    /// Which of the possible pairs are asked first.
+    /// Which of the possible pairs come first.
     pub ranking: PairRanking,
-    /// Number of scenes to rank, of which those with the best pairs are taken. Left out: the first scenes, in random
-    /// order, that have a possible pair at all.
+    /// Number of scenes to rank; those with the best pairs are used. Left out: the first scenes, in random order, that
+    /// have a possible pair.
     #[schemars(range(min = 1))]
     pub n_scenes_ranked: Option<usize>,
 }
@@ -96,14 +97,15 @@ impl Default for PairSelectionConfig {
     }
 }
 
-/// Which of the possible pairs of a scene are asked first.
+/// Which of the possible pairs of a scene come first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PairRanking {
-    /// Those for which the classifier finds the behavior likeliest from their history; without a classifier those that can show it most easily.
+    /// Those with the highest probability by the classifier, from their history; without a classifier, those that can
+    /// show the behavior with the least effort.
     #[default]
     Classifier,
-    /// Those that can show it most easily, as far as the limits of driving tell; where these say nothing, the closest.
+    /// Those that can show it with the least effort, by the limits of driving; if that is undefined, the closest.
     Effort,
 }
 

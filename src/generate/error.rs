@@ -13,7 +13,7 @@ pub enum Error {
     #[error("{0}")]
     Config(String),
     /// A sweep is guided toward a behavior without a classifier.
-    #[error("sweep {sweep}: there is no classifier of {behavior}; train one, or use the strength 0 alone")]
+    #[error("sweep {sweep}: there is no classifier for {behavior}; train one, or set strengths = [0.0]")]
     NoClassifier {
         /// The sweep.
         sweep: String,
@@ -21,7 +21,7 @@ pub enum Error {
         behavior: String,
     },
     /// A classifier does not belong to the denoiser.
-    #[error("the classifier of {behavior} was trained with another {what} than the denoiser; train it again")]
+    #[error("the classifier for {behavior} was trained with a different {what} than the denoiser; retrain it")]
     Mismatch {
         /// The behavior.
         behavior: String,
@@ -30,7 +30,7 @@ pub enum Error {
     },
     /// A scene is not of the kind that the denoiser was trained on.
     #[error(
-        "scene {scene_id} has {found} timesteps, the denoiser was trained on {expected}; ingest the scenes with the same lengths"
+        "scene {scene_id} has {found} timesteps, but the denoiser was trained on {expected}; ingest scenes of that length"
     )]
     SceneShape {
         /// The scene.
@@ -41,7 +41,7 @@ pub enum Error {
         expected: String,
     },
     /// No scene fits the configuration.
-    #[error("sweep {sweep}: no scene fits; {n_considered} scenes are of the chosen splits and places{hint}")]
+    #[error("sweep {sweep}: none of the {n_considered} scenes in the chosen splits and places is suitable{hint}")]
     NoScenes {
         /// The sweep.
         sweep: String,
@@ -52,8 +52,8 @@ pub enum Error {
     },
     /// Nothing that a request asks for can happen.
     #[error(
-        "request {request}: none of {n_pairs} pairs in {n_scenes} scenes can fall into any of its buckets, told from their past and the \
-         limits of driving; widen buckets or where, choose other splits or places, or set pairs.only_feasible = false"
+        "request {request}: none of {n_pairs} pairs in {n_scenes} scenes can reach any of its buckets, given their past and the limits of \
+         driving; widen buckets or where, choose other splits or places, or set pairs.only_feasible = false"
     )]
     Infeasible {
         /// The request.
@@ -64,7 +64,7 @@ pub enum Error {
         n_pairs: usize,
     },
     /// A scene could not be loaded.
-    #[error("scene {scene_id} could not be loaded")]
+    #[error("cannot load scene {scene_id}")]
     Scene {
         /// The scene.
         scene_id: SceneId,
@@ -72,7 +72,7 @@ pub enum Error {
         source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// A scene does not hold what the plan says.
-    #[error("scene {scene_id} is not the one that was planned with ({detail}); plan again")]
+    #[error("scene {scene_id} has changed since the plan was made ({detail}); plan again")]
     Stale {
         /// The scene.
         scene_id: SceneId,

@@ -71,7 +71,7 @@ impl<'a> Generator<'a> {
     /// The denoiser that a sweep samples from.
     ///
     /// # Errors
-    /// When the distilled one is asked for and there is none.
+    /// When the distilled denoiser is needed and there is none.
     pub(super) fn denoiser(&self, sweep: &ResolvedSweep) -> Result<&'a TrainedDenoiser, Error> {
         match (sweep.uses_distilled(), self.models.distilled) {
             (false, _) => Ok(self.models.denoiser),
@@ -128,7 +128,7 @@ impl<'a> Generator<'a> {
             && same_scales(&own.normalizer, &spec.normalizer);
         if !is_alike {
             return Err(Error::Config(format!(
-                "sweep {}: the distilled denoiser has other scales or timesteps than the denoiser; distill it again from this one",
+                "sweep {}: the distilled denoiser has different scales or timesteps than the denoiser; distill this denoiser again",
                 sweep.name
             )));
         }
@@ -139,7 +139,7 @@ impl<'a> Generator<'a> {
             }
             (false, None) => Ok(()),
             (false, Some(_)) => Err(Error::Config(format!(
-                "sweep {}: the denoiser is a distilled one; give it as train.distill.checkpoint, and the sweep model = \"distilled\"",
+                "sweep {}: the denoiser is distilled; pass it as train.distill.checkpoint, and set the sweep's model = \"distilled\"",
                 sweep.name
             ))),
         }
@@ -156,7 +156,7 @@ impl<'a> Generator<'a> {
         let levels = sampler.schedule(edm, sampler.sigma_start(edm));
         match levels.len() == sampler.n_steps() + 1 && levels[0] <= sigma_max {
             true => Ok(()),
-            false => Err(format!("the sampler begins or goes on above the denoiser's largest noise level {sigma_max}")),
+            false => Err(format!("the sampler uses noise levels above the denoiser's largest, {sigma_max}")),
         }
     }
 

@@ -1,4 +1,4 @@
-//! How does a batch's denoiser come to lean toward what its sweep wishes? Classifier and objectives, one around the other.
+//! How is a batch's denoiser guided as its sweep says? By the classifier and the objectives, nested.
 
 use super::pairs::{possible_pairs, slots};
 use super::{
@@ -109,7 +109,7 @@ impl<'g> Generator<'g> {
     }
 
     /// What guides samples of this level: `none`, or the classifier and the objectives in order, such as
-    /// `classifier:cut_in+no_collision`; `classifier_any_pair:cut_in` where nobody in particular is asked; and `classifier_free`
+    /// `classifier:cut_in+no_collision`; `classifier_any_pair:cut_in` where no pair is requested; and `classifier_free`
     /// where samples lean toward states.
     pub(super) fn guidance_kind(&self, sweep: &ResolvedSweep, diffusion: &Diffusion, level: GuidanceLevel) -> String {
         let scope = if sweep.asks_anybody() { "classifier_any_pair" } else { "classifier" };

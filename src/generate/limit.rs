@@ -8,8 +8,8 @@ use std::fmt;
 
 /// A limit of a metric or objective. Its ends are included.
 ///
-/// A plain number is the worst value that is kept, for what has a better direction: the most of what less is better of
-/// (`collision_rate = 0.0`), the least of what more is better of (`validity_rate = 1.0`). A value that is not defined keeps it.
+/// A plain number is the worst value to keep, for metrics with a direction: the maximum if lower is better
+/// (`collision_rate = 0.0`), the minimum if higher is better (`validity_rate = 1.0`). An undefined value meets it.
 ///
 /// A range says its sides itself and serves every metric, also those of which neither more nor less is better, such as times
 /// to collision: `[1.0, 2.5]`, `{ at_least = 1.0 }` or `{ at_most = 2.5 }`. A value that is not defined, such as the time to a collision to
@@ -17,9 +17,9 @@ use std::fmt;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Limit {
-    /// The worst value that is kept.
+    /// The worst value to keep.
     Worst(f64),
-    /// The least and the largest value that are kept.
+    /// The least and the largest value to keep.
     Between([f64; 2]),
     /// The least value, the largest one, or both.
     Range(LimitRange),
@@ -29,10 +29,10 @@ pub enum Limit {
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LimitRange {
-    /// The least value that is kept.
+    /// The least value to keep.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_least: Option<f64>,
-    /// The largest value that is kept.
+    /// The largest value to keep.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_most: Option<f64>,
 }
@@ -44,7 +44,7 @@ impl Limit {
             Self::Worst(value) if value.is_nan() => return Err(format!("is {value}, expected a number")),
             Self::Worst(value) if !has_direction => {
                 return Err(format!(
-                    "is {value}, but neither more nor less of it is better: say the side, as in {{ at_most = {value:?} }}, \
+                    "is {value}, but neither direction is better; give a side, as in {{ at_most = {value:?} }}, \
                      {{ at_least = {value:?} }} or [least, largest]"
                 ));
             }
@@ -53,12 +53,10 @@ impl Limit {
             Self::Range(range) => *range,
         };
         match (range.at_least, range.at_most) {
-            (None, None) => Err("is an empty range: say at_least, at_most or both".to_owned()),
-            (Some(least), Some(most)) if least > most => {
-                Err(format!("asks for at least {least} and at most {most}, which nothing is"))
-            }
+            (None, None) => Err("is an empty range; set at_least, at_most or both".to_owned()),
+            (Some(least), Some(most)) if least > most => Err(format!("is empty: at least {least} and at most {most}")),
             (least, most) if least.into_iter().chain(most).any(f64::is_nan) => {
-                Err("has an end that is no number".to_owned())
+                Err("has an end that is not a number".to_owned())
             }
             _ => Ok(()),
         }
@@ -119,7 +117,7 @@ impl<'de> Visitor<'de> for LimitVisitor {
         let ends: Vec<f64> = Vec::deserialize(SeqAccessDeserializer::new(seq))?;
         match ends.as_slice() {
             [least, most] => Ok(Limit::Between([*least, *most])),
-            _ => Err(A::Error::custom(format!("a range has two ends, [least, largest], and not {}", ends.len()))),
+            _ => Err(A::Error::custom(format!("expected a range of two ends, [least, largest], found {}", ends.len()))),
         }
     }
 
@@ -168,9 +166,9 @@ mod tests {
         for (toml, has_direction, what) in [
             ("nan", true, "expected a number"),
             ("2", false, "{ at_most = 2.0 }"),
-            ("[3, 2]", false, "at least 3 and at most 2"),
+            ("[3, 2]", false, "empty: at least 3 and at most 2"),
             ("{}", false, "empty range"),
-            ("{ at_most = nan }", true, "no number"),
+            ("{ at_most = nan }", true, "not a number"),
         ] {
             let why = limit(toml).validate(has_direction).unwrap_err();
             assert!(why.contains(what), "{toml}: {why}");

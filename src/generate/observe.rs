@@ -1,6 +1,6 @@
 //! Which states of a scene are given to the denoiser? A training task by name, or a mask that is written as rules.
 
-use crate::scene::{AgentRef, ObservationMask, Scene, TrackId};
+use crate::scene::{AgentRef, ObservationMask, Roles, Scene};
 use crate::seed::Seed;
 use crate::settings::{self, Issue};
 use crate::tensor::MaskTask;
@@ -18,17 +18,17 @@ use serde::{Deserialize as DeserializeDerive, Serialize};
 pub enum ObserveConfig {
     /// One of the seven tasks that the denoiser is trained on.
     Task(MaskTask),
-    /// A mask. What no rule mentions is not observed; agents that are never observed are left out of what the denoiser sees.
+    /// A mask. States without a rule are not observed; agents that are never observed are hidden from the denoiser.
     Mask(Vec<MaskRule>),
 }
 
-/// States that are observed, or hidden after all.
+/// A rule that observes states, or hides them again.
 #[derive(Debug, Clone, PartialEq, Serialize, DeserializeDerive, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MaskRule {
-    /// Whose states.
+    /// The agents.
     pub agents: AgentChoice,
-    /// Their states at which times.
+    /// The times.
     pub times: TimeChoice,
     /// Whether the states are hidden instead, though an earlier rule observes them.
     #[serde(default)]
@@ -41,13 +41,13 @@ pub struct MaskRule {
 pub enum AgentChoice {
     /// Every agent.
     All,
-    /// The agent at the center: who has the first role of the behavior that is asked for, else the scene's ego agent.
+    /// The agent at the center: the one with the first role of the requested behavior, else the scene's ego agent.
     Ego,
-    /// The agent who has this role of the behavior that is asked for.
+    /// The agent with this role in the requested behavior.
     Role(String),
-    /// The agent whose track the recording calls so.
+    /// The agent with this track id in the recording.
     Track(String),
-    /// So many agents, drawn from those that are tracked at all of the rule's times; all of them where there are fewer.
+    /// This many agents, drawn from those tracked at all of the rule's times; all of them if there are fewer.
     NRandom(usize),
 }
 
@@ -76,7 +76,7 @@ pub struct TimestepRange {
     /// The first timestep.
     #[serde(default)]
     pub from: usize,
-    /// The first timestep that is not meant any more; left out: the end of the scene.
+    /// The end, exclusive; left out: the end of the scene.
     #[serde(default)]
     pub to: Option<usize>,
     /// The distance of neighboring timesteps.
@@ -85,7 +85,7 @@ pub struct TimestepRange {
     pub every: usize,
 }
 
-/// The timesteps between two times, both included.
+/// The timesteps between two times, inclusive.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, DeserializeDerive, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SecondRange {
@@ -99,14 +99,14 @@ const fn one() -> usize {
     1
 }
 
-/// A scene in which something is asked of somebody.
+/// A scene with requested agents.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Subject<'a> {
     pub(super) scene: &'a Scene,
     /// The agent at the center.
     pub(super) ego_idx: usize,
-    /// The roles of the behavior that is asked for.
-    pub(super) roles: &'a [(String, TrackId)],
+    /// The roles of the requested behavior.
+    pub(super) roles: &'a Roles,
 }
 
 impl Default for ObserveConfig {
@@ -164,7 +164,7 @@ impl ObserveConfig {
                 ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history)
             }
             Self::Task(task) if !scene.has_future() => {
-                return Err(format!("has no recorded future, of which the task {} shows parts", task.name()));
+                return Err(format!("has no recorded future, which the task {} needs", task.name()));
             }
             Self::Task(task) => task.sample(scene, subject.ego_idx, &mut seed.derive("task", &[]).rng()),
             Self::Mask(rules) => rule_mask(rules, subject, seed),
@@ -174,7 +174,7 @@ impl ObserveConfig {
         };
         match (0..scene.tracks.len()).any(|agent| (0..scene.n_timesteps).any(|timestep| is_given(agent, timestep))) {
             true => Ok(mask),
-            false => Err("has no state that the mask observes".into()),
+            false => Err("has no observed state".into()),
         }
     }
 }
@@ -182,13 +182,13 @@ impl ObserveConfig {
 /// Refuses rules under the key `key` that observe nothing, or of which one cannot work where the behavior has these roles.
 pub(super) fn validate_rules(key: &str, rules: &[MaskRule], roles: &[&str]) -> settings::Result {
     if rules.iter().all(|rule| rule.hide) {
-        return Err(Issue::new(key, "has no rule that observes anything: add one without hide"));
+        return Err(Issue::new(key, "has no rule that observes states; add one without hide"));
     }
     for (i, rule) in rules.iter().enumerate() {
         let refuse = |part: &str, why: String| Err(Issue::new(format!("{key}.{i}.{part}"), why));
         match (&rule.agents, &rule.times) {
             (AgentChoice::Role(role), _) if !roles.contains(&role.as_str()) => {
-                let known = if roles.is_empty() { "no behavior is asked for".into() } else { roles.join(", ") };
+                let known = if roles.is_empty() { "no behavior is requested".into() } else { roles.join(", ") };
                 return refuse("agents.role", format!("is \"{role}\", expected a role of the behavior ({known})"));
             }
             (AgentChoice::NRandom(0), _) => return refuse("agents.n_random", "is 0, expected at least 1".to_owned()),
@@ -285,7 +285,7 @@ mod tests {
 
     fn observed(toml: &str, seed: u64) -> Vec<Vec<usize>> {
         let scene = three();
-        let roles = [("other".to_owned(), TrackId::from("2"))];
+        let roles = Roles::from([("other", "2")]);
         let mask = parse(toml).mask(&Subject { scene: &scene, ego_idx: 1, roles: &roles }, Seed(seed)).unwrap();
         (0..3).map(|agent| (0..12).filter(|t| mask.is_observed(agent, *t)).collect()).collect()
     }
@@ -356,9 +356,9 @@ mod tests {
     #[test]
     fn a_scene_that_shows_nothing_is_refused() {
         let scene = three();
-        let subject = Subject { scene: &scene, ego_idx: 0, roles: &[] };
+        let subject = Subject { scene: &scene, ego_idx: 0, roles: Roles::none() };
         let nobody = parse("[{ agents = { track = '77' }, times = 'all' }]");
-        assert!(nobody.mask(&subject, Seed(0)).unwrap_err().contains("no state"));
+        assert!(nobody.mask(&subject, Seed(0)).unwrap_err().contains("no observed state"));
         let history_only = Scene { n_timesteps: 4, ..scene.clone() };
         let subject = Subject { scene: &history_only, ..subject };
         assert!(parse("'windowed'").mask(&subject, Seed(0)).unwrap_err().contains("no recorded future"));

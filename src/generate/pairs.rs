@@ -4,7 +4,7 @@ use super::{Error, Generator, PairRanking, ResolvedSweep};
 use crate::behavior::{Behavior, Outcome};
 use crate::diffusion::NoiseSource;
 use crate::model::TrainedClassifier;
-use crate::scene::{ObservationMask, Scene, TrackId};
+use crate::scene::{ObservationMask, Roles, Scene};
 use crate::seed::Seed;
 use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
@@ -17,13 +17,13 @@ const FAR_M: f64 = 1e4;
 /// Noise draws that a rank is averaged over.
 const N_RANKING_DRAWS: u64 = 8;
 
-/// A pair that may be asked for a behavior.
+/// A pair that may be requested to show a behavior.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct CandidatePair {
     /// Its agents in the behavior's order of roles; the same one twice for behaviors of a single agent.
     pub(super) agents: (usize, usize),
     /// The roles with their tracks.
-    pub(super) roles: Vec<(String, TrackId)>,
+    pub(super) roles: Roles,
     /// How well it is suited; higher is better.
     pub(super) score: f64,
     /// What it could come to.
@@ -31,7 +31,7 @@ pub(super) struct CandidatePair {
 }
 
 impl Generator<'_> {
-    /// The pairs of `scene` that may be asked for `behavior`, best first.
+    /// The pairs of `scene` that may be requested to show `behavior`, best first.
     pub(super) fn candidates(
         &self,
         sweep: &ResolvedSweep,
@@ -86,8 +86,8 @@ impl Generator<'_> {
     }
 }
 
-/// Agents of the classes that the behavior admits, tracked over the whole history, near each other, who can still show the behavior as far as the past tells.
-/// Scored by how easily they can; where that says nothing, by their distance.
+/// Agents of the classes that the behavior admits, tracked over the whole history, near each other, that can still show
+/// the behavior, given their past. Scored by how easily they can; where that says nothing, by their distance.
 pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
     let eligible: Vec<usize> = (0..scene.tracks.len())
         .filter(|agent_idx| {
@@ -121,7 +121,7 @@ pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, sce
 pub(super) fn slots(batch: &SceneBatch, agents: &[(usize, usize)]) -> Result<Vec<(usize, usize)>, Error> {
     let slot = |row: usize, agent_idx: usize| {
         let detail =
-            || Error::Config(format!("agent {agent_idx} is not among those nearest to its partner; plan again"));
+            || Error::Config(format!("agent {agent_idx} is no longer among those nearest to its partner; plan again"));
         batch.frames[row].slot(agent_idx).ok_or_else(detail)
     };
     agents.iter().enumerate().map(|(row, pair)| Ok((slot(row, pair.0)?, slot(row, pair.1)?))).collect()

@@ -4,7 +4,7 @@ use super::pairs::{CandidatePair, order_seed};
 use super::{Error, Generator, ResolvedGeneration, ResolvedSweep};
 use crate::behavior::Behavior;
 use crate::guidance::Target;
-use crate::scene::{SceneId, Split, TrackId};
+use crate::scene::{Roles, SceneId, Split};
 use crate::store::SceneIndexEntry;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub struct Plan {
     /// The shards; those of a sweep follow each other.
     pub shards: Vec<ShardPlan>,
-    /// Sweeps for which there were fewer scenes than asked for.
+    /// Sweeps with fewer suitable scenes than requested.
     pub shortfalls: Vec<Shortfall>,
 }
 
@@ -33,23 +33,22 @@ pub struct ShardPlan {
     pub first_sample: usize,
 }
 
-/// A scene and who is asked for the behavior in it.
+/// A scene and its requested agents.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
     /// Index of the scene in the store.
     pub scene_idx: usize,
     /// The scene.
     pub scene_id: SceneId,
-    /// Roles and their tracks; none when no behavior is asked for, or nobody in particular. They are the same at strength 0.
-    pub roles: Vec<(String, TrackId)>,
-    /// What the events of its samples are asked to be like: of one after the other, and then the first again; empty where nothing in
-    /// particular is.
+    /// The requested agents; none if no behavior or no particular pair is requested. The same at strength 0.
+    pub roles: Roles,
+    /// The targets of its samples' events: one after the other, then the first again. Empty if nothing in particular is requested.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub targets: Vec<Target>,
 }
 
 impl Cell {
-    /// What the event of this sample is asked to be like.
+    /// The target of this sample's event.
     pub(super) fn target(&self, sample_idx: usize) -> Target {
         let n_targets = self.targets.len().max(1);
         self.targets.get(sample_idx % n_targets).cloned().unwrap_or_default()
@@ -61,7 +60,7 @@ impl Cell {
 pub struct Shortfall {
     /// Name of the sweep.
     pub sweep: String,
-    /// Scenes asked for.
+    /// Scenes requested.
     pub n_wanted: usize,
     /// Scenes found.
     pub n_found: usize,
@@ -113,12 +112,12 @@ impl Generator<'_> {
         for (sweep_idx, sweep) in self.config.sweeps.iter().enumerate().take(n_sweeps) {
             let scenes = match self.behavior(sweep) {
                 Some(behavior) => self.scenes_with_pairs(sweep, behavior, &order)?,
-                None => order.iter().take(sweep.n_scenes).map(|scene| vec![scene.cell(Vec::new())]).collect(),
+                None => order.iter().take(sweep.n_scenes).map(|scene| vec![scene.cell(Roles::default())]).collect(),
             };
             if scenes.is_empty() {
                 let hint = match order.is_empty() {
                     true => "; choose other generate.splits or generate.places",
-                    false => ", but none has a pair of agents to ask; raise pairs.max_distance_m",
+                    false => ", but none has a suitable pair of agents; raise pairs.max_distance_m",
                 };
                 return Err(Error::NoScenes { sweep: sweep.name.clone(), n_considered: order.len(), hint });
             }
@@ -214,7 +213,7 @@ impl Generator<'_> {
         let Some(CandidatePair { score, .. }) = candidates.first() else { return Ok(None) };
         let score = *score;
         if sweep.asks_anybody() {
-            return Ok(Some(RankedScene { score, cells: vec![listed.cell(Vec::new())] }));
+            return Ok(Some(RankedScene { score, cells: vec![listed.cell(Roles::default())] }));
         }
         let asked = candidates.into_iter().take(sweep.pairs.per_scene);
         let cells = asked.map(|pair| {
@@ -233,7 +232,7 @@ struct ListedScene<'a> {
 }
 
 impl ListedScene<'_> {
-    fn cell(&self, roles: Vec<(String, TrackId)>) -> Cell {
+    fn cell(&self, roles: Roles) -> Cell {
         Cell { scene_idx: self.scene_idx, scene_id: self.id.clone(), roles, targets: Vec::new() }
     }
 }

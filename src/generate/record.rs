@@ -5,7 +5,7 @@ use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scen
 use crate::store::{ScenarioRecord, as_stored};
 
 impl Generator<'_> {
-    /// The scenario that a sample of a cell is, checked for the behavior that was asked for.
+    /// The scenario of a sample of a cell, checked for the requested behavior.
     pub(super) fn record(
         &self,
         sweep: &ResolvedSweep,
@@ -89,7 +89,7 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
     ] {
         add(part);
     }
-    for (role, track) in &guidance.roles {
+    for (role, track) in guidance.roles.iter() {
         add(role);
         add(&track.0);
     }

@@ -34,7 +34,7 @@ impl Generator<'_> {
     /// round differently from those of many, so that the samples it was denoised with are denoised again. What a selection
     /// compares with samples of other batches is not decided again: a sample that was kept is kept.
     ///
-    /// `None` when the shard has no such sample, or it came to nothing.
+    /// `None` if the shard has no such sample, or the sample gave no scenario.
     ///
     /// # Errors
     /// As [`Generator::generate`].

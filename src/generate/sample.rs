@@ -8,7 +8,7 @@ use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::nn::in_pool;
 use crate::progress::Progress;
-use crate::scene::{GuidanceLevel, Scene, SceneId, TrackId};
+use crate::scene::{GuidanceLevel, Roles, Scene, SceneId};
 use crate::seed::Seed;
 use crate::store::ScenarioRecord;
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
@@ -17,12 +17,12 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// What a shard came to.
+/// The results of a shard.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ShardOutput {
     /// The scenarios: cell by cell, within a cell strength by strength, within a strength by sample.
     pub records: Vec<ScenarioRecord>,
-    /// Samples that came to nothing.
+    /// Samples without a scenario.
     pub rejected: Vec<RejectedSample>,
     /// Number of samples that the sweep's selection left out, by reason.
     pub unselected: BTreeMap<String, u64>,
@@ -54,7 +54,7 @@ struct Batch<'a> {
     level: GuidanceLevel,
 }
 
-/// What came of one sample.
+/// The result of one sample.
 #[derive(Debug, Clone)]
 struct Draw {
     scene: Scene,
@@ -243,7 +243,7 @@ impl Generator<'_> {
             .collect();
         let extended = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
         match config.mask_velocity {
-            true => without_wanted_velocities(extended, &base.repeated(batch.samples.len())?),
+            true => without_wanted_velocities(&extended, &base.repeated(batch.samples.len())?),
             false => Ok(extended),
         }
     }
@@ -277,7 +277,7 @@ impl Generator<'_> {
     fn select(
         &self,
         sweep: &ResolvedSweep,
-        (recorded, asked): (&Scene, &[(String, TrackId)]),
+        (recorded, asked): (&Scene, &Roles),
         sampled: Vec<Sampled>,
         unselected: &mut BTreeMap<String, u64>,
     ) -> Vec<Sampled> {
@@ -312,13 +312,13 @@ fn sample_seed(scene_seed: Seed, sample_idx: usize) -> Seed {
     scene_seed.derive("sample", &[sample_idx as u64])
 }
 
-/// The agents that a cell asks, as tracks of its scene; the scene's ego agent twice where it asks nobody. The first is at
-/// the center of what the denoiser sees, as in the classifier's training.
+/// The requested agents of a cell, as tracks of its scene; the scene's ego agent twice if there are none. The first is
+/// at the center of what the denoiser sees, as in the classifier's training.
 fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
     let mut indices = cell.roles.iter().map(|(role, track)| {
         scene.track_idx(track).ok_or_else(|| Error::Stale {
             scene_id: cell.scene_id.clone(),
-            detail: format!("it has no track {track} for the role {role}"),
+            detail: format!("track {track}, the {role}, is missing"),
         })
     });
     match (indices.next().transpose()?, indices.next().transpose()?) {

@@ -2,13 +2,13 @@
 
 use super::Limit;
 use crate::metrics::{ALL, Direction, MetricSettings, SampleGroup, by_id};
-use crate::scene::{Scene, TrackId};
+use crate::scene::{Roles, Scene};
 use crate::settings::{Issue, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Which samples of a scene at one strength become scenarios.
+/// Which samples of a scene at one strength to keep as scenarios.
 ///
 /// Samples are judged by metrics of the evaluation, each sample on its own, or by the sweep's objectives: by one of them,
 /// under the name of its kind such as `no_collision` (of several of a kind the sum), or by the sum of all, `objectives`. The
@@ -22,7 +22,7 @@ pub struct SelectConfig {
     /// comes that close to one, `{ pair_min_distance_m = { at_least = 1.0 } }` what stays that far apart.
     #[serde(default)]
     pub limits: BTreeMap<String, Limit>,
-    /// How many are kept of those within the limits: the best. Left out: all.
+    /// How many of those within the limits to keep: the best. Left out: all.
     #[serde(default)]
     #[schemars(range(min = 1))]
     pub best: Option<usize>,
@@ -44,8 +44,8 @@ pub(super) struct Candidate<'a> {
     pub(super) scene: &'a Scene,
     /// The value of each objective of the sweep, with its kind.
     pub(super) objectives: &'a [(&'static str, f64)],
-    /// Who was asked to show something, as (role, track).
-    pub(super) asked: &'a [(String, TrackId)],
+    /// The requested agents.
+    pub(super) asked: &'a Roles,
 }
 
 impl Candidate<'_> {
@@ -81,8 +81,8 @@ impl SelectConfig {
         self.limits.keys().chain(&self.by)
     }
 
-    /// Refuses what cannot judge samples of a sweep with objectives of these kinds. `asks_pairs` tells whether two agents are
-    /// asked for something, whom metrics of the pair look at.
+    /// Rejects metrics and objectives that cannot judge samples of a sweep with objectives of these kinds. `asks_pairs`
+    /// says whether a pair is requested, which metrics of pairs need.
     ///
     /// # Errors
     /// Names the key.
@@ -100,15 +100,15 @@ impl SelectConfig {
                 };
                 return Err(Issue::new(
                     key,
-                    format_args!("is no metric ({id}); known here: {}; {own}", known.join(", ")),
+                    format_args!("is not a metric ({id}); known here: {}; {own}", known.join(", ")),
                 ));
             }
             if id.starts_with(PAIR_PREFIX) && !asks_pairs {
                 return Err(Issue::new(
                     key,
                     format_args!(
-                        "({id}) is about the two agents that are asked for a behavior, and here no two are: ask for one of two \
-                         agents, such as behavior = \"cut_in\", or take a metric of the whole scene"
+                        "({id}) needs a requested pair, which this sweep does not have; request a behavior of two agents, such \
+                         as behavior = \"cut_in\", or use a metric of the whole scene"
                     ),
                 ));
             }
@@ -131,9 +131,9 @@ impl SelectConfig {
                 "best",
                 format_args!("is {n}, but needs metrics or objectives to compare by, such as by = [\"offroad_rate\"]"),
             )),
-            (None, false) => Err(Issue::new("by", "compares samples for nothing: say how many are kept (best)")),
+            (None, false) => Err(Issue::new("by", "has no effect without best, the number of samples to keep")),
             (None, true) if self.limits.is_empty() => {
-                Err(Issue::new("best", "is missing, and so are limits: give one"))
+                Err(Issue::new("best", "is missing, and so is limits; set one of them"))
             }
             _ => Ok(()),
         }
@@ -192,7 +192,7 @@ mod tests {
     }
 
     fn candidates(samples: &[Scene]) -> Vec<Candidate<'_>> {
-        samples.iter().map(|scene| Candidate { scene, objectives: &[], asked: &[] }).collect()
+        samples.iter().map(|scene| Candidate { scene, objectives: &[], asked: Roles::none() }).collect()
     }
 
     fn select(toml: &str) -> SelectConfig {
@@ -244,8 +244,7 @@ mod tests {
             ])
         };
         let scenes = [6.0, 8.0, 10.0].map(at);
-        let asked = ["ego", "other"].map(str::to_owned).into_iter().zip([TrackId::from("1"), TrackId::from("2")]);
-        let asked: Vec<(String, TrackId)> = asked.collect();
+        let asked = Roles::from([("ego", "1"), ("other", "2")]);
         let recorded = at(10.0);
         let samples: Vec<Candidate<'_>> =
             scenes.iter().map(|scene| Candidate { scene, objectives: &[], asked: &asked }).collect();
@@ -288,8 +287,11 @@ mod tests {
             &[("goal", 0.0), ("no_collision", -9.0), ("goal", 0.0)],
             &[("goal", -0.2), ("no_collision", -2.0), ("goal", -0.2)],
         ];
-        let samples: Vec<Candidate<'_>> =
-            scenes.iter().zip(values).map(|(scene, objectives)| Candidate { scene, objectives, asked: &[] }).collect();
+        let samples: Vec<Candidate<'_>> = scenes
+            .iter()
+            .zip(values)
+            .map(|(scene, objectives)| Candidate { scene, objectives, asked: Roles::none() })
+            .collect();
         let kept = |toml: &str| -> Vec<usize> {
             let verdicts = select(toml).verdicts(&recorded, &samples, &MetricSettings::default());
             (0..4).filter(|i| verdicts[*i].is_none()).collect()
@@ -304,11 +306,11 @@ mod tests {
     fn nonsense_is_named() {
         for (toml, what) in [
             ("best = 2", "best is 2, but needs metrics"),
-            ("by = ['min_ade_m']", "how many"),
-            ("", "best is missing, and so are limits"),
-            ("limits = { min_aed_m = 1.0 }", "limits.min_aed_m is no metric"),
-            ("limits = { mfd_m = 1.0 }", "limits.mfd_m is 1, but neither more nor less of it is better"),
-            ("limits = { pair_min_ttc_s = [3, 2] }", "limits.pair_min_ttc_s asks for at least 3"),
+            ("by = ['min_ade_m']", "number of samples to keep"),
+            ("", "best is missing, and so is limits"),
+            ("limits = { min_aed_m = 1.0 }", "limits.min_aed_m is not a metric"),
+            ("limits = { mfd_m = 1.0 }", "limits.mfd_m is 1, but neither direction is better"),
+            ("limits = { pair_min_ttc_s = [3, 2] }", "limits.pair_min_ttc_s is empty: at least 3"),
             ("best = 1\nby = ['pair_pet_s']", "by.0 is pair_pet_s, which cannot rank"),
         ] {
             let why = select(toml).validate(&[], true).unwrap_err().to_string();
@@ -317,7 +319,7 @@ mod tests {
         select("limits = { collision_rate = 0.0, mfd_m = [0, 9] }").validate(&[], true).unwrap();
         let close = select("limits = { pair_min_ttc_s = { at_most = 2 }, scene_min_ttc_s = { at_least = 0.1 } }");
         close.validate(&[], true).unwrap();
-        assert!(close.validate(&[], false).unwrap_err().message.contains("here no two are"));
+        assert!(close.validate(&[], false).unwrap_err().message.contains("needs a requested pair"));
         let by_wish = select("best = 1\nby = ['objectives']\nlimits = { goal = -1.0 }");
         by_wish.validate(&["goal"], false).unwrap();
         assert!(by_wish.names_objectives());

@@ -10,7 +10,7 @@ use crate::model::{
     BehaviorClassifierConfig, ClassifierKind, ClassifierSpec, DenoiserSpec, ModelSpec, SceneDenoiser,
     TrainedClassifier, TrainedDenoiser,
 };
-use crate::nn::Params;
+use crate::nn::{Compute, Params};
 use crate::progress::Silent;
 use crate::scene::{Dataset, Scene, Split};
 use crate::seed::Seed;
@@ -42,10 +42,10 @@ impl Behavior for Drift {
                         behavior: self.id().to_owned(),
                         scene_id: scene.id.clone(),
                         label: EventLabel::Positive,
-                        roles: vec![
-                            ("ego".to_owned(), scene.tracks[first].id.clone()),
-                            ("other".to_owned(), scene.tracks[second].id.clone()),
-                        ],
+                        roles: [("ego", first), ("other", second)]
+                            .map(|(role, agent)| (role.to_owned(), scene.tracks[agent].id.clone()))
+                            .into_iter()
+                            .collect(),
                         start_timestep: scene.n_history,
                         end_timestep: scene.n_timesteps - 1,
                         parameters: BTreeMap::new(),
@@ -65,7 +65,7 @@ impl Behavior for Drift {
 
 pub(super) fn denoiser(n_nan: usize) -> TrainedDenoiser {
     let spec: DenoiserSpec = denoiser_spec(StateParametrization::Residual);
-    let mut params = Params::new(&Device::Cpu).frozen();
+    let mut params = Params::new(&Compute::cpu()).frozen();
     let denoiser = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, Seed(1)).unwrap();
     if n_nan > 0 {
         let mut tensors = params.tensors();
@@ -95,7 +95,7 @@ pub(super) fn classifier() -> TrainedClassifier {
         seed: 0,
         events: String::new(),
     };
-    let classifier = spec.build(&mut Params::new(&Device::Cpu).frozen(), Seed(2)).unwrap();
+    let classifier = spec.build(&mut Params::new(&Compute::cpu()).frozen(), Seed(2)).unwrap();
     TrainedClassifier { network: classifier, spec, fingerprint: "classifier".to_owned() }
 }
 

@@ -174,14 +174,14 @@ fn configurations_that_make_no_sense_are_refused() {
     let sweep = |rest: &str| format!("[[sweeps]]\nname = 'a'\nn_scenes = 2\n{rest}");
     for (toml, part) in [
         (String::new(), "sweeps is empty"),
-        (sweep("strengths = [1.0]"), "strengths are guided: they need a behavior"),
+        (sweep("strengths = [1.0]"), "strengths are guided, which needs a behavior"),
         (sweep("n_samples = 0"), "n_samples is 0"),
         (sweep("behavior = 'drift'\nstrengths = [nan]"), "sweeps.0.strengths.0 is NaN"),
         (sweep(&sweep("")), "the name of another sweep"),
         (sweep("").replace("'a'", "'recorded'"), "sweeps.0.name is \"recorded\", which tables call other traffic"),
         (sweep("strenghts = [1.0]"), "strenghts"),
         (format!("batch_size = 0\n{}", sweep("")), "batch_size is 0"),
-        (sweep("model = 'distilled'"), "does not answer with a mean"),
+        (sweep("model = 'distilled'"), "expects a denoiser that predicts means"),
         (format!("sampler = {{ kind = 'consistency', levels = [] }}\n{}", sweep("")), "an ordinary denoiser"),
         (
             format!(
@@ -191,7 +191,7 @@ fn configurations_that_make_no_sense_are_refused() {
                      objective_guidance = { gradient = 'through_network' }"
                 )
             ),
-            "\"through_network\", which supposes the mean",
+            "\"through_network\", which needs a denoiser that predicts means",
         ),
     ] {
         let message = refusal(&toml);
@@ -213,7 +213,7 @@ fn models_must_fit_each_other_and_the_sweeps() {
             .map(|error| error.to_string())
     };
     assert_eq!(refusal(SWEEPS, &[classifier()]), None);
-    assert!(refusal(SWEEPS, &[]).unwrap().contains("no classifier of drift"));
+    assert!(refusal(SWEEPS, &[]).unwrap().contains("no classifier for drift"));
     assert_eq!(refusal(&SWEEPS.replace("[0.0, 3.0]", "[0.0]"), &[]), None);
     assert!(
         refusal(&SWEEPS.replace("'drift'", "'drifts'"), &[])
@@ -222,10 +222,10 @@ fn models_must_fit_each_other_and_the_sweeps() {
     );
     let sampler = "n_scenes = 5\n    sampler = { kind = 'heun', n_steps = 4, grid = { sigma_max = 400 } }";
     let beyond = SWEEPS.replace("n_scenes = 5", sampler);
-    assert!(refusal(&beyond, &[classifier()]).unwrap().contains("above the denoiser's largest noise level 80"));
+    assert!(refusal(&beyond, &[classifier()]).unwrap().contains("above the denoiser's largest, 80"));
     let mut foreign = classifier();
     foreign.spec.normalizer.lateral_unit_m *= 1.01;
-    assert!(refusal(SWEEPS, &[foreign]).unwrap().contains("another normalization"));
+    assert!(refusal(SWEEPS, &[foreign]).unwrap().contains("different normalization"));
 }
 
 #[test]
@@ -265,7 +265,7 @@ fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
     let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline: None };
     let message =
         Generator::new(&config, models, &[], &load, MetricSettings::default(), &Device::Cpu).err().unwrap().to_string();
-    assert!(message.contains("the denoiser is a distilled one"), "{message}");
+    assert!(message.contains("the denoiser is distilled"), "{message}");
 }
 
 #[test]

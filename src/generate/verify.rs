@@ -1,7 +1,7 @@
-//! Did a generated scenario do what was asked for? The miner that defined the behavior decides.
+//! Does a generated scenario show the requested behavior? The miner that defines the behavior decides.
 
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
-use crate::scene::{Scene, TrackId};
+use crate::scene::{Roles, Scene};
 
 /// What the miner says of a scenario.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -15,13 +15,8 @@ pub struct Verification {
 }
 
 /// Checks `generated`, a continuation of `recorded`, for `behavior` with the requested `roles`; without roles, of anybody.
-pub fn verify(
-    behavior: &dyn Behavior,
-    roles: &[(String, TrackId)],
-    recorded: &Scene,
-    generated: &Scene,
-) -> Verification {
-    let is_requested = |event: &BehaviorEvent| roles.is_empty() || event.roles == roles;
+pub fn verify(behavior: &dyn Behavior, roles: &Roles, recorded: &Scene, generated: &Scene) -> Verification {
+    let is_requested = |event: &BehaviorEvent| roles.is_empty() || event.roles == *roles;
     let (mut events, others): (Vec<_>, Vec<_>) =
         positive_events(behavior, generated).into_iter().partition(is_requested);
     let verified = !events.is_empty();

@@ -3,17 +3,17 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Agents by name: `all`; a role of the behavior that the sweep asks for, such as `other`; or `ego`. Where the behavior has
-/// no role of that name, `ego` is the agent around whom the scene is seen: the first role's, or the scene's ego agent where
-/// no behavior is asked for.
+/// Agents by name: `all`; a role of the requested behavior, such as `other`; or `ego`. Where the behavior has no role
+/// of that name, `ego` is the agent at the center of the scene: the one with the first role, or the scene's ego agent if no
+/// behavior is requested.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct AgentSelector(String);
 
 impl AgentSelector {
-    /// Everybody.
+    /// All agents.
     pub const ALL: &'static str = "all";
-    /// The agent around whom the scene is seen, unless a role has this name.
+    /// The agent at the center of the scene, unless a role has this name.
     pub const EGO: &'static str = "ego";
 
     /// The agents of this name.

@@ -21,9 +21,9 @@ pub trait BranchChange {
 /// state. At λ = 1 this samples exactly from the conditional distribution, as if `x_cond` had been observed; at λ = 0 from
 /// the unconditional one.
 pub struct ClassifierFreeDenoiser<'a> {
-    /// The denoiser that is told the precise observations alone.
+    /// The denoiser that sees only the precise observations.
     pub unconditional: &'a dyn Denoiser,
-    /// The denoiser that is told the wanted states as well.
+    /// The denoiser that also sees the wanted states.
     pub conditional: &'a dyn Denoiser,
     /// From the state of one to that of the other.
     pub change: &'a dyn BranchChange,

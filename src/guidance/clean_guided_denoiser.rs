@@ -1,4 +1,4 @@
-//! A denoiser whose clean estimates lean toward what is wished of clean samples, such as of decoded trajectories.
+//! A denoiser whose clean estimates are guided by potentials of clean samples, such as of decoded trajectories.
 
 use super::guided_denoiser::limit_norm;
 use super::objectives::nothing;
@@ -9,7 +9,7 @@ use candle_core::{Error, Result, Tensor, Var};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Something to be wished of clean samples.
+/// A log potential of clean samples.
 pub trait CleanPotential {
     /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`, row by row.
     ///
@@ -57,11 +57,11 @@ impl CleanPotential for ObjectiveSum<'_> {
 pub struct ObjectiveGuidanceConfig {
     /// What stands for the covariance of the clean sample given the noisy one.
     pub gradient: CleanGradient,
-    /// Whether steps are shortened where the potential is strongly curved. Without, a strong wish overshoots: steps are then
-    /// limited by `guidance.max_shift` alone.
+    /// Whether steps are shortened where the potential is strongly curved. Without it, a strong objective overshoots:
+    /// steps are then limited by `guidance.max_shift` alone.
     pub damped: bool,
-    /// Gradient steps at each evaluation of the denoiser; more of them follow wishes that bend, such as that of boxes not to
-    /// overlap, more closely.
+    /// Gradient steps at each evaluation of the denoiser; more steps follow curved objectives, such as boxes that must
+    /// not overlap, more closely.
     #[schemars(range(min = 1, max = 1_000))]
     pub inner_steps: usize,
 }
@@ -102,7 +102,7 @@ impl Default for ObjectiveGuidanceConfig {
 pub struct CleanGuidedDenoiser<'a> {
     /// The denoiser that is guided; it may be guided otherwise already.
     pub inner: &'a dyn Denoiser,
-    /// What is wished.
+    /// The potential.
     pub potential: &'a dyn CleanPotential,
     /// Strength α; 0 changes nothing.
     pub strength: f64,

@@ -13,8 +13,8 @@ pub struct GuidanceConfig {
     /// The lowest noise level at which guidance acts.
     #[schemars(range(min = 0.0))]
     pub sigma_lo: f64,
-    /// The highest noise level at which guidance acts. Classifiers see little noise above 3 in training, and are not to be
-    /// trusted there: on merging cases, gradients from up there lowered the rate of cut-ins.
+    /// The highest noise level at which guidance acts. Classifiers see little noise above 3 in training and are
+    /// unreliable there: on merging cases, gradients from up there lowered the rate of cut-ins.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub sigma_hi: f64,
     /// The largest Euclidean norm of the shift α σ² ∇ ln p of one scene's clean estimate, in diffused units (the data has

@@ -118,13 +118,13 @@ fn agent_maps(batch: &SceneBatch, agents: &Tensor) -> Result<Vec<AgentMap>> {
     let bases = of_agents(&batch.decode(&batch.x0.zeros_like()?)?)?;
     let latent = batch.latent.unsqueeze(3)?.broadcast_as(batch.x0.shape())?.contiguous()?;
     let latent = latent.reshape((n_rows * n_agents, n))?.index_select(agents, 0)?.to_vec2::<f32>()?;
-    let linear = SceneBatch { base: batch.base.zeros_like()?, ..batch.clone() };
     let mut matrices = vec![vec![vec![0.0; n]; n]; bases.len()];
     for column in 0..n {
         let mut unit = vec![0f32; n];
         unit[column] = 1.0;
         let unit = Tensor::from_vec(unit, (1, 1, n_timesteps, state_dim), batch.x0.device())?;
-        let decoded = linear.decode(&unit.to_dtype(batch.x0.dtype())?.broadcast_as(batch.x0.shape())?.contiguous()?)?;
+        let decoded =
+            batch.decode_offsets(&unit.to_dtype(batch.x0.dtype())?.broadcast_as(batch.x0.shape())?.contiguous()?)?;
         for (matrix, image) in matrices.iter_mut().zip(of_agents(&decoded)?) {
             for (row, value) in matrix.iter_mut().zip(image) {
                 row[column] = value;

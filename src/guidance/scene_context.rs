@@ -3,13 +3,13 @@
 use super::AgentSelector;
 use super::lane_ways::LaneWays;
 use super::road_corridors::RoadCorridors;
-use crate::scene::{Scene, TrackId};
+use crate::scene::{Roles, Scene};
 use crate::tensor::{RepeatedRows, SceneBatch};
 use candle_core::{DType, Result, Tensor, bail};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// What an event is asked to be like: intervals (least, most) of its parameters, by their names.
+/// The target of an event: intervals (least, most) of its parameters, by name.
 pub type Target = BTreeMap<String, [f64; 2]>;
 
 /// What a row of a batch was made of.
@@ -20,7 +20,7 @@ pub struct ContextRow<'a> {
     /// The track at the center of the row: the ego of its frame.
     pub ego_idx: usize,
     /// Roles and their tracks; every row of a batch has the same roles.
-    pub roles: &'a [(String, TrackId)],
+    pub roles: &'a Roles,
 }
 
 /// A batch as objectives see it: everything that does not change while a sample is denoised.
@@ -49,7 +49,7 @@ pub struct SceneContext {
     pub(super) ego: Vec<usize>,
     /// Places on the agent axis, one a row, by role.
     pub(super) roles: BTreeMap<String, Vec<usize>>,
-    /// What is asked of the event of each row.
+    /// The target of each row's event.
     pub(super) targets: Vec<Target>,
 }
 
@@ -89,7 +89,7 @@ impl SceneContext {
             let slot = |track_idx: Option<usize>| track_idx.and_then(|track_idx| frame.slot(track_idx));
             let Some(ego) = slot(Some(*ego_idx)) else { bail!("the ego agent of {} is not in its row", scene.id) };
             context.ego.push(ego);
-            for (role, track) in *roles {
+            for (role, track) in roles.iter() {
                 let Some(slot) = slot(scene.track_idx(track)) else {
                     bail!("track {track} of {}, the {role}, is not among the agents of its row", scene.id);
                 };

@@ -4,8 +4,8 @@ use super::testing::{N_HISTORY, N_TIMESTEPS, denoiser_spec, scene};
 use super::*;
 use crate::diffusion::{Denoiser, NoiseSource};
 use crate::model::SceneDenoiser;
-use crate::nn::Params;
-use crate::scene::{ObservationMask, Scene, TrackId};
+use crate::nn::{Compute, Params};
+use crate::scene::{ObservationMask, Roles, Scene};
 use crate::seed::Seed;
 use crate::tensor::{FutureValidity, SceneBatch, SceneView, StateParametrization};
 use candle_core::{Device, Tensor};
@@ -17,8 +17,8 @@ fn batch(scenes: &[Scene], ego_idx: usize) -> SceneBatch {
     spec.collator().collate(&views, FutureValidity::Everything, &Device::Cpu).unwrap()
 }
 
-fn roles() -> Vec<(String, TrackId)> {
-    vec![("ego".to_owned(), "behind".into()), ("other".to_owned(), "ahead".into())]
+fn roles() -> Roles {
+    Roles::from([("ego", "behind"), ("other", "ahead")])
 }
 
 #[test]
@@ -46,7 +46,7 @@ fn contexts_know_who_is_who() {
     // Nominal vehicles, and the future to be generated.
     assert_eq!(context.extent_m.get(3).unwrap().to_vec2::<f32>().unwrap()[2], [4.6, 1.9]);
     assert_eq!(context.latent.to_vec3::<f32>().unwrap()[1][2][N_HISTORY - 1..=N_HISTORY], [0.0, 1.0]);
-    let stranger = [("ego".to_owned(), TrackId("nobody".to_owned()))];
+    let stranger = Roles::from([("ego", "nobody")]);
     let row = ContextRow { scene: &scenes[0], ego_idx: 1, roles: &stranger };
     assert!(SceneContext::new(&batch, &[row, row]).unwrap_err().to_string().contains("track nobody"));
 }
@@ -63,7 +63,7 @@ impl CleanPotential for Along {
 #[test]
 fn gradients_go_through_the_network() {
     let spec = denoiser_spec(StateParametrization::Residual);
-    let mut params = Params::new(&Device::Cpu).frozen();
+    let mut params = Params::new(&Compute::cpu()).frozen();
     let network = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, Seed(1)).unwrap();
     let batch = batch(&[scene(3)], 1);
     let bound = network.bind(&batch, 1).unwrap();
@@ -95,7 +95,7 @@ fn gradients_go_through_the_network() {
 fn objectives_with_nothing_to_say_change_nothing() {
     let spec = denoiser_spec(StateParametrization::Residual);
     let network =
-        SceneDenoiser::new(&mut Params::new(&Device::Cpu).frozen(), &spec.network, 3, spec.edm, Seed(1)).unwrap();
+        SceneDenoiser::new(&mut Params::new(&Compute::cpu()).frozen(), &spec.network, 3, spec.edm, Seed(1)).unwrap();
     let (scene, roles) = (scene(3), roles());
     let batch = batch(std::slice::from_ref(&scene), 1);
     let bound = network.bind(&batch, 1).unwrap();

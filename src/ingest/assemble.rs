@@ -38,8 +38,8 @@ pub(super) fn assemble(
         reason,
         detail: format!("{}: scene {}: {detail}", raw.source.file, raw.id),
     };
-    if let Some((track, state)) = states(&raw).find(|(_, state)| !state.is_finite()) {
-        let detail = format!("track {} has a state that is not finite: {state:?}", track.id);
+    if let Some((track, _)) = states(&raw).find(|(_, state)| !state.is_finite()) {
+        let detail = format!("track {} has a state that is not finite", track.id);
         return Err(reject(&raw, "non_finite", detail));
     }
     if let Some((track, state)) = states(&raw).find(|(_, state)| !is_possible(state)) {

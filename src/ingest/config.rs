@@ -11,7 +11,7 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IngestConfig {
-    /// The dataset whose formats the inputs are in.
+    /// The dataset that the inputs belong to.
     #[schemars(schema_with = "dataset_schema")]
     pub dataset: Dataset,
     /// Folders, archives (`.zip`, `.tar`, `.tar.gz`, `.tgz`) and files (also `.gz`) to read, as downloaded.
@@ -45,8 +45,8 @@ pub struct IngestConfig {
     #[serde(default = "default_holdout_share")]
     #[schemars(range(min = 0.0, max = 1.0))]
     pub holdout_share: f64,
-    /// Argoverse 1: whether tracks, which are recorded with decimeters of noise and at uneven times, are smoothed and brought to even
-    /// times. Default true; false keeps a recorded position a timestep, as benchmarks compare with.
+    /// Argoverse 1: whether tracks, which are recorded with decimeters of noise and at uneven times, are smoothed and
+    /// resampled to even times. Default true; false keeps one recorded position per timestep, as in the benchmarks.
     #[serde(default = "default_smooth_tracks")]
     pub smooth_tracks: bool,
     /// Agents of a scene: the nearest to the ego at present are kept, the ego always.
@@ -56,7 +56,7 @@ pub struct IngestConfig {
     /// Which agents belong to a scene.
     #[serde(default)]
     pub agents_present: AgentsPresent,
-    /// Whether to keep objects that do not move by themselves (Argoverse 2's static, background, construction, riderless bicycle).
+    /// Whether to keep static objects (Argoverse 2's static, background, construction, riderless bicycle).
     #[serde(default)]
     pub keep_static: bool,
     /// Lanes with any point within this distance of the ego's present position belong to the scene, and those that any agent of it can reach,

@@ -112,7 +112,7 @@ impl SeenFiles {
         let inputs: Vec<String> = config.inputs.iter().map(|input| input.display().to_string()).collect();
         let example = self.example_of_others.as_ref().map_or(String::new(), |path| format!(", such as {path}"));
         format!(
-            "{} holds {} files that are named like {} recordings of the wanted splits and {} others{example}",
+            "{} has {} files named like {} recordings of the chosen splits and {} other files{example}",
             inputs.join(", "),
             self.n_recordings,
             config.dataset.name(),
@@ -160,7 +160,7 @@ fn read_batches(config: &IngestConfig, source: &dyn RecordingSource, mut sender:
 }
 
 /// What became of one scene or unit.
-enum Outcome {
+enum UnitOutcome {
     Kept {
         scene: Box<Scene>,
         counts: IngestReport,
@@ -186,11 +186,11 @@ impl UnitParser<'_> {
         room: Option<u64>,
         handed_out: &mut BTreeSet<MapId>,
     ) -> Result<IngestBatch, Error> {
-        let outcomes: Vec<(u64, Vec<Outcome>)> = batch.into_par_iter().map(|unit| self.parse_unit(unit)).collect();
+        let outcomes: Vec<(u64, Vec<UnitOutcome>)> = batch.into_par_iter().map(|unit| self.parse_unit(unit)).collect();
         let missing: BTreeSet<MapId> = outcomes
             .iter()
             .flat_map(|(_, outcomes)| outcomes)
-            .filter_map(|outcome| if let Outcome::MissingMap(id) = outcome { Some(id.clone()) } else { None })
+            .filter_map(|outcome| if let UnitOutcome::MissingMap(id) = outcome { Some(id.clone()) } else { None })
             .collect();
         self.maps.require(missing.into_iter())?;
 
@@ -203,11 +203,11 @@ impl UnitParser<'_> {
             collected.report.n_bytes += n_bytes;
             for outcome in outcomes {
                 match outcome {
-                    Outcome::Rejected(reject) => collected.report.count_reject(&reject),
-                    Outcome::Unwanted(what) => collected.report.count_dropped(what, 1),
-                    Outcome::MissingMap(_) => {}
-                    Outcome::Kept { .. } if room.is_some_and(|room| collected.report.n_scenes >= room) => break,
-                    Outcome::Kept { scene, counts, own_map } => {
+                    UnitOutcome::Rejected(reject) => collected.report.count_reject(&reject),
+                    UnitOutcome::Unwanted(what) => collected.report.count_dropped(what, 1),
+                    UnitOutcome::MissingMap(_) => {}
+                    UnitOutcome::Kept { .. } if room.is_some_and(|room| collected.report.n_scenes >= room) => break,
+                    UnitOutcome::Kept { scene, counts, own_map } => {
                         collected.report.merge(&counts);
                         self.hand_out_map(&scene, own_map, handed_out, &mut collected.maps);
                         collected.scenes.push(*scene);
@@ -218,43 +218,43 @@ impl UnitParser<'_> {
         Ok(collected)
     }
 
-    fn parse_unit(&self, unit: Result<RawUnit, Reject>) -> (u64, Vec<Outcome>) {
+    fn parse_unit(&self, unit: Result<RawUnit, Reject>) -> (u64, Vec<UnitOutcome>) {
         let unit = match unit {
             Ok(unit) => unit,
-            Err(reject) => return (0, vec![Outcome::Rejected(reject)]),
+            Err(reject) => return (0, vec![UnitOutcome::Rejected(reject)]),
         };
         if let UnitSplit::All(split) = unit.split
             && !self.config.wants_split(split)
         {
-            return (unit.n_bytes(), vec![Outcome::Unwanted(OTHER_SPLITS)]);
+            return (unit.n_bytes(), vec![UnitOutcome::Unwanted(OTHER_SPLITS)]);
         }
         if !unit.place.is_empty() && !self.config.wants_place(&unit.place) {
-            return (unit.n_bytes(), vec![Outcome::Unwanted(OTHER_PLACES)]);
+            return (unit.n_bytes(), vec![UnitOutcome::Unwanted(OTHER_PLACES)]);
         }
         let scenes = self.source.parse(&unit);
         (unit.n_bytes(), scenes.into_par_iter().map(|scene| self.finish_scene(scene)).collect())
     }
 
-    fn finish_scene(&self, scene: Result<RawScene, Reject>) -> Outcome {
+    fn finish_scene(&self, scene: Result<RawScene, Reject>) -> UnitOutcome {
         let mut scene = match scene {
             Ok(scene) => scene,
-            Err(reject) => return Outcome::Rejected(reject),
+            Err(reject) => return UnitOutcome::Rejected(reject),
         };
         if !self.config.wants_split(scene.source.split) {
-            return Outcome::Unwanted(OTHER_SPLITS);
+            return UnitOutcome::Unwanted(OTHER_SPLITS);
         }
         if !self.config.wants_place(&scene.source.place) {
-            return Outcome::Unwanted(OTHER_PLACES);
+            return UnitOutcome::Unwanted(OTHER_PLACES);
         }
         let own_map = if self.config.wants_maps() { scene.own_map.take() } else { None };
         let own_index = own_map.clone().map(LaneIndex::new);
         let map = own_index.as_ref().or_else(|| self.maps.get(&scene.map_id));
         if map.is_none() && self.config.wants_maps() {
-            return Outcome::MissingMap(scene.map_id);
+            return UnitOutcome::MissingMap(scene.map_id);
         }
         match assemble(scene, map, self.config) {
-            Ok((scene, counts)) => Outcome::Kept { scene: Box::new(scene), counts, own_map },
-            Err(reject) => Outcome::Rejected(reject),
+            Ok((scene, counts)) => UnitOutcome::Kept { scene: Box::new(scene), counts, own_map },
+            Err(reject) => UnitOutcome::Rejected(reject),
         }
     }
 

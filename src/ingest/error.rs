@@ -43,7 +43,7 @@ pub enum Error {
     },
     /// Maps are required and none was found.
     #[error(
-        "no {dataset} map found among {searched}: name the map files in `ingest.map_inputs`, or set `ingest.maps = \"none\"`"
+        "no {dataset} map found among {searched}; add the map files to `ingest.map_inputs`, or set `ingest.maps = \"none\"`"
     )]
     NoMaps {
         /// The dataset.

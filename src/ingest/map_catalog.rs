@@ -73,7 +73,7 @@ impl MapCatalog {
     ) -> Result<(), Error> {
         let Some(MapFile { id, graph, rank, warnings }) = source.read_map(entry, reader)? else { return Ok(()) };
         let passed_over = |path: &str, id: &MapId, chosen: &str| {
-            progress.note(&format!("{path} passed over: {chosen} holds map {id} too"));
+            progress.note(&format!("skipped {path}: map {id} is also in {chosen}"));
         };
         let listed = || Listed { lanes: LaneIndex::new(Arc::new(graph)), rank, path: entry.path.clone(), warnings };
         match self.0.entry(id) {

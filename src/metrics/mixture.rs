@@ -14,7 +14,7 @@ pub struct MixtureOptions {
     pub n_components: usize,
     /// Most iterations of expectation and maximization.
     pub max_iterations: usize,
-    /// Fits from different starts, of which the likeliest is taken.
+    /// Fits from different starts; the likeliest is used.
     pub n_starts: usize,
     /// Least standard deviation of a component in any dimension, in the unit of the points.
     pub min_std: f64,

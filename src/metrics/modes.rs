@@ -17,15 +17,16 @@ pub struct ModesConfig {
     /// Number of modes K; the benchmarks take six. Groups with no more samples than that are not reduced.
     #[schemars(range(min = 1, max = 1_000))]
     pub n_modes: usize,
-    /// What stands for a mode. Each is reported under its own name.
+    /// The representative of a mode. Each is reported under its own name.
     pub by: Vec<Representative>,
     /// Most iterations of expectation-maximization.
     #[schemars(range(min = 1, max = 1_000_000))]
     pub max_iterations: usize,
-    /// Fits from different starts, of which the likeliest is taken.
+    /// Fits from different starts; the likeliest is used.
     #[schemars(range(min = 1, max = 1_000))]
     pub n_starts: usize,
-    /// Least standard deviation of a mode in any coordinate, meters. With fewer samples than coordinates a mixture needs one.
+    /// Least standard deviation of a mode in any coordinate, meters. A mixture of fewer samples than coordinates needs
+    /// this.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_std_m: f64,
 }
@@ -40,7 +41,7 @@ impl Default for ModesConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Representative {
-    /// The mean of its samples, as in the paper. It is close to all of them, but need not be something that was sampled.
+    /// The mean of its samples, as in the paper. It is close to all of them, but is not itself a sample.
     Mean,
     /// The sample that is closest to the mean.
     Medoid,

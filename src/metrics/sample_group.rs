@@ -1,6 +1,6 @@
 //! What a metric looks at: a recorded scene and futures sampled for it.
 
-use crate::scene::{Scene, TrackId};
+use crate::scene::{Roles, Scene};
 use std::ops::Range;
 
 /// A recorded scene and samples of its future.
@@ -18,13 +18,13 @@ pub struct SampleGroup<'a> {
     /// How likely each sample is, up to a common factor; `None` where they are equally likely, as plain draws are.
     pub probabilities: Option<&'a [f64]>,
     /// Who was asked to show something, as (role, track), in the order of roles; empty where nobody was.
-    pub asked: &'a [(String, TrackId)],
+    pub asked: &'a Roles,
 }
 
 impl<'a> SampleGroup<'a> {
     /// A recorded scene and equally likely samples, of which nothing was asked.
     pub const fn equally_likely(recorded: &'a Scene, samples: &'a [Scene]) -> Self {
-        Self { recorded, samples, probabilities: None, asked: &[] }
+        Self { recorded, samples, probabilities: None, asked: Roles::none() }
     }
 
     /// The probability of a sample; those of all samples sum to 1. `None` where there is no such sample or no sum.

@@ -3,7 +3,7 @@
 use super::{ALL, Metric, SampleGroup, by_id, constant_velocity};
 use crate::behavior::testing::{LaneSpec, SceneSpec, cases_in, random_scene, transformed};
 use crate::geometry::{Transform2, Vec2};
-use crate::scene::{Dataset, LaneGraph, Scene, State, Track, TrackId, TrackRole, Trajectory};
+use crate::scene::{Dataset, LaneGraph, Roles, Scene, State, Track, TrackId, TrackRole, Trajectory};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use serde::Deserialize;
@@ -28,7 +28,7 @@ struct MetricCase {
 /// The figure where the first two agents were asked to be ego and other.
 fn evaluate(metric: &dyn Metric, recorded: &Scene, samples: &[Scene]) -> Option<f64> {
     let roles = ["ego", "other"].into_iter().map(str::to_owned);
-    let asked: Vec<(String, TrackId)> = roles.zip(recorded.tracks.iter().map(|track| track.id.clone())).collect();
+    let asked: Roles = roles.zip(recorded.tracks.iter().map(|track| track.id.clone())).collect();
     metric.evaluate(&SampleGroup { asked: &asked, ..SampleGroup::equally_likely(recorded, samples) })
 }
 
@@ -44,7 +44,7 @@ fn every_metric_gives_the_hand_computed_value_of_its_example_scenes() {
             let recorded = &case.recorded.build(&name);
             let probabilities = case.probabilities.as_deref();
             let asked = case.asked.iter().map(|[role, agent]| (role.clone(), TrackId(agent.clone())));
-            let asked: Vec<(String, TrackId)> = asked.collect();
+            let asked: Roles = asked.collect();
             let value = metric.evaluate(&SampleGroup { recorded, samples: &samples, probabilities, asked: &asked });
             let agrees = match (value, case.value) {
                 (Some(value), Some(expected)) => (value - expected).abs() < 1e-3,

@@ -25,9 +25,9 @@ pub struct DenoiserSpec {
     pub n_timesteps: usize,
     /// Time between timesteps, seconds.
     pub dt_s: f64,
-    /// At most so many agents a scene.
+    /// Maximum number of agents per scene.
     pub max_agents: usize,
-    /// At most so many lane polylines a scene.
+    /// Maximum number of lane polylines per scene.
     pub max_lanes: usize,
     /// Optimizer steps it was trained for.
     pub steps: u64,

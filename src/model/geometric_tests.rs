@@ -4,12 +4,12 @@
 use super::*;
 use crate::diffusion::{Denoiser, Edm};
 use crate::geometry::{Polyline, Vec2};
-use crate::nn::Params;
+use crate::nn::{Compute, Params};
 use crate::scene::testing::{Drive, scene};
 use crate::scene::{AgentClass, Lane, LaneGraph, LaneId, ObservationMask, Scene};
 use crate::seed::Seed;
 use crate::tensor::{
-    Collator, FutureValidity, MaskTask, NormalizerFit, SceneBatch, SceneView, Sight, StateParametrization,
+    Collator, FutureValidity, MaskTask, NormalizerFit, SceneBatch, SceneTensors, SceneView, Sight, StateParametrization,
 };
 use candle_core::{Device, Tensor};
 use std::sync::Arc;
@@ -99,7 +99,7 @@ fn run(denoiser: &SceneDenoiser, batch: &SceneBatch, x: &Tensor, sigmas: &[f32])
 
 #[test]
 fn every_parameter_receives_a_gradient() {
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let denoiser = denoiser(&mut params);
     let batch = collate(&[&cars(3, &road(true))]);
     let x0_hat = run(&denoiser, &batch, &noisy(&batch, 2), &[0.4]);
@@ -112,7 +112,7 @@ fn every_parameter_receives_a_gradient() {
 
 #[test]
 fn a_row_is_the_same_alone_and_among_larger_scenes() {
-    let denoiser = denoiser(&mut Params::new(&Device::Cpu));
+    let denoiser = denoiser(&mut Params::new(&Compute::cpu()));
     let (small, large) = (cars(2, &road(true)), cars(5, &road(true)));
     let (alone, together) = (collate(&[&small]), collate(&[&small, &large]));
     let x = noisy(&alone, 3);
@@ -125,7 +125,7 @@ fn a_row_is_the_same_alone_and_among_larger_scenes() {
 
 #[test]
 fn samples_of_one_scene_share_its_encoding() {
-    let denoiser = denoiser(&mut Params::new(&Device::Cpu));
+    let denoiser = denoiser(&mut Params::new(&Compute::cpu()));
     let batch = collate(&[&cars(3, &road(true)), &cars(2, &road(true))]);
     let repeated = batch.repeated(2).unwrap();
     let x = noisy(&repeated, 5);
@@ -137,7 +137,7 @@ fn samples_of_one_scene_share_its_encoding() {
 
 #[test]
 fn the_order_of_agents_does_not_matter() {
-    let denoiser = denoiser(&mut Params::new(&Device::Cpu));
+    let denoiser = denoiser(&mut Params::new(&Compute::cpu()));
     let scene = cars(3, &road(true));
     let mut swapped = scene.clone();
     swapped.tracks.swap(1, 2);
@@ -152,7 +152,7 @@ fn the_order_of_agents_does_not_matter() {
 #[test]
 fn the_whole_scene_may_be_turned_and_moved() {
     // Coordinates are relative to the ego agent: where a recording put its origin makes no difference.
-    let denoiser = denoiser(&mut Params::new(&Device::Cpu));
+    let denoiser = denoiser(&mut Params::new(&Compute::cpu()));
     let scene = cars(3, &road(true));
     let moved = crate::geometry::Transform2::from_pose(Vec2::new(400.0, -250.0), 2.0);
     let mut other = Scene { lanes: Arc::new(scene.lanes.transformed(&moved)), ..scene.clone() };
@@ -167,7 +167,7 @@ fn the_whole_scene_may_be_turned_and_moved() {
 
 #[test]
 fn lanes_and_neighbors_make_a_difference_at_every_noise_level() {
-    let denoiser = denoiser(&mut Params::new(&Device::Cpu));
+    let denoiser = denoiser(&mut Params::new(&Compute::cpu()));
     let scene = cars(2, &road(true));
     let shifted = road(true).transformed(&crate::geometry::Transform2::from_pose(Vec2::new(0.0, 1.0), 0.0));
     let elsewhere = Scene { lanes: Arc::new(shifted), ..scene.clone() };
@@ -185,7 +185,7 @@ fn lanes_and_neighbors_make_a_difference_at_every_noise_level() {
 
 #[test]
 fn what_is_missing_is_masked() {
-    let denoiser = denoiser(&mut Params::new(&Device::Cpu));
+    let denoiser = denoiser(&mut Params::new(&Compute::cpu()));
     let mut unsized_agents = cars(2, &road(true));
     unsized_agents.tracks.iter_mut().for_each(|track| track.extent = None);
     let mut walker = cars(2, &road(true));
@@ -201,7 +201,7 @@ fn what_is_missing_is_masked() {
 
 #[test]
 fn headings_that_are_not_recorded_are_not_generated() {
-    let denoiser = denoiser(&mut Params::new(&Device::Cpu));
+    let denoiser = denoiser(&mut Params::new(&Compute::cpu()));
     let mut scene = cars(2, &road(true));
     scene.tracks[1].class = AgentClass::PedestrianOrCyclist;
     let batch = collate(&[&scene]);
@@ -232,7 +232,8 @@ fn training_tells_the_network_what_sampling_tells_it() {
 
 #[test]
 fn batches_without_surroundings_are_refused() {
-    let denoiser = denoiser(&mut Params::new(&Device::Cpu));
-    let batch = SceneBatch { surroundings: None, ..collate(&[&cars(2, &road(true))]) };
+    let denoiser = denoiser(&mut Params::new(&Compute::cpu()));
+    let tensors = SceneTensors { surroundings: None, ..SceneTensors::clone(&collate(&[&cars(2, &road(true))])) };
+    let batch = SceneBatch::new(tensors).unwrap();
     assert!(denoiser.bind(&batch, 1).unwrap_err().to_string().contains("surrounds"));
 }

@@ -32,27 +32,27 @@ pub struct NetworkConfig {
     pub latent_periods: [f64; 2],
     /// Whether the network also sees the residuals that diffused motion adds up to (motion parametrization only).
     pub path_input: bool,
-    /// What makes the geometric network of it, which is told where noisy agents are and what surrounds them there (motion
-    /// parametrization only); left out, it is the paper's. The geometric network has no use for `encoding`,
+    /// Settings of the geometric network, which sees noisy agents relative to their surroundings (motion
+    /// parametrization only); left out, the network is the paper's. The geometric network does not use `encoding`,
     /// `latent_periods` and `path_input`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub geometry: Option<GeometryConfig>,
 }
 
-/// What the geometric network is told.
+/// What the geometric network sees.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GeometryConfig {
     /// Timesteps of a token.
     #[schemars(range(min = 1, max = 100))]
     pub patch: usize,
-    /// Pieces of lanes around its path that an agent is shown.
+    /// Number of lane pieces around its path that an agent sees.
     #[schemars(range(min = 1, max = 200))]
     pub n_lanes: usize,
-    /// Neighbors that an agent is shown at each token, nearest first.
+    /// Number of neighbors that an agent sees at each token, nearest first.
     #[schemars(range(min = 1, max = 200))]
     pub n_neighbors: usize,
-    /// Lanes that an agent is shown at each token, nearest first.
+    /// Number of lanes that an agent sees at each token, nearest first.
     #[schemars(range(min = 1, max = 200))]
     pub n_nearest_lanes: usize,
     /// Features of a neighbor, and of a lane, at a token.

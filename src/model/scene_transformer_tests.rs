@@ -1,7 +1,7 @@
 //! Padding never leaks between scenes and futures, hidden states are not seen, and the order of agents does not matter.
 
 use super::*;
-use crate::nn::Params;
+use crate::nn::{Compute, Params};
 use crate::scene::testing::{Drive, scene};
 use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
@@ -22,7 +22,7 @@ fn config() -> SceneTransformerConfig {
 }
 
 fn network() -> (Params, SceneTransformer) {
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let network = SceneTransformer::new(&mut params, &config(), 3, StateParametrization::Motion, Seed(1)).unwrap();
     (params, network)
 }
@@ -116,7 +116,7 @@ fn futures_are_ranked_by_probability() {
 #[test]
 fn the_published_network_has_12_layers_and_then_4() {
     let config = SceneTransformerConfig::default();
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     SceneTransformer::new(&mut params, &config, 3, StateParametrization::Scene, Seed(1)).unwrap();
     let count =
         |name: &str| params.iter().filter(|(n, _)| n.starts_with(name) && n.ends_with("norm_mix.weight")).count();
@@ -131,7 +131,7 @@ fn the_published_network_has_12_layers_and_then_4() {
 #[test]
 fn a_network_without_futures_or_with_unknown_layers_is_refused() {
     let error = |config| {
-        SceneTransformer::new(&mut Params::new(&Device::Cpu), &config, 3, StateParametrization::Motion, Seed(1))
+        SceneTransformer::new(&mut Params::new(&Compute::cpu()), &config, 3, StateParametrization::Motion, Seed(1))
             .unwrap_err()
             .to_string()
     };

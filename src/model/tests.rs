@@ -2,11 +2,13 @@
 
 use super::*;
 use crate::diffusion::{Denoiser, Edm};
-use crate::nn::{Params, Scope};
+use crate::nn::{Compute, Params, Scope};
 use crate::scene::testing::{Drive, scene};
 use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
-use crate::tensor::{Collator, FutureValidity, NormalizerFit, SceneBatch, SceneView, StateParametrization};
+use crate::tensor::{
+    Collator, FutureValidity, NormalizerFit, SceneBatch, SceneTensors, SceneView, StateParametrization,
+};
 use candle_core::{Device, Tensor};
 
 fn config() -> NetworkConfig {
@@ -64,7 +66,7 @@ fn noisy(batch: &SceneBatch, seed: u64) -> Tensor {
 
 #[test]
 fn every_parameter_receives_a_gradient() {
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
     let batch = collate(&[&cars(3)]);
     let sigma = Tensor::new(&[0.4f32], &Device::Cpu).unwrap();
@@ -78,7 +80,7 @@ fn every_parameter_receives_a_gradient() {
 
 #[test]
 fn a_row_is_the_same_alone_and_among_larger_scenes() {
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
     let (small, large) = (cars(2), cars(5));
     let (alone, together) = (collate(&[&small]), collate(&[&small, &large]));
@@ -97,7 +99,7 @@ fn a_row_is_the_same_alone_and_among_larger_scenes() {
 
 #[test]
 fn samples_of_one_scene_share_its_encoding() {
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
     let batch = collate(&[&cars(3), &cars(2)]);
     let repeated = batch.repeated(2).unwrap();
@@ -110,7 +112,7 @@ fn samples_of_one_scene_share_its_encoding() {
 
 #[test]
 fn the_order_of_agents_does_not_matter() {
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
     let scene = cars(3);
     let mut swapped = scene.clone();
@@ -128,7 +130,7 @@ fn the_order_of_agents_does_not_matter() {
 #[test]
 fn a_letter_that_is_no_layer_is_refused() {
     let config = NetworkConfig { layers: "TAX".to_owned(), ..config() };
-    let error = SceneDenoiser::new(&mut Params::new(&Device::Cpu), &config, 3, Edm::default(), Seed(1)).unwrap_err();
+    let error = SceneDenoiser::new(&mut Params::new(&Compute::cpu()), &config, 3, Edm::default(), Seed(1)).unwrap_err();
     assert!(error.to_string().contains('X'), "{error}");
 }
 
@@ -136,7 +138,7 @@ fn a_letter_that_is_no_layer_is_refused() {
 fn the_papers_network_has_15_layers_and_12_million_parameters() {
     let config = NetworkConfig::default();
     assert_eq!(config.layers.chars().filter(|c| !c.is_whitespace()).count(), 15);
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     SceneDenoiser::new(&mut params, &config, 3, Edm::default(), Seed(1)).unwrap();
     let linear = |n_in: usize, n_out: usize| n_in * n_out + n_out;
     let input = linear(3 * 256, 256) + linear(4 * 256 + 7, 256) + 2 * linear(256, 256);
@@ -166,7 +168,7 @@ fn outputs_and_gradients_are_those_of_pytorch() {
         geometry: None,
         ..config()
     };
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let network = SceneNetwork::new(&mut Scope::root(&mut params, Seed(1)), &config, 3).unwrap();
     let weights = golden.iter().filter_map(|(name, t)| Some((name.strip_prefix("weight.")?.to_owned(), t.clone())));
     params.load(&weights.collect()).unwrap();
@@ -197,11 +199,13 @@ fn outputs_and_gradients_are_those_of_pytorch() {
 fn the_carried_checkpoint_gives_what_it_gives_in_pytorch() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let checkpoint = root.join("pipelines/models/simulated_places.safetensors");
-    let trained = TrainedDenoiser::read(&checkpoint, &Device::Cpu).unwrap();
+    let trained = TrainedDenoiser::read(&checkpoint, &Compute::cpu()).unwrap();
     let golden =
         candle_core::safetensors::load(root.join("tests/golden/carried_denoiser.safetensors"), &Device::Cpu).unwrap();
     let input = |name: &str| golden[&format!("input.{name}")].clone();
-    let batch = SceneBatch {
+    let (entries, agents) = (input("latent").zeros_like().unwrap(), input("x").narrow(2, 0, 1).unwrap());
+    let batch = SceneBatch::new(SceneTensors {
+        x0: input("x").zeros_like().unwrap(),
         context: input("context"),
         features: input("features"),
         valid: input("valid"),
@@ -210,8 +214,16 @@ fn the_carried_checkpoint_gives_what_it_gives_in_pytorch() {
         lane_valid: input("lane_valid"),
         path: Some(input("path")),
         observed_motion: Some(input("observed_motion")),
-        ..collate(&[&cars(2)])
-    };
+        // The network does not read the rest.
+        observed: entries.clone(),
+        scored: entries,
+        base: input("x").zeros_like().unwrap(),
+        rotation: agents.squeeze(2).unwrap().narrow(2, 0, 2).unwrap().zeros_like().unwrap(),
+        unit: agents.squeeze(2).unwrap().zeros_like().unwrap(),
+        frames: vec![collate(&[&cars(2)]).frames[0].clone(); 4],
+        surroundings: None,
+    })
+    .unwrap();
     let x = candle_core::Var::from_tensor(&input("x")).unwrap();
     let bound = trained.network.bind(&batch, 1).unwrap();
     let x0_hat = bound.denoise(x.as_tensor(), &input("sigma")).unwrap();
@@ -222,7 +234,7 @@ fn the_carried_checkpoint_gives_what_it_gives_in_pytorch() {
 
 #[test]
 fn residuals_that_motion_adds_up_to_are_seen_and_need_the_motion_parametrization() {
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
     let batch = collate(&[&cars(2)]);
     let path = batch.unit_path().unwrap().unwrap();
@@ -232,8 +244,9 @@ fn residuals_that_motion_adds_up_to_are_seen_and_need_the_motion_parametrization
     let x = noisy(&batch, 2);
     let sigma = Tensor::new(&[0.4f32], &Device::Cpu).unwrap();
     let run = |batch: &SceneBatch| denoiser.bind(batch, 1)?.denoise(&x, &sigma);
-    let other = SceneBatch { path: batch.path.as_ref().map(|path| path.zeros_like().unwrap()), ..batch.clone() };
+    let with_path =
+        |path: Option<Tensor>| SceneBatch::new(SceneTensors { path, ..SceneTensors::clone(&batch) }).unwrap();
+    let other = with_path(batch.path.as_ref().map(|path| path.zeros_like().unwrap()));
     assert!(worst(&run(&batch).unwrap(), &run(&other).unwrap()) > 1e-4);
-    let without = SceneBatch { path: None, ..batch.clone() };
-    assert!(run(&without).unwrap_err().to_string().contains("motion parametrization"));
+    assert!(run(&with_path(None)).unwrap_err().to_string().contains("motion parametrization"));
 }

@@ -1,8 +1,7 @@
 //! A trained network on disk: weights, and everything needed to use them on scenes.
 
-use crate::nn::{Error, Params, read_checkpoint, write_checkpoint};
+use crate::nn::{Compute, Error, Params, read_checkpoint, write_checkpoint};
 use crate::seed::Seed;
-use candle_core::Device;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::path::Path;
@@ -43,10 +42,10 @@ impl<S: ModelSpec> TrainedModel<S> {
     ///
     /// # Errors
     /// When the file is not a whole checkpoint of such a network, of this version.
-    pub fn read(path: &Path, device: &Device) -> Result<Self, Error> {
-        let checkpoint = read_checkpoint::<S>(path, device)?;
+    pub fn read(path: &Path, compute: &Compute) -> Result<Self, Error> {
+        let checkpoint = read_checkpoint::<S>(path, &compute.device)?;
         let tensor_error = |source| Error::Tensor { path: path.to_owned(), source };
-        let mut params = Params::new(device).frozen();
+        let mut params = Params::new(compute).frozen();
         // What is drawn is overwritten.
         let network = checkpoint.metadata.build(&mut params, Seed(0)).map_err(tensor_error)?;
         params.load(&checkpoint.tensors).map_err(tensor_error)?;

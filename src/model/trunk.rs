@@ -24,7 +24,7 @@ pub(super) fn check_layers(key: &str, layers: &str) -> settings::Result {
     match layers.chars().find(|letter| !matches!(letter, 'T' | 'A' | 'M') && !letter.is_whitespace()) {
         Some(letter) => {
             let expected = "expected the letters T (time), A (agents) and M (map), one a layer";
-            Err(Issue::new(key, format_args!("is \"{layers}\", in which {letter} is no layer; {expected}")))
+            Err(Issue::new(key, format_args!("is \"{layers}\", but {letter} is not a layer; {expected}")))
         }
         None => Ok(()),
     }

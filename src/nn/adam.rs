@@ -125,12 +125,13 @@ mod tests {
     use candle_core::{Device, Var};
 
     use super::*;
+    use crate::nn::Compute;
     use crate::nn::params::Init;
     use crate::seed::Seed;
 
     /// Parameters `a` (2) at 1 and `b` (1) at 0.
     fn params(dtype: DType) -> Params {
-        let mut params = Params::with_dtype(&Device::Cpu, dtype);
+        let mut params = Params::with_dtype(&Compute::cpu(), dtype);
         params.get_or_init("a", &[2], Init::Ones, Seed(0)).unwrap();
         params.get_or_init("b", &[1], Init::Zeros, Seed(0)).unwrap();
         params
@@ -226,7 +227,7 @@ mod tests {
         assert_eq!(values(&through), values(&resumed));
         assert_eq!(second.n_steps(), 4);
         assert_eq!(state["first.b"].to_vec1::<f32>().unwrap(), before, "the second optimizer works on its own copy");
-        let mut other = Params::new(&Device::Cpu);
+        let mut other = Params::new(&Compute::cpu());
         other.get_or_init("a", &[3], Init::Ones, Seed(0)).unwrap();
         assert!(Adam::default().load(&other, &first.state().unwrap()).is_err());
     }

@@ -77,6 +77,7 @@ mod tests {
     use candle_core::Device;
 
     use super::*;
+    use crate::nn::Compute;
     use crate::nn::params::Init;
     use crate::seed::Seed;
 
@@ -90,7 +91,7 @@ mod tests {
 
     #[test]
     fn averages_follow_the_parameters() {
-        let mut params = Params::new(&Device::Cpu);
+        let mut params = Params::new(&Compute::cpu());
         params.get_or_init("a", &[2], Init::Zeros, Seed(0)).unwrap();
         let mut ema = Ema::new(0.5, &params).unwrap();
         set(&mut params, 11.0);
@@ -114,7 +115,7 @@ mod tests {
 
     #[test]
     fn swapping_twice_changes_nothing() {
-        let mut params = Params::new(&Device::Cpu);
+        let mut params = Params::new(&Compute::cpu());
         params.get_or_init("a", &[2], Init::Ones, Seed(0)).unwrap();
         let mut ema = Ema::new(0.9, &params).unwrap();
         set(&mut params, 4.0);

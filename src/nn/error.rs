@@ -9,7 +9,7 @@ pub enum Error {
     #[error(transparent)]
     Io(#[from] std::io::Error),
     /// The file is not a safetensors file, or is cut off.
-    #[error("{path} is not a whole safetensors file; write it again or take another checkpoint")]
+    #[error("{path} is not a complete safetensors file; write it again or use another checkpoint")]
     Format {
         /// The file.
         path: PathBuf,
@@ -18,14 +18,16 @@ pub enum Error {
     },
     /// The file holds tensors but no metadata of ours.
     #[error(
-        "{path} has no `djinn` entry in its metadata: it was not written by djinn; take a checkpoint that `djinn train` wrote"
+        "{path} has no `djinn` entry in its metadata, so djinn did not write it; use a checkpoint from `djinn train`"
     )]
     NoMetadata {
         /// The file.
         path: PathBuf,
     },
     /// The metadata does not describe what the reader expects.
-    #[error("the metadata of {path} does not fit; take a checkpoint of this kind of model, written by this version")]
+    #[error(
+        "the metadata of {path} is for another model or version; use a checkpoint of this kind of model, written by this version"
+    )]
     Metadata {
         /// The file.
         path: PathBuf,

@@ -14,6 +14,7 @@ const EPSILON: f64 = 1e-5;
 pub struct LayerNorm {
     weight: Tensor,
     bias: Tensor,
+    precision: Precision,
 }
 
 impl LayerNorm {
@@ -26,6 +27,7 @@ impl LayerNorm {
         Ok(Self {
             weight: scope.tensor("weight", &[dim], Init::Ones)?,
             bias: scope.tensor("bias", &[dim], Init::Zeros)?,
+            precision: scope.precision(),
         })
     }
 
@@ -42,6 +44,6 @@ impl LayerNorm {
     /// # Errors
     /// When the last dimension is not `dim`.
     pub fn forward_for_products(&self, x: &Tensor) -> Result<Tensor> {
-        ops::layer_norm(x, &self.weight, &self.bias, EPSILON, Precision::chosen())
+        ops::layer_norm(x, &self.weight, &self.bias, EPSILON, self.precision)
     }
 }

@@ -4,12 +4,14 @@ use candle_core::{Result, Tensor};
 
 use super::ops::{self, Activation};
 use super::params::{Init, Scope};
+use super::precision::Precision;
 
 /// An affine map of the last dimension, with the tensor names and the initialization of `torch.nn.Linear`.
 #[derive(Debug, Clone)]
 pub struct Linear {
     weight: Tensor,
     bias: Tensor,
+    precision: Precision,
 }
 
 impl Linear {
@@ -22,7 +24,7 @@ impl Linear {
         let init = Init::KaimingUniform { fan_in: n_in };
         let weight = scope.tensor("weight", &[n_out, n_in], init)?;
         let bias = scope.tensor("bias", &[n_out], init)?;
-        Ok(Self { weight, bias })
+        Ok(Self { weight, bias, precision: scope.precision() })
     }
 
     /// W x + b: (.., `n_in`) to (.., `n_out`).
@@ -30,7 +32,7 @@ impl Linear {
     /// # Errors
     /// When the last dimension is not `n_in`.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        ops::linear(x, &self.weight, &self.bias, Activation::None, None)
+        self.apply(x, Activation::None, None)
     }
 
     /// max(W x + b, 0): (.., `n_in`) to (.., `n_out`), for other linear maps alone to read.
@@ -38,7 +40,7 @@ impl Linear {
     /// # Errors
     /// When the last dimension is not `n_in`.
     pub fn forward_relu(&self, x: &Tensor) -> Result<Tensor> {
-        ops::linear(x, &self.weight, &self.bias, Activation::Relu, None)
+        self.apply(x, Activation::Relu, None)
     }
 
     /// As [`forward`](Self::forward) where `valid` (..) is 1, and exactly 0 elsewhere, without work on those rows.
@@ -46,7 +48,7 @@ impl Linear {
     /// # Errors
     /// When the last dimension is not `n_in` or the leading ones are not those of `valid`.
     pub fn forward_valid(&self, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
-        ops::linear(x, &self.weight, &self.bias, Activation::None, Some(valid))
+        self.apply(x, Activation::None, Some(valid))
     }
 
     /// As [`forward_relu`](Self::forward_relu) where `valid` (..) is 1, and exactly 0 elsewhere, without work on those
@@ -55,6 +57,10 @@ impl Linear {
     /// # Errors
     /// When the last dimension is not `n_in` or the leading ones are not those of `valid`.
     pub fn forward_relu_valid(&self, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
-        ops::linear(x, &self.weight, &self.bias, Activation::Relu, Some(valid))
+        self.apply(x, Activation::Relu, Some(valid))
+    }
+
+    fn apply(&self, x: &Tensor, activation: Activation, valid: Option<&Tensor>) -> Result<Tensor> {
+        ops::linear(x, &self.weight, &self.bias, activation, valid, self.precision)
     }
 }

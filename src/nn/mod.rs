@@ -7,6 +7,7 @@
 mod adam;
 mod attention;
 mod checkpoint;
+mod compute;
 mod ema;
 mod error;
 mod fourier;
@@ -22,6 +23,7 @@ mod precision;
 pub use adam::Adam;
 pub use attention::{Axis, CrossAttention, SelfAttention};
 pub use checkpoint::{Checkpoint, read_checkpoint, write_checkpoint};
+pub use compute::Compute;
 pub use ema::Ema;
 pub use error::Error;
 pub use fourier::sinusoidal;

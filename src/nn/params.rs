@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use candle_core::{DType, Device, Result, Tensor, Var, bail};
 
+use super::{Compute, Precision};
 use crate::seed::Seed;
 
 /// How the first values of a parameter are drawn.
@@ -39,21 +40,21 @@ impl Init {
 #[derive(Debug, Clone)]
 pub struct Params {
     vars: BTreeMap<String, Var>,
-    device: Device,
+    compute: Compute,
     dtype: DType,
     /// Whether layers get the variables themselves, so that gradients reach them, or their bare values.
     is_trainable: bool,
 }
 
 impl Params {
-    /// An empty set of `f32` parameters on `device`.
-    pub fn new(device: &Device) -> Self {
-        Self::with_dtype(device, DType::F32)
+    /// An empty set of `f32` parameters.
+    pub fn new(compute: &Compute) -> Self {
+        Self::with_dtype(compute, DType::F32)
     }
 
-    /// An empty set of parameters of type `dtype` on `device`.
-    pub fn with_dtype(device: &Device, dtype: DType) -> Self {
-        Self { vars: BTreeMap::new(), device: device.clone(), dtype, is_trainable: true }
+    /// An empty set of parameters of type `dtype`.
+    pub fn with_dtype(compute: &Compute, dtype: DType) -> Self {
+        Self { vars: BTreeMap::new(), compute: compute.clone(), dtype, is_trainable: true }
     }
 
     /// The same parameters, sharing memory, for sampling and evaluation: layers built on them record nothing for a
@@ -64,7 +65,7 @@ impl Params {
 
     /// The device that holds the parameters.
     pub fn device(&self) -> &Device {
-        &self.device
+        &self.compute.device
     }
 
     /// The parameter called `name`, drawn from the stream of that name when it does not exist yet: its first values
@@ -75,12 +76,12 @@ impl Params {
     pub fn get_or_init(&mut self, name: &str, shape: &[usize], init: Init, seed: Seed) -> Result<Tensor> {
         if let Some(var) = self.vars.get(name) {
             if var.dims() != shape {
-                bail!("parameter {name} has shape {:?}, but shape {shape:?} is asked for", var.dims());
+                bail!("parameter {name} has shape {:?}, expected {shape:?}", var.dims());
             }
             return Ok(self.handle(var));
         }
         let values = init.draw(shape.iter().product(), seed.derive_named("init", name));
-        let var = Var::from_tensor(&Tensor::from_vec(values, shape, &self.device)?.to_dtype(self.dtype)?)?;
+        let var = Var::from_tensor(&Tensor::from_vec(values, shape, &self.compute.device)?.to_dtype(self.dtype)?)?;
         let tensor = self.handle(&var);
         self.vars.insert(name.to_owned(), var);
         Ok(tensor)
@@ -128,7 +129,7 @@ impl Params {
         }
         for (name, var) in &self.vars {
             // Detached copies, lest a tensor that shares memory with the parameter be read while it is written.
-            var.set(&tensors[name].detach().to_device(&self.device)?.to_dtype(self.dtype)?.copy()?)?;
+            var.set(&tensors[name].detach().to_device(&self.compute.device)?.to_dtype(self.dtype)?.copy()?)?;
         }
         Ok(())
     }
@@ -162,6 +163,11 @@ impl<'a> Scope<'a> {
         self.params.get_or_init(&path, shape, init, self.seed)
     }
 
+    /// The precision of products with the tensors below this place.
+    pub(super) fn precision(&self) -> Precision {
+        self.params.compute.precision
+    }
+
     fn path(&self, name: &str) -> String {
         if self.prefix.is_empty() { name.to_owned() } else { format!("{}.{name}", self.prefix) }
     }
@@ -178,9 +184,9 @@ mod tests {
     #[test]
     fn first_values_depend_on_seed_and_name_alone() {
         let init = Init::KaimingUniform { fan_in: 16 };
-        let mut alone = Params::new(&Device::Cpu);
+        let mut alone = Params::new(&Compute::cpu());
         let a = Scope::root(&mut alone, Seed(3)).enter("trunk").tensor("weight", &[4, 16], init).unwrap();
-        let mut among = Params::new(&Device::Cpu);
+        let mut among = Params::new(&Compute::cpu());
         let mut scope = Scope::root(&mut among, Seed(3));
         let other = scope.enter("head").tensor("weight", &[4, 16], init).unwrap();
         let b = scope.enter("trunk").tensor("weight", &[4, 16], init).unwrap();
@@ -196,7 +202,7 @@ mod tests {
 
     #[test]
     fn loading_is_strict_and_reaches_the_layers() {
-        let mut params = Params::new(&Device::Cpu);
+        let mut params = Params::new(&Compute::cpu());
         let weight = params.get_or_init("a", &[2], Init::Ones, Seed(0)).unwrap();
         params.get_or_init("b", &[3], Init::Zeros, Seed(0)).unwrap();
         assert!(params.get_or_init("a", &[3], Init::Ones, Seed(0)).is_err());

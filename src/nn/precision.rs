@@ -2,24 +2,24 @@
 
 use std::fmt;
 use std::str::FromStr;
-use std::sync::atomic::{AtomicU8, Ordering};
 
 use candle_core::{DType, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The precision of the matrix products of linear maps. Parameters, sums, the optimizer and whatever others than these products read
-/// are `f32` throughout.
+/// The precision of the matrix products of linear maps. Parameters, sums, the optimizer and everything that other
+/// operations read are `f32`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
     /// 24 bits.
     #[default]
     F32,
-    /// Factors cut to 11 bits, sums in `f32`: tensor cores of GPUs since Ampere. The processor cuts alike, which takes longer.
+    /// Factors truncated to 11 bits, sums in `f32`: tensor cores of GPUs since Ampere. Processors truncate in software,
+    /// which is slower.
     Tf32,
-    /// Factors and results rounded to 8 bits, sums in `f32`: tensor cores of GPUs, and processors with AVX-512 BF16. Other
-    /// processors round alike, which takes longer.
+    /// Factors and results rounded to 8 bits, sums in `f32`: tensor cores of GPUs, and processors with AVX-512 BF16.
+    /// Other processors round in software, which is slower.
     Bf16,
 }
 
@@ -42,44 +42,7 @@ impl FromStr for Precision {
     }
 }
 
-/// What the process has chosen.
-static CHOSEN: AtomicU8 = AtomicU8::new(0);
-
-#[cfg(test)]
-thread_local! {
-    /// What a test has chosen for its thread.
-    static CHOSEN_HERE: std::cell::Cell<Option<Precision>> = const { std::cell::Cell::new(None) };
-}
-
 impl Precision {
-    /// Does something with this precision on this thread.
-    #[cfg(test)]
-    pub(crate) fn within<T>(self, run: impl FnOnce() -> T) -> T {
-        CHOSEN_HERE.set(Some(self));
-        let result = run();
-        CHOSEN_HERE.set(None);
-        result
-    }
-
-    /// Makes this the precision of all linear maps from now on. It is one for the process: whoever opens the device says it once,
-    /// before the first network.
-    pub fn choose(self) {
-        CHOSEN.store(self as u8, Ordering::Relaxed);
-    }
-
-    /// What was chosen.
-    pub(super) fn chosen() -> Self {
-        #[cfg(test)]
-        if let Some(precision) = CHOSEN_HERE.get() {
-            return precision;
-        }
-        match CHOSEN.load(Ordering::Relaxed) {
-            2 => Self::Bf16,
-            1 => Self::Tf32,
-            _ => Self::F32,
-        }
-    }
-
     /// `x` as a factor of a product: in the type that candle multiplies, and keeps the result in.
     ///
     /// # Errors

@@ -65,7 +65,7 @@ fn gradients_reach_every_parameter_and_the_input_alike_in_both_implementations()
     let lane_valid = Tensor::new(&[[1f32, 1.0, 0.0], [1.0, 0.0, 0.0]], &Device::Cpu).unwrap();
     let mut found: Vec<BTreeMap<String, Vec<f64>>> = Vec::new();
     for dtype in [DType::F32, DType::F64] {
-        let mut params = Params::with_dtype(&Device::Cpu, dtype);
+        let mut params = Params::with_dtype(&Compute::cpu(), dtype);
         let network = Network::new(&mut params).unwrap();
         let x = candle_core::Var::from_tensor(&normal(&[2, 3, 4, 2], 1).to_dtype(dtype).unwrap()).unwrap();
         let lanes = normal(&[2, 3, 3], 2).to_dtype(dtype).unwrap();
@@ -89,7 +89,7 @@ fn gradients_reach_every_parameter_and_the_input_alike_in_both_implementations()
 
 #[test]
 fn padding_changes_nothing() {
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let network = Network::new(&mut params).unwrap();
     let (x, lanes) = (normal(&[1, 2, 4, 2], 1), normal(&[1, 2, 3], 2));
     let ones = |shape: &[usize]| Tensor::ones(shape, DType::F32, &Device::Cpu).unwrap();
@@ -111,7 +111,7 @@ fn padding_changes_nothing() {
 
 #[test]
 fn states_without_lanes_read_nothing() {
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let attention = CrossAttention::new(&mut Scope::root(&mut params, Seed(1)), "map", 8, 2).unwrap();
     let (x, valid) = (normal(&[2, 1, 3, 8], 1), Tensor::ones((2, 1, 3), DType::F32, &Device::Cpu).unwrap());
     let lane_valid = Tensor::new(&[[0f32, 0.0], [1.0, 0.0]], &Device::Cpu).unwrap();
@@ -125,7 +125,7 @@ fn states_without_lanes_read_nothing() {
 
 #[test]
 fn heads_must_divide_the_features() {
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let mut scope = Scope::root(&mut params, Seed(1));
     assert!(SelfAttention::new(&mut scope, "a", 10, 4).is_err());
     assert!(CrossAttention::new(&mut scope, "b", 10, 0).is_err());
@@ -133,7 +133,7 @@ fn heads_must_divide_the_features() {
 
 #[test]
 fn names_are_those_of_torch() {
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     Mlp::new(&mut Scope::root(&mut params, Seed(1)), "mlp", &[2, 3, 4]).unwrap();
     let names: Vec<(&str, &[usize])> = params.iter().map(|(name, var)| (name, var.dims())).collect();
     let expected: [(&str, &[usize]); 4] =
@@ -144,8 +144,8 @@ fn names_are_those_of_torch() {
 #[test]
 fn kernels_of_gpus_train_as_the_processor_does() {
     // Emulated: every launch that a GPU would get runs on the host.
-    let step = || {
-        let mut params = Params::new(&Device::Cpu);
+    let step = |precision: Precision| {
+        let mut params = Params::new(&Compute { precision, ..Compute::cpu() });
         let network = Network::new(&mut params).unwrap();
         let (x, lanes) = (normal(&[2, 3, 4, 2], 1), normal(&[2, 5, 3], 2));
         let lane_valid = Tensor::new(&[[1f32, 1.0, 0.0, 1.0, 1.0], [1.0, 0.0, 0.0, 0.0, 1.0]], &Device::Cpu).unwrap();
@@ -165,7 +165,7 @@ fn kernels_of_gpus_train_as_the_processor_does() {
     let mut results = Vec::new();
     // Sums in another order may round to another number of eight bits.
     for (precision, tolerance) in [(Precision::F32, 2e-5), (Precision::Bf16, 0.02)] {
-        let (emulated, fused) = precision.within(|| (ops::emulate(step), step()));
+        let (emulated, fused) = (ops::emulate(|| step(precision)), step(precision));
         for ((found, expected), name) in emulated.iter().zip(&fused).zip(names) {
             let size = expected.iter().fold(0.0, |max: f64, v| max.max(v.abs()));
             assert_eq!(found.len(), expected.len());

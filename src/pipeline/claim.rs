@@ -24,9 +24,9 @@ pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Res
                             let failure = Failure::from(error).context(format!("stage {} cannot run", writer.id()));
                             match writer.id().facts().trains {
                                 true => failure.with_hint(
-                                    "to go on from a model of this folder, copy it elsewhere and name the copy",
+                                    "to continue from a model in this folder, copy it elsewhere and pass the copy",
                                 ),
-                                false => failure.with_hint("give recordings and results folders of their own"),
+                                false => failure.with_hint("use separate folders for recordings and results"),
                             }
                         },
                     )?;
@@ -123,14 +123,14 @@ fn foreign_output(root: &Path, stage: StageId, error: Error) -> Failure {
         StageRecord::done(root, stage).map_or(done_path(root, stage).exists(), |record| record.files.is_none());
     if is_unlisted {
         let message = format!(
-            "cannot write {place}: a version of djinn that kept no list of its files wrote it, and it has changed since; nothing was changed now"
+            "cannot write {place}: an older version of djinn wrote it without a list of files, and it has changed since; nothing was changed now"
         );
         return Failure::input_message(message)
-            .with_hint("move away what you put there, or all of it, and run the same command again");
+            .with_hint("move your own files, or the whole folder, and run the same command again");
     }
     if StageRecord::started_in_place(root, stage).is_some() {
         let message = format!(
-            "cannot write {place}: an older version of djinn, which kept no list of its files, began it with other settings or inputs and did not finish; nothing was changed now"
+            "cannot write {place}: an older version of djinn left it unfinished with other settings or inputs, without a list of files; nothing was changed now"
         );
         return Failure::input_message(message).with_hint("move it away or remove it, and run the same command again");
     }

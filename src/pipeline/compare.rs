@@ -46,10 +46,13 @@ fn read_run(root: &Path) -> Result<ComparedRun> {
     let has_stages = StageId::ALL.into_iter().any(|stage| StageRecord::done(root, stage).is_some());
     let manifest = root.join(RUN_FILE);
     if !manifest.exists() && !has_stages {
-        let what =
-            if root.is_dir() { "holds no run: there is neither run.json nor a finished stage" } else { "is no folder" };
+        let what = if root.is_dir() {
+            "is not a run folder: it has neither run.json nor a finished stage"
+        } else {
+            "is no folder"
+        };
         return Err(Failure::input_message(format_args!("{} {what}", root.display())).with_hint(
-            "name the folders of two runs, such as output/quickstart/main; `djinn run` tells where its results are",
+            "pass the folders of two runs, such as output/quickstart/main; `djinn run` prints the folder of its results",
         ));
     }
     let mut run = ComparedRun { name: root.display().to_string(), ..ComparedRun::default() };
@@ -128,7 +131,7 @@ mod tests {
     fn what_is_no_run_is_refused_with_advice() {
         let folder = tempfile::tempdir().unwrap();
         for (path, what) in
-            [(folder.path().to_owned(), "holds no run"), (folder.path().join("missing"), "is no folder")]
+            [(folder.path().to_owned(), "is not a run folder"), (folder.path().join("missing"), "is no folder")]
         {
             let failure = write_comparison(&path, &path, &folder.path().join("page.html")).unwrap_err();
             assert_eq!(failure.blame, crate::pipeline::Blame::Input);

@@ -1,7 +1,7 @@
 //! On what do the networks compute, and how exactly?
 
 use super::failure::{Failure, Result};
-use crate::nn::Precision;
+use crate::nn::{Compute, Precision};
 use candle_core::Device;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,9 +10,9 @@ use std::str::FromStr;
 
 /// What networks compute on: `cpu`, `cuda` (the first GPU) or `cuda:1` (the second one), and so on.
 ///
-/// It is no part of what decides whether a stage must run again: what is finished stays, whatever computed it, and what is resumed goes on
-/// with the device that is asked for now. Results are the same bytes on the same kind of device, not from one kind to another: sums are taken in another order. Noise is
-/// always drawn on the host, so that samples of one seed are alike on all of them.
+/// A change of device does not make a stage run again, and a resumed stage continues on the device that is chosen now.
+/// Results are the same bytes on the same kind of device only, because kinds of device sum in different orders. Noise
+/// is always drawn on the host, so that samples of one seed are alike on all devices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "String", into = "String")]
 #[schemars(with = "String")]
@@ -87,27 +87,26 @@ impl From<DeviceChoice> for String {
     }
 }
 
-/// A device and the precision of products on it.
+/// What the configuration chooses for networks to compute on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Compute {
+pub struct ComputeChoice {
     /// What networks compute on.
     pub device: DeviceChoice,
     /// How exactly.
     pub precision: Precision,
 }
 
-impl Compute {
-    /// The device, ready to compute with this precision. The precision is one for the process: the last call decides.
+impl ComputeChoice {
+    /// The device, ready to compute.
     ///
     /// # Errors
     /// As [`DeviceChoice::open`].
-    pub fn open(self) -> Result<Device> {
-        self.precision.choose();
-        self.device.open()
+    pub fn open(self) -> Result<Compute> {
+        Ok(Compute { device: self.device.open()?, precision: self.precision })
     }
 }
 
-impl fmt::Display for Compute {
+impl fmt::Display for ComputeChoice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.precision {
             Precision::F32 => self.device.fmt(f),
@@ -122,8 +121,11 @@ mod tests {
 
     #[test]
     fn reports_say_when_products_are_rounded() {
-        let compute = Compute { device: DeviceChoice::Cuda(0), precision: Precision::Bf16 };
-        assert_eq!((compute.to_string().as_str(), Compute::default().to_string().as_str()), ("cuda, bf16", "cpu"));
+        let compute = ComputeChoice { device: DeviceChoice::Cuda(0), precision: Precision::Bf16 };
+        assert_eq!(
+            (compute.to_string().as_str(), ComputeChoice::default().to_string().as_str()),
+            ("cuda, bf16", "cpu")
+        );
     }
 
     #[test]

@@ -47,11 +47,11 @@ pub fn estimate(config: &PipelineConfig, layout: &Layout) -> Result<Vec<String>>
         n_evaluations += describe(request, &resolved, &mut lines);
     }
     let time = match evaluations_per_second(config, generate, layout)? {
-        None => "the time is not known: there is no denoiser to try yet".to_owned(),
+        None => "time unknown: no denoiser to measure yet".to_owned(),
         Some((rate, what)) => {
             let seconds = n_evaluations as f64 / rate;
             format!(
-                "{} at {rate:.0} evaluations a second (tried just now on {what}, with {} threads; guidance comes on top)",
+                "{} at {rate:.0} evaluations per second (measured now on {what} with {} threads; excludes guidance)",
                 duration(seconds),
                 rayon::current_num_threads()
             )
@@ -100,8 +100,8 @@ fn evaluations_per_second(
         (false, Some(path)) => checkpoint_file(path),
         (false, None) => return Ok(None),
     };
-    let device = config.run.compute().open()?;
-    let TrainedDenoiser { network: denoiser, spec, .. } = TrainedDenoiser::read(&path, &device)?;
+    let compute = config.run.compute().open()?;
+    let TrainedDenoiser { network: denoiser, spec, .. } = TrainedDenoiser::read(&path, &compute)?;
     let is_alike = |scene: &Scene| scene.n_history == spec.n_history && scene.n_timesteps == spec.n_timesteps;
     let recorded = SceneStore::open(&layout.scenes).ok().and_then(|store| store.scene(0).ok()).filter(is_alike);
     let what = if recorded.is_some() { "a recorded scene" } else { "a made-up scene of 16 agents" };
@@ -109,11 +109,11 @@ fn evaluations_per_second(
     let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
     let view = SceneView { scene: &scene, ego_idx: scene.ego_idx, mask: &mask };
     let time = || -> candle_core::Result<f64> {
-        let batch = spec.sampling_collator().collate(&[view], FutureValidity::Everything, &device)?;
+        let batch = spec.sampling_collator().collate(&[view], FutureValidity::Everything, &compute.device)?;
         let n_rows = generate.batch_size;
         let bound = denoiser.bind(&batch, n_rows)?;
-        let x = batch.repeated(n_rows)?.x0;
-        let sigma = Tensor::full(1.0, n_rows, &device)?.to_dtype(DType::F32)?;
+        let x = batch.repeated(n_rows)?.x0.clone();
+        let sigma = Tensor::full(1.0, n_rows, &compute.device)?.to_dtype(DType::F32)?;
         bound.denoise(&x, &sigma)?;
         let began = Instant::now();
         for _ in 0..N_TIMED {
@@ -216,7 +216,7 @@ mod tests {
             "request tight: 4 scenarios in 2 buckets; 100 samples, 3900 evaluations",
             "arm long: heun-20, 39 evaluations a sample",
             "bucket 1: gap_m 5..10: 2 wanted",
-            "in all 3960 evaluations: the time is not known",
+            "in all 3960 evaluations: time unknown",
         ] {
             assert!(text.contains(part), "`{part}` is not in\n{text}");
         }

@@ -33,8 +33,8 @@ impl PlannedStage<'_> {
     /// What becomes of results that are there, where the stage is done again: why, and what stays.
     pub fn redone(&self) -> Option<String> {
         let Action::Run(why) = &self.action else { return None };
-        let kept = self.kept.iter().map(|Kept { name, as_name }| format!("; the present {name} is kept as {as_name}"));
-        self.is_redone.then(|| format!("{} is done again: {why}{}", self.expected.stage, kept.collect::<String>()))
+        let kept = self.kept.iter().map(|Kept { name, as_name }| format!("; the current {name} is moved to {as_name}"));
+        self.is_redone.then(|| format!("{} runs again: {why}{}", self.expected.stage, kept.collect::<String>()))
     }
 }
 
@@ -213,7 +213,7 @@ fn check_inputs(stage: &dyn Stage) -> Result<()> {
         if !record.is_whole(folder, &name) {
             let message = format!("{}: it is not what stage {producer} wrote there", input.path.display());
             return Err(Failure::fault(anyhow::anyhow!(message)).with_hint(format!(
-                "the file was changed or the disk is failing: restore it from a copy, or make it anew with --redo {producer}"
+                "the file was changed or the disk is failing; restore it from a copy, or rebuild it with --redo {producer}"
             )));
         }
     }
@@ -244,7 +244,7 @@ fn identify(
         let failure = Failure::input(error).context(format!("failed to read the input {}", input.name));
         match input.producer {
             Some(producer) => failure.with_hint(format!(
-                "`djinn {}` makes it; --help says how to name another place",
+                "`djinn {}` writes it; see --help for how to use another path",
                 producer.facts().command
             )),
             None => failure.with_hint("relative paths are relative to the current directory"),
@@ -257,7 +257,7 @@ fn decide(root: &Path, expected: &StageRecord, is_asked: bool) -> Action {
     let stage = expected.stage;
     let done = StageRecord::done(root, stage);
     let why = match &done {
-        Some(_) if is_asked => "it was asked for by --redo".to_owned(),
+        Some(_) if is_asked => "requested by --redo".to_owned(),
         Some(done) if done.fingerprint != expected.fingerprint => expected.changes_since(done),
         Some(done) => match done.damaged_output(root) {
             Some(name) => format!("{name} is missing or was changed"),

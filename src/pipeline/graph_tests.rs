@@ -105,7 +105,7 @@ impl Pipeline<'_> {
             Err(failure) => return (Vec::new(), Vec::new(), Err(failure)),
         };
         let actions = planned.iter().map(|stage| stage.action.clone()).collect();
-        let context = StageContext { root: self.root, device: &candle_core::Device::Cpu, progress: &Silent };
+        let context = StageContext { root: self.root, compute: &crate::nn::Compute::cpu(), progress: &Silent };
         let outcome = execute(planned, &context, &mut |_| Ok(()), &mut |_, _| Ok(())).map(drop);
         (actions, ran.into_inner(), outcome)
     }

@@ -50,12 +50,12 @@ fn refusal(root: &Path, stage: StageId, why: &str, seconds: Option<f64>) -> Fail
     let cost =
         seconds.map_or_else(String::new, |seconds| format!(", which took {:.1} hours to train", seconds / 3600.0));
     let message = format!(
-        "stage {stage} would be run again ({why}), in place of the model in {}{cost}; nothing was changed",
+        "stage {stage} would retrain ({why}) and replace the model in {}{cost}; nothing was changed",
         root.display()
     );
     let redo = format!("--redo {stage}");
     Failure::input_message(message).with_hint(format!(
-        "add {redo} to train anew (the model is moved aside), undo the change, or copy the model elsewhere and go on with it by {}.checkpoint",
+        "add {redo} to retrain (the old model is moved aside), undo the change, or copy the model elsewhere and use it with {}.checkpoint",
         stage.facts().section
     ))
 }

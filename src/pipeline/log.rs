@@ -10,10 +10,10 @@ use std::sync::Mutex;
 /// Passes progress on to another receiver and writes down the events: phases, warnings and messages, not every advance.
 pub(super) struct Logged<'a> {
     inner: &'a dyn Progress,
-    state: Mutex<State>,
+    state: Mutex<LogState>,
 }
 
-struct State {
+struct LogState {
     file: File,
     phase: String,
     n_done: u64,
@@ -26,7 +26,7 @@ impl<'a> Logged<'a> {
     /// Appends to the log in `folder`.
     pub(super) fn open(folder: &Path, inner: &'a dyn Progress) -> std::io::Result<Self> {
         let file = File::options().create(true).append(true).open(folder.join(LOG_FILE))?;
-        Ok(Self { inner, state: Mutex::new(State { file, phase: String::new(), n_done: 0 }) })
+        Ok(Self { inner, state: Mutex::new(LogState { file, phase: String::new(), n_done: 0 }) })
     }
 
     /// Writes a line into the log alone.
@@ -34,13 +34,13 @@ impl<'a> Logged<'a> {
         self.with(|state| state.line(message));
     }
 
-    fn with(&self, act: impl FnOnce(&mut State)) {
+    fn with(&self, act: impl FnOnce(&mut LogState)) {
         // A thread that panicked while writing a line leaves at worst half a line.
         act(&mut self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
     }
 }
 
-impl State {
+impl LogState {
     fn line(&mut self, message: &str) {
         // A log that cannot be written (a full disk) must not end the work: the outputs will say so if they fail too.
         let _ = writeln!(self.file, "{} {message}", utc_now());

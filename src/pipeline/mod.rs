@@ -29,7 +29,7 @@ mod stage_facts;
 pub mod stages;
 mod work;
 
-pub use device::{Compute, DeviceChoice};
+pub use device::{ComputeChoice, DeviceChoice};
 pub use failure::{Blame, Classify, Failure, Result};
 pub use fingerprint::{PathFingerprint, fingerprint_path};
 pub use keep::Kept;

@@ -61,8 +61,8 @@ fn is_known(file: &Path) -> bool {
 
 fn refusal(place: &Path, found: Vec<PathBuf>) -> Failure {
     Failure::from(Error::Foreign { path: place.to_owned(), found })
-        .context("an older version of djinn, which kept no list of its files, did not finish this stage")
-        .with_hint("move away or remove what is there, and run the same command again")
+        .context("an older version of djinn left this stage unfinished, without a list of files")
+        .with_hint("move or remove the folder, and run the same command again")
 }
 
 #[cfg(test)]

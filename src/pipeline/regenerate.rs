@@ -7,8 +7,8 @@ use super::stages::{
 };
 use super::{Failure, Result, StageId};
 use crate::generate::{Generator, Ledger, ResolvedGeneration, SampleKey};
+use crate::nn::Compute;
 use crate::store::{CorpusReader, Difference, ScenarioRecord, SceneStore, differences, sample_ids};
-use candle_core::Device;
 use std::path::Path;
 
 /// A scenario as it was stored, and as it came out again.
@@ -32,13 +32,13 @@ pub struct Regenerated {
 /// # Errors
 /// The input's fault when there is no such scenario, or the scenes or a model are not those that it was generated with; the
 /// machine's when one of them, or the plan, is missing.
-pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, device: &Device) -> Result<Regenerated> {
+pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, compute: &Compute) -> Result<Regenerated> {
     let manifest = SampleManifest::read(&layout.samples)?;
     let settings = SampleSettings::read(&layout.samples)?;
     let behaviors = settings.mine.build()?;
     let resolved = settings.generate.resolve(&behaviors)?;
     let store = open_scenes(layout, &manifest.sampled_with)?;
-    let models = open_models(layout, &resolved, &manifest.sampled_with, device)?;
+    let models = open_models(layout, &resolved, &manifest.sampled_with, compute)?;
     let from_corpus = corpus.map(|dir| -> Result<ScenarioRecord> {
         let reader = CorpusReader::open(dir)?;
         Ok(reader.scenario(reader.position(id)?)?)
@@ -49,17 +49,22 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, device: &Dev
 
     let load = |idx: usize| Ok(store.scene(idx)?);
     let metric_settings = settings.metric_settings.unwrap_or_default();
-    let generator = Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, device)?;
+    let generator = Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, &compute.device)?;
     let found = find_shard(&layout.samples, row.shard)?;
     let plan = match &found {
         FoundShard::OfSweep(plan) => plan,
         FoundShard::OfRequest { shard, .. } => &shard.plan,
     };
     let wanted = SampleKey::of(plan, &row.scenario.provenance).ok_or_else(|| {
-        Failure::fault(anyhow::anyhow!("the plan of shard {} has no cell of scenario {id}; it was changed", row.shard))
+        Failure::fault(anyhow::anyhow!(
+            "the plan of shard {} no longer has the cell of scenario {id}; it was changed",
+            row.shard
+        ))
     })?;
     let mut again = generator.regenerate(plan, wanted)?.ok_or_else(|| {
-        Failure::input_message(format_args!("scenario {id} came to nothing this time: its sample is no scenario"))
+        Failure::input_message(format_args!(
+            "scenario {id} could not be generated again: its sample is not a valid scenario"
+        ))
     })?;
     if let FoundShard::OfRequest { request, round, pool, shard } = &found {
         // Whether there was room for it depends on what came before it: the shards, and the rows of its own.
@@ -99,7 +104,7 @@ fn rows_until(
 }
 
 fn unknown(id: &str, samples: &Path) -> Failure {
-    Failure::input_message(format_args!("no scenario {id} is among the samples of {}", samples.display()))
+    Failure::input_message(format_args!("scenario {id} is not among the samples of {}", samples.display()))
         .with_hint("ids are in the column scenario_id of samples and corpora; --from names the run folder")
 }
 
@@ -115,7 +120,7 @@ fn open_models(
     layout: &Layout,
     resolved: &ResolvedGeneration,
     sampled_with: &SampledWith,
-    device: &Device,
+    compute: &Compute,
 ) -> Result<LoadedModels> {
     let sweeps = &resolved.sweeps;
     let places: Vec<_> =
@@ -124,7 +129,7 @@ fn open_models(
         require(path, name)?;
         require(&checkpoint_file(path), name)?;
     }
-    let models = LoadedModels::read(layout, sweeps, device)?;
+    let models = LoadedModels::read(layout, sweeps, compute)?;
     for (stage, (name, path)) in places {
         let then = match stage {
             StageId::TrainDistill => sampled_with.distilled.as_deref(),
@@ -142,8 +147,8 @@ fn require(path: &Path, name: &str) -> Result<()> {
     if path.exists() {
         return Ok(());
     }
-    let error = anyhow::anyhow!("the {name} that the scenario was generated with is not there: {}", path.display());
-    Err(Failure::fault(error).with_hint(format!("--{name} names another place")))
+    let error = anyhow::anyhow!("the {name} that generated the scenario is missing: {}", path.display());
+    Err(Failure::fault(error).with_hint(format!("pass its path with --{name}")))
 }
 
 fn check(name: &str, path: &Path, then: &str, now: &str) -> Result<()> {
@@ -154,5 +159,5 @@ fn check(name: &str, path: &Path, then: &str, now: &str) -> Result<()> {
         "the {name} in {} changed since the scenario was generated: its fingerprint was {then}, and is {now}",
         path.display()
     );
-    Err(Failure::input_message(message).with_hint(format!("--{name} names the place of the old one")))
+    Err(Failure::input_message(message).with_hint(format!("pass the path of the old one with --{name}")))
 }

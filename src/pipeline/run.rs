@@ -7,7 +7,7 @@
 use super::claim;
 use super::clock::{peak_memory_bytes, utc_now};
 use super::config::PipelineConfig;
-use super::device::Compute;
+use super::device::ComputeChoice;
 use super::failure::Result;
 use super::graph::{Action, Moment, PlannedStage, execute};
 use super::log::Logged;
@@ -97,11 +97,11 @@ pub struct StageTiming {
 pub fn run_stages(
     folder: &RunFolder,
     config: Option<&PipelineConfig>,
-    compute: Compute,
+    compute: ComputeChoice,
     planned: Vec<PlannedStage<'_>>,
     progress: &dyn Progress,
 ) -> Result<Vec<StageRecord>> {
-    let device = compute.open()?;
+    let compute = compute.open()?;
     let root = folder.root.as_path();
     let logged = Logged::open(root, progress)?;
     logged.line(&format!("djinn {} begins in {}", env!("CARGO_PKG_VERSION"), root.display()));
@@ -123,7 +123,7 @@ pub fn run_stages(
     };
     save(None)?;
     let mut clock = StageClock::open(root);
-    let context = StageContext { root, device: &device, progress: &logged };
+    let context = StageContext { root, compute: &compute, progress: &logged };
     let outcome =
         execute(planned, &context, &mut |record| save(Some(record)), &mut |stage, moment| clock.take(stage, moment));
     match &outcome {

@@ -90,7 +90,7 @@ fn run(root: &Path, toy: &Toy, redo: &[StageId]) -> Result<Planned> {
     let mut planned: Vec<PlannedStage<'_>> = plan(root, vec![Box::new(toy.clone())], redo)?;
     let first = planned.first_mut().unwrap();
     let plan = Planned { action: first.action.clone(), redone: first.redone() };
-    let context = StageContext { root, device: &candle_core::Device::Cpu, progress: &Silent };
+    let context = StageContext { root, compute: &crate::nn::Compute::cpu(), progress: &Silent };
     execute(planned, &context, &mut |_| Ok(()), &mut |_, _| Ok(()))?;
     Ok(plan)
 }
@@ -358,22 +358,20 @@ fn a_model_that_took_hours_is_kept_unless_it_is_asked_for() {
     // Asked for by its name, or by a setting of its own section; then the old one is moved aside, with what it was.
     let planned = run(&root, &toy("old"), &[StageId::TrainDenoiser]).unwrap();
     let redone = planned.redone.unwrap();
-    let first = redone.split("kept as ").nth(1).unwrap();
-    assert!(
-        redone.starts_with("train_denoiser is done again: it was asked for") && first.starts_with("denoiser.earlier-")
-    );
+    let first = redone.split("moved to ").nth(1).unwrap();
+    assert!(redone.starts_with("train_denoiser runs again: requested") && first.starts_with("denoiser.earlier-"));
     assert_eq!(model(first), "old");
     let record: Value = serde_json::from_str(&text(&root, &format!("{first}/record.json"))).unwrap();
     assert_eq!(record["config"]["text"], "old");
     took(&root, Some(7200.0));
     let redone = run(&root, &toy("next"), &[]).unwrap().redone.unwrap();
-    let second = redone.split("kept as ").nth(1).unwrap().to_owned();
+    let second = redone.split("moved to ").nth(1).unwrap().to_owned();
     assert!(redone.contains("train.denoiser.text \"old\" -> \"next\"") && second != first, "{redone}");
     assert_eq!((model("denoiser"), model(&second), model(first)), ("next".into(), "old".into(), "old".into()));
     // Minutes are not worth a question.
     took(&root, Some(60.0));
     fs::write(&data, "3").unwrap();
-    assert!(run(&root, &toy("next"), &[]).unwrap().redone.unwrap().contains("kept as"));
+    assert!(run(&root, &toy("next"), &[]).unwrap().redone.unwrap().contains("moved to"));
     // A training that was begun is not thrown away either.
     run(&root, &Toy { fails: true, ..toy("third") }, &[]).err().unwrap();
     run(&root, &toy("fourth"), &[]).unwrap();
@@ -394,7 +392,7 @@ fn folders_of_older_versions_are_taken_over_or_explained() {
     put(&thesis, FOREIGN);
     let failure = run(root, &toy("next"), &[]).err().unwrap();
     let said = format!("{failure:?}");
-    assert!(said.contains("kept no list of its files") && said.contains("move away what you put there"), "{said}");
+    assert!(said.contains("without a list of files") && said.contains("move your own files"), "{said}");
     fs::remove_file(&thesis).unwrap();
     // Looking at it is enough to list its files; then what is put beside them is told from them.
     assert_eq!(run(root, &toy("old"), &[]).unwrap().action, Action::Reuse);

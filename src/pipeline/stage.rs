@@ -1,8 +1,8 @@
 //! What is a stage: which section configures it, what does it read and write, and when must it be redone?
 
 use super::failure::Result;
+use crate::nn::Compute;
 use crate::progress::Progress;
-use candle_core::Device;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -58,7 +58,7 @@ impl FromStr for StageId {
     fn from_str(name: &str) -> Result<Self, String> {
         Self::ALL.into_iter().find(|stage| stage.name() == name).ok_or_else(|| {
             let known: Vec<&str> = Self::ALL.iter().map(|stage| stage.name()).collect();
-            format!("there is no such stage; there are {}", known.join(", "))
+            format!("unknown stage; known stages: {}", known.join(", "))
         })
     }
 }
@@ -104,7 +104,7 @@ pub trait Stage {
     /// Refuses a section that cannot work, before anything runs.
     ///
     /// # Errors
-    /// When a value makes no sense, naming it.
+    /// When a value cannot work, naming it.
     fn check(&self) -> Result<()>;
     /// Its section, as JSON.
     fn config(&self) -> anyhow::Result<serde_json::Value>;
@@ -121,7 +121,7 @@ pub struct StageContext<'a> {
     /// The folder in which it writes its outputs: not the run folder, to which they come once they are whole.
     pub root: &'a Path,
     /// What networks compute on.
-    pub device: &'a Device,
-    /// Who is told about the progress.
+    pub compute: &'a Compute,
+    /// Receives the progress.
     pub progress: &'a dyn Progress,
 }

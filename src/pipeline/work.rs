@@ -43,7 +43,7 @@ pub(super) struct Work {
 
 /// Names under which earlier outputs stay in the output folder, by the names that they had.
 #[derive(Debug, Default, Serialize, Deserialize)]
-struct Keep(BTreeMap<String, String>);
+struct KeptNames(BTreeMap<String, String>);
 
 impl Work {
     fn of(root: &Path, stage: StageId) -> Self {
@@ -113,7 +113,7 @@ impl Work {
         written.retain(|name| self.dir.join(name).is_file());
         let record = expected.finished(&self.dir, outputs, &written, summary)?;
         let keep = kept.iter().map(|kept| (kept.name.clone(), kept.as_name.clone())).collect();
-        write_json_atomically(&self.dir.join(KEEP_FILE), &Keep(keep))?;
+        write_json_atomically(&self.dir.join(KEEP_FILE), &KeptNames(keep))?;
         write_json_atomically(&self.dir.join(DONE_FILE), &record)?;
         self.publish(&record)?;
         Ok(record)
@@ -141,7 +141,7 @@ impl Work {
         claim::check_outputs(&self.root, self.stage, &names)?;
         Self::check_ours(&self.root, self.stage)?;
         let earlier = StageRecord::done(&self.root, self.stage);
-        let Keep(keep) = read_json(&self.dir.join(KEEP_FILE))?;
+        let KeptNames(keep) = read_json(&self.dir.join(KEEP_FILE))?;
         remove_if_present(&self.dir.join(STARTED_FILE))?;
         for name in record.outputs.keys() {
             self.put_in_place(name, keep.get(name))?;

@@ -35,7 +35,7 @@ fn of_sweep(sweep: &str, rows: &[&MetricRow]) -> Vec<String> {
         ));
     }
     for (metric, what) in [
-        ("collision_rate", "of samples hold a collision"),
+        ("collision_rate", "of samples contain a collision"),
         ("offroad_rate", "of vehicles leave the road"),
         ("acceleration_violation_rate", "of vehicles break the acceleration limit"),
     ] {

@@ -103,7 +103,13 @@ impl<'a> Choice<'a> {
         let rows = self.sweeps.iter().flat_map(|(sweep, candidates)| match candidates {
             Candidates::Asked { new, recorded, failed } => vec![
                 row(sweep, "verified scenarios", new.n_offered + recorded.n_offered, "n_drawn", n_drawn),
-                row(sweep, "scenarios without what was asked for", failed.n_offered, "n_failed_drawn", n_failed_drawn),
+                row(
+                    sweep,
+                    "scenarios without the requested behavior",
+                    failed.n_offered,
+                    "n_failed_drawn",
+                    n_failed_drawn,
+                ),
             ],
             Candidates::Galleries(galleries) => {
                 vec![row(sweep, "scenes, at each strength", galleries.scenes.len(), "n_scenes_drawn", n_scenes_drawn)]

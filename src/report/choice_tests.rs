@@ -3,13 +3,16 @@
 use super::choice::{Choice, Chosen};
 use super::config::ReportConfig;
 use crate::scene::testing::{self, Drive};
-use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario};
+use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario};
 use crate::store::ScenarioRecord;
 
 fn record(sweep: &str, scene: &str, strength: f64, sample_idx: usize) -> ScenarioRecord {
     let recorded = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);
-    let guidance =
-        GuidanceTag { kind: "classifier:cut_in".into(), level: GuidanceLevel::of_strength(strength), roles: vec![] };
+    let guidance = GuidanceTag {
+        kind: "classifier:cut_in".into(),
+        level: GuidanceLevel::of_strength(strength),
+        roles: Roles::default(),
+    };
     let provenance = Provenance { sample_idx, guidance, ..testing::provenance(scene) };
     let observed = ObservationMask::predictive(1, recorded.n_timesteps, recorded.n_history);
     ScenarioRecord {

@@ -3,22 +3,22 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What the report shows.
+/// What to show in the report.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ReportConfig {
     /// Title of the page; empty: the pipeline's name.
     pub title: String,
-    /// Verified scenarios that are drawn of each sweep that asks for a behavior: new ones first, of as many scenes as there are.
+    /// Verified scenarios to draw per sweep with a behavior: new ones first, from as many scenes as possible.
     #[schemars(range(max = 100_000))]
     pub n_drawn: usize,
-    /// Scenarios that are drawn of such a sweep though they do not hold what was asked for.
+    /// Scenarios to draw per such sweep that do not show the behavior.
     #[schemars(range(max = 100_000))]
     pub n_failed_drawn: usize,
-    /// Scenes that are drawn of each sweep that asks for no behavior, at each strength; the same scenes in all of them.
+    /// Scenes to draw per sweep without a behavior, at each strength; the same scenes in all of them.
     #[schemars(range(max = 100_000))]
     pub n_scenes_drawn: usize,
-    /// Samples of each of these scenes that are drawn, one over the other.
+    /// Samples to draw of each of these scenes, overlaid.
     #[schemars(range(max = 100_000))]
     pub n_samples_drawn: usize,
     /// Recorded scenes, and scenarios of each kind, whose motion is compared.

@@ -101,7 +101,7 @@ mod tests {
             behavior: "cut_in".into(),
             scene_id: SceneId::from("s"),
             label: crate::behavior::EventLabel::Positive,
-            roles: vec![],
+            roles: crate::scene::Roles::default(),
             start_timestep: 0,
             end_timestep: 1,
             parameters: BTreeMap::from([("gap_m".to_owned(), gap_m), ("relative_speed_mps".to_owned(), -1.0)]),

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The kinds of road users that the source datasets tell apart.
+/// The classes of road users that the source datasets distinguish.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AgentClass {
@@ -16,7 +16,7 @@ pub enum AgentClass {
     Cyclist,
     /// Argoverse 2's `pedestrian`.
     Pedestrian,
-    /// INTERACTION does not tell pedestrians from cyclists.
+    /// INTERACTION does not distinguish pedestrians from cyclists.
     PedestrianOrCyclist,
     /// Something that does not move by itself: Argoverse 2's `static`, `background`, `construction`, `riderless_bicycle`.
     Static,

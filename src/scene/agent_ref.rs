@@ -1,6 +1,6 @@
 //! How does a configuration name one agent of whatever scene it is applied to?
 
-use super::{Scene, TrackId};
+use super::{Roles, Scene};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -9,11 +9,11 @@ use std::fmt;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum AgentRef {
-    /// The agent at the center: who has the first role of the behavior that is asked for, else the scene's ego agent.
+    /// The agent at the center: the one with the first role of the requested behavior, else the scene's ego agent.
     Ego,
-    /// The agent who has this role of the behavior that is asked for.
+    /// The agent with this role in the requested behavior.
     Role(String),
-    /// The agent whose track the recording calls so.
+    /// The agent with this track id in the recording.
     Track(String),
 }
 
@@ -30,13 +30,10 @@ impl fmt::Display for AgentRef {
 impl AgentRef {
     /// The index of the agent among the tracks of `scene`, in which agent `ego_idx` is at the center and tracks have
     /// `roles`. `None` when there is no such agent.
-    pub fn resolve(&self, scene: &Scene, ego_idx: usize, roles: &[(String, TrackId)]) -> Option<usize> {
+    pub fn resolve(&self, scene: &Scene, ego_idx: usize, roles: &Roles) -> Option<usize> {
         match self {
             Self::Ego => Some(ego_idx).filter(|idx| *idx < scene.tracks.len()),
-            Self::Role(name) => {
-                let (_, track) = roles.iter().find(|(role, _)| role == name)?;
-                scene.track_idx(track)
-            }
+            Self::Role(name) => scene.track_idx(roles.track(name)?),
             Self::Track(id) => scene.tracks.iter().position(|track| track.id.0 == *id),
         }
     }
@@ -50,7 +47,7 @@ mod tests {
     #[test]
     fn agents_are_found_by_place_role_and_name() {
         let scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 5.0), Drive::straight(0.0, 4.0, 0.0, 5.0)]);
-        let roles = [("other".to_owned(), TrackId::from("1"))];
+        let roles = Roles::from([("other", "1")]);
         let found = |agent: AgentRef| agent.resolve(&scene, 1, &roles);
         assert_eq!(found(AgentRef::Ego), Some(1));
         assert_eq!(found(AgentRef::Role("other".to_owned())), Some(0));

@@ -20,21 +20,21 @@ pub enum Dataset {
 pub struct DatasetFacts {
     /// The name in tables, ids and configurations.
     pub name: &'static str,
-    /// The terms under which it is published, which hold for what is made from it.
+    /// The terms under which it is published, which also apply to everything derived from it.
     pub terms: &'static str,
-    /// The country of all its places, by its three letters; `None` where names of places tell it.
+    /// The country of all its places, by its three letters; `None` if the names of places give it.
     pub country: Option<&'static str>,
     /// Whether headings of vehicles are recorded. Where they are not, they follow from positions.
     pub has_headings: bool,
     /// Whether positions are good enough to judge motion by: accelerations, jerks, curvature.
     pub has_clean_motion: bool,
-    /// Whether the focal agent is the dataset's choice of whom to predict.
+    /// Whether the focal agent is the dataset's choice of the agent to predict.
     pub has_chosen_focal: bool,
     /// Whether the first frame of a scene is the time at which it begins, in nanoseconds.
     pub begins_at_ns: bool,
     /// When a prediction of the last state is a miss.
     pub miss_rule: MissRule,
-    /// Whom its benchmark predicts, and in which form.
+    /// The agents that its benchmark predicts, and its submission format.
     pub benchmark: Benchmark,
 }
 
@@ -47,7 +47,7 @@ pub enum MissRule {
     Radial,
 }
 
-/// A benchmark: whom it predicts, and the form in which it takes predictions.
+/// A benchmark: the agents it predicts, and its submission format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Benchmark {
     /// INTERACTION's of many agents: joint futures of the vehicles that are recorded throughout, as CSV.

@@ -23,7 +23,7 @@ pub enum SceneEdit {
     ScaleSpeed(ScaleSpeed),
     /// The agent goes through given points.
     SetPositions(SetPositions),
-    /// The agent comes to where another one is at some time.
+    /// The agent meets another one at some time.
     Meet(Meet),
 }
 
@@ -86,7 +86,7 @@ pub struct SetPositions {
     pub points: Vec<TimedPoint>,
 }
 
-/// A place in the scene frame, to be at a time.
+/// A place in the scene frame and the time to be there.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TimedPoint {
@@ -130,7 +130,7 @@ impl SceneEdit {
         }
     }
 
-    /// Says which value makes no sense.
+    /// Rejects values that cannot work.
     ///
     /// # Errors
     /// When there is one.
@@ -142,7 +142,9 @@ impl SceneEdit {
                     format!("is {}, expected more than 1.5 times by_s: the agent would drive backwards", e.onset_s);
                 Err(Issue::new("onset_s", message))
             }
-            Self::SetPositions(e) if e.points.is_empty() => Err(Issue::new("points", "is empty: name at least one")),
+            Self::SetPositions(e) if e.points.is_empty() => {
+                Err(Issue::new("points", "is empty, expected at least one entry"))
+            }
             Self::SetPositions(e) => match e.points.windows(2).position(|pair| pair[1].t_s <= pair[0].t_s) {
                 Some(i) => {
                     let (key, t_s) = (format!("points.{}.t_s", i + 1), e.points[i + 1].t_s);
@@ -151,7 +153,7 @@ impl SceneEdit {
                 None => Ok(()),
             },
             Self::Meet(e) if e.agent == e.with => {
-                Err(Issue::new("with", format_args!("is {}, the agent that is moved: name another", e.with)))
+                Err(Issue::new("with", format_args!("is {}, the agent that is moved; name another agent", e.with)))
             }
             _ => Ok(()),
         }
@@ -290,7 +292,7 @@ mod tests {
 
     fn applied(toml: &str) -> Scene {
         let scene = crossing();
-        edit(toml).apply(&scene, &|agent| agent.resolve(&scene, 0, &[])).unwrap()
+        edit(toml).apply(&scene, &|agent| agent.resolve(&scene, 0, crate::scene::Roles::none())).unwrap()
     }
 
     fn position(scene: &Scene, agent_idx: usize, timestep: usize) -> Vec2 {
@@ -370,7 +372,7 @@ mod tests {
         assert!(refusal("{ kind = 'scale_speed', agent = 'ego', factor = nan }").contains("factor is NaN"));
         assert!(refusal("{ kind = 'set_positions', agent = 'ego', points = [] }").contains("empty"));
         let scene = without_states(crossing(), 0, |t| t == 3);
-        let resolve = |agent: &AgentRef| agent.resolve(&scene, 0, &[]);
+        let resolve = |agent: &AgentRef| agent.resolve(&scene, 0, crate::scene::Roles::none());
         let error = edit("{ kind = 'scale_speed', agent = 'ego', factor = 2.0 }").apply(&scene, &resolve).unwrap_err();
         assert!(error.contains("tracked at present"), "{error}");
     }

@@ -9,6 +9,7 @@ mod ids;
 mod lane_graph;
 mod motion;
 mod observation_mask;
+mod roles;
 mod scenario;
 #[expect(clippy::module_inception, reason = "the folder is named for its main type")]
 mod scene;
@@ -24,7 +25,9 @@ pub use edit::{Meet, ScaleSpeed, SceneEdit, SetPositions, Shift, ShiftTime, Time
 pub use guidance_level::{GuidanceLevel, LevelAxis};
 pub use ids::{LaneId, MapId, SceneId, TrackId};
 pub use lane_graph::{Lane, LaneAttributes, LaneGraph, TurnDirection};
+pub use motion::STANDING_STEP_M;
 pub use observation_mask::ObservationMask;
+pub use roles::Roles;
 pub use scenario::{GuidanceTag, Provenance, Scenario};
 pub use scene::{Scene, SceneSource, Split};
 pub use track::{Track, TrackRole};

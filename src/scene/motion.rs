@@ -3,8 +3,8 @@
 use super::{Scene, State, Trajectory};
 use crate::geometry::{Polyline, Vec2, angle_difference, wrap_angle};
 
-/// Steps below this length say nothing of the heading, meters.
-const STANDING_STEP_M: f64 = 0.05;
+/// A step shorter than this does not tell a heading, meters.
+pub const STANDING_STEP_M: f64 = 0.05;
 
 /// A recorded course as a function of continuous time: linear between states, carried on at constant velocity beyond them.
 pub(super) struct Motion<'a> {

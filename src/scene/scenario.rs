@@ -1,6 +1,6 @@
 //! A generated scenario: a scene whose future was sampled, and everything needed to sample it again.
 
-use super::{GuidanceLevel, ObservationMask, Scene, SceneId, TrackId};
+use super::{GuidanceLevel, ObservationMask, Roles, Scene, SceneId};
 use serde::{Deserialize, Serialize};
 
 /// The guidance a scenario was sampled with.
@@ -13,7 +13,7 @@ pub struct GuidanceTag {
     #[serde(flatten)]
     pub level: GuidanceLevel,
     /// The tracks the guidance acted on, as (role, track): empty without guidance.
-    pub roles: Vec<(String, TrackId)>,
+    pub roles: Roles,
 }
 
 impl GuidanceTag {

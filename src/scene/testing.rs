@@ -91,7 +91,11 @@ pub(crate) fn provenance(scene_id: &str) -> Provenance {
         seed: 1,
         sample_idx: 0,
         probability: None,
-        guidance: GuidanceTag { kind: GuidanceTag::NONE.to_owned(), level: GuidanceLevel::UNGUIDED, roles: Vec::new() },
+        guidance: GuidanceTag {
+            kind: GuidanceTag::NONE.to_owned(),
+            level: GuidanceLevel::UNGUIDED,
+            roles: Roles::default(),
+        },
         sampler: "heun-10".to_owned(),
         settings: String::new(),
     }

@@ -54,7 +54,7 @@ pub fn ascending((low_key, low): (&str, f64), (high_key, high): (&str, f64)) -> 
 /// Names the second one.
 pub fn distinct<T: PartialEq + Display>(key: &str, entries: &[T]) -> Result {
     match (1..entries.len()).find(|i| entries[..*i].contains(&entries[*i])) {
-        Some(i) => Err(Issue::new(format!("{key}.{i}"), format_args!("is {} a second time: name it once", entries[i]))),
+        Some(i) => Err(Issue::new(format!("{key}.{i}"), format_args!("is {}, which is already listed", entries[i]))),
         None => Ok(()),
     }
 }
@@ -65,7 +65,7 @@ pub fn distinct<T: PartialEq + Display>(key: &str, entries: &[T]) -> Result {
 /// When it is empty, or holds line breaks or other control characters.
 pub fn printable_name(key: &str, name: &str) -> Result {
     match name {
-        "" => Err(Issue::new(key, "is empty: give it a name")),
+        "" => Err(Issue::new(key, "is empty, expected a name")),
         _ => printable(key, name),
     }
 }

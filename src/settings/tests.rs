@@ -99,7 +99,7 @@ fn settings_that_do_not_go_together_are_told() {
     assert_eq!(upside_down.to_string(), "section.low is 2, expected at most high, which is 1");
     assert!(ascending(("low", f64::NAN), ("high", 1.0)).is_err());
     assert_eq!(distinct("list", &[1.0, 2.0]), Ok(()));
-    assert_eq!(distinct("list", &["a", "b", "a"]).unwrap_err().to_string(), "list.2 is a a second time: name it once");
+    assert_eq!(distinct("list", &["a", "b", "a"]).unwrap_err().to_string(), "list.2 is a, which is already listed");
     assert_eq!(printable_name("name", "night drive"), Ok(()));
     assert!(printable_name("name", "").is_err() && printable("title", "").is_ok());
     let escaped = printable_name("name", "a\u{1b}[31m").unwrap_err().to_string();

@@ -13,13 +13,13 @@ pub enum Error {
     #[error(transparent)]
     Files(files::Error),
     /// A folder without its manifest, which is written last.
-    #[error("{} has no manifest.json: the command that writes it did not finish, run the same command again", .dir.display())]
+    #[error("{} has no manifest.json, so the command that writes it did not finish; run that command again", .dir.display())]
     Unfinished {
         /// The folder.
         dir: PathBuf,
     },
     /// A folder that is no corpus.
-    #[error("{} is no corpus: it has no manifest.json of one; {}", .dir.display(), what_to_name(.inside.as_deref()))]
+    #[error("{} is not a corpus: it has no corpus manifest.json; {}", .dir.display(), what_to_name(.inside.as_deref()))]
     NoCorpus {
         /// The folder.
         dir: PathBuf,
@@ -27,7 +27,7 @@ pub enum Error {
         inside: Option<PathBuf>,
     },
     /// A file of another schema, or of another version of it.
-    #[error("{} holds schema {found:?} but {expected:?} is needed: write it again with this version of djinn", .path.display())]
+    #[error("{} has schema `{found}`, expected `{expected}`; write it again with this version of djinn", .path.display())]
     SchemaVersion {
         /// The file.
         path: PathBuf,
@@ -53,7 +53,9 @@ pub enum Error {
         detail: String,
     },
     /// A scene that was given twice.
-    #[error("scene {id} came twice: do the inputs overlap, such as a folder and the archive it was unpacked from?")]
+    #[error(
+        "scene {id} was read twice; check whether the inputs overlap, such as a folder and the archive it was unpacked from"
+    )]
     DuplicateScene {
         /// The scene.
         id: String,
@@ -120,7 +122,7 @@ impl From<files::Error> for Error {
 fn what_to_name(inside: Option<&Path>) -> String {
     match inside {
         Some(inside) => format!("the corpus in it is {}", inside.display()),
-        None => "name the folder that `djinn evaluate` wrote, such as output/quickstart/main/corpus".to_owned(),
+        None => "pass the folder that `djinn evaluate` wrote, such as output/quickstart/main/corpus".to_owned(),
     }
 }
 

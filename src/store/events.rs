@@ -71,7 +71,7 @@ pub fn read_events(path: &Path, keep: impl Fn(&BehaviorEvent) -> bool) -> Result
 mod tests {
     use super::*;
     use crate::behavior::{self, EventLabel};
-    use crate::scene::{SceneId, TrackId};
+    use crate::scene::SceneId;
     use crate::store::testing::event;
     use crate::store::{Error, MetricRow, write_metrics};
     use std::collections::BTreeSet;
@@ -85,7 +85,7 @@ mod tests {
     /// What occurs in these events.
     fn names_of(events: &[BehaviorEvent]) -> EventNames<'_> {
         EventNames {
-            roles: events.iter().flat_map(|event| &event.roles).map(|(role, _)| role.as_str()).collect(),
+            roles: events.iter().flat_map(|event| event.roles.names()).collect(),
             parameters: events.iter().flat_map(|event| event.parameters.keys()).map(String::as_str).collect(),
         }
     }
@@ -98,7 +98,7 @@ mod tests {
         let scene = SceneId::from("interaction/val/DR_CHN_Merging_ZS0/7");
         let cut_in = event(&scene, "cut_in", &[("gap_m", 0.1 + 0.2), ("ttc_s", 1.5)]);
         let turn = BehaviorEvent {
-            roles: vec![("agent".to_owned(), TrackId::from("9"))],
+            roles: crate::scene::Roles::from([("agent", "9")]),
             label: EventLabel::Negative,
             ..event(&scene, "left_turn", &[("radius_m", 12.0)])
         };
@@ -162,7 +162,7 @@ mod tests {
             |event: BehaviorEvent| EventWriter::new(&path, behavior::ALL).write(&[event]).unwrap_err().to_string();
         let message = refusal(event(&"a".into(), "cut_in", &[("charm_m", 1.0)]));
         assert!(message.contains("charm_m") && message.contains("does not declare"), "{message}");
-        let roles = vec![("bystander".to_owned(), TrackId::from("1"))];
+        let roles = crate::scene::Roles::from([("bystander", "1")]);
         assert!(refusal(BehaviorEvent { roles, ..event(&"a".into(), "cut_in", &[]) }).contains("bystander"));
     }
 

@@ -142,7 +142,7 @@ fn count(frame: &DataFrame, column: &str, i: usize) -> PolarsResult<usize> {
 
 fn label(frame: &DataFrame, i: usize) -> PolarsResult<EventLabel> {
     let name = text(frame, "label", i)?;
-    label_from_name(&name).ok_or_else(|| polars_err!(ComputeError: "there is no label {name}"))
+    label_from_name(&name).ok_or_else(|| polars_err!(ComputeError: "unknown label {name}"))
 }
 
 #[cfg(test)]

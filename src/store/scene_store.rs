@@ -279,7 +279,7 @@ mod tests {
     fn an_unfinished_store_says_what_to_do() {
         let dir = tempfile::tempdir().unwrap();
         let error = SceneStore::open(dir.path()).unwrap_err().to_string();
-        assert!(error.contains("has no manifest.json") && error.contains("run the same command again"), "{error}");
+        assert!(error.contains("has no manifest.json") && error.contains("run that command again"), "{error}");
     }
 
     #[test]
@@ -291,7 +291,7 @@ mod tests {
         let text = fs::read_to_string(&path).unwrap().replace("scene.v2", "scene.v0");
         fs::write(&path, text).unwrap();
         let error = SceneStore::open(dir.path()).unwrap_err().to_string();
-        assert!(error.contains("holds schema \"scene.v0\" but \"scene.v2\" is needed"), "{error}");
+        assert!(error.contains("has schema `scene.v0`, expected `scene.v2`"), "{error}");
     }
 
     #[test]

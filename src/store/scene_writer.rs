@@ -36,7 +36,7 @@ pub struct SceneWriter {
     dir: PathBuf,
     options: SceneWriterOptions,
     shards: Vec<ShardEntry>,
-    current: Shard,
+    current: OpenShard,
     known_maps: BTreeSet<String>,
     /// Hashes of the ids of all scenes so far.
     known_scenes: BTreeSet<u128>,
@@ -46,7 +46,7 @@ pub struct SceneWriter {
 
 /// The shard that is being written.
 #[derive(Default)]
-struct Shard {
+struct OpenShard {
     scenes: Option<IpcFile>,
     n_scenes: u64,
     n_agents: u64,
@@ -67,7 +67,7 @@ impl SceneWriter {
             dir: dir.to_owned(),
             options,
             shards: Vec::new(),
-            current: Shard::default(),
+            current: OpenShard::default(),
             known_maps: BTreeSet::new(),
             known_scenes: BTreeSet::new(),
             units_done: 0,
@@ -116,7 +116,7 @@ impl SceneWriter {
             units_done: last.as_ref().map_or(0, |sidecar| sidecar.units_done),
             report: last.as_ref().map_or(Value::Null, |sidecar| sidecar.report.clone()),
             shards: finished.into_iter().map(|sidecar| sidecar.shard).collect(),
-            current: Shard::default(),
+            current: OpenShard::default(),
             known_maps: known_maps.ids().map(str::to_owned).collect(),
             known_scenes,
         };
@@ -196,7 +196,7 @@ impl SceneWriter {
     /// Gives the shard's files their names, the sidecar last. Maps without scenes are dropped: they can only come after the
     /// last scene.
     fn finish_shard(&mut self) -> Result<()> {
-        let Shard { scenes, n_scenes, n_agents, maps, n_maps, n_lanes } = std::mem::take(&mut self.current);
+        let OpenShard { scenes, n_scenes, n_agents, maps, n_maps, n_lanes } = std::mem::take(&mut self.current);
         let Some(scenes) = scenes else { return Ok(()) };
         let maps = match maps {
             Some(maps) => {

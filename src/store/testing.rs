@@ -6,7 +6,7 @@ use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::metrics::{Check, CutInJudgment, PairCriticality, SceneCriticality, Violation};
 use crate::scene::{
     AgentClass, Dataset, Extent, GuidanceLevel, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, MapId,
-    ObservationMask, Provenance, Scenario, Scene, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole,
+    ObservationMask, Provenance, Roles, Scenario, Scene, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole,
     Trajectory, TurnDirection,
 };
 use crate::seed::{Seed, SeededRng};
@@ -96,7 +96,7 @@ pub(crate) fn event(scene_id: &SceneId, behavior: &str, parameters: &[(&str, f64
         behavior: behavior.to_owned(),
         scene_id: scene_id.clone(),
         label: EventLabel::Positive,
-        roles: vec![("other".to_owned(), TrackId::from("track-1")), ("ego".to_owned(), TrackId::from("track-0"))],
+        roles: Roles::from([("other", "track-1"), ("ego", "track-0")]),
         start_timestep: 3,
         end_timestep: 8,
         parameters: parameters.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect(),
@@ -127,7 +127,7 @@ pub(crate) fn record(scene: &Scene, sample_idx: usize) -> ScenarioRecord {
                 guidance: GuidanceTag {
                     kind: "classifier:cut_in".to_owned(),
                     level: GuidanceLevel::of_strength(2.0),
-                    roles: vec![("ego".to_owned(), TrackId::from("track-0"))],
+                    roles: Roles::from([("ego", "track-0")]),
                 },
                 sampler: "heun-20".to_owned(),
                 settings: r#"{"observe":"predictive"}"#.to_owned(),

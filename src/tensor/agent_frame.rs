@@ -1,7 +1,7 @@
 //! The agents of a batch's row, the frame they are in, and the way back from its samples to scenes.
 
 use crate::geometry::{Transform2, Vec2, wrap_angle};
-use crate::scene::{ObservationMask, Scene, State, Track, Trajectory};
+use crate::scene::{ObservationMask, STANDING_STEP_M, Scene, State, Track, Trajectory};
 
 /// The agents of a row and the frame its coordinates are in.
 #[derive(Debug, Clone, PartialEq)]
@@ -77,9 +77,6 @@ impl AgentFrame {
         Scene { tracks, n_timesteps, ..source.clone() }
     }
 }
-
-/// Distance below which motion says nothing of the heading, meters.
-const STANDING_STEP_M: f64 = 0.05;
 
 /// Velocities of generated entries by backward difference, and where wanted headings along the motion.
 fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, with_heading: bool) {

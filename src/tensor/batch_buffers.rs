@@ -1,6 +1,6 @@
 //! A batch's tensors while they are written on the host.
 
-use super::{AgentFrame, FeatureLayout, Normalizer, SceneBatch, StateParametrization};
+use super::{AgentFrame, FeatureLayout, Normalizer, SceneTensors, StateParametrization};
 use crate::geometry::Vec2;
 use candle_core::{Device, Result, Tensor};
 use std::sync::Arc;
@@ -97,10 +97,10 @@ impl BatchBuffers {
         }
     }
 
-    pub(super) fn into_batch(self, frames: Vec<AgentFrame>, device: &Device) -> Result<SceneBatch> {
+    pub(super) fn into_tensors(self, frames: Vec<AgentFrame>, device: &Device) -> Result<SceneTensors> {
         let [b, a, t, l, d] = self.shape;
         let valid: Vec<f32> = self.observed.iter().zip(&self.latent).map(|(o, l)| o + l).collect();
-        Ok(SceneBatch {
+        Ok(SceneTensors {
             x0: Tensor::from_vec(self.x0, (b, a, t, d), device)?,
             context: Tensor::from_vec(self.context, (b, a, t, d), device)?,
             observed: Tensor::from_vec(self.observed, (b, a, t), device)?,

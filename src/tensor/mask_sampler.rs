@@ -32,13 +32,13 @@ pub struct TaskWeights {
     /// Weight of observing the history of all agents.
     #[schemars(range(min = 0.0))]
     pub predictive: f64,
-    /// Weight of observing also the goals of three agents.
+    /// Weight of observing the goals of three agents, too.
     #[schemars(range(min = 0.0))]
     pub goal_conditioned: f64,
-    /// Weight of observing also three agents wholly.
+    /// Weight of observing three agents entirely, too.
     #[schemars(range(min = 0.0))]
     pub agent_conditioned: f64,
-    /// Weight of observing also the ego agent wholly.
+    /// Weight of observing the ego agent entirely, too.
     #[schemars(range(min = 0.0))]
     pub ego_conditioned: f64,
     /// Weight of hiding one window.

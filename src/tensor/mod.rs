@@ -1,6 +1,7 @@
 //! From scenes to tensors and back: which numbers does the network see, in which frame, at which scale?
 
 mod agent_frame;
+mod agent_row;
 mod batch_buffers;
 mod collate;
 mod eigen;
@@ -29,6 +30,6 @@ pub use motion_modes::MotionCovariance;
 pub use normalizer::{Normalizer, NormalizerFit, StateParametrization};
 pub use pair_features::PairFeatures;
 pub use repeated_rows::RepeatedRows;
-pub use scene_batch::{SceneBatch, Surroundings};
+pub use scene_batch::{SceneBatch, SceneTensors, Surroundings};
 pub use sight::Sight;
 pub use surroundings::{AgentSurroundings, RowSurroundings, SeenPiece, SurroundingsLayout};

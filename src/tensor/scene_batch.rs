@@ -1,8 +1,9 @@
 //! A batch of scenes as tensors, and the way back from samples to scenes.
 
-use super::{AgentFrame, RepeatedRows, RowSurroundings};
+use super::{AgentFrame, FeatureLayout, RepeatedRows, RowSurroundings, SurroundingsLayout};
 use crate::scene::Scene;
-use candle_core::{D, Result, Tensor};
+use candle_core::{D, Result, Tensor, bail};
+use std::ops::Deref;
 use std::sync::Arc;
 
 /// Scenes as padded tensors: B scenes, A agents, T timesteps, L polylines, D dimensions of a diffused state.
@@ -10,8 +11,14 @@ use std::sync::Arc;
 /// An entry is *latent* when it is to be generated, *observed* when it is given, *valid* when it is either.
 /// Everything else is padding, and zero. Diffused values x are related to meters and radians in the row's ego
 /// frame by `decode`: base + rotation · (unit · path · x) on latent entries; observed entries are the base itself.
+///
+/// The tensors are those of [`SceneTensors`], read-only: their shapes, types and devices agree.
 #[derive(Debug, Clone)]
-pub struct SceneBatch {
+pub struct SceneBatch(SceneTensors);
+
+/// The tensors that a [`SceneBatch`] is made of.
+#[derive(Debug, Clone)]
+pub struct SceneTensors {
     /// Clean diffused states, (B, A, T, D): zero except on latent entries.
     pub x0: Tensor,
     /// What the network sees of known states, (B, A, T, D), in scene units: observed states; on latent entries
@@ -68,6 +75,80 @@ pub struct Surroundings {
     pub rows: Vec<Arc<RowSurroundings>>,
 }
 
+impl Deref for SceneBatch {
+    type Target = SceneTensors;
+
+    fn deref(&self) -> &SceneTensors {
+        &self.0
+    }
+}
+
+impl SceneTensors {
+    /// Checks every tensor against the B, A, T and D of `x0`.
+    fn validate(&self) -> Result<()> {
+        let (b, a, t, d) = self.x0.dims4()?;
+        if !(2..=3).contains(&d) {
+            bail!("scene batch: x0 has {d} values for each state; expected 2 (position) or 3 (position and heading)");
+        }
+        let n_lanes = self.lanes.dims3()?.1;
+        let masks =
+            [("observed", &self.observed), ("latent", &self.latent), ("scored", &self.scored), ("valid", &self.valid)];
+        for (name, mask) in masks {
+            self.check(name, mask, &[b, a, t])?;
+        }
+        self.check("context", &self.context, &[b, a, t, d])?;
+        self.check("features", &self.features, &[b, a, t, FeatureLayout::AGENT])?;
+        self.check("lanes", &self.lanes, &[b, n_lanes, FeatureLayout::LANE])?;
+        self.check("lane_valid", &self.lane_valid, &[b, n_lanes])?;
+        self.check("base", &self.base, &[b, a, t, 3])?;
+        self.check("rotation", &self.rotation, &[b, a, 2])?;
+        self.check("unit", &self.unit, &[b, a, 3])?;
+        if let Some(motion) = &self.observed_motion {
+            self.check("observed_motion", motion, &[b, a, t, d])?;
+        }
+        if let Some(path) = &self.path {
+            self.check("path", path, &[b, a, t, t])?;
+        }
+        check_rows("frames", &self.frames, |frame| frame.agents.len(), [b, a])?;
+        if let Some(around) = &self.surroundings {
+            let n_pieces = around.lane_valid.dims3()?.2;
+            self.check("surroundings.origin", &around.origin, &[b, a, 2])?;
+            self.check("surroundings.attributes", &around.attributes, &[b, a, SurroundingsLayout::AGENT])?;
+            self.check("surroundings.lanes", &around.lanes, &[b, a, n_pieces, SurroundingsLayout::PIECE])?;
+            self.check("surroundings.lane_valid", &around.lane_valid, &[b, a, n_pieces])?;
+            self.check("surroundings.modes", &around.modes, &[b, a, d, t, t])?;
+            self.check("surroundings.variances", &around.variances, &[b, a, d, t])?;
+            check_rows("surroundings.rows", &around.rows, |row| row.agents.len(), [b, a])?;
+        }
+        Ok(())
+    }
+
+    fn check(&self, name: &str, tensor: &Tensor, expected: &[usize]) -> Result<()> {
+        if tensor.dims() != expected {
+            bail!("scene batch: {name} has shape {:?}, expected {expected:?}", tensor.dims());
+        }
+        if tensor.dtype() != self.x0.dtype() {
+            let (found, expected) = (tensor.dtype().as_str(), self.x0.dtype().as_str());
+            bail!("scene batch: {name} holds {found}, expected {expected} as in x0");
+        }
+        if !tensor.device().same_device(self.x0.device()) {
+            bail!("scene batch: {name} is on another device than x0");
+        }
+        Ok(())
+    }
+}
+
+/// Checks what the host keeps of each row: B items of at most A agents.
+fn check_rows<T>(name: &str, items: &[Arc<T>], n_agents: impl Fn(&T) -> usize, [b, a]: [usize; 2]) -> Result<()> {
+    if items.len() != b {
+        bail!("scene batch: {name} has {} items, expected {b}, one for each row of x0", items.len());
+    }
+    match items.iter().map(|item| n_agents(item)).find(|n| *n > a) {
+        Some(n) => bail!("scene batch: {name} has a row of {n} agents, expected at most {a} as in x0"),
+        None => Ok(()),
+    }
+}
+
 impl Surroundings {
     fn repeated(&self, rows: &RepeatedRows) -> Result<Self> {
         let repeat = |tensor: &Tensor| rows.tensor(tensor);
@@ -84,6 +165,15 @@ impl Surroundings {
 }
 
 impl SceneBatch {
+    /// Makes a batch of tensors that belong together. Values are not read: they may be on a GPU.
+    ///
+    /// # Errors
+    /// When a tensor has another shape, type or device than `x0` asks for, naming it.
+    pub fn new(tensors: SceneTensors) -> Result<Self> {
+        tensors.validate()?;
+        Ok(Self(tensors))
+    }
+
     /// Number of rows B.
     pub fn n_rows(&self) -> usize {
         self.frames.len()
@@ -96,7 +186,7 @@ impl SceneBatch {
     pub fn repeated(&self, n: usize) -> Result<Self> {
         let rows = RepeatedRows::new(self.n_rows(), n, self.x0.device())?;
         let repeat = |tensor: &Tensor| rows.tensor(tensor);
-        Ok(Self {
+        Ok(Self(SceneTensors {
             x0: repeat(&self.x0)?,
             context: repeat(&self.context)?,
             observed: repeat(&self.observed)?,
@@ -113,7 +203,7 @@ impl SceneBatch {
             path: self.path.as_ref().map(repeat).transpose()?,
             frames: rows.items(&self.frames),
             surroundings: self.surroundings.as_ref().map(|around| around.repeated(&rows)).transpose()?,
-        })
+        }))
     }
 
     /// Positions and headings of diffused states `x` (B, A, T, D): (B, A, T, 3), meters and radians in each row's
@@ -122,6 +212,14 @@ impl SceneBatch {
     /// # Errors
     /// Fails when `x` has another shape than `x0`.
     pub fn decode(&self, x: &Tensor) -> Result<Tensor> {
+        self.decode_offsets(x)? + &self.base
+    }
+
+    /// The linear part of [`decode`](Self::decode): what is added to the base, (B, A, T, 3).
+    ///
+    /// # Errors
+    /// Fails when `x` has another shape than `x0`.
+    pub fn decode_offsets(&self, x: &Tensor) -> Result<Tensor> {
         let state_dim = x.dim(D::Minus1)?;
         let x = x.broadcast_mul(&self.latent.unsqueeze(3)?)?;
         let x = self.path.as_ref().map_or(Ok(x.clone()), |path| path.matmul(&x))?;
@@ -132,7 +230,7 @@ impl SceneBatch {
         let dx = (along.broadcast_mul(&cos)? - across.broadcast_mul(&sin)?)?;
         let dy = (along.broadcast_mul(&sin)? + across.broadcast_mul(&cos)?)?;
         let turn = if state_dim > 2 { scaled.narrow(3, 2, 1)? } else { dx.zeros_like()? };
-        Tensor::cat(&[dx, dy, turn], 3)? + &self.base
+        Tensor::cat(&[dx, dy, turn], 3)
     }
 
     /// `path` with rows of norm 1 (or 0), so that what white x adds up to has unit variance; `None` without a path.

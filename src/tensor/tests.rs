@@ -183,3 +183,32 @@ fn pair_features_do_not_change_when_the_scene_is_seen_from_another_agent() {
         }
     }
 }
+
+#[test]
+fn tensors_that_do_not_belong_together_make_no_batch() {
+    let scene = three_cars();
+    let collator = Collator { sight: Some(Sight::new(4)), ..collator(&scene, StateParametrization::Motion) };
+    let batch = collate(&collator, &scene, 0, &ObservationMask::predictive(3, 12, 4));
+    let message = |spoil: &dyn Fn(&mut SceneTensors)| {
+        let mut tensors = SceneTensors::clone(&batch);
+        spoil(&mut tensors);
+        SceneBatch::new(tensors).unwrap_err().to_string()
+    };
+    let cut = |tensor: &Tensor| tensor.narrow(1, 0, 2).unwrap();
+    let around = |tensors: &mut SceneTensors, spoil: &dyn Fn(&mut Surroundings)| {
+        spoil(tensors.surroundings.as_mut().unwrap());
+    };
+    let cases: [(&str, &dyn Fn(&mut SceneTensors)); 7] = [
+        ("latent has shape [1, 2, 12], expected [1, 3, 12]", &|t| t.latent = cut(&t.latent)),
+        ("path has shape [1, 2, 12, 12], expected [1, 3, 12, 12]", &|t| t.path = t.path.as_ref().map(cut)),
+        ("surroundings.modes has shape [1, 2, 3, 12, 12]", &|t| around(t, &|around| around.modes = cut(&around.modes))),
+        ("surroundings.rows has 0 items, expected 1", &|t| around(t, &|around| around.rows.clear())),
+        ("frames has 0 items, expected 1", &|t| t.frames.clear()),
+        ("unit holds f64, expected f32", &|t| t.unit = t.unit.to_dtype(candle_core::DType::F64).unwrap()),
+        ("x0 has 1 values", &|t| t.x0 = t.x0.narrow(3, 0, 1).unwrap()),
+    ];
+    for (expected, spoil) in cases {
+        let found = message(spoil);
+        assert!(found.starts_with("scene batch: ") && found.contains(expected), "{found}");
+    }
+}

@@ -8,22 +8,22 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 scene_training_section! {
-    /// How to train Scene Transformer, the paper's baseline. What is left out is the preset's: but for the network, the same as
-    /// the denoiser's.
+    /// How to train Scene Transformer, the paper's baseline. Settings left out are the preset's; except for the
+    /// network, the denoiser's.
     pub struct BaselineTrainingConfig in "train.baseline", each Option {
         /// Size of the network: `tiny`, `small` or `paper`.
         pub preset: Preset,
-        /// The network, where the preset's does not fit.
+        /// The network, to override the preset's.
         pub network: Option<SceneTransformerConfig>,
         /// What the network puts out: `scene`, `residual` or `motion`.
         pub state_parametrization: Option<StateParametrization>,
         /// Weight of -ln p of the best future in the loss, beside its mean error.
         #[schemars(extend("exclusiveMinimum" = 0))]
         pub mode_loss: f64,
-        /// At most so many agents a scene, nearest to the ego agent.
+        /// Maximum number of agents per scene, nearest to the ego agent.
         #[schemars(range(min = 1, max = 10_000))]
         pub max_agents: Option<usize>,
-        /// At most so many lane polylines a scene, nearest to the ego agent.
+        /// Maximum number of lane polylines per scene, nearest to the ego agent.
         #[schemars(range(max = 100_000))]
         pub max_lanes: Option<usize>,
         /// Dimensions of a predicted state: 3 (x, y, heading) or 2 (x, y). Left out: 2 for Argoverse 1, else 3.
@@ -71,9 +71,9 @@ pub struct BaselineTraining {
     pub parametrization: StateParametrization,
     /// Weight of -ln p of the best future in the loss.
     pub mode_loss: f64,
-    /// At most so many agents a scene.
+    /// Maximum number of agents per scene.
     pub max_agents: usize,
-    /// At most so many lane polylines a scene.
+    /// Maximum number of lane polylines per scene.
     pub max_lanes: usize,
     /// Tasks, batches, evaluations and the schedule.
     #[serde(flatten)]
@@ -84,7 +84,7 @@ impl BaselineTrainingConfig {
     /// The preset with everything that the section says laid over it.
     ///
     /// # Errors
-    /// When a value makes no sense, naming it.
+    /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<BaselineTraining, Error> {
         let base = self.preset.settings();
         self.check_ranges()?;

@@ -2,13 +2,13 @@
 
 use super::*;
 use crate::model::{JointFutures, SceneTransformer, SceneTransformerConfig, TrainedSceneTransformer};
-use crate::nn::Params;
+use crate::nn::{Compute, Params};
 use crate::progress::Silent;
 use crate::scene::testing::{Drive, scene};
 use crate::scene::{ObservationMask, Scene, Trajectory};
 use crate::seed::Seed;
 use crate::tensor::{
-    Collator, FutureValidity, NormalizerFit, SceneBatch, SceneView, StateParametrization, TaskWeights,
+    Collator, FutureValidity, NormalizerFit, SceneBatch, SceneTensors, SceneView, StateParametrization, TaskWeights,
 };
 use candle_core::{Device, Tensor};
 
@@ -79,9 +79,9 @@ fn the_loss_is_that_of_the_best_future_by_hand() {
 #[test]
 fn rows_without_hidden_states_do_not_count() {
     let whole = batch(StateParametrization::Residual, 2);
-    let mut partly = whole.clone();
     let keep = Tensor::new(&[1f32, 0.0], &Device::Cpu).unwrap().reshape((2, 1, 1)).unwrap();
-    partly.latent = whole.latent.broadcast_mul(&keep).unwrap();
+    let latent = whole.latent.broadcast_mul(&keep).unwrap();
+    let partly = SceneBatch::new(SceneTensors { latent, ..SceneTensors::clone(&whole) }).unwrap();
     let x0 = (Tensor::ones((4, 2, 12, 3), candle_core::DType::F32, &Device::Cpu).unwrap() * 0.3).unwrap();
     let logits = Tensor::new(&[[0.5f32, 0.1], [9.0, -9.0]], &Device::Cpu).unwrap();
     let found = JointLoss::new(&JointFutures { x0: x0.clone(), logits: logits.clone() }, &partly).unwrap();
@@ -105,7 +105,7 @@ fn network() -> SceneTransformerConfig {
 
 #[test]
 fn every_parameter_receives_a_gradient() {
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let network = SceneTransformer::new(&mut params, &network(), 3, StateParametrization::Motion, Seed(1)).unwrap();
     let batch = batch(StateParametrization::Motion, 2);
     let JointLoss { regression, mode } = JointLoss::new(&network.forward(&batch).unwrap(), &batch).unwrap();
@@ -166,7 +166,7 @@ fn both_ways_of_a_fork_are_found_with_even_odds_and_the_checkpoint_reads_back() 
     let outcome = train_baseline(
         &training,
         &data,
-        TrainJob { seed: Seed(3), dir: dir.path(), device: &Device::Cpu, progress: &Silent },
+        TrainJob { seed: Seed(3), dir: dir.path(), compute: &Compute::cpu(), progress: &Silent },
     )
     .unwrap();
     let last = &outcome.statistics.last().unwrap().evaluation;
@@ -174,7 +174,7 @@ fn both_ways_of_a_fork_are_found_with_even_odds_and_the_checkpoint_reads_back() 
     assert!(error < 0.4 * bound, "{error}, where driving on straight has {bound}");
     let odds = last["held_out_mode_loss"];
     assert!((odds - 2f64.ln()).abs() < 0.1, "{odds}");
-    let read = TrainedSceneTransformer::read(&dir.path().join("model.safetensors"), &Device::Cpu).unwrap();
+    let read = TrainedSceneTransformer::read(&dir.path().join("model.safetensors"), &Compute::cpu()).unwrap();
     assert_eq!((read.spec, read.fingerprint), (outcome.spec, outcome.fingerprint));
 }
 

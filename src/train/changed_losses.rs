@@ -4,7 +4,7 @@ use super::{DenoisingTask, Error};
 use crate::geometry::{Transform2, Vec2};
 use crate::model::{ChangedLoss, PlaceLoss, SceneChange};
 use crate::scene::{LaneGraph, Scene};
-use crate::tensor::SceneBatch;
+use crate::tensor::{SceneBatch, SceneTensors};
 use candle_core::Tensor;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -81,8 +81,8 @@ pub fn map_warnings(losses: &[ChangedLoss]) -> Vec<String> {
         let has_map = at(SceneChange::NoMap, sigma)? != recorded;
         (has_map && ratio < MIN_RATIO).then(|| {
             format!(
-                "the denoiser hardly looks at the map: with lanes turned by 90 degrees its held-out loss at sigma {sigma} is \
-                 {ratio:.2} times that with the true ones; train longer, or on more places"
+                "the denoiser barely uses the map: with lanes rotated by 90 degrees its held-out loss at sigma {sigma} is \
+                 {ratio:.2} times that with the true lanes; train longer, or on more places"
             )
         })
     };
@@ -121,7 +121,8 @@ fn of_egos(batch: &SceneBatch) -> Result<SceneBatch, Error> {
         }
     }
     let is_ego = Tensor::from_vec(is_ego, (n_rows, n_agents, 1), batch.scored.device())?;
-    Ok(SceneBatch { scored: batch.scored.broadcast_mul(&is_ego)?, ..batch.clone() })
+    let scored = batch.scored.broadcast_mul(&is_ego)?;
+    Ok(SceneBatch::new(SceneTensors { scored, ..SceneTensors::clone(batch) })?)
 }
 
 #[cfg(test)]

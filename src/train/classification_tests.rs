@@ -6,9 +6,9 @@ use crate::diffusion::NoiseDistribution;
 use crate::guidance::testing::{N_HISTORY, N_TIMESTEPS, denoiser_spec, is_positive, scene};
 use crate::guidance::{ClassifierGuidance, Guidance, log_potential_gradient};
 use crate::model::{DenoiserSpec, ModelSpec, TrainedClassifier};
-use crate::nn::Params;
+use crate::nn::{Compute, Params};
 use crate::progress::{Progress, Silent};
-use crate::scene::{ObservationMask, Scene};
+use crate::scene::{ObservationMask, Roles, Scene};
 use crate::seed::Seed;
 use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView, StateParametrization};
 use candle_core::{Device, Tensor};
@@ -32,7 +32,7 @@ fn event(idx: usize, label: EventLabel) -> BehaviorEvent {
         behavior: "cut_in".to_owned(),
         scene_id: scene(idx).id,
         label,
-        roles: vec![("ego".to_owned(), "behind".into()), ("other".to_owned(), "ahead".into())],
+        roles: Roles::from([("ego", "behind"), ("other", "ahead")]),
         start_timestep: 0,
         end_timestep: 1,
         parameters: std::collections::BTreeMap::new(),
@@ -64,7 +64,7 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
         save_every: 7,
         ..ClassifierTrainingConfig::default()
     };
-    train_classifier(&config, denoiser, &data, TrainJob { seed: Seed(4), dir, device: &Device::Cpu, progress })
+    train_classifier(&config, denoiser, &data, TrainJob { seed: Seed(4), dir, compute: &Compute::cpu(), progress })
 }
 
 #[test]
@@ -93,7 +93,7 @@ fn labels_count_as_in_uniform_draws_times_the_weight_of_positive_ones() {
     for (pos_weight, share_of_positive) in [(1.0, 0.25), (3.0, 0.5), (9.0, 0.75)] {
         let mut spec = train(&denoiser, 1, dir.path(), &Silent).unwrap().spec;
         spec.pos_weight = pos_weight;
-        let mut params = Params::new(&Device::Cpu);
+        let mut params = Params::new(&Compute::cpu());
         let classifier = spec.build(&mut params, Seed(1)).unwrap();
         let constant = params.tensors().into_iter().map(|(name, tensor)| {
             let value = if tensor.dims() == [1] { tensor.ones_like() } else { tensor.zeros_like() };
@@ -161,7 +161,7 @@ fn its_gradient_pushes_the_second_agent_toward_the_first() {
         let denoiser = denoiser_spec(parametrization);
         let dir = tempfile::tempdir().unwrap();
         train(&denoiser, 150, dir.path(), &Silent).unwrap();
-        let trained = TrainedClassifier::read(&dir.path().join("model.safetensors"), &Device::Cpu).unwrap();
+        let trained = TrainedClassifier::read(&dir.path().join("model.safetensors"), &Compute::cpu()).unwrap();
         // Held-out scenes in which nothing happens.
         let scenes: Vec<Scene> = [401, 402, 403].into_iter().map(scene).collect();
         let batch = batch(&denoiser, &scenes);
@@ -221,13 +221,13 @@ fn missing_examples_and_tracks_are_named() {
         &config,
         &denoiser,
         &data,
-        TrainJob { seed: Seed(config.seed), dir: dir.path(), device: &Device::Cpu, progress: &Silent },
+        TrainJob { seed: Seed(config.seed), dir: dir.path(), compute: &Compute::cpu(), progress: &Silent },
     )
     .unwrap_err();
     assert!(error.to_string().contains("0 positive and 3 negative"), "{error}");
 
-    let mut stranger = event(1, EventLabel::Negative);
-    stranger.roles[1].1 = "stranger".into();
+    let roles = Roles::from([("ego", "behind"), ("other", "stranger")]);
+    let stranger = BehaviorEvent { roles, ..event(1, EventLabel::Negative) };
     let mined = [MinedEvent { scene_idx: 1, event: &stranger }];
     let error = PairExamples::gather(&Scenes(10), &mined, 10, Seed(0)).unwrap_err();
     assert!(error.to_string().contains("no track stranger"), "{error}");

@@ -20,16 +20,16 @@ training_section! {
         pub behavior: String,
         /// The network.
         pub network: BehaviorClassifierConfig,
-        /// How much more a positive pair counts in the loss than a negative one. Left out: the number of negative pairs over
-        /// that of positive ones, so that both labels count the same.
+        /// Weight of a positive pair in the loss relative to a negative one. Left out: the number of negative pairs
+        /// over that of positive ones, which balances the labels.
         #[schemars(extend("exclusiveMinimum" = 0))]
         pub pos_weight: Option<f64>,
         /// Distribution of the training noise levels.
         pub noise: NoiseDistribution,
-        /// At most so many pairs to train on; negative ones are left out first.
+        /// Maximum number of pairs to train on; negative ones are dropped first.
         #[schemars(range(min = 1, max = 1_000_000_000))]
         pub max_examples: usize,
-        /// At most so many held-out pairs of each evaluation.
+        /// Maximum number of held-out pairs per evaluation.
         #[schemars(range(max = 1_000_000_000))]
         pub max_held_out: usize,
         /// Seed of everything random.
@@ -66,7 +66,7 @@ impl ClassifierTrainingConfig {
     /// The loop's settings.
     ///
     /// # Errors
-    /// When a value makes no sense, naming it.
+    /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<FitConfig, Error> {
         self.check_ranges()?;
         Ok(self.schedule(&FitConfig { ema_decay: 0.0, ..FitConfig::default() }))
@@ -123,7 +123,7 @@ pub fn train_classifier(
         train: data.train,
         held_out: data.held_out,
         seed: job.seed,
-        device: job.device,
+        device: &job.compute.device,
     };
     let outcome = fit(&fit_config, &mut model.params, &task, job.dir, job.progress)?;
     let by_noise_level = task.report()?;

@@ -4,7 +4,7 @@ use super::latent_error::{pseudo_huber, squared_error};
 use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::{Denoiser, NoiseDistribution, NoiseSource, rows_like};
 use crate::model::SceneDenoiser;
-use crate::settings;
+use crate::settings::{self, Issue};
 use crate::tensor::SceneBatch;
 use candle_core::Tensor;
 use schemars::JsonSchema;
@@ -20,7 +20,7 @@ const MAX_SHRINKING: f64 = 1e5;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConsistencyTuning {
-    /// How near to each other the two noise levels are.
+    /// The gap between the two noise levels.
     pub gap: LevelGap,
     /// Distribution of the upper noise level.
     pub noise: NoiseDistribution,
@@ -34,20 +34,25 @@ impl Default for ConsistencyTuning {
 }
 
 impl ConsistencyTuning {
-    /// Says what makes no sense, by the name of the setting.
-    pub(super) fn validate(&self) -> Result<(), String> {
-        settings::check_ranges(self).map_err(|issue| issue.to_string())?;
+    /// Refuses gaps that shrink too far.
+    pub(super) fn validate(&self) -> settings::Result {
+        settings::check_ranges(self)?;
         let shrunk = self.gap.ratio.powf(self.gap.n_stages as f64);
         match shrunk <= MAX_SHRINKING {
             true => Ok(()),
-            false => Err(format!(
-                "gap.ratio to the power of gap.n_stages is {shrunk}, expected 100000 at most: nearer levels cannot be told apart"
+            false => Err(Issue::new(
+                "gap.n_stages",
+                format_args!(
+                    "is {}, by which gap.ratio grows to {shrunk}, expected 100000 at most; closer levels are \
+                     indistinguishable",
+                    self.gap.n_stages
+                ),
             )),
         }
     }
 }
 
-/// How near to each other the two noise levels are whose answers shall agree.
+/// The gap between the two noise levels at which predictions shall agree.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LevelGap {
@@ -60,7 +65,7 @@ pub struct LevelGap {
     /// How much wider the gap is at low noise, k.
     #[schemars(range(min = 0.0))]
     pub widening: f64,
-    /// How soon that ends as the noise grows, b.
+    /// How quickly that vanishes as the noise grows, b.
     #[schemars(range(min = 0.0))]
     pub widening_decay: f64,
 }

@@ -14,7 +14,7 @@ use crate::nn::{Checkpoint, Params};
 pub struct DistillSource<'a> {
     /// The denoiser that is distilled.
     pub teacher: &'a Checkpoint<DenoiserSpec>,
-    /// Where training begins, if not at the denoiser: what became of it when it was distilled before.
+    /// The checkpoint to start from, if not the denoiser: an earlier result of its distillation.
     pub start: Option<&'a Checkpoint<DenoiserSpec>>,
 }
 
@@ -57,7 +57,7 @@ pub fn distill_denoiser(
             fit(&training.common.fit, params, &task, job.dir, job.progress)?
         }
         DistillMethod::Steps(steps) => {
-            let mut kept = Params::new(job.device).frozen();
+            let mut kept = Params::new(job.compute).frozen();
             let taught_by = spec.build(&mut kept, job.seed)?;
             kept.load(&teacher.tensors)?;
             let task = StepDistillationTask { denoiser, frozen, teacher: &taught_by, steps, training, draws };
@@ -70,9 +70,12 @@ pub fn distill_denoiser(
 /// Fails where `start` is not what a distillation to `wanted` may lead to.
 fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error> {
     let differs = [
-        (start.network != wanted.network, "is of another network than the denoiser"),
-        (start.normalizer != wanted.normalizer, "has other scales than the denoiser"),
-        (start.distillation != wanted.distillation, "was distilled by another method, or onto other noise levels"),
+        (start.network != wanted.network, "has a different network than the denoiser"),
+        (start.normalizer != wanted.normalizer, "has different scales than the denoiser"),
+        (
+            start.distillation != wanted.distillation,
+            "was distilled by a different method, or onto different noise levels",
+        ),
     ];
     match differs.iter().find(|(differs, _)| *differs) {
         Some((_, how)) => Err(Error::Config(format!(
@@ -94,7 +97,7 @@ fn check_shape(spec: &DenoiserSpec, data: &TrainingData<'_>) -> Result<(), Error
         return Ok(());
     }
     Err(Error::Config(format!(
-        "scene {} has {} + {} timesteps of {} s, the denoiser was trained on {} + {} of {} s: distill on scenes of its own kind",
+        "scene {} has {} + {} timesteps of {} s, the denoiser was trained on {} + {} of {} s: distill on scenes of the same length",
         scene.id,
         scene.n_history,
         scene.n_timesteps.saturating_sub(scene.n_history),

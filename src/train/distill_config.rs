@@ -6,18 +6,19 @@ use super::{ConsistencyTuning, Error, FitConfig, LearningRateDecay, StepDistilla
 use crate::diffusion::Edm;
 use crate::guidance::ObjectiveConfig;
 use crate::model::{DenoiserSpec, Distillation};
+use crate::settings::Issue;
 use crate::tensor::TaskWeights;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How a denoiser becomes one that needs few evaluations.
+/// How to distill a denoiser into one that needs few evaluations.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum DistillMethod {
     /// A consistency model, which jumps from any noise level to the end: for sweeps with `sampler = { kind = "consistency" }`.
     Consistency(ConsistencyTuning),
-    /// A few large steps that lead where many small ones of the denoiser lead: for sweeps with `sampler = { kind = "euler" }` of the
-    /// same `n_steps` and `grid`.
+    /// A few large steps that match many small ones of the denoiser: for sweeps with `sampler = { kind = "euler" }` of
+    /// the same `n_steps` and `grid`.
     Steps(StepDistillation),
 }
 
@@ -36,34 +37,34 @@ impl DistillMethod {
         }
     }
 
-    /// Says what makes no sense whatever the denoiser.
+    /// Rejects methods that work with no denoiser.
     fn validate(&self) -> Result<(), Error> {
         let checked = match self {
             Self::Consistency(tuning) => tuning.validate(),
             Self::Steps(steps) => steps.validate(),
         };
-        checked.map_err(|why| refused(&why))
+        checked.map_err(refused)
     }
 
     /// Fails where the method does not fit the denoiser.
     pub(super) fn check(&self, teacher: &DenoiserSpec) -> Result<(), Error> {
         let Self::Steps(steps) = self else { return Ok(()) };
         if teacher.distillation.is_some() {
-            let why = "the denoiser is a distilled one, whose answers are no means to take steps with; distill an ordinary one";
-            return Err(refused(why));
+            let why = "needs an ordinary denoiser, but this one is already distilled and does not predict means";
+            return Err(DistillTrainingConfig::refusal(Issue::new("method", why)));
         }
-        steps.check_levels(&teacher.edm).map_err(|why| refused(&why))
+        steps.check_levels(&teacher.edm).map_err(refused)
     }
 }
 
-fn refused(why: &str) -> Error {
-    Error::Config(format!("train.distill.method: {why}"))
+fn refused(issue: Issue) -> Error {
+    DistillTrainingConfig::refusal(issue.within("method"))
 }
 
 scene_training_section! {
     /// How to distill a trained denoiser into one of the same network, scales and masks that needs few evaluations.
     pub struct DistillTrainingConfig in "train.distill", each Own {
-        /// What it is tuned to.
+        /// The distillation method.
         pub method: DistillMethod,
         /// Below about this disagreement the loss is quadratic, above it linear; 0: linear throughout.
         #[schemars(range(min = 0.0))]
@@ -71,10 +72,11 @@ scene_training_section! {
         /// Weight of the squared disagreement of what diffused motion adds up to (motion parametrization only).
         #[schemars(range(min = 0.0))]
         pub path_loss: f64,
-        /// Objectives that samples are trained toward, beside being those of the denoiser (method `steps` only): each counts by its
-        /// weight and a cost of √(1 - 2 J) - 1 a scene, beyond that of the recording.
+        /// Objectives that samples are trained toward, besides matching the denoiser (method `steps` only): each counts
+        /// by its weight and a cost of √(1 - 2 J) - 1 a scene, beyond that of the recording.
         pub objectives: Vec<ObjectiveConfig>,
-        /// A checkpoint of the same denoiser, distilled onto the same steps, to start from: to train it toward other objectives.
+        /// A checkpoint of the same denoiser, distilled to the same steps, to start from: to train it toward other
+        /// objectives.
         pub start_from: Option<std::path::PathBuf>,
     }
 }
@@ -126,7 +128,7 @@ impl DistillTrainingConfig {
     /// The settings of the training.
     ///
     /// # Errors
-    /// When a value makes no sense, naming it.
+    /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<DistillTraining, Error> {
         self.check_ranges()?;
         self.method.validate()?;

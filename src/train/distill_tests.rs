@@ -5,7 +5,7 @@ use crate::diffusion::sampler::{ConsistencyConfig, HeunConfig, StepGrid};
 use crate::diffusion::{NoiseDistribution, NoiseSource, SamplerConfig};
 use crate::guidance::{AgentSelector, ObjectiveConfig, SpeedLimit};
 use crate::model::{DenoiserSpec, Distillation, NetworkConfig, SceneDenoiser, TrainedDenoiser};
-use crate::nn::{Checkpoint, Params, read_checkpoint};
+use crate::nn::{Checkpoint, Compute, Params, read_checkpoint};
 use crate::progress::Silent;
 use crate::scene::testing::{Drive, scene};
 use crate::scene::{ObservationMask, Scene, Trajectory};
@@ -91,7 +91,8 @@ fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
 }
 
 fn job(seed: u64, dir: &Path) -> TrainJob<'_> {
-    TrainJob { seed: Seed(seed), dir, device: &Device::Cpu, progress: &Silent }
+    static CPU: Compute = Compute::cpu();
+    TrainJob { seed: Seed(seed), dir, compute: &CPU, progress: &Silent }
 }
 
 fn from(teacher: &Checkpoint<DenoiserSpec>) -> DistillSource<'_> {
@@ -125,7 +126,7 @@ fn every_parameter_receives_a_gradient_in_every_stage() {
     let dir = tempfile::tempdir().unwrap();
     let teacher = teacher(1, dir.path());
     let (spec, training) = (&teacher.metadata, distillation(60, consistency()));
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let build = |params: &mut Params| SceneDenoiser::new(params, &spec.network, 3, spec.edm, Seed(1)).unwrap();
     let denoiser = build(&mut params);
     // Layers that begin at zero would hide what lies before them.
@@ -192,7 +193,7 @@ fn distilled(training: &DistillTraining) -> (TrainedDenoiser, TrainedDenoiser) {
     let dirs = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let checkpoint = teacher(400, dirs[0].path());
     let outcome = distill_denoiser(training, &data(), from(&checkpoint), job(4, dirs[1].path())).unwrap();
-    let read = |dir: &Path| TrainedDenoiser::read(&dir.join("model.safetensors"), &Device::Cpu).unwrap();
+    let read = |dir: &Path| TrainedDenoiser::read(&dir.join("model.safetensors"), &Compute::cpu()).unwrap();
     let (denoiser, distilled) = (read(dirs[0].path()), read(dirs[1].path()));
     assert_eq!((&distilled.spec, &distilled.fingerprint), (&outcome.spec, &outcome.fingerprint));
     assert_eq!(distilled.spec.normalizer, denoiser.spec.normalizer);
@@ -287,7 +288,7 @@ fn distillation_can_start_from_what_was_distilled_before() {
     // An ordinary denoiser is no such start.
     let other = tempfile::tempdir().unwrap();
     let message = distill(&short, Some(&checkpoint), other.path()).unwrap_err().to_string();
-    assert!(message.contains("train.distill.start_from was distilled by another method"), "{message}");
+    assert!(message.contains("train.distill.start_from was distilled by a different method"), "{message}");
 }
 
 #[test]

@@ -9,10 +9,10 @@ pub enum Error {
     #[error("a tensor operation failed")]
     Tensor(#[from] candle_core::Error),
     /// A checkpoint could not be written or read.
-    #[error("the training state could not be kept")]
+    #[error("cannot save or restore the training state")]
     Checkpoint(#[from] crate::nn::Error),
     /// A file could not be written or read.
-    #[error("the training folder cannot be used")]
+    #[error("cannot use the training folder")]
     Io(#[from] std::io::Error),
     /// The recorded statistics are not those of the training state beside them.
     #[error("{path}, line {line}: not a line of training statistics; remove the folder to train from the start")]
@@ -25,14 +25,14 @@ pub enum Error {
         source: serde_json::Error,
     },
     /// A scene could not be loaded.
-    #[error("a training scene could not be loaded")]
+    #[error("cannot load a training scene")]
     Scene(#[source] Box<dyn std::error::Error + Send + Sync>),
     /// Nothing to train on.
-    #[error("there is no scene to train on: {0}")]
+    #[error("no scenes to train on: {0}")]
     NoScenes(String),
     /// A classifier needs examples of both labels.
     #[error(
-        "{behavior}: {n_positive} positive and {n_negative} negative pairs to train on; mine more scenes or other places, or relax the behavior's definition"
+        "{behavior}: found {n_positive} positive and {n_negative} negative pairs; training needs both: mine more scenes or other places, or relax the behavior's definition"
     )]
     NoExamples {
         /// The behavior.
@@ -42,7 +42,7 @@ pub enum Error {
         /// Negative pairs.
         n_negative: usize,
     },
-    /// A setting that makes no sense.
+    /// A setting that cannot work.
     #[error("{0}")]
     Config(String),
     /// The loss is no longer a number.

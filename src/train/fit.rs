@@ -1,24 +1,23 @@
-//! One training loop for every model: steps, warm-up, clipping, averages, evaluation, and a state to resume from.
+//! One training loop for every model: steps, warm-up, clipping, averages, evaluation.
 
 use super::Error;
-use crate::files::write_atomically;
-use crate::nn::{Adam, Ema, Params, in_pool, keep_freed_memory, read_checkpoint, write_checkpoint};
+use super::run_state::Run;
+use crate::nn::{Params, in_pool, keep_freed_memory};
 use crate::progress::Progress;
 use candle_core::Tensor;
 use fs_err as fs;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// How the learning rate goes on after its warm-up.
+/// The learning-rate schedule after warm-up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
 #[serde(rename_all = "snake_case")]
 pub enum LearningRateDecay {
-    /// It stays (the paper's).
+    /// Constant (the paper's).
     Constant,
-    /// It falls to zero along half a cosine by the last step: more from a short budget.
+    /// Half a cosine down to zero at the last step: better for short training.
     #[default]
     Cosine,
 }
@@ -115,22 +114,13 @@ pub struct FitStatistics {
     pub evaluation: BTreeMap<String, f64>,
 }
 
-/// What a training run came to.
+/// The result of a training run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FitOutcome {
     /// Steps that this call took, beyond those of the state it resumed from.
     pub steps_taken: u64,
     /// All lines of statistics, in order.
     pub statistics: Vec<FitStatistics>,
-}
-
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Position {
-    step: u64,
-    ema_updates: u64,
-    loss_sum: f64,
-    norm_sum: f64,
 }
 
 /// Trains `params` on `task` for `config.steps` steps, from the state in `dir` where there is one. At the end `params`
@@ -176,68 +166,7 @@ pub fn fit(
     Ok(FitOutcome { steps_taken: run.position.step - first_step, statistics: run.statistics })
 }
 
-/// The state of a run between steps.
-struct Run {
-    dir: PathBuf,
-    adam: Adam,
-    ema: Option<Ema>,
-    position: Position,
-    statistics: Vec<FitStatistics>,
-}
-
 impl Run {
-    fn state_path(dir: &Path) -> PathBuf {
-        dir.join("state.safetensors")
-    }
-
-    fn open(config: &FitConfig, params: &mut Params, dir: &Path) -> Result<Self, Error> {
-        let mut run = Self {
-            dir: dir.to_owned(),
-            adam: Adam::default(),
-            ema: None,
-            position: Position { step: 0, ema_updates: 0, loss_sum: 0.0, norm_sum: 0.0 },
-            statistics: Vec::new(),
-        };
-        let path = Self::state_path(dir);
-        let mut averages = BTreeMap::new();
-        if path.exists() {
-            let checkpoint = read_checkpoint::<Position>(&path, params.device())?;
-            let part = |prefix: &str| -> BTreeMap<String, Tensor> {
-                let named = checkpoint.tensors.iter();
-                named.filter_map(|(name, t)| Some((name.strip_prefix(prefix)?.to_owned(), t.clone()))).collect()
-            };
-            params.load(&part("params."))?;
-            run.adam.load(params, &part("adam."))?;
-            averages = part("ema.");
-            run.position = checkpoint.metadata;
-        }
-        if config.ema_decay > 0.0 {
-            run.ema = Some(match averages.is_empty() {
-                true => Ema::new(config.ema_decay, params)?,
-                false => Ema::resume(config.ema_decay, run.position.ema_updates, averages),
-            });
-        }
-        run.read_statistics()?;
-        Ok(run)
-    }
-
-    /// Takes up the lines that are not newer than the state: a run may have been killed between the two.
-    fn read_statistics(&mut self) -> Result<(), Error> {
-        let path = self.dir.join("statistics.jsonl");
-        if self.position.step == 0 || !path.exists() {
-            return Ok(());
-        }
-        for (i, line) in fs::read_to_string(&path)?.lines().enumerate() {
-            let parsed = serde_json::from_str::<FitStatistics>(line);
-            match parsed {
-                Ok(line) if line.step <= self.position.step => self.statistics.push(line),
-                Ok(_) => break,
-                Err(source) => return Err(Error::Statistics { path, line: i + 1, source }),
-            }
-        }
-        Ok(())
-    }
-
     fn step(&mut self, config: &FitConfig, params: &Params, task: &dyn TrainTask) -> Result<(), Error> {
         let step = self.position.step;
         let loss = task.loss(step)?;
@@ -295,37 +224,13 @@ impl Run {
         });
         self.write_statistics()
     }
-
-    /// Rewritten whole each time: the file is small, and never half-written.
-    fn write_statistics(&self) -> Result<(), Error> {
-        let mut text = Vec::new();
-        for line in &self.statistics {
-            serde_json::to_writer(&mut text, line).map_err(std::io::Error::from)?;
-            text.push(b'\n');
-        }
-        write_atomically::<Error>(&self.dir.join("statistics.jsonl"), |file| Ok(file.write_all(&text)?))?;
-        Ok(())
-    }
-
-    fn save(&self, params: &Params) -> Result<(), Error> {
-        let mut tensors = BTreeMap::new();
-        let mut put = |prefix: &str, part: BTreeMap<String, Tensor>| {
-            tensors.extend(part.into_iter().map(|(name, tensor)| (format!("{prefix}.{name}"), tensor)));
-        };
-        put("params", params.tensors());
-        put("adam", self.adam.state()?);
-        if let Some(ema) = &self.ema {
-            put("ema", ema.tensors().clone());
-        }
-        write_checkpoint(&Self::state_path(&self.dir), &tensors, &self.position)?;
-        Ok(())
-    }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::run_state::Position;
     use super::*;
-    use crate::nn::Init;
+    use crate::nn::{Compute, Init, read_checkpoint};
     use crate::progress::Silent;
     use crate::seed::Seed;
     use candle_core::Device;
@@ -365,7 +270,7 @@ mod tests {
     }
 
     fn train(dir: &Path, fails_at: Option<u64>) -> (Vec<f32>, Result<FitOutcome, Error>) {
-        let mut params = Params::new(&Device::Cpu);
+        let mut params = Params::new(&Compute::cpu());
         let x = params.get_or_init("x", &[3], Init::KaimingUniform { fan_in: 1 }, Seed(1)).unwrap();
         let outcome = fit(&config(), &mut params, &Chase { x: x.clone(), fails_at }, dir, &Silent);
         (x.to_vec1().unwrap(), outcome)
@@ -413,7 +318,7 @@ mod tests {
             ..config()
         };
         let dir = tempfile::tempdir().unwrap();
-        let mut params = Params::new(&Device::Cpu);
+        let mut params = Params::new(&Compute::cpu());
         let x = params.get_or_init("x", &[1], Init::Zeros, Seed(1)).unwrap();
         let outcome = fit(&config, &mut params, &Slope(x.clone()), dir.path(), &Silent).unwrap();
         // Worked out by hand: rates 0.05, 0.1 (1 + cos π/4) / 2, 0.05 and 0.1 (1 + cos 3π/4) / 2, and averages whose decay is

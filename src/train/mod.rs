@@ -24,6 +24,7 @@ mod latent_error;
 mod objective_loss;
 mod pair_examples;
 mod preset;
+mod run_state;
 mod scene_draws;
 mod section;
 mod step_distillation;

@@ -54,7 +54,7 @@ impl PairExamples {
     ) -> Result<Self, Error> {
         let mut labels: BTreeMap<PairKey, bool> = BTreeMap::new();
         for MinedEvent { scene_idx, event } in events {
-            let mut tracks = event.roles.iter().map(|(_, track)| track.clone());
+            let mut tracks = event.roles.tracks().cloned();
             let Some(first) = tracks.next() else { continue };
             let second = tracks.next().unwrap_or_else(|| first.clone());
             *labels.entry((*scene_idx, first, second)).or_default() |= event.label == EventLabel::Positive;

@@ -15,37 +15,37 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
-    /// The geometric network with 4 layers, 32 wide: trains in a minute, for tests and first looks.
+    /// The geometric network with 4 layers, 32 wide: trains in a minute, for tests and first trials.
     Tiny,
     /// The geometric network with 7 layers, 96 wide: for a laptop.
     #[default]
     Small,
     /// The geometric network with 13 layers, 256 wide: for a GPU.
     Large,
-    /// The paper's network with 7 layers, 96 wide, motion parametrization: what `small` is compared with.
+    /// The paper's network with 7 layers, 96 wide, motion parametrization: the reference for `small`.
     PaperSmall,
     /// The paper's 15 layers, 256 wide, with its parametrization, batch size and learning rate.
     Paper,
 }
 
-/// What counts the same in training.
+/// What has equal weight in training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
 #[serde(rename_all = "snake_case")]
 pub enum Balance {
-    /// Every scene: places with many scenes are seen more often.
+    /// Every scene: places with many scenes are drawn more often.
     #[default]
     Scenes,
-    /// Every place: scenes of places with few of them are seen more often.
+    /// Every place: scenes of places with few scenes are drawn more often.
     Places,
 }
 
 scene_training_section! {
-    /// How to train the denoiser. What is left out is the preset's.
+    /// How to train the denoiser. Settings left out are the preset's.
     #[derive(Default)]
     pub struct DenoiserTrainingConfig in "train.denoiser", each Option {
         /// Size of the network: `tiny`, `small`, `large`, `paper_small` or `paper`.
         pub preset: Preset,
-        /// The network, where the preset's does not fit.
+        /// The network, to override the preset's.
         pub network: Option<NetworkConfig>,
         /// What is diffused: `scene` (the paper's), `residual` or `motion`.
         pub state_parametrization: Option<StateParametrization>,
@@ -56,28 +56,29 @@ scene_training_section! {
         /// Weight of the noise levels in the loss: `edm` or `unit`.
         pub loss_weight: LossWeight,
         /// Weight of the squared error of what diffused motion adds up to, beside that of the motion itself (motion
-        /// parametrization only). The best denoiser is the same at any weight; it decides what a network learns first.
+        /// parametrization only). The optimal denoiser is the same at any weight; the weight decides what a network
+        /// learns first.
         #[schemars(range(min = 0.0))]
         pub path_loss: Option<f64>,
         /// Objectives that clean estimates are trained toward at low noise, beside the loss: each counts by its weight and a cost
         /// of √(1 - 2 J) - 1 a scene, beyond that of the recording.
         pub objectives: Vec<ObjectiveConfig>,
-        /// The noise level σ up to which they count (default 0.3): above it an estimate is a mean of futures, which no rule of
-        /// traffic binds.
+        /// The noise level σ up to which they count (default 0.3): above it an estimate is a mean of futures, to which
+        /// the rules of traffic do not apply.
         #[schemars(extend("exclusiveMinimum" = 0))]
         pub objectives_below_sigma: Option<f64>,
-        /// Whether every scene counts the same, or every place: `scenes` or `places`.
+        /// What has equal weight in training: `scenes` or `places`.
         pub balance: Option<Balance>,
-        /// At most so many agents a scene, nearest to the ego agent.
+        /// Maximum number of agents per scene, nearest to the ego agent.
         #[schemars(range(min = 1, max = 10_000))]
         pub max_agents: Option<usize>,
-        /// At most so many lane polylines a scene, nearest to the ego agent.
+        /// Maximum number of lane polylines per scene, nearest to the ego agent.
         #[schemars(range(max = 100_000))]
         pub max_lanes: Option<usize>,
         /// Dimensions of a diffused state: 3 (x, y, heading) or 2 (x, y). Left out: 2 for Argoverse 1, else 3.
         #[schemars(range(min = 2, max = 3))]
         pub state_dim: Option<usize>,
-        /// A trained checkpoint to start from, of the same network: to train it further, or on other scenes.
+        /// A checkpoint of the same network to start from: to train it further, or on other scenes.
         pub start_from: Option<std::path::PathBuf>,
     }
 }
@@ -103,9 +104,9 @@ pub struct DenoiserTraining {
     pub objectives_below_sigma: f64,
     /// What counts the same.
     pub balance: Balance,
-    /// At most so many agents a scene.
+    /// Maximum number of agents per scene.
     pub max_agents: usize,
-    /// At most so many lane polylines a scene.
+    /// Maximum number of lane polylines per scene.
     pub max_lanes: usize,
     /// Tasks, batches, evaluations and the schedule.
     #[serde(flatten)]
@@ -116,7 +117,7 @@ impl DenoiserTrainingConfig {
     /// The preset with everything that the section says laid over it.
     ///
     /// # Errors
-    /// When a value makes no sense, naming it.
+    /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<DenoiserTraining, Error> {
         let base = self.preset.settings();
         self.check_ranges()?;

@@ -1,9 +1,9 @@
-//! Which scenes, seen by whom and with which states hidden, make the batch of a training step? The same for every model of
-//! scenes.
+//! Which scenes, seen from which agent and with which states hidden, make the batch of a training step? The same for
+//! every model of scenes.
 
 use super::Error;
 use crate::guidance::{ContextRow, SceneContext};
-use crate::scene::{ObservationMask, Scene};
+use crate::scene::{ObservationMask, Roles, Scene};
 use crate::seed::{Seed, SeededRng};
 use crate::tensor::{Collator, FutureValidity, MaskSampler, SceneBatch, SceneView};
 use candle_core::{Device, Tensor};
@@ -68,7 +68,7 @@ impl WeightedGroups {
     }
 }
 
-/// What was made before it was asked for. It changes when things are computed, never what.
+/// Batches made in advance. This changes when things are computed, never what.
 #[derive(Default)]
 pub struct Ahead {
     /// The last epoch of each group and its shuffle.
@@ -84,7 +84,7 @@ type Shuffle = (u64, Arc<[usize]>);
 pub struct DrawnBatch {
     /// The scenes.
     pub batch: SceneBatch,
-    /// The same as objectives see it, where they were asked for.
+    /// The same as objectives see it, if requested.
     pub context: Option<SceneContext>,
     /// The seed of each row.
     pub seeds: Vec<Seed>,
@@ -112,7 +112,7 @@ impl SceneDraws<'_> {
         }
     }
 
-    /// Makes the batch of `step` before it is asked for.
+    /// Makes the batch of `step` in advance.
     ///
     /// # Errors
     /// When a scene cannot be loaded.
@@ -245,7 +245,8 @@ impl SceneDraws<'_> {
         let batch = self.collator.collate(&views, validity, self.device)?;
         let context = match self.with_context {
             true => {
-                let rows = drawn.iter().map(|d| ContextRow { scene: &d.scene, ego_idx: d.ego_idx, roles: &[] });
+                let rows =
+                    drawn.iter().map(|d| ContextRow { scene: &d.scene, ego_idx: d.ego_idx, roles: Roles::none() });
                 Some(SceneContext::new(&batch, &rows.collect::<Vec<_>>())?)
             }
             false => None,

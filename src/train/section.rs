@@ -39,7 +39,7 @@ impl Default for SceneTraining {
 pub struct MoreScenes {
     /// The folder of the scenes, such as `output/argoverse/main/scenes`.
     pub scenes: PathBuf,
-    /// How often one of them is drawn, relative to those of the run itself (`own_weight`) and of other entries.
+    /// How often a scene is drawn, relative to those of the run itself (`own_weight`) and of other entries.
     #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
@@ -88,7 +88,7 @@ pub(super) fn check_tasks(section: &str, tasks: &TaskWeights) -> Result<(), Erro
     match tasks.probabilities() {
         Some(_) => Ok(()),
         None => Err(Error::Config(format!(
-            "{section}.tasks are no weights: give numbers of at least 0, one of them positive"
+            "{section}.tasks are not valid weights, expected numbers of at least 0, one of them positive"
         ))),
     }
 }
@@ -108,7 +108,7 @@ macro_rules! training_section {
             /// Optimizer steps in all.
             #[schemars(range(min = 1, max = 1_000_000_000))]
             pub steps: $value<u64>,
-            /// Examples a step: scenes, or the classifier's pairs, half of them positive.
+            /// Examples per step: scenes, or the classifier's pairs, half of them positive.
             #[schemars(range(min = 1, max = 16_384))]
             pub batch_size: $value<usize>,
             /// Learning rate after warm-up.
@@ -117,7 +117,7 @@ macro_rules! training_section {
             /// Steps over which the learning rate rises from 0.
             #[schemars(range(max = 1_000_000_000))]
             pub warmup_steps: $value<u64>,
-            /// How the learning rate goes on: `constant` or `cosine`.
+            /// The learning-rate schedule after warm-up: `constant` or `cosine`.
             pub decay: $value<crate::train::LearningRateDecay>,
             /// Gradients are scaled down to this global norm.
             #[schemars(extend("exclusiveMinimum" = 0))]

@@ -6,7 +6,7 @@ use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::sampler::{Dpmpp2mConfig, EulerConfig, StepGrid};
 use crate::diffusion::{Denoiser, Edm, NoiseSource, SamplerConfig, Step, rows_like};
 use crate::model::SceneDenoiser;
-use crate::settings;
+use crate::settings::{self, Issue};
 use candle_core::Tensor;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,22 +14,23 @@ use std::collections::BTreeMap;
 
 /// Onto which steps a denoiser is distilled, and how its teacher takes each of them.
 ///
-/// The student is asked at the levels of Euler's sampler σ_0 > σ_1 > … > 0. From noise at σ_0 the teacher goes down, each
-/// interval in `teacher_steps` steps of DPM-Solver++(2M), and the student learns the answer with which a single Euler step lands where the
-/// teacher does: (x_{k+1} - (σ_{k+1} / σ_k) x_k) / (1 - σ_{k+1} / σ_k) (Salimans and Ho 2022, progressive distillation, in one
-/// stage). What is learned is a function of the noise and not a mean over endings.
+/// The student predicts at the levels of Euler's sampler σ_0 > σ_1 > … > 0. From noise at σ_0 the teacher goes down,
+/// each interval in `teacher_steps` steps of DPM-Solver++(2M), and the student learns the answer with which a single
+/// Euler step lands where the teacher does: (x_{k+1} - (σ_{k+1} / σ_k) x_k) / (1 - σ_{k+1} / σ_k) (Salimans and Ho
+/// 2022, progressive distillation, in one stage). What is learned is a function of the noise and not a mean over
+/// endings.
 ///
 /// Objectives judge where the student's own steps end, and teach all of them (Clark et al. 2024, DRaFT); the distance to the teacher is
 /// then what keeps samples likely.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct StepDistillation {
-    /// Number of steps N, of one evaluation each.
+    /// Number of steps N, one evaluation each.
     #[schemars(range(min = 1, max = 1_000))]
     pub n_steps: usize,
-    /// The noise levels they begin at.
+    /// The noise levels at which the steps begin.
     pub grid: StepGrid,
-    /// Steps of the teacher for each of them.
+    /// Steps of the teacher per step.
     #[schemars(range(min = 1, max = 10_000))]
     pub teacher_steps: usize,
     /// The noise level of the teacher's last step, which leads to 0.
@@ -50,37 +51,37 @@ impl StepDistillation {
         SamplerConfig::Euler(EulerConfig { n_steps: self.n_steps, grid: self.grid })
     }
 
-    /// Says what makes no sense whatever the denoiser, by the name of the setting.
-    pub(super) fn validate(&self) -> Result<(), String> {
-        settings::check_ranges(self).map_err(|issue| issue.to_string())?;
-        self.sampler().validate().map_err(|issue| issue.to_string())?;
+    /// Refuses steps that work with no denoiser.
+    pub(super) fn validate(&self) -> settings::Result {
+        settings::check_ranges(self)?;
+        self.sampler().validate()?;
         let last = if self.n_steps == 1 { self.grid.sigma_max } else { self.grid.sigma_min };
         self.check_last(last.unwrap_or(f64::INFINITY))
     }
 
-    /// Says what makes no sense for a denoiser of these constants.
-    pub(super) fn check_levels(&self, edm: &Edm) -> Result<(), String> {
+    /// Refuses steps that do not work with a denoiser of these constants.
+    pub(super) fn check_levels(&self, edm: &Edm) -> settings::Result {
         let sigmas = self.sigmas(edm);
         let (first, most) = (sigmas[0], edm.sigma_max);
         if first > most {
-            return Err(format!(
-                "the steps begin at {first}, expected at most the denoiser's largest noise level {most}"
-            ));
+            let why = format_args!("begins at {first}, expected at most the denoiser's largest noise level {most}");
+            return Err(Issue::new("grid", why));
         }
         self.check_last(sigmas[sigmas.len() - 2])
     }
 
-    fn check_last(&self, last: f64) -> Result<(), String> {
+    fn check_last(&self, last: f64) -> settings::Result {
         let found = self.teacher_sigma_min;
         match found > 0.0 && found < last {
             true => Ok(()),
-            false => Err(format!(
-                "teacher_sigma_min is {found}, expected a positive number below the last level of the steps, {last}"
+            false => Err(Issue::new(
+                "teacher_sigma_min",
+                format_args!("is {found}, expected a positive number below the last level of the steps, {last}"),
             )),
         }
     }
 
-    /// The noise levels at which the student is asked, and 0.
+    /// The noise levels at which the student predicts, and 0.
     pub fn sigmas(&self, edm: &Edm) -> Vec<f64> {
         self.sampler().schedule(edm, self.sampler().sigma_start(edm))
     }

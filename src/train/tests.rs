@@ -4,7 +4,7 @@ use super::*;
 use crate::diffusion::{NoiseDistribution, NoiseSource};
 use crate::guidance::{AccelerationLimit, AgentSelector, ObjectiveConfig, SpeedLimit};
 use crate::model::{DenoiserSpec, GeometryConfig, NetworkConfig, SceneDenoiser, TrainedDenoiser};
-use crate::nn::{Checkpoint, Params, read_checkpoint};
+use crate::nn::{Checkpoint, Compute, Params, read_checkpoint};
 use crate::progress::Silent;
 use crate::scene::Scene;
 use crate::scene::testing::{Drive, scene};
@@ -96,7 +96,7 @@ fn train_from(
         state_dim: 3,
         fingerprint: "scenes".to_owned(),
     };
-    train_denoiser(training, &data, start, TrainJob { seed: Seed(3), dir, device: &Device::Cpu, progress: &Silent })
+    train_denoiser(training, &data, start, TrainJob { seed: Seed(3), dir, compute: &Compute::cpu(), progress: &Silent })
 }
 
 #[test]
@@ -107,7 +107,7 @@ fn the_held_out_loss_falls_and_the_checkpoint_reads_back() {
     let loss = |line: &FitStatistics| line.evaluation["held_out_loss_at_sigma_0.8"];
     let (first, last) = (loss(evaluations[0]), loss(evaluations[evaluations.len() - 1]));
     assert!(last < 0.6 * first, "from {first} to {last}");
-    let read = TrainedDenoiser::read(&dir.path().join("model.safetensors"), &Device::Cpu).unwrap();
+    let read = TrainedDenoiser::read(&dir.path().join("model.safetensors"), &Compute::cpu()).unwrap();
     assert_eq!((read.spec, read.fingerprint), (outcome.spec, outcome.fingerprint));
 }
 
@@ -203,7 +203,7 @@ fn the_loss_is_the_weighted_error_at_the_noise_levels_that_were_drawn() {
     let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(20));
     let training = DenoiserTraining { path_loss: 0.0, ..training(1) };
     let spec = train(&dataset, &training, dir.path()).unwrap().spec;
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let denoiser = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, Seed(5)).unwrap();
     let zeros = params.tensors().into_iter().map(|(name, tensor)| (name, tensor.zeros_like().unwrap()));
     params.load(&zeros.collect()).unwrap();
@@ -246,7 +246,7 @@ fn training_can_start_from_a_checkpoint() {
     let mut other = training(20);
     other.network.layers = "TAT".to_owned();
     let error = train_from(Some(&start), &Arcs::new(40), &other, second.path()).unwrap_err().to_string();
-    assert!(error.contains("another network"), "{error}");
+    assert!(error.contains("different network"), "{error}");
 }
 
 #[test]

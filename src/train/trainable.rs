@@ -4,11 +4,10 @@ use super::section::SceneTraining;
 use super::training_data::TrainingData;
 use super::{Ahead, Balance, Error, FitOutcome, FitStatistics, SceneDraws, WeightedGroups};
 use crate::model::ModelSpec;
-use crate::nn::{Checkpoint, Params};
+use crate::nn::{Checkpoint, Compute, Params};
 use crate::progress::Progress;
 use crate::seed::Seed;
 use crate::tensor::{Collator, MaskSampler};
-use candle_core::Device;
 use std::path::Path;
 
 /// Name of the trained weights in a model's folder.
@@ -22,12 +21,12 @@ pub struct TrainJob<'a> {
     /// The folder of the model. What an interrupted training left there is taken up.
     pub dir: &'a Path,
     /// What networks compute on.
-    pub device: &'a Device,
-    /// Who is told about the progress.
+    pub compute: &'a Compute,
+    /// Receives the progress.
     pub progress: &'a dyn Progress,
 }
 
-/// What training a model came to.
+/// The result of training a model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainOutcome<S> {
     /// Fingerprint of the checkpoint.
@@ -53,7 +52,7 @@ pub(super) struct Trainable<S: ModelSpec> {
 impl<S: ModelSpec> Trainable<S> {
     /// The network that `spec` describes, with the weights of `start` or else new ones.
     pub(super) fn new(spec: &S, start: Option<&Checkpoint<S>>, job: TrainJob<'_>) -> Result<Self, Error> {
-        let mut params = Params::new(job.device);
+        let mut params = Params::new(job.compute);
         let network = spec.build(&mut params, job.seed.derive("weights", &[]))?;
         if let Some(start) = start {
             params.load(&start.tensors)?;
@@ -88,7 +87,7 @@ impl<'a> ScenesOfFit<'a> {
         collator: Collator,
         seed: Seed,
     ) -> Result<Self, Error> {
-        let no_task = || Error::Config("the tasks to train on are no weights".to_owned());
+        let no_task = || Error::Config("the weights of the training tasks are not valid".to_owned());
         Ok(Self {
             data,
             groups: data.groups(balance),
@@ -110,7 +109,7 @@ impl<'a> ScenesOfFit<'a> {
             batch_size: self.batch_size,
             with_context,
             seed: job.seed,
-            device: job.device,
+            device: &job.compute.device,
             ahead: Ahead::default(),
         }
     }

@@ -9,7 +9,7 @@ use candle_core::{Device, Tensor};
 use djinn::diffusion::sampler::HeunConfig;
 use djinn::diffusion::{Denoiser, NoiseSource, SamplerConfig, rows_like};
 use djinn::model::{DenoiserKind, DenoiserSpec, ModelSpec, SceneDenoiser};
-use djinn::nn::{Adam, Params, Precision, in_pool, keep_freed_memory};
+use djinn::nn::{Adam, Compute, Params, Precision, in_pool, keep_freed_memory};
 use djinn::scene::{ObservationMask, Split};
 use djinn::seed::Seed;
 use djinn::store::SceneStore;
@@ -110,9 +110,12 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
         losses_by_place: Vec::new(),
         distillation: None,
     };
-    let mut params = Params::new(&Device::Cpu);
-    let denoiser = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, SEED)?;
-    let frozen = SceneDenoiser::new(&mut params.frozen(), &spec.network, 3, spec.edm, SEED)?;
+    let networks = |precision: Precision| -> Result<(Params, SceneDenoiser, SceneDenoiser)> {
+        let mut params = Params::new(&Compute { precision, ..Compute::cpu() });
+        let denoiser = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, SEED)?;
+        let frozen = SceneDenoiser::new(&mut params.frozen(), &spec.network, 3, spec.edm, SEED)?;
+        Ok((params, denoiser, frozen))
+    };
     let draws = SceneDraws {
         collator: &spec.collator(),
         dataset: &store,
@@ -132,6 +135,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     let mask = ObservationMask::predictive(first.tracks.len(), first.n_timesteps, first.n_history);
     let view = SceneView { scene: &first, ego_idx: first.ego_idx, mask: &mask };
     let scene = draws.collator.collate(&[view], FutureValidity::Everything, &Device::Cpu)?;
+    let (params, _, frozen) = networks(Precision::F32)?;
     let folder = tempfile::tempdir()?;
     spec.write(&params, &folder.path().join("model.safetensors"))?;
     write_inputs(&folder.path().join("inputs.safetensors"), &batches, &scene)?;
@@ -146,41 +150,41 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     );
     let mut peer = Peer::start(&options.python, folder.path())?;
 
-    let forward =
-        |noisy: &Noisy| -> Result<Tensor> { Ok(frozen.bind(&noisy.batch, 1)?.denoise(&noisy.x, &noisy.sigma)?) };
+    let forward = |frozen: &SceneDenoiser, noisy: &Noisy| -> Result<Tensor> {
+        Ok(frozen.bind(&noisy.batch, 1)?.denoise(&noisy.x, &noisy.sigma)?)
+    };
     let expected = read_tensor(&folder.path().join("outputs.safetensors"), "output")?;
-    let difference = relative_difference(&forward(&batches[0])?, &expected)?;
+    let difference = relative_difference(&forward(&frozen, &batches[0])?, &expected)?;
     println!("largest difference of the outputs: {difference:.1e} of the largest output");
     if difference > TOLERANCE {
         return Err(format!("the networks differ by {difference:.1e}, more than {TOLERANCE:.0e}").into());
     }
-
-    let mut adam = Adam::default();
-    let mut step = |noisy: &Noisy| -> Result<()> {
-        let error = (denoiser.bind(&noisy.batch, 1)?.denoise(&noisy.x, &noisy.sigma)? - &noisy.batch.x0)?;
-        let squared = error.broadcast_mul(&noisy.batch.latent.unsqueeze(3)?)?.sqr()?;
-        let loss = squared.broadcast_mul(&noisy.weight)?.sum_all()?;
-        let loss = (loss / (f64::from(noisy.batch.latent.sum_all()?.to_scalar::<f32>()?) * 3.0))?;
-        let gradients = loss.backward()?;
-        adam.step(&params, &gradients, 3e-4, Some(5.0))?;
-        Ok(())
-    };
-    let sample = || -> Result<()> {
-        let bound = frozen.bind(&scene, options.n_futures)?;
-        let seeds = (0..options.n_futures as u64).map(|i| SEED.derive("noise", &[i])).collect();
-        let sampler = SamplerConfig::Heun(HeunConfig::with_steps(options.n_steps));
-        let (dims, mut noise) = (&scene.x0.dims()[1..], NoiseSource::new(seeds));
-        sampler.sample(&spec.edm, &bound, dims, &scene.x0, &mut noise, &mut |_: &djinn::diffusion::Step<'_>| ())?;
-        Ok(())
-    };
     println!("{:<38} {:>18} {:>18} {:>18}", "seconds on the clock (of the processor)", "djinn", "PyTorch", "ratio");
     let n_evaluations = 2 * options.n_steps - 1;
     for precision in [Precision::F32, Precision::Bf16] {
-        precision.choose();
+        let (params, denoiser, frozen) = networks(precision)?;
+        let mut adam = Adam::default();
+        let mut step = |noisy: &Noisy| -> Result<()> {
+            let error = (denoiser.bind(&noisy.batch, 1)?.denoise(&noisy.x, &noisy.sigma)? - &noisy.batch.x0)?;
+            let squared = error.broadcast_mul(&noisy.batch.latent.unsqueeze(3)?)?.sqr()?;
+            let loss = squared.broadcast_mul(&noisy.weight)?.sum_all()?;
+            let loss = (loss / (f64::from(noisy.batch.latent.sum_all()?.to_scalar::<f32>()?) * 3.0))?;
+            let gradients = loss.backward()?;
+            adam.step(&params, &gradients, 3e-4, Some(5.0))?;
+            Ok(())
+        };
+        let sample = || -> Result<()> {
+            let bound = frozen.bind(&scene, options.n_futures)?;
+            let seeds = (0..options.n_futures as u64).map(|i| SEED.derive("noise", &[i])).collect();
+            let sampler = SamplerConfig::Heun(HeunConfig::with_steps(options.n_steps));
+            let (dims, mut noise) = (&scene.x0.dims()[1..], NoiseSource::new(seeds));
+            sampler.sample(&spec.edm, &bound, dims, &scene.x0, &mut noise, &mut |_: &djinn::diffusion::Step<'_>| ())?;
+            Ok(())
+        };
         println!("in {precision}:");
         let mut table = Table::default();
         for (round, noisy) in batches.iter().enumerate() {
-            let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, || forward(noisy)));
+            let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, || forward(&frozen, noisy)));
             ours?;
             table.add("forward", elapsed, peer.ask(&format!("{precision} forward {round}"))?);
         }
@@ -192,7 +196,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
         }
         table.print("train", &format!("training step, {batch_size} scenes"));
         for _ in 0..4 {
-            let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, sample));
+            let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, &sample));
             ours?;
             let request = format!("{precision} sample {} {}", options.n_futures, options.n_steps);
             table.add("sample", elapsed, peer.ask(&request)?);

@@ -9,7 +9,7 @@ use candle_core::{Device, Result};
 use djinn::diffusion::sampler::HeunConfig;
 use djinn::diffusion::{Edm, NoiseSource, SamplerConfig};
 use djinn::model::{NetworkConfig, SceneDenoiser, SceneTransformer, SceneTransformerConfig};
-use djinn::nn::{Params, keep_freed_memory};
+use djinn::nn::{Compute, Params, keep_freed_memory};
 use djinn::scene::{ObservationMask, Scene};
 use djinn::seed::Seed;
 use djinn::tensor::{Collator, FutureValidity, NormalizerFit, SceneBatch, SceneView, StateParametrization};
@@ -37,10 +37,10 @@ pub(crate) fn run(arguments: &[String]) -> std::result::Result<(), String> {
 
 fn table(agents: &[usize], steps: &[usize]) -> Result<()> {
     keep_freed_memory();
-    let (device, edm) = (Device::Cpu, Edm::default());
-    let mut params = Params::new(&device).frozen();
+    let (compute, edm) = (Compute::cpu(), Edm::default());
+    let mut params = Params::new(&compute).frozen();
     let denoiser = SceneDenoiser::new(&mut params, &NetworkConfig::default(), 3, edm, Seed(1))?;
-    let mut baseline_params = Params::new(&device).frozen();
+    let mut baseline_params = Params::new(&compute).frozen();
     let config = SceneTransformerConfig::default();
     let baseline = SceneTransformer::new(&mut baseline_params, &config, 3, PARAMETRIZATION, Seed(1))?;
     println!(

@@ -7,7 +7,7 @@ use std::process::Stdio;
 #[test]
 fn help_teaches_every_command() {
     let top = djinn(&["--help"]).expect(0).stdout;
-    for part in ["Examples:", "Exit codes:", "a quality gate of the configuration was not met", "quickstart.toml"] {
+    for part in ["Examples:", "Exit codes:", "a quality gate failed", "quickstart.toml"] {
         assert!(top.contains(part), "`{part}` is missing in\n{top}");
     }
     let corpus_tools = ["validate", "merge", "filter", "sample", "diff"].map(|tool| format!("corpus {tool}"));

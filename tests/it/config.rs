@@ -86,11 +86,11 @@ fn mistakes_name_the_place_and_the_nearest_name() {
         ),
         (
             &["--set", "evaluate.gates.max_collision_rate=0.0", "--set", "evaluate.metrics=[\"min_ade_m\"]"],
-            &["max_collision_rate is judged by collision_rate", "evaluate.metrics"],
+            &["max_collision_rate needs collision_rate", "evaluate.metrics"],
         ),
         (
             &["--set", "evaluate.gates.guidance_raises_rate=true", "--set", "generate.sweeps.1.strengths=[2.0]"],
-            &["guidance_raises_rate", "no sweep asks for a behavior at several strengths"],
+            &["guidance_raises_rate", "no sweep requests a behavior at several strengths"],
         ),
         (&["--set", "generate.sweeps.0.name=unguided"], &["sweeps.0.name is \"unguided\"", "choose another"]),
     ];

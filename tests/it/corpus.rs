@@ -95,11 +95,11 @@ fn the_tools_work_from_the_command_line() {
     // Mistakes are the user's, and say what to do.
     for (args, advice) in [
         (vec!["corpus", "filter", PARTITIONED, "--where", "gap < 5", "--out", "x"], "did you mean"),
-        (vec!["corpus", "filter", PARTITIONED, "--where", "verified", "--out", &two], "name a new folder"),
+        (vec!["corpus", "filter", PARTITIONED, "--where", "verified", "--out", &two], "choose a new folder"),
         (vec!["corpus", "merge", PARTITIONED, "--out", "x"], "at least two corpora"),
-        (vec!["corpus", "merge", PARTITIONED, "scripts", "--out", "x"], "is no corpus"),
-        (vec!["corpus", "sample", PARTITIONED, "--n", "3", "--by", "gap_m", "--out", "x"], "whole numbers is needed"),
-        (vec!["corpus", "validate", "scripts"], "is no corpus"),
+        (vec!["corpus", "merge", PARTITIONED, "scripts", "--out", "x"], "is not a corpus"),
+        (vec!["corpus", "sample", PARTITIONED, "--n", "3", "--by", "gap_m", "--out", "x"], "expected a column of text"),
+        (vec!["corpus", "validate", "scripts"], "is not a corpus"),
     ] {
         let outcome = djinn(&args).expect(1);
         assert!(outcome.stderr.contains(advice), "{args:?}: {}", outcome.stderr);

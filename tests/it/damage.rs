@@ -46,7 +46,7 @@ fn recordings_that_were_moved_are_not_ingested_again_and_changed_ones_are() {
         let plan = ingest(&moved, &["--dry-run"]).stdout;
         assert!(plan.contains("#   ingest            cached"), "{plan}");
     }
-    assert!(!ingest(&workspace.arg("there"), &[]).stderr.contains("done again"));
+    assert!(!ingest(&workspace.arg("there"), &[]).stderr.contains("runs again"));
     assert_eq!(files(&workspace.path("out/scenes")), written);
     fs_err::write(workspace.path("there/more.txt"), "new").unwrap();
     let told = ingest(&workspace.arg("there"), &["--dry-run"]).stdout;

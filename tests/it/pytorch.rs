@@ -5,13 +5,13 @@ use crate::support::djinn;
 use candle_core::{Device, Tensor, Var};
 use djinn::diffusion::{Denoiser, Edm};
 use djinn::model::{DenoiserSpec, GeometryConfig, NetworkConfig, SceneDenoiser, TrainedDenoiser};
-use djinn::nn::Params;
+use djinn::nn::{Compute, Params};
 use djinn::scene::{AgentClass, ObservationMask, Scene, Split};
 use djinn::seed::Seed;
 use djinn::store::SceneStore;
 use djinn::tensor::{
-    AgentSurroundings, FutureValidity, LanePiece, LanePoint, RowSurroundings, SceneBatch, SceneView, SeenPiece,
-    Surroundings,
+    AgentSurroundings, FutureValidity, LanePiece, LanePoint, RowSurroundings, SceneBatch, SceneTensors, SceneView,
+    SeenPiece, Surroundings,
 };
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -55,7 +55,7 @@ fn assert_rows_close(name: &str, found: &Tensor, expected: &Tensor) {
 }
 
 fn carried() -> TrainedDenoiser {
-    TrainedDenoiser::read(&root().join("pipelines/models/geometric.safetensors"), &Device::Cpu).unwrap()
+    TrainedDenoiser::read(&root().join("pipelines/models/geometric.safetensors"), &Compute::cpu()).unwrap()
 }
 
 /// Two fixture scenes: one to predict, one of which states are missing before, between and after observed ones.
@@ -126,11 +126,20 @@ fn rows(named: &HashMap<String, Tensor>, template: &LanePiece) -> Vec<Arc<RowSur
     (0..n_rows).map(row).collect()
 }
 
-/// The batch that these tensors are; what the geometric network does not read is taken from `other`.
+/// The batch that these tensors are; the rows' frames, lanes and flags of pieces, which the geometric network does not read, are
+/// those of `other`.
 fn batch_of(named: &HashMap<String, Tensor>, other: &SceneBatch) -> SceneBatch {
     let get = |name: &str| named[name].clone();
     let template = &other.surroundings.as_ref().unwrap().rows[0].pieces[0];
-    SceneBatch {
+    let n_rows = get("latent").dim(0).unwrap();
+    let other = other.repeated(n_rows / other.n_rows()).unwrap();
+    SceneBatch::new(SceneTensors {
+        x0: get("observed_motion").zeros_like().unwrap(),
+        context: get("observed_motion").zeros_like().unwrap(),
+        scored: get("latent").zeros_like().unwrap(),
+        lanes: other.lanes.clone(),
+        lane_valid: other.lane_valid.clone(),
+        frames: other.frames.clone(),
         observed: get("observed"),
         latent: get("latent"),
         valid: get("valid"),
@@ -149,8 +158,8 @@ fn batch_of(named: &HashMap<String, Tensor>, other: &SceneBatch) -> SceneBatch {
             variances: get("variances"),
             rows: rows(named, template),
         }),
-        ..other.clone()
-    }
+    })
+    .unwrap()
 }
 
 /// The tensors whose names begin so, by the rest of their names.
@@ -170,7 +179,7 @@ fn outputs_and_gradients_of_random_weights_are_those_of_pytorch() {
         geometry: Some(GeometryConfig { patch: 3, n_lanes: 4, n_neighbors: 2, n_nearest_lanes: 2, relation_width: 4 }),
         ..NetworkConfig::default()
     };
-    let mut params = Params::new(&Device::Cpu);
+    let mut params = Params::new(&Compute::cpu());
     let denoiser = SceneDenoiser::new(&mut params, &config, 3, Edm::default(), Seed(1)).unwrap();
     params.load(&below(&golden, "weight.")).unwrap();
     let batch = batch_of(&below(&golden, "input.").into_iter().collect(), &collated(&carried().spec));

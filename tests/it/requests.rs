@@ -75,11 +75,9 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     let workspace = Workspace::new();
     fs_err::write(workspace.path("small.toml"), pipeline()).unwrap();
     let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
-    for part in [
-        "request tight: 12 scenarios in 4 buckets; 72 samples, 432 evaluations",
-        "arm guided@20",
-        "the time is not known",
-    ] {
+    for part in
+        ["request tight: 12 scenarios in 4 buckets; 72 samples, 432 evaluations", "arm guided@20", "time unknown"]
+    {
         assert!(plan.contains(part), "`{part}` is not in\n{plan}");
     }
     workspace.run("out", &["--threads", "1"]).expect(0);
@@ -170,7 +168,7 @@ fn counts_agree_with_the_rows(root: &Path) {
     let n_kept = kept.filter(|r| r.request.as_ref().is_some_and(|tag| tag.outcome == RequestOutcome::Accepted)).count();
     assert_eq!(n_kept as u64, summary.n_accepted);
     let page = fs_err::read_to_string(root.join("report.html")).unwrap();
-    assert!(page.contains("What was asked and what was got") && page.contains("Buckets of tight"));
+    assert!(page.contains("Requested and delivered") && page.contains("Buckets of tight"));
 }
 
 /// Rows of every sweep and arm come out as they are stored; what changed or is missing is told.

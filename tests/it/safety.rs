@@ -135,7 +135,7 @@ fn what_is_done_again_is_told_beforehand() {
     let told = ingest(&["--set", "ingest.limit=3"]).stderr;
     assert!(told.starts_with("ingest is done again: changed: ingest.limit null -> 3"), "{told}");
     let told = ingest(&["--set", "ingest.limit=3", "--redo"]).stderr;
-    assert!(told.starts_with("ingest is done again: it was asked for by --redo"), "{told}");
+    assert!(told.starts_with("ingest is done again: requested by --redo"), "{told}");
     let unknown = workspace.run("x", &["--redo", "frobnicate"]).expect(1).stderr;
     assert!(unknown.contains("train_denoiser"), "{unknown}");
     let absent = workspace.run("x", &["--redo", "train_baseline", "--dry-run"]).expect(1).stderr;

@@ -45,7 +45,7 @@ fn a_run_says_what_stays_and_ends_by_the_signal() {
         let (ended_by, said) = ended(child);
         assert_eq!(ended_by, Some(number), "{said}");
         let expected = format!("ended by SIG{signal}: what is finished stays in {}, ", folder.display());
-        assert!(said.contains(&expected) && said.contains("the same command goes on from there"), "{said}");
+        assert!(said.contains(&expected) && said.contains("run the same command again to continue"), "{said}");
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::CutIn;
 use crate::behavior::kept_lane::KeptLane;
-use crate::behavior::lane_relation::LaneIndex;
+use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::outcome::Outcome;
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, Track};
@@ -24,7 +24,7 @@ impl CutIn {
     ///
     /// Empty where the other is in the ego's lane already, does not head along it, or is too far to the side, ahead or behind.
     pub(super) fn outcomes(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Vec<Outcome>> {
-        let lanes = LaneIndex::new(&scene.lanes);
+        let lanes = SceneLanes::new(&scene.lanes);
         let (ego, other) = (scene.tracks.get(ego_idx)?, scene.tracks.get(other_idx)?);
         let admits = |track: &Track| self.config.agents.admits(track.class);
         let at_present = |idx: usize| scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());

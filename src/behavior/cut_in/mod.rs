@@ -6,7 +6,7 @@ mod feasible;
 mod tests;
 
 use super::kept_lane::KeptLane;
-use super::lane_relation::LaneIndex;
+use super::lane_relation::SceneLanes;
 use super::pairs::PairSearch;
 use super::sweep::Sweep;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
@@ -51,17 +51,19 @@ pub struct CutInConfig {
     /// The ego must reach the other's place less than this much later, seconds. Default 3.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_delay_s: f64,
-    /// A pair that is no cut-in is a hard negative if its boxes come closer than this at any two timesteps of the scene, meters. Default 5.
+    /// A pair without a cut-in is a hard negative if its boxes come closer than this at any two timesteps of the scene,
+    /// meters. Default 5.
     #[schemars(range(min = 0.0))]
     pub negative_distance_m: f64,
-    /// From the present until it is in the lane of the ego, the other must head along that lane within this, radians. It keeps out who turns
-    /// into it, enters a roundabout or comes toward the ego. Default π/6 (30 degrees).
+    /// From the present until it is in the lane of the ego, the other must head along that lane within this, radians.
+    /// This excludes agents that turn into the lane, enter a roundabout or come toward the ego. Default π/6 (30
+    /// degrees).
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 6.3))]
     pub max_heading_difference_rad: f64,
     /// The other must move over by at least this, across the lane of the ego, meters. Default 0.5.
     #[schemars(range(min = 0.0))]
     pub min_shift_m: f64,
-    /// Whether pairs whose boxes overlap at the same time, at present or in the future, are no cut-ins. Default false.
+    /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
     pub collision_free: bool,
 }
 
@@ -161,7 +163,7 @@ impl Behavior for CutIn {
 
     /// Pairs in the order of tracks, each pair first with the earlier track as the ego, then with the later one.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
-        let lanes = LaneIndex::new(&scene.lanes);
+        let lanes = SceneLanes::new(&scene.lanes);
         let kept: Vec<OnceCell<Option<KeptLane>>> = scene.tracks.iter().map(|_| OnceCell::new()).collect();
         let kept = |agent_idx: usize| kept[agent_idx].get_or_init(|| KeptLane::of(scene, &lanes, agent_idx)).as_ref();
         let collides = |ego: &Sweep, other: &Sweep| {

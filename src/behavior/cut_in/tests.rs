@@ -18,8 +18,7 @@ fn every_near_pair_has_one_event() {
         assert_eq!(pairs.len(), events.len(), "seed {seed}");
         for event in &events {
             let turned: Vec<_> = event.roles.iter().rev().map(|(_, track)| track).collect();
-            let reverse =
-                |other: &&BehaviorEvent| other.roles.iter().map(|(_, track)| track).eq(turned.iter().copied());
+            let reverse = |other: &&BehaviorEvent| other.roles.tracks().eq(turned.iter().copied());
             let both = [event.label, events.iter().find(reverse).expect("the pair the other way round").label];
             assert_ne!(both, [EventLabel::Positive; 2], "seed {seed}: each cuts in before the other");
         }

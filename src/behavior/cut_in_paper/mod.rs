@@ -44,16 +44,16 @@ pub struct CutInPaperConfig {
     /// The ego must reach the other's place less than this much later, seconds. Default 3.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_delay_s: f64,
-    /// A pair that is no cut-in is a hard negative if its boxes come closer than this, meters. Default 5.
+    /// A pair without a cut-in is a hard negative if its boxes come closer than this, meters. Default 5.
     #[schemars(range(min = 0.0))]
     pub negative_distance_m: f64,
-    /// If given, the two headings at the overlap must differ by less than this, radians. It keeps out crossing and
+    /// If given, the two headings at the overlap must differ by less than this, radians. This excludes crossing and
     /// oncoming traffic; π/4 is a good value. Default none.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 6.3))]
     pub max_heading_difference_rad: Option<f64>,
     /// If given, the other must move sideways toward the ego's path by at least this within the future, meters across
-    /// its own heading at present. It keeps out egos that move in behind the other themselves, and boxes that graze
-    /// while both keep their lanes; 1 is a good value. On a bend any motion along the road is sideways too. Default none.
+    /// its own heading at present. This excludes egos that move in behind the other, and boxes that graze while both
+    /// keep their lanes; 1 is a good value. On a bend any motion along the road is sideways too. Default none.
     #[schemars(range(min = 0.0))]
     pub min_shift_m: Option<f64>,
     /// Whether the distance for hard negatives is between states at the same time. Default false: at any two times.
@@ -61,7 +61,7 @@ pub struct CutInPaperConfig {
     /// Whether lane following and the distance for hard negatives are judged from the present on. Default false: over
     /// the whole scene.
     pub future_only: bool,
-    /// Whether pairs whose boxes overlap at the same time, at present or in the future, are no cut-ins. Default false.
+    /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
     pub collision_free: bool,
 }
 

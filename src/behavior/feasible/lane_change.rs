@@ -2,7 +2,7 @@
 
 use super::{LATERAL_ACCELERATION_MPS2, horizon_s};
 use crate::behavior::lane_change::LaneChange;
-use crate::behavior::lane_relation::LaneIndex;
+use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::outcome::Outcome;
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
@@ -22,7 +22,7 @@ impl LaneChange {
         if !config.agents.admits(scene.tracks[agent_idx].class) {
             return Vec::new();
         }
-        let lanes = LaneIndex::new(&scene.lanes);
+        let lanes = SceneLanes::new(&scene.lanes);
         let mut outcomes: Vec<Outcome> = Vec::new();
         let is_along = |heading_rad: f64| angle_difference(heading_rad, state.heading_rad).abs() < ALONG_RAD;
         for (own, place) in lanes.lanes_at(state.position).filter(|(_, place)| is_along(place.heading_rad)) {

@@ -2,7 +2,7 @@
 
 use super::ways::ways;
 use super::{ACCELERATIONS_MPS2, LATERAL_ACCELERATION_MPS2, effort, horizon_s};
-use crate::behavior::lane_relation::LaneIndex;
+use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::near_miss::NearMiss;
 use crate::behavior::outcome::Outcome;
 use crate::geometry::Vec2;
@@ -30,7 +30,7 @@ impl NearMiss {
     /// along and at most 2 m/s² across. Empty for the others.
     pub(in crate::behavior) fn outcomes(&self, scene: &Scene, [first, second]: [usize; 2]) -> Vec<Outcome> {
         let config = self.config();
-        let lanes = LaneIndex::new(&scene.lanes);
+        let lanes = SceneLanes::new(&scene.lanes);
         let n_times = (horizon_s(scene) / SPACING_S).floor() as usize;
         let courses = |agent_idx: usize| courses(scene, &lanes, agent_idx, n_times);
         let (Some(own), Some(others)) = (courses(first), courses(second)) else { return Vec::new() };
@@ -72,7 +72,7 @@ fn evasion_effort(
 }
 
 /// The courses of an agent; `None` where it is not tracked at present.
-fn courses(scene: &Scene, lanes: &LaneIndex<'_>, agent_idx: usize, n_times: usize) -> Option<Vec<Course>> {
+fn courses(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, n_times: usize) -> Option<Vec<Course>> {
     let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
     let speed_mps = state.speed_mps();
     let ways = ways(scene, lanes, state);

@@ -2,7 +2,7 @@
 
 use super::ways::{Way, ways};
 use super::{ACCELERATIONS_MPS2, effort, horizon_s};
-use crate::behavior::lane_relation::LaneIndex;
+use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::outcome::Outcome;
 use crate::behavior::turn::{TurnConfig, TurnSide, is_on_roundabout};
 use crate::geometry::angle_difference;
@@ -37,7 +37,7 @@ pub(in crate::behavior) fn outcomes(
     if !config.agents.admits(track.class) {
         return Vec::new();
     }
-    let lanes = LaneIndex::new(&scene.lanes);
+    let lanes = SceneLanes::new(&scene.lanes);
     let found = ways(scene, &lanes, now).into_iter().filter_map(|way| {
         let bend = bend(&way, side, config, (first.heading_rad, now.heading_rad))?;
         let halfway_m = f64::midpoint(bend.begins_m, bend.ends_m);

@@ -1,7 +1,7 @@
 //! The ways that the map leaves an agent, and where it could be on them.
 
 use crate::behavior::kept_lane::extended;
-use crate::behavior::lane_relation::LaneIndex;
+use crate::behavior::lane_relation::SceneLanes;
 use crate::geometry::{Polyline, Vec2, angle_difference};
 use crate::scene::{Scene, State};
 use std::f64::consts::FRAC_PI_4;
@@ -29,7 +29,7 @@ impl Way {
 }
 
 /// The ways on from where an agent is: along the lanes that it is in, with every choice at a fork; straight on where it is in none.
-pub(super) fn ways(scene: &Scene, lanes: &LaneIndex<'_>, state: &State) -> Vec<Way> {
+pub(super) fn ways(scene: &Scene, lanes: &SceneLanes<'_>, state: &State) -> Vec<Way> {
     let own = lanes
         .lanes_at(state.position)
         .filter(|(_, place)| angle_difference(place.heading_rad, state.heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD);

@@ -6,19 +6,19 @@ use std::path::PathBuf;
 
 #[derive(Debug, Subcommand)]
 pub(in crate::cli) enum CorpusCommand {
-    /// Check that a corpus is whole, fits together and says what can be
+    /// Check that a corpus is complete, consistent and physically possible
     #[command(after_help = help::CORPUS_VALIDATE)]
     Validate(CorpusValidateArgs),
-    /// Put several corpora together
+    /// Merge several corpora into one
     #[command(after_help = help::CORPUS_MERGE)]
     Merge(CorpusMergeArgs),
-    /// Keep the scenarios for which conditions hold
+    /// Keep the scenarios that meet all conditions
     #[command(after_help = help::CORPUS_FILTER)]
     Filter(CorpusFilterArgs),
     /// Draw scenarios at random
     #[command(after_help = help::CORPUS_SAMPLE)]
     Sample(CorpusSampleArgs),
-    /// Say what differs between two corpora
+    /// Show how two corpora differ
     #[command(after_help = help::CORPUS_DIFF)]
     Diff(CorpusDiffArgs),
 }
@@ -38,7 +38,7 @@ pub(in crate::cli) struct CorpusMergeArgs {
     /// The folders of the corpora, at least two
     #[arg(value_name = "DIR", required = true)]
     pub(in crate::cli) corpora: Vec<PathBuf>,
-    /// The new folder to write
+    /// The folder to write; it must not exist yet
     #[arg(short, long, value_name = "DIR")]
     pub(in crate::cli) out: PathBuf,
 }
@@ -51,7 +51,7 @@ pub(in crate::cli) struct CorpusFilterArgs {
     /// A condition such as "gap_m < 5" (may be repeated; all must hold)
     #[arg(long = "where", value_name = "CONDITION", required = true)]
     pub(in crate::cli) conditions: Vec<String>,
-    /// The new folder to write
+    /// The folder to write; it must not exist yet
     #[arg(short, long, value_name = "DIR")]
     pub(in crate::cli) out: PathBuf,
 }
@@ -64,23 +64,23 @@ pub(in crate::cli) struct CorpusSampleArgs {
     /// Number of scenarios
     #[arg(long, value_name = "N")]
     pub(in crate::cli) n: u64,
-    /// A column whose values share the number equally, such as behavior or place
+    /// Draw equally from each value of this column, such as behavior or place
     #[arg(long, value_name = "COLUMN")]
     pub(in crate::cli) by: Option<String>,
     /// Seed of the draw
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     pub(in crate::cli) seed: u64,
-    /// The new folder to write
+    /// The folder to write; it must not exist yet
     #[arg(short, long, value_name = "DIR")]
     pub(in crate::cli) out: PathBuf,
 }
 
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct CorpusDiffArgs {
-    /// The folder of the one corpus
+    /// The folder of the first corpus
     #[arg(value_name = "A")]
     pub(in crate::cli) a: PathBuf,
-    /// The folder of the other
+    /// The folder of the second corpus
     #[arg(value_name = "B")]
     pub(in crate::cli) b: PathBuf,
     /// Print JSON instead of text

@@ -11,16 +11,16 @@ pub(in crate::cli) struct ExportArgs {
     /// The corpus: the folder that `evaluate` wrote
     #[arg(value_name = "CORPUS")]
     pub(in crate::cli) corpus: PathBuf,
-    /// The folder to write into: a new or an empty one
+    /// The folder to write to; it must be new or empty
     #[arg(short, long, value_name = "DIR")]
     pub(in crate::cli) out: PathBuf,
-    /// Only scenarios in which the behavior that was asked for was found
+    /// Only verified scenarios: those that show the requested behavior
     #[arg(long)]
     pub(in crate::cli) only_verified: bool,
-    /// Only scenarios that were accepted: verified, valid and no near-duplicates
+    /// Only accepted scenarios: verified, valid and not a near-duplicate
     #[arg(long)]
     pub(in crate::cli) only_accepted: bool,
-    /// Only scenarios for which this behavior was asked for, such as cut_in
+    /// Only scenarios of this requested behavior, such as cut_in
     #[arg(long, value_name = "NAME")]
     pub(in crate::cli) behavior: Option<String>,
     /// Only scenarios of this sweep
@@ -29,13 +29,13 @@ pub(in crate::cli) struct ExportArgs {
     /// Only the scenario with this id (may be repeated)
     #[arg(long = "scenario", value_name = "ID")]
     pub(in crate::cli) scenarios: Vec<String>,
-    /// At most this many scenarios, the first ones of the corpus
+    /// Only the first N scenarios of the corpus
     #[arg(long, value_name = "N", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
     pub(in crate::cli) limit: Option<usize>,
-    /// Leave the ego to your driving function from the present on (openscenario; commonroad does so unless told otherwise)
+    /// Leave the ego to your driving function from the present on (openscenario; the default for commonroad)
     #[arg(long)]
     pub(in crate::cli) free_ego: bool,
-    /// Write the ego as a road user like all others, in commonroad as an obstacle beside the planning problem
+    /// Write the ego like every other road user; in commonroad, as an obstacle beside the planning problem
     #[arg(long, conflicts_with = "free_ego")]
     pub(in crate::cli) replay_ego: bool,
 }

@@ -14,7 +14,7 @@ use crate::pipeline::{DeviceChoice, StageId};
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
 
-/// Turns traffic recordings into a checked corpus of new scenarios that hold rare events, such as cut-ins.
+/// Generate verified scenarios of rare traffic events, such as cut-ins, from recordings.
 #[derive(Debug, Parser)]
 #[command(name = "djinn", version, after_help = help::TOP, max_term_width = 120)]
 pub(in crate::cli) struct Args {
@@ -27,16 +27,16 @@ pub(in crate::cli) struct Args {
 /// What is printed and how fast it goes; for all commands.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct OutputArgs {
-    /// Print no progress, only results, warnings and errors
+    /// Print results, warnings and errors, but no progress
     #[arg(short, long, global = true, help_heading = "Global options")]
     pub(in crate::cli) quiet: bool,
-    /// Say more about what is done and why
+    /// Print what each stage does and why
     #[arg(short, long, global = true, conflicts_with = "quiet", help_heading = "Global options")]
     pub(in crate::cli) verbose: bool,
-    /// Print lines instead of progress bars, as is done where stderr is no terminal
+    /// Print progress as lines instead of bars (the default when stderr is not a terminal)
     #[arg(long, global = true, help_heading = "Global options")]
     pub(in crate::cli) no_progress: bool,
-    /// Number of worker threads, 0 for one a core; results do not depend on it
+    /// Number of worker threads; 0 uses every core. Results do not depend on it
     #[arg(long, value_name = "N", global = true, help_heading = "Global options")]
     pub(in crate::cli) threads: Option<usize>,
 }
@@ -61,19 +61,19 @@ pub(in crate::cli) enum Command {
     /// Measure generated scenarios, check the quality gates and write the corpus
     #[command(after_help = help::EVALUATE)]
     Evaluate(EvaluateArgs),
-    /// Write a page for people about what was generated, or compare two runs
+    /// Write an HTML report of a run, or compare two runs
     #[command(after_help = help::REPORT, mut_arg("output", not_for_comparisons))]
     Report(ReportArgs),
     /// Check, merge, filter, sample and compare finished corpora
     #[command(subcommand)]
     Corpus(CorpusCommand),
-    /// Write a corpus in a format that others read: recordings, simulation, scenario databases
+    /// Convert a corpus to the format of a dataset, a simulator or a scenario database
     #[command(after_help = help::EXPORT)]
     Export(ExportArgs),
-    /// Generate one scenario again and compare it with its row
+    /// Generate one scenario again and compare it with the stored one
     #[command(after_help = help::REGENERATE)]
     Regenerate(RegenerateArgs),
-    /// Say what a file or folder of ours holds
+    /// Summarize a file or folder that djinn wrote
     #[command(after_help = help::INSPECT)]
     Inspect(InspectArgs),
 }
@@ -83,38 +83,38 @@ pub(in crate::cli) struct RunArgs {
     /// The pipeline file
     #[arg(value_name = "PIPELINE.toml")]
     pub(in crate::cli) pipeline: PathBuf,
-    /// Override a value of the file, such as generate.sweeps.0.n_samples=2 (may be repeated)
+    /// Override a setting, such as generate.sweeps.0.n_samples=2 (may be repeated)
     #[arg(long, value_name = "KEY=VALUE")]
     pub(in crate::cli) set: Vec<String>,
-    /// Print the resolved configuration and which stages would run, and write nothing
+    /// Print the resolved configuration and the stages that would run; write nothing
     #[arg(long)]
     pub(in crate::cli) dry_run: bool,
-    /// Run this stage again whatever is there, such as train_denoiser; a trained model is moved aside (may be repeated)
+    /// Rerun this stage, such as train_denoiser, even if it is up to date; a trained model is moved aside (may be repeated)
     #[arg(long, value_name = "STAGE")]
     pub(in crate::cli) redo: Vec<StageId>,
-    /// The folder that holds the folders of all pipelines [default: run.output of the file, or output]
+    /// The folder for the results of all pipelines [default: run.output of the file, or output]
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) output: Option<PathBuf>,
-    /// Name of the run; the same name again resumes it
+    /// Name of the run; reusing a name resumes that run
     #[arg(long, value_name = "NAME", default_value = "main")]
     pub(in crate::cli) run: String,
 }
 
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct RegenerateArgs {
-    /// The scenario: its scenario_id
+    /// The scenario's scenario_id
     #[arg(value_name = "SCENARIO_ID")]
     pub(in crate::cli) scenario: String,
-    /// The run folder that it was generated in [default: the folder that holds the corpus, or the current one]
+    /// The run folder it was generated in [default: the parent of --corpus, or the current folder]
     #[arg(long, value_name = "RUN_FOLDER")]
     pub(in crate::cli) from: Option<PathBuf>,
-    /// Compare with its row in this corpus instead of that among the run's samples
+    /// Compare with the scenario in this corpus instead of the one in the run's samples
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) corpus: Option<PathBuf>,
-    /// Write what came out into this file, a sample shard of one row
+    /// Write the new scenario to this file, as a sample shard of one row
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) out: Option<PathBuf>,
-    /// What to compute on: cpu, cuda or cuda:N, as in run.device; only the same kind gives the same bytes
+    /// The device to compute on: cpu, cuda or cuda:N, as in run.device; only the same kind gives the same bytes
     #[arg(long, default_value_t)]
     pub(in crate::cli) device: DeviceChoice,
     /// Precision of matrix products: f32, tf32 or bf16, as in run.precision

@@ -26,16 +26,16 @@ pub(in crate::cli) struct StageArgs {
     /// A pipeline file; the stage's section of it is used [default: the section's defaults]
     #[arg(long, value_name = "PIPELINE.toml")]
     pub(in crate::cli) config: Option<PathBuf>,
-    /// Override a value of the configuration, such as ingest.max_agents=32 (may be repeated)
+    /// Override a setting, such as ingest.max_agents=32 (may be repeated)
     #[arg(long, value_name = "KEY=VALUE")]
     pub(in crate::cli) set: Vec<String>,
-    /// Print the resolved configuration and whether the stage would run, and write nothing
+    /// Print the resolved configuration and whether the stage would run; write nothing
     #[arg(long)]
     pub(in crate::cli) dry_run: bool,
-    /// Run the stage again whatever is there; a trained model is moved aside
+    /// Rerun the stage even if it is up to date; a trained model is moved aside
     #[arg(long)]
     pub(in crate::cli) redo: bool,
-    /// The folder to write into, under the names of a run folder; inputs that are not named are looked for here too
+    /// The folder to write to, laid out like a run folder; inputs that are not given are read from here
     #[arg(short, long, value_name = "DIR")]
     pub(in crate::cli) output: PathBuf,
 }
@@ -120,7 +120,7 @@ pub(in crate::cli) struct GenerateArgs {
 pub(in crate::cli) struct EvaluateArgs {
     #[command(flatten)]
     pub(in crate::cli) scenes: ScenesArg,
-    /// The recorded events, to say how new scenarios are [default: events.parquet in the output folder, where there is one]
+    /// The recorded events, to measure novelty against [default: events.parquet in the output folder, if present]
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) events: Option<PathBuf>,
     /// The folder of generated scenarios [default: samples in the output folder]
@@ -132,13 +132,13 @@ pub(in crate::cli) struct EvaluateArgs {
 
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct ReportArgs {
-    /// The folder with the stages' outputs to report on, such as a run folder [default: the output folder]
+    /// The folder to report on, such as a run folder [default: the output folder]
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) from: Option<PathBuf>,
-    /// Set two runs side by side instead, with their differences
+    /// Compare two runs instead
     #[arg(long, num_args = 2, value_names = ["RUN_A", "RUN_B"], conflicts_with_all = ["from", "config", "set", "dry_run", "redo"])]
     pub(in crate::cli) compare: Option<Vec<PathBuf>>,
-    /// The page of the comparison [default: comparison.html]
+    /// The file for the comparison [default: comparison.html]
     #[arg(long, value_name = "FILE", requires = "compare")]
     pub(in crate::cli) out: Option<PathBuf>,
     #[command(flatten)]

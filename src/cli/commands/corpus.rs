@@ -4,8 +4,8 @@ use crate::cli::args::{CorpusCommand, OutputArgs};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::corpus::{
-    Condition, DiffReport, Finding, Outcome, SampleOptions, Severity, ValidationReport, diff, filter, merge, sample,
-    validate,
+    Condition, CopyOutcome, DiffReport, Finding, SampleOptions, Severity, ValidationReport, diff, filter, merge,
+    sample, validate,
 };
 use crate::pipeline::{Failure, Result};
 use serde::Serialize;
@@ -13,8 +13,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, printer: &Printer) -> Result<()> {
-    let n_threads = output.threads.unwrap_or(0);
-    rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(Failure::fault)?;
+    super::use_threads(output, 0)?;
     let progress = TerminalProgress::new(output, *printer);
     match command {
         CorpusCommand::Validate(args) => {
@@ -68,8 +67,8 @@ fn print<T: Serialize>(printer: &Printer, json: bool, value: &T, text: fn(&T) ->
 }
 
 /// Says what was written.
-fn tell(printer: &Printer, outcome: &Outcome, out: &Path) {
-    let Outcome { manifest, n_duplicates, n_differing_recordings, n_aggregates_left_out } = outcome;
+fn tell(printer: &Printer, outcome: &CopyOutcome, out: &Path) {
+    let CopyOutcome { manifest, n_duplicates, n_differing_recordings, n_aggregates_left_out } = outcome;
     printer.message(format_args!(
         "{} scenarios ({} verified) of {} recorded scenes are in {}",
         manifest.n_scenarios,
@@ -78,20 +77,20 @@ fn tell(printer: &Printer, outcome: &Outcome, out: &Path) {
         out.display()
     ));
     if *n_duplicates > 0 {
-        printer.message(format_args!("{n_duplicates} scenarios were in several corpora and came once"));
+        printer.message(format_args!("{n_duplicates} scenarios were in several corpora and were written once"));
     }
     if *n_differing_recordings > 0 {
         printer.message(format_args!(
-            "{n_differing_recordings} recorded scenes differ between the corpora, as when other agents were kept; the first came"
+            "{n_differing_recordings} recorded scenes differ between the corpora, for example in which agents were kept; the first was used"
         ));
     }
     if *n_aggregates_left_out > 0 {
         printer.message(format_args!(
-            "{n_aggregates_left_out} aggregated metric values were left out: they are over what a run sampled; those of scenarios came along"
+            "{n_aggregates_left_out} aggregated metric values were left out, because they cover whole runs; metrics of scenarios were kept"
         ));
     }
     if manifest.n_scenarios == 0 {
-        printer.message("the new corpus is empty: nothing fulfilled the conditions");
+        printer.message("the new corpus is empty: no scenario met the conditions");
     }
 }
 
@@ -113,7 +112,7 @@ fn validation_text(report: &ValidationReport) -> String {
     let verdict = if *n_damages == 0 { "whole" } else { "damaged" };
     let _ = writeln!(
         text,
-        "{verdict}: {n_damages} damages, {n_remarks} remarks in {n_files} files, {n_scenarios} scenarios, {n_states} states"
+        "{verdict}: {n_damages} errors, {n_remarks} remarks in {n_files} files, {n_scenarios} scenarios, {n_states} states"
     );
     text
 }

@@ -42,7 +42,7 @@ fn hinted(failure: Failure, corpus: &Path) -> Failure {
         return failure;
     }
     failure.with_hint(format!(
-        "{} is no corpus; name the folder `corpus` of a run, such as output/quickstart/main/corpus",
+        "{} is not a corpus; pass the folder `corpus` of a run, such as output/quickstart/main/corpus",
         corpus.display()
     ))
 }

@@ -27,16 +27,17 @@ use crate::pipeline::{Failure, Kept, Result, StageId};
 use std::fmt::Write;
 use std::path::Path;
 
-/// Sets up the worker threads: what the command line says, else the configuration.
-fn use_threads(output: &OutputArgs, config: &PipelineConfig) -> Result<()> {
-    let n_threads = output.threads.unwrap_or(config.run.threads);
+/// Sets up the worker threads: as many as the command line says, or else as are `configured`; 0 for all cores. rayon keeps one pool for
+/// the process, so that every command calls this once, before it works.
+fn use_threads(output: &OutputArgs, configured: usize) -> Result<()> {
+    let n_threads = output.threads.unwrap_or(configured);
     rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(Failure::fault)
 }
 
 /// Says what a signal leaves of work in a folder of stages.
 fn resumes_in(root: &Path) {
     signals::leaves(format!(
-        "what is finished stays in {}, down to whole shards and saved states of a training; the same command goes on from there",
+        "finished shards and saved training states are kept in {}; run the same command again to continue",
         root.display()
     ));
 }
@@ -44,7 +45,7 @@ fn resumes_in(root: &Path) {
 /// Says what a signal leaves of something that appears whole or not at all.
 fn begins_anew(out: &Path) {
     signals::leaves(format!(
-        "{} is as it was; what was begun lies beside it under a name that ends in .partial, and can be removed",
+        "{} is unchanged; unfinished output is beside it under a name that ends in .partial, and can be removed",
         out.display()
     ));
 }
@@ -62,7 +63,7 @@ fn print_dry_run(
         // Writing to a string cannot fail.
         let _ = writeln!(text, "#   {:<18}{action}", expected.stage.name());
         for Kept { name, as_name } in kept {
-            let _ = writeln!(text, "#   {:<18}the present {name} is kept as {as_name}", "");
+            let _ = writeln!(text, "#   {:<18}the current {name} is moved to {as_name}", "");
         }
     }
     // Costs are those of the whole section, whatever of it is done already.

@@ -15,7 +15,7 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
     if let Some(folder) = &args.output {
         config.run.output.clone_from(folder);
     }
-    use_threads(output, &config)?;
+    use_threads(output, config.run.threads)?;
     for name in [&config.run.name, &args.run] {
         check_folder_name(name)?;
     }

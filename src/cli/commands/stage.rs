@@ -17,7 +17,7 @@ pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Pr
     let Request { id, args, layout, overrides } = request;
     let overrides = [overrides, args.set.clone()].concat();
     let config = PipelineConfig::load(args.config.as_deref(), &overrides)?.with_section(id);
-    use_threads(output, &config)?;
+    use_threads(output, config.run.threads)?;
     let root = args.output.as_path();
     let redo = if args.redo { vec![id] } else { Vec::new() };
     if args.dry_run {

@@ -21,15 +21,20 @@ pub(super) fn check(
     progress.start("verify", manifest.all_files().count() as u64, "files");
     for (name, entry) in &manifest.tables {
         let Some(table) = CorpusTable::from_name(name) else {
-            report.damage("manifest", "manifest.json", None, format!("it lists a table {name}, which there is not"));
+            report.damage("manifest", "manifest.json", None, format!("it lists an unknown table {name}"));
             continue;
         };
         if table.schema().readable_version(&entry.schema).is_none() {
-            let detail = format!("{name} is of schema {}, and {} is read", entry.schema, table.schema().id());
+            let detail = format!("{name} has schema {}, expected {}", entry.schema, table.schema().id());
             report.damage("schema", "manifest.json", None, detail);
         }
         if entry.n_rows != entry.files.iter().map(|file| file.n_rows).sum::<u64>() {
-            report.damage("counts", "manifest.json", None, format!("the rows of the files of {name} do not add up"));
+            report.damage(
+                "counts",
+                "manifest.json",
+                None,
+                format!("the row counts of the files of {name} do not match their total"),
+            );
         }
         for file in &entry.files {
             report.n_files += 1;
@@ -42,7 +47,7 @@ pub(super) fn check(
                     readable.insert(file.path.clone());
                 }
                 Ok(n_rows) => {
-                    let detail = format!("it has {n_rows} rows, and the manifest says {}", file.n_rows);
+                    let detail = format!("it has {n_rows} rows, but the manifest lists {}", file.n_rows);
                     report.damage("counts", &file.path, None, detail);
                     readable.insert(file.path.clone());
                 }
@@ -67,7 +72,12 @@ fn strangers(scan: &CorpusScan, report: &mut ValidationReport) -> Result<()> {
     parquet_files(scan.dir(), "", &mut found)?;
     found.sort();
     for file in found.into_iter().filter(|file| !listed.contains(file.as_str())) {
-        report.damage("stranger", &file, None, "the manifest does not list it, but queries over the folder read it");
+        report.damage(
+            "stranger",
+            &file,
+            None,
+            "the manifest does not list it, but queries over the folder would read it",
+        );
     }
     Ok(())
 }

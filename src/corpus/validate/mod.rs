@@ -138,11 +138,11 @@ fn check_totals(scan: &CorpusScan, known: &Known, report: &mut ValidationReport)
     ];
     for (name, said, found) in counts {
         if said != found {
-            report.damage("counts", "manifest.json", None, format!("{name} is {said}, and there are {found}"));
+            report.damage("counts", "manifest.json", None, format!("{name} is {said}, but there are {found}"));
         }
     }
     if manifest.schema == "corpus.v1" {
-        report.remark("version", "manifest.json", None, "written by an earlier version, with one file a table and without recordings; djinn corpus tools bring it into the present form");
+        report.remark("version", "manifest.json", None, "written by an earlier version, with one file per table and without recordings; djinn corpus tools upgrade it");
         return;
     }
     match fs_err::read_to_string(scan.dir().join(CARD_FILE)) {
@@ -152,7 +152,7 @@ fn check_totals(scan: &CorpusScan, known: &Known, report: &mut ValidationReport)
                 "card",
                 CARD_FILE,
                 None,
-                "it is not the card of this manifest: edited, or of another version",
+                "it does not match the manifest; it was edited or written by another version",
             );
         }
         Err(error) => report.remark("card", CARD_FILE, None, error.to_string()),

@@ -90,12 +90,12 @@ fn check_row(
 ) -> Result<()> {
     let id = columns.text("scenario_id", i)?;
     if !known.scenarios.insert(fingerprint(id.as_bytes())) {
-        report.damage("duplicate", &file.path, Some(row), format!("scenario {id} is there twice"));
+        report.damage("duplicate", &file.path, Some(row), format!("scenario {id} appears twice"));
     }
     let behavior = columns.optional_text("requested_behavior", i)?;
     let expected = CorpusTable::Scenarios.partition(behavior, columns.text("place", i)?);
     if file.partition != Default::default() && file.partition != expected {
-        report.damage("partition", &file.path, Some(row), format!("scenario {id} belongs into another partition"));
+        report.damage("partition", &file.path, Some(row), format!("scenario {id} belongs in another partition"));
     }
     let (n_timesteps, n_history) =
         (columns.number::<UInt32Type>("n_timesteps", i)?, columns.number::<UInt32Type>("n_history", i)?);
@@ -114,7 +114,10 @@ fn check_row(
     let event = |name: &str| columns.optional_number::<UInt32Type>(name, i);
     let (start, end) = (event("event_start_timestep")?, event("event_end_timestep")?);
     if start > end || end.is_some_and(|end| end >= n_timesteps) {
-        let detail = format!("the event lasts from {start:?} to {end:?} of {n_timesteps} timesteps");
+        let shown =
+            |timestep: Option<u32>| timestep.map_or_else(|| "missing".to_owned(), |timestep| timestep.to_string());
+        let (start, end) = (shown(start), shown(end));
+        let detail = format!("the event lasts from timestep {start} to {end} of {n_timesteps}");
         report.damage("range", &file.path, Some(row), detail);
     }
     if let Some(probability) = columns.optional_number::<Float64Type>("probability", i)?

@@ -100,7 +100,12 @@ pub(super) fn check_scenario(
     let row = chunk.first_row + i;
     let n_agents = scenarios.number::<UInt32Type>("n_agents", i)?;
     if n_tracks != n_agents as usize {
-        report.damage("counts", &file.path, Some(row), format!("n_agents is {n_agents}, and {n_tracks} have states"));
+        report.damage(
+            "counts",
+            &file.path,
+            Some(row),
+            format!("n_agents is {n_agents}, but {n_tracks} tracks have states"),
+        );
     }
     let ego = scenarios.text("ego_track_id", i)?;
     let is_wrong = |row: &usize| states.is_ego.value(*row) != (states.track_id.value(*row) == ego);
@@ -109,7 +114,7 @@ pub(super) fn check_scenario(
             "reference",
             &file.path,
             Some(row),
-            format!("the ego {ego} is not the track that is marked as it"),
+            format!("the ego is {ego}, but another track is marked as the ego"),
         );
     }
     Ok(())
@@ -186,7 +191,11 @@ fn check_frames(states: &States<'_>, rows: Range<usize>, world_from_scene: &Tran
         let world = Vec2::new(states.world[0].value(row), states.world[1].value(row));
         let distance_m = position.distance(world);
         if distance_m > FRAME_TOLERANCE_M {
-            place.damage("frames", row, format!("both frames differ by {distance_m:.3} m"));
+            place.damage(
+                "frames",
+                row,
+                format!("the scene frame and the recording's frame differ by {distance_m:.3} m"),
+            );
         }
     }
 }
@@ -211,7 +220,7 @@ pub(super) fn check_recordings(
         report.remark("recordings", "recordings", None, detail);
     }
     if scan.manifest().n_recordings != found.len() as u64 && !files.is_empty() {
-        let detail = format!("n_recordings is {}, and there are {}", scan.manifest().n_recordings, found.len());
+        let detail = format!("n_recordings is {}, but there are {}", scan.manifest().n_recordings, found.len());
         report.damage("counts", "manifest.json", None, detail);
     }
 }
@@ -239,7 +248,7 @@ fn check_recording_file(
             let hash = fingerprint(scene.as_bytes());
             let is_same_scene = last.as_ref().is_some_and(|(of, ..)| of == scene);
             if !is_same_scene && !found.insert(hash) {
-                place.damage("duplicate", row, format!("scene {scene} is there twice"));
+                place.damage("duplicate", row, format!("scene {scene} appears twice"));
             }
             match known.scenes.get(&hash) {
                 None if !is_same_scene => {

@@ -204,7 +204,7 @@ fn rows_that_are_missing_or_too_many_are_found() {
     let report = corpus.report();
     let has = |part: &str| report.findings.iter().any(|finding| finding.detail.contains(part));
     assert!(
-        has("belong to no scenario") && has("n_scenarios is 24, and there are 23") && has("there is no scenario"),
+        has("belong to no scenario") && has("n_scenarios is 24, but there are 23") && has("there is no scenario"),
         "{:?}",
         report.findings
     );

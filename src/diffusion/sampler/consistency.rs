@@ -15,8 +15,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConsistencyConfig {
-    /// The noise level of the first evaluation. Left out: the denoiser's σ_max. Far above the data's scale hardly anything is decided,
-    /// and an answer given from lower is as good as one that was drawn there from another answer.
+    /// The noise level of the first evaluation. Left out: the denoiser's σ_max. Far above the data's scale hardly
+    /// anything is decided, so a lower start is as good.
     pub sigma_max: Option<f64>,
     /// Noise levels of the evaluations after the first one, decreasing; none: a single evaluation.
     pub levels: Vec<f64>,

@@ -15,10 +15,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Dpmpp2mConfig {
-    /// Number of steps N, of one evaluation each.
+    /// Number of steps N, one evaluation each.
     #[schemars(range(min = 1, max = 10_000))]
     pub n_steps: usize,
-    /// The noise levels it steps through, where they are not the denoiser's.
+    /// The grid of noise levels, if it is not the denoiser's.
     pub grid: StepGrid,
 }
 

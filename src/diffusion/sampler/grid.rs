@@ -5,7 +5,7 @@ use crate::settings::{self, Issue};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A grid of noise levels of its own: with few steps none should be wasted where little is decided.
+/// The sampler's own grid of noise levels: few steps should not be spent where little is decided.
 ///
 /// EDM (equation 5) begins at σ_max = 80, far above the data's σ_data = 0.5. From σ = 20 on, the data still is 1/1600 of the
 /// variance, so that pure noise is as good a start there.
@@ -18,7 +18,7 @@ pub struct StepGrid {
     /// The noise level of the last step, which leads to 0. Left out: the denoiser's smallest one, 0.002.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub sigma_min: Option<f64>,
-    /// How much steps crowd at low noise levels, 1 for not at all. Left out: the denoiser's ρ, 7.
+    /// How densely steps are placed at low noise levels; 1 for evenly spaced. Left out: the denoiser's ρ, 7.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub rho: Option<f64>,
 }

@@ -25,7 +25,7 @@ pub struct HeunConfig {
     /// Standard deviation S_noise of the added noise relative to what would keep the marginals.
     #[schemars(range(min = 0.0, max = 10.0))]
     pub s_noise: f64,
-    /// The noise levels it steps through, where they are not the denoiser's.
+    /// The grid of noise levels, if it is not the denoiser's.
     pub grid: StepGrid,
 }
 

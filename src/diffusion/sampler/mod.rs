@@ -24,13 +24,13 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind")]
 pub enum SamplerConfig {
-    /// Second order, two evaluations a step; the paper's.
+    /// Second order, two evaluations per step; the paper's.
     #[serde(rename = "heun")]
     Heun(HeunConfig),
-    /// First order, one evaluation a step.
+    /// First order, one evaluation per step.
     #[serde(rename = "euler")]
     Euler(EulerConfig),
-    /// Second order, one evaluation a step (DPM-Solver++ 2M).
+    /// Second order, one evaluation per step (DPM-Solver++ 2M).
     #[serde(rename = "dpmpp_2m")]
     Dpmpp2m(Dpmpp2mConfig),
     /// Jumps to the end, for consistency models (`[train.distill]`).
@@ -97,7 +97,7 @@ impl SamplerConfig {
         self.grid().validate().map_err(|issue| issue.within("grid"))
     }
 
-    /// The noise levels it steps through, where they are not the denoiser's.
+    /// The grid of noise levels, if it is not the denoiser's.
     const fn grid(&self) -> StepGrid {
         match self {
             Self::Heun(config) => config.grid,

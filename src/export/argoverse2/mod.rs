@@ -4,7 +4,7 @@
 mod tests;
 
 use super::lane_bounds::LaneBounds;
-use super::{Error, Exporter, Item, Outcome, Result, Written};
+use super::{Error, ExportOutcome, Exporter, Item, Result, Written};
 use crate::geometry::Vec2;
 use crate::scene::{AgentClass, Lane, LaneGraph, State, TrackRole};
 use crate::store::{AtomicFile, write_atomically};
@@ -55,10 +55,10 @@ impl Argoverse2 {
 }
 
 impl Exporter for Argoverse2 {
-    fn add(&mut self, item: &Item<'_>) -> Result<Outcome> {
+    fn add(&mut self, item: &Item<'_>) -> Result<ExportOutcome> {
         let scene = item.scene();
         if scene.ego().trajectory.n_valid() == 0 {
-            return Ok(Outcome::LeftOut("no_ego"));
+            return Ok(ExportOutcome::LeftOut("no_ego"));
         }
         let id = &item.stem;
         let folder = format!("{}/{id}", scene.source.split.name());
@@ -77,7 +77,7 @@ impl Exporter for Argoverse2 {
             if track.trajectory.n_valid() == 0 { Err("no_states") } else { Ok(track.id.0.clone()) }
         };
         let tracks = scene.tracks.iter().map(name).collect();
-        Ok(Outcome::Written(Written { file: folder, name: id.clone(), first_timestep: 0, tracks, assumed }))
+        Ok(ExportOutcome::Written(Written { file: folder, name: id.clone(), first_timestep: 0, tracks, assumed }))
     }
 }
 

@@ -12,7 +12,7 @@ mod tests;
 
 use super::text::number;
 use super::xml::{Element, element, leaf};
-use super::{EgoMotion, Error, Exporter, Item, Outcome, Result, Written};
+use super::{EgoMotion, Error, ExportOutcome, Exporter, Item, Result, Written};
 use crate::scene::State;
 use crate::store::write_atomically;
 use std::path::{Path, PathBuf};
@@ -36,19 +36,19 @@ impl CommonRoad {
 }
 
 impl Exporter for CommonRoad {
-    fn add(&mut self, item: &Item<'_>) -> Result<Outcome> {
+    fn add(&mut self, item: &Item<'_>) -> Result<ExportOutcome> {
         let scene = item.scene();
         if !scene.has_future() {
-            return Ok(Outcome::LeftOut("no_future"));
+            return Ok(ExportOutcome::LeftOut("no_future"));
         }
         let lanelets = lanelets::of(&scene.lanes.transformed(&scene.world_from_scene));
         if lanelets.elements.is_empty() {
-            return Ok(Outcome::LeftOut("no_lanes"));
+            return Ok(ExportOutcome::LeftOut("no_lanes"));
         }
         let present = scene.current_timestep();
         let ego_states = item.world_states(scene.ego_idx);
         let Some(problem) = planning_problem::of(scene, &ego_states) else {
-            return Ok(Outcome::LeftOut("no_ego"));
+            return Ok(ExportOutcome::LeftOut("no_ego"));
         };
         // All elements of a file share their numbers.
         let first_obstacle_id = lanelets.elements.len() + 1;
@@ -63,7 +63,7 @@ impl Exporter for CommonRoad {
         write_atomically::<Error>(&self.dir.join(&file), |sink| Ok(root.write_document(sink)?))?;
         let assumed = [lanelets.assumed, obstacles.assumed].concat();
         let tracks = obstacles.tracks;
-        Ok(Outcome::Written(Written { file, name, first_timestep: present, tracks, assumed }))
+        Ok(ExportOutcome::Written(Written { file, name, first_timestep: present, tracks, assumed }))
     }
 }
 

@@ -42,7 +42,7 @@ const NEAR_DUPLICATE_OF: &str = "near_duplicate_of";
 
 /// The tag of the judgment, and one for each check of validity that failed. What is not defined for the scenario is left out.
 pub(super) fn tags(scene: &Scene, judged: &Assessment) -> Vec<Value> {
-    let columns = Columns::new();
+    let columns = AssessmentColumns::new();
     let number =
         |(name, of): &Number| of(judged).map(|number| quantity(name, rounded(number), &columns.of(name, "unit")));
     let flag = |(name, of): &Flag| of(judged).map(|flag| value(name, flag));
@@ -74,7 +74,7 @@ pub(super) fn tags(scene: &Scene, judged: &Assessment) -> Vec<Value> {
 
 /// What these tags mean.
 pub(super) fn definitions() -> Map<String, Value> {
-    let columns = Columns::new();
+    let columns = AssessmentColumns::new();
     let names = FLAGS.iter().map(|(name, _)| *name).chain(NUMBERS.iter().map(|(name, _)| *name));
     let data: Map<String, Value> = names
         .chain([NEAR_DUPLICATE_OF])
@@ -83,8 +83,8 @@ pub(super) fn definitions() -> Map<String, Value> {
     let checks: Map<String, Value> =
         Check::ALL.into_iter().map(|check| (check.id().to_owned(), Value::from(check.description()))).collect();
     let assessment = json!({
-        "definition": "What was judged of the scenario, independently of what guided it. What is not defined for it is left out. Numbers \
-                       name their unit in the attribute unit; 1 is that of shares and ratios.",
+        "definition": "Judgments of the scenario, independent of what guided it; undefined ones are left out. The attribute unit \
+                       of a number names its unit, 1 for shares and ratios.",
         "data": data,
     });
     let violation = json!({
@@ -102,9 +102,9 @@ pub(super) fn definitions() -> Map<String, Value> {
 }
 
 /// What the columns of the scenario table say of themselves.
-struct Columns(Option<TableSchema>);
+struct AssessmentColumns(Option<TableSchema>);
 
-impl Columns {
+impl AssessmentColumns {
     fn new() -> Self {
         Self(TableSchema::all().into_iter().find(|table| table.name == "scenario"))
     }
@@ -194,7 +194,7 @@ pub(super) mod tests {
 
     #[test]
     fn every_figure_is_a_column_with_unit_and_description() {
-        let columns = Columns::new();
+        let columns = AssessmentColumns::new();
         for name in NUMBERS.iter().map(|(name, _)| *name) {
             assert!(!["", "none"].contains(&columns.of(name, "unit").as_str()), "{name} has no unit");
         }

@@ -3,7 +3,7 @@
 mod assessment;
 
 use super::selection::is_accepted;
-use super::{Error, Exporter, Item, Outcome, Result, Written};
+use super::{Error, ExportOutcome, Exporter, Item, Result, Written};
 use crate::behavior::{self, BehaviorEvent, EventLabel};
 use crate::scene::Scene;
 use crate::store::{unit_of_name, write_json_atomically};
@@ -34,12 +34,18 @@ impl OpenLabel {
 }
 
 impl Exporter for OpenLabel {
-    fn add(&mut self, item: &Item<'_>) -> Result<Outcome> {
+    fn add(&mut self, item: &Item<'_>) -> Result<ExportOutcome> {
         let scene = item.scene();
         let file = format!("{}.json", item.stem);
         write_json_atomically(&self.dir.join(&file), &document(item))?;
         let tracks = scene.tracks.iter().map(|track| Ok(track.id.0.clone())).collect();
-        Ok(Outcome::Written(Written { file, name: item.stem.clone(), first_timestep: 0, tracks, assumed: Vec::new() }))
+        Ok(ExportOutcome::Written(Written {
+            file,
+            name: item.stem.clone(),
+            first_timestep: 0,
+            tracks,
+            assumed: Vec::new(),
+        }))
     }
 
     fn finish(self: Box<Self>) -> Result<()> {

@@ -11,7 +11,7 @@ mod tests;
 
 use super::text::{number, plain};
 use super::xml::{Element, element};
-use super::{EgoMotion, Error, Exporter, Item, Outcome, Result, Written, opendrive};
+use super::{EgoMotion, Error, ExportOutcome, Exporter, Item, Result, Written, opendrive};
 use crate::scene::{SceneId, State};
 use crate::store::write_atomically;
 use entities::Body;
@@ -70,7 +70,7 @@ impl OpenScenario {
 }
 
 impl Exporter for OpenScenario {
-    fn add(&mut self, item: &Item<'_>) -> Result<Outcome> {
+    fn add(&mut self, item: &Item<'_>) -> Result<ExportOutcome> {
         let scene = item.scene();
         let names = names(item);
         let mut tracks = Vec::new();
@@ -96,7 +96,7 @@ impl Exporter for OpenScenario {
             tracks.push(Ok(name));
         }
         if tracks.get(scene.ego_idx).is_none_or(|track| track.is_err()) {
-            return Ok(Outcome::LeftOut("no_ego"));
+            return Ok(ExportOutcome::LeftOut("no_ego"));
         }
         let roads = self.roads(item)?;
         let logic = roads.file.as_ref().map(|file| element("LogicFile").attr("filepath", file));
@@ -111,7 +111,7 @@ impl Exporter for OpenScenario {
         let file = format!("{}.xosc", item.stem);
         write_atomically::<Error>(&self.dir.join(&file), |sink| Ok(root.write_document(sink)?))?;
         let assumed = [vec![("nominal_size", n_nominal), ("split_at_gap", n_split)], roads.assumed].concat();
-        Ok(Outcome::Written(Written { file, name: item.stem.clone(), first_timestep: 0, tracks, assumed }))
+        Ok(ExportOutcome::Written(Written { file, name: item.stem.clone(), first_timestep: 0, tracks, assumed }))
     }
 }
 

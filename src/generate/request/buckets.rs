@@ -42,12 +42,12 @@ impl Divisions {
         }
     }
 
-    /// Says what makes no sense.
+    /// Rejects settings that cannot work.
     pub(super) fn validate(&self) -> Result<(), String> {
         match self {
             Self::Edges(edges) if edges.len() < 2 => Err("has fewer than two edges".to_owned()),
             Self::Edges(edges) if edges.iter().any(|edge| !edge.is_finite()) => {
-                Err("has an edge that is no finite number; a very large one serves for an open end".to_owned())
+                Err("has an edge that is not finite; use a very large number for an open end".to_owned())
             }
             Self::Edges(edges) if edges.windows(2).any(|edges| edges[0] >= edges[1]) => {
                 Err("has edges that do not ascend".to_owned())
@@ -209,7 +209,7 @@ mod tests {
         for (toml, what) in [
             ("gap_m = [3]", "fewer than two"),
             ("gap_m = [0, 0]", "do not ascend"),
-            ("gap_m = [0, inf]", "no finite"),
+            ("gap_m = [0, inf]", "not finite"),
             ("side = ['left', 'left']", "twice"),
         ] {
             let request = request(&format!("per_bucket = 1\nbuckets = {{ {toml} }}"));

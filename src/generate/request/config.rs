@@ -5,18 +5,18 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Events that are asked for by their parameters. Arms of `[[generate.arms]]` are tried until every bucket is full or the
-/// budget is spent.
+/// Events requested by their parameters. Arms of `[[generate.arms]]` are tried until every bucket is full or the budget
+/// is spent.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RequestConfig {
     /// Name, unique among the requests.
     pub name: String,
-    /// The mined behavior that is wanted, such as `cut_in`.
+    /// The mined behavior to request, such as `cut_in`.
     pub behavior: String,
-    /// What accepted scenarios are sorted by: parameters of the event, `place`, or the class of who has a role, such as
-    /// `other_class`. Ascending edges `[0, 5, 10]` make the intervals 0 to 5 and 5 to 10 (lower edge included, upper not);
-    /// texts `["left", "right"]` make a part each. The buckets are all combinations.
+    /// The quantities that define buckets: parameters of the event, `place`, or the class of the agent in a role, such
+    /// as `other_class`. Ascending edges `[0, 5, 10]` make the intervals 0 to 5 and 5 to 10 (lower edge included, upper
+    /// not); texts `["left", "right"]` make a part each. The buckets are all combinations.
     pub buckets: BTreeMap<String, Divisions>,
     /// Scenarios wanted in each bucket. Either this or `n_total`.
     #[serde(default)]
@@ -39,11 +39,11 @@ pub struct RequestConfig {
     pub limits: BTreeMap<String, Limit>,
     /// Names of `[[generate.arms]]` that may be tried. An arm of several strengths is tried at each of them.
     pub arms: Vec<String>,
-    /// Number of scenes whose pairs may be asked.
+    /// Number of scenes to take pairs from.
     #[serde(default = "default_n_scenes")]
     #[schemars(range(min = 1, max = 1_000_000_000))]
     pub n_scenes: usize,
-    /// Which agents of them are asked.
+    /// Which pairs of agents to take.
     #[serde(default)]
     pub pairs: PairSelectionConfig,
     /// Accepted scenarios of one bucket that continue the same scene with the same agents, at most.
@@ -53,11 +53,11 @@ pub struct RequestConfig {
     /// How the budget is spent.
     #[serde(default)]
     pub plan: PlanKind,
-    /// Shards after which it is decided again what to try.
+    /// Number of shards per round.
     #[serde(default = "default_shards_per_round")]
     #[schemars(range(min = 1, max = 10_000))]
     pub shards_per_round: usize,
-    /// When to give up on buckets that do not fill.
+    /// The budget, after which unfilled buckets are given up.
     pub budget: BudgetConfig,
 }
 
@@ -97,15 +97,15 @@ pub enum Requirement {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PlanKind {
-    /// First every arm on the same scenes; then, round by round, the arms and scenes that have filled buckets which are still
-    /// open, each in proportion to how likely it is the best (Thompson sampling).
+    /// First every arm on the same scenes; then, round by round, the arms and scenes that fill open buckets, each in
+    /// proportion to its probability of being the best (Thompson sampling).
     #[default]
     Adaptive,
-    /// Every arm on every scene in turn, again and again: a grid.
+    /// Every arm on every scene in turn, repeatedly: a grid.
     Even,
 }
 
-/// The most that may be spent; what is spent first ends the search. At least one of the two.
+/// The maximum to spend; the first limit reached ends the search. At least one of the two is required.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct BudgetConfig {
@@ -125,7 +125,7 @@ impl BudgetConfig {
         by_samples.into_iter().chain(by_evaluations).min().unwrap_or(0)
     }
 
-    /// What a sample of so many evaluations costs, in what the budget counts.
+    /// The cost of a sample of this many evaluations, in the unit of the budget.
     pub(super) fn cost(&self, n_evaluations: u64) -> f64 {
         if self.n_evaluations.is_some() { n_evaluations.max(1) as f64 } else { 1.0 }
     }

@@ -26,25 +26,25 @@ pub(super) fn check_name(behavior: &BehaviorEntry, name: &str, texts: Option<&[S
         let mut nearest = known;
         nearest.sort_by_key(|known| strsim::damerau_levenshtein(known, name));
         nearest.truncate(3);
-        return Err(format!("{name} is no parameter of {}; the nearest are {}", behavior.id, nearest.join(", ")));
+        return Err(format!("{name} is not a parameter of {}; similar: {}", behavior.id, nearest.join(", ")));
     }
     let is_parameter = behavior.parameters.contains(&name);
     let Some(texts) = texts else {
         return match is_parameter {
             true => Ok(()),
-            false => Err(format!("{name} has no numbers: give a list of texts")),
+            false => Err(format!("{name} holds text; give a list of strings")),
         };
     };
     let values: Option<Vec<&str>> = match name {
         PLACE => None,
         SIDE => Some(SIDES.to_vec()),
-        _ if is_parameter => return Err(format!("{name} is a number: give numbers instead of texts")),
+        _ if is_parameter => return Err(format!("{name} is a number; give numbers instead of strings")),
         _ => Some(AgentClass::ALL.into_iter().map(AgentClass::name).collect()),
     };
     let unknown = texts.iter().find(|text| values.as_ref().is_some_and(|values| !values.contains(&text.as_str())));
     match (unknown, values) {
         (Some(unknown), Some(values)) => {
-            Err(format!("{name} is never {unknown:?}; it is one of {}", values.join(", ")))
+            Err(format!("{name} cannot be `{unknown}`, expected one of {}", values.join(", ")))
         }
         _ => Ok(()),
     }
@@ -118,8 +118,8 @@ mod tests {
         let texts = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
         let refusal = |name: &str, of: Option<&[String]>| check_name(cut_in(), name, of).unwrap_err();
         assert!(refusal("gap", None).contains("gap_m"), "{}", refusal("gap", None));
-        assert!(refusal("relativ_speed_mps", None).contains("the nearest are relative_speed_mps"));
-        assert!(refusal("place", None).contains("has no numbers"));
+        assert!(refusal("relativ_speed_mps", None).contains("similar: relative_speed_mps"));
+        assert!(refusal("place", None).contains("holds text"));
         assert!(refusal("gap_m", Some(&texts(&["small"]))).contains("is a number"));
         assert!(refusal("side", Some(&texts(&["above"]))).contains("left, right"));
         assert!(refusal("ego_class", Some(&texts(&["lorry"]))).contains("vehicle"));

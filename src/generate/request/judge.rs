@@ -19,7 +19,7 @@ enum Placement {
 }
 
 impl Generator<'_> {
-    /// Tags the records of a finished shard of `request`, in round `round`, with what became of them, and counts them.
+    /// Tags the records of a finished shard of `request`, in round `round`, with their outcome, and counts them.
     /// `ledger` holds all earlier shards. Scenarios of one cell count in the order of their records.
     ///
     /// # Errors
@@ -36,7 +36,7 @@ impl Generator<'_> {
             let is_own = |cell: &Cell| cell.scene_id == provenance.scene_id && cell.roles == provenance.guidance.roles;
             shard.members.iter().position(|member| is_own(&pool.cells[*member])).ok_or_else(|| Error::Stale {
                 scene_id: provenance.scene_id.clone(),
-                detail: "a scenario is of no cell of its shard".to_owned(),
+                detail: "a scenario does not belong to any cell of its shard".to_owned(),
             })
         };
         let findings: Vec<(usize, Placement)> = records

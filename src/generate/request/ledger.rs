@@ -5,7 +5,7 @@ use super::rounds::Pool;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What a finished shard of a request came to.
+/// The results of a finished shard of a request.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ShardTally {
     /// Name of the request.
@@ -18,16 +18,16 @@ pub struct ShardTally {
     pub cells: Vec<CellTally>,
 }
 
-/// What a cell came to in a shard.
+/// The results of a cell in a shard.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CellTally {
     /// Its place in the request's pool.
     pub cell: usize,
-    /// Samples drawn, those that came to nothing included.
+    /// Samples drawn, including those without a scenario.
     pub n_samples: u64,
     /// The number after that of the last sample.
     pub next_sample: usize,
-    /// Samples that hold the behavior with the agents that were asked.
+    /// Samples that show the behavior with the requested agents.
     pub n_found: u64,
     /// Of those: in no bucket, or not as `where` says.
     pub n_outside: u64,
@@ -37,7 +37,7 @@ pub struct CellTally {
     pub hits: BTreeMap<usize, Hits>,
 }
 
-/// Scenarios that are as asked, in a bucket.
+/// Scenarios of a bucket that meet the request.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Hits {
     /// Accepted.

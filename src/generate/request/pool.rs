@@ -45,16 +45,16 @@ impl Generator<'_> {
                 n_considered: n_scenes,
                 hint: match n_scenes {
                     0 => {
-                        " with a pair to ask; choose other generate.splits or generate.places, or raise pairs.max_distance_m"
+                        " with a suitable pair; choose other generate.splits or generate.places, or raise pairs.max_distance_m"
                     }
-                    _ => ", but none has a pair that the request allows; widen where, or raise pairs.max_distance_m",
+                    _ => ", but none has a pair that meets the request; widen where, or raise pairs.max_distance_m",
                 },
             });
         }
         Ok(Pool { request: request.config.name.clone(), cells, n_scenes, feasible, n_infeasible })
     }
 
-    /// The buckets that a cell can reach, as far as its past tells, with the least effort that it takes.
+    /// The buckets that a cell can reach, given its past, with the least effort for each.
     fn feasible_buckets(&self, request: &ResolvedRequest, cell: &Cell) -> Result<BTreeMap<usize, f64>, Error> {
         let all = 0..request.buckets.len();
         let sweep = &self.config.sweeps[request.arms[0].sweep_idx];
@@ -62,7 +62,7 @@ impl Generator<'_> {
             return Ok(all.map(|bucket| (bucket, 0.0)).collect());
         };
         let scene = self.load(cell.scene_idx, &cell.scene_id)?;
-        let agents: Vec<usize> = cell.roles.iter().filter_map(|(_, track)| scene.track_idx(track)).collect();
+        let agents: Vec<usize> = cell.roles.tracks().filter_map(|track| scene.track_idx(track)).collect();
         let mut outcomes = behavior.feasible(&scene, &agents);
         outcomes.retain(|outcome| {
             request.config.conditions.iter().all(|(name, condition)| match (outcome.get(name), condition) {

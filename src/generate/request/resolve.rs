@@ -57,7 +57,7 @@ pub struct Arm {
     pub n_evaluations: u64,
     /// How strongly its samples are guided.
     pub level: GuidanceLevel,
-    /// Whether an objective of it aims at the bucket that is asked for.
+    /// Whether one of its objectives aims at the open bucket.
     pub aims: bool,
 }
 
@@ -77,17 +77,14 @@ impl GenerateConfig {
             request.validate().map_err(refuse)?;
             let behavior = mined(&request.behavior, behaviors).map_err(within)?;
             if !names.insert(&request.name) {
-                let why = format_args!("is \"{}\", the name of another request: choose another", request.name);
+                let why = format_args!("is \"{}\", which another request already uses", request.name);
                 return Err(within(Issue::new("name", why)));
             }
             let mut arms = Vec::new();
             for name in &request.arms {
                 let Some(at) = self.arms.iter().position(|arm| arm.name == *name) else {
                     let known: Vec<&str> = self.arms.iter().map(|arm| arm.name.as_str()).collect();
-                    let why = format!(
-                        "arms names \"{name}\", which there is not; [[generate.arms]] has {}",
-                        known.join(", ")
-                    );
+                    let why = format!("arms: unknown arm \"{name}\"; [[generate.arms]] has {}", known.join(", "));
                     return Err(refuse(why));
                 };
                 let of_arm = |issue: Issue| Error::Setting(issue.within(&format!("generate.arms.{at}")));
@@ -111,14 +108,14 @@ impl GenerateConfig {
 }
 
 impl RequestConfig {
-    /// Says what makes no sense.
+    /// Rejects settings that cannot work.
     fn validate(&self) -> Result<(), String> {
         let Some(behavior) = behavior::ALL.iter().find(|known| known.id == self.behavior) else {
             let known: Vec<&str> = behavior::ALL.iter().map(|known| known.id).collect();
-            return Err(format!("there is no behavior {}; known: {}", self.behavior, known.join(", ")));
+            return Err(format!("unknown behavior {}; known: {}", self.behavior, known.join(", ")));
         };
         if self.buckets.is_empty() {
-            return Err("buckets is empty: name a parameter with edges, such as gap_m = [0, 10]".to_owned());
+            return Err("buckets is empty; add a parameter with edges, such as gap_m = [0, 10]".to_owned());
         }
         for (name, divisions) in &self.buckets {
             let texts = if let Divisions::Texts(texts) = divisions { Some(texts.as_slice()) } else { None };
@@ -130,7 +127,7 @@ impl RequestConfig {
             check_name(behavior, name, texts).map_err(|why| format!("where: {why}"))?;
             match condition {
                 Requirement::Range([least, most]) if !(least <= most && least.is_finite() && most.is_finite()) => {
-                    return Err(format!("where.{name} is no range of finite numbers"));
+                    return Err(format!("where.{name} is not a range of finite numbers"));
                 }
                 Requirement::Texts(texts) if texts.is_empty() => return Err(format!("where.{name} is empty")),
                 _ => {}
@@ -141,20 +138,20 @@ impl RequestConfig {
             self.limits().validate(&[], behavior.roles.len() > 1).map_err(|issue| issue.to_string())?;
         }
         if self.arms.is_empty() {
-            return Err("arms is empty: name at least one of [[generate.arms]]".to_owned());
+            return Err("arms is empty; list at least one of [[generate.arms]]".to_owned());
         }
         settings::distinct("arms", &self.arms).map_err(|issue| issue.to_string())?;
         match self.budget.n_samples.or(self.budget.n_evaluations) {
-            None => Err("budget is empty: say n_samples or n_evaluations".to_owned()),
+            None => Err("budget is empty; set n_samples or n_evaluations".to_owned()),
             Some(_) => Ok(()),
         }
     }
 
     fn validate_counts(&self) -> Result<(), String> {
         match (self.per_bucket, self.n_total) {
-            (Some(_), Some(_)) | (None, None) => return Err("say either per_bucket or n_total".to_owned()),
+            (Some(_), Some(_)) | (None, None) => return Err("set either per_bucket or n_total".to_owned()),
             (Some(_), None) if !self.weights.is_empty() => {
-                return Err("weights distribute n_total; with per_bucket all buckets want the same".to_owned());
+                return Err("weights need n_total; with per_bucket all buckets are equal".to_owned());
             }
             _ => {}
         }

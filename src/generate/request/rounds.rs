@@ -1,4 +1,4 @@
-//! What is tried next? Rounds of shards, each decided from what the finished rounds came to and nothing else.
+//! What to try next? Rounds of shards, each decided from the results of finished rounds alone.
 
 use super::config::PlanKind;
 use super::draws::{beta, gamma};
@@ -65,7 +65,7 @@ pub struct RoundShard {
 pub struct RoundContext<'a> {
     /// The cells.
     pub pool: &'a Pool,
-    /// What all earlier rounds came to.
+    /// The results of all earlier rounds.
     pub ledger: &'a Ledger,
     /// Number of the round.
     pub round: usize,

@@ -1,4 +1,4 @@
-//! What was asked and what was got: the figures of a request, for `requests.json` and the report.
+//! Requested and delivered: the figures of a request, for `requests.json` and the report.
 
 use super::buckets::BucketPart;
 use super::config::BudgetConfig;
@@ -18,7 +18,7 @@ pub enum Ended {
     Budget,
 }
 
-/// What was asked and what was got.
+/// Requested and delivered.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RequestSummary {
     /// Name of the request.
@@ -35,11 +35,11 @@ pub struct RequestSummary {
     pub n_samples: u64,
     /// Evaluations of the denoiser.
     pub n_evaluations: u64,
-    /// Scenes that were asked.
+    /// Scenes that were tried.
     pub n_scenes: usize,
     /// Pairs of agents (or single agents) of them that can fall into a bucket.
     pub n_cells: usize,
-    /// Those that cannot, and were not asked.
+    /// Those that cannot, and were not tried.
     #[serde(default)]
     pub n_infeasible: usize,
     /// Scenarios wanted in all.
@@ -52,7 +52,7 @@ pub struct RequestSummary {
     pub buckets: Vec<BucketSummary>,
 }
 
-/// What came of an arm.
+/// The results of an arm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ArmSummary {
     /// Its name.
@@ -68,12 +68,12 @@ pub struct ArmSummary {
     pub first_round: Yield,
 }
 
-/// Samples by what became of them.
+/// Samples by outcome.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Yield {
     /// Samples.
     pub n_samples: u64,
-    /// That hold the behavior with the agents that were asked.
+    /// Those that show the behavior with the requested agents.
     pub n_found: u64,
     /// Of those: outside of all buckets and conditions.
     pub n_outside: u64,
@@ -85,7 +85,7 @@ pub struct Yield {
     pub n_accepted: u64,
 }
 
-/// What came of a bucket.
+/// The results of a bucket.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BucketSummary {
     /// Its index, as in the column `bucket`.

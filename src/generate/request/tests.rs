@@ -3,6 +3,7 @@
 use super::*;
 use crate::behavior::BehaviorConfig;
 use crate::generate::{Cell, GenerateConfig};
+use crate::scene::Roles;
 use crate::seed::Seed;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -44,7 +45,7 @@ fn pool(n: usize) -> Pool {
     let cell = |i: usize| Cell {
         scene_idx: i,
         scene_id: format!("scene-{i}").as_str().into(),
-        roles: vec![("ego".to_owned(), "1".into()), ("other".to_owned(), "2".into())],
+        roles: Roles::from([("ego", "1"), ("other", "2")]),
         targets: Vec::new(),
     };
     Pool {
@@ -142,14 +143,11 @@ fn requests_that_make_no_sense_are_refused_by_name() {
     for (more, part) in [
         (format!("{arms}\nper_bucket = 2\nbudget = {{}}"), "budget is empty"),
         (format!("{arms}\nbudget = {{ n_samples = 3 }}"), "either per_bucket or n_total"),
-        (
-            format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}\nwhere = {{ gap = [0, 3] }}"),
-            "the nearest are gap_m",
-        ),
-        (format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}\nwhere = {{ gap_m = [5, 3] }}"), "no range"),
+        (format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}\nwhere = {{ gap = [0, 3] }}"), "similar: gap_m"),
+        (format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}\nwhere = {{ gap_m = [5, 3] }}"), "not a range"),
         (
             format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}\nlimits = {{ colision_rate = 0.0 }}"),
-            "no metric",
+            "not a metric",
         ),
         (
             format!("{arms}\nn_total = 2\nbudget = {{ n_samples = 3 }}\nweights = {{ gap_m = [1] }}"),
@@ -159,7 +157,7 @@ fn requests_that_make_no_sense_are_refused_by_name() {
             format!("{arms}\nn_total = 2\nbudget = {{ n_samples = 3 }}\nweights = {{ ttc_s = [1] }}"),
             "not among the buckets",
         ),
-        ("arms = ['plane']\nper_bucket = 2\nbudget = { n_samples = 3 }".to_owned(), "\"plane\", which there is not"),
+        ("arms = ['plane']\nper_bucket = 2\nbudget = { n_samples = 3 }".to_owned(), "unknown arm \"plane\""),
         ("arms = []\nper_bucket = 2\nbudget = { n_samples = 3 }".to_owned(), "arms is empty"),
     ] {
         let why = refusal(&more);
@@ -172,9 +170,7 @@ fn requests_that_make_no_sense_are_refused_by_name() {
         resolve(&format!("{arm}{}", request(&format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}"))))
             .unwrap_err()
     };
-    assert!(
-        with_arm("n_scenes = 3").contains("n_scenes of \"other\" is 3, but the request that names an arm decides it")
-    );
+    assert!(with_arm("n_scenes = 3").contains("n_scenes of \"other\" is 3, but cannot be set in an arm"));
     assert!(with_arm("behavior = 'cut_in'").contains("behavior of \"other\" is \"cut_in\", but"));
     assert!(with_arm("model = 'baseline'").contains("generate.arms.3.model is \"baseline\""));
 }

@@ -1,4 +1,4 @@
-//! A sweep as it is written: what may be asked of each kind of model, and nothing else. Its keys are those of `SweepKeys`.
+//! A sweep as written: the settings of each kind of model, and nothing else. Its keys are those of `SweepKeys`.
 
 use super::keys::SweepKeys;
 use crate::diffusion::SamplerConfig;
@@ -7,7 +7,7 @@ use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// `[[generate.sweeps]]`: every chosen scene, at every level of guidance, so many times.
+/// `[[generate.sweeps]]`: every chosen scene, at every guidance level, `n_samples` times.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "SweepKeys", into = "SweepKeys")]
 pub struct SweepConfig {
@@ -17,19 +17,19 @@ pub struct SweepConfig {
     pub n_scenes: usize,
     /// Name of the mined behavior to ask for; `None`: scenes are continued as they may go on.
     pub behavior: Option<String>,
-    /// Which agents are asked for the behavior.
+    /// Which agents are to show the behavior.
     pub pairs: PairSelectionConfig,
     /// What the events are asked to be like.
     pub aim: Aim,
     /// Which samples become scenarios; `None`: all.
     pub select: Option<SelectConfig>,
-    /// No further shard is begun once so many scenarios are verified; `None`: all are generated.
+    /// Stop beginning shards once this many scenarios are verified; `None`: generate all.
     pub stop_after_verified: Option<usize>,
     /// How samples are drawn.
     pub sampling: SamplingConfig,
 }
 
-/// `[[generate.arms]]`: a way of sampling that requests may try. Who is asked for what, and in which scenes, the request says.
+/// `[[generate.arms]]`: a way of sampling that requests may try. The request decides on scenes, pairs and behavior.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "SweepKeys", into = "SweepKeys")]
 #[schemars(transform = super::keys::without_keys_of_requests)]
@@ -47,14 +47,14 @@ pub struct SamplingConfig {
     pub n_samples: usize,
     /// Which states are observed; the rest is generated.
     pub observe: ObserveConfig,
-    /// The model, with what may be asked of it.
+    /// The model with its settings.
     pub model: ModelConfig,
 }
 
 /// Which model samples come from.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ModelConfig {
-    /// The denoiser: samples are independent draws, as many as wanted.
+    /// The denoiser: samples are independent draws, in any number.
     Denoiser(DiffusionConfig),
     /// The denoiser of `[train.distill]`, in few evaluations.
     Distilled(DiffusionConfig),
@@ -76,7 +76,7 @@ pub struct DiffusionConfig {
     pub guidance: SweepGuidance,
     /// States that samples lean toward.
     pub classifier_free: Option<ClassifierFreeConfig>,
-    /// Changes of the recording that samples start from.
+    /// Edits of the recording that samples start from.
     pub edit: Option<EditConfig>,
 }
 
@@ -85,39 +85,40 @@ pub struct DiffusionConfig {
 pub struct SweepGuidance {
     /// When guidance acts and how far it may go.
     pub gate: GuidanceConfig,
-    /// Whom the classifier of the behavior looks at.
+    /// Which agents the classifier of the behavior judges.
     pub classifier_scope: ClassifierScope,
     /// What the classifier is shown.
     pub classifier_input: ClassifierInput,
-    /// What is asked of trajectories beside the behavior, or instead of one.
+    /// Objectives for the trajectories, in addition to a behavior or instead of one.
     pub objectives: Vec<ObjectiveConfig>,
     /// How objectives become shifts of the clean estimate.
     pub objective_guidance: ObjectiveGuidanceConfig,
 }
 
-/// Whom the classifier of the behavior looks at.
+/// Which agents the classifier of the behavior judges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ClassifierScope {
-    /// The pair that is asked: chosen beforehand, and verified.
+    /// The requested pair: chosen beforehand, and verified.
     #[default]
     Pair,
-    /// Whichever pair of the scene comes nearest to the behavior (ln of the sum of all pairs' probabilities). Nobody is asked in
-    /// particular; a scenario is verified if anybody performs the behavior.
+    /// Whichever pair of the scene comes nearest to the behavior (ln of the sum of all pairs' probabilities). No pair
+    /// is requested; a scenario is verified if any pair shows the behavior.
     AnyPair,
-    /// Nobody: objectives alone guide. Pairs are chosen and verified as with `pair`.
+    /// None: only objectives guide. Pairs are chosen and verified as with `pair`.
     None,
 }
 
-/// What the classifier of the behavior is shown of a sample that is being denoised.
+/// What the classifier of the behavior sees of a sample during sampling.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ClassifierInput {
-    /// The noisy states (paper, section 5.2): it was trained on them at every noise level.
+    /// The noisy states (paper, section 5.2): what it was trained on, at every noise level.
     #[default]
     NoisyStates,
-    /// The denoiser's clean estimate, as objectives are. Needed where more than the history is observed (`observe`): of other
-    /// masks the classifier knows no noisy states. `objective_guidance` says how its gradient becomes a shift.
+    /// The denoiser's clean estimate, as objectives are. Needed if more than the history is observed (`observe`): the
+    /// classifier was not trained on noisy states under other masks. `objective_guidance` says how its gradient becomes
+    /// a shift.
     CleanEstimate,
 }
 

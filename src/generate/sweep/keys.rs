@@ -1,6 +1,6 @@
 //! The keys of sweeps and arms in TOML: one flat table.
 //!
-//! Serde reads the table as it stands and so can tell the line of a mistake, which it cannot within tagged or flattened types.
+//! Serde reads the flat table, so it can report the line of a mistake, which it cannot for tagged or flattened types.
 //! Each kind of sweep then takes the keys that it knows; what is left over is refused.
 
 use super::config::{
@@ -23,8 +23,8 @@ const OF_REQUESTS: [&str; 6] = ["n_scenes", "behavior", "pairs", "aim", "select"
 pub(super) struct SweepKeys {
     /// Name, unique among the sweeps or arms.
     name: String,
-    /// Where samples come from: `denoiser`, `distilled` for the one that needs few evaluations, or `baseline` to compare with.
-    /// The baseline has as many samples as joint futures at most, and no keys but `n_samples` and `observe` for how it is sampled.
+    /// Where samples come from: `denoiser`, `distilled` (few evaluations), or `baseline`. The baseline has as many
+    /// samples as joint futures at most, and no keys but `n_samples` and `observe` for how it is sampled.
     #[serde(default)]
     model: ModelKey,
     /// Number of scenes to continue.
@@ -38,7 +38,7 @@ pub(super) struct SweepKeys {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 1, max = 100_000))]
     n_samples: Option<usize>,
-    /// Name of the mined behavior to ask for. Left out: scenes are continued as they may go on.
+    /// Name of the mined behavior to request. Left out: scenes are continued without a request.
     #[serde(skip_serializing_if = "Option::is_none")]
     behavior: Option<String>,
     /// Strengths α of guidance, which multiply classifier and objectives alike; 0 is unguided sampling of the same scenes, pairs
@@ -48,24 +48,24 @@ pub(super) struct SweepKeys {
     /// When guidance acts and how far it may go.
     #[serde(skip_serializing_if = "Option::is_none")]
     guidance: Option<GuidanceConfig>,
-    /// Whom the classifier of the behavior looks at.
+    /// Which agents the classifier of the behavior judges.
     #[serde(skip_serializing_if = "Option::is_none")]
     classifier_scope: Option<ClassifierScope>,
-    /// What the classifier of the behavior is shown.
+    /// What the classifier of the behavior sees.
     #[serde(skip_serializing_if = "Option::is_none")]
     classifier_input: Option<ClassifierInput>,
-    /// What is asked of trajectories beside the behavior, or instead of one.
+    /// Objectives for the trajectories, in addition to a behavior or instead of one.
     #[serde(skip_serializing_if = "Option::is_none")]
     objectives: Option<Vec<ObjectiveConfig>>,
-    /// How strongly samples are kept apart and on the road, at every strength of the guidance. Left out: as in the other sweeps.
-    /// 0 for samples as the network has them, and where a collision is what is asked for.
+    /// How strongly samples are kept apart and on the road, at every guidance strength. Left out: as in the other
+    /// sweeps. Use 0 for raw samples, and where a collision is wanted.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 1e6))]
     validity_strength: Option<f64>,
     /// How objectives become shifts of the clean estimate.
     #[serde(skip_serializing_if = "Option::is_none")]
     objective_guidance: Option<ObjectiveGuidanceConfig>,
-    /// Which agents are asked for the behavior.
+    /// Which agents are to show the behavior.
     #[serde(skip_serializing_if = "Option::is_none")]
     pairs: Option<PairSelectionConfig>,
     /// What the events of guided samples are asked to be like.
@@ -78,13 +78,13 @@ pub(super) struct SweepKeys {
     /// States that samples lean toward, by classifier-free guidance.
     #[serde(skip_serializing_if = "Option::is_none")]
     classifier_free: Option<ClassifierFreeConfig>,
-    /// Changes of the recording that samples start from.
+    /// Edits of the recording that samples start from.
     #[serde(skip_serializing_if = "Option::is_none")]
     edit: Option<EditConfig>,
     /// Which samples become scenarios. Left out: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     select: Option<SelectConfig>,
-    /// No further shard of this sweep is begun once so many of its scenarios are verified. Left out: all are generated.
+    /// Stop beginning shards of this sweep once this many of its scenarios are verified. Left out: generate all.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 1))]
     stop_after_verified: Option<usize>,
@@ -94,7 +94,7 @@ pub(super) struct SweepKeys {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 enum ModelKey {
-    /// The denoiser: samples are independent draws, as many as wanted.
+    /// The denoiser: samples are independent draws, in any number.
     #[default]
     Denoiser,
     /// The denoiser of `[train.distill]`, in few evaluations: with `sampler = { kind = "euler" }` and the `n_steps` and `grid` of
@@ -142,10 +142,10 @@ impl SweepKeys {
         let mut left_over = keys.filter(|(key, _)| !["name", "model"].contains(&key.as_str()));
         let Some((key, value)) = left_over.next() else { return Ok(()) };
         let why = match OF_REQUESTS.contains(&key.as_str()) {
-            true => "the request that names an arm decides it: leave it out",
+            true => "cannot be set in an arm: the request decides it",
             false => {
-                "model = \"baseline\" has no such key: Scene Transformer predicts in one pass, in which nothing can be guided or \
-                 edited; leave it out, or take model = \"denoiser\""
+                "model = \"baseline\" has no such key, because Scene Transformer predicts in one pass and cannot be guided or \
+                 edited; remove it, or set model = \"denoiser\""
             }
         };
         Err(Issue::new(format!("{key} of \"{}\"", self.name.escape_debug()), format_args!("is {value}, but {why}")))

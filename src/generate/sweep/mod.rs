@@ -1,4 +1,4 @@
-//! What is asked of a sweep: as it is written ([`SweepConfig`], and [`ArmConfig`] without what a request decides), and
+//! The settings of a sweep: as written ([`SweepConfig`], and [`ArmConfig`] without what a request decides), and
 //! resolved into what can be sampled ([`ResolvedSweep`]).
 
 mod config;

@@ -1,4 +1,4 @@
-//! Can a sweep as it is written be sampled? The one place where that is asked, and where what it left open is filled in.
+//! Can a sweep be sampled as written? The only place that checks it and fills in defaults.
 
 use super::{
     Aim, ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
@@ -16,7 +16,7 @@ use crate::tensor::MaskTask;
 struct Purpose<'a> {
     /// The section, from which sweeps take what they leave out.
     config: &'a GenerateConfig,
-    /// The behavior that is asked for.
+    /// The requested behavior.
     behavior: Option<&'a dyn Behavior>,
     /// Whether samples are selected by objectives.
     selects_by_objectives: bool,
@@ -77,14 +77,13 @@ impl ArmConfig {
         match &self.sampling.model {
             ModelConfig::Baseline => Err(Issue::new(
                 "model",
-                "is \"baseline\", which has a few futures a scene and cannot be tried again and again: take \"denoiser\" or \
-                 \"distilled\"",
+                "is \"baseline\", which has a fixed number of futures per scene; use \"denoiser\" or \"distilled\"",
             )),
             ModelConfig::Denoiser(diffusion) | ModelConfig::Distilled(diffusion) => {
                 match diffusion.guidance.classifier_scope {
                     ClassifierScope::AnyPair => Err(Issue::new(
                         "classifier_scope",
-                        "is \"any_pair\", which asks nobody in particular: a request asks pairs, so take \"pair\" or \"none\"",
+                        "is \"any_pair\", but a request needs particular pairs; use \"pair\" or \"none\"",
                     )),
                     ClassifierScope::Pair | ClassifierScope::None => diffusion.levels().map(drop),
                 }
@@ -154,8 +153,8 @@ impl SamplingConfig {
                 match resolved.sampler {
                     SamplerConfig::Consistency(_) => Err(Issue::new(
                         "sampler.kind",
-                        "is \"consistency\", which makes blurred samples of an ordinary denoiser: use it with model = \
-                         \"distilled\", or take \"heun\"",
+                        "is \"consistency\", which gives blurred samples with an ordinary denoiser; set model = \
+                         \"distilled\", or use \"heun\"",
                     )),
                     _ => Ok(SweepModel::Denoiser(resolved)),
                 }
@@ -166,9 +165,9 @@ impl SamplingConfig {
                     return Err(Issue::new(
                         "sampler",
                         format_args!(
-                            "is {}, but a distilled denoiser does not answer with a mean, which that sampler takes for one: what \
-                             it makes is far too wide; give the sweep sampler = {{ kind = \"euler\", n_steps = 2, grid = … }} as \
-                             in train.distill.method, or {{ kind = \"consistency\", sigma_max = 24, levels = [4.0] }} for a \
+                            "is {}, which expects a denoiser that predicts means; a distilled one does not, and samples would \
+                             be far too wide; set sampler = {{ kind = \"euler\", n_steps = 2, grid = … }} as in \
+                             train.distill.method, or {{ kind = \"consistency\", sigma_max = 24, levels = [4.0] }} for a \
                              consistency model",
                             resolved.sampler.name()
                         ),
@@ -177,7 +176,7 @@ impl SamplingConfig {
                 if resolved.goes_through_network(purpose) {
                     return Err(Issue::new(
                         "objective_guidance.gradient",
-                        "is \"through_network\", which supposes the mean that a distilled denoiser does not give: take \"clean\"",
+                        "is \"through_network\", which needs a denoiser that predicts means; a distilled one does not, so use \"clean\"",
                     ));
                 }
                 Ok(SweepModel::Distilled(resolved))
@@ -242,17 +241,15 @@ impl Diffusion {
         let has_objectives = !guidance.objectives.is_empty();
         if self.is_guided() && !has_objectives && !classifies {
             let missing = match purpose.behavior {
-                Some(_) => {
-                    "are guided, but classifier_scope = \"none\" leaves the classifier out: they need objectives"
-                }
-                None => "are guided: they need a behavior, such as behavior = \"cut_in\", or objectives",
+                Some(_) => "are guided, but classifier_scope = \"none\" disables the classifier; add objectives",
+                None => "are guided, which needs a behavior, such as behavior = \"cut_in\", or objectives",
             };
             return Err(Issue::new("strengths", missing));
         }
         if has_objectives && !self.is_guided() && !purpose.selects_by_objectives {
             return Err(Issue::new(
                 "objectives",
-                "guide at strengths other than 0 alone: add some, such as strengths = [1.0], or select by them, such as \
+                "have no effect at strength 0; add a strength, such as strengths = [1.0], or select by them, such as \
                  select = { best = 1, by = [\"objectives\"] }",
             ));
         }

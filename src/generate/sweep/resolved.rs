@@ -16,15 +16,15 @@ pub struct ResolvedSweep {
     pub n_scenes: usize,
     /// Samples of each scene (or pair) at each level.
     pub n_samples: usize,
-    /// The mined behavior that is asked for, if any.
+    /// The requested behavior, if any.
     pub behavior: Option<String>,
-    /// Which agents are asked for it.
+    /// Which agents are to show it.
     pub pairs: PairSelectionConfig,
     /// What the events of its guided samples are asked to be like.
     pub aim: Aim,
     /// Which samples become scenarios; `None`: all.
     pub select: Option<SelectConfig>,
-    /// No further shard is begun once so many scenarios are verified.
+    /// Stop beginning shards once this many scenarios are verified.
     pub stop_after_verified: Option<usize>,
     /// Which states are observed.
     pub observe: ObserveConfig,
@@ -56,7 +56,7 @@ pub struct Diffusion {
     pub guidance: SweepGuidance,
     /// States that samples lean toward.
     pub classifier_free: Option<ClassifierFreeConfig>,
-    /// Changes of the recording that samples start from.
+    /// Edits of the recording that samples start from.
     pub edit: Option<EditConfig>,
 }
 
@@ -105,7 +105,7 @@ impl ResolvedSweep {
         objectives.flat_map(|objective| objective.objective().aims_at()).copied().collect()
     }
 
-    /// Whether nobody in particular is asked for the behavior.
+    /// Whether no particular pair is requested.
     pub(in crate::generate) fn asks_anybody(&self) -> bool {
         self.diffusion().is_some_and(|diffusion| diffusion.guidance.classifier_scope == ClassifierScope::AnyPair)
     }

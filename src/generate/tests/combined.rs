@@ -51,7 +51,7 @@ fn classifier_objectives_and_wanted_states_act_together() {
     }
     let refused = config(&format!("{GUIDED}strengths = [0.0, 3.0]\n{GOALS} [0.0, 0.7] }}"));
     let why = with_generator_result(&refused, |_| Ok(())).unwrap_err().to_string();
-    assert!(why.contains("classifier_free.weights are 2 numbers and strengths 2"), "{why}");
+    assert!(why.contains("classifier_free.weights has 2 values and strengths has 2"), "{why}");
 }
 
 #[test]

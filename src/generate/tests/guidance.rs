@@ -168,17 +168,17 @@ fn guidance_that_makes_no_sense_is_refused() {
     let cut_in = |rest: &str| guided(&format!("behavior = 'cut_in'\n{rest}"));
     for (toml, part) in [
         (guided(&speed(", weight = -1.0")), "generate.sweeps.0.objectives.0.weight is -1, expected a positive number"),
-        (guided(&speed(", agents = 'other'")), "nobody has the role \"other\", expected one of all, ego"),
-        (cut_in(&speed(", agents = 'third'")), "nobody has the role \"third\", expected one of all, ego, other"),
+        (guided(&speed(", agents = 'other'")), "no agent has the role `other`, expected one of all, ego"),
+        (cut_in(&speed(", agents = 'third'")), "no agent has the role `third`, expected one of all, ego, other"),
         (
             cut_in(&format!("classifier_scope = 'any_pair'\n{}", speed(", agents = 'other'"))),
-            "nobody has the role \"other\"",
+            "no agent has the role `other`",
         ),
-        (cut_in("classifier_scope = 'none'"), "they need objectives"),
+        (cut_in("classifier_scope = 'none'"), "add objectives"),
         (cut_in("aim = 'feasible'"), "aim is \"feasible\", which needs a behavior that two agents"),
         (cut_in(&format!("aim = 'feasible'\n{}", speed(""))), "aim is \"feasible\""),
         (guided("classifier_scope = 'any_pair'"), "classifier_scope is \"any_pair\", which needs a behavior"),
-        (sweep(&speed("")), "objectives guide at strengths other than 0"),
+        (sweep(&speed("")), "objectives have no effect at strength 0"),
         (guided(&format!("objective_guidance = {{ inner_steps = 0 }}\n{}", speed(""))), "inner_steps is 0"),
         (
             cut_in(&format!(
@@ -198,5 +198,5 @@ fn guidance_that_makes_no_sense_is_refused() {
         config(&toml).resolve(&drift()).map(drop).map_err(|error| error.to_string())
     };
     assert_eq!(check("other"), Ok(()));
-    assert!(check("others").unwrap_err().contains("nobody has the role"));
+    assert!(check("others").unwrap_err().contains("no agent has the role"));
 }

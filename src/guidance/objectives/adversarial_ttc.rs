@@ -1,4 +1,4 @@
-//! Let two agents come shortly before a collision.
+//! Bring two agents close to a collision.
 
 use super::approach::Approach;
 use super::box_separation::separation_m;
@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AdversarialTtc {
-    /// How much this objective counts beside others.
+    /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
@@ -36,7 +36,7 @@ pub struct AdversarialTtc {
     #[serde(default = "default_ttc_s")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub ttc_s: f64,
-    /// The lack τ_q of inverse time to collision that costs ½, 1/s.
+    /// The shortfall τ_q of inverse time to collision that costs ½, 1/s.
     #[serde(default = "default_tolerance_per_s")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_per_s: f64,

@@ -1,4 +1,4 @@
-//! Move into the lane of another, before it.
+//! Move into the lane of another agent, ahead of it.
 
 use super::motion::{best_moment, nothing, penalty};
 use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval, one_agent};
@@ -25,21 +25,22 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CutIn {
-    /// How much this objective counts beside others.
+    /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// Who moves over: a role, or `ego`.
+    /// The agent that moves over: a role, or `ego`.
     #[serde(default = "other")]
     pub agents: AgentSelector,
-    /// Into whose path: a role, or `ego`.
+    /// The agent whose path it enters: a role, or `ego`.
     #[serde(default = "ego")]
     pub before: AgentSelector,
-    /// The gap when the boxes begin to share a path, least and most, from the front of the one to the rear of the other, meters. Left out:
-    /// that of the bucket that a request asks for, else 1 to 30.
+    /// The gap when the boxes begin to share a path, least and most, from the front of the one to the rear of the
+    /// other, meters. Left out: the open bucket of a request, else 1 to 30.
     #[serde(default)]
     pub gap_m: Option<[f64; 2]>,
-    /// The relative speed then, least and most, positive where `before` closes in, m/s. Left out: that of the bucket, else any.
+    /// The relative speed then, least and most, positive where `before` closes in, m/s. Left out: the open bucket, else
+    /// any.
     #[serde(default)]
     pub relative_speed_mps: Option<[f64; 2]>,
     /// The time after which `before` is to reach the place, at most, seconds.
@@ -81,9 +82,9 @@ const GAP: &str = "gap_m";
 const RELATIVE_SPEED: &str = "relative_speed_mps";
 /// The error of a lateral offset that costs ½, meters.
 const LATERAL_TOLERANCE_M: f64 = 0.5;
-/// The gap where none is asked for, meters.
+/// The default gap, meters.
 const ANY_GAP_M: [f64; 2] = [1.0, 30.0];
-/// The relative speed where none is asked for, m/s.
+/// The default relative speed, m/s.
 const ANY_SPEED_MPS: [f64; 2] = [-1e3, 1e3];
 /// How long before the end who has moved over must stay there, seconds.
 const SETTLED_S: f64 = 1.0;

@@ -12,14 +12,14 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Goal {
-    /// How much this objective counts beside others.
+    /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// Who shall be there: `all`, `ego` or a role.
+    /// The agents that shall be there: `all`, `ego` or a role.
     #[serde(default = "ego")]
     pub agents: AgentSelector,
-    /// In which frame the place is given.
+    /// The frame of the place.
     #[serde(default)]
     pub frame: GoalFrame,
     /// The place g, along the x axis of its frame (ahead), meters.
@@ -45,7 +45,7 @@ pub enum GoalFrame {
     /// Origin at each agent's own position at present, x axis along its heading there.
     #[default]
     Agent,
-    /// The frame of the agent around whom the scene is seen: its position and heading at present.
+    /// The frame of the agent at the center of the scene: its position and heading at present.
     Ego,
 }
 

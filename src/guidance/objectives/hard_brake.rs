@@ -15,15 +15,15 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct HardBrake {
-    /// How much this objective counts beside others.
+    /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// Who brakes: `all`, `ego` or a role.
+    /// The agents that brake: `all`, `ego` or a role.
     #[serde(default = "agent")]
     pub agents: AgentSelector,
-    /// The wanted deceleration, least and most, m/s². Left out: that of the bucket that a request asks for
-    /// (`max_deceleration_mps2`), else 5 to 8.
+    /// The wanted deceleration, least and most, m/s². Left out: the open bucket of a request (`max_deceleration_mps2`),
+    /// else 5 to 8.
     #[serde(default)]
     pub deceleration_mps2: Option<[f64; 2]>,
     /// The least speed v_least from which to brake, m/s.
@@ -46,7 +46,7 @@ const fn default_least_speed_mps() -> f64 {
 
 /// The parameter at which it aims, as the events report it.
 const MAX_DECELERATION: &str = "max_deceleration_mps2";
-/// The deceleration where none is asked for, m/s².
+/// The default deceleration, m/s².
 const ANY_MPS2: [f64; 2] = [5.0, 8.0];
 /// The time over which braking is measured, seconds: what a hard braking lasts at least, and the smoothing of speeds.
 const WINDOW_S: f64 = 0.6;

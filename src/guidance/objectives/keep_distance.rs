@@ -15,14 +15,14 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct KeepDistance {
-    /// How much this objective counts beside others.
+    /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// Who keeps a distance: `all`, `ego` or a role.
+    /// The agents that keep a distance: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
-    /// To whom: `all`, `ego` or a role.
+    /// The agents to keep it from: `all`, `ego` or a role.
     #[serde(default)]
     pub to: AgentSelector,
     /// The least distance d_min of the centers, meters.

@@ -1,13 +1,13 @@
-//! Objectives on trajectories: what can be wished of positions and headings without a classifier?
+//! Objectives for trajectories: goals for positions and headings, without a classifier.
 //!
 //! One objective a file: its struct is its configuration, its docstring its definition. A new one needs its file and a variant
 //! of [`ObjectiveConfig`].
 //!
-//! Common to all: a log potential J is at most 0, and 0, up to rounding, where nothing is left to wish for. It is once continuously
-//! differentiable in the states unless its docstring says otherwise. It is summed over agents (or pairs) and integrated over
-//! time in seconds, so that neither the number of bystanders nor the time step changes how hard an agent is pushed. A term
-//! counts if all the states it reads are valid and at least one of them is generated: padding never contributes, and what is
-//! observed only as far as generated states are compared with it.
+//! Common to all: a log potential J is at most 0, and 0, up to rounding, where the objective is met. It is once
+//! continuously differentiable in the states unless its docstring says otherwise. It is summed over agents (or pairs)
+//! and integrated over time in seconds, so that neither the number of bystanders nor the time step changes how hard an
+//! agent is pushed. A term counts if all the states it reads are valid and at least one of them is generated: padding
+//! never contributes, and what is observed only as far as generated states are compared with it.
 
 mod acceleration_limit;
 mod adversarial_ttc;
@@ -58,11 +58,11 @@ use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Something to be wished of the trajectories of a scene.
+/// An objective for the trajectories of a scene.
 pub trait SceneObjective {
     /// Its name in configs and provenance.
     fn kind(&self) -> &'static str;
-    /// How much it counts beside others.
+    /// Its weight relative to others.
     fn weight(&self) -> f64;
     /// Whose motion it judges.
     fn agents(&self) -> Vec<&AgentSelector>;
@@ -70,7 +70,7 @@ pub trait SceneObjective {
     fn aims_at(&self) -> &'static [&'static str] {
         &[]
     }
-    /// Says which parameters make no sense together.
+    /// Rejects parameters that contradict each other.
     ///
     /// # Errors
     /// When some do not.
@@ -97,19 +97,19 @@ pub enum ObjectiveConfig {
     Goal(Goal),
     /// Accelerate, brake and turn no harder than a limit.
     AccelerationLimit(AccelerationLimit),
-    /// Point where you drive.
+    /// Keep the heading along the motion.
     SlipLimit(SlipLimit),
     /// Stay on the road.
     StayOnRoad(StayOnRoad),
-    /// Do not drive into each other.
+    /// Avoid collisions.
     NoCollision(NoCollision),
     /// Keep a distance.
     KeepDistance(KeepDistance),
     /// Come to a halt before a line.
     StopAtLine(StopAtLine),
-    /// Let two agents come shortly before a collision.
+    /// Bring two agents close to a collision.
     AdversarialTtc(AdversarialTtc),
-    /// Move into the lane of another, before it.
+    /// Move into the lane of another agent, ahead of it.
     CutIn(CutIn),
     /// Brake hard.
     HardBrake(HardBrake),
@@ -143,7 +143,7 @@ impl ObjectiveConfig {
         }
     }
 
-    /// Says what makes no sense in a sweep that asks a behavior of `roles`.
+    /// Rejects what cannot work in a sweep whose behavior has these `roles`.
     ///
     /// # Errors
     /// When something does.
@@ -154,7 +154,7 @@ impl ObjectiveConfig {
             Some(agents) => {
                 let others = roles.iter().copied().filter(|role| *role != AgentSelector::EGO);
                 let known: Vec<&str> = [AgentSelector::ALL, AgentSelector::EGO].into_iter().chain(others).collect();
-                Err(format!("nobody has the role {:?}, expected one of {}", agents.name(), known.join(", ")))
+                Err(format!("no agent has the role `{}`, expected one of {}", agents.name(), known.join(", ")))
             }
             None => Ok(()),
         }

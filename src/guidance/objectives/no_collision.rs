@@ -1,4 +1,4 @@
-//! Do not drive into each other.
+//! Avoid collisions.
 
 use super::box_separation::separation_m;
 use super::motion::{nothing, penalty};
@@ -15,14 +15,14 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoCollision {
-    /// How much this objective counts beside others.
+    /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// Who shall not collide with anybody: `all`, `ego` or a role.
+    /// The agents that shall not collide: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
-    /// The separation m below which a pair costs something, meters.
+    /// The separation m below which a pair has a cost, meters.
     #[serde(default = "default_margin_m")]
     #[schemars(range(min = 0.0))]
     pub margin_m: f64,

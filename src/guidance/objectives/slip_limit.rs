@@ -1,4 +1,4 @@
-//! Point where you drive.
+//! Keep the heading along the motion.
 
 use super::motion::{headings, integral, norm, nothing, penalty, positions, rate};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SlipLimit {
-    /// How much this objective counts beside others.
+    /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,

@@ -18,17 +18,17 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StayOnRoad {
-    /// How much this objective counts beside others.
+    /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// Who shall stay on the road: `all`, `ego` or a role.
+    /// The agents that shall stay on the road: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
-    /// Which points of an agent shall be on the road.
+    /// The points of an agent that shall be on the road.
     #[serde(default)]
     pub points: RoadPoints,
-    /// How far inside of the edge points shall stay at least, the margin m, meters.
+    /// The margin m inside the edge of the road, meters.
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub margin_m: f64,

@@ -17,11 +17,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StopAtLine {
-    /// How much this objective counts beside others.
+    /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// Who shall stop: `all`, `ego` or a role.
+    /// The agents that shall stop: `all`, `ego` or a role.
     #[serde(default = "ego")]
     pub agents: AgentSelector,
     /// How far ahead of the agent's front the line lies at present, meters.

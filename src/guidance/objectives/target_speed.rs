@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TargetSpeed {
-    /// How much this objective counts beside others.
+    /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
@@ -26,7 +26,7 @@ pub struct TargetSpeed {
     #[serde(default = "default_tolerance_mps")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
-    /// From when on the speed counts, seconds after the present: nobody changes speed at once.
+    /// From when on the speed counts, seconds after the present: speed cannot change at once.
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub from_s: f64,

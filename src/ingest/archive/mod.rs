@@ -132,7 +132,7 @@ fn is_hidden(clean_name: &str) -> bool {
 /// The container itself is at fault; `after` is the last entry that could be read.
 fn damaged(container: &Path, after: Option<&str>, error: &io::Error) -> Error {
     let place = after.map_or(String::new(), |entry| format!(" after entry {entry}"));
-    let detail = format!("{error}{place}; it may be damaged or cut short, get it anew");
+    let detail = format!("{error}{place}; the file may be damaged or truncated, download it again");
     Error::Container { container: container.to_owned(), file: String::new(), detail }
 }
 

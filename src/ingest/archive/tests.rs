@@ -201,7 +201,7 @@ fn the_end_of_an_archive_is_checked() {
         let (seen, result) = visit_all(&[folder.path().to_owned()], &|_| true);
         assert_eq!(seen.len(), n_seen);
         let message = result.unwrap_err().to_string();
-        assert!(message.contains(name) && message.contains("cut short"), "{message}");
+        assert!(message.contains(name) && message.contains("truncated"), "{message}");
     }
 }
 

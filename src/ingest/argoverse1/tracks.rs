@@ -118,9 +118,9 @@ impl Table {
         }
         let n_focal = table.tracks.iter().filter(|track| track.role == TrackRole::Focal).count();
         match n_focal {
-            0 => Err(unit.reject("no_agent_track", "no track is of OBJECT_TYPE AGENT; exactly one is expected")),
+            0 => Err(unit.reject("no_agent_track", "no track has OBJECT_TYPE AGENT, expected exactly one")),
             1 => Ok(table),
-            n => Err(unit.reject("several_agent_tracks", format!("{n} tracks are of OBJECT_TYPE AGENT, expected 1"))),
+            n => Err(unit.reject("several_agent_tracks", format!("{n} tracks have OBJECT_TYPE AGENT, expected 1"))),
         }
     }
 

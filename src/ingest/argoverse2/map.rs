@@ -14,7 +14,7 @@ const DRIVING_LANES: [&str; 2] = ["VEHICLE", "BUS"];
 const N_CENTERLINE_POINTS: usize = 10;
 
 #[derive(Deserialize)]
-struct MapFile {
+struct MapJson {
     lane_segments: BTreeMap<String, LaneSegment>,
 }
 
@@ -44,7 +44,7 @@ struct Point {
 
 /// Reads a map; the error says what is wrong and where.
 pub(super) fn parse(json: &[u8]) -> Result<LaneGraph, String> {
-    let map: MapFile = serde_json::from_slice(json).map_err(|error| error.to_string())?;
+    let map: MapJson = serde_json::from_slice(json).map_err(|error| error.to_string())?;
     let driving = map.lane_segments.into_values().filter(|lane| DRIVING_LANES.contains(&lane.lane_type.as_str()));
     let lanes: Vec<Lane> = driving.map(LaneSegment::into_lane).collect::<Result<_, _>>()?;
     Ok(connect(lanes))

@@ -123,10 +123,7 @@ fn no_scenes_is_an_error_that_says_what_was_seen() {
     fs_err::write(folder.path().join("train/data/notes.txt"), "hello").expect("writable");
     let message = |config: &IngestConfig| run(config, None).expect_err("no scenes").to_string();
     let text = message(&IngestConfig { places: vec!["MIA".to_owned()], ..config(folder.path()) });
-    assert!(
-        text.contains("3 files that are named like argoverse1 recordings") && text.contains("3 units read"),
-        "{text}"
-    );
+    assert!(text.contains("3 files named like argoverse1 recordings") && text.contains("3 units read"), "{text}");
     assert!(text.contains("3 units of other places dropped"), "{text}");
     for i in 0..3 {
         fs_err::write(folder.path().join(format!("train/data/{i:04}.csv")), "a;b\n1;2\n").expect("writable");
@@ -134,7 +131,7 @@ fn no_scenes_is_an_error_that_says_what_was_seen() {
     let text = message(&config(folder.path()));
     assert!(text.contains("3 rejected as bad_header (first: train/data/0000.csv:1: no column"), "{text}");
     let text = message(&IngestConfig { splits: vec![crate::scene::Split::Val], ..config(folder.path()) });
-    assert!(text.contains("0 files that are named like"), "{text}");
+    assert!(text.contains("0 files named like"), "{text}");
 }
 
 #[test]
@@ -150,7 +147,7 @@ fn faults_of_the_whole_input_end_the_ingest() {
     let bytes = tar.into_inner().and_then(GzEncoder::finish).expect("memory");
     fs_err::File::create(&archive).and_then(|mut file| file.write_all(&bytes[..bytes.len() / 2])).expect("writable");
     let cut = IngestConfig { maps: MapsConfig::None, ..config(&archive) };
-    let text = run(&cut, None).expect_err("cut short").to_string();
+    let text = run(&cut, None).expect_err("truncated").to_string();
     assert!(text.contains("all.tar.gz"), "{text}");
 }
 

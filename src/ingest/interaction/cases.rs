@@ -1,6 +1,6 @@
 //! How is a v1.2 table, which holds thousands of cases, cut into its cases without loading it?
 
-use super::columns::Columns;
+use super::columns::TrackColumns;
 use crate::ingest::csv_rows::Lines;
 use crate::ingest::decimal;
 use memchr::memmem;
@@ -31,7 +31,7 @@ pub(super) struct Case {
 
 impl Case {
     /// Whether a line is of this case at the first glance, as nearly all are: whole or not, it begins with the id.
-    fn goes_on_with(&self, line: &[u8], columns: &Columns) -> bool {
+    fn goes_on_with(&self, line: &[u8], columns: &TrackColumns) -> bool {
         columns.case_id == Some(0) && line.strip_prefix(self.id.as_slice()).is_some_and(|rest| rest.starts_with(b","))
     }
 
@@ -62,7 +62,7 @@ pub(super) enum End {
 /// Cuts a table that has been read up to its header where the case id changes.
 pub(super) fn cut_cases(
     lines: &mut Lines<'_>,
-    columns: &Columns,
+    columns: &TrackColumns,
     keeps_rows: bool,
     done: &mut dyn FnMut(Case) -> ControlFlow<()>,
 ) -> End {
@@ -83,7 +83,7 @@ pub(super) fn cut_cases(
                     (false, _) => "the last cases and the rest of the file",
                 };
                 let detail =
-                    format!("{error}; {rest} is left out, and where the file is damaged, so may what came before be");
+                    format!("{error}; {rest} is left out, and earlier rows of a damaged file may be wrong too");
                 // Who only counts wants to know of its rows all the same.
                 let is_stopped = !keeps_rows && cases.end_all(done).is_break();
                 return if is_stopped { End::Stopped } else { End::Unreadable(detail) };
@@ -100,7 +100,7 @@ pub(super) fn cut_cases(
 
 /// The cases of a table while it is read.
 struct Cases<'a> {
-    columns: &'a Columns,
+    columns: &'a TrackColumns,
     keeps_rows: bool,
     /// The ids that have begun.
     seen: BTreeSet<String>,
@@ -118,7 +118,7 @@ impl Cases<'_> {
         let goes_on = |case: Option<&Case>| case.is_some_and(|case| case.goes_on_with(line, self.columns));
         if !self.held.is_empty() || !goes_on(self.current.as_ref()) {
             if memmem::find(line, b"case_id").is_some()
-                && let Ok(header) = Columns::of(line, false)
+                && let Ok(header) = TrackColumns::of(line, false)
             {
                 self.section += 1;
                 self.end = (header != *self.columns).then_some(End::OtherHeader(number));
@@ -199,7 +199,7 @@ enum CaseId<'a> {
 }
 
 impl<'a> CaseId<'a> {
-    fn of(line: &'a [u8], columns: &Columns) -> Self {
+    fn of(line: &'a [u8], columns: &TrackColumns) -> Self {
         let mut cells = line.split(|byte| *byte == b',').map(<[u8]>::trim_ascii);
         let id = columns.case_id.and_then(|index| cells.nth(index));
         let n_commas = line.iter().filter(|byte| **byte == b',').count();

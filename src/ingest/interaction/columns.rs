@@ -10,7 +10,7 @@ const MAX_COLUMNS: usize = 256;
 
 /// Where each quantity is, by the names in the header, whatever their order. Further columns are passed over.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Columns {
+pub(super) struct TrackColumns {
     /// Number of columns.
     pub(super) n_columns: usize,
     /// v1.2 cuts recordings into cases.
@@ -31,7 +31,7 @@ pub(super) struct Columns {
     pub(super) interesting_agent: Option<usize>,
 }
 
-impl Columns {
+impl TrackColumns {
     /// The columns that `header` names, or what is wrong with it.
     ///
     /// A table without `case_id` is of v1.1, where pedestrians have a table of their own without `psi_rad`, `length` and
@@ -93,10 +93,10 @@ mod tests {
 
     #[test]
     fn columns_are_found_by_name_in_any_order() {
-        let columns = Columns::of(V1_1.as_bytes(), false).unwrap();
+        let columns = TrackColumns::of(V1_1.as_bytes(), false).unwrap();
         assert_eq!((columns.case_id, columns.x, columns.shape), (None, 4, Some([8, 9, 10])));
         let reordered = b"width,length,psi_rad,extra,vy,vx,y,x,agent_type,timestamp_ms,frame_id, track_id ,case_id";
-        let columns = Columns::of(reordered, false).unwrap();
+        let columns = TrackColumns::of(reordered, false).unwrap();
         assert_eq!((columns.case_id, columns.x, columns.track_id), (Some(12), 7, 11));
         assert_eq!((columns.shape, columns.n_columns), (Some([2, 1, 0]), 13));
     }
@@ -104,21 +104,21 @@ mod tests {
     #[test]
     fn only_tables_of_pedestrians_may_lack_heading_and_size() {
         let short = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy";
-        assert_eq!(Columns::of(short.as_bytes(), true).unwrap().shape, None);
-        assert!(Columns::of(short.as_bytes(), false).unwrap_err().contains("psi_rad, length, width"));
-        assert!(Columns::of(format!("case_id,{short}").as_bytes(), true).is_err());
-        assert!(Columns::of(format!("{short},psi_rad").as_bytes(), true).unwrap_err().contains("length, width"));
+        assert_eq!(TrackColumns::of(short.as_bytes(), true).unwrap().shape, None);
+        assert!(TrackColumns::of(short.as_bytes(), false).unwrap_err().contains("psi_rad, length, width"));
+        assert!(TrackColumns::of(format!("case_id,{short}").as_bytes(), true).is_err());
+        assert!(TrackColumns::of(format!("{short},psi_rad").as_bytes(), true).unwrap_err().contains("length, width"));
     }
 
     #[test]
     fn wrong_headers_are_explained() {
-        let error = Columns::of(V1_1.replace(",vx", "").as_bytes(), false).unwrap_err();
+        let error = TrackColumns::of(V1_1.replace(",vx", "").as_bytes(), false).unwrap_err();
         assert!(error.starts_with("line 1: no column vx; expected `track_id,") && error.contains("found `track_id,"));
-        let error = Columns::of(V1_1.replace(',', ";").as_bytes(), false).unwrap_err();
+        let error = TrackColumns::of(V1_1.replace(',', ";").as_bytes(), false).unwrap_err();
         assert!(error.contains("separated by `,`, not `;`"), "{error}");
-        let error = Columns::of(V1_1.replace(',', "\t").as_bytes(), false).unwrap_err();
+        let error = TrackColumns::of(V1_1.replace(',', "\t").as_bytes(), false).unwrap_err();
         assert!(error.contains("not `\\t`"), "{error}");
-        assert!(Columns::of(format!("{V1_1},x").as_bytes(), false).unwrap_err().contains("`x` appears twice"));
-        assert!(Columns::of(b"\x00\xff", false).is_err());
+        assert!(TrackColumns::of(format!("{V1_1},x").as_bytes(), false).unwrap_err().contains("`x` appears twice"));
+        assert!(TrackColumns::of(b"\x00\xff", false).is_err());
     }
 }

@@ -1,6 +1,6 @@
 //! What does one row of a table of tracks say?
 
-use super::columns::Columns;
+use super::columns::TrackColumns;
 use crate::geometry::Vec2;
 use crate::ingest::assemble::MAX_COORDINATE_M;
 use crate::ingest::cells::split_cells;
@@ -41,7 +41,7 @@ pub(super) type Flaw = (&'static str, String);
 
 impl<'a> Row<'a> {
     /// Reads `line`; `cells` is room to work in.
-    pub(super) fn parse(line: &'a [u8], columns: &Columns, cells: &mut Vec<&'a [u8]>) -> Result<Self, Flaw> {
+    pub(super) fn parse(line: &'a [u8], columns: &TrackColumns, cells: &mut Vec<&'a [u8]>) -> Result<Self, Flaw> {
         split_cells(line, cells);
         if cells.len() != columns.n_columns {
             let n = cells.len();
@@ -131,7 +131,7 @@ mod tests {
 
     fn parse(line: &str) -> Result<Row<'_>, Flaw> {
         let header = b"track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width,track_to_predict,interesting_agent";
-        Row::parse(line.as_bytes(), &Columns::of(header, false).unwrap(), &mut Vec::new())
+        Row::parse(line.as_bytes(), &TrackColumns::of(header, false).unwrap(), &mut Vec::new())
     }
 
     #[test]

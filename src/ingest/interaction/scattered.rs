@@ -4,7 +4,7 @@
 //! the others as they come and gathers those, as many as fit into memory; the rest is gathered in further passes.
 
 use super::cases::{Case, End, MAX_CASE_BYTES, cut_cases, plain_case_id};
-use super::columns::Columns;
+use super::columns::TrackColumns;
 use crate::ingest::csv_rows::Lines;
 use crate::ingest::{EmitUnit, RawUnit, Reject};
 use std::collections::BTreeMap;
@@ -46,7 +46,7 @@ struct Found {
 
 impl Survey {
     /// Reads a table from behind its header to its end; at most `max_bytes` are to be gathered at a time.
-    pub(super) fn of(lines: &mut Lines<'_>, columns: &Columns, max_bytes: usize) -> Self {
+    pub(super) fn of(lines: &mut Lines<'_>, columns: &TrackColumns, max_bytes: usize) -> Self {
         let mut found: BTreeMap<String, Found> = BTreeMap::new();
         let end = cut_cases(lines, columns, false, &mut |case| {
             let Case { first_line, n_bytes, section, .. } = case;
@@ -91,7 +91,7 @@ impl Survey {
         &self,
         pass: usize,
         lines: &mut Lines<'_>,
-        columns: &Columns,
+        columns: &TrackColumns,
         table: &RawUnit,
         emit: &mut EmitUnit<'_>,
     ) -> ControlFlow<()> {
@@ -107,13 +107,12 @@ impl Survey {
                     ControlFlow::Continue(())
                 }
                 Some(Fate::InTwoTables) if is_first_pass && rejected.insert(id.clone(), ()).is_none() => {
-                    let detail = format!(
-                        "case {id} stands before and after another header; the file is several tables, split it at its headers"
-                    );
+                    let detail =
+                        format!("case {id} appears before and after a second header; split the file at its headers");
                     emit(Err(table.reject_at("case_not_contiguous", case.first_line, detail)))
                 }
                 Some(Fate::CutShort) if is_first_pass && rejected.insert(id.clone(), ()).is_none() => {
-                    let detail = format!("the rows of case {id} do not stand together, and the file breaks off");
+                    let detail = format!("the rows of case {id} are not contiguous, and the file is truncated");
                     emit(Err(table.reject_at("case_not_contiguous", case.first_line, detail)))
                 }
                 _ => ControlFlow::Continue(()),
@@ -128,7 +127,8 @@ impl Survey {
         match end {
             End::Unreadable(detail) if is_first_pass => emit(Err(table.reject("unreadable", detail))),
             End::OtherHeader(line) if is_first_pass => {
-                let detail = "another header with other columns; the rest is left out, split the file at its headers";
+                let detail =
+                    "a second header has different columns, so the rest is left out; split the file at its headers";
                 emit(Err(table.reject_at("bad_header", line, detail)))
             }
             _ => ControlFlow::Continue(()),
@@ -194,11 +194,11 @@ mod tests {
 
     /// The units and rejects of a table of which at most `max_bytes` are gathered at a time, and the number of passes.
     fn split_within(text: &str, max_bytes: usize) -> (Vec<Result<RawUnit, Reject>>, usize) {
-        let pass_over = |visit: &mut dyn FnMut(&mut Lines<'_>, &Columns)| {
+        let pass_over = |visit: &mut dyn FnMut(&mut Lines<'_>, &TrackColumns)| {
             let mut bytes = text.as_bytes();
             let mut lines = Lines::new(&mut bytes);
             let (_, header) = lines.next().unwrap().unwrap();
-            let columns = Columns::of(header, false).unwrap();
+            let columns = TrackColumns::of(header, false).unwrap();
             visit(&mut lines, &columns);
         };
         let mut survey = Survey::default();
@@ -285,13 +285,13 @@ mod tests {
         let units = split(&[&first, HEADER, &row("2.0", 2), &row("3.0", 1)].concat());
         assert_eq!((&units[0], &units[2]), (&whole("1.0", 2, 1), &whole("3.0", 6, 1)));
         let reject = units[1].as_ref().unwrap_err();
-        assert!(reject.starts_with("case_not_contiguous") && reject.contains(":3: case 2 stands"), "{reject}");
+        assert!(reject.starts_with("case_not_contiguous") && reject.contains(":3: case 2 appears before"), "{reject}");
         assert_eq!(units.len(), 3);
         let other = HEADER.replace(",x,y", ",y,x");
         let units = split(&[first.as_str(), &other, &row("2.0", 2)].concat());
         assert_eq!(units[..2], [whole("1.0", 2, 1), whole("2.0", 3, 1)]);
         let reject = units[2].as_ref().unwrap_err();
-        assert!(reject.starts_with("bad_header") && reject.contains(":4: another header"), "{reject}");
+        assert!(reject.starts_with("bad_header") && reject.contains(":4: a second header"), "{reject}");
     }
 
     #[test]

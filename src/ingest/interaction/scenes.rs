@@ -1,7 +1,7 @@
 //! Which scenes does a unit hold: the one of a case, or the windows of a recording?
 
 use super::cases::plain_case_id;
-use super::columns::Columns;
+use super::columns::TrackColumns;
 use super::path::TrackFile;
 use super::track::{RecordedTrack, Table, read_tracks};
 use super::{CASE_HORIZON, DT_S};
@@ -17,7 +17,7 @@ const MAX_RECORDING_FRAMES: i64 = 1_000_000;
 /// The present is the tenth frame of the case, so a shorter history begins later. A case in which nothing comes after the
 /// present, as in test sets, has the history alone.
 pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
-    let columns = Columns::of(&unit.header, false).map_err(|detail| unit.reject("bad_header", detail))?;
+    let columns = TrackColumns::of(&unit.header, false).map_err(|detail| unit.reject("bad_header", detail))?;
     let table = Table { file: &unit.file, columns, rows: &unit.bytes, first_line: unit.first_line, lines: &unit.lines };
     let tracks = read_tracks(&[table])?;
     let Some((min_frame, max_frame)) = frames(&tracks) else {
@@ -109,7 +109,7 @@ fn recording_tables(unit: &RawUnit) -> Result<Vec<Table<'_>>, Reject> {
             let end = bytes.iter().position(|byte| *byte == b'\n').map_or(bytes.len(), |at| at + 1);
             let (header, rows) = bytes.split_at(end);
             // The headers were checked when the files were read, with the name of the file in mind.
-            let columns = Columns::of(without_end(header), true)
+            let columns = TrackColumns::of(without_end(header), true)
                 .map_err(|detail| Reject { reason: "bad_header", detail: format!("{file}: {detail}") })?;
             Ok(Table { file, columns, rows, first_line: 2, lines: &[] })
         })

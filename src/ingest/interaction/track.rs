@@ -1,7 +1,7 @@
 //! Which tracks does a table hold, in the frames of the recording?
 
 use super::CASE_HORIZON;
-use super::columns::Columns;
+use super::columns::TrackColumns;
 use super::row::{Flaw, Row};
 use crate::geometry::{Vec2, wrap_angle};
 use crate::ingest::Reject;
@@ -17,7 +17,7 @@ const MIN_HEADING_SPEED_MPS: f64 = 0.5;
 pub(super) struct Table<'a> {
     /// The file, as rejects name it.
     pub(super) file: &'a str,
-    pub(super) columns: Columns,
+    pub(super) columns: TrackColumns,
     pub(super) rows: &'a [u8],
     /// Line of the file at which `rows` begin.
     pub(super) first_line: u64,
@@ -254,7 +254,7 @@ mod tests {
     const HEADER: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width";
 
     fn read(rows: &str) -> Result<Vec<RecordedTrack>, Reject> {
-        let columns = Columns::of(HEADER.as_bytes(), false).unwrap();
+        let columns = TrackColumns::of(HEADER.as_bytes(), false).unwrap();
         read_tracks(&[Table { file: "t.csv", columns, rows: rows.as_bytes(), first_line: 2, lines: &[] }])
     }
 

@@ -1,6 +1,6 @@
 //! How is a stream of INTERACTION's files cut into units?
 
-use super::columns::Columns;
+use super::columns::TrackColumns;
 use super::path::{RecordingPart, TrackFile, stem};
 use super::recordings::Recordings;
 use super::scattered::{MAX_GATHERED_BYTES, Survey};
@@ -36,7 +36,7 @@ impl<'a> TableReader<'a> {
     fn survey(reader: &mut dyn BufRead) -> Survey {
         let mut lines = Lines::new(reader);
         let columns = match lines.next() {
-            Ok(Some((_, header))) => Columns::of(header, false).ok(),
+            Ok(Some((_, header))) => TrackColumns::of(header, false).ok(),
             // This is told in the next pass.
             Ok(None) | Err(_) => None,
         };
@@ -83,7 +83,7 @@ impl UnitReader for TableReader<'_> {
             Err(error) => return Ok(emit(Err(unit.reject("unreadable", error)))),
         };
         let is_pedestrians = file.recording.as_ref().is_some_and(|part| part.is_pedestrians);
-        let columns = match Columns::of(&header, is_pedestrians) {
+        let columns = match TrackColumns::of(&header, is_pedestrians) {
             Ok(columns) => columns,
             Err(detail) => return Ok(emit(Err(unit.reject("bad_header", detail)))),
         };

@@ -125,7 +125,7 @@ impl Document<'_> {
         let attributes = Attributes::read(element)?;
         match (depth, name, &mut self.open) {
             (1, "osm", _) => {}
-            (1, ..) => return Err(format!("is no OSM document: the root element is `<{name}>`, expected `<osm>`")),
+            (1, ..) => return Err(format!("is not an OSM document: the root element is `<{name}>`, expected `<osm>`")),
             (2, "node", _) => self.add_node(&attributes)?,
             (2, "way" | "relation", _) if attributes.is_deleted() => self.open = Open::Deleted,
             (2, "way", _) => self.open = Open::Way { id: attributes.id("id", name)?, nodes: Vec::new() },

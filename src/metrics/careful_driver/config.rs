@@ -7,19 +7,19 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CarefulDriverConfig {
-    /// A vehicle that moves sideways by no more than this only wanders, meters. Default 0.375.
+    /// A vehicle that moves sideways by no more than this is only wandering, meters. Default 0.375.
     #[schemars(range(min = 0.0))]
     pub wandering_m: f64,
     /// Time to see that a vehicle cuts in, seconds. Default 0.4.
     #[schemars(range(min = 0.0))]
     pub perception_s: f64,
-    /// A time to collision of at most this is a danger, seconds. Default 2.
+    /// A time to collision of at most this is dangerous, seconds. Default 2.
     #[schemars(range(min = 0.0))]
     pub danger_ttc_s: f64,
     /// Time from the danger to the brake, seconds. Default 0.75.
     #[schemars(range(min = 0.0))]
     pub delay_s: f64,
-    /// Time in which the deceleration grows to its largest, seconds. Default 0.6.
+    /// Time for the deceleration to reach its maximum, seconds. Default 0.6.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub ramp_s: f64,
     /// The largest deceleration, m/s². Default 7.593, that is 0.774 g.
@@ -28,7 +28,7 @@ pub struct CarefulDriverConfig {
     /// Width of a lane, meters: its markings lie half of it beside the path. Default 3.5.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub lane_width_m: f64,
-    /// A vehicle that is so far beyond the marking intrudes, meters. Default 0.3.
+    /// A vehicle this far beyond the marking intrudes, meters. Default 0.3.
     #[schemars(range(min = 0.0))]
     pub intrusion_m: f64,
     /// The deceleration in the bound on the time to collision at the intrusion, m/s². Default 6.

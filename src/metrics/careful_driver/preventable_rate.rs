@@ -26,8 +26,7 @@ impl Metric for PreventableRate {
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
         let driver = self.driver.as_ref().unwrap_or(&DEFAULTS);
-        let track = |name: &str| group.asked.iter().find(|(role, _)| role == name).map(|(_, track)| track);
-        let (ego, other) = (track("ego")?, track("other")?);
+        let (ego, other) = (group.asked.track("ego")?, group.asked.track("other")?);
         group.recorded.has_future().then_some(())?;
         group.mean_over_samples(|sample| {
             let pair = [sample.track_idx(ego)?, sample.track_idx(other)?];

@@ -4,7 +4,7 @@ use super::braking::Braking;
 use super::*;
 use crate::behavior::testing::SceneSpec;
 use crate::metrics::{Metric, SampleGroup};
-use crate::scene::TrackId;
+use crate::scene::Roles;
 use crate::settings::check_ranges;
 
 fn near(found: f64, expected: f64) -> bool {
@@ -86,11 +86,11 @@ fn who_stays_in_its_lane_does_not_cut_in() {
 #[test]
 fn the_rate_is_over_samples_that_cut_in() {
     let samples = [cut_in(40.0, 3.5, -3.5), cut_in(12.0, 3.5, -3.5), cut_in(40.0, 3.5, 0.0)];
-    let asked = [("ego".to_owned(), TrackId::from("ego")), ("other".to_owned(), TrackId::from("other"))];
+    let asked = Roles::from([("ego", "ego"), ("other", "other")]);
     let group = SampleGroup { asked: &asked, ..SampleGroup::equally_likely(&samples[0], &samples) };
     assert_eq!(PreventableRate::default().evaluate(&group), Some(0.5));
     assert_eq!(PreventableRate::default().evaluate(&SampleGroup { samples: &samples[2..], ..group }), None);
-    assert_eq!(PreventableRate::default().evaluate(&SampleGroup { asked: &[], ..group }), None);
+    assert_eq!(PreventableRate::default().evaluate(&SampleGroup { asked: Roles::none(), ..group }), None);
 }
 
 #[test]

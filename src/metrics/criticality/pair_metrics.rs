@@ -34,33 +34,27 @@ impl PairMetric {
 impl Metric for PairMetric {
     fn spec(&self) -> MetricSpec {
         let (id, unit, description) = match self {
-            Self::MinTtc => (
-                "pair_min_ttc_s",
-                "s",
-                "least time to collision of the agents that were asked; samples without one left out",
-            ),
+            Self::MinTtc => {
+                ("pair_min_ttc_s", "s", "least time to collision of the requested agents; samples without one left out")
+            }
             Self::MaxDrac => (
                 "pair_max_drac_mps2",
                 "m/s^2",
-                "largest deceleration rate to avoid a crash of the agents that were asked; critical above 3.35",
+                "largest deceleration rate to avoid a crash of the requested agents; critical above 3.35",
             ),
-            Self::MinHeadway => (
-                "pair_min_headway_s",
-                "s",
-                "least time headway of the agents that were asked; samples without one left out",
-            ),
-            Self::Pet => (
-                "pair_pet_s",
-                "s",
-                "post-encroachment time of the agents that were asked; samples without one left out",
-            ),
-            Self::MinDistance => ("pair_min_distance_m", "m", "smallest distance between the agents that were asked"),
+            Self::MinHeadway => {
+                ("pair_min_headway_s", "s", "least time headway of the requested agents; samples without one left out")
+            }
+            Self::Pet => {
+                ("pair_pet_s", "s", "post-encroachment time of the requested agents; samples without one left out")
+            }
+            Self::MinDistance => ("pair_min_distance_m", "m", "smallest distance between the requested agents"),
         };
         MetricSpec { id, unit, direction: Direction::Neither, description }
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
-        let [(_, first), (_, second), ..] = group.asked else { return None };
+        let [(_, first), (_, second), ..] = &**group.asked else { return None };
         group.mean_over_samples(|sample| {
             let pair = [sample.track_idx(first)?, sample.track_idx(second)?];
             self.of(&PairCriticality::of(sample, pair)?)

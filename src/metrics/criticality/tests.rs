@@ -4,7 +4,7 @@ use super::closing::MAX_DRAC_MPS2;
 use super::*;
 use crate::behavior::testing::{SceneSpec, random_scene};
 use crate::metrics::{Metric, SampleGroup};
-use crate::scene::TrackId;
+use crate::scene::Roles;
 
 /// Cars of 4.5 by 1.8 m, as (x, y, heading in degrees, speed); 10 observed and 30 future timesteps of 0.1 s.
 fn scene(cars: &[[f64; 4]]) -> Scene {
@@ -142,10 +142,10 @@ fn the_quick_search_finds_what_all_pairs_have() {
 #[test]
 fn metrics_are_of_the_agents_that_were_asked() {
     let samples = [30.2, 40.2].map(|x| scene(&[[0.0, 0.0, 0.0, 15.0], [200.0, 9.0, 0.0, 10.0], [x, 0.0, 0.0, 10.0]]));
-    let asked = [("ego".to_owned(), TrackId::from("0")), ("other".to_owned(), TrackId::from("2"))];
+    let asked = Roles::from([("ego", "0"), ("other", "2")]);
     let group = SampleGroup { asked: &asked, ..SampleGroup::equally_likely(&samples[0], &samples) };
     assert!(near(PairMetric::MinTtc.evaluate(&group), Some(f64::midpoint(1.24, 3.24))));
     assert!(near(SceneMetric::MinTtc.evaluate(&group), Some(f64::midpoint(1.24, 3.24))));
-    let group = SampleGroup { asked: &[], ..group };
+    let group = SampleGroup { asked: Roles::none(), ..group };
     assert_eq!(PairMetric::MinTtc.evaluate(&group), None);
 }

@@ -98,7 +98,7 @@ mod tests {
             behavior: "cut_in".to_owned(),
             scene_id: "a/b/c/d".into(),
             label,
-            roles: Vec::new(),
+            roles: crate::scene::Roles::default(),
             start_timestep: 0,
             end_timestep: 1,
             parameters: parameters.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect::<BTreeMap<_, _>>(),

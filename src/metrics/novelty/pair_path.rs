@@ -3,7 +3,7 @@
 use super::nearest::NearestIndex;
 use crate::geometry::{Transform2, Vec2};
 use crate::metrics::sample_group::future;
-use crate::scene::{Scene, TrackId};
+use crate::scene::{Roles, Scene};
 use std::collections::BTreeMap;
 
 /// The future positions of those who were asked (of a pair both), in the frame of the first of them at the present: origin at its
@@ -17,9 +17,9 @@ pub struct PairPath {
 
 impl PairPath {
     /// That of the agents of these roles. `None` where nobody was asked, or one of them is not tracked at present.
-    pub fn of(scene: &Scene, asked: &[(String, TrackId)]) -> Option<Self> {
+    pub fn of(scene: &Scene, asked: &Roles) -> Option<Self> {
         let present = scene.current_timestep();
-        let agents: Vec<usize> = asked.iter().map(|(_, track)| scene.track_idx(track)).collect::<Option<_>>()?;
+        let agents: Vec<usize> = asked.tracks().map(|track| scene.track_idx(track)).collect::<Option<_>>()?;
         let first = scene.state(*agents.first()?, present)?;
         let own_from_scene = Transform2::from_pose(first.position, first.heading_rad).inverse();
         let mut points = Vec::new();
@@ -85,8 +85,8 @@ mod tests {
     use crate::behavior::testing::transformed;
     use crate::scene::testing::{Drive, scene};
 
-    fn asked() -> Vec<(String, TrackId)> {
-        vec![("ego".to_owned(), TrackId::from("1")), ("other".to_owned(), TrackId::from("2"))]
+    fn asked() -> Roles {
+        Roles::from([("ego", "1"), ("other", "2")])
     }
 
     fn path(offset_m: f64) -> PairPath {
@@ -102,8 +102,8 @@ mod tests {
         let there = transformed(&here, &Transform2::from_pose(Vec2::new(100.0, -50.0), 2.0));
         let [a, b] = [&here, &there].map(|scene| PairPath::of(scene, &asked()).expect("tracked"));
         assert!(a.distance_m(&b) < 1e-9);
-        assert_eq!(PairPath::of(&here, &[]), None);
-        assert_eq!(PairPath::of(&here, &[("ego".to_owned(), TrackId::from("7"))]), None);
+        assert_eq!(PairPath::of(&here, Roles::none()), None);
+        assert_eq!(PairPath::of(&here, &[("ego", "7")].into()), None);
     }
 
     #[test]

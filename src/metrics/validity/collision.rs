@@ -11,7 +11,7 @@ use std::borrow::Cow;
 /// where the limits say so. Of agents whose size the recording does not give only the core counts.
 pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Violation> {
     let scene = judged.scene;
-    let asked: Vec<usize> = judged.asked.iter().filter_map(|(_, track)| scene.track_idx(track)).collect();
+    let asked: Vec<usize> = judged.asked.tracks().filter_map(|track| scene.track_idx(track)).collect();
     let mut worst = None;
     for collision in collisions(&with_cores(scene, config.core_of_unknown_size)) {
         let [first, second] = collision.pair;

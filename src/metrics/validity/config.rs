@@ -5,10 +5,11 @@ use crate::scene::Dataset;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The limits that a valid scenario keeps. A limit that is exceeded is a violation; a check that is not wanted is skipped by name.
+/// The limits of a valid scenario. Exceeding a limit is a violation; checks can be skipped by name.
 ///
-/// The defaults say what is possible, not what is comfortable: an emergency is what many scenarios are made for. They are wider than
-/// nuPlan's bounds of comfort (acceleration -4.05 to 2.40 m/s², lateral 4.89 m/s², yaw rate 0.95 rad/s, jerk 8.37 m/s³).
+/// The defaults are limits of what is possible, not of what is comfortable: many scenarios are emergencies. They are
+/// wider than nuPlan's bounds of comfort (acceleration -4.05 to 2.40 m/s², lateral 4.89 m/s², yaw rate 0.95 rad/s, jerk
+/// 8.37 m/s³).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ValidityConfig {
@@ -39,7 +40,7 @@ pub struct ValidityConfig {
     /// Largest curvature of a path, 1/m: the yaw rate may be this times the speed. Default 0.3, a circle of 3.3 m.
     #[schemars(range(min = 0.0))]
     pub max_curvature_per_m: f64,
-    /// Added to that yaw rate, rad/s, so that who stands or creeps is not judged by noise. Default 0.2.
+    /// Added to that yaw rate, rad/s, so that noise of agents that stand or creep is not judged. Default 0.2.
     #[schemars(range(min = 0.0))]
     pub yaw_rate_slack_radps: f64,
     /// Largest angle between heading and motion, radians, for vehicles faster than 2 m/s. Default 0.35, 20 degrees.
@@ -60,7 +61,7 @@ pub struct ValidityConfig {
     /// Default 0.5: in Argoverse 1, which gives no sizes, whole boxes overlap in two of five recorded scenes.
     #[schemars(range(min = 0.0))]
     pub core_of_unknown_size: f64,
-    /// Whether the agents that were asked may collide with each other, as is wanted of crashes. Default false.
+    /// Whether the requested agents may collide with each other, as in a crash. Default false.
     pub asked_may_collide: bool,
 }
 

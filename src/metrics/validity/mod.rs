@@ -23,29 +23,25 @@ pub use config::ValidityConfig;
 pub use fit::LocalFit;
 pub use validity_rate::ValidityRate;
 
-use crate::scene::{AgentClass, Scene, TrackId};
+use crate::scene::{AgentClass, Roles, Scene};
 
 /// A scene to be judged, and which of its states were generated.
 pub struct Judged<'a> {
     /// The scene.
     pub scene: &'a Scene,
     /// Who was asked to show something: their collisions with each other can be excused.
-    pub asked: &'a [(String, TrackId)],
+    pub asked: &'a Roles,
     generated: Box<dyn Fn(usize, usize) -> bool + 'a>,
 }
 
 impl<'a> Judged<'a> {
     /// A scene whose states are generated where `generated(agent_idx, timestep)` says so.
-    pub fn new(
-        scene: &'a Scene,
-        asked: &'a [(String, TrackId)],
-        generated: impl Fn(usize, usize) -> bool + 'a,
-    ) -> Self {
+    pub fn new(scene: &'a Scene, asked: &'a Roles, generated: impl Fn(usize, usize) -> bool + 'a) -> Self {
         Self { scene, asked, generated: Box::new(generated) }
     }
 
     /// A scene whose whole future is taken as generated.
-    pub fn future_of(scene: &'a Scene, asked: &'a [(String, TrackId)]) -> Self {
+    pub fn future_of(scene: &'a Scene, asked: &'a Roles) -> Self {
         Self::new(scene, asked, |_, timestep| timestep >= scene.n_history)
     }
 

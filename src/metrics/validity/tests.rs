@@ -3,7 +3,7 @@
 use super::*;
 use crate::behavior::testing::SceneSpec;
 use crate::geometry::Vec2;
-use crate::scene::{Dataset, State, Trajectory};
+use crate::scene::{Dataset, Roles, State, Trajectory};
 use crate::settings::check_ranges;
 
 const ROAD: &str = "lanes = [{ id = 1, centerline = [[-60, 0], [300, 0]], width_m = 4.0 }]";
@@ -29,7 +29,7 @@ fn changed(mut scene: Scene, change: impl Fn(usize, State) -> State) -> Scene {
 }
 
 fn found(scene: &Scene, config: &ValidityConfig) -> Vec<Violation> {
-    Judged::future_of(scene, &[]).violations(config)
+    Judged::future_of(scene, Roles::none()).violations(config)
 }
 
 fn checks(scene: &Scene, config: &ValidityConfig) -> Vec<&'static str> {
@@ -143,13 +143,13 @@ fn the_future_begins_where_the_past_ends() {
     assert!(found(&turned, &defaults()).iter().any(|v| v.check == Check::StartHeading && v.timestep == 10));
     // Where the end is given and the middle generated there are two seams.
     let end_given = shifted(0.5);
-    let judged = Judged::new(&end_given, &[], |_, timestep| (12..20).contains(&timestep));
+    let judged = Judged::new(&end_given, Roles::none(), |_, timestep| (12..20).contains(&timestep));
     assert!(!judged.violations(&defaults()).iter().any(|v| v.check == Check::StartPosition), "the jump was given");
     let leap = changed(scene(10.0, ""), |timestep, state| match (12..20).contains(&timestep) {
         true => State { position: state.position + Vec2::new(0.0, 0.5), ..state },
         false => state,
     });
-    let judged = Judged::new(&leap, &[], |_, timestep| (12..20).contains(&timestep));
+    let judged = Judged::new(&leap, Roles::none(), |_, timestep| (12..20).contains(&timestep));
     assert!(judged.violations(&defaults()).iter().any(|v| v.check == Check::StartPosition && v.timestep == 12));
 }
 
@@ -158,9 +158,9 @@ fn only_what_was_generated_is_judged() {
     // Braking until 0.6 s; the first window with a future state begins at 0.4 s.
     let before = scene(15.0, "{ duration_s = 0.4, acceleration_mps2 = -12.0 }");
     assert_eq!(checks(&before, &ValidityConfig { max_jerk_mps3: 60.0, ..defaults() }), [""; 0]);
-    let all = Judged::new(&before, &[], |_, _| true);
+    let all = Judged::new(&before, Roles::none(), |_, _| true);
     assert!(all.violations(&defaults()).iter().any(|v| v.check == Check::Deceleration));
-    let none = Judged::new(&before, &[], |_, _| false);
+    let none = Judged::new(&before, Roles::none(), |_, _| false);
     assert_eq!(none.violations(&ValidityConfig { max_deceleration_mps2: 0.0, ..defaults() }), []);
 }
 
@@ -172,11 +172,11 @@ fn collisions_are_excused_only_where_they_were_asked_for() {
     );
     let (check, value, timestep) = only(&crash, &defaults());
     assert!(check == Check::Collision && (value - 10.0).abs() < 1e-9 && timestep == 16, "{value} {timestep}");
-    let asked = [("ego".to_owned(), TrackId::from("b")), ("other".to_owned(), TrackId::from("a"))];
+    let asked = Roles::from([("ego", "b"), ("other", "a")]);
     let excusing = ValidityConfig { asked_may_collide: true, ..defaults() };
     assert_eq!(Judged::future_of(&crash, &asked).violations(&excusing), []);
     assert_eq!(Judged::future_of(&crash, &asked).violations(&defaults()).len(), 1);
-    assert_eq!(Judged::future_of(&crash, &asked[..1]).violations(&excusing).len(), 1);
+    assert_eq!(Judged::future_of(&crash, &[("ego", "b")].into()).violations(&excusing).len(), 1);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use candle_core::{CpuStorage, CustomOp1, D, Layout, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
-use super::heads::{Columns, add_mixed_back, attend, attend_backward, mix, scatter};
+use super::heads::{HeadColumns, add_mixed_back, attend, attend_backward, mix, scatter};
 use super::host::{slice, values};
 use super::masked_softmax;
 use super::rows::{pick_mut, split_mut};
@@ -93,15 +93,15 @@ struct FusedSelfAttention {
 
 /// Queries, keys and values of one head.
 struct Head<'a> {
-    query: Columns<'a>,
-    key: Columns<'a>,
-    value: Columns<'a>,
+    query: HeadColumns<'a>,
+    key: HeadColumns<'a>,
+    value: HeadColumns<'a>,
 }
 
 impl FusedSelfAttention {
     fn head<'a>(&self, qkv: &'a [f32], dim: usize, head: usize) -> Head<'a> {
         let n = dim / self.n_heads;
-        let part = |part: usize| Columns { data: qkv, width: 3 * dim, first: part * dim + head * n, n };
+        let part = |part: usize| HeadColumns { data: qkv, width: 3 * dim, first: part * dim + head * n, n };
         Head { query: part(0), key: part(1), value: part(2) }
     }
 
@@ -127,7 +127,7 @@ impl FusedSelfAttention {
         let mut grad_scores = vec![0.0; rows.len() * rows.len()];
         for (i, weights) in weights.chunks_exact(rows.len() * rows.len()).enumerate() {
             let head = self.head(qkv, dim, i);
-            let grad = Columns { data: grad, width: dim, first: i * head_dim, n: head_dim }.gather(rows);
+            let grad = HeadColumns { data: grad, width: dim, first: i * head_dim, n: head_dim }.gather(rows);
             attend_backward(&mut grad_scores, weights, &head.value.gather(rows), &grad, head_dim);
             scatter(dqkv, head.query.first, &mix(&grad_scores, &head.key.gather(rows), head_dim));
             let (mut dkey, mut dvalue) = (vec![0.0; rows.len() * head_dim], vec![0.0; rows.len() * head_dim]);

@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use candle_core::{CpuStorage, CustomOp2, D, Layout, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
-use super::heads::{Columns, add_mixed_back, attend, attend_backward, mix, scatter};
+use super::heads::{HeadColumns, add_mixed_back, attend, attend_backward, mix, scatter};
 use super::host::{gradient, slice, values};
 use super::masked_softmax;
 use super::rows::{pick_mut, split, split_mut, valid_rows};
@@ -121,15 +121,15 @@ impl FusedCrossAttention {
     }
 
     /// The columns of one head in a matrix of states (.., D).
-    fn head<'a>(&self, data: &'a [f32], dim: usize, head: usize) -> Columns<'a> {
+    fn head<'a>(&self, data: &'a [f32], dim: usize, head: usize) -> HeadColumns<'a> {
         let n = dim / self.n_heads;
-        Columns { data, width: dim, first: head * n, n }
+        HeadColumns { data, width: dim, first: head * n, n }
     }
 
     /// Keys (`part` 0) or values (`part` 1) of the valid lanes.
     fn pack(&self, keys: &[f32], dim: usize, part: usize) -> Packed {
         let n = dim / self.n_heads;
-        let columns = |head: usize| Columns { data: keys, width: 2 * dim, first: part * dim + head * n, n };
+        let columns = |head: usize| HeadColumns { data: keys, width: 2 * dim, first: part * dim + head * n, n };
         let of_map = |map: &Map| (0..self.n_heads).map(|head| columns(head).gather(&map.lanes)).collect();
         self.maps.par_iter().map(of_map).collect()
     }

@@ -7,7 +7,7 @@ use super::kernels::{softmax_rows, softmax_rows_backward};
 
 /// Some columns of a row-major matrix: those of one head.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Columns<'a> {
+pub(super) struct HeadColumns<'a> {
     /// The whole matrix.
     pub(super) data: &'a [f32],
     /// Its row length.
@@ -18,7 +18,7 @@ pub(super) struct Columns<'a> {
     pub(super) n: usize,
 }
 
-impl Columns<'_> {
+impl HeadColumns<'_> {
     /// These columns of the given rows, as a dense matrix (rows, n).
     pub(super) fn gather(self, rows: &[u32]) -> Vec<f32> {
         let mut dense = Vec::with_capacity(rows.len() * self.n);

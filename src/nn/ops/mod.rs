@@ -68,18 +68,19 @@ pub fn linear(
     bias: &Tensor,
     activation: Activation,
     valid: Option<&Tensor>,
+    precision: Precision,
 ) -> Result<Tensor> {
     let (n_out, n_in) = weight.dims2()?;
     if x.dim(D::Minus1)? != n_in || bias.dims() != [n_out] {
         bail!("linear: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
     }
     let valid = valid.map(|valid| mask_of("linear", x, valid)).transpose()?;
-    match (backend(x), Precision::chosen()) {
-        (Backend::Kernels, precision) => cuda::linear(x, weight, bias, activation, valid.as_ref(), precision),
+    match (backend(x), precision) {
+        (Backend::Kernels, _) => cuda::linear(x, weight, bias, activation, valid.as_ref(), precision),
         (Backend::Fused, Precision::F32) => linear::fused::<F32>(x, weight, bias, activation, valid.as_ref()),
         (Backend::Fused, Precision::Tf32) => linear::fused::<Tf32>(x, weight, bias, activation, valid.as_ref()),
         (Backend::Fused, Precision::Bf16) => linear::fused::<Bf16>(x, weight, bias, activation, valid.as_ref()),
-        (Backend::Plain, precision) => linear::reference(x, weight, bias, activation, valid.as_ref(), precision),
+        (Backend::Plain, _) => linear::reference(x, weight, bias, activation, valid.as_ref(), precision),
     }
 }
 

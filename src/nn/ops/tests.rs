@@ -95,7 +95,7 @@ fn linear_agrees() {
             for share in masks {
                 let valid = share.map(|share| mask(&rows, share, 4));
                 check(
-                    &|a| linear(&a[0], &a[1], &a[2], activation, valid.as_ref()),
+                    &|a| linear(&a[0], &a[1], &a[2], activation, valid.as_ref(), Precision::F32),
                     &arguments,
                     &format!("{rows:?} {share:?}"),
                 );
@@ -103,7 +103,11 @@ fn linear_agrees() {
         }
         let arguments = [normal(&[3, 4], 1), normal(&[2, 4], 2), normal(&[2], 3)];
         let valid = Tensor::new(&[1f32, 0.0, 1.0], &Device::Cpu).unwrap();
-        check_differences(&|a| linear(&a[0], &a[1], &a[2], activation, Some(&valid)), &arguments, "linear");
+        check_differences(
+            &|a| linear(&a[0], &a[1], &a[2], activation, Some(&valid), Precision::F32),
+            &arguments,
+            "linear",
+        );
     }
 }
 
@@ -123,7 +127,11 @@ fn linear_agrees_in_halved_precision() {
             assert_close(fused, plain, NEIGHBOR, "halved");
         }
         // Result and gradients of input and weight are rounded; that of the bias, the last, is a sum without a product.
-        let exact = run(&|a| linear(&a[0], &a[1], &a[2], Activation::None, valid.as_ref()), &arguments, DType::F32);
+        let exact = run(
+            &|a| linear(&a[0], &a[1], &a[2], Activation::None, valid.as_ref(), Precision::F32),
+            &arguments,
+            DType::F32,
+        );
         let halved: Op<'_> = &|a| linear::fused::<Bf16>(&a[0], &a[1], &a[2], Activation::None, valid.as_ref());
         let is_exact: Vec<bool> =
             exact.iter().zip(run(halved, &arguments, DType::F32)).map(|(exact, halved)| *exact == halved).collect();
@@ -241,7 +249,7 @@ fn padding_gives_exactly_zero_and_is_never_read() {
         ("time", &|a| self_attention(&a[0], &valid, 2, Axis::Time)),
         ("agent", &|a| self_attention(&a[0], &valid, 2, Axis::Agent)),
         ("lanes", &|a| cross_attention(&a[0], &valid, &keys, &lanes, 2)),
-        ("linear", &|a| linear(&a[0], &weight, &bias, Activation::Relu, Some(&valid))),
+        ("linear", &|a| linear(&a[0], &weight, &bias, Activation::Relu, Some(&valid), Precision::F32)),
     ];
     for (name, op) in ops {
         let results = run(op, std::slice::from_ref(&x), DType::F32);
@@ -267,7 +275,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
             let norm = [x.clone(), normal(&[48], 7), normal(&[48], 8)];
             [
                 run(
-                    &|a| linear(&a[0], &a[1], &a[2], Activation::Relu, Some(&valid)),
+                    &|a| linear(&a[0], &a[1], &a[2], Activation::Relu, Some(&valid), Precision::F32),
                     &[x.clone(), weight.clone(), bias.clone()],
                     DType::F32,
                 ),
@@ -293,7 +301,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
 fn frozen_arguments_get_no_gradients() {
     let x = Var::from_tensor(&normal(&[5, 4], 1)).unwrap();
     let (weight, bias) = (normal(&[3, 4], 2), normal(&[3], 3));
-    let y = linear(x.as_tensor(), &weight, &bias, Activation::Relu, None).unwrap();
+    let y = linear(x.as_tensor(), &weight, &bias, Activation::Relu, None, Precision::F32).unwrap();
     let grads = layer_norm(&y, &normal(&[3], 4), &bias, 1e-5, Precision::F32)
         .unwrap()
         .sqr()
@@ -304,14 +312,14 @@ fn frozen_arguments_get_no_gradients() {
         .unwrap();
     assert!(grads.get(x.as_tensor()).is_some());
     assert!(grads.get(&weight).is_none() && grads.get(&bias).is_none());
-    assert!(!linear(&normal(&[5, 4], 1), &weight, &bias, Activation::None, None).unwrap().track_op());
+    assert!(!linear(&normal(&[5, 4], 1), &weight, &bias, Activation::None, None, Precision::F32).unwrap().track_op());
 }
 
 #[test]
 fn arguments_need_not_be_contiguous() {
     let (weight, bias) = (normal(&[4, 3], 2), normal(&[3], 3));
     check(
-        &|a| linear(&a[0].t()?, &a[1].t()?, &a[2], Activation::None, None),
+        &|a| linear(&a[0].t()?, &a[1].t()?, &a[2], Activation::None, None, Precision::F32),
         &[normal(&[4, 6], 1), weight, bias],
         "linear",
     );
@@ -323,9 +331,17 @@ fn arguments_need_not_be_contiguous() {
 fn shapes_that_do_not_fit_are_errors() {
     let x = normal(&[2, 3, 4, 12], 1);
     let valid = mask(&[2, 3, 4], 1.0, 1);
-    assert!(linear(&x, &normal(&[5, 11], 2), &normal(&[5], 3), Activation::None, None).is_err());
+    assert!(linear(&x, &normal(&[5, 11], 2), &normal(&[5], 3), Activation::None, None, Precision::F32).is_err());
     assert!(
-        linear(&x, &normal(&[5, 12], 2), &normal(&[5], 3), Activation::None, Some(&mask(&[2, 3], 1.0, 1))).is_err()
+        linear(
+            &x,
+            &normal(&[5, 12], 2),
+            &normal(&[5], 3),
+            Activation::None,
+            Some(&mask(&[2, 3], 1.0, 1)),
+            Precision::F32
+        )
+        .is_err()
     );
     assert!(layer_norm(&x, &normal(&[11], 2), &normal(&[12], 3), 1e-5, Precision::F32).is_err());
     assert!(self_attention(&x, &valid, 5, Axis::Time).is_err());

@@ -18,7 +18,7 @@ use toml::de::{DeTable, DeValue};
 #[error("{place}{message}")]
 pub struct ConfigError {
     /// Where the mistake is.
-    pub place: Place,
+    pub place: ConfigPlace,
     /// What is wrong.
     pub message: String,
     /// The name the user probably meant, if one is close.
@@ -27,7 +27,7 @@ pub struct ConfigError {
 
 /// Where a mistake in a configuration is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Place {
+pub enum ConfigPlace {
     /// In the file, with the line and column (both from 1) and the line's text.
     File {
         /// The file.
@@ -41,7 +41,7 @@ pub enum Place {
     Nowhere,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for ConfigPlace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::File { path, at: Some((line, column, text)) } => {
@@ -87,7 +87,7 @@ pub fn parse(path: Option<&Path>, text: &str, overrides: &[String]) -> Result<Pi
                     break;
                 }
                 if says_so(table(n_earlier + 1)?) {
-                    told.place = Place::Override(written.clone());
+                    told.place = ConfigPlace::Override(written.clone());
                     break;
                 }
             }
@@ -131,13 +131,13 @@ impl Source<'_> {
         at..at
     }
 
-    fn place(&self, span: Option<Range<usize>>) -> Place {
+    fn place(&self, span: Option<Range<usize>>) -> ConfigPlace {
         let start = span.as_ref().map(|span| span.start);
         let written = start.and_then(|start| start.checked_sub(self.text.len() + 1));
         if let Some(written) = written.and_then(|idx| self.overrides.get(idx)) {
-            return Place::Override(written.clone());
+            return ConfigPlace::Override(written.clone());
         }
-        let Some(path) = self.path else { return Place::Nowhere };
+        let Some(path) = self.path else { return ConfigPlace::Nowhere };
         // A span of the whole document says nothing, for instance where a key is missing.
         let known = span.filter(|span| *span != (0..0) && *span != (0..self.text.len()));
         let at = known.and_then(|span| {
@@ -146,7 +146,7 @@ impl Source<'_> {
             let line = self.text[line_start..].lines().next().unwrap_or_default();
             Some((before.matches('\n').count() + 1, before[line_start..].chars().count() + 1, line.to_owned()))
         });
-        Place::File { path: path.to_owned(), at }
+        ConfigPlace::File { path: path.to_owned(), at }
     }
 
     fn error(&self, error: &toml::de::Error) -> ConfigError {
@@ -170,7 +170,7 @@ impl Source<'_> {
     }
 
     fn override_error(&self, written: &str, why: String) -> ConfigError {
-        ConfigError { place: Place::Override(written.to_owned()), message: why, suggestion: None }
+        ConfigError { place: ConfigPlace::Override(written.to_owned()), message: why, suggestion: None }
     }
 }
 
@@ -224,7 +224,7 @@ mod tests {
     #[test]
     fn an_unknown_key_is_placed_and_the_nearest_known_one_named() {
         let error = error("[run]\nseed = 1\nthread = 2\n", &[]);
-        assert_eq!(error.place, Place::File { path: "p.toml".into(), at: Some((3, 1, "thread = 2".to_owned())) });
+        assert_eq!(error.place, ConfigPlace::File { path: "p.toml".into(), at: Some((3, 1, "thread = 2".to_owned())) });
         assert_eq!(error.suggestion.as_deref(), Some("threads"));
         assert!(error.to_string().starts_with("p.toml:3:1: in `thread = 2`: unknown key `thread`; known here: name"));
     }
@@ -244,11 +244,11 @@ mod tests {
     #[test]
     fn a_mistake_in_an_override_is_told_from_one_in_the_file() {
         let wrong_key = error("[run]\nseed = 1\n", &["run.threads=2", "run.sead=3"]);
-        assert_eq!(wrong_key.place, Place::Override("run.sead=3".to_owned()));
+        assert_eq!(wrong_key.place, ConfigPlace::Override("run.sead=3".to_owned()));
         assert_eq!(wrong_key.suggestion.as_deref(), Some("seed"));
         let wrong_value = error("", &["run.seed=red"]);
-        assert_eq!(wrong_value.place, Place::Override("run.seed=red".to_owned()));
-        assert!(error("", &["run.seed"]).to_string().contains("no `=`"));
+        assert_eq!(wrong_value.place, ConfigPlace::Override("run.seed=red".to_owned()));
+        assert!(error("", &["run.seed"]).to_string().contains("missing `=`"));
         assert!(error("[run]\nseed = 1\n", &["run.seed.x=1"]).message.contains("`seed` is a value"));
     }
 

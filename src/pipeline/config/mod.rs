@@ -7,7 +7,7 @@
 mod load;
 mod overrides;
 
-pub use load::{ConfigError, Place, parse};
+pub use load::{ConfigError, ConfigPlace, parse};
 pub use overrides::Override;
 
 use crate::evaluate::EvaluateConfig;
@@ -15,7 +15,7 @@ use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
 use crate::nn::Precision;
 use crate::pipeline::StageId;
-use crate::pipeline::device::{Compute, DeviceChoice};
+use crate::pipeline::device::{ComputeChoice, DeviceChoice};
 use crate::pipeline::failure::{Failure, Result};
 use crate::pipeline::stages::MineConfig;
 use crate::report::ReportConfig;
@@ -29,37 +29,37 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PipelineConfig {
-    /// What concerns all stages.
+    /// Settings of all stages.
     pub run: RunConfig,
-    /// Which recordings become scenes, and how much of each is kept.
+    /// Which recordings to read, and how to cut scenes from them.
     pub ingest: Option<IngestConfig>,
-    /// Which behaviors are looked for.
+    /// Which behaviors to mine.
     pub mine: Option<MineConfig>,
     /// The models.
     pub train: TrainConfig,
-    /// What is generated.
+    /// What to generate.
     pub generate: Option<GenerateConfig>,
-    /// What is measured, what is kept and what must hold.
+    /// What to measure, what to keep in the corpus, and the quality gates.
     pub evaluate: Option<EvaluateConfig>,
-    /// What the report shows.
+    /// What to show in the report.
     pub report: Option<ReportConfig>,
 }
 
-/// The models: a section each.
+/// The models, one section each.
 #[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrainConfig {
     /// The diffusion model that generates scenarios.
     pub denoiser: Option<DenoiserTrainingConfig>,
-    /// The same in few evaluations, which sweeps with `model = "distilled"` sample from.
+    /// The distilled model, which samples in few evaluations; for sweeps with `model = "distilled"`.
     pub distill: Option<DistillTrainingConfig>,
     /// The classifier that guides it toward a behavior.
     pub classifier: Option<ClassifierTrainingConfig>,
-    /// Scene Transformer, the baseline that sweeps with `model = "baseline"` sample from.
+    /// Scene Transformer, the baseline; for sweeps with `model = "baseline"`.
     pub baseline: Option<BaselineTrainingConfig>,
 }
 
-/// What concerns all stages.
+/// Settings of all stages.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RunConfig {
@@ -67,7 +67,7 @@ pub struct RunConfig {
     pub name: String,
     /// Seed of everything random; sections that name a seed of their own are exempt.
     pub seed: u64,
-    /// Number of worker threads; 0: one a core. Results do not depend on it.
+    /// Number of worker threads; 0 uses every core. Results do not depend on it.
     #[schemars(range(max = 1_024))]
     pub threads: usize,
     /// What networks compute on: `cpu`, or `cuda` or `cuda:N` for a GPU.
@@ -93,8 +93,8 @@ impl Default for RunConfig {
 
 impl RunConfig {
     /// What networks compute on, and how exactly.
-    pub const fn compute(&self) -> Compute {
-        Compute { device: self.device, precision: self.precision }
+    pub const fn compute(&self) -> ComputeChoice {
+        ComputeChoice { device: self.device, precision: self.precision }
     }
 }
 

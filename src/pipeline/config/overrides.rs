@@ -16,7 +16,7 @@ pub struct Override {
 impl Override {
     /// Reads `generate.sweeps.0.n_samples=2`. The error says what is wrong with the text.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let (key, value) = text.split_once('=').ok_or("it has no `=`: write key=value")?;
+        let (key, value) = text.split_once('=').ok_or("missing `=`; write key=value")?;
         let key: Vec<String> = key.split('.').map(|part| part.trim().to_owned()).collect();
         if key.iter().any(String::is_empty) {
             return Err("its key has an empty part".to_owned());
@@ -28,7 +28,7 @@ impl Override {
     /// about it can be told from one about the file.
     pub fn apply<'i>(&'i self, table: &mut DeTable<'i>, span: &Range<usize>) -> Result<(), String> {
         let (last, parents) = self.key.split_last().ok_or("its key is empty")?;
-        let mut place = Place::Table(table);
+        let mut place = Container::Table(table);
         for part in parents {
             place = place.enter(part, span)?;
         }
@@ -40,35 +40,35 @@ impl Override {
 }
 
 /// Somewhere in a parsed configuration that can hold values.
-enum Place<'t, 'i> {
+enum Container<'t, 'i> {
     Table(&'t mut DeTable<'i>),
     Array(&'t mut DeArray<'i>),
 }
 
-impl<'i> Place<'_, 'i> {
+impl<'i> Container<'_, 'i> {
     fn enter(self, part: &'i str, span: &Range<usize>) -> Result<Self, String> {
         let value = match self {
-            Place::Table(table) => table
+            Container::Table(table) => table
                 .entry(spanned_key(part, span))
                 .or_insert_with(|| Spanned::new(span.clone(), DeValue::Table(DeTable::new())))
                 .get_mut(),
-            Place::Array(array) => element(array, part)?.get_mut(),
+            Container::Array(array) => element(array, part)?.get_mut(),
         };
         match value {
-            DeValue::Table(table) => Ok(Place::Table(table)),
-            DeValue::Array(array) => Ok(Place::Array(array)),
+            DeValue::Table(table) => Ok(Container::Table(table)),
+            DeValue::Array(array) => Ok(Container::Array(array)),
             _ => Err(format!("`{part}` is a value, not a table")),
         }
     }
 
     fn set(self, part: &'i str, value: Spanned<DeValue<'i>>, span: &Range<usize>) -> Result<(), String> {
         match self {
-            Place::Table(table) => {
+            Container::Table(table) => {
                 // The old key is removed first: inserting alone would keep its place in the file.
                 table.remove(part);
                 table.insert(spanned_key(part, span), value);
             }
-            Place::Array(array) => *element(array, part)? = value,
+            Container::Array(array) => *element(array, part)? = value,
         }
         Ok(())
     }
@@ -80,8 +80,8 @@ fn spanned_key<'i>(part: &'i str, span: &Range<usize>) -> Spanned<DeString<'i>> 
 
 fn element<'t, 'i>(array: &'t mut DeArray<'i>, part: &str) -> Result<&'t mut Spanned<DeValue<'i>>, String> {
     let n_elements = array.len();
-    let idx: usize = part.parse().map_err(|_| format!("`{part}` is no index into an array"))?;
-    array.get_mut(idx).ok_or_else(|| format!("index {idx} is outside an array of {n_elements}"))
+    let idx: usize = part.parse().map_err(|_| format!("`{part}` is not an array index"))?;
+    array.get_mut(idx).ok_or_else(|| format!("index {idx} is out of range for an array of {n_elements}"))
 }
 
 /// Gives a value and everything in it one span.
@@ -128,8 +128,8 @@ mod tests {
 
     #[test]
     fn impossible_places_are_refused() {
-        assert!(applied("a = [1]", "a.1=2").unwrap_err().contains("outside an array of 1"));
-        assert!(applied("a = [1]", "a.x=2").unwrap_err().contains("no index"));
+        assert!(applied("a = [1]", "a.1=2").unwrap_err().contains("out of range for an array of 1"));
+        assert!(applied("a = [1]", "a.x=2").unwrap_err().contains("not an array index"));
         assert!(applied("a = 1", "a.x=2").unwrap_err().contains("is a value"));
         assert!(applied("", "a..x=2").unwrap_err().contains("empty part"));
     }

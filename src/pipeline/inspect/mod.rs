@@ -51,7 +51,7 @@ pub fn inspect(path: &Path) -> Result<Description> {
             return Ok(description);
         }
     }
-    Err(Failure::input_message(format_args!("{} is nothing that djinn writes", path.display()))
+    Err(Failure::input_message(format_args!("{} was not written by djinn", path.display()))
         .with_hint("known: run folders, scene stores, event tables, checkpoints, samples, corpora, metrics, reports"))
 }
 

@@ -86,14 +86,15 @@ impl Stage for Generate<'_> {
     }
 
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
-        let device = context.device;
+        let compute = context.compute;
         let resolved = self.resolve()?;
         let store = SceneStore::open(&self.layout.scenes)?;
-        let models = LoadedModels::read(self.layout, &resolved.sweeps, device)?;
+        let models = LoadedModels::read(self.layout, &resolved.sweeps, compute)?;
         let behaviors = self.mine.build()?;
         let load = |idx: usize| Ok(store.scene(idx)?);
         let metric_settings = self.metric_settings.clone();
-        let generator = Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, device)?;
+        let generator =
+            Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, &compute.device)?;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
         let (mine, generate) = (self.mine.clone(), self.config.clone());
         let metric_settings = self.decisive_settings().cloned();
@@ -104,7 +105,7 @@ impl Stage for Generate<'_> {
         };
         for shortfall in &plan.shortfalls {
             let Shortfall { sweep, n_wanted, n_found } = shortfall;
-            context.progress.warn(&format!("sweep {sweep}: {n_wanted} scenes were asked for, {n_found} fit"));
+            context.progress.warn(&format!("sweep {sweep}: {n_wanted} scenes requested, {n_found} suitable"));
         }
         let mut shards = generate_shards(&resolved, &generator, &plan, &folder, context)?;
         let fulfilment =
@@ -123,7 +124,7 @@ impl Stage for Generate<'_> {
             },
         )?;
         if manifest.n_rejected > 0 {
-            let message = format!("{} samples were no finite numbers and were rejected", manifest.n_rejected);
+            let message = format!("{} samples had non-finite values and were rejected", manifest.n_rejected);
             context.progress.warn(&message);
         }
         Ok(json!({

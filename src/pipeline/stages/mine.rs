@@ -16,11 +16,11 @@ use std::collections::BTreeMap;
 /// Scenes that are mined together: enough for every thread, few enough to show progress and to hold their events in memory.
 const SCENES_PER_CHUNK: usize = 256;
 
-/// What to look for, and in which scenes.
+/// Which behaviors to mine, and in which scenes.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MineConfig {
-    /// The behaviors with their definitions; empty: all that are known, each by its default definition.
+    /// The behaviors with their definitions; empty: all known ones, by their default definitions.
     pub behaviors: Vec<BehaviorConfig>,
     /// The splits to mine; empty: all.
     pub splits: Vec<Split>,
@@ -88,7 +88,7 @@ impl Stage for Mine<'_> {
             |entry: &SceneIndexEntry| self.config.splits.is_empty() || self.config.splits.contains(&entry.split);
         let scenes: Vec<usize> = (0..store.len()).filter(|idx| wanted(&store.index()[*idx])).collect();
         if scenes.is_empty() {
-            return Err(Failure::input_message("no scene is of the splits of mine.splits"));
+            return Err(Failure::input_message("no scene is in the splits of mine.splits"));
         }
         let ids: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();
         let mut tally = MiningTally::new(&ids, scenes.iter().map(|idx| &store.index()[*idx]));

@@ -51,7 +51,7 @@ pub fn of_pipeline<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Result
 pub fn alone<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Result<Box<dyn Stage + 'a>> {
     build(id, config, layout).ok_or_else(|| {
         Failure::input_message(format_args!("the configuration has no section [{}]", id.facts().section)).with_hint(
-            format!("name a pipeline file with --config, or set values with --set {}.key=value", id.facts().section),
+            format!("pass a pipeline file with --config, or set values with --set {}.key=value", id.facts().section),
         )
     })
 }

@@ -3,9 +3,9 @@
 use super::train::checkpoint_file;
 use crate::generate::{Models, ResolvedSweep};
 use crate::model::{ModelSpec, TrainedClassifier, TrainedDenoiser, TrainedModel, TrainedSceneTransformer};
+use crate::nn::Compute;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::{Result, StageId};
-use candle_core::Device;
 
 /// The stages whose models `sweeps` need, with the denoiser's first.
 pub(in crate::pipeline) fn needed_models(sweeps: &[ResolvedSweep]) -> Vec<StageId> {
@@ -30,20 +30,20 @@ pub(in crate::pipeline) struct LoadedModels {
 
 impl LoadedModels {
     /// Reads the models that `sweeps` need.
-    pub(in crate::pipeline) fn read(layout: &Layout, sweeps: &[ResolvedSweep], device: &Device) -> Result<Self> {
+    pub(in crate::pipeline) fn read(layout: &Layout, sweeps: &[ResolvedSweep], compute: &Compute) -> Result<Self> {
         let needed = needed_models(sweeps);
         let needs = |stage| needed.contains(&stage);
-        fn read<S: ModelSpec>(dir: &std::path::Path, device: &Device) -> Result<TrainedModel<S>> {
-            Ok(TrainedModel::read(&checkpoint_file(dir), device)?)
+        fn read<S: ModelSpec>(dir: &std::path::Path, compute: &Compute) -> Result<TrainedModel<S>> {
+            Ok(TrainedModel::read(&checkpoint_file(dir), compute)?)
         }
         Ok(Self {
-            denoiser: read(&layout.denoiser, device)?,
-            distilled: needs(StageId::TrainDistill).then(|| read(&layout.distilled, device)).transpose()?,
+            denoiser: read(&layout.denoiser, compute)?,
+            distilled: needs(StageId::TrainDistill).then(|| read(&layout.distilled, compute)).transpose()?,
             classifiers: match needs(StageId::TrainClassifier) {
-                true => vec![read(&layout.classifier, device)?],
+                true => vec![read(&layout.classifier, compute)?],
                 false => Vec::new(),
             },
-            baseline: needs(StageId::TrainBaseline).then(|| read(&layout.baseline, device)).transpose()?,
+            baseline: needs(StageId::TrainBaseline).then(|| read(&layout.baseline, compute)).transpose()?,
         })
     }
 

@@ -28,7 +28,7 @@ impl Fulfilment<'_> {
                 let n_infeasible = summary.infeasible().count();
                 let infeasible = match n_infeasible {
                     0 => String::new(),
-                    n => format!("; {n} of them can be reached by no pair"),
+                    n => format!("; no pair can reach {n} of them"),
                 };
                 self.context.progress.warn(&format!(
                     "request {}: {n_short} of {} buckets stayed short ({} of {} scenarios){infeasible}; the report says which. Raise its \

@@ -31,7 +31,7 @@ pub struct SampleSidecar {
     pub n_scenarios: u64,
     /// How many of them are verified.
     pub n_verified: u64,
-    /// Samples that came to nothing.
+    /// Samples without a scenario.
     pub rejected: Vec<RejectedSample>,
     /// Number of samples that the sweep's selection left out, by reason.
     pub unselected: BTreeMap<String, u64>,
@@ -216,7 +216,7 @@ impl SampleManifest {
         let path = dir.join(&shard.file);
         shard.stamp.verify_file(&path).map_err(|error| {
             Failure::from(error)
-                .with_hint("the file was changed or the disk is failing; sample anew with --redo generate")
+                .with_hint("the file was changed or the disk is failing; sample again with --redo generate")
         })?;
         Ok(read_samples(&path, maps)?)
     }
@@ -246,7 +246,7 @@ impl SampleSettings {
     }
 }
 
-/// What was asked and what was got, request by request; none where the folder has no requests.
+/// Requested and delivered, request by request; none where the folder has no requests.
 ///
 /// # Errors
 /// When the file is damaged.

@@ -15,6 +15,17 @@ use serde_json::{Value, json};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+/// What a model is made of, beside the outputs of earlier stages.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Source<'a> {
+    /// The checkpoint to use instead of training.
+    pub checkpoint: Option<&'a Path>,
+    /// The checkpoint to start from.
+    pub start_from: Option<&'a Path>,
+    /// The scenes to train on, where they may be those of several runs.
+    pub scenes: Option<SceneChoice<'a>>,
+}
+
 /// How a model comes to be: the section of a training stage, and what is done with it.
 pub trait Recipe: Serialize {
     /// What its checkpoint says.
@@ -28,23 +39,13 @@ pub trait Recipe: Serialize {
     /// The stages whose outputs it learns from.
     const LEARNS_FROM: &'static [StageId];
 
-    /// The checkpoint to use instead of training.
-    fn checkpoint(&self) -> Option<&Path>;
-
-    /// The checkpoint to start from.
-    fn start_from(&self) -> Option<&Path> {
-        None
-    }
-
-    /// The scenes that it trains on, where it may train on those of several runs.
-    fn scenes(&self) -> Option<SceneChoice<'_>> {
-        None
-    }
+    /// What it is made of.
+    fn source(&self) -> Source<'_>;
 
     /// What the section comes to, where presets decide a part of it: they change from version to version, and what they come to counts.
     ///
     /// # Errors
-    /// When a value makes no sense, naming it.
+    /// When a value cannot work, naming it.
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error>;
 
     /// What the summary says of a model that was trained elsewhere.
@@ -61,7 +62,7 @@ pub trait Recipe: Serialize {
     /// # Errors
     /// When it is not one of such a model.
     fn read_start(&self, device: &Device) -> Result<Option<Checkpoint<Self::Spec>>> {
-        Ok(self.start_from().map(|path| read_checkpoint(&checkpoint_file(path), device)).transpose()?)
+        Ok(self.source().start_from.map(|path| read_checkpoint(&checkpoint_file(path), device)).transpose()?)
     }
 }
 
@@ -88,9 +89,9 @@ impl<R: Recipe> Stage for Train<'_, R> {
 
     fn check(&self) -> Result<()> {
         self.recipe.resolved()?;
-        match self.recipe.scenes().filter(|_| self.recipe.checkpoint().is_none()) {
-            Some(choice) => check_folders(choice, &self.layout.scenes),
-            None => Ok(()),
+        match self.recipe.source() {
+            Source { checkpoint: None, scenes: Some(choice), .. } => check_folders(choice, &self.layout.scenes),
+            _ => Ok(()),
         }
     }
 
@@ -100,14 +101,14 @@ impl<R: Recipe> Stage for Train<'_, R> {
         if let Some(resolved) = self.recipe.resolved()? {
             config["resolved"] = resolved;
         }
-        Ok(with_precision(config, self.recipe.checkpoint().is_none().then_some(self.precision)))
+        Ok(with_precision(config, self.recipe.source().checkpoint.is_none().then_some(self.precision)))
     }
 
     fn inputs(&self) -> Vec<StageInput> {
-        if let Some(path) = self.recipe.checkpoint() {
+        let Source { checkpoint, start_from, scenes: choice } = self.recipe.source();
+        if let Some(path) = checkpoint {
             return vec![StageInput::external("checkpoint", &checkpoint_file(path))];
         }
-        let choice = self.recipe.scenes();
         let is_read =
             |stage: &&StageId| **stage != StageId::Ingest || choice.is_none_or(|choice| choice.own_weight > 0.0);
         let made = R::LEARNS_FROM
@@ -116,7 +117,7 @@ impl<R: Recipe> Stage for Train<'_, R> {
             .filter_map(|stage| stage.output(self.layout).map(|(name, path)| StageInput::made_by(*stage, name, path)));
         let more = choice.map_or(&[][..], |choice| choice.data).iter().enumerate();
         let more = more.map(|(i, more)| StageInput::made_by(StageId::Ingest, &format!("data.{i}"), &more.scenes));
-        let start = self.recipe.start_from().map(|path| StageInput::external("start_from", &checkpoint_file(path)));
+        let start = start_from.map(|path| StageInput::external("start_from", &checkpoint_file(path)));
         made.chain(more).chain(start).collect()
     }
 
@@ -125,12 +126,12 @@ impl<R: Recipe> Stage for Train<'_, R> {
     }
 
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
-        let StageContext { device, progress, .. } = *context;
+        let StageContext { compute, progress, .. } = *context;
         let dir = context.root.join(R::OUTPUTS[0]);
-        let Some(path) = self.recipe.checkpoint() else {
-            return self.recipe.train(self.layout, TrainJob { seed: Seed(self.seed), dir: &dir, device, progress });
+        let Some(path) = self.recipe.source().checkpoint else {
+            return self.recipe.train(self.layout, TrainJob { seed: Seed(self.seed), dir: &dir, compute, progress });
         };
-        let trained = TrainedModel::<R::Spec>::read(&checkpoint_file(path), device)?;
+        let trained = TrainedModel::<R::Spec>::read(&checkpoint_file(path), compute)?;
         fs_err::create_dir_all(&dir)?;
         let bytes = fs_err::read(checkpoint_file(path))?;
         write_atomically::<std::io::Error>(&dir.join(MODEL_FILE), |file| file.write_all(&bytes))?;

@@ -1,13 +1,12 @@
 //! Scenes to a Scene Transformer, the baseline.
 
-use super::train::Recipe;
+use super::train::{Recipe, Source};
 use super::training_scenes::{OpenedScenes, training_summary};
 use crate::model::SceneTransformerSpec;
 use crate::pipeline::layout::{BASELINE, Layout};
 use crate::pipeline::{Result, StageId};
-use crate::train::{BaselineTrainingConfig, SceneChoice, TrainJob, train_baseline};
+use crate::train::{BaselineTrainingConfig, TrainJob, train_baseline};
 use serde_json::{Value, json};
-use std::path::Path;
 
 impl Recipe for BaselineTrainingConfig {
     type Spec = SceneTransformerSpec;
@@ -16,12 +15,9 @@ impl Recipe for BaselineTrainingConfig {
     const OUTPUTS: &'static [&'static str] = &[BASELINE];
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
 
-    fn checkpoint(&self) -> Option<&Path> {
-        self.checkpoint.as_deref()
-    }
-
-    fn scenes(&self) -> Option<SceneChoice<'_>> {
-        Some(self.scene_choice())
+    fn source(&self) -> Source<'_> {
+        let checkpoint = self.checkpoint.as_deref();
+        Source { checkpoint, scenes: Some(self.scene_choice()), ..Source::default() }
     }
 
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {

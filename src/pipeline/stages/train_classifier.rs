@@ -1,6 +1,6 @@
 //! Mined pairs to the classifier that guides generation.
 
-use super::train::{Recipe, checkpoint_file};
+use super::train::{Recipe, Source, checkpoint_file};
 use super::training_scenes::TrainingScenes;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::model::{ClassifierSpec, TrainedDenoiser};
@@ -10,7 +10,6 @@ use crate::store::{SceneStore, read_events};
 use crate::train::{ClassifierTrainingConfig, MinedEvent, PairData, PairExamples, TrainJob, train_classifier};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::Path;
 
 impl Recipe for ClassifierTrainingConfig {
     type Spec = ClassifierSpec;
@@ -19,8 +18,8 @@ impl Recipe for ClassifierTrainingConfig {
     const OUTPUTS: &'static [&'static str] = &[CLASSIFIER];
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::Mine, StageId::TrainDenoiser];
 
-    fn checkpoint(&self) -> Option<&Path> {
-        self.checkpoint.as_deref()
+    fn source(&self) -> Source<'_> {
+        Source { checkpoint: self.checkpoint.as_deref(), ..Source::default() }
     }
 
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
@@ -35,7 +34,7 @@ impl Recipe for ClassifierTrainingConfig {
 
     fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let store = SceneStore::open(&layout.scenes)?;
-        let denoiser = TrainedDenoiser::read(&checkpoint_file(&layout.denoiser), job.device)?;
+        let denoiser = TrainedDenoiser::read(&checkpoint_file(&layout.denoiser), job.compute)?;
         let events = read_events(&layout.events, |event| {
             event.behavior == self.behavior || event.label == EventLabel::Positive
         })?;
@@ -67,13 +66,11 @@ impl Recipe for ClassifierTrainingConfig {
 fn roles(behavior: &str, events: &[BehaviorEvent]) -> Result<Vec<String>> {
     let Some(event) = events.iter().find(|event| event.behavior == behavior) else {
         let n_positive = events.iter().filter(|event| event.label == EventLabel::Positive).count();
-        let message = format!(
-            "there are no events of {behavior} to learn from ({n_positive} positive events of other behaviors)"
-        );
+        let message = format!("no events of {behavior} to train on ({n_positive} positive events of other behaviors)");
         return Err(Failure::input_message(message)
             .with_hint(format!("add {{ kind = \"{behavior}\" }} to mine.behaviors, or ingest more scenes")));
     };
-    Ok(event.roles.iter().map(|(role, _)| role.clone()).collect())
+    Ok(event.roles.names().map(str::to_owned).collect())
 }
 
 /// The behavior's events in the given scenes, in the order of the event table.

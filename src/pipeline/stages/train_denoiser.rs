@@ -1,13 +1,12 @@
 //! Scenes to a denoiser.
 
-use super::train::Recipe;
+use super::train::{Recipe, Source};
 use super::training_scenes::{OpenedScenes, training_summary};
 use crate::model::DenoiserSpec;
 use crate::pipeline::layout::{DENOISER, Layout};
 use crate::pipeline::{Result, StageId};
-use crate::train::{DenoiserTrainingConfig, SceneChoice, TrainJob, train_denoiser};
+use crate::train::{DenoiserTrainingConfig, TrainJob, train_denoiser};
 use serde_json::{Value, json};
-use std::path::Path;
 
 impl Recipe for DenoiserTrainingConfig {
     type Spec = DenoiserSpec;
@@ -16,16 +15,12 @@ impl Recipe for DenoiserTrainingConfig {
     const OUTPUTS: &'static [&'static str] = &[DENOISER];
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
 
-    fn checkpoint(&self) -> Option<&Path> {
-        self.checkpoint.as_deref()
-    }
-
-    fn start_from(&self) -> Option<&Path> {
-        self.start_from.as_deref()
-    }
-
-    fn scenes(&self) -> Option<SceneChoice<'_>> {
-        Some(self.scene_choice())
+    fn source(&self) -> Source<'_> {
+        Source {
+            checkpoint: self.checkpoint.as_deref(),
+            start_from: self.start_from.as_deref(),
+            scenes: Some(self.scene_choice()),
+        }
     }
 
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
@@ -39,7 +34,7 @@ impl Recipe for DenoiserTrainingConfig {
     fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
         let data = scenes.training_data(self.state_dim, self.resolve()?.network.geometry.is_some())?;
-        let start = self.read_start(job.device)?;
+        let start = self.read_start(&job.compute.device)?;
         let outcome = train_denoiser(&self.resolve()?, &data, start.as_ref(), job)?;
         Ok(training_summary(&data, outcome.spec.steps, &outcome))
     }

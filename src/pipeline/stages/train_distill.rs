@@ -1,14 +1,13 @@
 //! A denoiser and scenes to a denoiser that needs few evaluations.
 
-use super::train::{Recipe, checkpoint_file};
+use super::train::{Recipe, Source, checkpoint_file};
 use super::training_scenes::{OpenedScenes, training_summary};
 use crate::model::DenoiserSpec;
 use crate::nn::read_checkpoint;
 use crate::pipeline::layout::{DISTILLED, Layout};
 use crate::pipeline::{Result, StageId};
-use crate::train::{DistillSource, DistillTrainingConfig, SceneChoice, TrainJob, distill_denoiser};
+use crate::train::{DistillSource, DistillTrainingConfig, TrainJob, distill_denoiser};
 use serde_json::{Value, json};
-use std::path::Path;
 
 impl Recipe for DistillTrainingConfig {
     type Spec = DenoiserSpec;
@@ -17,16 +16,12 @@ impl Recipe for DistillTrainingConfig {
     const OUTPUTS: &'static [&'static str] = &[DISTILLED];
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::TrainDenoiser];
 
-    fn checkpoint(&self) -> Option<&Path> {
-        self.checkpoint.as_deref()
-    }
-
-    fn start_from(&self) -> Option<&Path> {
-        self.start_from.as_deref()
-    }
-
-    fn scenes(&self) -> Option<SceneChoice<'_>> {
-        Some(self.scene_choice())
+    fn source(&self) -> Source<'_> {
+        Source {
+            checkpoint: self.checkpoint.as_deref(),
+            start_from: self.start_from.as_deref(),
+            scenes: Some(self.scene_choice()),
+        }
     }
 
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
@@ -40,8 +35,8 @@ impl Recipe for DistillTrainingConfig {
     }
 
     fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
-        let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&layout.denoiser), job.device)?;
-        let start = self.read_start(job.device)?;
+        let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&layout.denoiser), &job.compute.device)?;
+        let start = self.read_start(&job.compute.device)?;
         let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
         let DenoiserSpec { normalizer, network, .. } = &teacher.metadata;
         let data = scenes.training_data(Some(normalizer.state_dim), network.geometry.is_some())?;

@@ -118,8 +118,7 @@ impl<'a> OpenedScenes<'a> {
         for source in &self.sources {
             let chosen = TrainingScenes::new(source.store.index(), source.splits, source.places);
             let Some(first) = chosen.train.first() else {
-                let message =
-                    format_args!("no scene of {} is of the splits and places of {}", source.name, self.section);
+                let message = format_args!("{} has no scene in the splits and places of {}", source.name, self.section);
                 return Err(Failure::input_message(message));
             };
             has_headings.push(source.store.index()[*first].dataset.facts().has_headings);
@@ -132,7 +131,7 @@ impl<'a> OpenedScenes<'a> {
         let without = has_headings.iter().position(|has| !has).filter(|_| has_headings.contains(&true));
         if let Some(without) = without.filter(|_| state_dim == 3 && !derives_headings) {
             let message = format_args!(
-                "{} has no recorded headings, other scenes of {} have them: this network cannot learn from both",
+                "{} has no recorded headings, but other scenes of {} do; this network cannot train on both",
                 self.sources[without].name, self.section
             );
             return Err(Failure::input_message(message).with_hint(
@@ -217,10 +216,10 @@ pub(super) fn check_folders(SceneChoice { section, data, .. }: SceneChoice<'_>, 
             return refuse(&format!("expected a folder of ingested scenes: {error}"), hint);
         }
         if is_same(scenes, own) {
-            return refuse("the run's own scenes", format!("take the entry out, and set {section}.own_weight"));
+            return refuse("the run's own scenes", format!("remove the entry, and set {section}.own_weight"));
         }
         if data[..i].iter().any(|earlier| is_same(scenes, &earlier.scenes)) {
-            return refuse("as in an earlier entry", "name it once, with the sum of the weights".to_owned());
+            return refuse("as in an earlier entry", "list it once, with the sum of the weights".to_owned());
         }
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! What is drawn of lanes and road users, rounded to what an eye can see?
 
 use super::ViewRect;
-use crate::scene::{Lane, ObservationMask, Scene, TrackId};
+use crate::scene::{Lane, ObservationMask, Roles, Scene};
 use serde::{Deserialize, Serialize};
 
 /// How far a drawn lane may lie from the mapped one, meters.
@@ -75,13 +75,7 @@ impl DrawnLane {
 
 impl DrawnSample {
     /// The agents of `scene` that come into view. `observed` says which states were given.
-    pub(super) fn of(
-        name: &str,
-        scene: &Scene,
-        observed: &ObservationMask,
-        roles: &[(String, TrackId)],
-        view: &ViewRect,
-    ) -> Self {
+    pub(super) fn of(name: &str, scene: &Scene, observed: &ObservationMask, roles: &Roles, view: &ViewRect) -> Self {
         let agent = |(agent_idx, track): (usize, &crate::scene::Track)| {
             let extent = track.extent_or_nominal();
             let state = |state: &crate::scene::State| {
@@ -96,7 +90,7 @@ impl DrawnSample {
             };
             DrawnAgent {
                 id: track.id.0.clone(),
-                role: roles.iter().find(|(_, id)| *id == track.id).map(|(role, _)| role.clone()),
+                role: roles.role_of(&track.id).map(str::to_owned),
                 length_m: centi(extent.length_m),
                 width_m: centi(extent.width_m),
                 observed: (0..states.len()).map(is_given).collect(),

@@ -10,7 +10,7 @@ pub(super) use packed::{pack_lanes, pack_sample};
 pub use view::ViewRect;
 
 use super::model::Fact;
-use crate::scene::{GuidanceLevel, ObservationMask, Scene, TrackId};
+use crate::scene::{GuidanceLevel, ObservationMask, Roles, Scene};
 use serde::{Deserialize, Serialize};
 
 /// Drawings of one scene side by side, at one scale: the recording and what was generated from it.
@@ -115,9 +115,9 @@ impl Verdict {
     pub const fn words(self) -> &'static str {
         match self {
             Self::New => "verified, and not in the recording",
-            Self::Recorded => "verified; the recording holds it too",
+            Self::Recorded => "verified; also in the recording",
             Self::NotVerified => "not verified",
-            Self::NotAsked => "nothing was asked for",
+            Self::NotAsked => "no behavior requested",
         }
     }
 }
@@ -142,9 +142,9 @@ impl SceneCard {
         facts: Vec<Fact>,
         recorded: &Scene,
         samples: &[Sample<'_>],
-        roles: &[(String, TrackId)],
+        roles: &Roles,
     ) -> Self {
-        let ego = [("ego".to_owned(), recorded.ego().id.clone())];
+        let ego = Roles::from_iter([("ego".to_owned(), recorded.ego().id.clone())]);
         let roles = if roles.is_empty() { &ego } else { roles };
         let scenes: Vec<&Scene> = std::iter::once(recorded).chain(samples.iter().map(|sample| sample.scene)).collect();
         let view = ViewRect::around(&scenes, roles);

@@ -4,7 +4,7 @@ use super::{Acceptance, CardKey, CardValue, Sample, SceneCard, Verdict};
 use crate::report::model::Fact;
 use crate::report::number::{level, value};
 use crate::report::quantities::title_and_unit;
-use crate::scene::{GuidanceLevel, Scene, TrackId};
+use crate::scene::{GuidanceLevel, Roles, Scene};
 use crate::store::ScenarioRecord;
 
 impl Verdict {
@@ -30,7 +30,7 @@ impl SceneCard {
     ) -> Self {
         let scenario = &record.scenario;
         let event = record.main_event();
-        let roles: &[(String, TrackId)] = event.map_or(&scenario.provenance.guidance.roles, |event| &event.roles);
+        let roles: &Roles = event.map_or(&scenario.provenance.guidance.roles, |event| &event.roles);
         let parameters = event.iter().flat_map(|event| &event.parameters);
         let values: Vec<CardValue> = parameters
             .map(|(name, value)| CardValue { name: name.clone(), value: *value })
@@ -176,7 +176,7 @@ mod tests {
         for (i, record) in records.iter_mut().enumerate() {
             record.requested_behavior = None;
             record.scenario.provenance.sample_idx = i;
-            record.scenario.provenance.guidance.roles = Vec::new();
+            record.scenario.provenance.guidance.roles = Roles::default();
         }
         let card = SceneCard::of_samples(&records, &recorded(), &[]).unwrap();
         assert_eq!((card.key.verdict, card.panels[1].samples.len()), (Verdict::NotAsked, 3));

@@ -1,7 +1,7 @@
 //! Which part of the ground does a drawing show?
 
 use crate::geometry::Vec2;
-use crate::scene::{Scene, TrackId};
+use crate::scene::{Roles, Scene};
 use serde::{Deserialize, Serialize};
 
 /// Around the tracks of interest, meters.
@@ -20,10 +20,10 @@ pub struct ViewRect {
 
 impl ViewRect {
     /// The view that holds the tracks of `roles` in all of `scenes`, which share a frame.
-    pub(super) fn around(scenes: &[&Scene], roles: &[(String, TrackId)]) -> Self {
+    pub(super) fn around(scenes: &[&Scene], roles: &Roles) -> Self {
         let mut points: Vec<Vec2> = Vec::new();
         for track in scenes.iter().flat_map(|scene| &scene.tracks) {
-            if roles.iter().any(|(_, id)| *id == track.id) {
+            if roles.role_of(&track.id).is_some() {
                 points.extend(track.trajectory.valid().map(|(_, state)| state.position).filter(|p| p.is_finite()));
             }
         }
@@ -79,11 +79,11 @@ mod tests {
     fn the_view_follows_the_roles_and_is_never_too_small() {
         // The ego drives 1.1 s at 85 m/s along x: 93.5 m; the other one stands 400 m away.
         let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 85.0), Drive::straight(400.0, 0.0, 0.0, 0.0)]);
-        let view = ViewRect::around(&[&scene], &[("ego".to_owned(), TrackId::from("1"))]);
+        let view = ViewRect::around(&[&scene], &Roles::from([("ego", "1")]));
         assert_eq!((view.min, view.max), ([-9.0, -10.0], [103.0, 10.0]));
         assert!(view.contains(50.0, 5.0) && !view.contains(400.0, 0.0));
         assert!(view.touches(&[[-50.0, 0.0], [200.0, 0.0]]) && !view.touches(&[[-50.0, 11.0], [200.0, 12.0]]));
-        let nobody = ViewRect::around(&[&scene], &[]);
+        let nobody = ViewRect::around(&[&scene], Roles::none());
         assert_eq!(nobody.size(), [60.0, 20.0]);
     }
 }

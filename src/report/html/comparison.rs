@@ -11,17 +11,17 @@ use maud::{Markup, html};
 pub fn render_comparison(comparison: &Comparison) -> String {
     let sections: Vec<Section> = [
         Some(Section::new("settings", "Settings that differ", settings(&comparison.settings()))),
-        of_table("outcome", "What was asked, what came out", &comparison.sampling(), "A star marks shares whose Wilson intervals (95 %) do not overlap."),
+        of_table("outcome", "Requested and generated", &comparison.sampling(), "A star marks shares whose Wilson intervals (95 %) do not overlap."),
         charts(comparison),
         metrics(comparison),
         of_table("realism", "Realism of motion", &comparison.realism(), "Wasserstein-1 distance in the quantity's unit and Jensen-Shannon divergence in bits; lower is closer to the recording."),
-        of_table("mining", "Events in the recordings", &comparison.mining(), "Shares of scenes. They differ where recordings, splits or definitions differ."),
+        of_table("mining", "Events in the recordings", &comparison.mining(), "Shares of scenes. They differ if recordings, splits or definitions do."),
     ]
     .into_iter()
     .flatten()
     .collect();
     let head = html! {
-        p { "Differences are B less A. “–” stands for what one of the runs does not have." }
+        p { "Differences are B − A. “–” marks values that one of the runs does not have." }
         (plain_table(&comparison.facts()))
     };
     page("Two runs compared", &head, &sections, &html! {})

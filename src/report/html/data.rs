@@ -48,7 +48,7 @@ pub(super) fn ingest(model: &ReportModel) -> Option<Section> {
         (table("Scenes", &head, &rows))
         (rejects(report))
         (tally("Left out", "What", &report.dropped))
-        (tally("Assumed where the recording does not say", "What", &report.assumed))
+        (tally("Assumed where the recording has no value", "What", &report.assumed))
     };
     Some(Section::new("data", "Recordings", body))
 }

@@ -128,7 +128,7 @@ fn warnings(model: &ReportModel) -> Section {
 fn config(model: &ReportModel) -> Option<Section> {
     (!model.config.is_empty()).then(|| {
         let body = html! {
-            p { "The configuration with every default filled in. Running it again with the same program and inputs gives the same bytes." }
+            p { "The resolved configuration. Running it again with the same program and inputs gives the same bytes." }
             details { summary { "All settings" } pre tabindex="0" { code { (model.config) } } }
         };
         Section::new("config", "Configuration", body)

@@ -15,7 +15,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
             (sampling_table(model))
             (yield_chart(&model.sampling))
         };
-        Section::new("outcome", "What was asked, what came out", body)
+        Section::new("outcome", "Requested and generated", body)
     })
 }
 
@@ -54,8 +54,8 @@ fn sampling_table(model: &ReportModel) -> Markup {
     html! {
         (table("Sampling by sweep and guidance strength", &head, &body))
         p class="note" {
-            "A scenario is verified when the miner that defined the behavior finds it for the tracks that were asked to show it, independently of the "
-            "classifier that guided the sample. Rows of the recording say how often it holds what was asked for, and how it fares otherwise. A scenario is new when the recorded future of the same tracks does not hold it. Intervals are Wilson's, at 95 %."
+            "A scenario is verified if the miner that defines the behavior finds it for the requested tracks, independently of the "
+            "classifier that guided the sample. Rows of the recording show how often it contains the requested behavior. A scenario is new if the recorded future of the same tracks does not contain it. Intervals are 95 % Wilson intervals."
         }
     }
 }

@@ -32,8 +32,8 @@ pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
             @let tables = place_tables(place, &docs, &rows.iter().copied().filter(|row| row.place == *place).collect::<Vec<_>>());
             @if place.is_empty() || places.len() == 1 { (tables) } @else { details { summary { "Metrics, " (place) } (tables) } }
         }
-        p class="note" { "Means with their standard error. Recorded futures are the reference: their own column shows what the metric says of real traffic. "
-            "The constant-velocity baseline carries every agent on as it moved at the present." }
+        p class="note" { "Means with their standard error. Recorded futures are the reference: their column shows the metric on real traffic. "
+            "The constant-velocity baseline continues every agent at its present velocity." }
         details {
             summary { "What the metrics mean" }
             dl class="definitions" {
@@ -179,7 +179,7 @@ fn realism_table(rows: &[RealismRow]) -> Markup {
         (table("Distance of motion from the recording, whole sweeps", &head, &body))
         p class="note" {
             "Over all scenarios of a sweep and the recordings they continue: Wasserstein-1 distance in the quantity's unit, and (JS) Jensen-Shannon "
-            "divergence in bits, 0 for equal distributions and 1 for those that share nothing; beside them the means of the quantities. Lower distances are better. Of guided scenarios some distance is asked for."
+            "divergence in bits, 0 for equal distributions and 1 for those that share nothing; beside them the means of the quantities. Lower distances are better; guided scenarios are expected to differ somewhat."
         }
     }
 }

@@ -10,13 +10,13 @@ use maud::{Markup, html};
 pub(super) fn section(model: &ReportModel) -> Option<Section> {
     (!model.requests.is_empty()).then(|| {
         let body = html! { @for request in &model.requests { (one(request)) } };
-        Section::new("requests", "What was asked and what was got", body)
+        Section::new("requests", "Requested and delivered", body)
     })
 }
 
 fn one(request: &RequestSummary) -> Markup {
     let ended = match request.ended {
-        Ended::Full => "every bucket that can be filled was full",
+        Ended::Full => "all reachable buckets were full",
         Ended::Budget => "its budget was spent",
     };
     html! {

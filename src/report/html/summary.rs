@@ -17,7 +17,7 @@ pub(super) fn summary(model: &ReportModel) -> Markup {
             } @else if let Some(ingest) = &model.ingest {
                 (answer("Got", &html! { p { strong { (count(ingest.n_scenes)) } " recorded scenes; nothing was generated." } }))
             }
-            (answer("Can it be trusted?", &trust(model)))
+            (answer("Can you trust it?", &trust(model)))
         }
     }
 }
@@ -59,7 +59,7 @@ fn got(model: &ReportModel) -> Markup {
             p { strong { (count(n_accepted)) } " accepted of " (count(n_judged)) ": verified, valid, no near-duplicate" }
         }
         @if !asked.is_empty() {
-            p { strong { (count(sum(&asked, |row| row.n_verified))) } " verified: the miner finds what was asked; "
+            p { strong { (count(sum(&asked, |row| row.n_verified))) } " verified: the miner finds the requested behavior; "
                 (count(sum(&asked, |row| row.n_new))) " of them are not in the recording" }
         }
         @for request in &model.requests {

@@ -12,7 +12,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
         let body = html! {
             p class="note" {
                 "Sweeps at several guidance strengths; 0 is sampling of the same scenes and agents toward nothing. Whiskers are Wilson's 95 % intervals over scenarios; "
-                "samples of one scene are alike, so the truth is less sure than they say. Level lines are the recordings that the sweep continues, or everybody going on as at the present. "
+                "samples of one scene are correlated, so the true uncertainty is larger. Level lines are the recordings that the sweep continues, or everybody going on as at the present. "
                 "Distances are those of the table of motion below; the cost of a verified scenario counts the failures, too."
             }
             div class="grid" { @for chart in &charts { (line_chart(chart)) } }

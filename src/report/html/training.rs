@@ -29,8 +29,8 @@ pub(super) fn classifier(model: &ReportModel) -> Option<Section> {
     (!rows.is_empty()).then(|| {
         let body = html! {
             p class="note" {
-                "The classifier sees trajectories with noise of level σ added and guides sampling from great noise to small. "
-                "At great noise nothing can be told; what counts is how early in sampling, that is at how large a σ, it becomes useful. "
+                "The classifier sees trajectories with noise of level σ added and guides sampling from high to low noise. "
+                "At high noise there is no signal; what counts is how early in sampling, at how large a σ, it becomes useful. "
                 "Decisions are taken at probability 1/2; AUC is the probability that a positive pair scores higher than a negative one."
             }
             (quality_table(rows))

@@ -1,4 +1,4 @@
-//! What was left out, and why? From samples to accepted scenarios, reason by reason, and what the checks say of the recordings.
+//! Rejected scenarios? From samples to accepted scenarios, reason by reason, and what the checks say of the recordings.
 
 use super::quality::{distinct, heading_of_series};
 use super::{Section, table};
@@ -16,7 +16,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
             @if !model.left_out.is_empty() { (left_out(&model.left_out)) }
             (validity(&model.validity))
         };
-        Section::new("verdicts", "What was left out, and why", body)
+        Section::new("verdicts", "Rejected scenarios", body)
     })
 }
 
@@ -43,7 +43,7 @@ fn acceptance(rows: &[AcceptanceRow]) -> Markup {
     html! {
         (table("From scenarios to the corpus", &head, &body))
         p class="note" {
-            "Verified: the miner finds what was asked. Valid: every check below is passed. Accepted: both, and no near-duplicate of an accepted scenario before it."
+            "Verified: the miner finds the requested behavior. Valid: it passes every check below. Accepted: both, and no near-duplicate of an accepted scenario before it."
         }
     }
 }
@@ -118,8 +118,8 @@ fn validity(rows: &[ValidityRow]) -> Markup {
     html! {
         (table("Validity, and the share that fails each check", &head, &body))
         p class="note" {
-            "The recordings are judged as if they had been generated: what they fail shows how much a limit asks, or how noisy they are. "
-            "Plausibility is the share of motion within the range that holds all recorded motion but a thousandth at either end."
+            "The recordings are judged as if they were generated: what they fail shows how strict a limit is, or how noisy they are. "
+            "Plausibility is the share of motion between the 0.1 % and 99.9 % quantiles of recorded motion."
         }
         details {
             summary { "What is checked" }

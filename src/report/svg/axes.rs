@@ -14,13 +14,13 @@ const BOTTOM: f64 = 46.0;
 
 /// One axis: the values it spans and how they are spread.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Axis {
+pub(super) struct PlotAxis {
     low: f64,
     high: f64,
     log: bool,
 }
 
-impl Axis {
+impl PlotAxis {
     /// An axis over finite `values`, widened to whole ticks unless it is logarithmic.
     pub(super) fn over(values: impl Iterator<Item = f64>, log: bool) -> Self {
         let usable = values.filter(|v| v.is_finite() && (!log || *v > 0.0));
@@ -88,8 +88,8 @@ fn nice_step(span: f64) -> f64 {
 /// The plotting area with its two axes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Plot {
-    pub(super) x: Axis,
-    pub(super) y: Axis,
+    pub(super) x: PlotAxis,
+    pub(super) y: PlotAxis,
 }
 
 impl Plot {
@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn axes_end_on_ticks() {
-        let axis = Axis::over([0.13, 4.71].into_iter(), false);
+        let axis = PlotAxis::over([0.13, 4.71].into_iter(), false);
         let labels: Vec<String> = axis.ticks().into_iter().map(|(_, label)| label).collect();
         assert_eq!((axis.low, axis.high), (0.0, 5.0));
         assert_eq!(labels, ["0", "1", "2", "3", "4", "5"]);
@@ -136,7 +136,7 @@ mod tests {
 
     #[test]
     fn logarithmic_axes_tick_at_powers_of_ten() {
-        let axis = Axis::over([0.002, 80.0, f64::NAN, 0.0].into_iter(), true);
+        let axis = PlotAxis::over([0.002, 80.0, f64::NAN, 0.0].into_iter(), true);
         let ticks: Vec<String> = axis.ticks().into_iter().map(|(_, label)| label).collect();
         assert_eq!(ticks, ["0.01", "0.1", "1", "10"]);
         assert!((axis.share(0.002)).abs() < 1e-12 && (axis.share(80.0) - 1.0).abs() < 1e-12);
@@ -145,7 +145,7 @@ mod tests {
     #[test]
     fn degenerate_data_still_has_an_axis() {
         for values in [vec![], vec![3.0], vec![0.0; 4]] {
-            let axis = Axis::over(values.into_iter(), false);
+            let axis = PlotAxis::over(values.into_iter(), false);
             assert!(axis.high > axis.low && axis.ticks().len() >= 2, "{axis:?}");
         }
     }

@@ -1,6 +1,6 @@
 //! Histograms of several groups over one another.
 
-use super::axes::{Axis, Plot};
+use super::axes::{Plot, PlotAxis};
 use super::line::legend;
 use super::{color, dash, path};
 use crate::report::distribution::{Distribution, DistributionSeries};
@@ -23,7 +23,7 @@ pub(in crate::report) fn histogram_plot(distribution: &Distribution) -> Markup {
     let shares =
         |series: &DistributionSeries| series.counts.iter().map(|c| *c as f64 / series.n as f64).collect::<Vec<_>>();
     let highest = drawn.iter().flat_map(|(_, series)| shares(series)).fold(0.0, f64::max);
-    let plot = Plot { x: Axis::exactly(*low, *high), y: Axis::over([0.0, 100.0 * highest].into_iter(), false) };
+    let plot = Plot { x: PlotAxis::exactly(*low, *high), y: PlotAxis::over([0.0, 100.0 * highest].into_iter(), false) };
     let outline = |series: &DistributionSeries| {
         let mut points = vec![plot.point(*low, 0.0)];
         for (share, bin) in shares(series).into_iter().zip(edges.windows(2)) {

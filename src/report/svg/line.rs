@@ -1,6 +1,6 @@
 //! Curves over a common axis.
 
-use super::axes::{Axis, Plot, WIDTH};
+use super::axes::{Plot, PlotAxis, WIDTH};
 use super::{color, dash, marker, path};
 use crate::report::model::{Chart, Curve};
 use crate::report::number::coordinate;
@@ -27,8 +27,8 @@ pub(in crate::report) fn line_plot(chart: &Chart) -> Markup {
     let ends = chart.curves.iter().flat_map(|curve| curve.intervals.iter().flatten().copied());
     // Losses, shares and distances are read against zero; points that are named are figures on both axes.
     let zero = chart.curves.iter().any(|curve| !curve.labels.is_empty()).then_some(0.0);
-    let x = Axis::over(points().map(|p| p[0]).chain(zero), chart.log_x);
-    let y = Axis::over(points().map(|p| p[1]).chain(ends).chain([0.0]), false);
+    let x = PlotAxis::over(points().map(|p| p[0]).chain(zero), chart.log_x);
+    let y = PlotAxis::over(points().map(|p| p[1]).chain(ends).chain([0.0]), false);
     let plot = Plot { x, y };
     let inner = html! {
             @for (i, curve) in chart.curves.iter().enumerate() {

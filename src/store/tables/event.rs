@@ -2,9 +2,9 @@
 
 use super::columns::{Columns, numbers, optional_texts, small, texts};
 use super::parameters::{self, Parameters};
-use super::roles::{self, Roles};
+use super::roles;
 use crate::behavior::{BehaviorEvent, EventLabel};
-use crate::scene::SceneId;
+use crate::scene::{Roles, SceneId};
 use crate::store::schema::{ColumnExt, TableSchema, column};
 use crate::store::{Error, Result};
 use arrow::array::{ArrayRef, RecordBatch};
@@ -47,9 +47,10 @@ pub(crate) struct EventNames<'n> {
 impl EventNames<'_> {
     /// Says which role or parameter of an event has no column.
     fn check(&self, event: &BehaviorEvent) -> Result<()> {
-        let role = event.roles.iter().map(|(role, _)| role).find(|role| !self.roles.contains(role.as_str()));
-        let unknown = role.or_else(|| event.parameters.keys().find(|name| !self.parameters.contains(name.as_str())));
-        let refuse = |name: &String| {
+        let role = event.roles.names().find(|role| !self.roles.contains(role));
+        let mut parameters = event.parameters.keys().map(String::as_str);
+        let unknown = role.or_else(|| parameters.find(|name| !self.parameters.contains(name)));
+        let refuse = |name: &str| {
             let message = format!("an event of {} cannot have it: its behavior does not declare it", event.behavior);
             Err(Error::invalid(name, message))
         };
@@ -65,7 +66,7 @@ pub(crate) fn encode(events: &[BehaviorEvent], names: &EventNames<'_>) -> Result
     let schema = schema();
     parameters::check_names(&schema, &names.parameters)?;
     events.iter().try_for_each(|event| names.check(event))?;
-    let roles: Vec<&Roles> = events.iter().map(|event| event.roles.as_slice()).collect();
+    let roles: Vec<&Roles> = events.iter().map(|event| &event.roles).collect();
     let parameters: Vec<Option<&Parameters>> = events.iter().map(|event| Some(&event.parameters)).collect();
     let open = roles::flatten(&names.roles, &roles).into_iter();
     let open = open.chain(parameters::flatten(&names.parameters, &parameters));

@@ -60,7 +60,7 @@ pub(crate) fn encode(rows: &[&[BehaviorEvent]]) -> Result<ArrayRef> {
         texts(events.iter().map(|event| event.label.name())),
         timesteps(|event| event.start_timestep)?,
         timesteps(|event| event.end_timestep)?,
-        roles::encode(&events.iter().map(|event| event.roles.as_slice()).collect::<Vec<_>>())?,
+        roles::encode(&events.iter().map(|event| &event.roles).collect::<Vec<_>>())?,
         encode_parameters(&events.iter().map(|event| &event.parameters).collect::<Vec<_>>())?,
     ];
     Ok(lists(rows.iter().map(|row| row.len()), structs("events", field().data_type(), arrays)?))

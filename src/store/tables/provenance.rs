@@ -98,7 +98,7 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
         texts(provenance().map(|p| p.guidance.kind.as_str())),
         numbers::<Float64Type>(provenance().map(|p| p.guidance.level.strength)),
         optional_numbers::<Float64Type>(provenance().map(|p| Some(p.guidance.level.weight))),
-        roles::encode(&provenance().map(|p| p.guidance.roles.as_slice()).collect::<Vec<_>>())?,
+        roles::encode(&provenance().map(|p| &p.guidance.roles).collect::<Vec<_>>())?,
         numbers::<UInt64Type>(provenance().map(|p| p.seed)),
         numbers::<UInt32Type>(sample_idx?),
         optional_numbers::<Float64Type>(provenance().map(|p| p.probability)),

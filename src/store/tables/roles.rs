@@ -1,15 +1,12 @@
 //! Who took part in what: lists of roles and tracks, and the extra columns that make them easy to query.
 
 use super::columns::{Columns, entries, lists, optional_texts, structs, texts};
-use crate::scene::TrackId;
+use crate::scene::{Roles, TrackId};
 use crate::store::Result;
 use crate::store::schema::{ColumnExt, OpenColumns, column, list_of_structs};
 use arrow::array::ArrayRef;
 use arrow::datatypes::{DataType, Field};
 use std::collections::BTreeSet;
-
-/// Roles as events and guidance hold them.
-pub(crate) type Roles = [(String, TrackId)];
 
 /// A column that lists who has which role.
 pub(crate) fn field(name: &str, description: &str) -> Field {
@@ -22,14 +19,14 @@ pub(crate) fn field(name: &str, description: &str) -> Field {
 
 /// The array of a roles column.
 pub(crate) fn encode(rows: &[&Roles]) -> Result<ArrayRef> {
-    let all = || rows.iter().copied().flatten();
+    let all = || rows.iter().flat_map(|roles| roles.iter());
     let arrays = vec![texts(all().map(|(role, _)| role.as_str())), texts(all().map(|(_, track)| track.0.as_str()))];
     let values = structs("roles", field("roles", "").data_type(), arrays)?;
     Ok(lists(rows.iter().map(|roles| roles.len()), values))
 }
 
 /// The roles in a row.
-pub(crate) fn decode(columns: &Columns<'_>, name: &str, row: usize) -> Result<Vec<(String, TrackId)>> {
+pub(crate) fn decode(columns: &Columns<'_>, name: &str, row: usize) -> Result<Roles> {
     let (list, roles) = columns.of_list(name)?;
     entries(list, row)
         .map(|i| Ok((roles.text("role", i)?.to_owned(), TrackId::from(roles.text("track_id", i)?))))
@@ -52,8 +49,7 @@ pub(crate) fn flatten(names: &BTreeSet<&str>, rows: &[&Roles]) -> Vec<(Field, Ar
         .iter()
         .map(|name| {
             let field = column(&format!("{name}_track_id"), DataType::Utf8, "The track in this role.").optional();
-            let tracks =
-                rows.iter().map(|roles| roles.iter().find(|(role, _)| role == *name).map(|(_, t)| t.0.as_str()));
+            let tracks = rows.iter().map(|roles| roles.track(name).map(|track| track.0.as_str()));
             (field, optional_texts(tracks))
         })
         .collect()

@@ -47,7 +47,7 @@ pub(crate) fn check(record: &ScenarioRecord) -> Result<()> {
     let scenario = &record.scenario;
     let refuse = |detail: &str| Err(Error::invalid(&scenario.id, detail));
     if scenario.scene.id != scenario.provenance.scene_id {
-        return refuse("its scene must bear the name of the recording that its provenance names");
+        return refuse("its scene must have the scene_id of its provenance");
     }
     let (scene, observed) = (&scenario.scene, &scenario.observed);
     if (observed.n_agents(), observed.n_timesteps()) != (scene.tracks.len(), scene.n_timesteps) {
@@ -55,10 +55,10 @@ pub(crate) fn check(record: &ScenarioRecord) -> Result<()> {
     }
     let has_state = |i: usize| scene.state(i / scene.n_timesteps, i % scene.n_timesteps).is_some();
     if observed.entries().iter().enumerate().any(|(i, is_observed)| *is_observed && !has_state(i)) {
-        return refuse("its mask must not call a state observed that there is not");
+        return refuse("its mask must not mark missing states as observed");
     }
     if record.events.iter().any(|event| event.scene_id != scenario.scene.id) {
-        return refuse("its events must bear the name of its scene");
+        return refuse("its events must have the scene_id of its scene");
     }
     if as_stored(&scenario.scene).tracks != scenario.scene.tracks {
         return refuse(

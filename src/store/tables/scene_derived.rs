@@ -45,7 +45,7 @@ pub(crate) fn encode(scenes: &[&Scene]) -> Result<ArrayRef> {
         for track in &scene.tracks {
             let Some(derivation) = track.trajectory.derivation() else { continue };
             if derivation.held_headings.len() != scene.n_timesteps {
-                let detail = format!("track {} tells of the headings of another number of timesteps", track.id);
+                let detail = format!("track {} has derived headings for a different number of timesteps", track.id);
                 return Err(Error::invalid(&scene.id, detail));
             }
             ids.push(track.id.0.as_str());
@@ -75,12 +75,12 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize, tracks: &mut [Track]) ->
         let id = members.text("track_id", entry)?;
         let corrupt = |detail: &str| Error::corrupt(columns.path, format!("track {id}: {detail}"));
         let track = tracks.iter_mut().find(|track| track.id.0 == id);
-        let track = track.ok_or_else(|| corrupt("what was derived of it is told, but it is not in its scene"))?;
+        let track = track.ok_or_else(|| corrupt("it has derived values but is not in its scene"))?;
         let held_headings: Vec<bool> = members.flags("heading_held", entry)?.values().iter().collect();
         let numbers = |name: &str| members.numbers::<Float32Type>(name, entry);
         let [t_s, x_m, y_m] = [numbers("recorded_t_s")?, numbers("recorded_x_m")?, numbers("recorded_y_m")?];
         if held_headings.len() != track.trajectory.n_timesteps() || [x_m.len(), y_m.len()] != [t_s.len(); 2] {
-            return Err(corrupt("what was derived of it has another number of entries"));
+            return Err(corrupt("its derived values have a different number of entries"));
         }
         let position = |i: usize| RecordedPosition {
             time_s: f64::from(t_s[i]),

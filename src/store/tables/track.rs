@@ -35,7 +35,7 @@ pub(crate) fn schema() -> TableSchema {
 
 fn event_role<'r>(record: &'r ScenarioRecord, row: &StateRow<'r>) -> Option<&'r str> {
     let roles = &record.main_event()?.roles;
-    roles.iter().find(|(_, id)| *id == row.track().id).map(|(role, _)| role.as_str())
+    roles.role_of(&row.track().id)
 }
 
 /// The rows of this record.

@@ -49,7 +49,7 @@ fn every_part_of_the_model_is_on_the_page() {
         "Cost of a verified scenario",
         "observed: upsampling",
         // The first screen, and what limits the drawings.
-        "Can it be trusted?",
+        "Can you trust it?",
         "report.n_drawn = 12",
     ] {
         assert!(page.contains(text), "“{text}” is missing");

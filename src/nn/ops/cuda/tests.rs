@@ -48,7 +48,7 @@ fn linear_agrees() {
                         let valid = valid.as_ref().map(|valid| at(&a[0], valid));
                         linear(&a[0], &a[1], &a[2], activation, valid.as_ref(), Precision::F32)
                     },
-                    &|a| ops::linear(&a[0], &a[1], &a[2], activation, valid.as_ref()),
+                    &|a| ops::linear(&a[0], &a[1], &a[2], activation, valid.as_ref(), Precision::F32),
                     &arguments,
                     &format!("{rows:?} {activation:?}"),
                 );
@@ -256,11 +256,9 @@ fn what_only_products_read_is_kept_halved() {
     ];
     for valid in [None, Some(mask(&shape, 0.6, 8))] {
         let processor = |a: &[Tensor]| {
-            Precision::Bf16.within(|| {
-                let x = ops::layer_norm(&a[0], &a[1], &a[2], 1e-5, Precision::Bf16)?;
-                let x = ops::linear(&x, &a[3], &a[4], Activation::Relu, valid.as_ref())?;
-                ops::linear(&x, &a[5], &a[6], Activation::None, valid.as_ref())
-            })
+            let x = ops::layer_norm(&a[0], &a[1], &a[2], 1e-5, Precision::Bf16)?;
+            let x = ops::linear(&x, &a[3], &a[4], Activation::Relu, valid.as_ref(), Precision::Bf16)?;
+            ops::linear(&x, &a[5], &a[6], Activation::None, valid.as_ref(), Precision::Bf16)
         };
         let expected = run(&processor, &arguments, DType::F32);
         for device in devices() {

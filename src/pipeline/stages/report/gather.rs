@@ -6,13 +6,13 @@ use crate::evaluate::EvaluationSummary;
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
 use crate::model::{DenoiserSpec, TrainedDenoiser, TrainedSceneTransformer};
+use crate::nn::Compute;
 use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use crate::pipeline::stages::{SampleManifest, checkpoint_file, read_requests};
 use crate::pipeline::{Classify, Result, StageId};
 use crate::report::{Drawings, Fact, MetricTable, ReportModel, TrainingSummary, Warning, cautions};
 use crate::store::{SceneManifest, read_json};
 use crate::train::{ClassifierReport, FitStatistics, map_warnings};
-use candle_core::Device;
 use std::path::Path;
 
 /// Everything that the report shows.
@@ -79,7 +79,7 @@ fn add_denoiser(model: &mut ReportModel, dir: &Path) -> Result<()> {
 }
 
 fn denoiser(name: &str, dir: &Path) -> Result<(TrainingSummary, DenoiserSpec)> {
-    let TrainedDenoiser { spec, fingerprint, .. } = TrainedDenoiser::read(&checkpoint_file(dir), &Device::Cpu)?;
+    let TrainedDenoiser { spec, fingerprint, .. } = TrainedDenoiser::read(&checkpoint_file(dir), &Compute::cpu())?;
     let statistics = fit_statistics(dir)?;
     let mut facts = vec![
         Fact::new("Layers", &spec.network.layers),
@@ -98,7 +98,7 @@ fn denoiser(name: &str, dir: &Path) -> Result<(TrainingSummary, DenoiserSpec)> {
 
 fn baseline(dir: &Path) -> Result<TrainingSummary> {
     let TrainedSceneTransformer { spec, fingerprint, .. } =
-        TrainedSceneTransformer::read(&checkpoint_file(dir), &Device::Cpu)?;
+        TrainedSceneTransformer::read(&checkpoint_file(dir), &Compute::cpu())?;
     let facts = vec![
         Fact::new("Layers", format!("{} + {}", spec.network.encoder, spec.network.decoder)),
         Fact::new("Width", spec.network.width),
@@ -157,13 +157,13 @@ fn add_samples(model: &mut ReportModel, stage: &Report<'_>) -> Result<()> {
     let manifest = SampleManifest::read(&stage.layout.samples)?;
     for shortfall in &manifest.sampled_with.shortfalls {
         let message = format!(
-            "Sweep {} continues {} scenes, {} were asked for: fewer fit.",
+            "Sweep {} continues {} of {} requested scenes; no others are suitable.",
             shortfall.sweep, shortfall.n_found, shortfall.n_wanted
         );
         model.warnings.push(warning(StageId::Generate, message));
     }
     if manifest.n_rejected > 0 {
-        let message = format!("{} samples were no finite numbers and were left out.", manifest.n_rejected);
+        let message = format!("{} samples had non-finite values and were rejected.", manifest.n_rejected);
         model.warnings.push(warning(StageId::Generate, message));
     }
     for (sweep, reasons) in &manifest.unselected {

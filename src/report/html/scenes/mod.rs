@@ -49,14 +49,14 @@ fn drawn(rows: &[Drawn]) -> Markup {
                 td class="n" { (count(row.n_there as u64)) } td { code { "report." (row.setting) " = " (row.limit) } } }
         }
     };
-    html! { @if !rows.is_empty() { (table("What is drawn of each sweep", &head, &body)) } }
+    html! { @if !rows.is_empty() { (table("Drawings by sweep", &head, &body)) } }
 }
 
 fn reading_help(n_scenes: usize) -> Markup {
     html! {
         p class="note" {
-            "Seen from above and drawn to scale. Dotted dark lines are states that were given: the history of a recording, or what a sample was told. "
-            "Plain colored lines were generated, or in a recording came later. Filled boxes are given or recorded states, light ones with an outline generated ones; the notch points forward. "
+            "Seen from above and drawn to scale. Dotted dark lines are states that were given: the history of a recording, or what a sample was conditioned on. "
+            "Plain colored lines were generated or, in a recording, are its future. Filled boxes are given or recorded states, light ones with an outline generated ones; the notch points forward. "
             "Outlines without filling are the end of the scene, faint ones a second apart on the way there."
         }
         ul class="legend" {

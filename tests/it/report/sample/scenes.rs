@@ -3,8 +3,8 @@
 use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::report::{Acceptance, CardKey, CardValue, Fact, Sample, SceneCard, Verdict};
 use djinn::scene::{
-    AgentClass, Dataset, Extent, GuidanceLevel, Lane, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource,
-    Split, State, Track, TrackId, TrackRole, Trajectory,
+    AgentClass, Dataset, Extent, GuidanceLevel, Lane, LaneGraph, LaneId, ObservationMask, Roles, Scene, SceneId,
+    SceneSource, Split, State, Track, TrackId, TrackRole, Trajectory,
 };
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ const N_HISTORY: usize = 10;
 /// A drawn scenario: the other car comes over by `depth` lanes.
 pub(crate) fn card(idx: usize, name: &str, depth: f64, turned_rad: f64) -> SceneCard {
     let (recorded, generated) = (scene(name, 0.0, turned_rad), scene(name, depth, turned_rad));
-    let roles = [("ego".to_owned(), TrackId::from("3")), ("other".to_owned(), TrackId::from(name))];
+    let roles = Roles::from([("ego", "3"), ("other", name)]);
     let facts = vec![
         Fact::new("Scenario", format!("{name}-s4")),
         Fact::new("Source", format!("interaction/val/{name}/12.0")),
@@ -67,7 +67,7 @@ pub(super) fn gallery(name: &str) -> SceneCard {
         values: vec![],
     };
     let named = (format!("masks-{name}"), format!("masks, {name}: 3 samples, observed: upsampling"));
-    SceneCard::new(named, key, vec![Fact::new("Sweep", "masks")], &recorded, &samples, &[])
+    SceneCard::new(named, key, vec![Fact::new("Sweep", "masks")], &recorded, &samples, Roles::none())
 }
 
 /// Three lanes; `depth` of 1 brings the other car fully into the ego's lane.

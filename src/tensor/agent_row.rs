@@ -1,0 +1,216 @@
+//! One agent on its way into a batch: which of its states are entries, what they are relative to, and what the network sees of them.
+
+use super::batch_buffers::BatchBuffers;
+use super::collate::{Collator, FutureValidity, SceneView};
+use super::hidden_states::generated_timesteps;
+use super::motion::MotionChain;
+use super::motion_modes::MotionModes;
+use super::reference::Reference;
+use super::{AgentFrame, FeatureLayout, StateParametrization};
+use crate::geometry::{Vec2, angle_difference, unwrap_angles};
+use crate::scene::Track;
+
+/// One agent of a view.
+pub(super) struct AgentRow<'a> {
+    collator: &'a Collator,
+    frame: &'a AgentFrame,
+    track: &'a Track,
+    validity: FutureValidity,
+    /// Its place in (B, A).
+    at: usize,
+    reference: Reference<'a>,
+    /// Its entries in order of time, and whether they are observed; the others are latent.
+    entries: Vec<(usize, bool)>,
+    is_observed_at_all: bool,
+    /// Whether x is relative to the reference, in the agent's own frame. An agent never observed has none: it is diffused in the
+    /// ego frame, in scene units.
+    is_residual: bool,
+    /// The heading of the agent's frame in the ego frame.
+    frame_heading_rad: f64,
+    /// Meters and radians per unit of x.
+    unit: [f64; 3],
+    /// Whether its heading follows from its motion instead of being generated.
+    derives_heading: bool,
+}
+
+/// Where an entry decodes to when x is 0, in the ego frame.
+#[derive(Clone, Copy)]
+struct Base {
+    position: Vec2,
+    heading_rad: f64,
+}
+
+impl<'a> AgentRow<'a> {
+    /// The agent with index `agent_idx` in the scene, which goes to `at` in (B, A).
+    pub(super) fn new(
+        collator: &'a Collator,
+        view: &SceneView<'a>,
+        frame: &'a AgentFrame,
+        agent_idx: usize,
+        validity: FutureValidity,
+        at: usize,
+    ) -> Self {
+        let track = &view.scene.tracks[agent_idx];
+        let shown = |timestep: usize| frame.observed(agent_idx, timestep);
+        let recorded = |timestep: usize| track.trajectory.is_valid(timestep);
+        let observed = |timestep: usize| shown(timestep) && recorded(timestep);
+        let reference = Reference::new(track, view.scene.dt_s, view.scene.current_timestep(), observed);
+        let is_observed_at_all = reference.at(0).is_some();
+        let normalizer = &collator.normalizer;
+        let is_residual = normalizer.parametrization != StateParametrization::Scene && is_observed_at_all;
+        let (frame_heading_rad, unit) = if is_residual {
+            (reference.frame_heading_rad() + frame.ego_from_scene.rotation_rad, normalizer.agent_units())
+        } else {
+            (0.0, normalizer.scene_units())
+        };
+        let timesteps = 0..collator.n_timesteps;
+        let latent: Vec<bool> = match validity {
+            FutureValidity::Recorded => timesteps.clone().map(|t| recorded(t) && !shown(t)).collect(),
+            FutureValidity::Everything | FutureValidity::Continued => {
+                generated_timesteps(collator.n_timesteps, shown, recorded)
+            }
+        };
+        let entries = timesteps
+            .filter_map(|t| if observed(t) { Some((t, true)) } else { latent[t].then_some((t, false)) })
+            .collect();
+        Self {
+            collator,
+            frame,
+            track,
+            validity,
+            at,
+            reference,
+            entries,
+            is_observed_at_all,
+            is_residual,
+            frame_heading_rad,
+            unit,
+            derives_heading: frame.derives_heading(track),
+        }
+    }
+
+    /// Writes every entry, and returns the modes of the agent's motion where the collator looks around.
+    pub(super) fn write(&self, rows: &mut BatchBuffers) -> Option<MotionModes> {
+        let (sin, cos) = (self.frame_heading_rad.sin() as f32, self.frame_heading_rad.cos() as f32);
+        rows.rotation[self.at * 2..self.at * 2 + 2].copy_from_slice(&[cos, sin]);
+        rows.unit[self.at * 3..self.at * 3 + 3].copy_from_slice(&self.unit.map(|unit| unit as f32));
+        let headings = self.recorded_headings();
+        let bases = self.bases(&headings);
+        let mut residuals: Vec<Option<[f64; 3]>> = vec![None; self.collator.n_timesteps];
+        for (((timestep, is_observed), base), recorded_heading) in self.entries.iter().zip(&bases).zip(&headings) {
+            self.write_entry(rows, *timestep, *is_observed, *base);
+            if !is_observed {
+                residuals[*timestep] = self.residual(*timestep, *base, *recorded_heading);
+            }
+        }
+        if self.collator.normalizer.parametrization == StateParametrization::Motion {
+            return self.write_motion(rows, &residuals);
+        }
+        rows.write_x0(self.at, residuals.into_iter().enumerate().filter_map(|(t, r)| Some((t, r?))), &self.unit);
+        None
+    }
+
+    /// Recorded headings of the entries in the ego frame, continuous along time; 0 where there is no recorded state.
+    fn recorded_headings(&self) -> Vec<f64> {
+        let mut last: Option<f64> = None;
+        let heading = |(timestep, _): &(usize, bool)| {
+            self.track.trajectory.get(*timestep).map_or(0.0, |state| {
+                let heading = self.frame.ego_from_scene.heading(state.heading_rad);
+                let unwrapped = last.map_or(heading, |last| last + angle_difference(heading, last));
+                last = Some(unwrapped);
+                unwrapped
+            })
+        };
+        self.entries.iter().map(heading).collect()
+    }
+
+    /// What the entries decode to when x is 0: observed states as they are, latent ones as the reference has them (0 without one).
+    fn bases(&self, recorded_headings: &[f64]) -> Vec<Base> {
+        let base = |((timestep, is_observed), recorded): (&(usize, bool), &f64)| {
+            let pose = self.reference.at(*timestep).filter(|_| *is_observed || self.is_residual);
+            let heading_rad = match *is_observed && !self.is_residual {
+                true => *recorded,
+                false => pose.map_or(0.0, |pose| self.frame.ego_from_scene.heading(pose.heading_rad)),
+            };
+            (pose.map_or(Vec2::ZERO, |pose| self.frame.ego_from_scene.point(pose.position)), heading_rad)
+        };
+        let (positions, mut headings): (Vec<Vec2>, Vec<f64>) =
+            self.entries.iter().zip(recorded_headings).map(base).unzip();
+        if self.is_residual {
+            unwrap_angles(&mut headings);
+        }
+        positions.into_iter().zip(headings).map(|(position, heading_rad)| Base { position, heading_rad }).collect()
+    }
+
+    /// Masks, base and features of an entry.
+    fn write_entry(&self, rows: &mut BatchBuffers, timestep: usize, is_observed: bool, base: Base) {
+        let normalizer = &self.collator.normalizer;
+        let entry = self.at * self.collator.n_timesteps + timestep;
+        rows.write_base(entry, base.position, base.heading_rad, normalizer, is_observed || self.is_residual);
+        let state = self.track.trajectory.get(timestep);
+        let is_scored = !is_observed && (self.validity != FutureValidity::Continued || state.is_some());
+        let number = |flag: bool| f32::from(u8::from(flag));
+        rows.observed[entry] = number(is_observed);
+        rows.latent[entry] = number(!is_observed);
+        rows.scored[entry] = number(is_scored);
+        let velocity = state.filter(|_| is_observed).map_or(Vec2::ZERO, |state| {
+            self.frame.ego_from_scene.vector(state.velocity) * (1.0 / normalizer.velocity_unit_mps)
+        });
+        let size = |length_m: f64| (length_m / normalizer.extent_unit_m) as f32;
+        let extent = self.track.extent;
+        let features: [f32; FeatureLayout::AGENT] = [
+            velocity.x as f32,
+            velocity.y as f32,
+            number(is_observed),
+            1.0,
+            extent.map_or(0.0, |extent| size(extent.length_m)),
+            extent.map_or(0.0, |extent| size(extent.width_m)),
+            number(!self.is_observed_at_all),
+        ];
+        rows.features[entry * FeatureLayout::AGENT..(entry + 1) * FeatureLayout::AGENT].copy_from_slice(&features);
+    }
+
+    /// The recorded state of a latent entry relative to its base, in the agent's frame, meters and radians.
+    fn residual(&self, timestep: usize, base: Base, recorded_heading_rad: f64) -> Option<[f64; 3]> {
+        let state = self.track.trajectory.get(timestep)?;
+        let offset = self.frame.ego_from_scene.point(state.position) - base.position;
+        let offset = offset.rotated(-self.frame_heading_rad);
+        let turn = match (self.derives_heading, self.is_residual) {
+            (true, _) => 0.0,
+            (false, true) => angle_difference(recorded_heading_rad, base.heading_rad),
+            (false, false) => recorded_heading_rad,
+        };
+        Some([offset.x, offset.y, turn])
+    }
+
+    /// Writes the changes of residuals from timestep to timestep, and what they add up to.
+    fn write_motion(&self, rows: &mut BatchBuffers, residuals: &[Option<[f64; 3]>]) -> Option<MotionModes> {
+        let timesteps = |are_observed: bool| -> Vec<usize> {
+            self.entries.iter().filter(|(_, is_observed)| *is_observed == are_observed).map(|(t, _)| *t).collect()
+        };
+        let (observed, latent) = (timesteps(true), timesteps(false));
+        let chain = MotionChain::new(&observed, &latent);
+        let mut motion = chain.encode(|timestep| residuals[timestep]);
+        if self.validity == FutureValidity::Continued {
+            for i in 1..motion.len() {
+                if residuals[motion[i].0].is_none() {
+                    motion[i].1 = motion[i - 1].1;
+                }
+            }
+        }
+        let n_timesteps = self.collator.n_timesteps;
+        rows.write_x0(self.at, motion, &self.unit);
+        rows.write_path(self.at, &chain.matrix(n_timesteps));
+        let seen = |(t, [along, across, turn]): (usize, [f64; 3])| {
+            (t, [along, across, if self.derives_heading { 0.0 } else { turn }])
+        };
+        rows.write_observed_motion(self.at, self.reference.observed_motion().map(seen), &self.unit);
+        let (sight, covariance) =
+            self.collator.sight.as_ref().zip(self.collator.normalizer.motion_covariance.as_ref())?;
+        let mut modes = sight.modes_of_motion(covariance, &observed, &latent, n_timesteps);
+        if self.derives_heading {
+            modes.clear_from(2, n_timesteps);
+        }
+        Some(modes)
+    }
+}

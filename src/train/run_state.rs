@@ -1,0 +1,115 @@
+//! The files of a training: the state that it resumes from, and the statistics.
+
+use super::{Error, FitConfig, FitStatistics};
+use crate::files::write_atomically;
+use crate::nn::{Adam, Ema, Params, read_checkpoint, write_checkpoint};
+use candle_core::Tensor;
+use fs_err as fs;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// How far a run is.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Position {
+    /// Steps taken.
+    pub(super) step: u64,
+    /// Updates of the averages.
+    pub(super) ema_updates: u64,
+    /// Sum of the losses since the last line of the statistics.
+    pub(super) loss_sum: f64,
+    /// Sum of the gradients' norms since then.
+    pub(super) norm_sum: f64,
+}
+
+/// The state of a run between steps.
+pub(super) struct Run {
+    dir: PathBuf,
+    pub(super) adam: Adam,
+    pub(super) ema: Option<Ema>,
+    pub(super) position: Position,
+    pub(super) statistics: Vec<FitStatistics>,
+}
+
+impl Run {
+    pub(super) fn state_path(dir: &Path) -> PathBuf {
+        dir.join("state.safetensors")
+    }
+
+    /// The state in `dir`, which `params` take up, or that of a new run.
+    pub(super) fn open(config: &FitConfig, params: &mut Params, dir: &Path) -> Result<Self, Error> {
+        let mut run = Self {
+            dir: dir.to_owned(),
+            adam: Adam::default(),
+            ema: None,
+            position: Position::default(),
+            statistics: Vec::new(),
+        };
+        let path = Self::state_path(dir);
+        let mut averages = BTreeMap::new();
+        if path.exists() {
+            let checkpoint = read_checkpoint::<Position>(&path, params.device())?;
+            let part = |prefix: &str| -> BTreeMap<String, Tensor> {
+                let named = checkpoint.tensors.iter();
+                named.filter_map(|(name, t)| Some((name.strip_prefix(prefix)?.to_owned(), t.clone()))).collect()
+            };
+            params.load(&part("params."))?;
+            run.adam.load(params, &part("adam."))?;
+            averages = part("ema.");
+            run.position = checkpoint.metadata;
+        }
+        if config.ema_decay > 0.0 {
+            run.ema = Some(match averages.is_empty() {
+                true => Ema::new(config.ema_decay, params)?,
+                false => Ema::resume(config.ema_decay, run.position.ema_updates, averages),
+            });
+        }
+        run.read_statistics()?;
+        Ok(run)
+    }
+
+    /// Takes up the lines that are not newer than the state: a run may have been killed between the two.
+    fn read_statistics(&mut self) -> Result<(), Error> {
+        let path = self.dir.join("statistics.jsonl");
+        if self.position.step == 0 || !path.exists() {
+            return Ok(());
+        }
+        for (i, line) in fs::read_to_string(&path)?.lines().enumerate() {
+            let parsed = serde_json::from_str::<FitStatistics>(line);
+            match parsed {
+                Ok(line) if line.step <= self.position.step => self.statistics.push(line),
+                Ok(_) => break,
+                Err(source) => return Err(Error::Statistics { path, line: i + 1, source }),
+            }
+        }
+        Ok(())
+    }
+
+    /// Rewritten whole each time: the file is small, and never half-written.
+    pub(super) fn write_statistics(&self) -> Result<(), Error> {
+        let mut text = Vec::new();
+        for line in &self.statistics {
+            serde_json::to_writer(&mut text, line).map_err(std::io::Error::from)?;
+            text.push(b'\n');
+        }
+        write_atomically::<Error>(&self.dir.join("statistics.jsonl"), |file| Ok(file.write_all(&text)?))?;
+        Ok(())
+    }
+
+    /// Saves the state.
+    pub(super) fn save(&self, params: &Params) -> Result<(), Error> {
+        let mut tensors = BTreeMap::new();
+        let mut put = |prefix: &str, part: BTreeMap<String, Tensor>| {
+            tensors.extend(part.into_iter().map(|(name, tensor)| (format!("{prefix}.{name}"), tensor)));
+        };
+        put("params", params.tensors());
+        put("adam", self.adam.state()?);
+        if let Some(ema) = &self.ema {
+            put("ema", ema.tensors().clone());
+        }
+        write_checkpoint(&Self::state_path(&self.dir), &tensors, &self.position)?;
+        Ok(())
+    }
+}
