@@ -33,7 +33,7 @@ pub use driver::{IngestBatch, ingest};
 pub use error::{BoxError, Error};
 pub use raw::{Companion, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 pub use report::{IngestReport, RejectCount};
-pub use source::{EmitUnit, Horizon, MapFile, RecordingSource, UnitReader};
+pub use source::{EmitUnit, Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
 #[cfg(test)]
 pub(crate) use test_data::test_data;
 
