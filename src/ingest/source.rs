@@ -10,6 +10,9 @@ use std::ops::ControlFlow;
 
 /// The formats of one dataset. Files are read one after another by a [`UnitReader`]; units are parsed in parallel.
 pub trait RecordingSource: Sync {
+    /// The timesteps of scenes, where the recording has as many.
+    fn horizon(&self) -> Horizon;
+
     /// Whether the entry at `path` holds recordings (or, where scenes bring their own maps, such a map) that the
     /// configuration asks for. Called before the entry is read, so that others are skipped cheaply.
     fn is_recording(&self, path: &str) -> bool;

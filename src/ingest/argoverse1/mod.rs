@@ -38,6 +38,10 @@ impl<'a> Argoverse1<'a> {
 }
 
 impl RecordingSource for Argoverse1<'_> {
+    fn horizon(&self) -> Horizon {
+        self.horizon
+    }
+
     fn is_recording(&self, path: &str) -> bool {
         path.ends_with(".csv") && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
     }

@@ -37,6 +37,10 @@ impl<'a> Argoverse2<'a> {
 }
 
 impl RecordingSource for Argoverse2<'_> {
+    fn horizon(&self) -> Horizon {
+        self.horizon
+    }
+
     fn is_recording(&self, path: &str) -> bool {
         let wanted = match pairing::part_of(path) {
             Some((_, pairing::Part::Scenario)) => true,

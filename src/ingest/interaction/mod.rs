@@ -69,6 +69,10 @@ impl<'a> Interaction<'a> {
 }
 
 impl RecordingSource for Interaction<'_> {
+    fn horizon(&self) -> Horizon {
+        self.horizon
+    }
+
     fn is_recording(&self, path: &str) -> bool {
         TrackFile::of_path(path).is_some_and(|file| self.wants(&file))
     }
