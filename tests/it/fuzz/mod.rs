@@ -11,6 +11,7 @@ mod mutate;
 mod targets;
 
 use mutate::Mutator;
+use std::io::Write;
 use std::path::Path;
 use std::process::Command;
 use std::sync::Mutex;
@@ -71,9 +72,8 @@ fn run_in_process(target: &Target, seconds: f64) {
         let errors = fs_err::read_to_string(errors).unwrap();
         panic!("{}: {status} over the input in {}\n{said}\n{errors}", target.name, kept.display());
     }
-    for line in said.lines().filter(|line| line.starts_with("fuzz ")) {
-        println!("{line}");
-    }
+    let mut told = said.lines().filter(|line| line.starts_with("fuzz "));
+    told.try_for_each(|line| writeln!(std::io::stdout(), "{line}")).unwrap();
 }
 
 /// In a process of its own, which the test above starts: runs the target that the environment names. Elsewhere there is none.
@@ -108,7 +108,13 @@ fn run(target: &Target, input: &Path, time: Duration, seed: u64) {
     }
     assert!(n_executions > 0, "nothing was tried");
     let peak = peak_bytes() >> 20;
-    println!("fuzz {}: {n_executions} executions, {n_read} of them readable, peak memory {peak} MB", target.name);
+    // The harness has begun the line with the name of the test.
+    writeln!(
+        std::io::stdout(),
+        "\nfuzz {}: {n_executions} executions, {n_read} of them readable, peak memory {peak} MB",
+        target.name
+    )
+    .unwrap();
 }
 
 /// The most memory that the process ever held; 0 where the system does not say.
