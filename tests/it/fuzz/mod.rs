@@ -72,8 +72,9 @@ fn run_in_process(target: &Target, seconds: f64) {
         let errors = fs_err::read_to_string(errors).unwrap();
         panic!("{}: {status} over the input in {}\n{said}\n{errors}", target.name, kept.display());
     }
-    let mut told = said.lines().filter(|line| line.starts_with("fuzz "));
-    told.try_for_each(|line| writeln!(std::io::stdout(), "{line}")).unwrap();
+    for line in said.lines().filter(|line| line.starts_with("fuzz ")) {
+        std::io::stdout().write_all(format!("{line}\n").as_bytes()).unwrap();
+    }
 }
 
 /// In a process of its own, which the test above starts: runs the target that the environment names. Elsewhere there is none.
@@ -109,12 +110,11 @@ fn run(target: &Target, input: &Path, time: Duration, seed: u64) {
     assert!(n_executions > 0, "nothing was tried");
     let peak = peak_bytes() >> 20;
     // The harness has begun the line with the name of the test.
-    writeln!(
-        std::io::stdout(),
-        "\nfuzz {}: {n_executions} executions, {n_read} of them readable, peak memory {peak} MB",
+    let said = format!(
+        "\nfuzz {}: {n_executions} executions, {n_read} of them readable, peak memory {peak} MB\n",
         target.name
-    )
-    .unwrap();
+    );
+    std::io::stdout().write_all(said.as_bytes()).unwrap();
 }
 
 /// The most memory that the process ever held; 0 where the system does not say.
