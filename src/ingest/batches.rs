@@ -11,8 +11,8 @@ pub(super) type Batch = Vec<Result<RawUnit, Reject>>;
 /// A batch is cut after this many units …
 const MAX_UNITS: usize = 64;
 
-/// … or when it takes this many bytes. A few batches are in memory at a time: one being filled, one waiting, one parsed, and of
-/// scenes one waiting and one stored.
+/// … or when it takes this many bytes. Two batches are in memory at a time, one being filled and one parsed, with the scenes that
+/// are made, wait, and are stored.
 const MAX_BYTES: u64 = 32 << 20;
 
 /// Collects units into batches and sends them. Cuts depend on the units since the last cut only, so that batches are the

@@ -24,8 +24,9 @@ pub struct IngestBatch {
     /// Maps that these scenes are the first to need, whole, in the recording's frame. After resuming, maps that were
     /// handed out before come again.
     pub maps: Vec<(MapId, LaneGraph)>,
-    /// Units done with this batch and all before it: resuming after them continues with the next batch.
-    pub units_done: u64,
+    /// Units done with this batch and all before it: resuming after them continues with the next batch. `None` where the
+    /// scenes of its last unit go on in the next batch.
+    pub units_done: Option<u64>,
     /// What this batch alone read, kept and left out.
     pub report: IngestReport,
 }
@@ -58,24 +59,31 @@ pub fn ingest(
     let parser = UnitParser { config, source, maps: &maps };
     // Units are read, parsed and stored at the same time; parsing is what takes all threads.
     let seen = std::thread::scope(|scope| {
-        let (unit_sender, units) = mpsc::sync_channel(1);
+        // What is read waits for the parser, as recordings are large; one batch more would only take memory.
+        let (unit_sender, units) = mpsc::sync_channel(0);
         let unit_sender = BatchSender::new(unit_sender, total.n_units);
         let reader = scope.spawn(move || read_batches(config, source, unit_sender));
         let (scene_sender, batches) = mpsc::sync_channel(1);
         let storer = scope.spawn(move || batches.into_iter().try_for_each(sink));
         let mut handed_out = BTreeSet::new();
         let parse_all = || -> Result<(), Error> {
-            for batch in units {
-                let room = config.limit.map(|limit| limit - total.n_scenes);
-                let batch = parser.parse_batch(batch?, room, &mut handed_out)?;
-                total.merge(&batch.report);
-                progress.advance(batch.report.n_scenes);
-                if total.n_rejects() > 0 {
-                    progress.note(&format!("{} rejected", total.n_rejects()));
-                }
-                let sent = scene_sender.send(IngestBatch { units_done: total.n_units, ..batch });
-                if sent.is_err() || config.limit.is_some_and(|limit| total.n_scenes >= limit) {
-                    break;
+            for units in units {
+                let mut pending = parser.parse_units(units?);
+                while !pending.is_empty() {
+                    let room = config.limit.map(|limit| limit - total.n_scenes);
+                    let n_next = pending.len().min(MAX_SCENES);
+                    let batch = parser.make_scenes(pending.drain(..n_next).collect(), room, &mut handed_out)?;
+                    total.merge(&batch.report);
+                    progress.advance(batch.report.n_scenes);
+                    if total.n_rejects() > 0 {
+                        progress.note(&format!("{} rejected", total.n_rejects()));
+                    }
+                    let is_enough = config.limit.is_some_and(|limit| total.n_scenes >= limit);
+                    let units_done = (is_enough || pending.is_empty()).then_some(total.n_units);
+                    let sent = scene_sender.send(IngestBatch { units_done, ..batch });
+                    if sent.is_err() || is_enough {
+                        return Ok(());
+                    }
                 }
             }
             Ok(())
@@ -159,6 +167,18 @@ fn read_batches(config: &IngestConfig, source: &dyn RecordingSource, mut sender:
     seen.into_inner()
 }
 
+/// Most scenes that are made at a time: a recording holds thousands.
+const MAX_SCENES: usize = 64;
+
+/// A scene to be made, or what is known of a unit without any.
+struct Pending<'a> {
+    /// The size of the unit that begins with it.
+    n_unit_bytes: Option<u64>,
+    make: PendingOutcome<'a>,
+}
+
+type PendingOutcome<'a> = Box<dyn FnOnce() -> UnitOutcome + Send + 'a>;
+
 /// What became of one scene or unit.
 enum UnitOutcome {
     Kept {
@@ -179,60 +199,75 @@ struct UnitParser<'a> {
 }
 
 impl UnitParser<'_> {
-    /// Parses the units of a batch in parallel and collects the first `room` scenes in order.
-    fn parse_batch(
+    /// Parses units in parallel, so far as is done before their scenes are made.
+    fn parse_units(&self, units: Batch) -> Vec<Pending<'_>> {
+        let parsed: Vec<Vec<Pending<'_>>> = units.into_par_iter().map(|unit| self.parse_unit(unit)).collect();
+        parsed.into_iter().flatten().collect()
+    }
+
+    fn parse_unit(&self, unit: Result<RawUnit, Reject>) -> Vec<Pending<'_>> {
+        let n_bytes = unit.as_ref().map_or(0, RawUnit::n_bytes);
+        let outcomes: Vec<PendingOutcome<'_>> = match unit {
+            Err(reject) => vec![Box::new(|| UnitOutcome::Rejected(reject))],
+            Ok(unit) => match self.reason_unwanted(&unit) {
+                Some(what) => vec![Box::new(move || UnitOutcome::Unwanted(what))],
+                None => {
+                    let scenes = self.source.parse(unit).into_iter();
+                    scenes.map(|scene| Box::new(|| self.finish_scene(scene())) as PendingOutcome<'_>).collect()
+                }
+            },
+        };
+        let begins = std::iter::once(Some(n_bytes)).chain(std::iter::repeat(None));
+        outcomes.into_iter().zip(begins).map(|(make, n_unit_bytes)| Pending { n_unit_bytes, make }).collect()
+    }
+
+    /// Why the configuration leaves a unit out, if it does.
+    fn reason_unwanted(&self, unit: &RawUnit) -> Option<&'static str> {
+        if let UnitSplit::All(split) = unit.split
+            && !self.config.wants_split(split)
+        {
+            return Some(OTHER_SPLITS);
+        }
+        (!unit.place.is_empty() && !self.config.wants_place(&unit.place)).then_some(OTHER_PLACES)
+    }
+
+    /// Makes scenes in parallel and collects the first `room` of them in order.
+    fn make_scenes(
         &self,
-        batch: Batch,
+        pending: Vec<Pending<'_>>,
         room: Option<u64>,
         handed_out: &mut BTreeSet<MapId>,
     ) -> Result<IngestBatch, Error> {
-        let outcomes: Vec<(u64, Vec<UnitOutcome>)> = batch.into_par_iter().map(|unit| self.parse_unit(unit)).collect();
+        let outcomes: Vec<(Option<u64>, UnitOutcome)> =
+            pending.into_par_iter().map(|pending| (pending.n_unit_bytes, (pending.make)())).collect();
         let missing: BTreeSet<MapId> = outcomes
             .iter()
-            .flat_map(|(_, outcomes)| outcomes)
-            .filter_map(|outcome| if let UnitOutcome::MissingMap(id) = outcome { Some(id.clone()) } else { None })
+            .filter_map(|(_, outcome)| if let UnitOutcome::MissingMap(id) = outcome { Some(id.clone()) } else { None })
             .collect();
         self.maps.require(missing.into_iter())?;
 
         let mut collected = IngestBatch::default();
-        for (n_bytes, outcomes) in outcomes {
-            if room.is_some_and(|room| collected.report.n_scenes >= room) {
+        for (n_unit_bytes, outcome) in outcomes {
+            let is_full = room.is_some_and(|room| collected.report.n_scenes >= room);
+            if is_full && (n_unit_bytes.is_some() || matches!(outcome, UnitOutcome::Kept { .. })) {
                 break;
             }
-            collected.report.n_units += 1;
-            collected.report.n_bytes += n_bytes;
-            for outcome in outcomes {
-                match outcome {
-                    UnitOutcome::Rejected(reject) => collected.report.count_reject(&reject),
-                    UnitOutcome::Unwanted(what) => collected.report.count_dropped(what, 1),
-                    UnitOutcome::MissingMap(_) => {}
-                    UnitOutcome::Kept { .. } if room.is_some_and(|room| collected.report.n_scenes >= room) => break,
-                    UnitOutcome::Kept { scene, counts, own_map } => {
-                        collected.report.merge(&counts);
-                        self.hand_out_map(&scene, own_map, handed_out, &mut collected.maps);
-                        collected.scenes.push(*scene);
-                    }
+            if let Some(n_bytes) = n_unit_bytes {
+                collected.report.n_units += 1;
+                collected.report.n_bytes += n_bytes;
+            }
+            match outcome {
+                UnitOutcome::Rejected(reject) => collected.report.count_reject(&reject),
+                UnitOutcome::Unwanted(what) => collected.report.count_dropped(what, 1),
+                UnitOutcome::MissingMap(_) => {}
+                UnitOutcome::Kept { scene, counts, own_map } => {
+                    collected.report.merge(&counts);
+                    self.hand_out_map(&scene, own_map, handed_out, &mut collected.maps);
+                    collected.scenes.push(*scene);
                 }
             }
         }
         Ok(collected)
-    }
-
-    fn parse_unit(&self, unit: Result<RawUnit, Reject>) -> (u64, Vec<UnitOutcome>) {
-        let unit = match unit {
-            Ok(unit) => unit,
-            Err(reject) => return (0, vec![UnitOutcome::Rejected(reject)]),
-        };
-        if let UnitSplit::All(split) = unit.split
-            && !self.config.wants_split(split)
-        {
-            return (unit.n_bytes(), vec![UnitOutcome::Unwanted(OTHER_SPLITS)]);
-        }
-        if !unit.place.is_empty() && !self.config.wants_place(&unit.place) {
-            return (unit.n_bytes(), vec![UnitOutcome::Unwanted(OTHER_PLACES)]);
-        }
-        let scenes = self.source.parse(&unit);
-        (unit.n_bytes(), scenes.into_par_iter().map(|scene| self.finish_scene(scene)).collect())
     }
 
     fn finish_scene(&self, scene: Result<RawScene, Reject>) -> UnitOutcome {

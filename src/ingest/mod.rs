@@ -33,11 +33,19 @@ pub use driver::{IngestBatch, ingest};
 pub use error::{BoxError, Error};
 pub use raw::{Companion, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 pub use report::{IngestReport, RejectCount};
-pub use source::{EmitUnit, Horizon, MapFile, RecordingSource, UnitReader};
+pub use source::{EmitUnit, Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
 #[cfg(test)]
 pub(crate) use test_data::test_data;
 
 use crate::scene::Dataset;
+
+/// The timesteps that scenes get where they are as long as configured.
+///
+/// # Errors
+/// When more are asked for than the dataset has.
+pub fn usual_horizon(config: &IngestConfig) -> Result<Horizon, Error> {
+    Ok(source_of(config)?.horizon())
+}
 
 /// The formats of the configured dataset: one line for each.
 fn source_of(config: &IngestConfig) -> Result<Box<dyn RecordingSource + '_>, Error> {

@@ -10,6 +10,9 @@ use std::ops::ControlFlow;
 
 /// The formats of one dataset. Files are read one after another by a [`UnitReader`]; units are parsed in parallel.
 pub trait RecordingSource: Sync {
+    /// The timesteps of scenes, where the recording has as many.
+    fn horizon(&self) -> Horizon;
+
     /// Whether the entry at `path` holds recordings (or, where scenes bring their own maps, such a map) that the
     /// configuration asks for. Called before the entry is read, so that others are skipped cheaply.
     fn is_recording(&self, path: &str) -> bool;
@@ -17,11 +20,12 @@ pub trait RecordingSource: Sync {
     /// A reader that cuts entries into units, in the order of the entries.
     fn unit_reader(&self) -> Box<dyn UnitReader + '_>;
 
-    /// The scenes of a unit, in a fixed order; each is either complete or a reject.
-    fn parse(&self, unit: &RawUnit) -> Vec<Result<RawScene, Reject>>;
+    /// The scenes of a unit in a fixed order, at least one: a unit without any is a reject. A recording holds thousands, so
+    /// that each is made when it is asked for.
+    fn parse(&self, unit: RawUnit) -> Vec<PendingScene<'_>>;
 
-    /// About how many bytes a unit and its scenes take in memory; batches are cut by it. Only the sources whose units hold
-    /// overlapping scenes need to say more than the size of the unit.
+    /// About how many bytes a unit takes in memory while it is parsed, without its scenes; batches are cut by it. Only
+    /// the sources that keep what they parsed need to say more than the size of the unit.
     fn n_bytes_parsed(&self, unit: &RawUnit) -> u64 {
         unit.n_bytes()
     }
@@ -45,6 +49,9 @@ pub trait RecordingSource: Sync {
         None
     }
 }
+
+/// A scene to be made, complete or a reject.
+pub type PendingScene<'a> = Box<dyn FnOnce() -> Result<RawScene, Reject> + Send + 'a>;
 
 /// A map as read from its file.
 #[derive(Debug)]

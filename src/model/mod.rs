@@ -7,6 +7,7 @@ mod geometric_network;
 #[cfg(test)]
 mod geometric_tests;
 mod known_input;
+mod memory;
 mod network;
 mod relations;
 mod scene_denoiser;
@@ -24,6 +25,7 @@ pub use classifier_checkpoint::{ClassifierKind, ClassifierSpec, TrainedClassifie
 pub use denoiser_checkpoint::{
     ChangedLoss, DenoiserKind, DenoiserSpec, Distillation, PlaceLoss, SceneChange, TrainedDenoiser,
 };
+pub use memory::{NumberCounts, SceneSize};
 pub use network::{GeometryConfig, NetworkConfig, SceneNetwork};
 pub use scene_denoiser::{BoundDenoiser, SceneDenoiser};
 pub use scene_transformer::{JointFutures, SceneTransformer, SceneTransformerConfig};

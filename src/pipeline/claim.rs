@@ -39,6 +39,10 @@ pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Res
 
 /// Refuses a folder in which a file that every command writes is somebody else's.
 pub(super) fn check_root(root: &Path) -> Result<()> {
+    if let Some(file) = root.ancestors().find(|path| path.exists()).filter(|path| !path.is_dir()) {
+        let message = format!("{} is no folder, which output is written into", file.display());
+        return Err(Failure::input_message(message).with_hint("name another folder with --output"));
+    }
     let has_keys = |name: &str, keys: &[&str]| {
         let value = read_json::<Value>(&root.join(name));
         value.is_ok_and(|value| keys.iter().all(|key| value.get(key).is_some()))

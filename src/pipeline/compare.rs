@@ -4,12 +4,15 @@ use super::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use super::run::{CONFIG_FILE, RUN_FILE, RunManifest};
 use super::{Classify, Failure, Result, StageId, StageRecord};
 use crate::evaluate::EvaluationSummary;
-use crate::files::{Error, check_overlap, is_link};
+use crate::files::{Error, check_overlap, is_link, regular};
 use crate::report::{ComparedRun, Comparison, Fact, MetricTable, PAGE_MARK, render_comparison};
 use crate::store::{read_json, write_atomically};
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
+
+/// What of a page is read to find its title.
+const HEAD_BYTES: u64 = 1 << 20;
 
 /// Writes a page that sets the runs in two folders side by side.
 ///
@@ -32,9 +35,17 @@ fn check_page(a: &Path, b: &Path, page: &Path) -> Result<()> {
     if is_link(page) {
         return Err(Error::Link { path: page.to_owned() }.into());
     }
-    let is_there = page.symlink_metadata().is_ok();
-    let is_ours = || fs_err::read_to_string(page).is_ok_and(|text| text.contains(&format!("{PAGE_MARK}</title>")));
-    if is_there && !is_ours() {
+    if page.symlink_metadata().is_err() {
+        return Ok(());
+    }
+    // A device has no end, and a file of somebody else's may be of any size.
+    regular(page).map_err(Failure::input)?;
+    let begins_as_ours = || -> std::io::Result<bool> {
+        let mut head = Vec::new();
+        fs_err::File::open(page)?.take(HEAD_BYTES).read_to_end(&mut head)?;
+        Ok(String::from_utf8_lossy(&head).contains(&format!("{PAGE_MARK}</title>")))
+    };
+    if !begins_as_ours().unwrap_or(false) {
         let found = page.file_name().map(PathBuf::from).into_iter().collect();
         return Err(Error::Foreign { path: page.to_owned(), found }.into());
     }
@@ -125,6 +136,20 @@ mod tests {
             ("run.seed", "3"),
         ];
         assert_eq!(settings, expected.map(|(key, value)| (key.to_owned(), value.to_owned())).into());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn devices_and_files_of_others_are_no_pages() {
+        let folder = tempfile::tempdir().unwrap();
+        let [a, b, page] = ["a", "b", "page.html"].map(|name| folder.path().join(name));
+        check_page(&a, &b, &page).unwrap();
+        let why = format!("{:#}", check_page(&a, &b, Path::new("/dev/full")).unwrap_err().error);
+        assert!(why.contains("/dev/full is neither a file nor a folder"), "{why}");
+        fs_err::write(&page, "<title>mine</title>").unwrap();
+        assert!(check_page(&a, &b, &page).is_err());
+        fs_err::write(&page, format!("<title>two runs{PAGE_MARK}</title>")).unwrap();
+        check_page(&a, &b, &page).unwrap();
     }
 
     #[test]

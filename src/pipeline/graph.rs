@@ -78,8 +78,19 @@ pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId])
     for stage in stages {
         let mut inputs = BTreeMap::new();
         let earlier = StageRecord::done(root, stage.id());
+        let mut missing = None;
         for input in stage.inputs() {
-            let record = identify(root, &planned, &input, earlier.as_ref())?;
+            let record = match identify(root, &planned, &input, earlier.as_ref()) {
+                Ok(record) => record,
+                // What was made of recordings stays when they are taken away.
+                Err(failure) => match earlier.as_ref().and_then(|earlier| earlier.missing_input(&input)) {
+                    Some(record) => {
+                        missing.get_or_insert(failure);
+                        record
+                    }
+                    None => return Err(failure),
+                },
+            };
             inputs.insert(input.name, record);
         }
         let mut expected = StageRecord::expected(stage.as_ref(), inputs)?;
@@ -90,6 +101,9 @@ pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId])
         }
         let is_asked = redo.contains(&stage.id());
         let action = decide(root, &expected, is_asked);
+        if let Some(failure) = missing.filter(|_| action != Action::Reuse) {
+            return Err(failure);
+        }
         let is_redone = StageRecord::done(root, stage.id()).is_some();
         let kept = match &action {
             Action::Reuse => Vec::new(),

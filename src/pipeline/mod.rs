@@ -18,6 +18,7 @@ pub mod inspect;
 mod keep;
 pub mod layout;
 mod log;
+pub mod memory;
 mod older;
 mod record;
 pub mod regenerate;

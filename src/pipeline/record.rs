@@ -5,7 +5,7 @@
 //! stage wrote: these, and no others, may be removed when it is redone.
 
 use super::fingerprint::{Depth, PathFingerprint, fingerprint_to, fingerprint_value};
-use super::stage::{Stage, StageId};
+use super::stage::{Stage, StageId, StageInput};
 use crate::files::{files_below, is_link};
 use crate::store::{read_json, write_json_atomically};
 use anyhow::Result;
@@ -106,6 +106,13 @@ impl StageRecord {
             && self.inputs.len() == earlier.inputs.len()
             && self.inputs.iter().all(agree)
             && without_places(&self.config) == without_places(&earlier.config)
+    }
+
+    /// What it read as an input from outside that is not there any more.
+    pub(super) fn missing_input(&self, input: &StageInput) -> Option<InputRecord> {
+        let record = self.inputs.get(&input.name)?;
+        let is_same = matches!(record, InputRecord::Path { path, .. } if *path == input.path);
+        (input.producer.is_none() && is_same && !input.path.exists()).then(|| record.clone())
     }
 
     /// What was known of the content of an input, where it was the same path.

@@ -28,7 +28,7 @@ fn store_and_records(dir: &Path) -> (SceneStore, Vec<ScenarioRecord>) {
     let scenes: Vec<Scene> =
         (0..70).map(|i| scene_at(i, maps.get(i as usize % 3).map(|(id, graph)| (id, graph)))).collect();
     let mut writer = SceneWriter::create(dir, SceneWriterOptions::default()).unwrap();
-    writer.write_batch(&scenes, &maps, 1, &Value::Null).unwrap();
+    writer.write_batch(&scenes, &maps, Some(1), &Value::Null).unwrap();
     writer.finish(&Value::Null).unwrap();
     let mut records: Vec<ScenarioRecord> = scenes.iter().flat_map(|scene| (0..2).map(|i| record(scene, i))).collect();
     for record in records.iter_mut().step_by(7) {

@@ -1,5 +1,6 @@
 //! One Arrow file of ours: written batch by batch, read by mapping it into memory without copying.
 
+use super::parquet_file::contained;
 use super::schema::TableSchema;
 use super::{Error, Result};
 use crate::files::{AtomicFile, FileStamp};
@@ -55,6 +56,10 @@ pub(crate) fn map(path: &Path, table: &TableSchema, stamp: &FileStamp) -> Result
     let buffer = map_file(path)?;
     // The checksum comes first: past it, nothing in the file can be other than what was written.
     stamp.verify(path, &buffer)?;
+    contained(path, || decode(path, table, &buffer))
+}
+
+fn decode(path: &Path, table: &TableSchema, buffer: &Buffer) -> Result<Vec<RecordBatch>> {
     let damaged = |detail: &str| Error::corrupt(path, detail);
     let unreadable = |error: ArrowError| Error::corrupt(path, error.to_string());
 
@@ -71,7 +76,7 @@ pub(crate) fn map(path: &Path, table: &TableSchema, stamp: &FileStamp) -> Result
     table.check(path, &schema)?;
     let decoder = FileDecoder::new(schema, footer.version()).with_require_alignment(true);
     let decode = |block: &Block| {
-        let block_buffer = block_of(&buffer, block).ok_or_else(|| damaged("a batch lies outside of it"))?;
+        let block_buffer = block_of(buffer, block).ok_or_else(|| damaged("a batch lies outside of it"))?;
         decoder
             .read_record_batch(block, &block_buffer)
             .map_err(unreadable)?
@@ -111,5 +116,33 @@ fn failed(path: &Path) -> impl FnOnce(ArrowError) -> Error {
     move |error| match error {
         ArrowError::IoError(_, source) => Error::Io(source),
         source => Error::Arrow { path, source },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::MapId;
+    use crate::store::tables::lane;
+
+    #[test]
+    fn what_a_checksum_does_not_tell_is_an_error_and_no_panic() {
+        let dir = tempfile::tempdir().unwrap();
+        let (path, table) = (dir.path().join("maps.arrow"), lane::schema());
+        let batch = lane::encode(&[(&MapId::from("PIT"), &crate::store::testing::map(1, 2))]).unwrap();
+        let mut file = IpcFile::create(&path, &table).unwrap();
+        file.write(&batch).unwrap();
+        let stamp = file.finish().unwrap();
+        assert_eq!(map(&path, &table, &stamp).unwrap(), [batch]);
+        let whole = fs::read(&path).unwrap();
+        let mut n_refused = 0;
+        for at in (0..whole.len()).step_by(5) {
+            let mut damaged = whole.clone();
+            damaged[at] ^= 0x7f;
+            let other = dir.path().join("other.arrow");
+            fs::write(&other, &damaged).unwrap();
+            n_refused += usize::from(map(&other, &table, &FileStamp::of(&damaged)).is_err());
+        }
+        assert!(n_refused > 100, "{n_refused} changes were noticed");
     }
 }

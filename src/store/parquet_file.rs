@@ -167,7 +167,7 @@ impl Iterator for Batches {
 }
 
 /// The reader asserts some of what a damaged file breaks; such a file is an error like any other.
-fn contained<T>(path: &Path, read: impl FnOnce() -> Result<T>) -> Result<T> {
+pub(super) fn contained<T>(path: &Path, read: impl FnOnce() -> Result<T>) -> Result<T> {
     containment::contained(read).unwrap_or_else(|| Err(Error::corrupt(path, "it cannot be decoded")))
 }
 

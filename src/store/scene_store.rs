@@ -193,7 +193,7 @@ mod tests {
     fn write(dir: &Path, scenes: &[Scene], maps: &[(MapId, LaneGraph)]) {
         let mut writer = SceneWriter::create(dir, OPTIONS).unwrap();
         for (i, batch) in scenes.chunks(2).enumerate() {
-            writer.write_batch(batch, maps, i as u64, &json!(i)).unwrap();
+            writer.write_batch(batch, maps, Some(i as u64), &json!(i)).unwrap();
         }
         writer.finish(&json!({ "rejects": {} })).unwrap();
     }

@@ -124,7 +124,8 @@ impl SceneWriter {
     }
 
     /// Adds scenes, after the maps that they are the first to need; maps that are known already are passed over.
-    /// `units_done` and `report` are cumulative since the start of the job, and describe it once this batch is in.
+    /// `units_done` and `report` are cumulative since the start of the job, and describe it once this batch is in. `None`: the
+    /// last unit goes on in the next batch, so that no shard may end here.
     ///
     /// # Errors
     /// [`Error::Invalid`] when a scene cannot be stored, for instance because its map was never given;
@@ -133,7 +134,7 @@ impl SceneWriter {
         &mut self,
         scenes: &[Scene],
         maps: &[(MapId, LaneGraph)],
-        units_done: u64,
+        units_done: Option<u64>,
         report: &Value,
     ) -> Result<()> {
         self.write_maps(maps)?;
@@ -151,6 +152,7 @@ impl SceneWriter {
             shard.n_scenes += scenes.len() as u64;
             shard.n_agents += scenes.iter().map(|scene| scene.tracks.len() as u64).sum::<u64>();
         }
+        let Some(units_done) = units_done else { return Ok(()) };
         self.units_done = units_done;
         self.report = report.clone();
         if self.current.n_scenes >= self.options.scenes_per_shard as u64 {

@@ -46,11 +46,19 @@ fn exit_codes_tell_whose_fault_it_is() {
     // What has no end, or another content the next time, is no input.
     let workspace = Workspace::new();
     let output = workspace.arg("devices");
-    for args in
-        [vec!["inspect", "/dev/zero"], vec!["ingest", "/dev/zero", "--dataset", "argoverse1", "--output", &output]]
-    {
+    for args in [
+        vec!["inspect", "/dev/zero"],
+        vec!["run", "/dev/zero"],
+        vec!["mine", "--config", "/dev/zero", "--output", &output],
+        vec!["ingest", "/dev/zero", "--dataset", "argoverse1", "--output", &output],
+    ] {
         let outcome = djinn(&args).expect(1);
         assert!(outcome.stderr.contains("/dev/zero is neither a file nor a folder"), "{}", outcome.stderr);
+    }
+
+    for output in ["Cargo.toml", "Cargo.toml/below", "/dev/null"] {
+        let outcome = djinn(&["report", "--from", "output", "--output", output]).expect(1);
+        assert!(outcome.stderr.contains("is no folder"), "{}", outcome.stderr);
     }
 
     // A damaged file of ours is a fault of ours or of the machine.

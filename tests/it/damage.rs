@@ -25,6 +25,28 @@ fn a_flipped_bit_of_a_model_is_a_fault_and_names_the_model() {
 }
 
 #[test]
+fn what_was_made_of_recordings_stays_without_them() {
+    let workspace = Workspace::new();
+    let (out, here) = (workspace.arg("out"), workspace.path("here/train/data"));
+    fs_err::create_dir_all(&here).unwrap();
+    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join(RECORDINGS).join("train/data/1.csv");
+    fs_err::copy(recording, here.join("1.csv")).unwrap();
+    let from = workspace.arg("here");
+    let ingest = |more: &[&str]| {
+        let args = ["ingest", &from, "--dataset", "argoverse1", "--set", "ingest.maps=none", "--output", &out];
+        djinn(&[&args, more].concat())
+    };
+    ingest(&[]).expect(0);
+    fs_err::remove_dir_all(workspace.path("here")).unwrap();
+    let plan = ingest(&["--dry-run"]).expect(0).stdout;
+    assert!(plan.contains("#   ingest            cached"), "{plan}");
+    djinn(&["mine", "--output", &out]).expect(0);
+    // What must be made anew needs them.
+    let told = ingest(&["--set", "ingest.max_agents=3"]).expect(1).stderr;
+    assert!(told.contains("failed to read the input inputs.0"), "{told}");
+}
+
+#[test]
 fn recordings_that_were_moved_are_not_ingested_again_and_changed_ones_are() {
     let workspace = Workspace::new();
     let out = workspace.arg("out");

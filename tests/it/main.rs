@@ -11,6 +11,7 @@ mod damage;
 mod determinism;
 mod documents;
 mod export;
+mod fuzz;
 mod mixture;
 mod pytorch;
 mod report;

@@ -190,6 +190,16 @@ const REFUSED: &[(&[&str], &[&str])] = &[
         &["train.denoiser.network.n_heads is 3, expected a divisor of width, which is 16"],
     ),
     (&["train.denoiser.network.latent_periods=[2.0, 1.0]"], &["train.denoiser.network.latent_periods are 2 and 1"]),
+    (
+        &[
+            "train.denoiser.network={ layers = \"TTTTTTTTTTTTTTTTTTTTTTTTTTTTTTTT\", width = 16384, feed_forward = 65536 }",
+        ],
+        &[
+            "train.denoiser.batch_size is 2, for which train_denoiser takes about",
+            "this machine has",
+            "smaller network",
+        ],
+    ),
     (&["train.baseline.network={ encoder = \"TQ\" }"], &["train.baseline.network.encoder is \"TQ\""]),
     (
         &["train.baseline.network={ width = 30 }"],

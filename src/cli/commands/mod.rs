@@ -23,6 +23,7 @@ use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::estimate::estimate;
 use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
+use crate::pipeline::memory::{check_memory, estimate_memory, machine_memory};
 use crate::pipeline::{Failure, Kept, Result, StageId};
 use std::fmt::Write;
 use std::path::Path;
@@ -66,6 +67,10 @@ fn print_dry_run(
             let _ = writeln!(text, "#   {:<18}the current {name} is moved to {as_name}", "");
         }
     }
+    let stages: Vec<StageId> = planned.iter().map(|planned| planned.expected.stage).collect();
+    for memory in estimate_memory(config, layout, &stages)? {
+        let _ = writeln!(text, "#   {:<18}{}", memory.stage.name(), memory.describe());
+    }
     // Costs are those of the whole section, whatever of it is done already.
     if planned.iter().any(|planned| planned.expected.stage == StageId::Generate) {
         for line in estimate(config, layout)? {
@@ -73,6 +78,11 @@ fn print_dry_run(
         }
     }
     printer.data(&text)
+}
+
+/// Refuses planned stages that take more memory than the machine has.
+fn refuse_too_large(config: &PipelineConfig, layout: &Layout, planned: &[PlannedStage<'_>]) -> Result<()> {
+    check_memory(config, layout, planned, machine_memory())
 }
 
 /// Says what will be done with the stages; of results that are there, always.

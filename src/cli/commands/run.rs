@@ -1,6 +1,6 @@
 //! `djinn run`: all stages of a pipeline file.
 
-use super::{announce, print_dry_run, resumes_in, use_threads};
+use super::{announce, print_dry_run, refuse_too_large, resumes_in, use_threads};
 use crate::cli::args::{OutputArgs, RunArgs};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
@@ -23,11 +23,13 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
     let layout = Layout::below(&root);
     if args.dry_run {
         let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?, &args.redo)?;
+        refuse_too_large(&config, &layout, &planned)?;
         return print_dry_run(&config, &layout, &planned, printer);
     }
     resumes_in(&root);
     let folder = RunFolder::open(&root)?;
     let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?, &args.redo)?;
+    refuse_too_large(&config, &layout, &planned)?;
     announce(&planned, output, printer);
     let progress = TerminalProgress::new(output, *printer);
     let records = run_stages(&folder, Some(&config), config.run.compute(), planned, &progress)?;

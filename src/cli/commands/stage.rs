@@ -1,6 +1,6 @@
 //! The commands that run one stage alone, on explicit inputs and into an explicit folder.
 
-use super::{announce, print_dry_run, resumes_in, use_threads};
+use super::{announce, print_dry_run, refuse_too_large, resumes_in, use_threads};
 use crate::cli::args::{Command, OutputArgs, StageArgs, TrainCommand};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
@@ -22,11 +22,13 @@ pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Pr
     let redo = if args.redo { vec![id] } else { Vec::new() };
     if args.dry_run {
         let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?], &redo)?;
+        refuse_too_large(&config, &layout, &planned)?;
         return print_dry_run(&config, &layout, &planned, printer);
     }
     resumes_in(root);
     let folder = RunFolder::open(root)?;
     let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?], &redo)?;
+    refuse_too_large(&config, &layout, &planned)?;
     announce(&planned, output, printer);
     let progress = TerminalProgress::new(output, *printer);
     let records = run_stages(&folder, None, config.run.compute(), planned, &progress)?;

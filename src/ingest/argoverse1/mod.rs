@@ -10,8 +10,8 @@ use super::archive::Entry;
 use super::config::IngestConfig;
 use super::error::Error;
 use super::files::{file_name, file_stem, read_whole, split_of_entry, split_of_path};
-use super::raw::{RawScene, RawUnit, Reject, UnitSplit, map_id};
-use super::source::{EmitUnit, Horizon, MapFile, RecordingSource, UnitReader};
+use super::raw::{RawUnit, UnitSplit, map_id};
+use super::source::{EmitUnit, Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
 use crate::scene::Dataset;
 use std::io::BufRead;
 use std::ops::ControlFlow;
@@ -38,6 +38,10 @@ impl<'a> Argoverse1<'a> {
 }
 
 impl RecordingSource for Argoverse1<'_> {
+    fn horizon(&self) -> Horizon {
+        self.horizon
+    }
+
     fn is_recording(&self, path: &str) -> bool {
         path.ends_with(".csv") && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
     }
@@ -46,8 +50,8 @@ impl RecordingSource for Argoverse1<'_> {
         Box::new(OneFileOneUnit)
     }
 
-    fn parse(&self, unit: &RawUnit) -> Vec<Result<RawScene, Reject>> {
-        vec![tracks::parse(unit, self.horizon, self.config.smooth_tracks)]
+    fn parse(&self, unit: RawUnit) -> Vec<PendingScene<'_>> {
+        vec![Box::new(move || tracks::parse(&unit, self.horizon, self.config.smooth_tracks))]
     }
 
     fn is_map(&self, path: &str) -> bool {

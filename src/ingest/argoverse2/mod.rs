@@ -10,7 +10,7 @@ use super::config::IngestConfig;
 use super::error::Error;
 use super::files::split_of_path;
 use super::raw::{RawScene, RawUnit, Reject};
-use super::source::{Horizon, MapFile, RecordingSource, UnitReader};
+use super::source::{Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
 use std::io::BufRead;
 use std::sync::Arc;
 
@@ -37,6 +37,10 @@ impl<'a> Argoverse2<'a> {
 }
 
 impl RecordingSource for Argoverse2<'_> {
+    fn horizon(&self) -> Horizon {
+        self.horizon
+    }
+
     fn is_recording(&self, path: &str) -> bool {
         let wanted = match pairing::part_of(path) {
             Some((_, pairing::Part::Scenario)) => true,
@@ -50,8 +54,8 @@ impl RecordingSource for Argoverse2<'_> {
         Box::new(pairing::PairReader::new(self.config.wants_maps()))
     }
 
-    fn parse(&self, unit: &RawUnit) -> Vec<Result<RawScene, Reject>> {
-        vec![self.parse_scenario(unit)]
+    fn parse(&self, unit: RawUnit) -> Vec<PendingScene<'_>> {
+        vec![Box::new(move || self.parse_scenario(&unit))]
     }
 
     fn has_own_maps(&self) -> bool {

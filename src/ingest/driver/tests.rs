@@ -53,7 +53,7 @@ fn scenes_come_in_order_with_their_map_once() {
     assert_eq!(cases, expected);
     let maps: Vec<usize> = batches.iter().map(|batch| batch.maps.len()).collect();
     assert_eq!(maps, [1, 0, 0]);
-    assert_eq!(batches.iter().map(|batch| batch.units_done).collect::<Vec<_>>(), [64, 128, 130]);
+    assert_eq!(batches.iter().map(|batch| batch.units_done).collect::<Vec<_>>(), [Some(64), Some(128), Some(130)]);
     assert_eq!((report.n_units, report.n_scenes, report.n_agents), (130, 117, 351));
     assert_eq!(report.scenes_by["train/PIT"], 117);
     assert_eq!(report.rejects["no_agent_track"].count, 13);
@@ -76,6 +76,38 @@ fn resuming_continues_with_the_same_batches() {
         let (nothing, _) = run(&config, Some(&report)).expect("all was done");
         assert!(nothing.iter().all(|batch| batch.scenes.is_empty()));
     }
+}
+
+#[test]
+fn the_windows_of_a_recording_come_a_few_at_a_time() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let text = |n_frames: u32| {
+        let rows = (1..=n_frames).map(|f| format!("7,{f},{f}00,car,{f},2,10,0,0,4.5,1.8\n"));
+        let header = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n";
+        std::iter::once(header.to_owned()).chain(rows).collect::<String>()
+    };
+    let place = folder.path().join("train/SIM_A");
+    fs_err::create_dir_all(&place).expect("writable");
+    for (number, n_frames) in [(0, 189), (1, 39), (2, 49)] {
+        fs_err::write(place.join(format!("vehicle_tracks_00{number}.csv")), text(n_frames)).expect("writable");
+    }
+    let config = IngestConfig {
+        maps: MapsConfig::None,
+        window_stride: 1,
+        ..IngestConfig::new(Dataset::Interaction, vec![folder.path().to_owned()])
+    };
+    let (batches, report) = run(&config, None).expect("whole");
+    // 150 windows of 40 frames, a recording that is too short, 10 windows.
+    let sizes: Vec<_> = batches.iter().map(|batch| (batch.scenes.len(), batch.units_done)).collect();
+    assert_eq!(sizes, [(64, None), (64, None), (32, Some(3))]);
+    assert_eq!((report.n_units, report.n_scenes, report.n_rejects()), (3, 160, 1));
+    let first_frames: Vec<String> = scenes(&batches).into_iter().map(|scene| scene.source.first_frame).collect();
+    let expected: Vec<String> = (1..=150).chain(1..=10).map(|frame: u32| frame.to_string()).collect();
+    assert_eq!(first_frames, expected);
+    // What ends within a recording says so.
+    let (batches, report) = run(&IngestConfig { limit: Some(70), ..config }, None).expect("whole");
+    assert_eq!(batches.iter().map(|batch| batch.units_done).collect::<Vec<_>>(), [None, Some(1)]);
+    assert_eq!((report.n_units, report.n_scenes), (1, 70));
 }
 
 #[test]

@@ -18,7 +18,7 @@
 //! | `unknown_agent_type`, `inconsistent_agent_type` | not a type of the format; two types in one track |
 //! | `bad_case_id`, `case_not_contiguous` | no usable id; a scattered case of a file that breaks off, a case before and after a second header |
 //! | `frame_out_of_range` | the frames of a case span more than 40, or those of a recording more than a day |
-//! | `recording_not_contiguous` | the other file of a recording comes after the recording was read, or comes twice |
+//! | `recording_repeated` | a file of a recording comes twice |
 //! | `recording_too_short`, `window_across_holdout`, `empty_window` | see [`scenes`] |
 //! | `no_rows`, `bad_header`, `unreadable`, `too_large` | of a whole file or case |
 //!
@@ -37,7 +37,7 @@ mod units;
 
 use super::archive::Entry;
 use super::lanelet2;
-use super::{Error, Horizon, IngestConfig, MapFile, RawScene, RawUnit, RecordingSource, Reject, UnitReader, map_id};
+use super::{Error, Horizon, IngestConfig, MapFile, PendingScene, RawUnit, RecordingSource, UnitReader, map_id};
 use crate::scene::{Dataset, MapId};
 use path::TrackFile;
 use std::io::BufRead;
@@ -69,6 +69,10 @@ impl<'a> Interaction<'a> {
 }
 
 impl RecordingSource for Interaction<'_> {
+    fn horizon(&self) -> Horizon {
+        self.horizon
+    }
+
     fn is_recording(&self, path: &str) -> bool {
         TrackFile::of_path(path).is_some_and(|file| self.wants(&file))
     }
@@ -77,20 +81,18 @@ impl RecordingSource for Interaction<'_> {
         Box::new(units::TableReader::new(self))
     }
 
-    fn parse(&self, unit: &RawUnit) -> Vec<Result<RawScene, Reject>> {
+    fn parse(&self, unit: RawUnit) -> Vec<PendingScene<'_>> {
         if unit.header.is_empty() {
             scenes::windows(unit, self.horizon, self.config)
         } else {
-            vec![scenes::case(unit, self.horizon)]
+            vec![Box::new(move || scenes::case(&unit, self.horizon))]
         }
     }
 
     fn n_bytes_parsed(&self, unit: &RawUnit) -> u64 {
         let is_recording = unit.header.is_empty();
-        // Each row of a recording is in as many windows as overlap there.
-        let n_overlapping =
-            if is_recording { self.horizon.n_timesteps().div_ceil(self.config.window_stride) } else { 1 };
-        unit.n_bytes() * n_overlapping.max(1) as u64
+        // The states of a recording's tracks take about as much as its text, and stay until its last window is made.
+        unit.n_bytes() * if is_recording { 2 } else { 1 }
     }
 
     fn is_map(&self, path: &str) -> bool {

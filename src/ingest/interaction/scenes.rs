@@ -6,8 +6,9 @@ use super::path::TrackFile;
 use super::track::{RecordedTrack, Table, read_tracks};
 use super::{CASE_HORIZON, DT_S};
 use crate::ingest::csv_rows::without_end;
-use crate::ingest::{Horizon, IngestConfig, RawScene, RawUnit, Reject, UnitSplit, map_id};
+use crate::ingest::{Horizon, IngestConfig, PendingScene, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use crate::scene::{Dataset, SceneId, SceneSource, Split};
+use std::sync::Arc;
 
 /// Longest recording, 28 hours: frames further apart are a fault.
 const MAX_RECORDING_FRAMES: i64 = 1_000_000;
@@ -53,39 +54,62 @@ pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject>
 /// The windows of a v1.1 recording: `window_stride` apart, whole ones only.
 ///
 /// Where nothing tells the split, the last `holdout_share` of the recording is val and the rest is train. Windows across
-/// the cut are rejects, as are windows in which nobody is tracked.
-pub(super) fn windows(unit: &RawUnit, horizon: Horizon, config: &IngestConfig) -> Vec<Result<RawScene, Reject>> {
-    let tracks = match recording_tables(unit).and_then(|tables| read_tracks(&tables)) {
+/// the cut are rejects, as are windows in which nobody is tracked. The text is left for the tracks before any is made.
+pub(super) fn windows(mut unit: RawUnit, horizon: Horizon, config: &IngestConfig) -> Vec<PendingScene<'static>> {
+    let rejected = |reject: Reject| -> Vec<PendingScene<'static>> { vec![Box::new(|| Err(reject))] };
+    let tracks = match recording_tables(&unit).and_then(|tables| read_tracks(&tables)) {
         Ok(tracks) => tracks,
-        Err(reject) => return vec![Err(reject)],
+        Err(reject) => return rejected(reject),
     };
+    (unit.bytes, unit.companion) = (Vec::new(), None);
     let Some((min_frame, max_frame)) = frames(&tracks) else {
-        return vec![Err(unit.reject("no_rows", "the recording has no rows"))];
+        return rejected(unit.reject("no_rows", "the recording has no rows"));
     };
     let n_frames = max_frame - min_frame + 1;
     let (stride, n_timesteps) = (config.window_stride.max(1) as i64, horizon.n_timesteps());
     if n_frames > MAX_RECORDING_FRAMES {
         let detail = format!("frames {min_frame} to {max_frame}, expected at most {MAX_RECORDING_FRAMES}");
-        return vec![Err(unit.reject("frame_out_of_range", detail))];
+        return rejected(unit.reject("frame_out_of_range", detail));
     }
     let n_windows = (n_frames - n_timesteps as i64).div_euclid(stride) + 1;
     if n_windows <= 0 {
-        return vec![Err(unit.reject("recording_too_short", format!("{n_frames} frames, a scene has {n_timesteps}")))];
+        let detail = format!("{n_frames} frames, a scene has {n_timesteps}");
+        return rejected(unit.reject("recording_too_short", detail));
     }
 
     let n_holdout_frames = (config.holdout_share * n_frames as f64).round() as i64;
     let first_holdout_frame = max_frame + 1 - n_holdout_frames;
     let present = tracks_by_window(&tracks, min_frame, n_windows, stride, n_timesteps as i64);
-    let window = |(index, present): (usize, Vec<usize>)| {
-        let first_frame = min_frame + index as i64 * stride;
+    let recording = Arc::new(Recording { unit, tracks, horizon, first_holdout_frame });
+    let window = |(index, present): (usize, Vec<usize>)| -> PendingScene<'static> {
+        let recording = Arc::clone(&recording);
+        Box::new(move || recording.window(min_frame + index as i64 * stride, present))
+    };
+    present.into_iter().enumerate().map(window).collect()
+}
+
+/// The tracks of a whole recording.
+struct Recording {
+    /// Where they come from, without the text.
+    unit: RawUnit,
+    tracks: Vec<RecordedTrack>,
+    horizon: Horizon,
+    first_holdout_frame: i64,
+}
+
+impl Recording {
+    /// The scene that begins at `first_frame`, of the tracks that are `present`.
+    fn window(&self, first_frame: i64, present: Vec<usize>) -> Result<RawScene, Reject> {
+        let Self { unit, first_holdout_frame, .. } = self;
+        let n_timesteps = self.horizon.n_timesteps();
         let end_frame = first_frame + n_timesteps as i64;
         let reject = |reason, detail: &str| {
             Err(unit.reject(reason, format!("frames {first_frame} to {}{detail}", end_frame - 1)))
         };
         let split = match unit.split {
             UnitSplit::All(split) => split,
-            UnitSplit::Divided if end_frame <= first_holdout_frame => Split::Train,
-            UnitSplit::Divided if first_frame >= first_holdout_frame => Split::Val,
+            UnitSplit::Divided if end_frame <= *first_holdout_frame => Split::Train,
+            UnitSplit::Divided if first_frame >= *first_holdout_frame => Split::Val,
             UnitSplit::Divided => {
                 return reject("window_across_holdout", &format!(": val begins at {first_holdout_frame}"));
             }
@@ -94,10 +118,9 @@ pub(super) fn windows(unit: &RawUnit, horizon: Horizon, config: &IngestConfig) -
             return reject("empty_window", ": nobody is tracked");
         }
         let case = format!("{}@{first_frame}", unit.case_id);
-        let cut = Cut { unit, split, case, first_frame, n_timesteps, n_history: horizon.n_history };
-        Ok(cut.scene(&tracks, present))
-    };
-    present.into_iter().enumerate().map(window).collect()
+        let cut = Cut { unit, split, case, first_frame, n_timesteps, n_history: self.horizon.n_history };
+        Ok(cut.scene(&self.tracks, present))
+    }
 }
 
 /// The vehicles' and the pedestrians' tables of a recording.

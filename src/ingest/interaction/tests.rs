@@ -1,9 +1,9 @@
 //! From files to scenes: small tables written out here, damaged ones, and all of the development data.
 
 use super::*;
-use crate::ingest::UnitSplit;
 use crate::ingest::archive::visit_entries;
 use crate::ingest::test_data::{self, test_data};
+use crate::ingest::{RawScene, Reject, UnitSplit};
 use crate::scene::{AgentClass, Split, TrackRole};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -44,12 +44,16 @@ fn read_units(config: &IngestConfig) -> Result<Vec<Result<RawUnit, Reject>>, Err
     Ok(units)
 }
 
+fn parse(source: &Interaction<'_>, unit: RawUnit) -> Vec<Result<RawScene, Reject>> {
+    source.parse(unit).into_iter().map(|scene| scene()).collect()
+}
+
 fn read_scenes(config: &IngestConfig) -> Vec<Result<RawScene, Reject>> {
     let source = Interaction::new(config);
     let units = read_units(config).unwrap();
     units
         .into_iter()
-        .flat_map(|unit| unit.map_or_else(|reject| vec![Err(reject)], |unit| source.parse(&unit)))
+        .flat_map(|unit| unit.map_or_else(|reject| vec![Err(reject)], |unit| parse(&source, unit)))
         .collect()
 }
 
@@ -406,7 +410,7 @@ proptest::proptest! {
         if let Ok(units) = read_units(&config) {
             let source = Interaction::new(&config);
             for unit in units.into_iter().flatten() {
-                for scene in source.parse(&unit).into_iter().flatten() {
+                for scene in parse(&source, unit).into_iter().flatten() {
                     let states = || scene.tracks.iter().flat_map(|track| track.trajectory.valid());
                     assert!(states().all(|(_, state)| state.is_finite()));
                     assert!(scene.tracks.iter().all(|track| track.trajectory.n_timesteps() == scene.n_timesteps));

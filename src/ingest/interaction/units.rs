@@ -2,15 +2,15 @@
 
 use super::columns::TrackColumns;
 use super::path::{RecordingPart, TrackFile, stem};
-use super::recordings::Recordings;
+use super::recordings::{RecordingKey, Recordings};
 use super::scattered::{MAX_GATHERED_BYTES, Survey};
 use super::{CASE_HORIZON, Interaction};
 use crate::ingest::archive::Entry;
 use crate::ingest::csv_rows::Lines;
 use crate::ingest::quotes::without_quotes;
-use crate::ingest::{EmitUnit, Error, Horizon, RawUnit, UnitReader};
+use crate::ingest::{EmitUnit, Error, Horizon, RawUnit, Reject, UnitReader};
 use std::borrow::Cow;
-use std::io::{self, BufRead};
+use std::io::{self, BufRead, Read};
 use std::ops::ControlFlow;
 
 /// Largest file of a v1.1 recording; those of 5 minutes of dense traffic have 20 MB.
@@ -32,18 +32,32 @@ impl<'a> TableReader<'a> {
         Self { source, recordings: Recordings::default(), surveys: Vec::new(), pass: None, n_entries_of_pass: 0 }
     }
 
-    /// What there is in a table of cases; nothing in other files.
-    fn survey(reader: &mut dyn BufRead) -> Survey {
+    /// What there is in a table of cases. Of recordings it is noted that they are there.
+    fn survey(&mut self, entry: &Entry, part: &RecordingPart, reader: &mut dyn BufRead) -> Survey {
         let mut lines = Lines::new(reader);
         let columns = match lines.next() {
             Ok(Some((_, header))) => TrackColumns::of(header, false).ok(),
             // This is told in the next pass.
             Ok(None) | Err(_) => None,
         };
-        match columns.filter(|columns| columns.case_id.is_some()) {
-            Some(columns) => Survey::of(&mut lines, &columns, MAX_GATHERED_BYTES),
-            None => Survey::default(),
+        if let Some(columns) = columns.filter(|columns| columns.case_id.is_some()) {
+            return Survey::of(&mut lines, &columns, MAX_GATHERED_BYTES);
         }
+        let n_bytes = entry.size.unwrap_or_else(|| {
+            let rest = &mut Read::take(&mut *reader, MAX_RECORDING_BYTES);
+            // What cannot be read is told in the next pass, too.
+            io::copy(rest, &mut io::sink()).unwrap_or(MAX_RECORDING_BYTES)
+        });
+        self.recordings.note(RecordingKey::of(entry, part), part.is_pedestrians, n_bytes);
+        Survey::default()
+    }
+}
+
+impl TableReader<'_> {
+    /// Emits what is wrong with a file, and its counterpart, if there is one, alone.
+    fn leave_out(&mut self, reject: Reject, key: &RecordingKey, emit: &mut EmitUnit<'_>) -> ControlFlow<()> {
+        emit(Err(reject))?;
+        self.recordings.give_up(key, emit)
     }
 }
 
@@ -57,18 +71,23 @@ impl UnitReader for TableReader<'_> {
         let Some(file) = TrackFile::of(&entry.container, &entry.path).filter(|file| self.source.wants(file)) else {
             return Ok(ControlFlow::Continue(()));
         };
+        let part = file
+            .recording
+            .clone()
+            .unwrap_or_else(|| RecordingPart { number: stem(&entry.path).to_owned(), is_pedestrians: false });
         let Some(pass) = self.pass else {
-            self.surveys.push(Self::survey(reader));
+            let survey = self.survey(entry, &part, reader);
+            self.surveys.push(survey);
             return Ok(ControlFlow::Continue(()));
         };
         let entry_idx = self.n_entries_of_pass;
         self.n_entries_of_pass += 1;
         let n_gathering_passes = self.surveys.get(entry_idx).map_or(0, |survey| survey.n_gathering_passes);
-        if pass > 0 && pass >= n_gathering_passes {
+        let key = RecordingKey::of(entry, &part);
+        let is_due =
+            if n_gathering_passes > 0 { pass < n_gathering_passes } else { pass == self.recordings.pass_of(&key) };
+        if !is_due {
             return Ok(ControlFlow::Continue(()));
-        }
-        if self.recordings.enter(&entry.container, &entry.path, emit).is_break() {
-            return Ok(ControlFlow::Break(()));
         }
         let mut unit = RawUnit {
             file: entry.path.clone(),
@@ -80,12 +99,11 @@ impl UnitReader for TableReader<'_> {
         let mut lines = Lines::new(reader);
         let header = match lines.next() {
             Ok(line) => line.map(|(_, line)| line.to_vec()).unwrap_or_default(),
-            Err(error) => return Ok(emit(Err(unit.reject("unreadable", error)))),
+            Err(error) => return Ok(self.leave_out(unit.reject("unreadable", error), &key, emit)),
         };
-        let is_pedestrians = file.recording.as_ref().is_some_and(|part| part.is_pedestrians);
-        let columns = match TrackColumns::of(&header, is_pedestrians) {
+        let columns = match TrackColumns::of(&header, part.is_pedestrians) {
             Ok(columns) => columns,
-            Err(detail) => return Ok(emit(Err(unit.reject("bad_header", detail)))),
+            Err(detail) => return Ok(self.leave_out(unit.reject("bad_header", detail), &key, emit)),
         };
 
         if columns.case_id.is_some() {
@@ -103,21 +121,21 @@ impl UnitReader for TableReader<'_> {
         unit.bytes.push(b'\n');
         if let Err(error) = lines.read_rest(&mut unit.bytes, MAX_RECORDING_BYTES) {
             let is_too_large = error.kind() == io::ErrorKind::FileTooLarge;
-            return Ok(emit(Err(unit.reject(if is_too_large { "too_large" } else { "unreadable" }, error))));
+            let reject = unit.reject(if is_too_large { "too_large" } else { "unreadable" }, error);
+            return Ok(self.leave_out(reject, &key, emit));
         }
         if let Cow::Owned(plain) = without_quotes(&unit.bytes) {
             unit.bytes = plain;
         }
-        let part =
-            file.recording.unwrap_or_else(|| RecordingPart { number: stem(&entry.path).to_owned(), is_pedestrians });
-        unit.case_id.clone_from(&part.number);
-        Ok(self.recordings.add(unit, &part, emit))
+        unit.case_id = part.number;
+        Ok(self.recordings.add(key, unit, part.is_pedestrians, emit))
     }
 
     fn next_pass(&mut self) -> bool {
         let pass = self.pass.map_or(0, |pass| pass + 1);
         (self.pass, self.n_entries_of_pass) = (Some(pass), 0);
-        pass == 0 || self.surveys.iter().any(|survey| pass < survey.n_gathering_passes)
+        let n_gathering_passes = self.surveys.iter().map(|survey| survey.n_gathering_passes).max();
+        pass < n_gathering_passes.unwrap_or(0).max(self.recordings.n_passes()).max(1)
     }
 
     fn finish(&mut self, emit: &mut EmitUnit<'_>) -> Result<ControlFlow<()>, Error> {

@@ -11,6 +11,7 @@ pub use load::{ConfigError, ConfigPlace, parse};
 pub use overrides::Override;
 
 use crate::evaluate::EvaluateConfig;
+use crate::files::regular;
 use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
 use crate::nn::Precision;
@@ -102,7 +103,7 @@ impl PipelineConfig {
     /// Reads a pipeline file (none: all defaults) and applies overrides such as `mine.splits=["val"]`.
     pub fn load(path: Option<&Path>, overrides: &[String]) -> Result<Self> {
         let text = match path {
-            Some(path) => fs_err::read_to_string(path).map_err(Failure::input)?,
+            Some(path) => regular(path).and_then(|_| fs_err::read_to_string(path)).map_err(Failure::input)?,
             None => String::new(),
         };
         let mut config = parse(path, &text, overrides).map_err(|error| {

@@ -2,7 +2,7 @@
 
 use super::train::{Recipe, Source, checkpoint_file};
 use super::training_scenes::TrainingScenes;
-use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::behavior::BehaviorEvent;
 use crate::model::{ClassifierSpec, TrainedDenoiser};
 use crate::pipeline::layout::{CLASSIFIER, Layout};
 use crate::pipeline::{Failure, Result, StageId, fingerprint_path};
@@ -35,13 +35,11 @@ impl Recipe for ClassifierTrainingConfig {
     fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let store = SceneStore::open(&layout.scenes)?;
         let denoiser = TrainedDenoiser::read(&checkpoint_file(&layout.denoiser), job.compute)?;
-        let events = read_events(&layout.events, |event| {
-            event.behavior == self.behavior || event.label == EventLabel::Positive
-        })?;
+        let events = read_events(&layout.events, |event| event.behavior == self.behavior)?;
         let roles = roles(&self.behavior, &events)?;
         let TrainingScenes { train, held_out } = TrainingScenes::new(store.index(), &self.splits, &self.places);
         let gather = |scenes: &[usize], max_examples: usize, purpose: &str| {
-            let mined = mined(&self.behavior, &store, &events, scenes);
+            let mined = mined(&store, &events, scenes);
             PairExamples::gather(&store, &mined, max_examples, job.seed.derive(purpose, &[]))
         };
         let (train, held_out) = (
@@ -64,20 +62,17 @@ impl Recipe for ClassifierTrainingConfig {
 
 /// The roles of the behavior, from its events.
 fn roles(behavior: &str, events: &[BehaviorEvent]) -> Result<Vec<String>> {
-    let Some(event) = events.iter().find(|event| event.behavior == behavior) else {
-        let n_positive = events.iter().filter(|event| event.label == EventLabel::Positive).count();
-        let message = format!("no events of {behavior} to train on ({n_positive} positive events of other behaviors)");
-        return Err(Failure::input_message(message)
+    let Some(event) = events.first() else {
+        return Err(Failure::input_message(format_args!("no events of {behavior} to train on"))
             .with_hint(format!("add {{ kind = \"{behavior}\" }} to mine.behaviors, or ingest more scenes")));
     };
     Ok(event.roles.names().map(str::to_owned).collect())
 }
 
-/// The behavior's events in the given scenes, in the order of the event table.
-fn mined<'e>(behavior: &str, store: &SceneStore, events: &'e [BehaviorEvent], scenes: &[usize]) -> Vec<MinedEvent<'e>> {
+/// Those of the events that are in the given scenes, in the order of the event table.
+fn mined<'e>(store: &SceneStore, events: &'e [BehaviorEvent], scenes: &[usize]) -> Vec<MinedEvent<'e>> {
     let scene_idx: BTreeMap<&str, usize> = scenes.iter().map(|idx| (store.index()[*idx].id.0.as_str(), *idx)).collect();
-    let of_behavior = events.iter().filter(|event| event.behavior == behavior);
-    of_behavior
-        .filter_map(|event| Some(MinedEvent { scene_idx: *scene_idx.get(event.scene_id.0.as_str())?, event }))
-        .collect()
+    let mined =
+        |event: &'e BehaviorEvent| Some(MinedEvent { scene_idx: *scene_idx.get(event.scene_id.0.as_str())?, event });
+    events.iter().filter_map(mined).collect()
 }

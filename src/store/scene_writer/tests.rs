@@ -36,7 +36,7 @@ fn write_rest(writer: &mut SceneWriter, done: u64, n_batches: usize) {
         let needed: BTreeSet<&MapId> = scenes.iter().filter_map(|scene| scene.map_id.as_ref()).collect();
         let maps = all.iter().flat_map(|(_, maps, _)| maps).filter(|(id, _)| needed.contains(id));
         let maps: Vec<_> = maps.filter(|(id, _)| given.insert(id.clone())).cloned().collect();
-        writer.write_batch(scenes, &maps, *units_done, &json!({ "units": units_done })).unwrap();
+        writer.write_batch(scenes, &maps, Some(*units_done), &json!({ "units": units_done })).unwrap();
     }
 }
 
@@ -56,6 +56,20 @@ fn shards_end_with_the_batch_that_fills_them() {
     assert_eq!(n_maps, [1, 1, 1]);
     assert_eq!((manifest.n_scenes, manifest.n_maps), (12, 3));
     assert_eq!(SceneManifest::read(dir.path()).unwrap(), manifest);
+}
+
+#[test]
+fn a_shard_never_ends_within_a_unit() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut writer = SceneWriter::create(dir.path(), OPTIONS).unwrap();
+    let all: Vec<Scene> = (0..9).map(|seed| scene(seed, None)).collect();
+    for (scenes, units_done) in [(0..5, None), (5..6, Some(1)), (6..9, Some(2))] {
+        writer.write_batch(&all[scenes], &[], units_done, &json!({ "units": units_done })).unwrap();
+    }
+    std::mem::forget(writer);
+    let (_, last) = SceneWriter::resume(dir.path(), OPTIONS).unwrap();
+    let last = last.expect("a whole shard");
+    assert_eq!((last.shard.n_scenes, last.units_done, last.report), (6, 1, json!({ "units": 1 })));
 }
 
 #[test]
@@ -123,9 +137,9 @@ fn a_scene_that_comes_twice_is_refused_even_after_an_interruption() {
     let options = SceneWriterOptions { scenes_per_shard: 3 };
     let mut writer = SceneWriter::create(dir.path(), options).unwrap();
     let (scenes, maps, units) = &batches[0];
-    writer.write_batch(scenes, maps, *units, &json!({})).unwrap();
+    writer.write_batch(scenes, maps, Some(*units), &json!({})).unwrap();
     for mut writer in [writer, SceneWriter::resume(dir.path(), options).unwrap().0] {
-        let error = writer.write_batch(&scenes[1..2], &[], units + 1, &json!({})).unwrap_err();
+        let error = writer.write_batch(&scenes[1..2], &[], Some(units + 1), &json!({})).unwrap_err();
         assert!(matches!(&error, Error::DuplicateScene { id } if *id == scenes[1].id.0), "{error}");
     }
 }
@@ -135,7 +149,7 @@ fn a_scene_whose_map_was_never_given_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let mut writer = SceneWriter::create(dir.path(), OPTIONS).unwrap();
     let scenes = [scene(1, Some((&MapId::from("PIT"), &map(1, 8))))];
-    let error = writer.write_batch(&scenes, &[], 1, &Value::Null).unwrap_err();
+    let error = writer.write_batch(&scenes, &[], Some(1), &Value::Null).unwrap_err();
     assert_eq!(error.to_string(), "cannot store argoverse1/train/PIT/1: its map was not given before it");
 }
 
@@ -147,6 +161,6 @@ fn states_that_are_not_finite_are_refused_by_name() {
     let mut states = scene.tracks[0].trajectory.entries().to_vec();
     states[5].as_mut().unwrap().velocity.x = 1e300;
     scene.tracks[0].trajectory = crate::scene::Trajectory::new(states);
-    let error = writer.write_batch(&[scene], &[], 1, &Value::Null).unwrap_err();
+    let error = writer.write_batch(&[scene], &[], Some(1), &Value::Null).unwrap_err();
     assert!(error.to_string().contains("track track-0 is not finite at timestep 5"), "{error}");
 }

@@ -1,0 +1,328 @@
+//! What memory does training or sampling take, and does the machine have it?
+//!
+//! An estimate of batches: numbers of four bytes that networks, optimizer and the results of their operations are, from the closed forms of
+//! [`NumberCounts`], times what was measured to come on top. pipelines/README.md compares it with measured peaks.
+
+use super::config::PipelineConfig;
+use super::graph::{Action, PlannedStage};
+use super::layout::Layout;
+use super::stages::checkpoint_file;
+use super::{DeviceChoice, Failure, Result, StageId};
+use crate::ingest::usual_horizon;
+use crate::model::{DenoiserSpec, NetworkConfig, NumberCounts, SceneSize, TrainedModel};
+use crate::store::SceneStore;
+use candle_core::Device;
+
+/// Bytes of a number.
+const NUMBER: f64 = 4.0;
+/// The program itself with its tables, and what it keeps of scenes, bytes.
+const BASE: f64 = 60e6;
+/// Copies of the parameters while they are trained: themselves, gradients, two moments, their average, and the state that is saved.
+const TRAINED_COPIES: f64 = 6.0;
+/// Results and their gradients, with what the allocator keeps between them, per result of an operation. Measured.
+const TRAINED_RESULTS: f64 = 2.2;
+/// Agents of a busy scene, where scenes are not ingested yet.
+const N_AGENTS: usize = 16;
+
+/// What a stage takes, in bytes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StageMemory {
+    /// The stage.
+    pub stage: StageId,
+    /// What it takes whatever its batches are.
+    fixed: f64,
+    /// What each row of a batch adds.
+    per_row: f64,
+    /// Rows of a batch.
+    batch_size: usize,
+    /// The size of scenes that it is for.
+    scene: SceneSize,
+}
+
+impl StageMemory {
+    fn trained(stage: StageId, counts: NumberCounts, batch_size: usize, scene: SceneSize) -> Self {
+        let fixed = BASE + NUMBER * TRAINED_COPIES * counts.parameters;
+        Self { stage, fixed, per_row: NUMBER * TRAINED_RESULTS * counts.activations, batch_size, scene }
+    }
+
+    fn sampled(counts: NumberCounts, batch_size: usize, scene: SceneSize) -> Self {
+        let (fixed, per_row) = (BASE + NUMBER * counts.parameters, NUMBER * counts.alive);
+        Self { stage: StageId::Generate, fixed, per_row, batch_size, scene }
+    }
+
+    /// All of it.
+    pub fn bytes(&self) -> f64 {
+        self.fixed + self.per_row * self.batch_size as f64
+    }
+
+    /// The estimate for people.
+    pub fn describe(&self) -> String {
+        let SceneSize { n_agents, n_timesteps, .. } = self.scene;
+        format!("about {} of memory, with scenes of {n_agents} agents and {n_timesteps} timesteps", size(self.bytes()))
+    }
+
+    /// Refuses what cannot fit into `machine` bytes.
+    fn check(&self, machine: u64) -> Result<()> {
+        let machine = machine as f64;
+        if self.bytes() <= machine {
+            return Ok(());
+        }
+        let section = self.stage.facts().section;
+        let fits = ((machine - self.fixed) / self.per_row).floor();
+        let advice = match fits >= 1.0 {
+            true => format!("set {section}.batch_size to {fits} or less, or choose a smaller network"),
+            false => "not even a batch of one fits: choose a smaller network, or scenes of fewer agents".to_owned(),
+        };
+        Err(Failure::input_message(format_args!(
+            "{section}.batch_size is {}, for which {} takes {}; this machine has {}",
+            self.batch_size,
+            self.stage,
+            self.describe(),
+            size(machine)
+        ))
+        .with_hint(advice))
+    }
+}
+
+/// What those of the stages take that train or sample on the processor, in their order.
+///
+/// # Errors
+/// When the section of one of them makes no sense.
+pub fn estimate_memory(config: &PipelineConfig, layout: &Layout, stages: &[StageId]) -> Result<Vec<StageMemory>> {
+    if config.run.device != DeviceChoice::Cpu {
+        return Ok(Vec::new());
+    }
+    let largest = SceneStore::open(&layout.scenes).ok().and_then(|store| {
+        let index = store.index();
+        Some((index.iter().map(|scene| scene.n_agents).max()?, index.iter().map(|scene| scene.n_timesteps).max()?))
+    });
+    let scene = |max_agents: usize, n_lanes: usize, state_dim: Option<usize>| -> Result<SceneSize> {
+        let (n_agents, n_timesteps) = match (largest, &config.ingest) {
+            (Some(largest), _) => largest,
+            (None, Some(ingest)) => (N_AGENTS.min(ingest.max_agents), usual_horizon(ingest)?.n_timesteps()),
+            (None, None) => (N_AGENTS, 40),
+        };
+        Ok(SceneSize { n_agents: n_agents.min(max_agents), n_timesteps, n_lanes, state_dim: state_dim.unwrap_or(3) })
+    };
+    let train = &config.train;
+    let of_stage = |stage: StageId| -> Result<Option<StageMemory>> {
+        let denoiser = || denoiser_of(config, layout, &scene);
+        Ok(match stage {
+            StageId::TrainDenoiser => match train.denoiser.as_ref().filter(|section| section.checkpoint.is_none()) {
+                Some(section) => {
+                    let resolved = section.resolve()?;
+                    let scene = scene(resolved.max_agents, resolved.max_lanes, section.state_dim)?;
+                    let counts = resolved.network.number_counts(scene);
+                    Some(StageMemory::trained(stage, counts, resolved.common.batch_size, scene))
+                }
+                None => None,
+            },
+            StageId::TrainDistill => match train.distill.as_ref().filter(|section| section.checkpoint.is_none()) {
+                Some(section) => denoiser()?.map(|(network, scene)| {
+                    StageMemory::trained(stage, network.number_counts(scene), section.batch_size, scene)
+                }),
+                None => None,
+            },
+            StageId::TrainClassifier => {
+                match train.classifier.as_ref().filter(|section| section.checkpoint.is_none()) {
+                    Some(section) => {
+                        let scene = scene(N_AGENTS, 0, None)?;
+                        let counts = section.network.number_counts(scene);
+                        Some(StageMemory::trained(stage, counts, section.batch_size, scene))
+                    }
+                    None => None,
+                }
+            }
+            StageId::TrainBaseline => match train.baseline.as_ref().filter(|section| section.checkpoint.is_none()) {
+                Some(section) => {
+                    let resolved = section.resolve()?;
+                    let scene = scene(resolved.max_agents, resolved.max_lanes, section.state_dim)?;
+                    let counts = resolved.network.number_counts(scene);
+                    Some(StageMemory::trained(stage, counts, resolved.common.batch_size, scene))
+                }
+                None => None,
+            },
+            StageId::Generate => match &config.generate {
+                Some(section) => denoiser()?.map(|(network, scene)| {
+                    StageMemory::sampled(network.number_counts(scene), section.batch_size, scene)
+                }),
+                None => None,
+            },
+            StageId::Ingest | StageId::Mine | StageId::Evaluate | StageId::Report => None,
+        })
+    };
+    stages.iter().filter_map(|stage| of_stage(*stage).transpose()).collect()
+}
+
+/// The denoiser's network and the scenes that it is shown: as it will be trained, or as its checkpoint says. `None` where neither is known.
+fn denoiser_of(
+    config: &PipelineConfig,
+    layout: &Layout,
+    scene: &dyn Fn(usize, usize, Option<usize>) -> Result<SceneSize>,
+) -> Result<Option<(NetworkConfig, SceneSize)>> {
+    let path = match &config.train.denoiser {
+        Some(section) => match &section.checkpoint {
+            Some(path) => checkpoint_file(path),
+            None => {
+                let resolved = section.resolve()?;
+                let scene = scene(resolved.max_agents, resolved.max_lanes, section.state_dim)?;
+                return Ok(Some((resolved.network, scene)));
+            }
+        },
+        None => checkpoint_file(&layout.denoiser),
+    };
+    // Whether it can be read, the stage that reads it says.
+    let Ok(TrainedModel { spec, .. }) = TrainedModel::<DenoiserSpec>::read(&path, &Device::Cpu) else {
+        return Ok(None);
+    };
+    let scene = scene(spec.max_agents, spec.max_lanes, Some(spec.normalizer.state_dim))?;
+    Ok(Some((spec.network, scene)))
+}
+
+/// Refuses stages that are to be run and cannot fit into `machine` bytes of memory.
+///
+/// # Errors
+/// Names the setting, the estimate, what the machine has, and what to lower.
+pub fn check_memory(
+    config: &PipelineConfig,
+    layout: &Layout,
+    planned: &[PlannedStage<'_>],
+    machine: Option<u64>,
+) -> Result<()> {
+    let Some(machine) = machine else { return Ok(()) };
+    let run = planned.iter().filter(|planned| planned.action != Action::Reuse);
+    let run: Vec<StageId> = run.map(|planned| planned.expected.stage).collect();
+    estimate_memory(config, layout, &run)?.iter().try_for_each(|memory| memory.check(machine))
+}
+
+/// The memory that the process may use, bytes: the least limit of its control groups, or all that the machine has. `None` where the
+/// system does not say.
+pub fn machine_memory() -> Option<u64> {
+    memory_limit(&|path| fs_err::read_to_string(path).ok())
+}
+
+/// The same, where `read` gives the content of a file.
+fn memory_limit(read: &dyn Fn(&str) -> Option<String>) -> Option<u64> {
+    let total = read("/proc/meminfo").and_then(|text| {
+        let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?.trim().to_owned();
+        line.strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
+    });
+    let groups = read("/proc/self/cgroup").unwrap_or_default();
+    let mut limits: Vec<u64> = total.into_iter().collect();
+    for line in groups.lines() {
+        let mut parts = line.splitn(3, ':').skip(1);
+        let (Some(controllers), Some(path)) = (parts.next(), parts.next()) else { continue };
+        let (root, file) = match controllers {
+            "" => ("/sys/fs/cgroup", "memory.max"),
+            "memory" => ("/sys/fs/cgroup/memory", "memory.limit_in_bytes"),
+            _ => continue,
+        };
+        // A group has no more than those around it. "max", which is no number, is no limit.
+        let mut path = path.trim_end_matches('/');
+        loop {
+            limits.extend(read(&format!("{root}{path}/{file}")).and_then(|text| text.trim().parse::<u64>().ok()));
+            match path.rsplit_once('/') {
+                Some((parent, _)) => path = parent,
+                None => break,
+            }
+        }
+    }
+    limits.into_iter().min()
+}
+
+/// `640 MB`, `12.3 GB`, `1.2e6 GB`.
+fn size(bytes: f64) -> String {
+    match bytes {
+        b if b < 1e9 => format!("{:.0} MB", b / 1e6),
+        b if b < 1e15 => format!("{:.1} GB", b / 1e9),
+        b => format!("{:.1e} GB", b / 1e9),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::{graph, stages};
+    use std::collections::BTreeMap;
+    use std::path::Path;
+
+    fn config(text: &str) -> PipelineConfig {
+        toml::from_str(text).unwrap()
+    }
+
+    fn check(text: &str, machine: u64) -> Result<()> {
+        let (config, dir) = (config(text), tempfile::tempdir().unwrap());
+        let layout = Layout::below(dir.path());
+        let planned = graph::plan(dir.path(), stages::of_pipeline(&config, &layout)?, &[])?;
+        check_memory(&config, &layout, &planned, Some(machine))
+    }
+
+    #[test]
+    fn what_cannot_fit_is_refused_with_what_would() {
+        let recordings = format!("{}/tests/fixtures/recordings/argoverse1", env!("CARGO_MANIFEST_DIR"));
+        let text = |batch_size: u64| {
+            format!(
+                "[ingest]\ndataset = 'argoverse1'\ninputs = ['{recordings}']
+                [train.denoiser]\nbatch_size = {batch_size}\n[generate]\nbatch_size = {batch_size}
+                [[generate.sweeps]]\nname = 'plain'\nn_scenes = 1"
+            )
+        };
+        check(&text(16), 8 << 30).unwrap();
+        let failure = check(&text(10_000), 8 << 30).unwrap_err();
+        assert_eq!(failure.blame, super::super::Blame::Input);
+        let message = format!("{:#}", failure.error);
+        for part in ["train.denoiser.batch_size is 10000", "16 agents and 50 timesteps", "this machine has 8.6 GB"] {
+            assert!(message.contains(part), "{message}");
+        }
+        let hint = failure.hint.unwrap();
+        let fits: u64 = hint.split(' ').find_map(|word| word.parse().ok()).unwrap();
+        assert!(check(&text(fits), 8 << 30).is_ok() && check(&text(fits + 1), 8 << 30).is_err(), "{hint}");
+        let failure = check(&text(1), 100 << 20).unwrap_err();
+        assert!(failure.hint.unwrap().contains("not even a batch of one fits"));
+    }
+
+    #[test]
+    fn stages_without_networks_are_not_estimated_and_checkpoints_are_not_trained() {
+        let layout = Layout::below(Path::new("/nowhere"));
+        let stages = |text: &str| -> Vec<StageId> {
+            let found = estimate_memory(&config(text), &layout, &StageId::ALL).unwrap();
+            found.iter().map(|found| found.stage).collect()
+        };
+        let model = format!("{}/pipelines/models/geometric.safetensors", env!("CARGO_MANIFEST_DIR"));
+        assert_eq!(
+            stages("[mine]\n[evaluate]\n[train.classifier]\n[train.baseline]"),
+            [StageId::TrainClassifier, StageId::TrainBaseline]
+        );
+        let checkpoint = format!("[train.denoiser]\ncheckpoint = '{model}'\n[train.distill]\n[generate]");
+        assert_eq!(stages(&checkpoint), [StageId::TrainDistill, StageId::Generate]);
+        assert_eq!(stages("[run]\ndevice = 'cuda'\n[train.denoiser]"), []);
+        assert_eq!(stages("[generate]"), [], "there is no denoiser to tell");
+    }
+
+    #[test]
+    fn the_least_limit_counts() {
+        let limit = |files: &[(&str, &str)]| {
+            let files: BTreeMap<&str, &str> = files.iter().copied().collect();
+            memory_limit(&|path| files.get(path).map(|text| (*text).to_owned()))
+        };
+        let total = ("/proc/meminfo", "MemTotal:       16000 kB\nMemFree:  2 kB\n");
+        assert_eq!((limit(&[]), limit(&[total])), (None, Some(16_384_000)));
+        let group = ("/proc/self/cgroup", "0::/user/job\n");
+        let job = |text| ("/sys/fs/cgroup/user/job/memory.max", text);
+        assert_eq!(limit(&[total, group, job("max\n")]), Some(16_384_000));
+        assert_eq!(limit(&[total, group, job("1000\n")]), Some(1000));
+        let around = ("/sys/fs/cgroup/user/memory.max", "900\n");
+        assert_eq!(limit(&[total, group, job("1000\n"), around]), Some(900));
+        assert_eq!(limit(&[total, ("/proc/self/cgroup", "0::/\n"), ("/sys/fs/cgroup/memory.max", "800")]), Some(800));
+        let first = [
+            ("/proc/self/cgroup", "3:cpu:/x\n7:memory:/x\n"),
+            ("/sys/fs/cgroup/memory/x/memory.limit_in_bytes", "700"),
+        ];
+        assert_eq!(limit(&[total, first[0], first[1]]), Some(700));
+    }
+
+    #[test]
+    fn sizes_are_short() {
+        assert_eq!([64e6, 8.6e9, 3.2e17].map(size), ["64 MB", "8.6 GB", "3.2e8 GB"]);
+    }
+}
