@@ -36,7 +36,7 @@ fn corpora_of_every_version_are_read() {
         assert!(reader.metrics().unwrap().iter().any(|row| row.scenario_id.is_some()));
         let path = folder.to_str().unwrap();
         let checked = djinn(&["corpus", "validate", path]).expect(0).stdout;
-        assert!(checked.contains("whole: 0 damages"), "{checked}");
+        assert!(checked.contains("whole: 0 errors"), "{checked}");
         assert!(djinn(&["inspect", path]).expect(0).stdout.starts_with("corpus"));
         let n_bytes: u64 = reader.manifest().n_bytes();
         assert!(n_bytes < 300_000, "{path} has {n_bytes} bytes: fixtures must be small");
@@ -62,7 +62,7 @@ fn an_old_corpus_holds_the_same_as_the_new_one() {
     let workspace = Workspace::new();
     let out = workspace.arg("both");
     let outcome = djinn(&["corpus", "merge", FLAT, PARTITIONED, "--out", &out]).expect(0);
-    assert!(outcome.stderr.contains("7 scenarios were in several corpora and came once"), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("7 scenarios were in several corpora and were written once"), "{}", outcome.stderr);
     // The recordings come from the one that has them.
     let manifest = CorpusManifest::read(Path::new(&out)).unwrap();
     let present = CorpusManifest::read(Path::new(PARTITIONED)).unwrap();

@@ -196,7 +196,7 @@ fn rows_are_generated_again(workspace: &Workspace, root: &Path) {
         assert!(outcome.stderr.contains(part), "{}", outcome.stderr);
     };
     let unknown = djinn(&["regenerate", "0123", "--from", from]).expect(1);
-    assert!(unknown.stderr.contains("no scenario 0123"), "{}", unknown.stderr);
+    assert!(unknown.stderr.contains("scenario 0123 is not among"), "{}", unknown.stderr);
     told(
         &["--denoiser", &workspace.arg("nowhere")],
         2,
