@@ -200,7 +200,7 @@ fn rows_are_generated_again(workspace: &Workspace, root: &Path) {
     told(
         &["--denoiser", &workspace.arg("nowhere")],
         2,
-        "the denoiser that the scenario was generated with is not there",
+        "the denoiser that generated the scenario is missing",
     );
     told(&["--denoiser", "pipelines/models/simulated_places.safetensors"], 1, "its fingerprint was");
     told(&["--scenes", corpus], 1, "manifest.json");
