@@ -60,12 +60,13 @@ fn the_present_version_has_a_fixture() {
 #[test]
 fn an_old_corpus_holds_the_same_as_the_new_one() {
     let workspace = Workspace::new();
-    let out = workspace.arg("both");
+    let (out, copy) = (workspace.arg("both"), workspace.arg("copy"));
     let outcome = djinn(&["corpus", "merge", FLAT, PARTITIONED, "--out", &out]).expect(0);
     assert!(outcome.stderr.contains("7 scenarios were in several corpora and were written once"), "{}", outcome.stderr);
-    // The recordings come from the one that has them.
+    // The recordings come from the one that has them. Tables are written with the present descriptions of columns.
+    djinn(&["corpus", "filter", PARTITIONED, "--where", "scenario_id is present", "--out", &copy]).expect(0);
     let manifest = CorpusManifest::read(Path::new(&out)).unwrap();
-    let present = CorpusManifest::read(Path::new(PARTITIONED)).unwrap();
+    let present = CorpusManifest::read(Path::new(&copy)).unwrap();
     assert_eq!((manifest.n_scenarios, manifest.n_recordings), (7, present.n_recordings));
     assert_eq!(manifest.tables["tracks"], present.tables["tracks"]);
     assert_eq!(manifest.tables["recordings"], present.tables["recordings"]);
