@@ -106,7 +106,7 @@ fn mistakes_name_the_place_and_the_nearest_name() {
     let outcome = workspace.run("out", &["--dry-run"]).expect(1);
     assert!(outcome.stderr.contains("small.toml:3:2"), "{}", outcome.stderr);
     let outcome = djinn(&["mine", "--output", &workspace.arg("empty")]).expect(1);
-    assert!(outcome.stderr.contains("`djinn ingest` makes it"), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("`djinn ingest` writes it"), "{}", outcome.stderr);
     // Before anything is trained for it.
     let pipeline = root().join("pipelines/few_evaluations.toml").display().to_string();
     let outcome = djinn(&["run", &pipeline, "--dry-run", "--set", "train.distill.method.n_steps=3"]).expect(1);
