@@ -74,9 +74,9 @@ fn mistakes_name_the_place_and_the_nearest_name() {
         ),
         (&["--set", "train.denoiser.preset=smal"], &["unknown value `smal`", "did you mean `small`"]),
         (&["--set", "mine.behaviors=[{ kind = \"cutin\" }]"], &["did you mean `cut_in`"]),
-        (&["--set", "generate.sweeps.7.n_scenes=3"], &["index 7 is outside an array of 2"]),
+        (&["--set", "generate.sweeps.7.n_scenes=3"], &["index 7 is out of range for an array of 2"]),
         (&["--set", "generate.sweeps.1.behavior=left_turn"], &["left_turn", "mine.behaviors"]),
-        (&["--set", "evaluate.metrics=[\"min_ade\"]"], &["there is no metric min_ade", "did you mean `min_ade_m`"]),
+        (&["--set", "evaluate.metrics=[\"min_ade\"]"], &["unknown metric min_ade", "did you mean `min_ade_m`"]),
         (&["--set", "ingest.inputs=[\"nowhere.zip\"]"], &["nowhere.zip", "relative to the current directory"]),
         (&["--set", "run.name=a/b"], &["a/b", "cannot name a folder"]),
         (&["--set", "train.denoiser.steps=0"], &["train.denoiser.steps"]),
@@ -106,7 +106,7 @@ fn mistakes_name_the_place_and_the_nearest_name() {
     let outcome = workspace.run("out", &["--dry-run"]).expect(1);
     assert!(outcome.stderr.contains("small.toml:3:2"), "{}", outcome.stderr);
     let outcome = djinn(&["mine", "--output", &workspace.arg("empty")]).expect(1);
-    assert!(outcome.stderr.contains("`djinn ingest` makes it"), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("`djinn ingest` writes it"), "{}", outcome.stderr);
     // Before anything is trained for it.
     let pipeline = root().join("pipelines/few_evaluations.toml").display().to_string();
     let outcome = djinn(&["run", &pipeline, "--dry-run", "--set", "train.distill.method.n_steps=3"]).expect(1);

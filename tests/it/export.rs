@@ -123,7 +123,7 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
         ("openlabel", "few", vec![], "is not empty"),
         ("openlabel", "none", vec!["--scenario", "nobody"], "holds no scenario nobody"),
         ("openlabel", "none", vec!["--behavior", "left_turn"], "asked to hold left_turn"),
-        ("interaction", "none", vec!["--free-ego"], "cannot leave the ego out"),
+        ("interaction", "none", vec!["--free-ego"], "cannot leave the ego free"),
         ("commonroad", "none", vec!["--free-ego", "--replay-ego"], "cannot be used with"),
         ("opendrive", "none", vec![], "openscenario"),
         ("openlabel", "small.toml/below", vec![], "small.toml"),
@@ -133,5 +133,5 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
         assert!(!workspace.path("none").exists(), "{format} {more:?}");
     }
     let missing = djinn(&["export", "openlabel", &workspace.arg("nowhere"), "--out", &workspace.arg("none")]).expect(1);
-    assert!(missing.stderr.contains("name the folder `corpus` of a run"), "{}", missing.stderr);
+    assert!(missing.stderr.contains("pass the folder `corpus` of a run"), "{}", missing.stderr);
 }

@@ -196,11 +196,11 @@ fn rows_are_generated_again(workspace: &Workspace, root: &Path) {
         assert!(outcome.stderr.contains(part), "{}", outcome.stderr);
     };
     let unknown = djinn(&["regenerate", "0123", "--from", from]).expect(1);
-    assert!(unknown.stderr.contains("no scenario 0123"), "{}", unknown.stderr);
+    assert!(unknown.stderr.contains("scenario 0123 is not among"), "{}", unknown.stderr);
     told(
         &["--denoiser", &workspace.arg("nowhere")],
         2,
-        "the denoiser that the scenario was generated with is not there",
+        "the denoiser that generated the scenario is missing",
     );
     told(&["--denoiser", "pipelines/models/simulated_places.safetensors"], 1, "its fingerprint was");
     told(&["--scenes", corpus], 1, "manifest.json");

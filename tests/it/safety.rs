@@ -131,11 +131,11 @@ fn what_is_done_again_is_told_beforehand() {
     let ingest = |more: &[&str]| {
         djinn(&[&["ingest", RECORDINGS, "--dataset", "argoverse1", "--output", &out], more].concat()).expect(0)
     };
-    assert!(!ingest(&[]).stderr.contains("done again"));
+    assert!(!ingest(&[]).stderr.contains("runs again"));
     let told = ingest(&["--set", "ingest.limit=3"]).stderr;
-    assert!(told.starts_with("ingest is done again: changed: ingest.limit null -> 3"), "{told}");
+    assert!(told.starts_with("ingest runs again: changed: ingest.limit null -> 3"), "{told}");
     let told = ingest(&["--set", "ingest.limit=3", "--redo"]).stderr;
-    assert!(told.starts_with("ingest is done again: requested by --redo"), "{told}");
+    assert!(told.starts_with("ingest runs again: requested by --redo"), "{told}");
     let unknown = workspace.run("x", &["--redo", "frobnicate"]).expect(1).stderr;
     assert!(unknown.contains("train_denoiser"), "{unknown}");
     let absent = workspace.run("x", &["--redo", "train_baseline", "--dry-run"]).expect(1).stderr;
@@ -196,7 +196,7 @@ fn corpora_and_exports_are_not_written_into_what_they_read() {
     put(&workspace.path("mine.parquet"), "years of work");
     let before = everything(&workspace);
     let (mine, row) = (workspace.arg("mine.parquet"), workspace.arg("a/row.parquet"));
-    for (out, part) in [(&mine, "exists already"), (&row, "lies inside the input corpus")] {
+    for (out, part) in [(&mine, "already exists"), (&row, "lies inside the input corpus")] {
         let outcome = djinn(&["regenerate", "any", "--corpus", &a, "--out", out]);
         refused(&workspace, outcome, &before, &[part, "nothing was changed"]);
     }

@@ -183,7 +183,7 @@ const REFUSED: &[(&[&str], &[&str])] = &[
     // Networks.
     (
         &["train.denoiser.network.layers=TXYZ"],
-        &["train.denoiser.network.layers is \"TXYZ\", in which X is no layer", "T (time)"],
+        &["train.denoiser.network.layers is \"TXYZ\", but X is not a layer", "T (time)"],
     ),
     (
         &["train.denoiser.network.n_heads=3"],
@@ -240,7 +240,7 @@ const REFUSED: &[(&[&str], &[&str])] = &[
         &["generate.sweeps.1.guidance={ sigma_lo = 3.0, sigma_hi = 1.0 }"],
         &["generate.sweeps.1.guidance.sigma_lo is 3, expected at most guidance.sigma_hi, which is 1"],
     ),
-    (&["generate.sweeps.1.strengths=[1.0, 1.0]"], &["generate.sweeps.1.strengths.1 is 1 a second time"]),
+    (&["generate.sweeps.1.strengths=[1.0, 1.0]"], &["generate.sweeps.1.strengths.1 is 1, which is already listed"]),
     (&["generate.sweeps.1.strengths=[0.0, nan]"], &["generate.sweeps.1.strengths.1 is NaN"]),
     (&["generate.sweeps.1.strengths=[inf]"], &["generate.sweeps.1.strengths.0 is inf, expected a finite number"]),
     (&["generate.sweeps.1.strengths=[]"], &["generate.sweeps.1.strengths is empty, expected at least one number"]),
@@ -249,7 +249,7 @@ const REFUSED: &[(&[&str], &[&str])] = &[
         &[
             "generate.sweeps.0.classifier_free={ extra = [{ agents = \"all\", times = \"goal\" }], weights = [0.5, 0.5] }",
         ],
-        &["generate.sweeps.0.classifier_free.weights.1 is 0.5 a second time"],
+        &["generate.sweeps.0.classifier_free.weights.1 is 0.5, which is already listed"],
     ),
     (
         &["generate.sweeps.0.classifier_free={ extra = [{ agents = \"all\", times = \"goal\" }], goal_std_m = -1.0 }"],
@@ -299,7 +299,7 @@ const REFUSED: &[(&[&str], &[&str])] = &[
             REQUEST,
             "generate.requests=[{ name = \"r\", behavior = \"cut_in\", buckets = { gap_m = [0, 10] }, per_bucket = 1, arms = [\"guided\", \"guided\"], budget = { n_samples = 10 } }]",
         ],
-        &["arms.1 is guided a second time"],
+        &["arms.1 is guided, which is already listed"],
     ),
     (
         &[
@@ -331,7 +331,7 @@ const REFUSED: &[(&[&str], &[&str])] = &[
     ),
     (
         &["generate.arms=[{ name = \"a\", strengths = [2.0, 2.0] }]"],
-        &["generate.arms.0.strengths.1 is 2 a second time"],
+        &["generate.arms.0.strengths.1 is 2, which is already listed"],
     ),
     (
         &["generate.arms=[{ name = \"a\" }, { name = \"a\" }]"],

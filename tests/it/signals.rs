@@ -44,7 +44,8 @@ fn a_run_says_what_stays_and_ends_by_the_signal() {
         send(&child, signal);
         let (ended_by, said) = ended(child);
         assert_eq!(ended_by, Some(number), "{said}");
-        let expected = format!("ended by SIG{signal}: what is finished stays in {}, ", folder.display());
+        let expected =
+            format!("ended by SIG{signal}: finished shards and saved training states are kept in {}", folder.display());
         assert!(said.contains(&expected) && said.contains("run the same command again to continue"), "{said}");
     }
 }
@@ -80,7 +81,7 @@ fn a_tool_says_that_nothing_came_to_be() {
     send(&child, "TERM");
     let (ended_by, said) = ended(child);
     assert_eq!(ended_by, Some(15), "{said}");
-    assert!(said.contains(&format!("ended by SIGTERM: {out} is as it was")), "{said}");
+    assert!(said.contains(&format!("ended by SIGTERM: {out} is unchanged")), "{said}");
     assert!(!workspace.path("new").exists());
     drop(held);
     djinn(&filter).expect(0);

@@ -55,7 +55,7 @@ fn the_command_compares_two_folders_and_refuses_what_is_none() {
     assert!(text.contains("run.seed"));
 
     let outcome = djinn(&["report", "--compare", &path("a"), &path("pages")]).expect(1);
-    assert!(outcome.stderr.contains("holds no run") && outcome.stderr.contains("hint: "), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("is not a run folder") && outcome.stderr.contains("hint: "), "{}", outcome.stderr);
     djinn(&["report", "--compare", &path("a")]).expect(1);
     djinn(&["report", "--out", &page]).expect(1);
 }
