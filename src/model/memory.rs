@@ -166,9 +166,9 @@ mod tests {
     use super::*;
     use crate::diffusion::Edm;
     use crate::model::{GeometryConfig, SceneDenoiser};
+    use crate::nn::Compute;
     use crate::nn::Params;
     use crate::seed::Seed;
-    use candle_core::Device;
 
     const SCENE: SceneSize = SceneSize { n_agents: 4, n_timesteps: 40, n_lanes: 16, state_dim: 3 };
 
@@ -184,7 +184,7 @@ mod tests {
                 geometry,
                 ..NetworkConfig::default()
             };
-            let mut params = Params::new(&Device::Cpu);
+            let mut params = Params::new(&Compute::cpu());
             SceneDenoiser::new(&mut params, &config, SCENE.state_dim, Edm::default(), Seed(0)).unwrap();
             let found: usize = params.iter().map(|(_, var)| var.elem_count()).sum();
             let ratio = config.number_counts(SCENE).parameters / found as f64;

@@ -10,8 +10,8 @@ use super::stages::checkpoint_file;
 use super::{DeviceChoice, Failure, Result, StageId};
 use crate::ingest::usual_horizon;
 use crate::model::{DenoiserSpec, NetworkConfig, NumberCounts, SceneSize, TrainedModel};
+use crate::nn::Compute;
 use crate::store::SceneStore;
-use candle_core::Device;
 
 /// Bytes of a number.
 const NUMBER: f64 = 4.0;
@@ -172,7 +172,7 @@ fn denoiser_of(
         None => checkpoint_file(&layout.denoiser),
     };
     // Whether it can be read, the stage that reads it says.
-    let Ok(TrainedModel { spec, .. }) = TrainedModel::<DenoiserSpec>::read(&path, &Device::Cpu) else {
+    let Ok(TrainedModel { spec, .. }) = TrainedModel::<DenoiserSpec>::read(&path, &Compute::cpu()) else {
         return Ok(None);
     };
     let scene = scene(spec.max_agents, spec.max_lanes, Some(spec.normalizer.state_dim))?;
