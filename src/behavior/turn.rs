@@ -80,15 +80,18 @@ impl TurnSide {
 pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene) -> Vec<BehaviorEvent> {
     let considered = scene.tracks.iter().enumerate().filter(|(_, track)| config.agents.admits(track.class));
     let lanes = OnceCell::new();
-    let is_on_roundabout = |pose: &TurnedPose| {
+    let is_at_roundabout = |pose: &TurnedPose| {
         let lanes = lanes.get_or_init(|| LaneIndex::new(&scene.lanes));
-        let along = lanes.lanes_at(pose.position).filter(|(_, place)| {
+        let mut along = lanes.lanes_at(pose.position).filter(|(_, place)| {
             angle_difference(place.heading_rad, pose.heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD
         });
-        along.into_iter().any(|(lane, _)| lanes.is_on_loop(lane.lane, MAX_ROUNDABOUT_M))
+        along.any(|(lane, _)| {
+            let near = lane.lane.successors.iter().chain(&lane.lane.predecessors).filter_map(|id| lanes.get(*id));
+            near.chain([lane]).any(|lane| lanes.is_on_loop(lane.lane, MAX_ROUNDABOUT_M))
+        })
     };
     considered
-        .filter_map(|(agent_idx, track)| turn((id, side), config, scene, agent_idx, track, &is_on_roundabout))
+        .filter_map(|(agent_idx, track)| turn((id, side), config, scene, agent_idx, track, &is_at_roundabout))
         .collect()
 }
 
@@ -98,7 +101,7 @@ fn turn(
     scene: &Scene,
     agent_idx: usize,
     track: &Track,
-    is_on_roundabout: &dyn Fn(&TurnedPose) -> bool,
+    is_at_roundabout: &dyn Fn(&TurnedPose) -> bool,
 ) -> Option<BehaviorEvent> {
     let poses = poses_turned(track, side);
     let turned_rad = poses.last()?.turned_rad;
@@ -113,10 +116,12 @@ fn turn(
     if path_m < config.min_path_m || radius_m < config.min_radius_m {
         return None;
     }
-    let is_halfway = |pose: &&TurnedPose| 2.0 * pose.turned_rad >= turned_rad;
+    let halfway = (start..=end).find(|at| 2.0 * poses[*at].turned_rad >= turned_rad).unwrap_or(end);
+    // Who comes to a roundabout may reach it after the turn, who leaves it may have been on it before.
+    let looked_at = [0, start, halfway, end, poses.len() - 1];
     let is_turn = turned_rad >= config.min_heading_change_rad
         && radius_m <= config.max_radius_m
-        && !poses[start..=end].iter().find(is_halfway).is_some_and(is_on_roundabout);
+        && !looked_at.iter().any(|at| is_at_roundabout(&poses[*at]));
     let label = if is_turn { EventLabel::Positive } else { EventLabel::Negative };
     let duration_s = (last.timestep - first.timestep) as f64 * scene.dt_s;
     let mean_speed_mps = path_m / duration_s;
