@@ -121,11 +121,10 @@ class Scene:
 
 
 class KeptLane:
-    """The lane that an agent keeps, or the path that it drives where it is in none."""
+    """The lane that an agent keeps; without lanes where it is in none."""
 
     def __init__(self, scene, agent):
         states = scene.states[agent]
-        known = states[np.isfinite(states).all(1)]
         here = states[scene.present]
         future, history = states[scene.present :], states[: scene.present + 1]
         future, history = (part[np.isfinite(part).all(1), :2] for part in (future, history))
@@ -138,16 +137,9 @@ class KeptLane:
             score = ((~self.holds(future)).sum(), abs(self.center.project(future)[1]).sum())
             if best is None or score < best[0]:
                 best = (score, self.lanes)
+        self.lanes = []
         if best:
             self.use(best[1])
-            return
-        self.lanes, self.sides = [], None
-        path = [known[0]]
-        for state in known[1:]:
-            if np.hypot(*(state[:2] - path[-1][:2])) >= 0.1:
-                path.append(state)
-        ends = [path[0][:2] - 50 * unit(known[0][HEADING])], [path[-1][:2] + 50 * unit(known[-1][HEADING])]
-        self.center = Line(np.vstack([ends[0], [state[:2] for state in path], ends[1]]))
 
     @staticmethod
     def follow(scene, route, driven, length_m, connections):
@@ -192,6 +184,8 @@ def cut_in(scene, ego, other):
     if not (tracked[now] and np.isfinite(own[now]).all()):
         return "absent"
     lane = scene.kept(ego)
+    if not lane.lanes:
+        return "ego_in_no_lane"
     side = 1 if lane.center.project(theirs[now, :2])[1][0] >= 0 else -1
     if lane.beyond(theirs[now, :2], side)[0] <= 0:
         return "in_the_lane_before"
@@ -241,9 +235,9 @@ def cut_in(scene, ego, other):
     ego_shift = max(side * (o_own[until] - o_own[now])[own_known[until]])
     if shift < MIN_SHIFT_M or shift <= ego_shift:
         return "moves_less"
-    keeps = lambda others: others.holds(theirs[now : crossing + 1][tracked[now : crossing + 1], :2]).all()
+    keeps = lambda others: others.lanes and others.holds(theirs[now : crossing + 1][tracked[now : crossing + 1], :2]).all()
     joins = lambda others: {lane.id for lane in others.lanes} & {lane.id for lane in lane.lanes}
-    if not lane.lanes or (joins(scene.kept(other)) and keeps(scene.kept(other))):
+    if joins(scene.kept(other)) and keeps(scene.kept(other)):
         if side * moved_across_headings(own[until]) >= -side * moved_across_headings(theirs[until]):
             return "ego_comes_in"
     if min(np.hypot(*agent[found[0], VX:]) for agent in (own, theirs)) < MIN_SPEED_MPS:

@@ -35,11 +35,6 @@ impl DrivenPath {
         Some(Self { polyline: Polyline(points), half_length_m: track.extent_or_nominal().length_m / 2.0 })
     }
 
-    /// The path as a line, with its straight ends.
-    pub(crate) fn into_polyline(self) -> Polyline {
-        self.polyline
-    }
-
     /// Where `point` stands relative to the path.
     pub(crate) fn project(&self, point: Vec2) -> Option<Projection> {
         self.polyline.project(point)

@@ -59,8 +59,8 @@ impl Default for HardBrakeConfig {
 ///
 /// **Positive**: the agent's smoothed deceleration is at least 4 m/s² over at least 0.3 s without a break, beginning
 /// at a speed of at least 3 m/s. The deceleration at a timestep is the slope of the least-squares line through the
-/// speeds in the 0.4 s around it, so it is not known within 0.2 s of the ends of a track and of its gaps; nor of the present where positions
-/// are smoothed, as what was observed is smoothed without the rest.
+/// speeds in the 0.4 s around it, so it is not known within 0.2 s of the ends of a track and of its gaps; nor in the second after the present
+/// where positions are smoothed: what was observed is smoothed without the rest, and its error is made good then.
 ///
 /// - The event *starts* at the first timestep with that deceleration and is *complete* at the last one.
 /// - *What does not count*: single noisy speeds; decelerations beyond 12 m/s², which no tire gives; the last moments of a stop from walking speed; braking that lies

@@ -1,6 +1,5 @@
 //! The lane that an agent keeps: where it leads, how wide it is, and where others are relative to it.
 
-use super::driven_path::DrivenPath;
 use super::lane_relation::{HALF_NOMINAL_WIDTH_M, IndexedLane, SceneLanes};
 use crate::geometry::{Polyline, Projection, Vec2, angle_difference};
 use crate::scene::{Lane, LaneId, Scene, State, Trajectory};
@@ -19,35 +18,31 @@ const EXTENSION_M: f64 = 100.0;
 const MIN_SPACING_M: f64 = 0.05;
 
 /// The lane in which an agent is at present, with those that lead to it and those that follow on: where the road forks, those that the
-/// agent drives, or else the straightest. Of an agent who is in no lane, the path that it drives itself, 3.8 m wide.
+/// agent drives, or else the straightest.
 pub(super) struct KeptLane {
     center: Polyline,
     /// Left and right boundary, where all of its lanes have them.
     sides: Option<[Polyline; 2]>,
-    /// The lanes in driving direction. Empty for a driven path.
+    /// The lanes in driving direction. Empty for a straight line.
     lanes: Vec<LaneId>,
 }
 
 impl KeptLane {
-    /// That of an agent. `None` where it is not tracked at present.
+    /// That of an agent. `None` where it is not tracked at present or in no lane then.
     pub(super) fn of(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
-        Self::among(scene, lanes, agent_idx, scene.n_timesteps).or_else(|| {
-            let trajectory = &scene.tracks[agent_idx].trajectory;
-            scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
-            let first = trajectory.valid().find(|(_, state)| state.is_finite())?.0;
-            let center = DrivenPath::from(&scene.tracks[agent_idx], first)?.into_polyline();
-            Some(Self { center, sides: None, lanes: Vec::new() })
-        })
+        Self::among(scene, lanes, agent_idx, scene.n_timesteps)
     }
 
-    /// The lane as far as the past tells it: of an agent who is in no lane, straight on. `None` where it is not tracked at present.
+    /// The lane as far as the past tells it. `None` where the agent is not tracked at present or in no lane then.
     pub(super) fn as_observed(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
-        let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
-        Self::among(scene, lanes, agent_idx, scene.n_history).or_else(|| {
-            let ahead = Vec2::from_angle(state.heading_rad);
-            let center = extended([state.position, state.position + ahead].iter());
-            Some(Self { center, sides: None, lanes: Vec::new() })
-        })
+        Self::among(scene, lanes, agent_idx, scene.n_history)
+    }
+
+    /// The line on which an agent in this state goes straight on.
+    pub(super) fn straight_on(state: &State) -> Self {
+        let ahead = Vec2::from_angle(state.heading_rad);
+        let center = extended([state.position, state.position + ahead].iter());
+        Self { center, sides: None, lanes: Vec::new() }
     }
 
     /// The lane in which the agent is at present, told from its way up to `end`.
@@ -103,11 +98,6 @@ impl KeptLane {
     /// Whether an agent whose center is at `point` is in the lane, or beyond a side by no more than the hysteresis.
     pub(super) fn holds(&self, point: Vec2) -> bool {
         [1.0, -1.0].into_iter().all(|side| self.beyond_m(point, side).is_some_and(|beyond_m| beyond_m <= HYSTERESIS_M))
-    }
-
-    /// Whether it is the agent's own path, as there is no lane.
-    pub(super) const fn is_driven_path(&self) -> bool {
-        self.lanes.is_empty()
     }
 
     /// Whether the two lead into each other.

@@ -149,6 +149,8 @@ pub struct BehaviorEntry {
     pub parameters: &'static [&'static str],
     /// What it is, in a line.
     pub description: &'static str,
+    /// Whether it is found along lanes, and so not at all in scenes without any.
+    pub needs_lanes: bool,
     /// Its default options.
     pub default_config: fn() -> BehaviorConfig,
 }
@@ -160,6 +162,7 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: cut_in::ROLES,
         parameters: cut_in::PARAMETERS,
         description: "one vehicle (other) crosses into the lane that another (ego) keeps, less than 3 s ahead of it",
+        needs_lanes: true,
         default_config: || BehaviorConfig::CutIn(CutInConfig::default()),
     },
     BehaviorEntry {
@@ -167,6 +170,7 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: cut_in_paper::ROLES,
         parameters: cut_in_paper::PARAMETERS,
         description: "one vehicle (other) gets into the path of another (ego) less than 3 s before that one gets there",
+        needs_lanes: false,
         default_config: || BehaviorConfig::CutInPaper(CutInPaperConfig::default()),
     },
     BehaviorEntry {
@@ -174,6 +178,7 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: turn::ROLES,
         parameters: turn::PARAMETERS,
         description: "an agent turns left by at least 60 degrees, as at an intersection",
+        needs_lanes: false,
         default_config: || BehaviorConfig::LeftTurn(TurnConfig::default()),
     },
     BehaviorEntry {
@@ -181,6 +186,7 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: turn::ROLES,
         parameters: turn::PARAMETERS,
         description: "an agent turns right by at least 60 degrees, as at an intersection",
+        needs_lanes: false,
         default_config: || BehaviorConfig::RightTurn(TurnConfig::default()),
     },
     BehaviorEntry {
@@ -188,6 +194,7 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: lane_change::ROLES,
         parameters: lane_change::PARAMETERS,
         description: "an agent moves over to the lane beside its own and stays there for at least 1 s",
+        needs_lanes: true,
         default_config: || BehaviorConfig::LaneChange(LaneChangeConfig::default()),
     },
     BehaviorEntry {
@@ -195,13 +202,15 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: hard_brake::ROLES,
         parameters: hard_brake::PARAMETERS,
         description: "an agent brakes with at least 4 m/s² over at least 0.3 s",
+        needs_lanes: false,
         default_config: || BehaviorConfig::HardBrake(HardBrakeConfig::default()),
     },
     BehaviorEntry {
         id: near_miss::ID,
         roles: near_miss::ROLES,
         parameters: near_miss::PARAMETERS,
-        description: "two road users come within 1.5 s of a collision, cross within 1 s or pass within 0.3 m, without touching",
+        description: "two road users avoid each other by braking hard within 1.5 s, by 1 s where they cross or by 0.3 m, without touching",
+        needs_lanes: false,
         default_config: || BehaviorConfig::NearMiss(NearMissConfig::default()),
     },
 ];

@@ -5,9 +5,10 @@ use super::sweep::Sweep;
 use super::time_to_collision::time_to_collision_s;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::geometry::{OrientedBox, angle_difference};
-use crate::scene::{AgentClass, Extent, Scene};
+use crate::scene::{AgentClass, Extent, Scene, Track};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::f64::consts::FRAC_PI_6;
 use std::ops::RangeInclusive;
 
@@ -39,12 +40,19 @@ const FOLLOWING_RAD: f64 = FRAC_PI_6;
 pub struct NearMissConfig {
     /// Road users that take part. Default `road_users`: includes pedestrians, excludes static objects.
     pub agents: AgentFilter,
-    /// Boxes closer together than this are a near miss, meters. Default 0.3: mirrors touch; in dense traffic 1 m is usual.
+    /// Boxes that pass each other closer than this are a near miss, meters. Default 0.3: mirrors touch; in dense traffic 1 m is usual.
+    /// Not of road users whose size the recording does not give.
     #[schemars(range(min = 0.0))]
     pub max_distance_m: f64,
+    /// Whoever passes so closely differs in velocity by at least this, m/s. Default 3: driving side by side is no passing.
+    #[schemars(range(min = 0.0))]
+    pub min_passing_mps: f64,
     /// Boxes on a course to touch in less than this are a near miss, seconds. Default 1.5.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_ttc_s: f64,
+    /// So hard must one of the two brake on that course to avoid it, m/s². Default 3.4: less is how people stop behind each other.
+    #[schemars(range(min = 0.0))]
+    pub min_drac_mps2: f64,
     /// Being where the other was less than this before, on another course, is a near miss, seconds. Default 1.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_pet_s: f64,
@@ -64,7 +72,9 @@ impl Default for NearMissConfig {
         Self {
             agents: AgentFilter::RoadUsers,
             max_distance_m: 0.3,
+            min_passing_mps: 3.0,
             max_ttc_s: 1.5,
+            min_drac_mps2: 3.4,
             max_pet_s: 1.0,
             negative_distance_m: 2.0,
             negative_ttc_s: 3.0,
@@ -73,19 +83,29 @@ impl Default for NearMissConfig {
     }
 }
 
+impl NearMissConfig {
+    /// Whether a collision in `time_s` is soon, and hard to avoid for road users with this relative speed.
+    fn is_urgent(&self, time_s: f64, relative_mps: f64) -> bool {
+        time_s < self.max_ttc_s && relative_mps >= 2.0 * time_s * self.min_drac_mps2
+    }
+}
+
 /// Two road users (`first` and `second`) barely avoid each other.
 ///
 /// **Positive**: at some timestep of the scene, any of
 ///
 /// - The boxes would touch in less than 1.5 s if both kept their velocities and headings, and also if both went on at these speeds along the
-///   paths that they drive: who waits beside a bend is in nobody's way. At least one of the two moves with 1 m/s or more.
+///   paths that they drive: who waits beside a bend is in nobody's way. To avoid it takes a deceleration of at least 3.4 m/s² (DRAC: their relative
+///   speed by twice that time), and both are tracked until then: what comes after the last state is not known. At least one of the two moves with
+///   1 m/s or more.
 /// - One is where the other was less than 1 s before, on courses that differ by at least 30 degrees, both with 1 m/s or more.
-/// - The boxes are less than 0.3 m apart, and at least one of the two moves with 1 m/s or more.
+/// - The boxes are less than 0.3 m apart, their velocities differ by at least 3 m/s, and the sizes of both are recorded.
 ///
 /// The event *starts* at the first such timestep and is *complete* at the last one, with or without breaks between.
 ///
 /// *What does not count*: pairs whose boxes overlap at any timestep, which collide; two that stand; static objects; following and driving side
-/// by side, however long.
+/// by side, however long; stopping in good time, however near. Agents whose size is not recorded count with half the length and width that are
+/// usual for them.
 ///
 /// **Negative**: boxes that come closer than 2 m, or whose time to collision in the first sense is less than 3 s, where nothing meets the
 /// stricter limits.
@@ -102,6 +122,7 @@ pub struct NearMiss {
 struct Encounter {
     timestep: usize,
     distance_m: f64,
+    relative_mps: f64,
     ttc_s: Option<f64>,
     /// The time to collision, or that along the paths where it is longer. `None` where either is too long for any limit.
     conflict_s: Option<f64>,
@@ -118,24 +139,40 @@ impl NearMiss {
         &self.config
     }
 
-    fn detect_pair(&self, scene: &Scene, pair: [usize; 2], [first, second]: [&Sweep; 2]) -> Option<BehaviorEvent> {
+    fn detect_pair(
+        &self,
+        scene: &Scene,
+        pair: [usize; 2],
+        [first, second]: [&Sweep; 2],
+        are_sized: bool,
+    ) -> Option<BehaviorEvent> {
         let encounters = self.encounters(scene, pair, [first, second])?;
         let config = &self.config;
-        let is_below = |e: &Encounter, distance_m: f64, ttc_s: f64| {
-            e.distance_m < distance_m || e.conflict_s.is_some_and(|conflict_s| conflict_s < ttc_s)
-        };
-        let span = |distance_m: f64, ttc_s: f64| {
-            let mut hits = encounters.iter().filter(|e| is_below(e, distance_m, ttc_s)).map(|e| e.timestep);
+        let span = |is_meant: &dyn Fn(&Encounter) -> bool| {
+            let mut hits = encounters.iter().filter(|e| is_meant(e)).map(|e| e.timestep);
             let start = hits.next()?;
             Some(start..=hits.next_back().unwrap_or(start))
         };
-        let close = span(config.max_distance_m, config.max_ttc_s);
+        let passes = |e: &Encounter| {
+            are_sized && e.distance_m < config.max_distance_m && e.relative_mps >= config.min_passing_mps
+        };
+        let last = |agent_idx: usize| scene.tracks[agent_idx].trajectory.valid().map(|(timestep, _)| timestep).last();
+        let known_s = last(pair[0])?.min(last(pair[1])?) as f64 * scene.dt_s;
+        let escapes = |e: &Encounter| {
+            e.conflict_s.is_some_and(|time_s| {
+                e.timestep as f64 * scene.dt_s + time_s <= known_s && config.is_urgent(time_s, e.relative_mps)
+            })
+        };
+        let close = span(&|e| passes(e) || escapes(e));
         let crossing = self.crossing(scene, pair, [first, second]);
         let both = close.clone().zip(crossing.clone());
         let joined = both.map(|(a, b)| *a.start().min(b.start())..=*a.end().max(b.end()));
         let positive = joined.or(close).or(crossing).map(|span| (EventLabel::Positive, span));
-        let negative =
-            || span(config.negative_distance_m, config.negative_ttc_s).map(|span| (EventLabel::Negative, span));
+        let is_near = |e: &Encounter| {
+            e.distance_m < config.negative_distance_m
+                || e.conflict_s.is_some_and(|time_s| time_s < config.negative_ttc_s)
+        };
+        let negative = || span(&is_near).map(|span| (EventLabel::Negative, span));
         let (label, timesteps) = positive.or_else(negative)?;
         let (min_distance_m, closest) = first.min_distance_m(second, 0..scene.n_timesteps)?;
         let state = |agent_idx: usize| scene.state(agent_idx, closest).copied().unwrap_or_default();
@@ -171,7 +208,8 @@ impl NearMiss {
                 let conflict_s = ttc_s
                     .filter(|ttc_s| *ttc_s < wide_ttc_s)
                     .and_then(|ttc_s| Some(ttc_s.max(time_along_paths_s(scene, pair, timestep, wide_ttc_s)?)));
-                encounters.push(Encounter { timestep, distance_m: one.distance_m(other), ttc_s, conflict_s });
+                let distance_m = one.distance_m(other);
+                encounters.push(Encounter { timestep, distance_m, relative_mps, ttc_s, conflict_s });
             }
         }
         Some(encounters)
@@ -235,7 +273,9 @@ impl Behavior for NearMiss {
     /// At most one event a pair, in the order of tracks.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let reach_m = self.reach_m(scene);
-        let sweeps: Vec<(usize, Sweep)> = scene
+        let is_sized = |agent_idx: usize| scene.tracks[agent_idx].extent.is_some();
+        let cores = with_cores(scene);
+        let sweeps: Vec<(usize, Sweep)> = cores
             .tracks
             .iter()
             .enumerate()
@@ -246,12 +286,26 @@ impl Behavior for NearMiss {
         for (i, (first_idx, first)) in sweeps.iter().enumerate() {
             for (second_idx, second) in &sweeps[i + 1..] {
                 if first.may_come_within(second, reach_m) {
-                    events.extend(self.detect_pair(scene, [*first_idx, *second_idx], [first, second]));
+                    let are_sized = is_sized(*first_idx) && is_sized(*second_idx);
+                    events.extend(self.detect_pair(&cores, [*first_idx, *second_idx], [first, second], are_sized));
                 }
             }
         }
         events
     }
+}
+
+/// The scene with agents whose size is not recorded at half their nominal one: whole boxes touch where nobody does.
+fn with_cores(scene: &Scene) -> Cow<'_, Scene> {
+    if scene.tracks.iter().all(|track| track.extent.is_some()) {
+        return Cow::Borrowed(scene);
+    }
+    let core = |track: &Track| {
+        let Extent { length_m, width_m } = track.extent_or_nominal();
+        let half = Extent { length_m: length_m / 2.0, width_m: width_m / 2.0 };
+        Track { extent: track.extent.or(Some(half)), ..track.clone() }
+    };
+    Cow::Owned(Scene { tracks: scene.tracks.iter().map(core).collect(), ..scene.clone() })
 }
 
 /// When the boxes first touch if both go on along the paths that they drive, at their speeds of `timestep`, seconds; `None` where they do not
@@ -282,4 +336,37 @@ fn post_encroachment_s(scene: &Scene, first: &Sweep, second: &Sweep) -> Option<f
     };
     let delay = timesteps.clone().find(|delay| meets(first, second, *delay) || meets(second, first, *delay))?;
     Some(delay as f64 * scene.dt_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::testing::SceneSpec;
+
+    fn events(second: &str) -> [Vec<EventLabel>; 2] {
+        let spec: Result<SceneSpec, _> = toml::from_str(&format!(
+            "agents = [{{ id = \"a\", start = {{ x_m = 0, y_m = 0, speed_mps = 10 }} }}, {{ id = \"b\", {second} }}]"
+        ));
+        let sized = spec.expect("valid").build("near");
+        let mut unsized_ = sized.clone();
+        unsized_.tracks.iter_mut().for_each(|track| track.extent = None);
+        [sized, unsized_].map(|scene| NearMiss::default().detect(&scene).iter().map(|event| event.label).collect())
+    }
+
+    #[test]
+    fn whose_size_is_not_recorded_is_no_near_miss_in_passing() {
+        // A car that stands 0.2 m beside the way of the other.
+        let parked = events("start = { x_m = 20, y_m = 2.0, speed_mps = 0 }");
+        assert_eq!(parked, [[EventLabel::Positive], [EventLabel::Negative]]);
+        // Crossing half a second behind each other is, whatever the size.
+        let crossing = events("start = { x_m = 20, y_m = -28, heading_deg = 90, speed_mps = 10 }");
+        assert_eq!(crossing, [[EventLabel::Positive], [EventLabel::Positive]]);
+    }
+
+    #[test]
+    fn what_would_come_after_the_last_state_is_not_known() {
+        // At the end of the scene, after 3.9 s, the first is at 39 m, 7.5 m or 0.75 s from one who stands there.
+        let at_the_end = events("start = { x_m = 51, y_m = 0, speed_mps = 0 }");
+        assert_eq!(at_the_end[0], [EventLabel::Negative]);
+    }
 }

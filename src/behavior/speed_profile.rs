@@ -2,10 +2,13 @@
 
 use crate::scene::Trajectory;
 
+/// For so long after the present a smoothed trajectory makes good what was not known before, seconds.
+const SETTLING_S: f64 = 1.0;
+
 /// The acceleration at every timestep, m/s² along the motion: the slope of the least-squares line through the
 /// speeds in a window of at least `window_s` (and at least three timesteps) centered there.
 /// `None` where the window reaches beyond the trajectory or over a timestep that is not tracked, and of a trajectory that was smoothed where it
-/// holds states from before and from after `present`: the first were smoothed without the others, so that the speed steps there.
+/// holds states of the second after `present`: those before were smoothed without what follows, and their error is made good in that second.
 pub(crate) fn smoothed_accelerations_mps2(
     trajectory: &Trajectory,
     present: usize,
@@ -21,8 +24,9 @@ pub(crate) fn smoothed_accelerations_mps2(
     // Σ i² over the offsets -half..=half.
     let spread = (half * (half + 1) * (2 * half + 1)) as f64 / 3.0;
     let has_seam = trajectory.derivation().is_some_and(|derivation| !derivation.recorded.is_empty());
+    let settling = (SETTLING_S / dt_s).round() as usize;
     let slope = |center: usize| {
-        if has_seam && (center.saturating_sub(half)..center + half).contains(&present) {
+        if has_seam && center + half > present && center < present + settling + half {
             return None;
         }
         let window = speeds.get(center.checked_sub(half)?..=center + half)?;
@@ -71,15 +75,17 @@ mod tests {
 
     #[test]
     fn the_step_where_a_smoothed_trajectory_begins_anew_is_no_braking() {
-        // 10 m/s up to timestep 4, the present, and 8 m/s from then on.
-        let stepped = trajectory(&[10.0, 10.0, 10.0, 10.0, 10.0, 8.0, 8.0, 8.0, 8.0, 8.0]);
+        // 10 m/s up to timestep 4, the present, then within a second down to 8 m/s, as Argoverse 1 has it.
+        let after = [9.0, 8.4, 8.2, 8.1, 8.0, 8.0, 8.0, 8.0, 8.0, 8.0, 8.0, 8.0];
+        let speeds: Vec<f64> = [10.0; 5].into_iter().chain(after).collect();
+        let stepped = trajectory(&speeds);
         let steepest = |trajectory: &Trajectory| {
             let slopes = smoothed_accelerations_mps2(trajectory, 4, 0.1, 0.3);
             slopes.into_iter().flatten().fold(0.0, f64::min)
         };
         let recorded = vec![RecordedPosition { time_s: 0.0, position: Vec2::ZERO }];
-        let smoothed = stepped.clone().derived(Derivation { held_headings: vec![false; 10], recorded });
-        assert!(steepest(&stepped) < -5.0 && steepest(&smoothed) == 0.0);
+        let smoothed = stepped.clone().derived(Derivation { held_headings: vec![false; 17], recorded });
+        assert!(steepest(&stepped) < -4.0 && steepest(&smoothed) == 0.0);
     }
 
     #[test]

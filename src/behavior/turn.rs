@@ -81,20 +81,23 @@ impl TurnSide {
 pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene) -> Vec<BehaviorEvent> {
     let considered = scene.tracks.iter().enumerate().filter(|(_, track)| config.agents.admits(track.class));
     let lanes = OnceCell::new();
-    let is_on_roundabout = |pose: &TurnedPose| {
+    let is_at_roundabout = |pose: &TurnedPose| {
         let lanes = lanes.get_or_init(|| SceneLanes::new(&scene.lanes));
-        is_on_roundabout(lanes, pose.position, pose.heading_rad)
+        is_at_roundabout(lanes, pose.position, pose.heading_rad)
     };
     considered
-        .filter_map(|(agent_idx, track)| turn((id, side), config, scene, agent_idx, track, &is_on_roundabout))
+        .filter_map(|(agent_idx, track)| turn((id, side), config, scene, agent_idx, track, &is_at_roundabout))
         .collect()
 }
 
-/// Whether an agent with this pose is in a lane that leads back to itself.
-pub(super) fn is_on_roundabout(lanes: &SceneLanes<'_>, position: Vec2, heading_rad: f64) -> bool {
+/// Whether an agent with this pose is in a lane that leads back to itself, or that leads to or from such a lane.
+pub(super) fn is_at_roundabout(lanes: &SceneLanes<'_>, position: Vec2, heading_rad: f64) -> bool {
     let is_along = |lane_rad: f64| angle_difference(lane_rad, heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD;
     let mut along = lanes.lanes_at(position).filter(|(_, place)| is_along(place.heading_rad));
-    along.any(|(lane, _)| lanes.is_on_loop(lane.lane, MAX_ROUNDABOUT_M))
+    along.any(|(lane, _)| {
+        let near = lane.lane.successors.iter().chain(&lane.lane.predecessors).filter_map(|id| lanes.get(*id));
+        near.chain([lane]).any(|lane| lanes.is_on_loop(lane.lane, MAX_ROUNDABOUT_M))
+    })
 }
 
 fn turn(
@@ -103,7 +106,7 @@ fn turn(
     scene: &Scene,
     agent_idx: usize,
     track: &Track,
-    is_on_roundabout: &dyn Fn(&TurnedPose) -> bool,
+    is_at_roundabout: &dyn Fn(&TurnedPose) -> bool,
 ) -> Option<BehaviorEvent> {
     let poses = poses_turned(track, side);
     let turned_rad = poses.last()?.turned_rad;
@@ -118,10 +121,12 @@ fn turn(
     if path_m < config.min_path_m || radius_m < config.min_radius_m {
         return None;
     }
-    let is_halfway = |pose: &&TurnedPose| 2.0 * pose.turned_rad >= turned_rad;
+    let halfway = (start..=end).find(|at| 2.0 * poses[*at].turned_rad >= turned_rad).unwrap_or(end);
+    // Who comes to a roundabout may reach it after the turn, who leaves it may have been on it before.
+    let looked_at = [0, start, halfway, end, poses.len() - 1];
     let is_turn = turned_rad >= config.min_heading_change_rad
         && radius_m <= config.max_radius_m
-        && !poses[start..=end].iter().find(is_halfway).is_some_and(is_on_roundabout);
+        && !looked_at.iter().any(|at| is_at_roundabout(&poses[*at]));
     let label = if is_turn { EventLabel::Positive } else { EventLabel::Negative };
     let duration_s = (last.timestep - first.timestep) as f64 * scene.dt_s;
     let mean_speed_mps = path_m / duration_s;

@@ -5,6 +5,7 @@ use super::config::EvaluateConfig;
 use super::error::{Error, Result};
 use super::gates::GateResult;
 use super::judge::Judge;
+use super::map_fits::MapFitRow;
 use super::measures::{Measures, MetricDoc};
 use super::metric_rows::MetricRows;
 use super::predictions::Predictions;
@@ -14,6 +15,7 @@ use super::validity::{ValidityRow, ValidityTable};
 use super::verdicts::{AcceptanceRow, LeftOutRow, Verdicts};
 use crate::behavior::{Behavior, BehaviorEvent};
 use crate::generate::RejectedSample;
+use crate::metrics::{Check, Judged};
 use crate::scene::{Scene, SceneId};
 use crate::store::{Assessment, MetricRow, ScenarioRecord, SceneStore, VerdictRow};
 use rayon::prelude::*;
@@ -57,6 +59,9 @@ pub struct EvaluationSummary {
     /// How many scenarios, and how many of the recordings they continue, fail which check.
     #[serde(default)]
     pub validity: Vec<ValidityRow>,
+    /// At which places the map allows to judge departures from the road.
+    #[serde(default)]
+    pub maps: Vec<MapFitRow>,
 }
 
 /// The result of an evaluation.
@@ -173,13 +178,16 @@ impl<'a> Evaluation<'a> {
     pub fn add(&mut self, Shard { sweep, n_evaluations, mut records }: Shard<'_>) -> Result<KeptScenarios> {
         let mut assessments: BTreeMap<String, Assessment> = BTreeMap::new();
         let mut recordings: BTreeMap<SceneId, Scene> = BTreeMap::new();
+        let mut not_checked: BTreeMap<String, Vec<Check>> = BTreeMap::new();
         for (cell, recorded, mut figures) in self.measure(&records)? {
+            let left_out = Judged::future_of(&recorded, Roles::none()).not_checked(&self.config.validity);
             cell.records.iter().for_each(|record| self.sampling.add(record, &recorded, n_evaluations));
             self.realism.add(sweep, &cell, &figures.motion);
             figures.prediction.iter().try_for_each(|modes| self.predictions.add(&recorded, modes))?;
             let references = figures.references_judged.take();
-            self.validity.add(sweep, (&cell, &recorded), references.as_ref(), &figures.assessments);
+            self.validity.add(sweep, (&cell, &recorded), (references.as_ref(), &figures.assessments), &left_out);
             let ids = cell.records.iter().map(|record| record.scenario.id.clone());
+            not_checked.extend(ids.clone().map(|id| (id, left_out.clone())));
             assessments.extend(ids.zip(std::mem::take(&mut figures.assessments)));
             self.rows.add(sweep, &cell, &recorded, figures);
             recordings.entry(recorded.id.clone()).or_insert(recorded);
@@ -187,7 +195,9 @@ impl<'a> Evaluation<'a> {
         for record in &mut records {
             record.assessment = assessments.remove(&record.scenario.id);
         }
-        records.retain_mut(|record| self.verdicts.decide(record));
+        records.retain_mut(|record| {
+            self.verdicts.decide(record, not_checked.get(&record.scenario.id).map_or(&[], Vec::as_slice))
+        });
         self.kept.extend(records.iter().map(|record| record.scenario.id.clone()));
         let scene_ids = records.iter().map(|record| &record.scenario.provenance.scene_id);
         let recordings = scene_ids.filter_map(|scene_id| recordings.remove(scene_id)).collect();
@@ -217,6 +227,7 @@ impl<'a> Evaluation<'a> {
             acceptance,
             left_out,
             validity: self.validity.finish(),
+            maps: Vec::new(),
         };
         summary.gates = self.config.gates.check(&summary);
         let (rows, kept) = (self.rows, self.kept);

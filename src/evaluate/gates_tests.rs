@@ -34,6 +34,7 @@ fn found(generated: &[SeriesKey], means: &[(SeriesKey, &str, f64)]) -> Evaluatio
         n: 5,
         n_valid: 5,
         violations: BTreeMap::new(),
+        not_checked: BTreeMap::new(),
         plausibility: None,
     };
     let mean = |(SeriesKey { group, sweep, level }, metric, value): &(SeriesKey, &str, f64), place: &str| MetricRow {
@@ -82,6 +83,7 @@ fn found(generated: &[SeriesKey], means: &[(SeriesKey, &str, f64)]) -> Evaluatio
             .iter()
             .flat_map(|place| generated.iter().map(move |key| validity_row(key, place)))
             .collect(),
+        maps: Vec::new(),
     }
 }
 

@@ -12,6 +12,7 @@ mod gates;
 #[cfg(test)]
 mod gates_tests;
 mod judge;
+mod map_fits;
 mod measures;
 mod metric_rows;
 mod mining;
@@ -29,6 +30,7 @@ pub use config::{EvaluateConfig, Keep};
 pub use error::{Error, Result};
 pub use evaluation::{Evaluated, Evaluation, EvaluationSummary, KeptScenarios, Shard};
 pub use gates::{GateResult, GatesConfig};
+pub use map_fits::{MapFitRow, for_maps, map_fits};
 pub use measures::MetricDoc;
 pub use metric_rows::MetricRows;
 pub use mining::{BehaviorCount, BehaviorDoc, MiningSummary, MiningTally};

@@ -2,7 +2,7 @@
 
 use super::cells::CellSamples;
 use super::judge::ReferenceJudgment;
-use crate::metrics::{Group, SeriesKey, Violation};
+use crate::metrics::{Check, Group, SeriesKey, Violation};
 use crate::scene::{GuidanceLevel, Scene};
 use crate::store::Assessment;
 use serde::{Deserialize, Serialize};
@@ -26,6 +26,9 @@ pub struct ValidityRow {
     pub n_valid: u64,
     /// Check → how many fail it; checks without failures are missing.
     pub violations: BTreeMap<String, u64>,
+    /// Check → of how many it was not made; those that were made of all are missing.
+    #[serde(default)]
+    pub not_checked: BTreeMap<String, u64>,
     /// Mean share of motion within the recorded ranges.
     pub plausibility: Option<f64>,
 }
@@ -51,8 +54,8 @@ impl ValidityTable {
         &mut self,
         sweep: &str,
         (cell, recorded): (&CellSamples<'_>, &Scene),
-        references: Option<&[ReferenceJudgment; 2]>,
-        assessments: &[Assessment],
+        (references, assessments): (Option<&[ReferenceJudgment; 2]>, &[Assessment]),
+        not_checked: &[Check],
     ) {
         let own = cell.series(sweep);
         let reference = |group| SeriesKey::reference(group, sweep);
@@ -60,21 +63,35 @@ impl ValidityTable {
         // All places together first, and each by itself.
         for place in ["", &recorded.source.place] {
             for (key, judgment) in reference_keys.iter().zip(references.into_iter().flatten()) {
-                self.count(key, place, &judgment.violations, judgment.plausibility);
+                self.count(key, place, (&judgment.violations, not_checked), judgment.plausibility);
             }
             for assessment in assessments {
-                self.count(&own, place, &assessment.violations, assessment.plausibility);
+                self.count(&own, place, (&assessment.violations, not_checked), assessment.plausibility);
             }
         }
     }
 
-    fn count(&mut self, key: &SeriesKey, place: &str, violations: &[Violation], plausibility: Option<f64>) {
+    fn count(
+        &mut self,
+        key: &SeriesKey,
+        place: &str,
+        (violations, not_checked): (&[Violation], &[Check]),
+        plausibility: Option<f64>,
+    ) {
         let is_same = |row: &ValidityRow| row.place == place && row.series() == *key;
         let at = self.rows.iter().position(is_same).unwrap_or_else(|| {
             let SeriesKey { group, sweep, level } = key.clone();
-            let (place, violations) = (place.to_owned(), BTreeMap::new());
-            let (n, n_valid, plausibility) = (0, 0, None);
-            self.rows.push(ValidityRow { group, sweep, level, place, n, n_valid, violations, plausibility });
+            self.rows.push(ValidityRow {
+                group,
+                sweep,
+                level,
+                place: place.to_owned(),
+                n: 0,
+                n_valid: 0,
+                violations: BTreeMap::new(),
+                not_checked: BTreeMap::new(),
+                plausibility: None,
+            });
             self.plausibilities.push((0.0, 0));
             self.rows.len() - 1
         });
@@ -83,6 +100,9 @@ impl ValidityTable {
         row.n_valid += u64::from(violations.is_empty());
         for violation in violations {
             *row.violations.entry(violation.check.id().to_owned()).or_default() += 1;
+        }
+        for check in not_checked {
+            *row.not_checked.entry(check.id().to_owned()).or_default() += 1;
         }
         if let Some(plausibility) = plausibility {
             self.plausibilities[at].0 += plausibility;
@@ -120,7 +140,8 @@ mod tests {
             record.scenario.provenance.edit_tau = edit_tau;
             let (cell, figures, docs) = evaluated_cell(&record, &recorded());
             let (mut validity, mut realism) = (ValidityTable::default(), RealismTable::default());
-            validity.add("s", (&cell, &recorded()), figures.references_judged.as_ref(), &figures.assessments);
+            let judged = (figures.references_judged.as_ref(), figures.assessments.as_slice());
+            validity.add("s", (&cell, &recorded()), judged, &[]);
             realism.add("s", &cell, &figures.motion);
             let mut rows = MetricRows::new(docs);
             rows.add("s", &cell, &recorded(), figures);

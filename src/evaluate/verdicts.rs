@@ -2,7 +2,7 @@
 
 use super::config::{EvaluateConfig, Keep};
 use crate::generate::RejectedSample;
-use crate::metrics::{PairPath, PathIndex};
+use crate::metrics::{Check, PairPath, PathIndex};
 use crate::scene::GuidanceLevel;
 use crate::store::{RequestOutcome, ScenarioRecord, VerdictRow};
 use serde::{Deserialize, Serialize};
@@ -92,8 +92,8 @@ impl<'a> Verdicts<'a> {
     }
 
     /// Completes the judgment of a record and says whether it becomes part of the corpus. Records must come in the order of the samples:
-    /// of near-duplicates the first is accepted.
-    pub(super) fn decide(&mut self, record: &mut ScenarioRecord) -> bool {
+    /// of near-duplicates the first is accepted. `not_checked` are the checks of validity that were not made of it.
+    pub(super) fn decide(&mut self, record: &mut ScenarioRecord, not_checked: &[Check]) -> bool {
         let path = PairPath::of(&record.scenario.scene, &record.scenario.provenance.guidance.roles);
         let (scenario_id, level) = (record.scenario.id.clone(), record.scenario.provenance.guidance.level);
         let (sweep, verified) = (record.sweep.clone(), record.verified);
@@ -140,6 +140,7 @@ impl<'a> Verdicts<'a> {
             accepted: assessment.accepted,
             kept: is_kept,
             reasons: reasons.into_iter().map(str::to_owned).collect(),
+            not_checked: not_checked.iter().map(|check| check.id().to_owned()).collect(),
             scenario_id,
             sweep,
             level,

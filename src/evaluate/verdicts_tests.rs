@@ -48,9 +48,9 @@ fn duplicates_are_nearer_than_the_limit() {
     let repeats = |limit_m: f64| {
         let config = EvaluateConfig { duplicate_distance_m: limit_m, ..EvaluateConfig::default() };
         let mut verdicts = Verdicts::new(&config);
-        assert!(verdicts.decide(&mut record("first", 5.0, true, &[])));
+        assert!(verdicts.decide(&mut record("first", 5.0, true, &[]), &[]));
         let mut second = record("second", 5.4, true, &[]);
-        verdicts.decide(&mut second);
+        verdicts.decide(&mut second, &[]);
         let assessment = second.assessment.unwrap();
         (assessment.nearest_scenario_m.unwrap(), assessment.near_duplicate_of.is_some())
     };
@@ -65,7 +65,7 @@ fn what_a_request_has_no_room_for_is_not_kept_as_verified() {
     let is_kept = |outcome: RequestOutcome| {
         let mut record = record("a", 5.0, true, &[]);
         record.request = Some(RequestTag { request: "r".to_owned(), round: 0, outcome, bucket: None });
-        Verdicts::new(&config).decide(&mut record)
+        Verdicts::new(&config).decide(&mut record, &[])
     };
     assert!(is_kept(RequestOutcome::Accepted) && !is_kept(RequestOutcome::Surplus));
 }
@@ -86,7 +86,7 @@ fn decided(keep: Keep) -> (Vec<ScenarioRecord>, Vec<String>, Vec<AcceptanceRow>,
     let mut verdicts = Verdicts::new(&config);
     let (mut all, mut kept) = (records(), Vec::new());
     for record in &mut all {
-        if verdicts.decide(record) {
+        if verdicts.decide(record, &[]) {
             kept.push(record.scenario.id.clone());
         }
     }

@@ -82,7 +82,7 @@ pub use sample_group::SampleGroup;
 pub use series::{Group, SeriesKey};
 pub use settings::MetricSettings;
 pub use spec::{Direction, MetricSpec};
-pub use validity::{Check, Judged, LocalFit, ValidityConfig, ValidityRate, Violation};
+pub use validity::{Check, Judged, LocalFit, MapFit, ValidityConfig, ValidityRate, Violation};
 
 /// A figure of merit of the samples of one scene.
 pub trait Metric: Send + Sync {

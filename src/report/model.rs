@@ -4,7 +4,9 @@ use super::card::SceneCard;
 use super::choice::Drawn;
 use super::distribution::Distribution;
 use super::plain::{PlainSection, PlainTable};
-use crate::evaluate::{AcceptanceRow, LeftOutRow, MetricDoc, MiningSummary, RealismRow, SamplingRow, ValidityRow};
+use crate::evaluate::{
+    AcceptanceRow, LeftOutRow, MapFitRow, MetricDoc, MiningSummary, RealismRow, SamplingRow, ValidityRow,
+};
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
 use crate::store::MetricRow;
@@ -47,6 +49,9 @@ pub struct ReportModel {
     /// Who fails which check of validity, the recordings too.
     #[serde(default)]
     pub validity: Vec<ValidityRow>,
+    /// At which places the map allows to judge departures from the road.
+    #[serde(default)]
+    pub maps: Vec<MapFitRow>,
     /// Distributions of quantities, recorded and generated.
     pub distributions: Vec<Distribution>,
     /// Generated scenes beside their source recording.

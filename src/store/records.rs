@@ -88,4 +88,6 @@ pub struct VerdictRow {
     pub kept: bool,
     /// Why it is not accepted, the first reason first; empty where it is.
     pub reasons: Vec<String>,
+    /// The checks of validity that were not made: of motion where the dataset, of departures from the road where the map does not allow them.
+    pub not_checked: Vec<String>,
 }

@@ -42,6 +42,7 @@ mod tests {
             accepted: reasons.is_empty(),
             kept: reasons.len() < 2,
             reasons: reasons.iter().map(|reason| (*reason).to_owned()).collect(),
+            not_checked: if id == "b" { vec!["offroad".to_owned()] } else { Vec::new() },
         };
         let rows = [row("a", &["not_verified", "jerk"]), row("b", &[]), row("c", &["near_duplicate"])];
         write_verdicts(&path, &rows).unwrap();

@@ -78,24 +78,59 @@ impl AgentFrame {
     }
 }
 
-/// Velocities of generated entries by backward difference, and where wanted headings along the motion.
+/// Velocities of generated entries, and where wanted headings along the motion. A velocity is the slope there of the parabola through three
+/// consecutive positions, the middle one of them where there are such on both sides: what a position differs from the one before is then the
+/// mean of the two velocities, but for jerk. A difference of two positions would be the velocity of half a timestep earlier or later.
 fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, with_heading: bool) {
     for timestep in 0..entries.len() {
         if latent[timestep] == 0 {
             continue;
         }
-        let before = timestep.checked_sub(1).and_then(|t| entries[t]);
-        let after = entries.get(timestep + 1).copied().flatten();
-        let Some(state) = entries[timestep].as_mut() else { continue };
-        let step = match (before, after) {
-            (Some(before), _) => state.position - before.position,
-            (None, Some(after)) => after.position - state.position,
+        let position = |offset: isize| {
+            let entry = timestep.checked_add_signed(offset).and_then(|t| entries.get(t));
+            entry.copied().flatten().map(|state: State| state.position)
+        };
+        let step = |from: isize| position(from).zip(position(from + 1)).map(|(before, after)| after - before);
+        let moved = match (step(-1), step(0)) {
+            (Some(came), Some(goes)) => (came + goes) * 0.5,
+            (Some(came), None) => step(-2).map_or(came, |earlier| came + (came - earlier) * 0.5),
+            (None, Some(goes)) => step(1).map_or(goes, |later| goes - (later - goes) * 0.5),
             (None, None) => Vec2::ZERO,
         };
-        state.velocity = step * (1.0 / dt_s);
+        let before = timestep.checked_sub(1).and_then(|t| entries[t]);
+        let Some(state) = entries[timestep].as_mut() else { continue };
+        state.velocity = moved * (1.0 / dt_s);
         if !with_heading {
             let held = before.map_or(state.heading_rad, |before| before.heading_rad);
-            state.heading_rad = if step.norm() > STANDING_STEP_M { step.angle() } else { held };
+            state.heading_rad = if moved.norm() > STANDING_STEP_M { moved.angle() } else { held };
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn velocities_are_those_at_the_timesteps() {
+        // x = 3 t + 2 t², observed at first: a speed of 3 + 4 t.
+        let at = |t: usize| 3.0 * (0.1 * t as f64) + 2.0 * (0.1 * t as f64).powi(2);
+        let state =
+            |t: usize| State { position: Vec2::new(at(t), 0.0), velocity: Vec2::new(9.0, 9.0), ..State::default() };
+        let mut entries: Vec<Option<State>> = (0..7).map(|t| (t != 3).then(|| state(t))).collect();
+        derive_motion(&mut entries, &[0, 1, 1, 1, 1, 1, 1], 0.1, false);
+        assert_eq!(entries[0].unwrap().velocity, Vec2::new(9.0, 9.0), "observed states stay as they are");
+        // Before and after the gap there are two positions in a row, or three.
+        for t in [1, 2, 4, 5, 6] {
+            let found = entries[t].unwrap().velocity;
+            assert!(found.distance(Vec2::new(3.0 + 0.4 * t as f64, 0.0)) < 1e-9, "{t}: {found:?}");
+        }
+        let mut lonely = vec![None, Some(state(1)), Some(state(2)), None, Some(state(4))];
+        derive_motion(&mut lonely, &[1; 5], 0.1, false);
+        let speeds: Vec<f64> = lonely.iter().flatten().map(State::speed_mps).collect();
+        assert!(
+            speeds.iter().zip([3.6, 3.6, 0.0]).all(|(found, expected)| (found - expected).abs() < 1e-9),
+            "{speeds:?}"
+        );
     }
 }

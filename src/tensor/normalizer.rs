@@ -22,6 +22,17 @@ pub enum StateParametrization {
     Motion,
 }
 
+impl StateParametrization {
+    /// Its name in configurations and reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Scene => "scene",
+            Self::Residual => "residual",
+            Self::Motion => "motion",
+        }
+    }
+}
+
 /// Scales from normalized units to meters and radians. Constants of the training set, so that nothing of a
 /// scene's future leaks into its scaling, and any scene can be mapped back.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

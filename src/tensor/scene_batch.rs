@@ -245,7 +245,7 @@ impl SceneBatch {
     /// The scenes that samples `x` (B, A, T, D) stand for. `sources[b]` is the scene that row b was made of.
     ///
     /// Each has the tracks of its source in the same order: observed states as recorded, latent states decoded, with
-    /// velocities by backward difference; agents that the batch left out keep their observed states only.
+    /// velocities from three positions in a row; agents that the batch left out keep their observed states only.
     /// Without a diffused heading, headings follow the motion.
     ///
     /// # Errors

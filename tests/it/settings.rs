@@ -105,6 +105,7 @@ const BEYOND_RANGES: &[(&str, &[&str], &str)] = &[
     ("evaluate.validity.max_jerk_mps3", &["-1.0", "inf"], "a number of at least 0"),
     ("evaluate.validity.max_slip_rad", &["-1.0", "inf"], "a number of at least 0"),
     ("evaluate.validity.offroad_slack_m", &["-1.0", "inf"], "a number of at least 0"),
+    ("evaluate.validity.max_recorded_offroad", &["-0.1", "1.5", "inf"], "0 to 1"),
     ("evaluate.careful_driver.ramp_s", &["0.0", "-1.0", "inf"], "a positive number"),
     ("evaluate.careful_driver.delay_s", &["-1.0", "inf"], "a number of at least 0"),
     ("report.n_drawn", &["1000000000000"], "0 to 100000"),
@@ -162,6 +163,14 @@ const REFUSED: &[(&[&str], &[&str])] = &[
     (
         &["mine.behaviors=[{ kind = \"near_miss\", max_pet_s = -1.0 }]"],
         &["mine.behaviors.0.max_pet_s is -1, expected 0 to 100"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"near_miss\", min_drac_mps2 = -1.0 }]"],
+        &["mine.behaviors.0.min_drac_mps2 is -1, expected a number of at least 0"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"near_miss\", min_passing_mps = -1.0 }]"],
+        &["mine.behaviors.0.min_passing_mps is -1, expected a number of at least 0"],
     ),
     (&["mine.behaviors=[{ kind = \"cut_in\", min_shift_m = -0.5 }]"], &["mine.behaviors.0.min_shift_m is -0.5"]),
     (&["mine.behaviors=[{ kind = \"lane_change\", min_stay_s = -1.0 }]"], &["mine.behaviors.0.min_stay_s is -1"]),

@@ -102,11 +102,10 @@ impl LaneCrossing<'_> {
             return None;
         }
         // Where the two lanes are one ahead, each is as far from the other as the other from it.
-        let is_mutual = self.lane.is_driven_path()
-            || others_lane().is_some_and(|others| {
-                let keeps = |t: usize| state(other, t).is_none_or(|state| others.holds(state.position));
-                self.lane.joins(others) && (present..=crossing).all(keeps)
-            });
+        let is_mutual = others_lane().is_some_and(|others| {
+            let keeps = |t: usize| state(other, t).is_none_or(|state| others.holds(state.position));
+            self.lane.joins(others) && (present..=crossing).all(keeps)
+        });
         let across_m = |track: &Track| across_headings_m(track, present, last);
         if is_mutual && side * across_m(ego)? >= -side * across_m(other)? {
             return None;

@@ -22,15 +22,16 @@ impl CutIn {
     /// What `other` could come to before `ego`, if the ego keeps its lane and its speed, and the other leaves the lane that it keeps with at most
     /// 2 m/s² across and -4 to 2.5 m/s² along the way. Nothing but what was observed and the map is looked at.
     ///
-    /// Empty where the other is in the ego's lane already, does not head along it, or is too far to the side, ahead or behind.
+    /// Empty where the ego is in no lane, and where the other is in the ego's lane already, does not head along it, or is too far to the side, ahead or behind.
     pub(super) fn outcomes(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Vec<Outcome>> {
         let lanes = SceneLanes::new(&scene.lanes);
         let (ego, other) = (scene.tracks.get(ego_idx)?, scene.tracks.get(other_idx)?);
         let admits = |track: &Track| self.config.agents.admits(track.class);
         let at_present = |idx: usize| scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());
         let (own, theirs) = (at_present(ego_idx)?, at_present(other_idx)?);
-        let (lane, their_lane) =
-            (KeptLane::as_observed(scene, &lanes, ego_idx)?, KeptLane::as_observed(scene, &lanes, other_idx)?);
+        let lane = KeptLane::as_observed(scene, &lanes, ego_idx)?;
+        let their_lane =
+            KeptLane::as_observed(scene, &lanes, other_idx).unwrap_or_else(|| KeptLane::straight_on(theirs));
         let (own_place, place) = (lane.project(own.position)?, lane.project(theirs.position)?);
         let their_place = their_lane.project(theirs.position)?;
         let turned_rad = angle_difference(theirs.heading_rad, place.heading_rad).abs();

@@ -83,8 +83,7 @@ impl Default for CutInConfig {
 /// One vehicle (`other`) crosses into the lane that another (`ego`) keeps, shortly ahead of it.
 ///
 /// The lane of the ego is the one it is in at present, with those that lead to it and follow on; the other is measured along and across its
-/// center line, so that a bend is no sideways motion. Where the ego is in no lane of the map, its own path takes the place of the center
-/// line, 1.9 m wide on either side. The future is every timestep after the present.
+/// center line, so that a bend is no sideways motion. The future is every timestep after the present.
 ///
 /// **Positive**: all of
 ///
@@ -101,8 +100,9 @@ impl Default for CutInConfig {
 /// The event *starts* at the intrusion, the first such t_other, and is *complete* at the first such t_ego.
 ///
 /// *What does not count*: an ego that moves in behind the other or changes lanes itself; boxes that graze while both keep their lanes; crossing,
-/// turning and oncoming traffic; agents not tracked at present. Where the two lanes lead into each other and each keeps its own, as on a ramp, or where
-/// the ego is in no lane, offsets do not tell who gives way: then the one who moves more across the mean of its headings at the two ends does.
+/// turning and oncoming traffic; agents not tracked at present; an ego who is in no lane of the map, or without a map: of two paths that meet,
+/// nothing tells then which one is kept. Where the two lanes lead into each other and each keeps its own, as on a ramp, offsets do not tell who gives
+/// way: then the one who moves more across the mean of its headings at the two ends does.
 ///
 /// **Negative**: any other ordered pair whose boxes come closer than 5 m at any two timesteps of the scene. Start and end are the first and the
 /// last timestep of the scene.

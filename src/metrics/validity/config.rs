@@ -4,6 +4,7 @@ use super::Check;
 use crate::scene::Dataset;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// The limits of a valid scenario. Exceeding a limit is a violation; checks can be skipped by name.
 ///
@@ -57,6 +58,14 @@ pub struct ValidityConfig {
     /// Default 0.3.
     #[schemars(range(min = 0.0))]
     pub offroad_slack_m: f64,
+    /// Where more than this share of the states of recorded vehicles lies off the road, or more than this share of the recorded scenes holds a
+    /// departure from it, the map of the place does not say where the road is: departures are not judged there, and every table says so.
+    /// Default 0.03; 1 to judge them by any map.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub max_recorded_offroad: f64,
+    /// Places at which departures are not judged, beside those that are found so.
+    #[serde(skip_serializing_if = "BTreeSet::is_empty")]
+    pub places_without_road: BTreeSet<String>,
     /// Agents whose size the recording does not give collide only if the cores of their nominal boxes do: this share of length and width.
     /// Default 0.5: in Argoverse 1, which gives no sizes, whole boxes overlap in two of five recorded scenes.
     #[schemars(range(min = 0.0))]
@@ -82,6 +91,8 @@ impl Default for ValidityConfig {
             max_start_offset_m: 0.3,
             max_start_turn_rad: 0.2,
             offroad_slack_m: 0.3,
+            max_recorded_offroad: 0.03,
+            places_without_road: BTreeSet::new(),
             core_of_unknown_size: 0.5,
             asked_may_collide: false,
         }

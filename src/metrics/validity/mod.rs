@@ -11,6 +11,7 @@ mod check;
 mod collision;
 mod config;
 mod fit;
+mod map_fit;
 mod motion;
 mod offroad;
 mod seam;
@@ -21,6 +22,7 @@ mod validity_rate;
 pub use check::{Check, Violation};
 pub use config::ValidityConfig;
 pub use fit::LocalFit;
+pub use map_fit::MapFit;
 pub use validity_rate::ValidityRate;
 
 use crate::scene::{AgentClass, Roles, Scene};
@@ -66,14 +68,17 @@ impl<'a> Judged<'a> {
 
     /// The checks that the scene fails, in the order of [`Check::ALL`], each with its worst place. Empty: the scene is valid.
     pub fn violations(&self, config: &ValidityConfig) -> Vec<Violation> {
+        let not_checked = self.not_checked(config);
         let mut found = Vec::new();
         if config.checks_motion_of(self.scene.source.dataset) {
             found.extend(motion::violations(self, config));
             found.extend(seam::violations(self, config));
         }
         found.extend(collision::worst(self, config));
-        found.extend(offroad::worst(self, config));
-        found.retain(|violation| !config.skip.contains(&violation.check));
+        if !not_checked.contains(&Check::Offroad) {
+            found.extend(offroad::worst(self, config));
+        }
+        found.retain(|violation| !not_checked.contains(&violation.check));
         found.sort_by_key(|violation| violation.check);
         found
     }

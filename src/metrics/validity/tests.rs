@@ -248,3 +248,43 @@ fn what_is_no_number_is_never_valid() {
     });
     assert_eq!(checks(&broken, &defaults()), ["offroad"]);
 }
+
+/// Four cars that drive side by side, of which `n_off` are beside the road, for the whole scene.
+fn fit(n_off: usize) -> MapFit {
+    let car = |i: usize| {
+        let y_m = if i < n_off { 8.0 + 3.0 * i as f64 } else { 0.0 };
+        format!("{{ id = \"{i}\", start = {{ x_m = {}, y_m = {y_m:?}, speed_mps = 5 }} }}", 8 * i)
+    };
+    MapFit::of(&built(&(0..4).map(car).collect::<Vec<_>>().join(", ")), &defaults())
+}
+
+#[test]
+fn a_map_that_recordings_leave_does_not_allow_to_judge_departures() {
+    // Forty timesteps, every fifth of them: 8 states of each car.
+    assert_eq!(fit(1), MapFit { n_scenes: 1, n_scenes_leaving: 0, n_states: 32, n_states_off: 8 });
+    assert!(fit(0).allows_offroad(&defaults()) && !fit(1).allows_offroad(&defaults()));
+    assert!(fit(1).allows_offroad(&ValidityConfig { max_recorded_offroad: 1.0, ..defaults() }));
+    // Half of the lanes removed: whoever was in them is beside the road throughout, and "leaves" nothing. 1 of 40 cars is 2.5 %.
+    let many = (0..9).fold(fit(1), |all, _| all.with(fit(0)));
+    assert!(many.allows_offroad(&defaults()) && !many.with(fit(1)).allows_offroad(&defaults()));
+    // A single recorded departure is that of a driver, several are those of the map.
+    let leaving = |n: u64| MapFit { n_scenes: 20, n_scenes_leaving: n, n_states: 1000, n_states_off: 5 };
+    assert!(leaving(1).allows_offroad(&defaults()) && !leaving(2).allows_offroad(&defaults()));
+}
+
+#[test]
+fn what_is_not_checked_is_said() {
+    let leaving = scene(10.0, "{ duration_s = 1 }, { duration_s = 2.5, shift_m = 3.0 }");
+    let not_checked = |scene: &Scene, config: &ValidityConfig| Judged::future_of(scene, Roles::none()).not_checked(config);
+    assert_eq!((checks(&leaving, &defaults()), not_checked(&leaving, &defaults())), (vec!["offroad"], Vec::new()));
+    let place = leaving.source.place.clone();
+    let without = ValidityConfig { places_without_road: [place].into(), ..defaults() };
+    assert_eq!((checks(&leaving, &without), not_checked(&leaving, &without)), (Vec::new(), vec![Check::Offroad]));
+    let elsewhere = ValidityConfig { places_without_road: ["elsewhere".to_owned()].into(), ..defaults() };
+    assert_eq!(checks(&leaving, &elsewhere), ["offroad"]);
+    let mut noisy = leaving;
+    noisy.source.dataset = Dataset::Argoverse1;
+    noisy.lanes = std::sync::Arc::default();
+    let of_noisy = not_checked(&noisy, &ValidityConfig { skip: vec![Check::Collision], ..defaults() });
+    assert_eq!(of_noisy, Check::ALL);
+}

@@ -112,7 +112,13 @@ fn write_value(text: &mut String, depth: usize, name: &str, value: &Value) {
         }
         Value::Array(items) => {
             let items: Vec<String> = items.iter().map(plain).collect();
-            text.push_str(&format!("{indent}{name}: {}\n", items.join(", ")));
+            // Sentences have commas of their own.
+            if items.iter().any(|item| item.contains(", ")) {
+                text.push_str(&format!("{indent}{name}\n"));
+                items.iter().for_each(|item| text.push_str(&format!("{indent}  {item}\n")));
+            } else {
+                text.push_str(&format!("{indent}{name}: {}\n", items.join(", ")));
+            }
         }
         value => text.push_str(&format!("{indent}{name}: {}\n", plain(value))),
     }
@@ -139,10 +145,11 @@ mod tests {
             .with("unknown", Value::Null)
             .with("counts", json!({ "train": 2, "val": 1 }))
             .with("list", json!([1, 2]))
+            .with("warnings", json!(["short, at one", "long, at two"]))
             .with("stages", json!([{ "id": "x" }]));
         assert_eq!(
             description.text(),
-            "thing\n  n scenes: 3\n  name: a b\n  counts\n    train: 2\n    val: 1\n  list: 1, 2\n  stages\n    1\n      id: x\n"
+            "thing\n  n scenes: 3\n  name: a b\n  counts\n    train: 2\n    val: 1\n  list: 1, 2\n  warnings\n    short, at one\n    long, at two\n  stages\n    1\n      id: x\n"
         );
         assert_eq!(description.json()["kind"], "thing");
     }

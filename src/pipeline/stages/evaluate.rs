@@ -3,7 +3,9 @@
 use super::mine::MineConfig;
 use super::sample_folder::SampleManifest;
 use crate::behavior::{BehaviorEvent, EventLabel};
-use crate::evaluate::{EvaluateConfig, Evaluation, LeftOutRow, Shard, left_out_by_sweep};
+use crate::evaluate::{
+    EvaluateConfig, Evaluation, EvaluationSummary, MapFitRow, Shard, for_maps, left_out_by_sweep, map_fits,
+};
 use crate::generate::GenerateConfig;
 use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS, VERDICTS};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
@@ -35,7 +37,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        6
+        7
     }
 
     fn check(&self) -> Result<()> {
@@ -86,7 +88,10 @@ impl Stage for Evaluate<'_> {
             true => read_events(&self.layout.events, is_positive)?,
             false => Vec::new(),
         };
-        let mut evaluation = Evaluation::new(self.config, &behaviors, &store, &recorded_events, &path(PREDICTIONS))?;
+        let maps = map_fits(&store, &self.config.validity)?;
+        maps.iter().filter_map(MapFitRow::caution).for_each(|caution| context.progress.warn(&caution));
+        let config = EvaluateConfig { validity: for_maps(&self.config.validity, &maps), ..self.config.clone() };
+        let mut evaluation = Evaluation::new(&config, &behaviors, &store, &recorded_events, &path(PREDICTIONS))?;
         evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
         let mut corpus = CorpusWriter::create(&path(CORPUS), &store)?;
         context.progress.start("evaluate", samples.n_scenarios, "scenarios");
@@ -100,12 +105,13 @@ impl Stage for Evaluate<'_> {
             context.progress.advance(n_records);
         }
         context.progress.finish();
-        let found = evaluation.finish()?;
+        let mut found = evaluation.finish()?;
+        found.summary.maps = maps;
         let summary = &found.summary;
         write_verdicts(&path(VERDICTS), &found.verdicts)?;
         write_metrics(&path(METRICS), found.all_rows())?;
         corpus.write_metrics(found.rows_of_corpus())?;
-        corpus.finish(&self.notes(&summary.left_out))?;
+        corpus.finish(&self.notes(summary))?;
         write_json_atomically(&path(METRICS_SUMMARY), summary)?;
         Ok(json!({
             "n_scenarios": summary.n_scenarios,
@@ -122,11 +128,15 @@ impl Stage for Evaluate<'_> {
 
 impl Evaluate<'_> {
     /// What the corpus says of itself.
-    fn notes(&self, left_out: &[LeftOutRow]) -> CorpusNotes {
-        let notes = BTreeMap::from([
+    fn notes(&self, summary: &EvaluationSummary) -> CorpusNotes {
+        let mut notes = BTreeMap::from([
             ("pipeline".to_owned(), self.pipeline.to_owned()),
             ("made_by".to_owned(), format!("djinn {}", env!("CARGO_PKG_VERSION"))),
         ]);
-        CorpusNotes { sources: BTreeMap::new(), notes, left_out: left_out_by_sweep(left_out) }
+        let cautions: Vec<String> = summary.maps.iter().filter_map(MapFitRow::caution).collect();
+        if !cautions.is_empty() {
+            notes.insert("maps".to_owned(), cautions.join(" "));
+        }
+        CorpusNotes { sources: BTreeMap::new(), notes, left_out: left_out_by_sweep(&summary.left_out) }
     }
 }

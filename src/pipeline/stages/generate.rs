@@ -6,6 +6,7 @@ use super::request_rounds::Fulfilment;
 use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledWith};
 use super::with_precision;
 use crate::diffusion::Edm;
+use crate::evaluate::{for_maps, map_fits};
 use crate::generate::{self, GenerateConfig, Generator, Plan, ResolvedGeneration, Shortfall};
 use crate::metrics::MetricSettings;
 use crate::nn::Precision;
@@ -39,7 +40,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        5
+        6
     }
 
     fn check(&self) -> Result<()> {
@@ -92,13 +93,18 @@ impl Stage for Generate<'_> {
         let models = LoadedModels::read(self.layout, &resolved.sweeps, compute)?;
         let behaviors = self.mine.build()?;
         let load = |idx: usize| Ok(store.scene(idx)?);
-        let metric_settings = self.metric_settings.clone();
+        // Selections and limits judge as the evaluation will: by the maps that allow it.
+        let judged_by_maps = |settings: &MetricSettings| -> Result<MetricSettings> {
+            let maps = map_fits(&store, &settings.validity)?;
+            Ok(MetricSettings { validity: for_maps(&settings.validity, &maps), ..settings.clone() })
+        };
+        let decisive_settings = self.decisive_settings().map(judged_by_maps).transpose()?;
+        let metric_settings = decisive_settings.clone().unwrap_or_default();
         let generator =
             Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, &compute.device)?;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
         let (mine, generate) = (self.mine.clone(), self.config.clone());
-        let metric_settings = self.decisive_settings().cloned();
-        folder.write_settings(&SampleSettings { mine, generate, metric_settings })?;
+        folder.write_settings(&SampleSettings { mine, generate, metric_settings: decisive_settings })?;
         let plan = match folder.plan() {
             Some(plan) => plan,
             None => plan_generation(&generator, resolved.n_sweeps, &store, &folder, context)?,

@@ -12,6 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Scenes that are mined together: enough for every thread, few enough to show progress and to hold their events in memory.
 const SCENES_PER_CHUNK: usize = 256;
@@ -62,7 +63,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        3
+        4
     }
 
     fn check(&self) -> Result<()> {
@@ -95,8 +96,13 @@ impl Stage for Mine<'_> {
         let entries = behavior::ALL.iter().filter(|entry| ids.contains(&entry.id));
         let mut writer = EventWriter::new(&context.root.join(EVENTS), entries);
         context.progress.start("mine", scenes.len() as u64, "scenes");
+        let has_lanes = AtomicBool::new(false);
         let detect = |chunk: &[usize]| -> Result<Vec<BehaviorEvent>> {
-            let found = chunk.par_iter().map(|idx| detect_all(&store, *idx, &behaviors));
+            let found = chunk.par_iter().map(|idx| {
+                let scene = store.scene(*idx)?;
+                has_lanes.fetch_or(!scene.lanes.is_empty(), Ordering::Relaxed);
+                Ok(behaviors.iter().flat_map(|behavior| behavior.detect(&scene)).collect::<Vec<_>>())
+            });
             Ok(found.collect::<Result<Vec<_>>>()?.into_iter().flatten().collect())
         };
         // The events of a chunk are written while the next one is searched.
@@ -111,6 +117,14 @@ impl Stage for Mine<'_> {
         }
         writer.write(&found)?;
         context.progress.finish();
+        if !has_lanes.into_inner() {
+            for entry in behavior::ALL.iter().filter(|entry| entry.needs_lanes && ids.contains(&entry.id)) {
+                context.progress.warn(&format!(
+                    "{} is found along lanes, and no scene has any: ingest with maps, or leave it out of mine.behaviors",
+                    entry.id
+                ));
+            }
+        }
         writer.finish()?;
         let n_events = tally.n_events();
         let summary = tally.finish();
@@ -121,9 +135,4 @@ impl Stage for Mine<'_> {
         let n_positive: BTreeMap<&str, u64> = ids.iter().map(|id| (*id, n_positive(id))).collect();
         Ok(json!({ "n_scenes": scenes.len(), "n_events": n_events, "n_positive": n_positive }))
     }
-}
-
-fn detect_all(store: &SceneStore, idx: usize, behaviors: &[Box<dyn Behavior>]) -> Result<Vec<BehaviorEvent>> {
-    let scene = store.scene(idx)?;
-    Ok(behaviors.iter().flat_map(|behavior| behavior.detect(&scene)).collect())
 }

@@ -2,7 +2,7 @@
 
 use super::quality::{distinct, heading_of_series};
 use super::{Section, table};
-use crate::evaluate::{AcceptanceRow, LeftOutRow, ValidityRow};
+use crate::evaluate::{AcceptanceRow, LeftOutRow, MapFitRow, ValidityRow};
 use crate::metrics::Check;
 use crate::report::model::ReportModel;
 use crate::report::number::{ABSENT, count, level, optional, percent, share};
@@ -15,6 +15,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
             (acceptance(&model.acceptance))
             @if !model.left_out.is_empty() { (left_out(&model.left_out)) }
             (validity(&model.validity))
+            @if model.maps.iter().any(|map| !map.allows_offroad) { (maps(&model.maps)) }
         };
         Section::new("verdicts", "Rejected scenarios", body)
     })
@@ -91,9 +92,44 @@ fn left_out(rows: &[LeftOutRow]) -> Markup {
     }
 }
 
+/// At which places the map tells where the road is.
+fn maps(rows: &[MapFitRow]) -> Markup {
+    let head = html! {
+        tr {
+            th scope="col" { "Place" } th scope="col" class="n" { "Recorded states off the lanes" }
+            th scope="col" class="n" { "Recorded scenes with a departure" } th scope="col" { "Departures from the road" }
+        }
+    };
+    let body = html! {
+        @for MapFitRow { place, fit, allows_offroad } in rows {
+            tr {
+                th scope="row" { (place) }
+                td class="n" { (share(fit.n_states_off, fit.n_states)) }
+                td class="n" { (share(fit.n_scenes_leaving, fit.n_scenes)) small { " of " (count(fit.n_scenes)) } }
+                td { @if *allows_offroad { "checked" } @else { "the map does not allow it" } }
+            }
+        }
+    };
+    html! {
+        (table("Maps, and whether they say where the road is", &head, &body))
+        p class="note" {
+            "Where more of the recorded vehicles' states lie off the lanes, or more recorded scenes hold a departure, than "
+            code { "evaluate.validity.max_recorded_offroad" } " says, the map lacks road that people drive on: the check is not made there."
+        }
+    }
+}
+
 fn validity(rows: &[ValidityRow]) -> Markup {
     let rows: Vec<&ValidityRow> = rows.iter().filter(|row| row.place.is_empty()).collect();
+    let n_not_checked = |row: &ValidityRow, check: Check| row.not_checked.get(check.id()).copied().unwrap_or(0);
     let is_failed = |check: &Check| rows.iter().any(|row| row.violations.contains_key(check.id()));
+    let left_out: Vec<(Check, u64, u64)> = Check::ALL
+        .into_iter()
+        .map(|check| {
+            (check, rows.iter().map(|row| n_not_checked(row, check)).sum(), rows.iter().map(|row| row.n).sum())
+        })
+        .filter(|(_, n, _)| *n > 0)
+        .collect();
     let checks: Vec<Check> = Check::ALL.into_iter().filter(is_failed).collect();
     let head = html! {
         tr {
@@ -110,7 +146,10 @@ fn validity(rows: &[ValidityRow]) -> Markup {
                 td class="n" { (share(row.n_valid, row.n)) }
                 td class="n" { (row.plausibility.map_or_else(|| optional(None), percent)) }
                 @for check in &checks {
-                    td class="n" { (share(row.violations.get(check.id()).copied().unwrap_or(0), row.n)) }
+                    td class="n" {
+                        @if n_not_checked(row, *check) == row.n { "not checked" }
+                        @else { (share(row.violations.get(check.id()).copied().unwrap_or(0), row.n - n_not_checked(row, *check))) }
+                    }
                 }
             }
         }
@@ -120,6 +159,16 @@ fn validity(rows: &[ValidityRow]) -> Markup {
         p class="note" {
             "The recordings are judged as if they were generated: what they fail shows how strict a limit is, or how noisy they are. "
             "Plausibility is the share of motion between the 0.1 % and 99.9 % quantiles of recorded motion."
+        }
+        @if !left_out.is_empty() {
+            p class="note" {
+                "Not checked, so that nothing is said of it: "
+                @for (i, (check, n, of)) in left_out.iter().enumerate() {
+                    @if i > 0 { ", " } (check.id().replace('_', " ")) " in " (count(*n)) " of " (count(*of)) " scenes"
+                }
+                ". Motion is not checked where a dataset's positions are too noisy, departures from the road where there is no map or one that does not allow it. "
+                "Shares are of the scenes that were checked."
+            }
         }
         details {
             summary { "What is checked" }

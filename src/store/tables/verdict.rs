@@ -8,7 +8,7 @@ use arrow::array::{ListArray, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Float64Type};
 use std::path::Path;
 
-/// `verdict.v2`.
+/// `verdict.v3`.
 pub(crate) fn schema() -> TableSchema {
     let fields = vec![
         column("scenario_id", DataType::Utf8, "The scenario, as in the samples and, where it was kept, in the corpus."),
@@ -30,10 +30,17 @@ pub(crate) fn schema() -> TableSchema {
             "Why it is not accepted, the first reason first: nothing_asked or not_verified, what a request found, failed checks of \
              validity, near_duplicate; empty where it is.",
         ),
+        column(
+            "not_checked",
+            list_of(DataType::Utf8),
+            "The checks of validity that were not made: left out by the configuration, of motion where the dataset does not allow them, offroad where \
+             there is no map or one that does not say where the road is. Missing in files of version 1 and 2.",
+        )
+        .optional(),
     ];
     TableSchema {
         name: "verdict",
-        version: 2,
+        version: 3,
         description: "One row a generated scenario: whether it is accepted, and why not.",
         fields,
         open: Vec::new(),
@@ -43,6 +50,7 @@ pub(crate) fn schema() -> TableSchema {
 /// These rows.
 pub(crate) fn encode(rows: &[VerdictRow]) -> Result<RecordBatch> {
     let reasons = texts(rows.iter().flat_map(|row| &row.reasons).map(String::as_str));
+    let not_checked = texts(rows.iter().flat_map(|row| &row.not_checked).map(String::as_str));
     let arrays = vec![
         texts(rows.iter().map(|row| row.scenario_id.as_str())),
         texts(rows.iter().map(|row| row.sweep.as_str())),
@@ -51,6 +59,7 @@ pub(crate) fn encode(rows: &[VerdictRow]) -> Result<RecordBatch> {
         flags(rows.iter().map(|row| row.accepted)),
         flags(rows.iter().map(|row| row.kept)),
         lists(rows.iter().map(|row| row.reasons.len()), reasons),
+        lists(rows.iter().map(|row| row.not_checked.len()), not_checked),
     ];
     RecordBatch::try_new(schema().arrow(), arrays).map_err(|error| Error::invalid("verdicts", error.to_string()))
 }
@@ -58,12 +67,13 @@ pub(crate) fn encode(rows: &[VerdictRow]) -> Result<RecordBatch> {
 /// The rows in a batch.
 pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<VerdictRow>> {
     let columns = Columns::of_batch(batch, path);
-    let list: &ListArray = columns.get("reasons")?;
-    let reasons: &StringArray = list
-        .values()
-        .as_any()
-        .downcast_ref()
-        .ok_or_else(|| Error::corrupt(path, "column reasons has lists of another type"))?;
+    let lists_of_texts = |name: &str| {
+        let list: &ListArray = columns.get(name)?;
+        let texts: Option<&StringArray> = list.values().as_any().downcast_ref();
+        let texts = texts.ok_or_else(|| Error::corrupt(path, format!("column {name} has lists of another type")))?;
+        Ok::<_, Error>(move |row: usize| entries(list, row).map(|at| texts.value(at).to_owned()).collect::<Vec<_>>())
+    };
+    let (reasons, not_checked) = (lists_of_texts("reasons")?, lists_of_texts("not_checked")?);
     let verdict = |row: usize| {
         Ok(VerdictRow {
             scenario_id: columns.text("scenario_id", row)?.to_owned(),
@@ -74,7 +84,8 @@ pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<VerdictRow>
             },
             accepted: columns.flag("accepted", row)?,
             kept: columns.flag("kept", row)?,
-            reasons: entries(list, row).map(|at| reasons.value(at).to_owned()).collect(),
+            reasons: reasons(row),
+            not_checked: not_checked(row),
         })
     };
     (0..batch.num_rows()).map(verdict).collect()

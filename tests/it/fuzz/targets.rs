@@ -3,7 +3,7 @@
 use djinn::ingest::archive::visit_entries;
 use djinn::ingest::{IngestConfig, MapsConfig, ingest, lanelet2};
 use djinn::model::{NetworkConfig, TrainedDenoiser};
-use djinn::nn::Params;
+use djinn::nn::{Compute, Params};
 use djinn::pipeline::config::parse;
 use djinn::progress::Silent;
 use djinn::scene::Dataset;
@@ -97,7 +97,7 @@ pub(super) const TARGETS: &[Target] = &[
         seeds: |folder| vec![small_model(folder)],
         read: |folder, bytes| {
             let path = write(folder, "model.safetensors", bytes);
-            TrainedDenoiser::read(&path, &candle_core::Device::Cpu).is_ok()
+            TrainedDenoiser::read(&path, &Compute::cpu()).is_ok()
         },
     },
     Target {
@@ -249,12 +249,12 @@ fn tarball(_: &Path) -> Vec<Vec<u8>> {
 
 /// A checkpoint of a network that is as small as one can be, with what a carried model says of itself.
 fn small_model(folder: &Path) -> Vec<u8> {
-    let device = candle_core::Device::Cpu;
+    let compute = Compute::cpu();
     let carried = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/models/simulated_places.safetensors");
-    let mut spec = TrainedDenoiser::read(&carried, &device).unwrap().spec;
+    let mut spec = TrainedDenoiser::read(&carried, &compute).unwrap().spec;
     spec.network =
         NetworkConfig { layers: "T".into(), width: 4, n_heads: 1, feed_forward: 4, encoding: 2, ..spec.network };
-    let mut params = Params::new(&device);
+    let mut params = Params::new(&compute);
     djinn::model::ModelSpec::build(&spec, &mut params, Seed(1)).unwrap();
     let path = folder.join("small.safetensors");
     djinn::model::ModelSpec::write(&spec, &params, &path).unwrap();

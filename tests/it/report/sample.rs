@@ -49,6 +49,7 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
         acceptance: outcome::acceptance(name),
         left_out: outcome::left_out(name),
         validity: outcome::validity(name),
+        maps: outcome::maps(),
         distributions: distributions(),
         scenes: vec![
             card(0, name, 1.0, 0.0),

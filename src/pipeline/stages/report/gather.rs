@@ -2,7 +2,7 @@
 
 use super::Report;
 use super::drawings::drawings;
-use crate::evaluate::EvaluationSummary;
+use crate::evaluate::{EvaluationSummary, MapFitRow};
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
 use crate::model::{DenoiserSpec, TrainedDenoiser, TrainedSceneTransformer};
@@ -84,7 +84,7 @@ fn denoiser(name: &str, dir: &Path) -> Result<(TrainingSummary, DenoiserSpec)> {
     let mut facts = vec![
         Fact::new("Layers", &spec.network.layers),
         Fact::new("Width", spec.network.width),
-        Fact::new("State", format!("{:?}", spec.normalizer.parametrization).to_lowercase()),
+        Fact::new("State", spec.normalizer.parametrization.name()),
         Fact::new("Timesteps", format!("{} + {}", spec.n_history, spec.n_timesteps - spec.n_history)),
         Fact::new("Steps", spec.steps),
         Fact::new("Fingerprint", fingerprint),
@@ -103,7 +103,7 @@ fn baseline(dir: &Path) -> Result<TrainingSummary> {
         Fact::new("Layers", format!("{} + {}", spec.network.encoder, spec.network.decoder)),
         Fact::new("Width", spec.network.width),
         Fact::new("Joint futures", spec.network.n_modes),
-        Fact::new("State", format!("{:?}", spec.normalizer.parametrization).to_lowercase()),
+        Fact::new("State", spec.normalizer.parametrization.name()),
         Fact::new("Timesteps", format!("{} + {}", spec.n_history, spec.n_timesteps - spec.n_history)),
         Fact::new("Steps", spec.steps),
         Fact::new("Fingerprint", fingerprint),
@@ -145,6 +145,9 @@ fn add_evaluation(model: &mut ReportModel, summary: EvaluationSummary) {
         missed.map(|gate| warning(StageId::Evaluate, format!("Gate not met: {} ({}).", gate.gate, gate.detail))),
     );
     model.warnings.extend(cautions(&summary.aggregates).into_iter().map(|message| warning(StageId::Evaluate, message)));
+    let of_maps = summary.maps.iter().filter_map(MapFitRow::caution);
+    model.warnings.extend(of_maps.map(|message| warning(StageId::Evaluate, message)));
+    model.maps = summary.maps;
     model.sampling = summary.sampling;
     model.realism = summary.realism;
     model.acceptance = summary.acceptance;

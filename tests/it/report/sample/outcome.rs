@@ -1,8 +1,8 @@
 //! What came out: scenarios that were asked for, found, accepted and measured.
 
-use djinn::evaluate::{AcceptanceRow, LeftOutRow, MetricDoc, RealismRow, SamplingRow, ValidityRow};
+use djinn::evaluate::{AcceptanceRow, LeftOutRow, MapFitRow, MetricDoc, RealismRow, SamplingRow, ValidityRow};
 use djinn::generate::{ArmSummary, BucketPart, BucketSummary, BudgetConfig, Ended, RequestSummary, Yield};
-use djinn::metrics::Direction;
+use djinn::metrics::{Direction, MapFit};
 use djinn::report::MetricTable;
 use djinn::scene::GuidanceLevel;
 use djinn::store::MetricRow;
@@ -49,9 +49,20 @@ pub(super) fn validity(name: &str) -> Vec<ValidityRow> {
         n: 90,
         n_valid,
         violations: BTreeMap::from([("collision".into(), n_collision), ("offroad".into(), 2)]),
+        not_checked: BTreeMap::from([("offroad".into(), 30)]),
         plausibility: Some(0.97),
     };
     vec![row("recorded", 0.0, 90, 0), row("unguided", 0.0, 74, 11), row(name, 2.0, 71, 15)]
+}
+
+/// A map that fits, and one that lacks road.
+pub(super) fn maps() -> Vec<MapFitRow> {
+    let row = |place: &str, n_states_off: u64, allows_offroad: bool| MapFitRow {
+        place: place.into(),
+        fit: MapFit { n_scenes: 50, n_scenes_leaving: n_states_off / 100, n_states: 4000, n_states_off },
+        allows_offroad,
+    };
+    vec![row("Fitting", 8, true), row("Lacking", 1240, false)]
 }
 
 /// Two buckets, of which one stayed short, and two arms.

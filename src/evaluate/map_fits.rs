@@ -1,0 +1,71 @@
+//! At which places does the map allow to judge departures from the road?
+
+use super::error::Result;
+use crate::metrics::{MapFit, ValidityConfig};
+use crate::store::SceneStore;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Recorded scenes of a place that are looked at, evenly spread over them.
+const SCENES_PER_PLACE: usize = 100;
+
+/// How well the map of a place fits its recordings.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MapFitRow {
+    /// The place.
+    pub place: String,
+    /// What its recordings say of it.
+    #[serde(flatten)]
+    pub fit: MapFit,
+    /// Whether departures from the road are judged by it.
+    pub allows_offroad: bool,
+}
+
+impl MapFitRow {
+    /// What a user must know of a map that does not allow the check. `None` where it does.
+    pub fn caution(&self) -> Option<String> {
+        let Self { place, fit, allows_offroad } = self;
+        let percent = |n: u64, of: u64| format!("{:.1} %", 100.0 * n as f64 / of.max(1) as f64);
+        (!allows_offroad).then(|| {
+            format!(
+                "The map of {place} does not allow to judge who leaves the road: {} of the states of recorded vehicles lie off its lanes, and in \
+                 {} of {} recorded scenes vehicles leave them. The check offroad is not made there.",
+                percent(fit.n_states_off, fit.n_states),
+                fit.n_scenes_leaving,
+                fit.n_scenes
+            )
+        })
+    }
+}
+
+/// The maps of all places with lanes, by place.
+///
+/// # Errors
+/// When a scene cannot be read.
+pub fn map_fits(store: &SceneStore, config: &ValidityConfig) -> Result<Vec<MapFitRow>> {
+    let mut by_place: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    for (idx, entry) in store.index().iter().enumerate() {
+        by_place.entry(&entry.place).or_default().push(idx);
+    }
+    let mut rows = Vec::new();
+    for (place, scenes) in by_place {
+        let n = scenes.len().min(SCENES_PER_PLACE);
+        let fits = (0..n).into_par_iter().map(|i| {
+            let scene = store.scene(scenes[i * scenes.len() / n])?;
+            Ok((!scene.lanes.is_empty()).then(|| MapFit::of(&scene, config)))
+        });
+        let fits: Vec<Option<MapFit>> = fits.collect::<Result<_>>()?;
+        if let Some(fit) = fits.into_iter().flatten().reduce(MapFit::with) {
+            rows.push(MapFitRow { place: place.to_owned(), fit, allows_offroad: fit.allows_offroad(config) });
+        }
+    }
+    Ok(rows)
+}
+
+/// The limits, with the places at which the map does not allow the check of departures.
+pub fn for_maps(config: &ValidityConfig, maps: &[MapFitRow]) -> ValidityConfig {
+    let without = maps.iter().filter(|map| !map.allows_offroad).map(|map| map.place.clone());
+    let places_without_road = config.places_without_road.iter().cloned().chain(without).collect();
+    ValidityConfig { places_without_road, ..config.clone() }
+}

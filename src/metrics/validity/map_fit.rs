@@ -1,0 +1,75 @@
+//! Does the map of a place say where vehicles drive there? Told from the place's own recordings.
+
+use super::{Check, Judged, ValidityConfig, offroad};
+use crate::metrics::road::Road;
+use crate::scene::Scene;
+use serde::{Deserialize, Serialize};
+
+/// Timesteps between the states that are looked at: neighbors say the same.
+const STRIDE: usize = 5;
+
+/// How well the recorded vehicles of a place keep to its lanes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MapFit {
+    /// Recorded scenes looked at.
+    pub n_scenes: u64,
+    /// In which a vehicle leaves the road.
+    pub n_scenes_leaving: u64,
+    /// States of vehicles looked at.
+    pub n_states: u64,
+    /// Which are off the road.
+    pub n_states_off: u64,
+}
+
+impl MapFit {
+    /// That of a recorded scene: every fifth state of its vehicles, and whether it would pass the check of departures.
+    pub fn of(scene: &Scene, config: &ValidityConfig) -> Self {
+        let judged = Judged::future_of(scene, Roles::none());
+        let road = Road::new(&scene.lanes);
+        let vehicles = (0..scene.tracks.len()).filter(|agent_idx| judged.is_vehicle(*agent_idx));
+        let states = vehicles.flat_map(|agent_idx| scene.tracks[agent_idx].trajectory.valid());
+        let positions: Vec<_> =
+            states.filter(|(timestep, _)| timestep % STRIDE == 0).map(|(_, s)| s.position).collect();
+        Self {
+            n_scenes: 1,
+            n_scenes_leaving: u64::from(offroad::worst(&judged, config).is_some()),
+            n_states: positions.len() as u64,
+            n_states_off: positions.iter().filter(|position| !road.holds(**position)).count() as u64,
+        }
+    }
+
+    /// Both together.
+    #[must_use]
+    pub const fn with(self, other: Self) -> Self {
+        Self {
+            n_scenes: self.n_scenes + other.n_scenes,
+            n_scenes_leaving: self.n_scenes_leaving + other.n_scenes_leaving,
+            n_states: self.n_states + other.n_states,
+            n_states_off: self.n_states_off + other.n_states_off,
+        }
+    }
+
+    /// Whether departures from the road can be judged by the map: at most the share of the configuration of the recorded states lies off the
+    /// road, and at most that share of the recorded scenes, or a single one, holds a departure.
+    pub fn allows_offroad(&self, config: &ValidityConfig) -> bool {
+        let is_rare = |n: u64, of: u64| n as f64 <= config.max_recorded_offroad * of as f64;
+        is_rare(self.n_states_off, self.n_states)
+            && (self.n_scenes_leaving <= 1 || is_rare(self.n_scenes_leaving, self.n_scenes))
+    }
+}
+
+impl Judged<'_> {
+    /// The checks that are not made of the scene, whatever happens in it: those that the configuration leaves out, those of motion where the
+    /// dataset does not allow them, and of departures from the road where there is no map, or one that does not say where the road is.
+    pub fn not_checked(&self, config: &ValidityConfig) -> Vec<Check> {
+        let is_made = |check: Check| match check {
+            _ if config.skip.contains(&check) => false,
+            Check::Collision => true,
+            Check::Offroad => {
+                !self.scene.lanes.is_empty() && !config.places_without_road.contains(&self.scene.source.place)
+            }
+            _ => config.checks_motion_of(self.scene.source.dataset),
+        };
+        Check::ALL.into_iter().filter(|check| !is_made(*check)).collect()
+    }
+}
