@@ -16,7 +16,7 @@ use super::verdicts::{AcceptanceRow, LeftOutRow, Verdicts};
 use crate::behavior::{Behavior, BehaviorEvent};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, Judged};
-use crate::scene::{Scene, SceneId};
+use crate::scene::{Roles, Scene, SceneId};
 use crate::store::{Assessment, MetricRow, ScenarioRecord, SceneStore, VerdictRow};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

@@ -2,7 +2,7 @@
 
 use super::{Check, Judged, ValidityConfig, offroad};
 use crate::metrics::road::Road;
-use crate::scene::Scene;
+use crate::scene::{Roles, Scene};
 use serde::{Deserialize, Serialize};
 
 /// Timesteps between the states that are looked at: neighbors say the same.
