@@ -197,11 +197,7 @@ fn rows_are_generated_again(workspace: &Workspace, root: &Path) {
     };
     let unknown = djinn(&["regenerate", "0123", "--from", from]).expect(1);
     assert!(unknown.stderr.contains("scenario 0123 is not among"), "{}", unknown.stderr);
-    told(
-        &["--denoiser", &workspace.arg("nowhere")],
-        2,
-        "the denoiser that generated the scenario is missing",
-    );
+    told(&["--denoiser", &workspace.arg("nowhere")], 2, "the denoiser that generated the scenario is missing");
     told(&["--denoiser", "pipelines/models/simulated_places.safetensors"], 1, "its fingerprint was");
     told(&["--scenes", corpus], 1, "manifest.json");
 }
