@@ -113,7 +113,7 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     let misspelt =
         workspace.run("out", &["--dry-run", "--set", "generate.requests.0.where={ gap = [0, 1] }"]).expect(1);
     assert!(
-        misspelt.stderr.contains("gap is no parameter of cut_in_paper; the nearest are gap_m"),
+        misspelt.stderr.contains("gap is not a parameter of cut_in_paper; similar: gap_m"),
         "{}",
         misspelt.stderr
     );
