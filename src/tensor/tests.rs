@@ -187,9 +187,10 @@ fn pair_features_do_not_change_when_the_scene_is_seen_from_another_agent() {
 #[test]
 fn tensors_that_do_not_belong_together_make_no_batch() {
     let scene = three_cars();
+    type Spoil<'a> = &'a dyn Fn(&mut SceneTensors);
     let collator = Collator { sight: Some(Sight::new(4)), ..collator(&scene, StateParametrization::Motion) };
     let batch = collate(&collator, &scene, 0, &ObservationMask::predictive(3, 12, 4));
-    let message = |spoil: &dyn Fn(&mut SceneTensors)| {
+    let message = |spoil: Spoil<'_>| {
         let mut tensors = SceneTensors::clone(&batch);
         spoil(&mut tensors);
         SceneBatch::new(tensors).unwrap_err().to_string()
@@ -198,7 +199,7 @@ fn tensors_that_do_not_belong_together_make_no_batch() {
     let around = |tensors: &mut SceneTensors, spoil: &dyn Fn(&mut Surroundings)| {
         spoil(tensors.surroundings.as_mut().unwrap());
     };
-    let cases: [(&str, &dyn Fn(&mut SceneTensors)); 7] = [
+    let cases: [(&str, Spoil<'_>); 7] = [
         ("latent has shape [1, 2, 12], expected [1, 3, 12]", &|t| t.latent = cut(&t.latent)),
         ("path has shape [1, 2, 12, 12], expected [1, 3, 12, 12]", &|t| t.path = t.path.as_ref().map(cut)),
         ("surroundings.modes has shape [1, 2, 3, 12, 12]", &|t| around(t, &|around| around.modes = cut(&around.modes))),

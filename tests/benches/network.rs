@@ -196,7 +196,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
         }
         table.print("train", &format!("training step, {batch_size} scenes"));
         for _ in 0..4 {
-            let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, &sample));
+            let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, sample));
             ours?;
             let request = format!("{precision} sample {} {}", options.n_futures, options.n_steps);
             table.add("sample", elapsed, peer.ask(&request)?);
