@@ -156,7 +156,8 @@ impl NearMiss {
         let passes = |e: &Encounter| {
             are_sized && e.distance_m < config.max_distance_m && e.relative_mps >= config.min_passing_mps
         };
-        let last = |agent_idx: usize| scene.tracks[agent_idx].trajectory.valid().map(|(timestep, _)| timestep).last();
+        let last =
+            |agent_idx: usize| scene.tracks[agent_idx].trajectory.valid().next_back().map(|(timestep, _)| timestep);
         let known_s = last(pair[0])?.min(last(pair[1])?) as f64 * scene.dt_s;
         let escapes = |e: &Encounter| {
             e.conflict_s.is_some_and(|time_s| {
