@@ -246,7 +246,7 @@ fn training_can_start_from_a_checkpoint() {
     let mut other = training(20);
     other.network.layers = "TAT".to_owned();
     let error = train_from(Some(&start), &Arcs::new(40), &other, second.path()).unwrap_err().to_string();
-    assert!(error.contains("different network"), "{error}");
+    assert!(error.contains("another network"), "{error}");
 }
 
 #[test]

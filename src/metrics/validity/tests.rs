@@ -275,7 +275,8 @@ fn a_map_that_recordings_leave_does_not_allow_to_judge_departures() {
 #[test]
 fn what_is_not_checked_is_said() {
     let leaving = scene(10.0, "{ duration_s = 1 }, { duration_s = 2.5, shift_m = 3.0 }");
-    let not_checked = |scene: &Scene, config: &ValidityConfig| Judged::future_of(scene, Roles::none()).not_checked(config);
+    let not_checked =
+        |scene: &Scene, config: &ValidityConfig| Judged::future_of(scene, Roles::none()).not_checked(config);
     assert_eq!((checks(&leaving, &defaults()), not_checked(&leaving, &defaults())), (vec!["offroad"], Vec::new()));
     let place = leaving.source.place.clone();
     let without = ValidityConfig { places_without_road: [place].into(), ..defaults() };
