@@ -1,4 +1,4 @@
-//! Which ways does the map leave an agent? Center lines that lead on from where it is, or from the lane beside that one.
+//! Which ways lead on from the lane beside an agent? Their center lines.
 
 use crate::geometry::{Polyline, Transform2, Vec2, angle_difference};
 use crate::scene::{Lane, LaneGraph, LaneId};
@@ -36,11 +36,6 @@ impl LaneWays {
     /// The ways of these lanes, in the frame that `to_from_here` leads to.
     pub(super) fn new(lanes: &LaneGraph, to_from_here: &Transform2) -> Self {
         Self { lanes: lanes.transformed(to_from_here) }
-    }
-
-    /// The lines on which an agent at `pose` can drive on in the lanes that it is in.
-    pub(super) fn ahead(&self, pose: WayPose) -> Vec<Polyline> {
-        self.own(pose).into_iter().flat_map(|lane| self.lines(lane.id)).collect()
     }
 
     /// The lines of the lanes beside those that an agent at `pose` is in, on its left (`side` > 0) or right: lanes that the map names as
@@ -141,14 +136,6 @@ mod tests {
 
     fn pose(x: f64, y: f64) -> WayPose {
         WayPose { position: Vec2::new(x, y), heading_rad: 0.05 }
-    }
-
-    #[test]
-    fn a_fork_is_two_ways() {
-        let ends: Vec<Vec2> = ways().ahead(pose(20.0, 0.5)).iter().map(|line| line.0[line.0.len() - 1]).collect();
-        assert_eq!(ends.len(), 2);
-        assert!(ends[0].distance(Vec2::new(160.0, 0.0)) < 1e-9 && ends[1].distance(Vec2::new(60.0, 120.0)) < 1e-9);
-        assert!(ways().ahead(pose(20.0, 30.0)).is_empty());
     }
 
     #[test]

@@ -34,7 +34,7 @@ pub use mask_change::MaskChange;
 pub use objectives::{
     AccelerationLimit, AdversarialTtc, CutIn, Goal, GoalFrame, HardBrake, KeepDistance, LaneChange, NearMiss,
     NoCollision, ObjectiveConfig, RoadPoints, SceneObjective, Side, SlipLimit, SpeedLimit, StayOnRoad, StopAtLine,
-    TargetSpeed, Turn,
+    TargetSpeed,
 };
 pub use scene_context::{ContextRow, SceneContext, Target};
 

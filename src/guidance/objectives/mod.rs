@@ -33,7 +33,6 @@ mod target_speed;
 mod testing;
 #[cfg(test)]
 mod tests;
-mod turn;
 
 pub use acceleration_limit::AccelerationLimit;
 pub use adversarial_ttc::AdversarialTtc;
@@ -50,7 +49,6 @@ pub use speed_limit::SpeedLimit;
 pub use stay_on_road::{RoadPoints, StayOnRoad};
 pub use stop_at_line::StopAtLine;
 pub use target_speed::TargetSpeed;
-pub use turn::Turn;
 
 use super::{AgentSelector, SceneContext};
 use crate::settings::{self, Issue};
@@ -117,8 +115,6 @@ pub enum ObjectiveConfig {
     NearMiss(NearMiss),
     /// Move over to the lane beside one's own.
     LaneChange(LaneChange),
-    /// Turn left or right.
-    Turn(Turn),
 }
 
 impl ObjectiveConfig {
@@ -139,7 +135,6 @@ impl ObjectiveConfig {
             Self::HardBrake(objective) => objective,
             Self::NearMiss(objective) => objective,
             Self::LaneChange(objective) => objective,
-            Self::Turn(objective) => objective,
         }
     }
 

@@ -1,6 +1,5 @@
-//! The one agent of each row that an objective is about, relative to a line or to a course.
+//! The one agent of each row that an objective is about, and how far it is from a line.
 
-use super::motion::{norm, positions};
 use super::{AgentSelector, SceneContext};
 use crate::geometry::{Polyline, Vec2};
 use crate::guidance::lane_ways::WayPose;
@@ -50,27 +49,6 @@ impl OneAgent {
     pub(super) fn span(&self, row: usize) -> Option<(usize, usize)> {
         let own = &self.is_valid[row * self.n_timesteps..(row + 1) * self.n_timesteps];
         own.iter().position(|valid| *valid > 0.0).zip(own.iter().rposition(|valid| *valid > 0.0))
-    }
-
-    /// The last timestep of the scene.
-    pub(super) const fn last_timestep(&self) -> usize {
-        self.n_timesteps - 1
-    }
-
-    /// How far the agents are from where they are to be, one place a timestep, (B, T), meters; rounded at 0. 0 in rows without places.
-    pub(super) fn distance_m(&self, courses: &[Option<Vec<Vec2>>]) -> Result<Tensor> {
-        let n_rows = courses.len();
-        let place = |row: usize, timestep: usize| match &courses[row] {
-            Some(course) => course[timestep],
-            None => self.position(row, timestep),
-        };
-        let rows = (0..n_rows).flat_map(|row| (0..self.n_timesteps).map(move |timestep| (row, timestep)));
-        let places: Vec<f64> = rows.map(|(row, timestep)| place(row, timestep)).flat_map(|at| [at.x, at.y]).collect();
-        let places = Tensor::from_vec(places, (n_rows, self.n_timesteps, 2), self.states.device())?;
-        let has_course: Vec<f64> = courses.iter().map(|course| f64::from(u8::from(course.is_some()))).collect();
-        let has_course =
-            Tensor::from_vec(has_course, (n_rows, 1), self.states.device())?.to_dtype(self.states.dtype())?;
-        norm(&(positions(&self.states)? - places.to_dtype(self.states.dtype())?)?)?.broadcast_mul(&has_course)
     }
 
     /// The agents across one line a row; where there is none, they are 0 beside it. The nearest point of a line is found on the host and held:

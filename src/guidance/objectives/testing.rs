@@ -77,27 +77,16 @@ impl Traffic {
 
 /// Two lanes along x beside each other, with center lines at y = 0 and 3.5 m.
 pub(super) fn two_lanes() -> LaneWays {
-    ways(vec![(1, vec![(-50.0, 0.0), (100.0, 0.0)], vec![]), (2, vec![(-50.0, 3.5), (100.0, 3.5)], vec![])])
+    ways(vec![(1, vec![(-50.0, 0.0), (100.0, 0.0)]), (2, vec![(-50.0, 3.5), (100.0, 3.5)])])
 }
 
-/// A lane along x to x = 10 m, where it goes on straight, and turns to the left on a quarter of a circle of 10 m.
-pub(super) fn fork() -> LaneWays {
-    let bend = (0..=18).map(|i| f64::from(i) * 5f64.to_radians());
-    let bend = bend.map(|angle| (10.0 + 10.0 * angle.sin(), 10.0 - 10.0 * angle.cos())).collect();
-    ways(vec![
-        (1, vec![(-50.0, 0.0), (10.0, 0.0)], vec![2, 3]),
-        (2, vec![(10.0, 0.0), (100.0, 0.0)], vec![]),
-        (3, bend, vec![]),
-    ])
-}
-
-fn ways(lanes: Vec<(i64, Vec<(f64, f64)>, Vec<i64>)>) -> LaneWays {
-    let lane = |(id, points, successors): (i64, Vec<(f64, f64)>, Vec<i64>)| Lane {
+fn ways(lanes: Vec<(i64, Vec<(f64, f64)>)>) -> LaneWays {
+    let lane = |(id, points): (i64, Vec<(f64, f64)>)| Lane {
         id: LaneId(id),
         centerline: Polyline(points.into_iter().map(|(x, y)| Vec2::new(x, y)).collect()),
         left: Polyline::default(),
         right: Polyline::default(),
-        successors: successors.into_iter().map(LaneId).collect(),
+        successors: Vec::new(),
         predecessors: Vec::new(),
         left_neighbor: None,
         right_neighbor: None,
@@ -118,19 +107,7 @@ pub(super) fn assert_gradients_match(objective: &dyn SceneObjective, traffic: &T
 
 /// The same for the entries of these agents.
 pub(super) fn assert_gradients_of_match(objective: &dyn SceneObjective, traffic: &Traffic, agents: &[usize]) {
-    assert_gradients_match_where(objective, traffic, |at| agents.contains(&(at / (3 * N_TIMESTEPS))));
-}
-
-/// The same for generated entries: what is wished may follow from the observed ones, which nothing moves.
-pub(super) fn assert_generated_gradients_match(objective: &dyn SceneObjective, traffic: &Traffic) {
-    assert_gradients_match_where(objective, traffic, |at| traffic.generated().contains(&(at / 3 % N_TIMESTEPS)));
-}
-
-fn assert_gradients_match_where(
-    objective: &dyn SceneObjective,
-    traffic: &Traffic,
-    is_compared: impl Fn(usize) -> bool,
-) {
+    let is_compared = |at: usize| agents.contains(&(at / (3 * N_TIMESTEPS)));
     let gradient = traffic.gradient(objective);
     let states: Vec<f64> = traffic.states.flatten_all().unwrap().to_vec1().unwrap();
     let value = |at: usize, h: f64| {
