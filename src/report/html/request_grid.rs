@@ -10,7 +10,7 @@ pub(super) fn grid(buckets: &[BucketSummary]) -> Option<Markup> {
     // The last parameter changes fastest: a row of the grid is a run of buckets that differ in nothing else.
     let rows: Vec<&[BucketSummary]> = buckets.chunk_by(|a, b| fixed(a) == fixed(b)).collect();
     Some(html! {
-        table class="grid" {
+        table class="bucket-grid" {
             thead {
                 tr {
                     @for part in down { th scope="col" { (part.parameter) } }
