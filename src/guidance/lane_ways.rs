@@ -4,6 +4,7 @@ use crate::geometry::{Polyline, Transform2, Vec2, angle_difference};
 use crate::scene::{Lane, LaneGraph, LaneId};
 use std::collections::BTreeSet;
 use std::f64::consts::{FRAC_PI_4, FRAC_PI_8};
+use std::sync::Arc;
 
 /// An agent is in a lane whose center line is within half a wide lane of it, meters, and leads its way but for this angle.
 const IN_LANE_M: f64 = 2.0;
@@ -19,10 +20,11 @@ const EXTENSION_M: f64 = 60.0;
 /// Points closer together than this are one, meters.
 const MIN_SPACING_M: f64 = 0.05;
 
-/// The lanes of a row, in its ego frame.
-#[derive(Debug, Clone, PartialEq, Default)]
+/// The lanes of a row's scene, and the way from their frame into the row's.
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct LaneWays {
-    lanes: LaneGraph,
+    lanes: Arc<LaneGraph>,
+    row_from_scene: Transform2,
 }
 
 /// A pose in the row's frame.
@@ -33,14 +35,26 @@ pub(super) struct WayPose {
 }
 
 impl LaneWays {
-    /// The ways of these lanes, in the frame that `to_from_here` leads to.
-    pub(super) fn new(lanes: &LaneGraph, to_from_here: &Transform2) -> Self {
-        Self { lanes: lanes.transformed(to_from_here) }
+    /// The ways of these lanes, in the frame that `row_from_scene` leads to.
+    pub(super) fn new(lanes: &Arc<LaneGraph>, row_from_scene: &Transform2) -> Self {
+        Self { lanes: Arc::clone(lanes), row_from_scene: *row_from_scene }
     }
 
-    /// The lines of the lanes beside those that an agent at `pose` is in, on its left (`side` > 0) or right: lanes that the map names as
-    /// neighbors, and parallel ones that do not join.
+    /// The lines, in the row's frame, of the lanes beside those that an agent at `pose` is in, on its left (`side` > 0) or right: lanes that the
+    /// map names as neighbors, and parallel ones that do not join.
     pub(super) fn beside(&self, pose: WayPose, side: f64) -> Vec<Polyline> {
+        let scene_from_row = self.row_from_scene.inverse();
+        let pose = WayPose {
+            position: scene_from_row.point(pose.position),
+            heading_rad: scene_from_row.heading(pose.heading_rad),
+        };
+        let mut lines = self.beside_in_scene(pose, side);
+        lines.iter_mut().flat_map(|line| &mut line.0).for_each(|point| *point = self.row_from_scene.point(*point));
+        lines
+    }
+
+    /// The same in the scene's frame.
+    fn beside_in_scene(&self, pose: WayPose, side: f64) -> Vec<Polyline> {
         let own = self.own(pose);
         let named: BTreeSet<LaneId> = own
             .iter()
@@ -131,7 +145,7 @@ mod tests {
             lane(6, &[(0.0, -3.5), (50.0, -3.5)], &[2]),
             lane(7, &[(100.0, 3.4), (0.0, 3.4)], &[]),
         ];
-        LaneWays::new(&LaneGraph::new(lanes), &Transform2::IDENTITY)
+        LaneWays::new(&Arc::new(LaneGraph::new(lanes)), &Transform2::IDENTITY)
     }
 
     fn pose(x: f64, y: f64) -> WayPose {
@@ -145,10 +159,15 @@ mod tests {
         assert_eq!(left.len(), 1);
         assert!(left[0].0.iter().all(|point| (point.y - 3.5).abs() < 1e-9));
         assert!(beside(-1.0).is_empty());
+        // In another frame the same line, moved.
+        let moved = Transform2::from_pose(Vec2::new(3.0, -2.0), 1.0);
+        let own = WayPose { position: moved.point(Vec2::new(20.0, 0.2)), heading_rad: moved.heading(0.05) };
+        let there = LaneWays::new(&ways().lanes, &moved).beside(own, 1.0);
+        assert!(there[0].0.iter().zip(&left[0].0).all(|(a, b)| a.distance(moved.point(*b)) < 1e-9));
         // The map's word counts where lanes join.
         let mut named = ways().lanes.lanes().to_vec();
         named[0].right_neighbor = Some(LaneId(6));
-        let named = LaneWays { lanes: LaneGraph::new(named) };
+        let named = LaneWays::new(&Arc::new(LaneGraph::new(named)), &Transform2::IDENTITY);
         assert_eq!(named.beside(pose(20.0, 0.2), -1.0).len(), 1);
     }
 }

@@ -1,16 +1,13 @@
 //! Which cut-ins could a pair of vehicles still show?
 
 use super::CutIn;
+use crate::behavior::feasible::{ACCELERATIONS_MPS2, LATERAL_ACCELERATION_MPS2, effort, horizon_s};
 use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::outcome::Outcome;
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, Track};
 
-/// The lateral acceleration of a brisk lane change, m/s². Half of the way accelerates with it and half of it brakes.
-const LATERAL_ACCELERATION_MPS2: f64 = 2.0;
-/// How hard the other may brake and accelerate on the way, m/s².
-const ACCELERATIONS_MPS2: std::ops::RangeInclusive<f64> = -4.0..=2.5;
 /// Spacing of the accelerations and of the times that are tried, m/s² and seconds.
 const SPACING: f64 = 0.5;
 /// How far the boxes shall share a path, and the least gap, meters.
@@ -48,7 +45,7 @@ impl CutIn {
         let half_widths_m = (own_extent.width_m + their_extent.width_m) / 2.0;
         let half_lengths_m = (own_extent.length_m + their_extent.length_m) / 2.0;
         let side = if place.offset_m < own_place.offset_m { -1.0 } else { 1.0 };
-        let horizon_s = scene.n_timesteps.saturating_sub(scene.n_history) as f64 * scene.dt_s;
+        let horizon_s = horizon_s(scene);
         let n = |range: f64| (range / SPACING).floor().max(0.0) as usize;
         let mut outcomes = Vec::new();
         for time_s in (1..=n(horizon_s)).map(|i| i as f64 * SPACING) {
@@ -87,12 +84,6 @@ impl CutIn {
         }
         Some(outcomes)
     }
-}
-
-/// The share of the limits that an acceleration takes.
-fn effort(acceleration_mps2: f64) -> f64 {
-    let limit = if acceleration_mps2 < 0.0 { *ACCELERATIONS_MPS2.start() } else { *ACCELERATIONS_MPS2.end() };
-    acceleration_mps2 / limit
 }
 
 #[cfg(test)]

@@ -75,7 +75,7 @@ fn evasion_effort(
 fn courses(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, n_times: usize) -> Option<Vec<Course>> {
     let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
     let speed_mps = state.speed_mps();
-    let ways = ways(scene, lanes, state);
+    let ways = ways(lanes, state);
     let tried = ways.iter().flat_map(|way| TRIED_MPS2.map(|acceleration_mps2| (way, acceleration_mps2)));
     let courses = tried.map(|(way, acceleration_mps2)| {
         let driven_m = |elapsed_s: f64| {

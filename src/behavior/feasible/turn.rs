@@ -38,7 +38,7 @@ pub(in crate::behavior) fn outcomes(
         return Vec::new();
     }
     let lanes = SceneLanes::new(&scene.lanes);
-    let found = ways(scene, &lanes, now).into_iter().filter_map(|way| {
+    let found = ways(&lanes, now).into_iter().filter_map(|way| {
         let bend = bend(&way, side, config, (first.heading_rad, now.heading_rad))?;
         let halfway_m = f64::midpoint(bend.begins_m, bend.ends_m);
         let halfway = way.line.point_at(way.station_m + halfway_m)?;

@@ -3,7 +3,7 @@
 use crate::behavior::kept_lane::extended;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::geometry::{Polyline, Vec2, angle_difference};
-use crate::scene::{Scene, State};
+use crate::scene::State;
 use std::f64::consts::FRAC_PI_4;
 
 /// An agent is only in lanes whose direction differs from its heading by less than this, radians.
@@ -29,7 +29,7 @@ impl Way {
 }
 
 /// The ways on from where an agent is: along the lanes that it is in, with every choice at a fork; straight on where it is in none.
-pub(super) fn ways(scene: &Scene, lanes: &SceneLanes<'_>, state: &State) -> Vec<Way> {
+pub(super) fn ways(lanes: &SceneLanes<'_>, state: &State) -> Vec<Way> {
     let own = lanes
         .lanes_at(state.position)
         .filter(|(_, place)| angle_difference(place.heading_rad, state.heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD);
@@ -40,7 +40,7 @@ pub(super) fn ways(scene: &Scene, lanes: &SceneLanes<'_>, state: &State) -> Vec<
         Some(Way { station_m: place.station_m, offset_m: place.offset_m, line })
     };
     let found: Vec<Way> = lines.filter_map(placed).take(N_WAYS).collect();
-    if !found.is_empty() || scene.tracks.is_empty() {
+    if !found.is_empty() {
         return found;
     }
     let straight = [state.position, state.position + Vec2::from_angle(state.heading_rad)];

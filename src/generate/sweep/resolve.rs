@@ -50,11 +50,12 @@ impl SweepConfig {
             observe: self.sampling.observe.clone(),
             model,
         };
-        if self.aim == Aim::Feasible && (sweep.asks_anybody() || sweep.aims_at().is_empty()) {
+        let can_aim = behavior.is_some() && !sweep.asks_anybody() && !sweep.aims_at().is_empty();
+        if self.aim == Aim::Feasible && !can_aim {
             return Err(Issue::new(
                 "aim",
-                "is \"feasible\", which needs a behavior that two agents are asked for, and an objective that can aim at its parameters, \
-                 at strengths other than 0: such as objectives = [{ kind = \"cut_in\" }]",
+                "is \"feasible\", which needs a behavior, particular agents to show it (classifier_scope other than \"any_pair\"), strengths \
+                 other than 0, and an objective that can aim at the event's parameters, such as objectives = [{ kind = \"cut_in\" }]",
             ));
         }
         if let Some(select) = &self.select {

@@ -41,7 +41,7 @@ impl Traffic {
             extent_m: Tensor::from_vec([4.5, 1.8].repeat(n_agents), (1, n_agents, 2), &device).unwrap(),
             motorized: Tensor::from_vec(vec![1.0; n_agents], (1, n_agents), &device).unwrap(),
             roads: vec![std::sync::Arc::default()],
-            ways: vec![std::sync::Arc::default()],
+            ways: vec![std::sync::Arc::new(ways(Vec::new()))],
             ego: vec![0],
             targets: vec![std::collections::BTreeMap::new()],
             roles: std::iter::once(("other".to_owned(), vec![1.min(n_agents - 1)])).collect(),
@@ -92,7 +92,7 @@ fn ways(lanes: Vec<(i64, Vec<(f64, f64)>)>) -> LaneWays {
         right_neighbor: None,
         attributes: std::sync::Arc::default(),
     };
-    LaneWays::new(&LaneGraph::new(lanes.into_iter().map(lane).collect()), &Transform2::IDENTITY)
+    LaneWays::new(&LaneGraph::new(lanes.into_iter().map(lane).collect()).into(), &Transform2::IDENTITY)
 }
 
 pub(super) fn nested(states: &Tensor) -> Vec<Vec<Vec<Vec<f64>>>> {
