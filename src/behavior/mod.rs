@@ -4,6 +4,7 @@
 //! scenes in `tests/fixtures/behavior/<id>/`, at least one with a positive and one with a negative event.
 
 mod agent_filter;
+mod collision;
 mod cut_in;
 mod cut_in_paper;
 pub(crate) mod driven_path;
@@ -29,6 +30,7 @@ pub(crate) mod time_to_collision;
 mod turn;
 
 pub use agent_filter::AgentFilter;
+pub use collision::{Collision, CollisionConfig};
 pub use cut_in::{CutIn, CutInConfig};
 pub use cut_in_paper::{CutInPaper, CutInPaperConfig};
 pub use event::{BehaviorEvent, EventLabel};
@@ -82,6 +84,8 @@ pub enum BehaviorConfig {
     HardBrake(HardBrakeConfig),
     /// Two road users barely avoid each other.
     NearMiss(NearMissConfig),
+    /// Two road users drive into each other.
+    Collision(CollisionConfig),
 }
 
 impl BehaviorConfig {
@@ -95,6 +99,7 @@ impl BehaviorConfig {
             Self::LaneChange(config) => Box::new(LaneChange::new(config)),
             Self::HardBrake(config) => Box::new(HardBrake::new(config)),
             Self::NearMiss(config) => Box::new(NearMiss::new(config)),
+            Self::Collision(config) => Box::new(Collision::new(config)),
         }
     }
 
@@ -115,7 +120,9 @@ impl BehaviorConfig {
                 settings::ascending(negative, ("min_heading_change_rad", config.min_heading_change_rad))?;
                 settings::ascending(("min_radius_m", config.min_radius_m), ("max_radius_m", config.max_radius_m))
             }
-            Self::CutIn(_) | Self::CutInPaper(_) | Self::LaneChange(_) | Self::NearMiss(_) => Ok(()),
+            Self::CutIn(_) | Self::CutInPaper(_) | Self::LaneChange(_) | Self::NearMiss(_) | Self::Collision(_) => {
+                Ok(())
+            }
         }
     }
 
@@ -129,12 +136,13 @@ impl BehaviorConfig {
             Self::LaneChange(_) => lane_change::ID,
             Self::HardBrake(_) => hard_brake::ID,
             Self::NearMiss(_) => near_miss::ID,
+            Self::Collision(_) => collision::ID,
         }
     }
 
     /// The behavior of this name with default options. `None` when there is no such behavior.
     pub fn from_id(id: &str) -> Option<Self> {
-        ALL.iter().find(|entry| entry.id == id).map(|entry| (entry.default_config)())
+        BehaviorEntry::of(id).map(|entry| (entry.default_config)())
     }
 }
 
@@ -149,10 +157,24 @@ pub struct BehaviorEntry {
     pub parameters: &'static [&'static str],
     /// What it is, in a line.
     pub description: &'static str,
+    /// Whether those who show it touch, which nobody else may.
+    pub is_collision: bool,
     /// Whether it is found along lanes, and so not at all in scenes without any.
     pub needs_lanes: bool,
     /// Its default options.
     pub default_config: fn() -> BehaviorConfig,
+}
+
+impl BehaviorEntry {
+    /// The behavior of this name. `None` when there is no such behavior.
+    pub fn of(id: &str) -> Option<&'static Self> {
+        ALL.iter().find(|entry| entry.id == id)
+    }
+
+    /// Whether those of whom the behavior of this name is asked are to touch.
+    pub fn is_collision(id: Option<&str>) -> bool {
+        id.and_then(Self::of).is_some_and(|entry| entry.is_collision)
+    }
 }
 
 /// Every behavior.
@@ -162,6 +184,7 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: cut_in::ROLES,
         parameters: cut_in::PARAMETERS,
         description: "one vehicle (other) crosses into the lane that another (ego) keeps, less than 3 s ahead of it",
+        is_collision: false,
         needs_lanes: true,
         default_config: || BehaviorConfig::CutIn(CutInConfig::default()),
     },
@@ -170,6 +193,7 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: cut_in_paper::ROLES,
         parameters: cut_in_paper::PARAMETERS,
         description: "one vehicle (other) gets into the path of another (ego) less than 3 s before that one gets there",
+        is_collision: false,
         needs_lanes: false,
         default_config: || BehaviorConfig::CutInPaper(CutInPaperConfig::default()),
     },
@@ -178,6 +202,7 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: turn::ROLES,
         parameters: turn::PARAMETERS,
         description: "an agent turns left by at least 60 degrees, as at an intersection",
+        is_collision: false,
         needs_lanes: false,
         default_config: || BehaviorConfig::LeftTurn(TurnConfig::default()),
     },
@@ -186,6 +211,7 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: turn::ROLES,
         parameters: turn::PARAMETERS,
         description: "an agent turns right by at least 60 degrees, as at an intersection",
+        is_collision: false,
         needs_lanes: false,
         default_config: || BehaviorConfig::RightTurn(TurnConfig::default()),
     },
@@ -194,6 +220,7 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: lane_change::ROLES,
         parameters: lane_change::PARAMETERS,
         description: "an agent moves over to the lane beside its own and stays there for at least 1 s",
+        is_collision: false,
         needs_lanes: true,
         default_config: || BehaviorConfig::LaneChange(LaneChangeConfig::default()),
     },
@@ -202,6 +229,7 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: hard_brake::ROLES,
         parameters: hard_brake::PARAMETERS,
         description: "an agent brakes with at least 4 m/s² over at least 0.3 s",
+        is_collision: false,
         needs_lanes: false,
         default_config: || BehaviorConfig::HardBrake(HardBrakeConfig::default()),
     },
@@ -210,7 +238,17 @@ pub static ALL: &[BehaviorEntry] = &[
         roles: near_miss::ROLES,
         parameters: near_miss::PARAMETERS,
         description: "two road users avoid each other by braking hard within 1.5 s, by 1 s where they cross or by 0.3 m, without touching",
+        is_collision: false,
         needs_lanes: false,
         default_config: || BehaviorConfig::NearMiss(NearMissConfig::default()),
+    },
+    BehaviorEntry {
+        id: collision::ID,
+        roles: collision::ROLES,
+        parameters: collision::PARAMETERS,
+        description: "two road users drive into each other",
+        is_collision: true,
+        needs_lanes: false,
+        default_config: || BehaviorConfig::Collision(CollisionConfig::default()),
     },
 ];

@@ -1,6 +1,7 @@
 //! Near miss: do two road users come dangerously close without touching?
 
 use super::driven_path::DrivenPath;
+use super::pairs::unordered;
 use super::sweep::Sweep;
 use super::time_to_collision::time_to_collision_s;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
@@ -32,7 +33,7 @@ const MAX_TTC_S: f64 = 10.0;
 /// Steps in which agents are moved on along their paths, seconds.
 const PATH_STEP_S: f64 = 0.1;
 /// Who is where the other was, heading within this of it, follows it, radians.
-const FOLLOWING_RAD: f64 = FRAC_PI_6;
+pub(super) const FOLLOWING_RAD: f64 = FRAC_PI_6;
 
 /// Options of [`NearMiss`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -85,7 +86,7 @@ impl Default for NearMissConfig {
 
 impl NearMissConfig {
     /// Whether a collision in `time_s` is soon, and hard to avoid for road users with this relative speed.
-    fn is_urgent(&self, time_s: f64, relative_mps: f64) -> bool {
+    pub(super) fn is_urgent(&self, time_s: f64, relative_mps: f64) -> bool {
         time_s < self.max_ttc_s && relative_mps >= 2.0 * time_s * self.min_drac_mps2
     }
 }
@@ -276,28 +277,14 @@ impl Behavior for NearMiss {
         let reach_m = self.reach_m(scene);
         let is_sized = |agent_idx: usize| scene.tracks[agent_idx].extent.is_some();
         let cores = with_cores(scene);
-        let sweeps: Vec<(usize, Sweep)> = cores
-            .tracks
-            .iter()
-            .enumerate()
-            .filter(|(_, track)| self.config.agents.admits(track.class))
-            .filter_map(|(agent_idx, track)| Some((agent_idx, Sweep::new(track)?)))
-            .collect();
-        let mut events = Vec::new();
-        for (i, (first_idx, first)) in sweeps.iter().enumerate() {
-            for (second_idx, second) in &sweeps[i + 1..] {
-                if first.may_come_within(second, reach_m) {
-                    let are_sized = is_sized(*first_idx) && is_sized(*second_idx);
-                    events.extend(self.detect_pair(&cores, [*first_idx, *second_idx], [first, second], are_sized));
-                }
-            }
-        }
-        events
+        unordered(&cores, self.config.agents, reach_m, |pair, sweeps| {
+            self.detect_pair(&cores, pair, sweeps, pair.iter().all(|agent_idx| is_sized(*agent_idx)))
+        })
     }
 }
 
 /// The scene with agents whose size is not recorded at half their nominal one: whole boxes touch where nobody does.
-fn with_cores(scene: &Scene) -> Cow<'_, Scene> {
+pub(super) fn with_cores(scene: &Scene) -> Cow<'_, Scene> {
     if scene.tracks.iter().all(|track| track.extent.is_some()) {
         return Cow::Borrowed(scene);
     }

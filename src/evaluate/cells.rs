@@ -99,12 +99,19 @@ impl CellSamples<'_> {
             .map(|behavior| Requested { behavior, roles: &first.scenario.provenance.guidance.roles });
         let evaluate = |group: &SampleGroup<'_>, mode_seed| measures.evaluate(group, requested, mode_seed);
         let asked = &first.scenario.provenance.guidance.roles;
+        let asked_to_collide = first.asks_for_collision();
         let figures = |samples: &[Scene]| {
-            evaluate(&SampleGroup { asked, ..SampleGroup::equally_likely(&recorded, samples) }, None)
+            let alone = SampleGroup::equally_likely(&recorded, samples);
+            evaluate(&SampleGroup { asked, asked_to_collide, ..alone }, None)
         };
         let probabilities = self.probabilities();
-        let together =
-            SampleGroup { recorded: &recorded, samples: &samples, probabilities: probabilities.as_deref(), asked };
+        let together = SampleGroup {
+            recorded: &recorded,
+            samples: &samples,
+            probabilities: probabilities.as_deref(),
+            asked,
+            asked_to_collide,
+        };
         let baseline = constant_velocity(&recorded);
         let reference = |scene: &Scene| self.with_references.then(|| figures(std::slice::from_ref(scene)));
         let mode_seed = Seed(first.scenario.provenance.seed).derive_named("modes", &recorded.id.0);

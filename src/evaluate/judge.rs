@@ -58,7 +58,8 @@ impl<'a> Judge<'a> {
     pub(super) fn assess(&self, record: &ScenarioRecord) -> Assessment {
         let (scene, observed) = (&record.scenario.scene, &record.scenario.observed);
         let roles = &record.scenario.provenance.guidance.roles;
-        let judged = Judged::new(scene, roles, |agent_idx, timestep| !observed.is_observed(agent_idx, timestep));
+        let judged = Judged::new(scene, roles, |agent_idx, timestep| !observed.is_observed(agent_idx, timestep))
+            .excused_if(record.asks_for_collision());
         let track = |idx: usize| scene.track_idx(&roles.get(idx)?.1);
         let pair = track(0).zip(track(1)).map(|(first, second)| [first, second]);
         let asked = record.requested_behavior.as_deref();

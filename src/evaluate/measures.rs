@@ -144,7 +144,7 @@ impl<'a> Measures<'a> {
                         recorded: group.recorded,
                         samples,
                         probabilities: Some(probabilities),
-                        asked: group.asked,
+                        ..*group
                     })
                 }));
             }

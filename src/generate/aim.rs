@@ -7,7 +7,8 @@ use crate::guidance::Target;
 use crate::scene::SceneId;
 use crate::seed::Seed;
 
-/// How far from an outcome an event may be and still be like it, in the parameter's unit.
+/// How far from an outcome an event may be and still be like it: seconds for times, else in the parameter's unit.
+const HALF_WIDTH_S: f64 = 0.15;
 const HALF_WIDTH: f64 = 0.5;
 /// How much less often what takes all that the limits of driving allow is asked for than what takes nothing.
 const LEAST_EASE: f64 = 0.1;
@@ -22,7 +23,11 @@ impl Generator<'_> {
         };
         let target = |outcome: &Outcome| -> Target {
             let values = parameters.iter().filter_map(|name| Some((*name, outcome.get(name)?)));
-            values.map(|(name, value)| (name.to_owned(), [value - HALF_WIDTH, value + HALF_WIDTH])).collect()
+            let interval = |name: &str, value: f64| {
+                let half = if name.ends_with("_s") { HALF_WIDTH_S } else { HALF_WIDTH };
+                [value - half, value + half]
+            };
+            values.map(|(name, value)| (name.to_owned(), interval(name, value))).collect()
         };
         let (first, second) = pair.agents;
         let seed = self.seed().derive_named("aim", &scene.0).derive("pair", &[first as u64, second as u64]);

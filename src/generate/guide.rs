@@ -4,6 +4,7 @@ use super::pairs::{possible_pairs, slots};
 use super::{
     Cell, ClassifierInput, ClassifierScope, Diffusion, Error, Generator, ObserveConfig, ResolvedSweep, SelectConfig,
 };
+use crate::behavior::BehaviorEntry;
 use crate::diffusion::Denoiser;
 use crate::guidance::{
     AgentSelector, AnyPairGuidance, ClassifierGuidance, CleanGuidedDenoiser, ContextRow, EstimatePotential, Guidance,
@@ -27,12 +28,14 @@ pub(super) type Wishes = Vec<(&'static str, f64)>;
 
 /// What every sample shall keep to: boxes apart by a hand's breadth (recordings have no more), centers on the road, vehicles that point where
 /// they drive.
-fn rules_of_traffic() -> [ObjectiveConfig; 3] {
+/// Agents of the roles that `may_collide` may touch each other.
+fn rules_of_traffic(may_collide: Option<[&str; 2]>) -> [ObjectiveConfig; 3] {
     let agents = AgentSelector::default();
     [
         ObjectiveConfig::NoCollision(NoCollision {
             weight: 1.0,
             agents: agents.clone(),
+            except: may_collide.map(|roles| roles.map(AgentSelector::new)),
             margin_m: 0.3,
             tolerance_m: 0.5,
         }),
@@ -174,7 +177,10 @@ impl<'g> Generator<'g> {
         }
         let context = guided.objective_context()?;
         let sum = |objectives| ObjectiveSum { objectives, batch: guided.repeated, context: &context };
-        let (wished, rules) = (sum(&asked.objectives), rules_of_traffic());
+        let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
+        let may_collide = <[&str; 2]>::try_from(roles).ok();
+        let may_collide = may_collide.filter(|_| sweep.asks_for_collision() && !sweep.asks_anybody());
+        let (wished, rules) = (sum(&asked.objectives), rules_of_traffic(may_collide));
         let rules = sum(&rules);
         let wishing = on_estimates(inner, &wished);
         let inner: &dyn Denoiser = if has_objectives { &wishing } else { inner };

@@ -287,7 +287,10 @@ impl Generator<'_> {
             let (places, candidates): (Vec<usize>, Vec<Candidate<'_>>) = (sampled.iter().enumerate())
                 .filter(|(_, sample)| sample.level == level)
                 .filter_map(|(place, sample)| Some((place, sample.draw.as_ref().ok()?)))
-                .map(|(place, draw)| (place, Candidate { scene: &draw.scene, objectives: &draw.wishes, asked }))
+                .map(|(place, draw)| {
+                    let asked_to_collide = sweep.asks_for_collision();
+                    (place, Candidate { scene: &draw.scene, objectives: &draw.wishes, asked, asked_to_collide })
+                })
                 .unzip();
             for (place, verdict) in
                 places.into_iter().zip(select.verdicts(recorded, &candidates, &self.metric_settings))

@@ -46,6 +46,8 @@ pub(super) struct Candidate<'a> {
     pub(super) objectives: &'a [(&'static str, f64)],
     /// The requested agents.
     pub(super) asked: &'a Roles,
+    /// Whether what was requested of them is a collision.
+    pub(super) asked_to_collide: bool,
 }
 
 impl Candidate<'_> {
@@ -53,7 +55,8 @@ impl Candidate<'_> {
     fn value(&self, id: &str, recorded: &Scene, settings: &MetricSettings) -> Option<f64> {
         if let Some(metric) = settings.by_id(id) {
             let alone = SampleGroup::equally_likely(recorded, std::slice::from_ref(self.scene));
-            return metric.evaluate(&SampleGroup { asked: self.asked, ..alone });
+            let Self { asked, asked_to_collide, .. } = *self;
+            return metric.evaluate(&SampleGroup { asked, asked_to_collide, ..alone });
         }
         let named = self.objectives.iter().filter(|(kind, _)| id == ALL_OBJECTIVES || id == *kind);
         Some(named.map(|(_, value)| value).sum())
@@ -192,7 +195,10 @@ mod tests {
     }
 
     fn candidates(samples: &[Scene]) -> Vec<Candidate<'_>> {
-        samples.iter().map(|scene| Candidate { scene, objectives: &[], asked: Roles::none() }).collect()
+        samples
+            .iter()
+            .map(|scene| Candidate { scene, objectives: &[], asked: Roles::none(), asked_to_collide: false })
+            .collect()
     }
 
     fn select(toml: &str) -> SelectConfig {
@@ -246,8 +252,10 @@ mod tests {
         let scenes = [6.0, 8.0, 10.0].map(at);
         let asked = Roles::from([("ego", "1"), ("other", "2")]);
         let recorded = at(10.0);
-        let samples: Vec<Candidate<'_>> =
-            scenes.iter().map(|scene| Candidate { scene, objectives: &[], asked: &asked }).collect();
+        let samples: Vec<Candidate<'_>> = scenes
+            .iter()
+            .map(|scene| Candidate { scene, objectives: &[], asked: &asked, asked_to_collide: false })
+            .collect();
         let kept = |limits: &str| -> Vec<usize> {
             let verdicts =
                 select(&format!("limits = {{ {limits} }}")).verdicts(&recorded, &samples, &MetricSettings::default());
@@ -290,7 +298,7 @@ mod tests {
         let samples: Vec<Candidate<'_>> = scenes
             .iter()
             .zip(values)
-            .map(|(scene, objectives)| Candidate { scene, objectives, asked: Roles::none() })
+            .map(|(scene, objectives)| Candidate { scene, objectives, asked: Roles::none(), asked_to_collide: false })
             .collect();
         let kept = |toml: &str| -> Vec<usize> {
             let verdicts = select(toml).verdicts(&recorded, &samples, &MetricSettings::default());

@@ -19,12 +19,14 @@ pub struct SampleGroup<'a> {
     pub probabilities: Option<&'a [f64]>,
     /// Who was asked to show something, as (role, track), in the order of roles; empty where nobody was.
     pub asked: &'a Roles,
+    /// Whether what was asked of them is a collision.
+    pub asked_to_collide: bool,
 }
 
 impl<'a> SampleGroup<'a> {
     /// A recorded scene and equally likely samples, of which nothing was asked.
     pub const fn equally_likely(recorded: &'a Scene, samples: &'a [Scene]) -> Self {
-        Self { recorded, samples, probabilities: None, asked: Roles::none() }
+        Self { recorded, samples, probabilities: None, asked: Roles::none(), asked_to_collide: false }
     }
 
     /// The probability of a sample; those of all samples sum to 1. `None` where there is no such sample or no sum.

@@ -45,7 +45,9 @@ fn every_metric_gives_the_hand_computed_value_of_its_example_scenes() {
             let probabilities = case.probabilities.as_deref();
             let asked = case.asked.iter().map(|[role, agent]| (role.clone(), TrackId(agent.clone())));
             let asked: Roles = asked.collect();
-            let value = metric.evaluate(&SampleGroup { recorded, samples: &samples, probabilities, asked: &asked });
+            let group =
+                SampleGroup { recorded, samples: &samples, probabilities, asked: &asked, asked_to_collide: false };
+            let value = metric.evaluate(&group);
             let agrees = match (value, case.value) {
                 (Some(value), Some(expected)) => (value - expected).abs() < 1e-3,
                 (value, expected) => value == expected,

@@ -1,7 +1,7 @@
 //! What a corpus is made of: a generated scenario with its verdict, and one value of a metric.
 
 use super::{Assessment, RequestTag};
-use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::behavior::{BehaviorEntry, BehaviorEvent, EventLabel};
 use crate::metrics::{Group, SeriesKey};
 use crate::scene::{GuidanceLevel, Scenario, SceneId};
 use serde::{Deserialize, Serialize};
@@ -32,6 +32,11 @@ pub struct ScenarioRecord {
 }
 
 impl ScenarioRecord {
+    /// Whether those who were asked for something were asked to collide.
+    pub fn asks_for_collision(&self) -> bool {
+        BehaviorEntry::is_collision(self.requested_behavior.as_deref())
+    }
+
     /// The event that stands for a verified scenario in tables: the first positive one of the requested behavior, which
     /// verification puts those with the requested roles before.
     pub fn main_event(&self) -> Option<&BehaviorEvent> {

@@ -2,6 +2,8 @@
 //!
 //! One behavior a file; that of the cut-in is in its own folder.
 
+mod collision;
+mod courses;
 mod hard_brake;
 mod lane_change;
 mod near_miss;

@@ -1,99 +1,63 @@
 //! Could two road users still come close to each other?
 
-use super::ways::ways;
-use super::{ACCELERATIONS_MPS2, LATERAL_ACCELERATION_MPS2, effort, horizon_s};
-use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::near_miss::NearMiss;
+use super::courses::{Course, Place, SPACING_S, both_courses, evasion_effort, meetings};
+use crate::behavior::near_miss::{FOLLOWING_RAD, NearMiss};
 use crate::behavior::outcome::Outcome;
-use crate::geometry::Vec2;
 use crate::scene::{Extent, Scene};
 
-/// The accelerations that are tried, m/s²: the limits, coasting, and braking gently.
-const TRIED_MPS2: [f64; 4] = [*ACCELERATIONS_MPS2.start(), -2.0, 0.0, *ACCELERATIONS_MPS2.end()];
-/// Spacing of the times that are tried, seconds.
-const SPACING_S: f64 = 0.25;
-/// Nobody evades farther than this, meters.
-const MOST_ASIDE_M: f64 = 1.75;
-/// The times to collision that pairs can come to, from the least on, and their spacing, seconds.
-const LEAST_TTC_S: f64 = 0.3;
-const TTC_SPACING_S: f64 = 0.2;
-
-/// Where an agent could be if it went on along one of its ways with one acceleration.
-struct Course {
-    effort: f64,
-    /// Positions and directions at the times that are tried.
-    places: Vec<(Vec2, Vec2)>,
-}
+/// The times to collision and post-encroachment times that pairs can come to: from the least on, and their spacing, seconds.
+const LEAST_S: f64 = 0.3;
+const OUTCOME_SPACING_S: f64 = 0.2;
 
 impl NearMiss {
-    /// Times to collision for two who could meet: their boxes come within the wanted distance if each goes on along a lane with -4 to 2.5 m/s²
-    /// along and at most 2 m/s² across. Empty for the others.
-    pub(in crate::behavior) fn outcomes(&self, scene: &Scene, [first, second]: [usize; 2]) -> Vec<Outcome> {
+    /// Times to collision for two who could meet, and post-encroachment times for two who could cross each other's way: their boxes come within
+    /// the wanted distance, at the same time or shortly after each other, if each goes on along a lane with -4 to 2.5 m/s² along and at most
+    /// 2 m/s² across. Empty for the others.
+    pub(in crate::behavior) fn outcomes(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Outcome> {
         let config = self.config();
-        let lanes = SceneLanes::new(&scene.lanes);
-        let n_times = (horizon_s(scene) / SPACING_S).floor() as usize;
-        let courses = |agent_idx: usize| courses(scene, &lanes, agent_idx, n_times);
-        let (Some(own), Some(others)) = (courses(first), courses(second)) else { return Vec::new() };
-        let extents = [first, second].map(|agent_idx| scene.tracks[agent_idx].extent_or_nominal());
-        let admits = |agent_idx: usize| config.agents.admits(scene.tracks[agent_idx].class);
-        if !admits(first) || !admits(second) {
-            return Vec::new();
-        }
-        let mut least: Option<f64> = None;
-        for (one, other) in own.iter().flat_map(|one| others.iter().map(move |other| (one, other))) {
-            for (i, (a, b)) in one.places.iter().zip(&other.places).enumerate() {
-                let evaded = evasion_effort([*a, *b], extents, config.max_distance_m, (i + 1) as f64 * SPACING_S);
-                let effort = evaded.map(|evaded| evaded.max(one.effort).max(other.effort));
-                least = least.into_iter().chain(effort).reduce(f64::min);
-            }
-        }
-        let Some(effort) = least else { return Vec::new() };
-        let n = ((config.max_ttc_s - LEAST_TTC_S) / TTC_SPACING_S).floor().max(0.0) as usize;
-        let ttc_s = (0..=n).map(|i| LEAST_TTC_S + i as f64 * TTC_SPACING_S);
-        ttc_s.map(|ttc_s| Outcome::default().with("min_ttc_s", ttc_s).at_effort(effort)).collect()
-    }
-}
-
-/// What it takes two agents to touch at these places, `elapsed_s` from now, if one of them moves across to the other: the share of the way that it
-/// can move across. `None` where they cannot.
-fn evasion_effort(
-    [(one, along), (other, other_along)]: [(Vec2, Vec2); 2],
-    [extent, other_extent]: [Extent; 2],
-    near_m: f64,
-    elapsed_s: f64,
-) -> Option<f64> {
-    // The other's box as seen from the one: half of what it takes up along and across.
-    let (cos, sin) = (along.dot(other_along).abs(), along.cross(other_along).abs());
-    let (length_m, width_m) = (other_extent.length_m / 2.0, other_extent.width_m / 2.0);
-    let ahead_m = along.dot(other - one).abs() - extent.length_m / 2.0 - (length_m * cos + width_m * sin) - near_m;
-    let aside_m = along.cross(other - one).abs() - extent.width_m / 2.0 - (length_m * sin + width_m * cos) - near_m;
-    let most_m = (LATERAL_ACCELERATION_MPS2 * elapsed_s.powi(2) / 4.0).min(MOST_ASIDE_M);
-    (ahead_m <= 0.0 && aside_m <= most_m).then(|| aside_m.max(0.0) / most_m)
-}
-
-/// The courses of an agent; `None` where it is not tracked at present.
-fn courses(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, n_times: usize) -> Option<Vec<Course>> {
-    let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
-    let speed_mps = state.speed_mps();
-    let ways = ways(lanes, state);
-    let tried = ways.iter().flat_map(|way| TRIED_MPS2.map(|acceleration_mps2| (way, acceleration_mps2)));
-    let courses = tried.map(|(way, acceleration_mps2)| {
-        let driven_m = |elapsed_s: f64| {
-            // Who brakes to a halt stands.
-            let moving_s =
-                if acceleration_mps2 < 0.0 { elapsed_s.min(-speed_mps / acceleration_mps2) } else { elapsed_s };
-            speed_mps * moving_s + acceleration_mps2 * moving_s.powi(2) / 2.0
+        let Some(courses) = both_courses(scene, agents, config.agents) else { return Vec::new() };
+        let extents = agents.map(|agent_idx| scene.tracks[agent_idx].extent_or_nominal());
+        let meetings = meetings(&courses, extents, config.max_distance_m);
+        // One who closes in so fast must brake hard at this time to collision.
+        let meeting = |ttc_s: f64| {
+            let urgent = meetings.iter().filter(|meeting| config.is_urgent(ttc_s, meeting.relative_mps));
+            let least = urgent.map(|meeting| meeting.effort).reduce(f64::min)?;
+            Some(Outcome::default().with("min_ttc_s", ttc_s).at_effort(least))
         };
-        let places = (1..=n_times).map_while(|i| way.place(driven_m(i as f64 * SPACING_S))).collect();
-        Course { effort: effort(acceleration_mps2), places }
-    });
-    Some(courses.collect())
+        let [own, others] = &courses;
+        let pairs = own.iter().flat_map(|one| others.iter().map(move |other| [one, other]));
+        let least = pairs.filter_map(|pair| self.crossing_effort(pair, extents)).reduce(f64::min);
+        let crossing = |pet_s: f64| least.map(|effort| Outcome::default().with("pet_s", pet_s).at_effort(effort));
+        let spaced = |most_s: f64| {
+            let n = ((most_s - LEAST_S) / OUTCOME_SPACING_S).ceil().max(0.0) as usize;
+            (0..n).map(|i| LEAST_S + i as f64 * OUTCOME_SPACING_S)
+        };
+        spaced(config.max_ttc_s).filter_map(meeting).chain(spaced(config.max_pet_s).filter_map(crossing)).collect()
+    }
+
+    /// What it takes two agents to be where the other is shortly before or after, on courses that cross. `None` where these courses do not.
+    fn crossing_effort(&self, [one, other]: [&Course; 2], extents: [Extent; 2]) -> Option<f64> {
+        let config = self.config();
+        let most_delay = (config.max_pet_s / SPACING_S).ceil() as usize;
+        let crosses = |a: &Place, b: &Place| {
+            a.along.dot(b.along) < FOLLOWING_RAD.cos()
+                && a.speed_mps.min(b.speed_mps) >= config.min_speed_mps
+                && evasion_effort([*a, *b], extents, 0.0, 0.0).is_some()
+        };
+        let is_shortly_after = |i: usize, j: usize| i != j && i.abs_diff(j) <= most_delay;
+        let mut others = other.places.iter().enumerate();
+        let is_crossed = others.any(|(j, b)| {
+            let mut own = one.places.iter().enumerate().skip(j.saturating_sub(most_delay)).take(2 * most_delay + 1);
+            own.any(|(i, a)| is_shortly_after(i, j) && crosses(a, b))
+        });
+        is_crossed.then(|| one.effort.max(other.effort))
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::outcomes;
-    use crate::behavior::{NearMiss, NearMissConfig};
+    use crate::behavior::{NearMiss, NearMissConfig, Outcome};
     use crate::scene::LaneGraph;
     use crate::scene::testing::Drive;
 
@@ -102,8 +66,11 @@ mod tests {
         let effort = |other: Drive| {
             let drives = [Drive::straight(0.0, 0.0, 0.0, 10.0), other];
             let found = outcomes(&NearMiss::new(NearMissConfig::default()), &drives, LaneGraph::default(), &[0, 1]);
-            assert!(found.iter().all(|outcome| outcome.get("min_ttc_s").is_some_and(|ttc_s| ttc_s < 1.5)));
-            found.iter().map(super::super::super::Outcome::effort).reduce(f64::min)
+            let is_within = |outcome: &Outcome, name: &str, most_s: f64| {
+                outcome.get(name).is_some_and(|value_s| (0.3..most_s).contains(&value_s))
+            };
+            assert!(found.iter().all(|found| is_within(found, "min_ttc_s", 1.5) || is_within(found, "pet_s", 1.0)));
+            found.iter().map(Outcome::effort).reduce(f64::min)
         };
         // Beside each other, with 1.7 m between them less what is near enough, of the 1.75 m that they can move across.
         let beside = effort(Drive::straight(0.0, 3.5, 0.0, 10.0)).expect("near enough");
@@ -114,5 +81,26 @@ mod tests {
         assert_eq!(effort(Drive::straight(20.0, -20.0, std::f64::consts::FRAC_PI_2, 10.0)), Some(0.0));
         assert_eq!(effort(Drive::straight(60.0, 0.0, 0.0, 20.0)), None);
         assert_eq!(effort(Drive::straight(0.0, 30.0, 0.0, 10.0)), None);
+    }
+
+    #[test]
+    fn who_closes_in_slowly_need_not_brake_hard_and_who_crosses_later_is_a_near_miss_by_time() {
+        let near_miss = NearMiss::new(NearMissConfig::default());
+        let found = |own_mps: f64, other: Drive, name: &str| -> Vec<f64> {
+            let drives = [Drive::straight(0.0, 0.0, 0.0, own_mps), other];
+            let found = outcomes(&near_miss, &drives, LaneGraph::default(), &[0, 1]);
+            found.iter().filter(|outcome| outcome.effort() == 0.0).filter_map(|outcome| outcome.get(name)).collect()
+        };
+        let about = |found: &[f64], expected: &[f64]| {
+            found.len() == expected.len() && found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9)
+        };
+        // Closing with 5 m/s takes a brake of 3.4 m/s² at times to collision of less than 5 / 6.8 = 0.74 s.
+        let ttc_s = found(10.0, Drive::straight(15.0, 0.0, 0.0, 5.0), "min_ttc_s");
+        assert!(about(&ttc_s, &[0.3, 0.5, 0.7]), "{ttc_s:?}");
+        // Half a second behind each other across the same place: they need not do anything.
+        let across = |y_m: f64| Drive::straight(20.0, y_m, std::f64::consts::FRAC_PI_2, 10.0);
+        let pet_s = found(10.0, across(-28.0), "pet_s");
+        assert!(about(&pet_s, &[0.3, 0.5, 0.7, 0.9]), "{pet_s:?}");
+        assert!(found(10.0, Drive::straight(15.0, 0.0, 0.0, 5.0), "pet_s").is_empty());
     }
 }

@@ -111,7 +111,8 @@ impl Generator<'_> {
         }
         let recorded = self.load(cell.scene_idx, &cell.scene_id)?;
         let asked = &record.scenario.provenance.guidance.roles;
-        let candidate = Candidate { scene, objectives: &[], asked };
+        let asked_to_collide = record.asks_for_collision();
+        let candidate = Candidate { scene, objectives: &[], asked, asked_to_collide };
         let verdicts = request.config.limits().verdicts(&recorded, &[candidate], &self.metric_settings);
         let is_valid = verdicts.iter().all(Option::is_none);
         Ok(if is_valid { Placement::Hit(bucket) } else { Placement::BeyondLimits(bucket) })

@@ -1,6 +1,7 @@
 //! A sweep that can be sampled: nothing in it is left open, and nothing contradicts.
 
 use super::{Aim, ClassifierScope, SweepGuidance};
+use crate::behavior::BehaviorEntry;
 use crate::diffusion::{Edm, SamplerConfig};
 use crate::generate::{ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig};
 use crate::model::Distillation;
@@ -103,6 +104,11 @@ impl ResolvedSweep {
         let guided = self.diffusion().filter(|diffusion| diffusion.is_guided());
         let objectives = guided.into_iter().flat_map(|diffusion| &diffusion.guidance.objectives);
         objectives.flat_map(|objective| objective.objective().aims_at()).copied().collect()
+    }
+
+    /// Whether those who are asked are to collide.
+    pub(in crate::generate) fn asks_for_collision(&self) -> bool {
+        BehaviorEntry::is_collision(self.behavior.as_deref())
     }
 
     /// Whether no particular pair is requested.

@@ -76,7 +76,7 @@ impl SceneObjective for AdversarialTtc {
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let query = PairQuery { one: &self.agents, other: &self.to, reach: None };
+        let query = PairQuery::of(&self.agents, &self.to);
         let Some(pairs) = Pairs::gather(states, context, &query)?.filter(|_| states.dim(2).is_ok_and(|n| n > 1)) else {
             return nothing(states);
         };

@@ -13,6 +13,8 @@ const SMALL: f64 = 0.05;
 pub(super) struct Approach {
     /// The inverse time to collision q = -(d · u / ‖d‖) / (max(s, 0) + ½ m), of relative position d, relative velocity u and separation s, 1/s.
     pub(super) inverse_ttc_per_s: Tensor,
+    /// The relative speed ‖u‖, m/s.
+    pub(super) relative_mps: Tensor,
     /// By how much the centers would pass each other farther apart than half of both widths, meters.
     pub(super) aside_m: Tensor,
     /// 1 where both timesteps have states of both, of which one is generated.
@@ -25,7 +27,7 @@ impl Approach {
         let n_steps = separation_m.dim(1)? - 1;
         let (earlier, later) =
             (|tensor: &Tensor| tensor.narrow(1, 0, n_steps), |tensor: &Tensor| tensor.narrow(1, 1, n_steps));
-        let between = (positions(&pairs.second)? - positions(&pairs.first)?)?;
+        let between = (positions(&pairs.second.states)? - positions(&pairs.first.states)?)?;
         let offset = later(&between)?;
         let relative = ((&offset - earlier(&between)?)? * (1.0 / dt_s))?;
         let (distance_m, speed_mps) = (norm(&offset)?, norm(&relative)?);
@@ -35,9 +37,10 @@ impl Approach {
         let cross = ((component(&offset, 0)? * component(&relative, 1)?)?
             - (component(&offset, 1)? * component(&relative, 0)?)?)?;
         let pass_m = ((cross.sqr()? + SMALL * SMALL)?.sqrt()?).div(&speed_mps)?;
-        let width_m = ((pairs.first_extent_m.narrow(1, 1, 1)? + pairs.second_extent_m.narrow(1, 1, 1)?)? * 0.5)?;
+        let width_m = ((pairs.first.extent_m.narrow(1, 1, 1)? + pairs.second.extent_m.narrow(1, 1, 1)?)? * 0.5)?;
         Ok(Self {
             inverse_ttc_per_s: closing_mps.div(&gap_m)?,
+            relative_mps: speed_mps,
             aside_m: pass_m.broadcast_sub(&width_m)?.relu()?,
             counts: ((later(&pairs.counts)? + earlier(&pairs.counts)?)?.minimum(1.0)?
                 * (later(&pairs.both_valid)? * earlier(&pairs.both_valid)?)?)?,

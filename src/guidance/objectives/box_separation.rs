@@ -1,6 +1,6 @@
 //! How far apart are two boxes? The separating-axis theorem, made smooth.
 
-use super::pairs::Pairs;
+use super::pairs::{Agents, Pairs};
 use candle_core::{D, Result, Tensor};
 
 /// Width over which the largest of the four separations goes over into the next, meters.
@@ -15,13 +15,18 @@ const ROUNDING: f64 = 0.01;
 /// The largest of the four is taken as β (ln Σ exp(gₖ / β) - ln 4) with β = 0.1 m, and |z| as √(z² + r²): smooth, and at
 /// most 0.2 m less than the exact separation for boxes of vehicles, never more than 0.02 m above it.
 pub(super) fn separation_m(pairs: &Pairs) -> Result<Tensor> {
+    separation_between_m(&pairs.first, &pairs.second)
+}
+
+/// The same between places of one agent and of another that need not be of the same time.
+pub(super) fn separation_between_m(one: &Agents, other: &Agents) -> Result<Tensor> {
     let of = |states: &Tensor, dim: usize| states.narrow(D::Minus1, dim, 1)?.squeeze(D::Minus1);
-    let between = (&pairs.second - &pairs.first)?;
+    let between = (&other.states - &one.states)?;
     let (dx, dy, turn) = (of(&between, 0)?, of(&between, 1)?, of(&between, 2)?);
     let (cos, sin) = (magnitude(&turn.cos()?, ROUNDING)?, magnitude(&turn.sin()?, ROUNDING)?);
-    let (first, second) = (Half::new(&pairs.first_extent_m)?, Half::new(&pairs.second_extent_m)?);
+    let (first, second) = (Half::new(&one.extent_m)?, Half::new(&other.extent_m)?);
     let mut gaps_m = Vec::with_capacity(4);
-    for (states, own, other) in [(&pairs.first, &first, &second), (&pairs.second, &second, &first)] {
+    for (states, own, other) in [(&one.states, &first, &second), (&other.states, &second, &first)] {
         let (heading_cos, heading_sin) = (of(states, 2)?.cos()?, of(states, 2)?.sin()?);
         let along = ((&dx * &heading_cos)? + (&dy * &heading_sin)?)?;
         let across = ((&dy * &heading_cos)? - (&dx * &heading_sin)?)?;
@@ -75,7 +80,7 @@ mod tests {
                 (draw(-7.0, 7.0), draw(-7.0, 7.0), draw(-3.0, 3.0), 8.0),
             ]);
             let all = AgentSelector::default();
-            let query = PairQuery { one: &all, other: &all, reach: None };
+            let query = PairQuery::of(&all, &all);
             let states = traffic.states.as_tensor();
             let pairs = Pairs::gather(states, &traffic.context, &query).unwrap().unwrap();
             let separations_m = separation_m(&pairs).unwrap().to_vec2::<f64>().unwrap();
@@ -105,7 +110,7 @@ mod tests {
         for (x, y, expected_m) in [(10.0, 0.0, 5.5), (0.0, 3.0, 1.2)] {
             let traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 5.0), (x, y, 0.0, 5.0)]);
             let all = AgentSelector::default();
-            let query = PairQuery { one: &all, other: &all, reach: None };
+            let query = PairQuery::of(&all, &all);
             let pairs = Pairs::gather(traffic.states.as_tensor(), &traffic.context, &query).unwrap().unwrap();
             let found = separation_m(&pairs).unwrap().to_vec2::<f64>().unwrap()[0][0];
             assert!(found < expected_m && found > expected_m - 0.2, "{found}, expected {expected_m}");

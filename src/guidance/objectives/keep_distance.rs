@@ -62,9 +62,9 @@ impl SceneObjective for KeepDistance {
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let reach = Reach { per_radius: 0.0, beyond_m: self.min_m + 1.0 };
         let reach = self.max_m.is_none().then_some(reach);
-        let query = PairQuery { one: &self.agents, other: &self.to, reach };
+        let query = PairQuery { reach, ..PairQuery::of(&self.agents, &self.to) };
         let Some(pairs) = Pairs::gather(states, context, &query)? else { return nothing(states) };
-        let distance_m = norm(&(positions(&pairs.second)? - positions(&pairs.first)?)?)?;
+        let distance_m = norm(&(positions(&pairs.second.states)? - positions(&pairs.first.states)?)?)?;
         let mut values = penalty(&(self.min_m - &distance_m)?.relu()?, self.tolerance_m)?;
         if let Some(max_m) = self.max_m {
             values = (values + penalty(&(distance_m - max_m)?.relu()?, self.tolerance_m)?)?;

@@ -13,7 +13,9 @@ mod acceleration_limit;
 mod adversarial_ttc;
 mod approach;
 mod box_separation;
+mod collision;
 mod cut_in;
+mod encroachment;
 mod goal;
 mod hard_brake;
 mod keep_distance;
@@ -36,6 +38,7 @@ mod tests;
 
 pub use acceleration_limit::AccelerationLimit;
 pub use adversarial_ttc::AdversarialTtc;
+pub use collision::Collision;
 pub use cut_in::CutIn;
 pub use goal::{Goal, GoalFrame};
 pub use hard_brake::HardBrake;
@@ -113,6 +116,8 @@ pub enum ObjectiveConfig {
     HardBrake(HardBrake),
     /// Barely avoid each other.
     NearMiss(NearMiss),
+    /// Drive into each other.
+    Collision(Collision),
     /// Move over to the lane beside one's own.
     LaneChange(LaneChange),
 }
@@ -134,6 +139,7 @@ impl ObjectiveConfig {
             Self::CutIn(objective) => objective,
             Self::HardBrake(objective) => objective,
             Self::NearMiss(objective) => objective,
+            Self::Collision(objective) => objective,
             Self::LaneChange(objective) => objective,
         }
     }

@@ -2,23 +2,27 @@
 
 use super::approach::Approach;
 use super::box_separation::separation_m;
+use super::encroachment::Encroachment;
 use super::motion::{best_moment, nothing, penalty};
 use super::pairs::{PairQuery, Pairs};
 use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval, one_agent};
+use crate::guidance::Target;
 use crate::settings;
 use candle_core::{DType, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Come shortly before a collision, and avoid it.
+/// Come shortly before a collision, and avoid it; or cross where the other was shortly before.
 ///
-/// With q(t) the inverse time to collision, a(t) how far beside each other the two would pass, both going straight on, and s(t) the separation
-/// of their boxes (`adversarial_ttc`, `no_collision`), a moment costs c = ½ (\[q\] / τ_q)² + ½ (a / τ_m)², where \[·\] is the distance to
-/// the inverse of the wanted times. The best moment decides, smoothly:
+/// With q(t) the inverse time to collision, b(t) the deceleration that avoids it (DRAC), a(t) how far beside each other the two would pass, both
+/// going straight on, and s(t) the separation of their boxes (`adversarial_ttc`, `no_collision`), a moment on a course to collide costs
+/// c = ½ (\[q\] / τ_q)² + ½ (\[b_least - b\]₊ / τ_b)² + ½ (a / τ_m)², where \[·\] is the distance to the inverse of the wanted times; what two
+/// moments of crossing cost says [`Encroachment`]. The best decides, smoothly:
 ///
 /// J = -(Σ (c + δ)⁻⁴)^(-1/4) - ∫ ½ (max(margin - s, 0) / τ_s)² + ½ (max(q - q_most, 0) / τ_q)² exp(-½ (a / τ_m)²) dt
 ///
-/// with δ = 0.01 and τ_s = 0.3 m: never touching, and never nearer to a collision than wanted.
+/// with δ = 0.01, τ_s = 0.3 m and τ_b = 1 m/s²: never touching, and never nearer to a collision than wanted. Where a time to collision is asked
+/// for, crossing does not count, and the other way round.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NearMiss {
@@ -36,6 +40,14 @@ pub struct NearMiss {
     /// 1.3.
     #[serde(default)]
     pub ttc_s: Option<[f64; 2]>,
+    /// The least deceleration by which one of the two avoids that collision (DRAC), m/s².
+    #[serde(default = "default_drac_mps2")]
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub drac_mps2: f64,
+    /// The time between the two being on the same place, least and most, seconds. Left out: that of the bucket that a request asks for
+    /// (`pet_s`), else 0.2 to 0.8.
+    #[serde(default)]
+    pub pet_s: Option<[f64; 2]>,
     /// How far apart the boxes stay, at least, meters.
     #[serde(default = "default_margin_m")]
     #[schemars(range(min = 0.0, max = 10.0))]
@@ -58,6 +70,10 @@ fn second() -> AgentSelector {
     AgentSelector::new("second")
 }
 
+const fn default_drac_mps2() -> f64 {
+    4.0
+}
+
 const fn default_margin_m() -> f64 {
     0.4
 }
@@ -70,10 +86,15 @@ const fn default_tolerance_m() -> f64 {
     0.5
 }
 
-/// The parameter at which it aims, as the events report it.
+/// The parameters at which it aims, as the events report them.
 const MIN_TTC: &str = "min_ttc_s";
+const PET: &str = "pet_s";
 /// The time to collision where none is asked for, seconds.
 const ANY_TTC_S: [f64; 2] = [0.6, 1.3];
+/// The post-encroachment time where none is asked for, seconds.
+const ANY_PET_S: [f64; 2] = [0.2, 0.8];
+/// The lack of deceleration τ_b that costs ½, m/s².
+const DRAC_TOLERANCE_MPS2: f64 = 1.0;
 /// Shorter times to collision are as good as a collision, seconds.
 const LEAST_TTC_S: f64 = 0.1;
 /// The lack of separation τ_s that costs ½ a second, meters.
@@ -93,17 +114,18 @@ impl SceneObjective for NearMiss {
     }
 
     fn aims_at(&self) -> &'static [&'static str] {
-        &[MIN_TTC]
+        &[MIN_TTC, PET]
     }
 
     fn validate(&self) -> settings::Result {
         one_agent("agents", &self.agents)?;
         one_agent("to", &self.to)?;
-        interval("ttc_s", self.ttc_s)
+        interval("ttc_s", self.ttc_s)?;
+        interval("pet_s", self.pet_s)
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let query = PairQuery { one: &self.agents, other: &self.to, reach: None };
+        let query = PairQuery::of(&self.agents, &self.to);
         let Some(pairs) = Pairs::gather(states, context, &query)?.filter(|_| states.dim(2).is_ok_and(|n| n > 1)) else {
             return nothing(states);
         };
@@ -118,13 +140,44 @@ impl SceneObjective for NearMiss {
         let wanted = pairs.of_rows(&inverse.to_dtype(states.dtype())?)?;
         let q = &approach.inverse_ttc_per_s;
         let aside = penalty(&approach.aside_m, self.tolerance_m)?;
-        let cost = (penalty(&beyond(q, &wanted)?, self.tolerance_per_s)? + &aside)?.neg()?;
-        let best = best_moment(&cost, &approach.counts)?.neg()?;
+        let drac_mps2 = ((q * &approach.relative_mps)? * 0.5)?;
+        let gentle = penalty(&(self.drac_mps2 - drac_mps2)?.relu()?, DRAC_TOLERANCE_MPS2)?;
+        let cost = ((penalty(&beyond(q, &wanted)?, self.tolerance_per_s)? + &aside)? + gentle)?.neg()?;
+        let conflict = best_moment(&cost, &approach.counts)?;
+        let pet_s = pairs.of_rows(&context.wanted(PET, self.pet_s, ANY_PET_S, states)?)?;
+        let best = match Encroachment::new(&pairs, &pet_s, context.dt_s)? {
+            None => conflict,
+            Some(crossing) => {
+                let either = Tensor::stack(&[conflict, best_moment(&crossing.costs, &crossing.counts)?], 1)?;
+                let can_be = Tensor::stack(&[approach.counts.max(1)?, crossing.counts.max(1)?], 1)?;
+                best_moment(&either, &(pairs.of_rows(&self.meant(context, states)?)? * can_be)?)?
+            }
+        };
+        let best = best.neg()?;
         let nearer = q.broadcast_sub(&wanted.narrow(1, 1, 1)?)?.relu()?;
         let nearer = ((penalty(&nearer, self.tolerance_per_s)? * aside.exp()?)? * &approach.counts)?.sum(1)?;
         let lack_m = (self.margin_m - separation_m)?.relu()?;
         let touching = (penalty(&lack_m, SEPARATION_TOLERANCE_M)? * &pairs.counts)?.sum(1)?;
         pairs.sum_over_rows(&(best + ((nearer + touching)? * context.dt_s)?)?)
+    }
+}
+
+impl NearMiss {
+    /// 1 for each kind of near miss, a course to collide and crossing, that a row may show, (B, 2): both, unless one is asked for.
+    fn meant(&self, context: &SceneContext, like: &Tensor) -> Result<Tensor> {
+        let asks = |target: &Target, name: &str, configured: Option<[f64; 2]>| {
+            configured.is_some() || target.contains_key(name)
+        };
+        let meant: Vec<f64> = context
+            .targets
+            .iter()
+            .flat_map(|target| match (asks(target, MIN_TTC, self.ttc_s), asks(target, PET, self.pet_s)) {
+                (true, false) => [1.0, 0.0],
+                (false, true) => [0.0, 1.0],
+                _ => [1.0, 1.0],
+            })
+            .collect();
+        Tensor::from_vec(meant, (context.targets.len(), 2), like.device())?.to_dtype(like.dtype())
     }
 }
 
@@ -148,41 +201,66 @@ mod tests {
         Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (18.0, -15.0, 1.4, 7.0)])
     }
 
+    fn footprint(states: &[Vec<Vec<f64>>], agent: usize, t: usize) -> OrientedBox {
+        let [x, y, heading_rad] = states[agent][t][..] else { unreachable!() };
+        OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.5, width_m: 1.8 }
+    }
+
     #[test]
     fn gradients_match() {
         for traffic in [behind(), crossing(), Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (7.0, 0.2, 0.1, 1.0)])] {
             assert_gradients_match(&objective(Some([0.8, 1.2])), &traffic);
+            assert_gradients_match(&objective(None), &traffic);
+            assert_gradients_match(&NearMiss { pet_s: Some([0.3, 0.7]), ..objective(None) }, &traffic);
         }
     }
 
     #[test]
     fn the_time_to_collision_falls_into_the_interval_and_nobody_touches() {
         let states = &after_ascent(&objective(Some([0.8, 1.2])), &behind(), 400)[0];
-        let gap_m = |t: usize| states[1][t][0] - states[0][t][0] - 4.5;
+        let gap_m = |t: usize| footprint(states, 0, t).distance(&footprint(states, 1, t));
         let ttc_s = |t: usize| {
             let closing_mps = (gap_m(t - 1) - gap_m(t)) / 0.2;
             if closing_mps > 0.1 { gap_m(t) / closing_mps } else { f64::INFINITY }
         };
         let least_s = (4..states[0].len()).map(ttc_s).fold(f64::INFINITY, f64::min);
         assert!((0.55..1.35).contains(&least_s), "{least_s}");
-        let footprint = |agent: usize, t: usize| {
-            let [x, y, heading_rad] = states[agent][t][..] else { unreachable!() };
-            OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.5, width_m: 1.8 }
-        };
-        assert!((0..states[0].len()).all(|t| !footprint(0, t).overlaps(&footprint(1, t))));
+        assert!((0..states[0].len()).all(|t| !footprint(states, 0, t).overlaps(&footprint(states, 1, t))));
+    }
+
+    #[test]
+    fn a_collision_that_is_easily_avoided_costs() {
+        // Closing with 1 m/s, a time to collision of 1 s ends with a brake of 0.5 m/s².
+        let creeping = Traffic::straight(&[(0.0, 0.0, 0.0, 3.0), (7.7, 0.0, 0.0, 2.0)]);
+        let value = |drac_mps2: f64| creeping.potential(&NearMiss { drac_mps2, ..objective(Some([0.8, 2.0])) })[0];
+        assert!(value(0.0) > -0.05 && value(4.0) < value(0.0) - 3.0, "{} {}", value(0.0), value(4.0));
+    }
+
+    #[test]
+    fn one_crosses_shortly_after_the_other_and_nobody_touches() {
+        let crosses = NearMiss { pet_s: Some([0.3, 0.7]), ..objective(None) };
+        let states = &after_ascent(&crosses, &crossing(), 400)[0];
+        let overlap = |t: usize, u: usize| footprint(states, 0, t).overlaps(&footprint(states, 1, u));
+        let times = || 0..states[0].len();
+        assert!(times().all(|t| !overlap(t, t)));
+        let delays = times().flat_map(|t| times().map(move |u| (t, u))).filter(|(t, u)| overlap(*t, *u));
+        // 0.4 and 0.6 s are the wanted times that the timesteps allow.
+        let least = delays.map(|(t, u)| t.abs_diff(u)).min();
+        assert!(matches!(least, Some(2 | 3)), "{least:?}");
     }
 
     #[test]
     fn who_is_too_near_to_a_collision_costs_more_than_who_is_as_near_as_wanted() {
-        // Bumper to bumper 16 m apart at the first timestep and closing with 8 m/s for 2.2 s would be a collision; with 5 m/s the gap ends
-        // at 5 m and the time to collision, with the half meter that is added, at (5 + 0.5) / 5 s = 1.1 s.
-        let at = |closing_mps: f64| Traffic::straight(&[(0.0, 0.0, 0.0, 9.0), (20.5, 0.0, 0.0, 9.0 - closing_mps)]);
+        // Bumper to bumper 28.5 m apart at the first timestep and closing with 12 m/s for 2.2 s, they are 2.1 m apart at the last; with 8.8
+        // m/s the gap ends at 9.1 m and the time to collision, with the half meter that is added, at (9.1 + 0.5) / 8.8 s = 1.1 s, which takes
+        // 8.8 / (2 · 1.1 s) = 4 m/s² to avoid.
+        let at = |closing_mps: f64| Traffic::straight(&[(0.0, 0.0, 0.0, 15.0), (33.0, 0.0, 0.0, 15.0 - closing_mps)]);
         let value = |closing_mps: f64| at(closing_mps).potential(&objective(Some([0.8, 1.2])))[0];
-        assert!(value(5.0) > -0.05, "{}", value(5.0));
-        assert!(value(8.0) < -2.0 && value(2.0) < -2.0, "{} {}", value(8.0), value(2.0));
+        assert!(value(8.8) > -0.05, "{}", value(8.8));
+        assert!(value(12.0) < -1.0 && value(4.0) < -1.0, "{} {}", value(12.0), value(4.0));
         // A request's bucket stands in where nothing is configured.
-        let mut asked = at(5.0);
+        let mut asked = at(8.8);
         asked.context.targets[0] = [(MIN_TTC.to_owned(), [0.8, 1.2])].into();
-        assert_eq!(asked.potential(&objective(None))[0], value(5.0));
+        assert_eq!(asked.potential(&objective(None))[0], value(8.8));
     }
 }

@@ -22,6 +22,9 @@ pub struct NoCollision {
     /// The agents that shall not collide: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
+    /// Two agents that may touch each other: `["first", "second"]`. Left out: none.
+    #[serde(default)]
+    pub except: Option<[AgentSelector; 2]>,
     /// The separation m below which a pair has a cost, meters.
     #[serde(default = "default_margin_m")]
     #[schemars(range(min = 0.0))]
@@ -50,14 +53,19 @@ impl SceneObjective for NoCollision {
     }
 
     fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents]
+        std::iter::once(&self.agents).chain(self.except.iter().flatten()).collect()
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         // Two of the axes are perpendicular: the separation is at least d / √2 less the radii of both boxes and the
         // smoothing, for centers d apart. Pairs beyond that cost nothing.
         let reach = Reach { per_radius: 2f64.sqrt(), beyond_m: 2f64.sqrt() * (self.margin_m + SMOOTHING_M) };
-        let query = PairQuery { one: &self.agents, other: &AgentSelector::default(), reach: Some(reach) };
+        let query = PairQuery {
+            one: &self.agents,
+            other: &AgentSelector::default(),
+            reach: Some(reach),
+            except: self.except.as_ref(),
+        };
         let Some(pairs) = Pairs::gather(states, context, &query)? else { return nothing(states) };
         let separation_m = separation_m(&pairs)?;
         let present = context.n_history.saturating_sub(1);
@@ -80,7 +88,7 @@ mod tests {
     use crate::geometry::{OrientedBox, Vec2};
 
     fn objective() -> NoCollision {
-        NoCollision { weight: 1.0, agents: AgentSelector::default(), margin_m: 0.5, tolerance_m: 0.5 }
+        NoCollision { weight: 1.0, agents: AgentSelector::default(), except: None, margin_m: 0.5, tolerance_m: 0.5 }
     }
 
     /// A fast car behind a slow one, and another that crosses.
@@ -122,7 +130,7 @@ mod tests {
             let pairs = Pairs::gather(
                 traffic.states.as_tensor(),
                 &traffic.context,
-                &PairQuery { one: &objective.agents, other: &objective.agents, reach: None },
+                &PairQuery::of(&objective.agents, &objective.agents),
             );
             let pairs = pairs.unwrap().unwrap();
             let lack_m = (objective.margin_m - separation_m(&pairs).unwrap()).unwrap().relu().unwrap();
@@ -130,5 +138,16 @@ mod tests {
             let all = cost.sum_all().unwrap().to_scalar::<f64>().unwrap() * traffic.context.dt_s;
             assert!((traffic.potential(&objective)[0] - all).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn the_excepted_pair_may_touch_and_no_other() {
+        // Two that overlap at the end, and a third that drives into the first.
+        let crash = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (18.0, 0.0, 0.0, 0.0), (0.0, 2.2, -0.05, 8.0)]);
+        let except = |names: [&str; 2]| NoCollision { except: Some(names.map(AgentSelector::new)), ..objective() };
+        let all = crash.potential(&objective())[0];
+        let others = crash.potential(&except(["ego", "other"]))[0];
+        assert!(all < others && others < 0.0, "{all} {others}");
+        assert_eq!(others, crash.potential(&except(["other", "ego"]))[0]);
     }
 }

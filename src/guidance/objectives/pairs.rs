@@ -5,20 +5,39 @@ use candle_core::{DType, Result, Tensor};
 
 /// P pairs of agents of a batch.
 pub(super) struct Pairs {
-    /// States of the first agents, (P, T, 3).
-    pub(super) first: Tensor,
-    /// States of the second agents, (P, T, 3).
-    pub(super) second: Tensor,
-    /// Lengths and widths of the first agents, (P, 2).
-    pub(super) first_extent_m: Tensor,
-    /// Lengths and widths of the second agents, (P, 2).
-    pub(super) second_extent_m: Tensor,
+    pub(super) first: Agents,
+    pub(super) second: Agents,
     /// 1 where both states are valid and at least one is generated, (P, T).
     pub(super) counts: Tensor,
     /// 1 where both states are valid, (P, T).
     pub(super) both_valid: Tensor,
     rows: Tensor,
     n_rows: usize,
+}
+
+/// One agent of each pair.
+pub(super) struct Agents {
+    /// (P, T, 3).
+    pub(super) states: Tensor,
+    /// Lengths and widths, (P, 2).
+    pub(super) extent_m: Tensor,
+    /// 1 where there is a state, (P, T).
+    pub(super) valid: Tensor,
+    /// 1 where the state is generated, (P, T).
+    pub(super) latent: Tensor,
+}
+
+impl Agents {
+    /// The same from timestep `start` on, `len` of them.
+    pub(super) fn during(&self, start: usize, len: usize) -> Result<Self> {
+        let narrow = |tensor: &Tensor| tensor.narrow(1, start, len);
+        Ok(Self {
+            states: narrow(&self.states)?,
+            extent_m: self.extent_m.clone(),
+            valid: narrow(&self.valid)?,
+            latent: narrow(&self.latent)?,
+        })
+    }
 }
 
 /// What pairs are looked for.
@@ -30,6 +49,15 @@ pub(super) struct PairQuery<'a> {
     /// Pairs that are never nearer than this count nothing: center distance, in sums of the radii around both boxes, and
     /// meters beyond. `None` for all pairs.
     pub(super) reach: Option<Reach>,
+    /// One pair that is left out.
+    pub(super) except: Option<&'a [AgentSelector; 2]>,
+}
+
+impl<'a> PairQuery<'a> {
+    /// All pairs of these agents.
+    pub(super) const fn of(one: &'a AgentSelector, other: &'a AgentSelector) -> Self {
+        Self { one, other, reach: None, except: None }
+    }
 }
 
 /// A distance, as a multiple of both radii together and meters.
@@ -47,7 +75,15 @@ impl Pairs {
         let (at, valid, latent) = (host(states)?, host(&context.valid)?, host(&context.latent)?);
         let extent_m = host(&context.extent_m)?;
         let (one, other) = (host(&context.selected(query.one)?)?, host(&context.selected(query.other)?)?);
-        let is_asked = |i: usize, j: usize| one[i] * other[j] > 0.0 || one[j] * other[i] > 0.0;
+        let except = match query.except {
+            Some([a, b]) => Some((context.slots(a)?, context.slots(b)?)),
+            None => None,
+        };
+        let is_left_out = |i: usize, j: usize| {
+            let (row, pair) = (i / n_agents, [i % n_agents, j % n_agents]);
+            except.is_some_and(|(a, b)| pair == [a[row], b[row]] || pair == [b[row], a[row]])
+        };
+        let is_asked = |i: usize, j: usize| (one[i] * other[j] > 0.0 || one[j] * other[i] > 0.0) && !is_left_out(i, j);
         let radius_m = |i: usize| extent_m[2 * i].hypot(extent_m[2 * i + 1]) / 2.0;
         let is_near = |i: usize, j: usize| {
             let limit_m = query
@@ -80,20 +116,19 @@ impl Pairs {
         let n_flat = n_rows * n_agents;
         let states = states.reshape((n_flat, n_timesteps, 3))?;
         let valid = context.valid.reshape((n_flat, n_timesteps))?;
-        let known = (1.0 - context.latent.reshape((n_flat, n_timesteps))?)?;
+        let latent = context.latent.reshape((n_flat, n_timesteps))?;
         let extent_m = context.extent_m.reshape((n_flat, 2))?;
-        let both = |tensor: &Tensor| tensor.index_select(&first, 0)? * tensor.index_select(&second, 0)?;
-        let both_valid = both(&valid)?;
-        Ok(Some(Self {
-            counts: (&both_valid * (1.0 - both(&known)?)?)?,
-            both_valid,
-            first_extent_m: extent_m.index_select(&first, 0)?,
-            second_extent_m: extent_m.index_select(&second, 0)?,
-            first: states.index_select(&first, 0)?,
-            second: states.index_select(&second, 0)?,
-            rows,
-            n_rows,
-        }))
+        let agents = |indices: &Tensor| -> Result<Agents> {
+            Ok(Agents {
+                states: states.index_select(indices, 0)?,
+                extent_m: extent_m.index_select(indices, 0)?,
+                valid: valid.index_select(indices, 0)?,
+                latent: latent.index_select(indices, 0)?,
+            })
+        };
+        let (first, second) = (agents(&first)?, agents(&second)?);
+        let (both_valid, counts) = (both_valid(&first, &second)?, counts(&first, &second)?);
+        Ok(Some(Self { first, second, counts, both_valid, rows, n_rows }))
     }
 
     /// What belongs to the row of each pair, (P, ..), of `values` (B, ..).
@@ -105,4 +140,14 @@ impl Pairs {
     pub(super) fn sum_over_rows(&self, values: &Tensor) -> Result<Tensor> {
         Tensor::zeros(self.n_rows, values.dtype(), values.device())?.index_add(&self.rows, values, 0)
     }
+}
+
+/// 1 where both have a state, (P, T).
+fn both_valid(first: &Agents, second: &Agents) -> Result<Tensor> {
+    &first.valid * &second.valid
+}
+
+/// 1 where both have a state, of which one is generated, (P, T).
+pub(super) fn counts(first: &Agents, second: &Agents) -> Result<Tensor> {
+    both_valid(first, second)? * first.latent.maximum(&second.latent)?
 }

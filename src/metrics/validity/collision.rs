@@ -8,14 +8,15 @@ use std::borrow::Cow;
 
 /// The collision with the highest relative speed, as the collision rate counts them: boxes that overlap at a future timestep and did
 /// not at present, of two of whom at least one moves. One of the two must be generated there; the two that were asked are excused
-/// where the limits say so. Of agents whose size the recording does not give only the core counts.
+/// where a collision was asked for or the limits say so. Of agents whose size the recording does not give only the core counts.
 pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Violation> {
     let scene = judged.scene;
     let asked: Vec<usize> = judged.asked.tracks().filter_map(|track| scene.track_idx(track)).collect();
     let mut worst = None;
     for collision in collisions(&with_cores(scene, config.core_of_unknown_size)) {
         let [first, second] = collision.pair;
-        let is_excused = config.asked_may_collide && asked.contains(&first) && asked.contains(&second);
+        let may_collide = judged.may_collide || config.asked_may_collide;
+        let is_excused = may_collide && asked.contains(&first) && asked.contains(&second);
         let is_generated = collision.pair.iter().any(|i| judged.is_generated(*i, collision.timestep));
         if is_excused || !is_generated {
             continue;

@@ -70,7 +70,8 @@ pub struct ValidityConfig {
     /// Default 0.5: in Argoverse 1, which gives no sizes, whole boxes overlap in two of five recorded scenes.
     #[schemars(range(min = 0.0))]
     pub core_of_unknown_size: f64,
-    /// Whether the requested agents may collide with each other, as in a crash. Default false.
+    /// Whether requested agents may collide with each other whatever was asked of them; where it was a `collision`, they always may.
+    /// Default false.
     pub asked_may_collide: bool,
 }
 

@@ -33,18 +33,25 @@ pub struct Judged<'a> {
     pub scene: &'a Scene,
     /// Who was asked to show something: their collisions with each other can be excused.
     pub asked: &'a Roles,
+    may_collide: bool,
     generated: Box<dyn Fn(usize, usize) -> bool + 'a>,
 }
 
 impl<'a> Judged<'a> {
     /// A scene whose states are generated where `generated(agent_idx, timestep)` says so.
     pub fn new(scene: &'a Scene, asked: &'a Roles, generated: impl Fn(usize, usize) -> bool + 'a) -> Self {
-        Self { scene, asked, generated: Box::new(generated) }
+        Self { scene, asked, may_collide: false, generated: Box::new(generated) }
     }
 
     /// A scene whose whole future is taken as generated.
     pub fn future_of(scene: &'a Scene, asked: &'a Roles) -> Self {
         Self::new(scene, asked, |_, timestep| timestep >= scene.n_history)
+    }
+
+    /// The same, with the collisions of those who were asked with each other excused if they were `asked_to_collide`.
+    #[must_use]
+    pub fn excused_if(self, asked_to_collide: bool) -> Self {
+        Self { may_collide: asked_to_collide, ..self }
     }
 
     /// Whether a state is there and was generated.

@@ -176,6 +176,8 @@ fn collisions_are_excused_only_where_they_were_asked_for() {
     let excusing = ValidityConfig { asked_may_collide: true, ..defaults() };
     assert_eq!(Judged::future_of(&crash, &asked).violations(&excusing), []);
     assert_eq!(Judged::future_of(&crash, &asked).violations(&defaults()).len(), 1);
+    assert_eq!(Judged::future_of(&crash, &asked).excused_if(true).violations(&defaults()), []);
+    assert_eq!(Judged::future_of(&crash, &asked).excused_if(false).violations(&defaults()).len(), 1);
     assert_eq!(Judged::future_of(&crash, &[("ego", "b")].into()).violations(&excusing).len(), 1);
 }
 

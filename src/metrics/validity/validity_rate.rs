@@ -26,7 +26,10 @@ impl Metric for ValidityRate {
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
         let limits = self.limits.as_ref().unwrap_or(&DEFAULTS);
-        let is_valid = |sample: &Scene| vec![Judged::future_of(sample, group.asked).violations(limits).is_empty()];
+        let is_valid = |sample: &Scene| {
+            let judged = Judged::future_of(sample, group.asked).excused_if(group.asked_to_collide);
+            vec![judged.violations(limits).is_empty()]
+        };
         group.share_over_samples(is_valid).filter(|_| group.recorded.has_future())
     }
 }

@@ -4,13 +4,17 @@
 
 /// The parameters by name, sorted.
 pub(crate) const DESCRIPTIONS: &[(&str, &str)] = &[
+    (
+        "bearing_rad",
+        "Where the second is as seen from the first before they touch, from 0 to π: ahead, beside, behind.",
+    ),
     ("crossing_timestep", "Timestep at which the agent has crossed into the new lane."),
     ("duration_s", "From the event's start to its end."),
     ("ego_length_m", "Length of the ego; nominal where no size is recorded."),
     ("ego_shift_m", "How far the ego moves sideways toward the other, across the lane that it keeps."),
     ("ego_speed_mps", "Speed of the ego when the other reaches its path."),
     ("end_speed_mps", "Speed at the end."),
-    ("first_speed_mps", "Speed of the first of the two when they are closest."),
+    ("first_speed_mps", "Speed of the first of the two when they are closest, or before they touch."),
     (
         "gap_m",
         "Along the ego's path, from its front to the nearest part of the other, when the other reaches the path; negative alongside.",
@@ -18,7 +22,7 @@ pub(crate) const DESCRIPTIONS: &[(&str, &str)] = &[
     ("heading_change_rad", "How far the agent turns in all; positive to the left."),
     (
         "heading_difference_rad",
-        "Difference of the headings when the two are closest, from 0 to π: following, crossing, oncoming.",
+        "Difference of the headings when the two are closest, or before they touch, from 0 to π: following, crossing, oncoming.",
     ),
     ("intrusion_timestep", "Timestep at which the other reaches the ego's path."),
     ("lateral_acceleration_mps2", "Mean speed squared per radius of the turn."),
@@ -42,9 +46,9 @@ pub(crate) const DESCRIPTIONS: &[(&str, &str)] = &[
     ("radius_m", "Path per change of heading of the turn."),
     (
         "relative_speed_mps",
-        "Cut-in: the ego's speed less the other's along the path, positive when closing. Near miss: speed of one seen from the other, when closest.",
+        "Cut-in: the ego's speed less the other's along the path, positive when closing. Near miss and collision: speed of one seen from the other, when closest or before they touch.",
     ),
-    ("second_speed_mps", "Speed of the second of the two when they are closest."),
+    ("second_speed_mps", "Speed of the second of the two when they are closest, or before they touch."),
     ("shift_m", "How far the other moves sideways toward the ego's path."),
     ("side", "Where the other comes from (cut-in) or the new lane lies (lane change): +1 left, -1 right."),
     ("speed_mps", "Speed at the crossing (lane change) or at the start (hard braking)."),

@@ -1,0 +1,128 @@
+//! Collision: do two road users drive into each other?
+
+use super::near_miss::with_cores;
+use super::pairs::unordered;
+use super::sweep::Sweep;
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
+use crate::geometry::angle_difference;
+use crate::scene::{AgentClass, Scene};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Name of the behavior in configs and tables.
+pub(super) const ID: &str = "collision";
+/// The two road users, in the order of tracks.
+pub(super) const ROLES: &[&str] = &["first", "second"];
+/// What events say beyond their times; [`Collision`] has the definitions.
+pub(super) const PARAMETERS: &[&str] =
+    &["relative_speed_mps", "first_speed_mps", "second_speed_mps", "heading_difference_rad", "bearing_rad"];
+
+/// Options of [`Collision`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct CollisionConfig {
+    /// Road users that take part. Default `road_users`: includes pedestrians, excludes static objects.
+    pub agents: AgentFilter,
+    /// Least speed of one as seen from the other before they touch, m/s. Default 0.5: less is a flaw of boxes and tracks.
+    #[schemars(range(min = 0.0))]
+    pub min_relative_mps: f64,
+    /// Boxes that come closer than this without touching are a hard negative, meters. Default 1.
+    #[schemars(range(min = 0.0))]
+    pub negative_distance_m: f64,
+}
+
+impl Default for CollisionConfig {
+    fn default() -> Self {
+        Self { agents: AgentFilter::RoadUsers, min_relative_mps: 0.5, negative_distance_m: 1.0 }
+    }
+}
+
+/// Two road users (`first` and `second`) drive into each other.
+///
+/// **Positive**: the boxes overlap at a timestep and did not at the one before, at which one of the two moved with at least 0.5 m/s as seen from
+/// the other. The event starts and is complete at the first such timestep. Of agents whose size is not recorded half the length and width that
+/// are usual for them count.
+///
+/// *What does not count*: boxes that overlap already when both are first tracked, or at present: recordings hold such pairs; static objects.
+/// What two agents do after they touched is theirs: nothing here knows what a collision does to vehicles.
+///
+/// **Negative**: boxes that come closer than 1 m and never touch.
+///
+/// Parameters, at the last timestep before they touch: `relative_speed_mps` (of one seen from the other), `first_speed_mps`,
+/// `second_speed_mps`, `heading_difference_rad` (0 to π: from behind, from the side, head-on), and `bearing_rad`, where the second is as seen
+/// from the first (0 to π: ahead, beside, behind).
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Collision {
+    config: CollisionConfig,
+}
+
+impl Collision {
+    /// The behavior with these options.
+    pub const fn new(config: CollisionConfig) -> Self {
+        Self { config }
+    }
+
+    /// Its options.
+    pub(super) const fn config(&self) -> &CollisionConfig {
+        &self.config
+    }
+
+    fn detect_pair(&self, scene: &Scene, pair: [usize; 2], [first, second]: [&Sweep; 2]) -> Option<BehaviorEvent> {
+        let both = || first.both_at(second, 0..scene.n_timesteps);
+        let present = scene.current_timestep();
+        let touches = both().find(|(_, one, other)| one.overlaps(other)).map(|(timestep, ..)| timestep);
+        let Some(timestep) = touches else {
+            let near: Vec<usize> = both()
+                .filter(|(_, one, other)| one.is_closer_than(other, self.config.negative_distance_m))
+                .map(|(timestep, ..)| timestep)
+                .collect();
+            let span = *near.first()?..=*near.last()?;
+            return Some(BehaviorEvent::new((ID, ROLES), scene, EventLabel::Negative, &pair, span));
+        };
+        let overlaps_at_present = both().any(|(t, one, other)| t == present && one.overlaps(other));
+        let before = timestep.checked_sub(1)?;
+        let state = |agent_idx: usize| scene.state(agent_idx, before).filter(|state| state.is_finite());
+        let [one, other] = [state(pair[0])?, state(pair[1])?];
+        let relative_mps = (one.velocity - other.velocity).norm();
+        if overlaps_at_present || relative_mps < self.config.min_relative_mps {
+            return None;
+        }
+        let toward = other.position - one.position;
+        let event = BehaviorEvent::new((ID, ROLES), scene, EventLabel::Positive, &pair, timestep..=timestep)
+            .with("relative_speed_mps", relative_mps)
+            .with("first_speed_mps", one.speed_mps())
+            .with("second_speed_mps", other.speed_mps())
+            .with("heading_difference_rad", angle_difference(one.heading_rad, other.heading_rad).abs())
+            .with("bearing_rad", angle_difference(toward.angle(), one.heading_rad).abs());
+        Some(event)
+    }
+}
+
+impl Behavior for Collision {
+    fn id(&self) -> &'static str {
+        ID
+    }
+
+    fn roles(&self) -> &'static [&'static str] {
+        ROLES
+    }
+
+    fn admits(&self, class: AgentClass) -> bool {
+        self.config.agents.admits(class)
+    }
+
+    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
+        match agents {
+            [first, second] => self.outcomes(scene, [*first, *second]),
+            _ => Vec::new(),
+        }
+    }
+
+    /// At most one event a pair, in the order of tracks.
+    fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
+        let cores = with_cores(scene);
+        unordered(&cores, self.config.agents, self.config.negative_distance_m, |pair, sweeps| {
+            self.detect_pair(&cores, pair, sweeps)
+        })
+    }
+}

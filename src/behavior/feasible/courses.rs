@@ -1,0 +1,106 @@
+//! Where could two road users go, and where would they meet?
+
+use super::ways::ways;
+use super::{ACCELERATIONS_MPS2, LATERAL_ACCELERATION_MPS2, effort, horizon_s};
+use crate::behavior::AgentFilter;
+use crate::behavior::lane_relation::SceneLanes;
+use crate::geometry::Vec2;
+use crate::scene::{Extent, Scene};
+
+/// The accelerations that are tried, m/s²: the limits, coasting, and braking gently.
+const TRIED_MPS2: [f64; 4] = [*ACCELERATIONS_MPS2.start(), -2.0, 0.0, *ACCELERATIONS_MPS2.end()];
+/// Spacing of the times that are tried, seconds.
+pub(super) const SPACING_S: f64 = 0.25;
+/// Nobody evades farther than this, meters.
+const MOST_ASIDE_M: f64 = 1.75;
+/// Where an agent could be if it went on along one of its ways with one acceleration.
+pub(super) struct Course {
+    pub(super) effort: f64,
+    /// Where it is at the times that are tried.
+    pub(super) places: Vec<Place>,
+}
+
+/// A position, with the direction of motion and its speed.
+#[derive(Clone, Copy)]
+pub(super) struct Place {
+    pub(super) at: Vec2,
+    pub(super) along: Vec2,
+    pub(super) speed_mps: f64,
+}
+
+/// Two agents at one place at one time.
+pub(super) struct Meeting {
+    /// The speed of one as seen from the other, m/s.
+    pub(super) relative_mps: f64,
+    /// What it takes them to meet, from 0 to 1.
+    pub(super) effort: f64,
+}
+
+/// The courses of two agents that `filter` admits; `None` where one of them is not tracked at present.
+pub(super) fn both_courses(scene: &Scene, agents: [usize; 2], filter: AgentFilter) -> Option<[Vec<Course>; 2]> {
+    let lanes = SceneLanes::new(&scene.lanes);
+    let n_times = (horizon_s(scene) / SPACING_S).floor() as usize;
+    if !agents.iter().all(|agent_idx| filter.admits(scene.tracks[*agent_idx].class)) {
+        return None;
+    }
+    let [first, second] = agents.map(|agent_idx| courses(scene, &lanes, agent_idx, n_times));
+    Some([first?, second?])
+}
+
+/// Wherever boxes of these sizes come within `near_m` of each other on any two courses.
+pub(super) fn meetings([own, others]: &[Vec<Course>; 2], extents: [Extent; 2], near_m: f64) -> Vec<Meeting> {
+    let mut found = Vec::new();
+    for (one, other) in own.iter().flat_map(|one| others.iter().map(move |other| (one, other))) {
+        for (i, (a, b)) in one.places.iter().zip(&other.places).enumerate() {
+            let evaded = evasion_effort([*a, *b], extents, near_m, (i + 1) as f64 * SPACING_S);
+            let relative_mps = (a.along * a.speed_mps - b.along * b.speed_mps).norm();
+            found.extend(
+                evaded.map(|evaded| Meeting { relative_mps, effort: evaded.max(one.effort).max(other.effort) }),
+            );
+        }
+    }
+    found
+}
+
+/// What it takes two agents to touch at these places, `elapsed_s` from now, if one of them moves across to the other: the share of the way that it
+/// can move across. `None` where they cannot.
+pub(super) fn evasion_effort(
+    [one, other]: [Place; 2],
+    [extent, other_extent]: [Extent; 2],
+    near_m: f64,
+    elapsed_s: f64,
+) -> Option<f64> {
+    // The other's box as seen from the one: half of what it takes up along and across.
+    let along = one.along;
+    let (cos, sin) = (along.dot(other.along).abs(), along.cross(other.along).abs());
+    let (length_m, width_m) = (other_extent.length_m / 2.0, other_extent.width_m / 2.0);
+    let ahead_m =
+        along.dot(other.at - one.at).abs() - extent.length_m / 2.0 - (length_m * cos + width_m * sin) - near_m;
+    let aside_m =
+        along.cross(other.at - one.at).abs() - extent.width_m / 2.0 - (length_m * sin + width_m * cos) - near_m;
+    let most_m = (LATERAL_ACCELERATION_MPS2 * elapsed_s.powi(2) / 4.0).min(MOST_ASIDE_M);
+    (ahead_m <= 0.0 && aside_m <= most_m).then(|| if aside_m > 0.0 { aside_m / most_m } else { 0.0 })
+}
+
+/// The courses of an agent; `None` where it is not tracked at present.
+fn courses(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, n_times: usize) -> Option<Vec<Course>> {
+    let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
+    let speed_mps = state.speed_mps();
+    let ways = ways(lanes, state);
+    let tried = ways.iter().flat_map(|way| TRIED_MPS2.map(|acceleration_mps2| (way, acceleration_mps2)));
+    let courses = tried.map(|(way, acceleration_mps2)| {
+        // Who brakes to a halt stands.
+        let moving_s = |elapsed_s: f64| match acceleration_mps2 {
+            braking if braking < 0.0 => elapsed_s.min(-speed_mps / braking),
+            _ => elapsed_s,
+        };
+        let place = |elapsed_s: f64| {
+            let moving_s = moving_s(elapsed_s);
+            let (at, along) = way.place(speed_mps * moving_s + acceleration_mps2 * moving_s.powi(2) / 2.0)?;
+            Some(Place { at, along, speed_mps: speed_mps + acceleration_mps2 * moving_s })
+        };
+        let places = (1..=n_times).map_while(|i| place(i as f64 * SPACING_S)).collect();
+        Course { effort: effort(acceleration_mps2), places }
+    });
+    Some(courses.collect())
+}

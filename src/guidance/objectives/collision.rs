@@ -1,0 +1,159 @@
+//! Drive into each other.
+
+use super::approach::Approach;
+use super::box_separation::separation_m;
+use super::motion::{best_moment, nothing, penalty};
+use super::pairs::{PairQuery, Pairs};
+use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval, one_agent};
+use crate::settings;
+use candle_core::{Result, Tensor};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Touch with a wanted relative speed.
+///
+/// With s(t) the separation of the boxes (`no_collision`) and ‖u‖ the relative speed that led to timestep t, a moment costs
+/// c = ½ (\[s + 0.2 m\]₊ / τ_m)² + ½ (\[‖u‖\] / τ_u)², where \[‖u‖\] is the distance to the wanted speeds. The best moment decides, smoothly:
+/// J = -(Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Collision {
+    /// How much this objective counts beside others.
+    #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub weight: f64,
+    /// One of the two: `ego` or a role.
+    #[serde(default = "first")]
+    pub agents: AgentSelector,
+    /// The other of the two.
+    #[serde(default = "second")]
+    pub to: AgentSelector,
+    /// The speed of one as seen from the other, least and most, m/s. Left out: that of the bucket that a request asks for
+    /// (`relative_speed_mps`), else 2 to 30.
+    #[serde(default)]
+    pub relative_speed_mps: Option<[f64; 2]>,
+    /// The distance τ_m to touching that costs ½, meters.
+    #[serde(default = "default_tolerance_m")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub tolerance_m: f64,
+    /// The error τ_u of the relative speed that costs ½, m/s.
+    #[serde(default = "default_tolerance_mps")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub tolerance_mps: f64,
+}
+
+fn first() -> AgentSelector {
+    AgentSelector::new("first")
+}
+
+fn second() -> AgentSelector {
+    AgentSelector::new("second")
+}
+
+const fn default_tolerance_m() -> f64 {
+    1.5
+}
+
+const fn default_tolerance_mps() -> f64 {
+    1.0
+}
+
+/// The parameter at which it aims, as the events report it.
+const RELATIVE_SPEED: &str = "relative_speed_mps";
+/// The relative speed where none is asked for, m/s.
+const ANY_SPEED_MPS: [f64; 2] = [2.0, 30.0];
+/// How much the boxes are to overlap, meters: as much as their separation is smoothed.
+const OVERLAP_M: f64 = 0.2;
+
+impl SceneObjective for Collision {
+    fn kind(&self) -> &'static str {
+        "collision"
+    }
+
+    fn weight(&self) -> f64 {
+        self.weight
+    }
+
+    fn agents(&self) -> Vec<&AgentSelector> {
+        vec![&self.agents, &self.to]
+    }
+
+    fn aims_at(&self) -> &'static [&'static str] {
+        &[RELATIVE_SPEED]
+    }
+
+    fn validate(&self) -> settings::Result {
+        one_agent("agents", &self.agents)?;
+        one_agent("to", &self.to)?;
+        interval("relative_speed_mps", self.relative_speed_mps)
+    }
+
+    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let query = PairQuery::of(&self.agents, &self.to);
+        let Some(pairs) = Pairs::gather(states, context, &query)?.filter(|_| states.dim(2).is_ok_and(|n| n > 1)) else {
+            return nothing(states);
+        };
+        let separation_m = separation_m(&pairs)?;
+        let approach = Approach::new(&pairs, &separation_m, context.dt_s)?;
+        let wanted = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
+        let wrong_mps = beyond(&approach.relative_mps, &pairs.of_rows(&wanted)?)?;
+        let apart_m = (separation_m.narrow(1, 1, separation_m.dim(1)? - 1)? + OVERLAP_M)?.relu()?;
+        let cost = (penalty(&apart_m, self.tolerance_m)? + penalty(&wrong_mps, self.tolerance_mps)?)?.neg()?;
+        pairs.sum_over_rows(&best_moment(&cost, &approach.counts)?.neg()?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Traffic, after_ascent, assert_gradients_match};
+    use super::*;
+    use crate::geometry::{OrientedBox, Vec2};
+
+    fn objective(relative_speed_mps: Option<[f64; 2]>) -> Collision {
+        let defaults: Collision =
+            toml::from_str("agents = 'ego'\nto = 'other'").expect("everything else has a default");
+        Collision { relative_speed_mps, ..defaults }
+    }
+
+    fn crossing() -> Traffic {
+        Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (18.0, -15.0, 1.4, 7.0)])
+    }
+
+    #[test]
+    fn gradients_match() {
+        let behind = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (14.0, 0.3, 0.1, 5.0)]);
+        for traffic in [crossing(), behind] {
+            assert_gradients_match(&objective(None), &traffic);
+            assert_gradients_match(&objective(Some([4.0, 5.0])), &traffic);
+        }
+    }
+
+    #[test]
+    fn they_touch_as_fast_as_is_asked() {
+        let states = &after_ascent(&objective(Some([6.0, 8.0])), &crossing(), 400)[0];
+        let footprint = |agent: usize, t: usize| {
+            let [x, y, heading_rad] = states[agent][t][..] else { unreachable!() };
+            OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.5, width_m: 1.8 }
+        };
+        let relative_mps = |t: usize| {
+            let between = |t: usize| footprint(1, t).center - footprint(0, t).center;
+            (between(t) - between(t - 1)).norm() / 0.2
+        };
+        let touching: Vec<f64> =
+            (1..states[0].len()).filter(|t| footprint(0, *t).overlaps(&footprint(1, *t))).map(relative_mps).collect();
+        assert!(touching.iter().any(|speed_mps| (5.5..8.5).contains(speed_mps)), "{touching:?}");
+    }
+
+    #[test]
+    fn the_cost_is_that_of_the_distance_and_the_speed() {
+        // Side by side with 8 m/s, 1.2 m of separation, or at most 0.2 m less of it: ½ (1.4 / 1.5)² and ½ (2 / 1)².
+        let beside = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (0.0, 3.0, 0.0, 8.0)]);
+        let value = |speeds_mps: [f64; 2]| -beside.potential(&objective(Some(speeds_mps)))[0];
+        // Nine moments count as much as one of 9^(-1/4) times the cost.
+        let nine = |cost: f64| (cost + 0.01) * 9f64.powf(-0.25);
+        let (still, fast) = (value([0.0, 1.0]), value([2.0, 3.0]));
+        assert!((nine(0.5 * (1.2f64 / 1.5).powi(2))..nine(0.5 * (1.42f64 / 1.5).powi(2))).contains(&still), "{still}");
+        // A norm is rounded at zero: 0.05 m/s per timestep of 0.2 s are 0.25 m/s, or less.
+        assert!(fast > still + nine(0.5 * 1.7f64.powi(2)) - nine(0.0) && fast < still + nine(2.0), "{fast} {still}");
+    }
+}
