@@ -121,8 +121,9 @@ mod tests {
 
     #[test]
     fn gradients_match() {
+        let crossing = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (18.0, -22.0, 1.4, 7.0)]);
         let behind = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (14.0, 0.3, 0.1, 5.0)]);
-        for traffic in [crossing(), behind] {
+        for traffic in [crossing, behind] {
             assert_gradients_match(&objective(None), &traffic);
             assert_gradients_match(&objective(Some([4.0, 5.0])), &traffic);
         }
