@@ -1,13 +1,12 @@
 //! Collision: do two road users drive into each other?
 
-use super::near_miss::with_cores;
-use super::pairs::unordered;
 use super::sweep::Sweep;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::geometry::angle_difference;
-use crate::scene::{AgentClass, Scene};
+use crate::scene::{AgentClass, Extent, Scene, Track};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "collision";
@@ -121,8 +120,27 @@ impl Behavior for Collision {
     /// At most one event a pair, in the order of tracks.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let cores = with_cores(scene);
-        unordered(&cores, self.config.agents, self.config.negative_distance_m, |pair, sweeps| {
-            self.detect_pair(&cores, pair, sweeps)
-        })
+        let admitted = cores.tracks.iter().enumerate().filter(|(_, track)| self.config.agents.admits(track.class));
+        let sweeps: Vec<(usize, Sweep)> =
+            admitted.filter_map(|(agent_idx, track)| Some((agent_idx, Sweep::new(track)?))).collect();
+        let pairs =
+            sweeps.iter().enumerate().flat_map(|(i, one)| sweeps[i + 1..].iter().map(move |other| (one, other)));
+        pairs
+            .filter(|((_, first), (_, second))| first.may_come_within(second, self.config.negative_distance_m))
+            .filter_map(|((i, first), (j, second))| self.detect_pair(&cores, [*i, *j], [first, second]))
+            .collect()
     }
+}
+
+/// The scene with agents whose size is not recorded at half their nominal one: whole boxes touch where nobody does.
+fn with_cores(scene: &Scene) -> Cow<'_, Scene> {
+    if scene.tracks.iter().all(|track| track.extent.is_some()) {
+        return Cow::Borrowed(scene);
+    }
+    let core = |track: &Track| {
+        let Extent { length_m, width_m } = track.extent_or_nominal();
+        let half = Extent { length_m: length_m / 2.0, width_m: width_m / 2.0 };
+        Track { extent: track.extent.or(Some(half)), ..track.clone() }
+    };
+    Cow::Owned(Scene { tracks: scene.tracks.iter().map(core).collect(), ..scene.clone() })
 }

@@ -59,6 +59,10 @@ pub trait Behavior: Send + Sync {
     fn admits(&self, class: AgentClass) -> bool {
         class.is_motorized()
     }
+    /// Whether it is found among agents whose size is recorded alone.
+    fn needs_sizes(&self) -> bool {
+        false
+    }
     /// What `agents`, in the order of the roles, could still come to, told from what was observed and the map alone; empty where they
     /// cannot show the behavior. Where nothing speaks against it, one outcome that names no parameter.
     fn feasible(&self, _scene: &Scene, _agents: &[usize]) -> Vec<Outcome> {
@@ -237,7 +241,7 @@ pub static ALL: &[BehaviorEntry] = &[
         id: near_miss::ID,
         roles: near_miss::ROLES,
         parameters: near_miss::PARAMETERS,
-        description: "two road users avoid each other by braking hard within 1.5 s, by 1 s where they cross or by 0.3 m, without touching",
+        description: "two road users avoid each other by braking hard within 1.5 s, by 1 s where they cross or by 0.2 m, without touching",
         is_collision: false,
         needs_lanes: false,
         default_config: || BehaviorConfig::NearMiss(NearMissConfig::default()),

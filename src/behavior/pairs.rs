@@ -76,25 +76,3 @@ impl PairSearch<'_> {
         BehaviorEvent::new(self.names, self.scene, EventLabel::Negative, &pair, self.judged.start..=last)
     }
 }
-
-/// What `event` makes of each pair of the agents that `filter` admits and that may come within `reach_m` of each other at any two timesteps: in
-/// the order of tracks, each pair once.
-pub(super) fn unordered(
-    scene: &Scene,
-    filter: AgentFilter,
-    reach_m: f64,
-    event: impl Fn([usize; 2], [&Sweep; 2]) -> Option<BehaviorEvent>,
-) -> Vec<BehaviorEvent> {
-    let admitted = scene.tracks.iter().enumerate().filter(|(_, track)| filter.admits(track.class));
-    let sweeps: Vec<(usize, Sweep)> =
-        admitted.filter_map(|(agent_idx, track)| Some((agent_idx, Sweep::new(track)?))).collect();
-    let mut events = Vec::new();
-    for (i, (first_idx, first)) in sweeps.iter().enumerate() {
-        for (second_idx, second) in &sweeps[i + 1..] {
-            if first.may_come_within(second, reach_m) {
-                events.extend(event([*first_idx, *second_idx], [first, second]));
-            }
-        }
-    }
-    events
-}

@@ -3,7 +3,7 @@
 use super::lane_relation::SceneLanes;
 use super::{AgentFilter, BehaviorEvent, EventLabel};
 use crate::geometry::{Vec2, angle_difference};
-use crate::scene::{Scene, Track};
+use crate::scene::{Lane, Scene, Track};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::cell::OnceCell;
@@ -18,8 +18,6 @@ pub(super) const PARAMETERS: &[&str] =
 /// A turn begins and ends where these shares of its change of heading are reached.
 const START_SHARE: f64 = 0.1;
 const END_SHARE: f64 = 0.9;
-/// Lanes that lead back to themselves within this length are a roundabout, meters; around a block of houses it is farther.
-const MAX_ROUNDABOUT_M: f64 = 250.0;
 /// An agent is only in lanes whose direction differs from its heading by less than this, radians.
 const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
 
@@ -45,6 +43,10 @@ pub struct TurnConfig {
     /// Shortest path between start and end, meters; less is noise of the heading at low speed. Default 3.
     #[schemars(range(min = 0.0))]
     pub min_path_m: f64,
+    /// Lanes that lead back to themselves within this length are a roundabout, meters; around a block of houses it is
+    /// farther. Default 250; at 0, nothing is a roundabout.
+    #[schemars(range(min = 0.0, max = 10_000.0))]
+    pub max_roundabout_m: f64,
 }
 
 impl Default for TurnConfig {
@@ -56,6 +58,7 @@ impl Default for TurnConfig {
             max_radius_m: 50.0,
             min_radius_m: 3.0,
             min_path_m: 3.0,
+            max_roundabout_m: 250.0,
         }
     }
 }
@@ -83,20 +86,26 @@ pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene
     let lanes = OnceCell::new();
     let is_at_roundabout = |pose: &TurnedPose| {
         let lanes = lanes.get_or_init(|| SceneLanes::new(&scene.lanes));
-        is_at_roundabout(lanes, pose.position, pose.heading_rad)
+        is_at_roundabout(lanes, config, pose.position, pose.heading_rad)
     };
     considered
         .filter_map(|(agent_idx, track)| turn((id, side), config, scene, agent_idx, track, &is_at_roundabout))
         .collect()
 }
 
-/// Whether an agent with this pose is in a lane that leads back to itself, or that leads to or from such a lane.
-pub(super) fn is_at_roundabout(lanes: &SceneLanes<'_>, position: Vec2, heading_rad: f64) -> bool {
+/// Whether an agent with this pose is in a lane of a roundabout, or in one that leads to such a lane or comes from it.
+pub(super) fn is_at_roundabout(lanes: &SceneLanes<'_>, config: &TurnConfig, position: Vec2, heading_rad: f64) -> bool {
     let is_along = |lane_rad: f64| angle_difference(lane_rad, heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD;
+    // The outer lane of a roundabout may lead to exits only; the lane beside it is the one that leads around.
+    let is_of_roundabout = |lane: &Lane| {
+        let beside = [lane.left_neighbor, lane.right_neighbor].into_iter().flatten();
+        let beside = beside.filter_map(|id| lanes.get(id)).map(|lane| lane.lane);
+        beside.chain([lane]).any(|lane| lanes.is_on_loop(lane, config.max_roundabout_m))
+    };
     let mut along = lanes.lanes_at(position).filter(|(_, place)| is_along(place.heading_rad));
     along.any(|(lane, _)| {
         let near = lane.lane.successors.iter().chain(&lane.lane.predecessors).filter_map(|id| lanes.get(*id));
-        near.chain([lane]).any(|lane| lanes.is_on_loop(lane.lane, MAX_ROUNDABOUT_M))
+        near.chain([lane]).any(|lane| is_of_roundabout(lane.lane))
     })
 }
 

@@ -172,6 +172,14 @@ const REFUSED: &[(&[&str], &[&str])] = &[
         &["mine.behaviors=[{ kind = \"near_miss\", min_passing_mps = -1.0 }]"],
         &["mine.behaviors.0.min_passing_mps is -1, expected a number of at least 0"],
     ),
+    (
+        &["mine.behaviors=[{ kind = \"near_miss\", min_overlap_m = -1.0 }]"],
+        &["mine.behaviors.0.min_overlap_m is -1, expected 0 to 10"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"right_turn\", max_roundabout_m = -1.0 }]"],
+        &["mine.behaviors.0.max_roundabout_m is -1, expected 0 to 10000"],
+    ),
     (&["mine.behaviors=[{ kind = \"cut_in\", min_shift_m = -0.5 }]"], &["mine.behaviors.0.min_shift_m is -0.5"]),
     (&["mine.behaviors=[{ kind = \"lane_change\", min_stay_s = -1.0 }]"], &["mine.behaviors.0.min_stay_s is -1"]),
     (

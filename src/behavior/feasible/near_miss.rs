@@ -10,14 +10,17 @@ const LEAST_S: f64 = 0.3;
 const OUTCOME_SPACING_S: f64 = 0.2;
 
 impl NearMiss {
-    /// Times to collision for two who could meet, and post-encroachment times for two who could cross each other's way: their boxes come within
-    /// the wanted distance, at the same time or shortly after each other, if each goes on along a lane with -4 to 2.5 m/s² along and at most
+    /// Times to collision for two who could meet, and post-encroachment times for two who could cross each other's way: their boxes reach into
+    /// each other, at the same time or shortly after each other, if each goes on along a lane with -4 to 2.5 m/s² along and at most
     /// 2 m/s² across. Empty for the others.
     pub(in crate::behavior) fn outcomes(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Outcome> {
         let config = self.config();
+        if config.recorded_sizes && agents.iter().any(|agent_idx| scene.tracks[*agent_idx].extent.is_none()) {
+            return Vec::new();
+        }
         let Some(courses) = both_courses(scene, agents, config.agents) else { return Vec::new() };
         let extents = agents.map(|agent_idx| scene.tracks[agent_idx].extent_or_nominal());
-        let meetings = meetings(&courses, extents, config.max_distance_m);
+        let meetings = meetings(&courses, extents, -config.min_overlap_m);
         // One who closes in so fast must brake hard at this time to collision.
         let meeting = |ttc_s: f64| {
             let urgent = meetings.iter().filter(|meeting| config.is_urgent(ttc_s, meeting.relative_mps));
@@ -42,7 +45,7 @@ impl NearMiss {
         let crosses = |a: &Place, b: &Place| {
             a.along.dot(b.along) < FOLLOWING_RAD.cos()
                 && a.speed_mps.min(b.speed_mps) >= config.min_speed_mps
-                && evasion_effort([*a, *b], extents, 0.0, 0.0).is_some()
+                && evasion_effort([*a, *b], extents, -config.min_overlap_m, 0.0).is_some()
         };
         let is_shortly_after = |i: usize, j: usize| i != j && i.abs_diff(j) <= most_delay;
         let mut others = other.places.iter().enumerate();
@@ -72,9 +75,9 @@ mod tests {
             assert!(found.iter().all(|found| is_within(found, "min_ttc_s", 1.5) || is_within(found, "pet_s", 1.0)));
             found.iter().map(Outcome::effort).reduce(f64::min)
         };
-        // Beside each other, with 1.7 m between them less what is near enough, of the 1.75 m that they can move across.
-        let beside = effort(Drive::straight(0.0, 3.5, 0.0, 10.0)).expect("near enough");
-        assert!((beside - 1.4 / 1.75).abs() < 1e-9, "{beside}");
+        // Beside each other, with 0.7 m between them and 0.5 m by which they would reach into each other, of the 1.75 m that they can move across.
+        let beside = effort(Drive::straight(0.0, 2.5, 0.0, 10.0)).expect("near enough");
+        assert!((beside - 1.2 / 1.75).abs() < 1e-9, "{beside}");
         // On a course to collide already; when the one ahead brakes; never.
         assert_eq!(effort(Drive::straight(20.0, 0.0, 0.0, 2.0)), Some(0.0));
         assert_eq!(effort(Drive::straight(26.0, 0.0, 0.0, 10.0)), Some(1.0));

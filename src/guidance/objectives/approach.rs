@@ -6,6 +6,8 @@ use candle_core::{D, Result, Tensor};
 
 /// The gap below which time to collision no longer shrinks, meters: its inverse would grow without bound.
 const LEAST_GAP_M: f64 = 0.5;
+/// Whose boxes would overlap by less than this grazes the other, meters.
+const OVERLAP_M: f64 = 0.6;
 /// Rounding of the distance of passing at zero, in meters times m/s.
 const SMALL: f64 = 0.05;
 
@@ -15,7 +17,7 @@ pub(super) struct Approach {
     pub(super) inverse_ttc_per_s: Tensor,
     /// The relative speed ‖u‖, m/s.
     pub(super) relative_mps: Tensor,
-    /// By how much the centers would pass each other farther apart than half of both widths, meters.
+    /// By how much the centers would pass each other farther apart than half of both widths less what they are to overlap, meters.
     pub(super) aside_m: Tensor,
     /// 1 where both timesteps have states of both, of which one is generated.
     pub(super) counts: Tensor,
@@ -41,7 +43,7 @@ impl Approach {
         Ok(Self {
             inverse_ttc_per_s: closing_mps.div(&gap_m)?,
             relative_mps: speed_mps,
-            aside_m: pass_m.broadcast_sub(&width_m)?.relu()?,
+            aside_m: pass_m.broadcast_sub(&(width_m - OVERLAP_M)?)?.relu()?,
             counts: ((later(&pairs.counts)? + earlier(&pairs.counts)?)?.minimum(1.0)?
                 * (later(&pairs.both_valid)? * earlier(&pairs.both_valid)?)?)?,
         })

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// Touch with a wanted relative speed.
 ///
 /// With s(t) the separation of the boxes (`no_collision`) and ‖u‖ the relative speed that led to timestep t, a moment costs
-/// c = ½ (\[s + 0.2 m\]₊ / τ_m)² + ½ (\[‖u‖\] / τ_u)², where \[‖u‖\] is the distance to the wanted speeds. The best moment decides, smoothly:
+/// c = ½ (\[s + 0.4 m\]₊ / τ_m)² + ½ (\[‖u‖\] / τ_u)², where \[‖u‖\] is the distance to the wanted speeds. The best moment decides, smoothly:
 /// J = -(Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -51,7 +51,7 @@ fn second() -> AgentSelector {
 }
 
 const fn default_tolerance_m() -> f64 {
-    1.5
+    0.5
 }
 
 const fn default_tolerance_mps() -> f64 {
@@ -62,8 +62,8 @@ const fn default_tolerance_mps() -> f64 {
 const RELATIVE_SPEED: &str = "relative_speed_mps";
 /// The relative speed where none is asked for, m/s.
 const ANY_SPEED_MPS: [f64; 2] = [2.0, 30.0];
-/// How much the boxes are to overlap, meters: as much as their separation is smoothed.
-const OVERLAP_M: f64 = 0.2;
+/// How much the boxes are to overlap, meters; their separation is up to 0.2 m less than it is for the smoothing.
+const OVERLAP_M: f64 = 0.4;
 
 impl SceneObjective for Collision {
     fn kind(&self) -> &'static str {
@@ -147,13 +147,13 @@ mod tests {
 
     #[test]
     fn the_cost_is_that_of_the_distance_and_the_speed() {
-        // Side by side with 8 m/s, 1.2 m of separation, or at most 0.2 m less of it: ½ (1.4 / 1.5)² and ½ (2 / 1)².
+        // Side by side with 8 m/s, 1.2 m of separation, or at most 0.2 m less of it: ½ (1.6 / 0.5)² and ½ (2 / 1)².
         let beside = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (0.0, 3.0, 0.0, 8.0)]);
         let value = |speeds_mps: [f64; 2]| -beside.potential(&objective(Some(speeds_mps)))[0];
         // Nine moments count as much as one of 9^(-1/4) times the cost.
         let nine = |cost: f64| (cost + 0.01) * 9f64.powf(-0.25);
         let (still, fast) = (value([0.0, 1.0]), value([2.0, 3.0]));
-        assert!((nine(0.5 * (1.2f64 / 1.5).powi(2))..nine(0.5 * (1.42f64 / 1.5).powi(2))).contains(&still), "{still}");
+        assert!((nine(0.5 * (1.4f64 / 0.5).powi(2))..nine(0.5 * (1.62f64 / 0.5).powi(2))).contains(&still), "{still}");
         // A norm is rounded at zero: 0.05 m/s per timestep of 0.2 s are 0.25 m/s, or less.
         assert!(fast > still + nine(0.5 * 1.7f64.powi(2)) - nine(0.0) && fast < still + nine(2.0), "{fast} {still}");
     }

@@ -5,10 +5,10 @@ use super::motion::{norm, penalty, positions};
 use super::pairs::{self, Agents, Pairs};
 use candle_core::{D, DType, Result, Tensor};
 
-/// How much the boxes are to overlap, at their two times, meters.
-const OVERLAP_M: f64 = 0.3;
+/// How much the boxes are to overlap, at their two times, meters; their separation is up to 0.2 m less than it is for the smoothing.
+const OVERLAP_M: f64 = 0.7;
 /// The distance to overlapping that costs ½, meters.
-const DISTANCE_TOLERANCE_M: f64 = 1.5;
+const DISTANCE_TOLERANCE_M: f64 = 0.5;
 /// Courses cross where their headings differ by more than this: cos 45°.
 const CROSSING_COS: f64 = std::f64::consts::FRAC_1_SQRT_2;
 /// The excess of the cosine that costs ½.
@@ -20,7 +20,7 @@ const SPEED_TOLERANCE_MPS: f64 = 1.0;
 /// Places of one agent of each pair, and of the other at another time: the second by k timesteps later than the first, for all wanted k.
 ///
 /// With s the separation of the boxes at their two times, Δψ the difference of headings and v the speeds, a pair of moments costs
-/// c = ½ (\[s + 0.3 m\]₊ / 1.5 m)² + ½ (\[cos Δψ - cos 45°\]₊ / 0.15)² + ½ Σ (\[2 m/s - v\]₊ / 1 m/s)².
+/// c = ½ (\[s + 0.7 m\]₊ / 0.5 m)² + ½ (\[cos Δψ - cos 45°\]₊ / 0.15)² + ½ Σ (\[2 m/s - v\]₊ / 1 m/s)².
 pub(super) struct Encroachment {
     /// (P, N).
     pub(super) costs: Tensor,

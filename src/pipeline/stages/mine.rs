@@ -63,7 +63,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn check(&self) -> Result<()> {
@@ -96,11 +96,12 @@ impl Stage for Mine<'_> {
         let entries = behavior::ALL.iter().filter(|entry| ids.contains(&entry.id));
         let mut writer = EventWriter::new(&context.root.join(EVENTS), entries);
         context.progress.start("mine", scenes.len() as u64, "scenes");
-        let has_lanes = AtomicBool::new(false);
+        let [has_lanes, has_sizes] = [AtomicBool::new(false), AtomicBool::new(false)];
         let detect = |chunk: &[usize]| -> Result<Vec<BehaviorEvent>> {
             let found = chunk.par_iter().map(|idx| {
                 let scene = store.scene(*idx)?;
                 has_lanes.fetch_or(!scene.lanes.is_empty(), Ordering::Relaxed);
+                has_sizes.fetch_or(scene.tracks.iter().any(|track| track.extent.is_some()), Ordering::Relaxed);
                 Ok(behaviors.iter().flat_map(|behavior| behavior.detect(&scene)).collect::<Vec<_>>())
             });
             Ok(found.collect::<Result<Vec<_>>>()?.into_iter().flatten().collect())
@@ -122,6 +123,15 @@ impl Stage for Mine<'_> {
                 context.progress.warn(&format!(
                     "{} is found along lanes, and no scene has any: ingest with maps, or leave it out of mine.behaviors",
                     entry.id
+                ));
+            }
+        }
+        if !has_sizes.into_inner() {
+            for behavior in behaviors.iter().filter(|behavior| behavior.needs_sizes()) {
+                context.progress.warn(&format!(
+                    "{} is found among road users of recorded size, and no scene has any: set recorded_sizes = false, or leave it out of \
+                     mine.behaviors",
+                    behavior.id()
                 ));
             }
         }

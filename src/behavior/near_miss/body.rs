@@ -1,0 +1,103 @@
+//! A road user over a scene, as near misses see it: where its box is, where the inner part of it is, and which way it drives.
+
+use super::config::NearMissConfig;
+use crate::behavior::driven_path::DrivenPath;
+use crate::behavior::footprint::Footprint;
+use crate::behavior::sweep::Sweep;
+use crate::geometry::{OrientedBox, Vec2};
+use crate::scene::{Extent, Scene, State, Track};
+use std::f64::consts::FRAC_PI_6;
+
+/// Steps in which agents are moved on along their paths, seconds.
+const PATH_STEP_S: f64 = 0.1;
+/// Who is where the other was, heading within this of it, follows it, radians.
+pub(in crate::behavior) const FOLLOWING_RAD: f64 = FRAC_PI_6;
+
+/// One road user.
+pub(super) struct Body<'a> {
+    pub(super) agent_idx: usize,
+    pub(super) track: &'a Track,
+    /// Its boxes; of half the usual size where none is recorded, since whole ones touch where nobody does.
+    pub(super) outer: Sweep,
+    /// The same, smaller: others reach into it or it into them, and do not graze it.
+    pub(super) inner: Sweep,
+    inner_extent: Extent,
+    /// The way that it drives over the whole scene.
+    path: DrivenPath,
+}
+
+impl<'a> Body<'a> {
+    /// The agent at this index. `None` for who takes no part.
+    pub(super) fn new(scene: &'a Scene, agent_idx: usize, config: &NearMissConfig) -> Option<Self> {
+        let track = &scene.tracks[agent_idx];
+        if !config.agents.admits(track.class) || (config.recorded_sizes && track.extent.is_none()) {
+            return None;
+        }
+        let nominal = track.extent_or_nominal();
+        let half = Extent { length_m: nominal.length_m / 2.0, width_m: nominal.width_m / 2.0 };
+        let extent = track.extent.unwrap_or(half);
+        // Each of two boxes gives way by half of the overlap.
+        let inside = |side_m: f64| (side_m - config.min_overlap_m / 2.0).max(side_m / 2.0);
+        let inner_extent = Extent { length_m: inside(extent.length_m), width_m: inside(extent.width_m) };
+        let sweep = |extent: Extent| Sweep::new(&Track { extent: Some(extent), ..track.clone() });
+        let (first, _) = track.trajectory.valid().find(|(_, state)| state.is_finite())?;
+        Some(Self {
+            agent_idx,
+            track,
+            outer: sweep(extent)?,
+            inner: sweep(inner_extent)?,
+            inner_extent,
+            path: DrivenPath::from(track, first)?,
+        })
+    }
+
+    /// Its state at `timestep`.
+    pub(super) fn state(&self, timestep: usize) -> Option<&State> {
+        self.track.trajectory.get(timestep)
+    }
+
+    /// The last timestep at which it is tracked.
+    pub(super) fn last_timestep(&self) -> Option<usize> {
+        self.track.trajectory.valid().next_back().map(|(timestep, _)| timestep)
+    }
+
+    /// Where its inner part is if it goes on from `timestep` along the path that it drives, at its speed then.
+    fn moved_on(&self, timestep: usize) -> Option<impl Fn(f64) -> OrientedBox> {
+        let speed_mps = self.state(timestep)?.speed_mps();
+        let path = DrivenPath::from(self.track, timestep)?;
+        let Extent { length_m, width_m } = self.inner_extent;
+        Some(move |time_s: f64| {
+            let (center, heading_rad) = path.pose_at(speed_mps * time_s);
+            OrientedBox { center, heading_rad, length_m, width_m }
+        })
+    }
+
+    /// When the inner parts of the two first touch if both go on along the paths that they drive, at their speeds of `timestep`, seconds;
+    /// `None` where they do not within `limit_s`.
+    pub(super) fn time_along_paths_s(&self, other: &Self, timestep: usize, limit_s: f64) -> Option<f64> {
+        let (own, others) = (self.moved_on(timestep)?, other.moved_on(timestep)?);
+        let times_s = (0..=(limit_s / PATH_STEP_S).floor() as usize).map(|step| step as f64 * PATH_STEP_S);
+        times_s.into_iter().find(|time_s| own(*time_s).overlaps(&others(*time_s)))
+    }
+
+    /// Whether its inner part at `timestep` is where that of the other is at `later`, and neither comes there as the other does: on another
+    /// course, and not on the other's path, around a bend or into a lane.
+    pub(super) fn crosses(&self, timestep: usize, other: &Self, later: usize) -> bool {
+        self.inner.at(timestep).zip(other.inner.at(later)).is_some_and(|(own, others)| {
+            own.overlaps(others)
+                && is_another_course(own.forward, others.forward)
+                && self.is_passed_across(others)
+                && other.is_passed_across(own)
+        })
+    }
+
+    /// Whether someone there is on another course than the path that the agent drives by that place.
+    fn is_passed_across(&self, place: &Footprint) -> bool {
+        let along = self.path.project(place.center).map(|projection| Vec2::from_angle(projection.heading_rad));
+        along.is_none_or(|along| is_another_course(along, place.forward))
+    }
+}
+
+fn is_another_course(one: Vec2, other: Vec2) -> bool {
+    one.dot(other) < FOLLOWING_RAD.cos()
+}
