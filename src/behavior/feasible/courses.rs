@@ -7,8 +7,8 @@ use crate::behavior::lane_relation::SceneLanes;
 use crate::geometry::Vec2;
 use crate::scene::{Extent, Scene};
 
-/// The accelerations that are tried, m/s²: the limits, coasting, and braking gently.
-const TRIED_MPS2: [f64; 4] = [*ACCELERATIONS_MPS2.start(), -2.0, 0.0, *ACCELERATIONS_MPS2.end()];
+/// The accelerations that are tried, m/s²: the limits, half of them, and coasting.
+const TRIED_MPS2: [f64; 5] = [*ACCELERATIONS_MPS2.start(), -2.0, 0.0, 1.25, *ACCELERATIONS_MPS2.end()];
 /// Spacing of the times that are tried, seconds.
 pub(super) const SPACING_S: f64 = 0.25;
 /// Nobody evades farther than this, meters.

@@ -8,14 +8,24 @@ use crate::scene::{Extent, Scene};
 /// The times to collision and post-encroachment times that pairs can come to: from the least on, and their spacing, seconds.
 const LEAST_S: f64 = 0.3;
 const OUTCOME_SPACING_S: f64 = 0.2;
+/// Two who both creep at present would have to hurry for it, m/s.
+const LEAST_SPEED_MPS: f64 = 3.0;
+/// Who gets into a near miss drives ordinarily until then, with no more than this share of the limits: to avoid the collision takes the rest.
+const MOST_EFFORT: f64 = 0.5;
 
 impl NearMiss {
     /// Times to collision for two who could meet, and post-encroachment times for two who could cross each other's way: their boxes reach into
-    /// each other, at the same time or shortly after each other, if each goes on along a lane with -4 to 2.5 m/s² along and at most
+    /// each other, at the same time or shortly after each other, if each goes on along a lane with half of -4 to 2.5 m/s² along and of
     /// 2 m/s² across. Empty for the others.
     pub(in crate::behavior) fn outcomes(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Outcome> {
         let config = self.config();
         if config.recorded_sizes && agents.iter().any(|agent_idx| scene.tracks[*agent_idx].extent.is_none()) {
+            return Vec::new();
+        }
+        let speed_mps = |agent_idx: &usize| {
+            scene.state(*agent_idx, scene.current_timestep()).map_or(0.0, |state| state.speed_mps())
+        };
+        if agents.iter().map(speed_mps).fold(0.0, f64::max) < LEAST_SPEED_MPS {
             return Vec::new();
         }
         let Some(courses) = both_courses(scene, agents, config.agents) else { return Vec::new() };
@@ -23,13 +33,16 @@ impl NearMiss {
         let meetings = meetings(&courses, extents, -config.min_overlap_m);
         // One who closes in so fast must brake hard at this time to collision.
         let meeting = |ttc_s: f64| {
-            let urgent = meetings.iter().filter(|meeting| config.is_urgent(ttc_s, meeting.relative_mps));
+            let urgent = meetings
+                .iter()
+                .filter(|meeting| meeting.effort <= MOST_EFFORT && config.is_urgent(ttc_s, meeting.relative_mps));
             let least = urgent.map(|meeting| meeting.effort).reduce(f64::min)?;
             Some(Outcome::default().with("min_ttc_s", ttc_s).at_effort(least))
         };
         let [own, others] = &courses;
         let pairs = own.iter().flat_map(|one| others.iter().map(move |other| [one, other]));
-        let least = pairs.filter_map(|pair| self.crossing_effort(pair, extents)).reduce(f64::min);
+        let efforts = pairs.filter_map(|pair| self.crossing_effort(pair, extents));
+        let least = efforts.filter(|effort| *effort <= MOST_EFFORT).reduce(f64::min);
         let crossing = |pet_s: f64| least.map(|effort| Outcome::default().with("pet_s", pet_s).at_effort(effort));
         let spaced = |most_s: f64| {
             let n = ((most_s - LEAST_S) / OUTCOME_SPACING_S).ceil().max(0.0) as usize;
@@ -75,12 +88,14 @@ mod tests {
             assert!(found.iter().all(|found| is_within(found, "min_ttc_s", 1.5) || is_within(found, "pet_s", 1.0)));
             found.iter().map(Outcome::effort).reduce(f64::min)
         };
-        // Beside each other, with 0.7 m between them and 0.5 m by which they would reach into each other, of the 1.75 m that they can move across.
-        let beside = effort(Drive::straight(0.0, 2.5, 0.0, 10.0)).expect("near enough");
-        assert!((beside - 1.2 / 1.75).abs() < 1e-9, "{beside}");
-        // On a course to collide already; when the one ahead brakes; never.
+        // Beside each other they can move 0.7 m across, of 1.75 m; to close in on each other at all, one must brake with 2 m/s². 1.2 m are too
+        // many.
+        assert_eq!(effort(Drive::straight(0.0, 2.0, 0.0, 10.0)), Some(0.5));
+        assert_eq!(effort(Drive::straight(0.0, 2.5, 0.0, 10.0)), None);
+        // On a course to collide already; when the one ahead brakes a little; only when it brakes hard; never.
         assert_eq!(effort(Drive::straight(20.0, 0.0, 0.0, 2.0)), Some(0.0));
-        assert_eq!(effort(Drive::straight(26.0, 0.0, 0.0, 10.0)), Some(1.0));
+        assert_eq!(effort(Drive::straight(16.0, 0.0, 0.0, 10.0)), Some(0.5));
+        assert_eq!(effort(Drive::straight(34.0, 0.0, 0.0, 10.0)), None);
         assert_eq!(effort(Drive::straight(20.0, -20.0, std::f64::consts::FRAC_PI_2, 10.0)), Some(0.0));
         assert_eq!(effort(Drive::straight(60.0, 0.0, 0.0, 20.0)), None);
         assert_eq!(effort(Drive::straight(0.0, 30.0, 0.0, 10.0)), None);

@@ -15,8 +15,8 @@ use serde::{Deserialize, Serialize};
 /// Come shortly before a collision, and avoid it; or cross where the other was shortly before.
 ///
 /// With q(t) the inverse time to collision, b(t) the deceleration that avoids it (DRAC), a(t) how far beside each other the two would pass, both
-/// going straight on, and s(t) the separation of their boxes (`adversarial_ttc`, `no_collision`), a moment on a course to collide costs
-/// c = ½ (\[q\] / τ_q)² + ½ (\[b_least - b\]₊ / τ_b)² + ½ (a / τ_m)², where \[·\] is the distance to the inverse of the wanted times; what two
+/// going straight on, w(t) how far beside their courses they come in the next 0.8 s, and s(t) the separation of their boxes (`adversarial_ttc`, `no_collision`), a moment on a course to collide costs
+/// c = ½ (\[q\] / τ_q)² + ½ (\[b_least - b\]₊ / τ_b)² + ½ (a / τ_m)² + ½ (w / 0.5 m)², where \[·\] is the distance to the inverse of the wanted times; what two
 /// moments of crossing cost says [`Encroachment`]. The best decides, smoothly:
 ///
 /// J = -(Σ (c + δ)⁻⁴)^(-1/4) - ∫ ½ (max(margin - s, 0) / τ_s)² + ½ (max(q - q_most, 0) / τ_q)² exp(-½ (a / τ_m)²) dt
@@ -95,6 +95,8 @@ const ANY_TTC_S: [f64; 2] = [0.6, 1.3];
 const ANY_PET_S: [f64; 2] = [0.2, 0.8];
 /// The lack of deceleration τ_b that costs ½, m/s².
 const DRAC_TOLERANCE_MPS2: f64 = 1.0;
+/// The way beside one's course that costs ½, meters: who drives around a bend is on no course to collide with those beyond it.
+const SWERVE_TOLERANCE_M: f64 = 0.5;
 /// Shorter times to collision are as good as a collision, seconds.
 const LEAST_TTC_S: f64 = 0.1;
 /// The lack of separation τ_s that costs ½ a second, meters.
@@ -142,14 +144,23 @@ impl SceneObjective for NearMiss {
         let aside = penalty(&approach.aside_m, self.tolerance_m)?;
         let drac_mps2 = ((q * &approach.relative_mps)? * 0.5)?;
         let gentle = penalty(&(self.drac_mps2 - drac_mps2)?.relu()?, DRAC_TOLERANCE_MPS2)?;
-        let cost = ((penalty(&beyond(q, &wanted)?, self.tolerance_per_s)? + &aside)? + gentle)?.neg()?;
-        let conflict = best_moment(&cost, &approach.counts)?;
+        let bends = penalty(&approach.swerve_m, SWERVE_TOLERANCE_M)?;
+        let cost = ((penalty(&beyond(q, &wanted)?, self.tolerance_per_s)? + &aside)? + (gentle + bends)?)?.neg()?;
+        // Whether one would have collided after the last state is not known.
+        let n_steps = approach.counts.dim(1)?;
+        let known = wanted_s.iter().flat_map(|ttc_s| {
+            let last = (n_steps as f64 - ttc_s[0].max(LEAST_TTC_S) / context.dt_s).ceil();
+            (0..n_steps).map(move |t| f64::from(u8::from((t as f64) < last)))
+        });
+        let known = Tensor::from_vec(known.collect::<Vec<_>>(), (wanted_s.len(), n_steps), states.device())?;
+        let counts = (&approach.counts * pairs.of_rows(&known.to_dtype(states.dtype())?)?)?;
+        let conflict = best_moment(&cost, &counts)?;
         let pet_s = pairs.of_rows(&context.wanted(PET, self.pet_s, ANY_PET_S, states)?)?;
         let best = match Encroachment::new(&pairs, &pet_s, context.dt_s)? {
             None => conflict,
             Some(crossing) => {
                 let either = Tensor::stack(&[conflict, best_moment(&crossing.costs, &crossing.counts)?], 1)?;
-                let can_be = Tensor::stack(&[approach.counts.max(1)?, crossing.counts.max(1)?], 1)?;
+                let can_be = Tensor::stack(&[counts.max(1)?, crossing.counts.max(1)?], 1)?;
                 best_moment(&either, &(pairs.of_rows(&self.meant(context, states)?)? * can_be)?)?
             }
         };
@@ -233,7 +244,7 @@ mod tests {
         // Closing with 1 m/s, a time to collision of 1 s ends with a brake of 0.5 m/s².
         let creeping = Traffic::straight(&[(0.0, 0.0, 0.0, 3.0), (7.7, 0.0, 0.0, 2.0)]);
         let value = |drac_mps2: f64| creeping.potential(&NearMiss { drac_mps2, ..objective(Some([0.8, 2.0])) })[0];
-        assert!(value(0.0) > -0.05 && value(4.0) < value(0.0) - 3.0, "{} {}", value(0.0), value(4.0));
+        assert!(value(0.0) > -0.1 && value(4.0) < value(0.0) - 3.0, "{} {}", value(0.0), value(4.0));
     }
 
     #[test]
@@ -252,16 +263,15 @@ mod tests {
 
     #[test]
     fn who_is_too_near_to_a_collision_costs_more_than_who_is_as_near_as_wanted() {
-        // Bumper to bumper 28.5 m apart at the first timestep and closing with 12 m/s for 2.2 s, they are 2.1 m apart at the last; with 8.8
-        // m/s the gap ends at 9.1 m and the time to collision, with the half meter that is added, at (9.1 + 0.5) / 8.8 s = 1.1 s, which takes
-        // 8.8 / (2 · 1.1 s) = 4 m/s² to avoid.
-        let at = |closing_mps: f64| Traffic::straight(&[(0.0, 0.0, 0.0, 15.0), (33.0, 0.0, 0.0, 15.0 - closing_mps)]);
-        let value = |closing_mps: f64| at(closing_mps).potential(&objective(Some([0.8, 1.2])))[0];
-        assert!(value(8.8) > -0.05, "{}", value(8.8));
+        // Bumper to bumper 21.5 m apart at the first timestep, and closing with 8.8 m/s for 2.2 s, they end 2.1 m apart, after a time to collision
+        // of 0.5 s that takes 8.8 / (2 · 0.5 s) = 9 m/s² to avoid. With 12 m/s they collide, with 4 m/s they are more than 3 s from it.
+        let at = |closing_mps: f64| Traffic::straight(&[(0.0, 0.0, 0.0, 15.0), (26.0, 0.0, 0.0, 15.0 - closing_mps)]);
+        let value = |closing_mps: f64| at(closing_mps).potential(&objective(Some([0.2, 1.2])))[0];
+        assert!(value(8.8) > -0.1, "{}", value(8.8));
         assert!(value(12.0) < -1.0 && value(4.0) < -1.0, "{} {}", value(12.0), value(4.0));
         // A request's bucket stands in where nothing is configured.
         let mut asked = at(8.8);
-        asked.context.targets[0] = [(MIN_TTC.to_owned(), [0.8, 1.2])].into();
+        asked.context.targets[0] = [(MIN_TTC.to_owned(), [0.2, 1.2])].into();
         assert_eq!(asked.potential(&objective(None))[0], value(8.8));
     }
 }
