@@ -139,8 +139,8 @@ impl FinishedRows {
 
     /// Removes the files.
     pub(super) fn remove(self) -> Result<()> {
-        let spools = self.series.into_iter().map(|(_, spool)| spool).chain([self.of_scenarios]);
-        Ok(spools.map(SpooledMetrics::remove).collect::<store::Result<()>>()?)
+        let mut spools = self.series.into_iter().map(|(_, spool)| spool).chain([self.of_scenarios]);
+        Ok(spools.try_for_each(SpooledMetrics::remove)?)
     }
 }
 
