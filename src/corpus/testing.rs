@@ -61,11 +61,11 @@ pub(super) fn write(dir: &Path, records: &[ScenarioRecord]) -> CorpusManifest {
         n: 1,
         std_error: None,
     };
-    writer.write_metrics([metric(None)]).unwrap();
+    writer.write_metrics([Ok(metric(None))]).unwrap();
     for record in records {
         let number = record.scenario.scene.source.case_id.parse().unwrap();
         writer.write_recording(&recorded(number)).unwrap();
-        writer.write_metrics([metric(Some(record))]).unwrap();
+        writer.write_metrics([Ok(metric(Some(record)))]).unwrap();
     }
     let notes = [("pipeline".to_owned(), "test".to_owned())].into();
     writer.finish(&CorpusNotes { notes, ..CorpusNotes::default() }).unwrap()

@@ -18,6 +18,7 @@ pub(super) struct CellSamples<'a> {
 }
 
 /// The figures of a cell, each in the order of the measures.
+#[derive(Clone)]
 pub(super) struct CellFigures {
     /// The recording, seen as its own only sample.
     pub(super) recorded: Option<Vec<Option<f64>>>,
@@ -38,6 +39,7 @@ pub(super) struct CellFigures {
 }
 
 /// How everybody moves in the futures of a cell.
+#[derive(Clone)]
 pub(super) struct CellMotion {
     /// In the recording and the baseline, where they are measured.
     pub(super) references: Option<[MotionHistograms; 2]>,

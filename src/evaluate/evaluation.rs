@@ -1,26 +1,23 @@
-//! From shards of scenarios to everything that is said of them.
+//! From measured shards of scenarios to everything that is said of them.
 
-use super::cells::{CellFigures, CellSamples, into_cells};
 use super::config::EvaluateConfig;
-use super::error::{Error, Result};
+use super::error::Result;
 use super::gates::GateResult;
-use super::judge::Judge;
 use super::map_fits::MapFitRow;
-use super::measures::{Measures, MetricDoc};
-use super::metric_rows::MetricRows;
+use super::measure::{MeasuredCell, MeasuredShard};
+use super::measures::MetricDoc;
+use super::metric_rows::{CellNames, FinishedRows, MetricRows};
 use super::predictions::Predictions;
 use super::realism::{RealismRow, RealismTable};
 use super::sampling::{SamplingRow, SamplingTally};
 use super::validity::{ValidityRow, ValidityTable};
 use super::verdicts::{AcceptanceRow, LeftOutRow, Verdicts};
-use crate::behavior::{Behavior, BehaviorEvent};
 use crate::generate::RejectedSample;
-use crate::metrics::{Check, Judged};
-use crate::scene::{Roles, Scene, SceneId};
-use crate::store::{Assessment, MetricRow, ScenarioRecord, SceneStore, VerdictRow};
-use rayon::prelude::*;
+use crate::metrics::Check;
+use crate::scene::{Scene, SceneId};
+use crate::store::{self, Assessment, MetricRow, ScenarioRecord, VerdictWriter};
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// The metrics that a person asks for first: the content of `metrics.json`.
@@ -64,45 +61,47 @@ pub struct EvaluationSummary {
     pub maps: Vec<MapFitRow>,
 }
 
-/// The result of an evaluation.
-#[derive(Debug, PartialEq)]
+/// The result of an evaluation. Its rows are in files until [`Evaluated::remove_rows`].
+#[derive(Debug)]
 pub struct Evaluated {
     /// What is read first.
     pub summary: EvaluationSummary,
-    /// The values of every metric for every scene and scenario.
-    pub rows: MetricRows,
-    /// What was decided on every scenario, in their order.
-    pub verdicts: Vec<VerdictRow>,
-    /// The scenarios of the corpus, by their ids.
-    pub kept: BTreeSet<String>,
     /// Scenes with predictions for benchmarks.
     pub n_predicted_scenes: usize,
     /// Tracks that a benchmark asks for and that could not be predicted.
     pub n_tracks_left_out: usize,
+    rows: FinishedRows,
 }
 
 impl Evaluated {
     /// All metric values: aggregates, then those of scenes, then those of scenarios.
-    pub fn all_rows(&self) -> impl Iterator<Item = MetricRow> + '_ {
-        let aggregates = self.summary.aggregates.iter().cloned();
-        aggregates.chain(self.rows.of_scenes()).chain(self.rows.of_scenarios(|_| true))
+    ///
+    /// # Errors
+    /// When the files of the rows cannot be read.
+    pub fn all_rows(&self) -> Result<impl Iterator<Item = store::Result<MetricRow>>> {
+        Ok(self.aggregates().chain(self.rows.of_scenes()?).chain(self.rows.of_scenarios()?))
     }
 
-    /// The metric values of the corpus: aggregates, then those of its scenarios.
-    pub fn rows_of_corpus(&self) -> impl Iterator<Item = MetricRow> + '_ {
-        let aggregates = self.summary.aggregates.iter().cloned();
-        aggregates.chain(self.rows.of_scenarios(|id| self.kept.contains(id)))
+    /// The metric values of a corpus with all scenarios: aggregates, then those of scenarios.
+    ///
+    /// # Errors
+    /// As [`Evaluated::all_rows`].
+    pub fn rows_of_corpus(&self) -> Result<impl Iterator<Item = store::Result<MetricRow>>> {
+        Ok(self.aggregates().chain(self.rows.of_scenarios()?))
     }
-}
 
-/// Scenarios of one sweep that were generated together.
-pub struct Shard<'a> {
-    /// The sweep.
-    pub sweep: &'a str,
-    /// Calls of the denoiser for one sample.
-    pub n_evaluations: u64,
-    /// The scenarios, in order.
-    pub records: Vec<ScenarioRecord>,
+    /// Removes the files of the rows. Returns what is read first.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn remove_rows(self) -> Result<EvaluationSummary> {
+        self.rows.remove()?;
+        Ok(self.summary)
+    }
+
+    fn aggregates(&self) -> impl Iterator<Item = store::Result<MetricRow>> {
+        self.summary.aggregates.iter().cloned().map(Ok)
+    }
 }
 
 /// What of a shard becomes part of the corpus.
@@ -113,47 +112,46 @@ pub struct KeptScenarios {
     pub recordings: Vec<Scene>,
 }
 
-/// Measures and decides on scenarios that come shard by shard.
+/// Where an evaluation writes.
+pub struct EvaluationFiles<'a> {
+    /// The folder of predictions for benchmarks, if any are asked for.
+    pub predictions: &'a Path,
+    /// The table of verdicts.
+    pub verdicts: &'a Path,
+    /// The folder in which rows of metrics wait.
+    pub scratch: &'a Path,
+}
+
+/// Puts measured shards together and decides on their scenarios. What it keeps in memory does not grow with scenarios, but for the
+/// paths of accepted ones, which tell near-duplicates.
 pub struct Evaluation<'a> {
     config: &'a EvaluateConfig,
-    store: &'a SceneStore,
-    measures: Measures<'a>,
-    judge: Judge<'a>,
+    docs: Vec<MetricDoc>,
     verdicts: Verdicts<'a>,
+    verdict_table: VerdictWriter,
     validity: ValidityTable,
     rows: MetricRows,
     realism: RealismTable,
     sampling: SamplingTally,
     predictions: Predictions,
-    kept: BTreeSet<String>,
 }
 
 impl<'a> Evaluation<'a> {
-    /// Begins an evaluation of scenarios that continue scenes of `store`. Novelty is measured against the positive
-    /// `recorded_events`. Predictions for benchmarks are written into the folder `predictions`, if any are asked for.
+    /// Begins an evaluation in which these metrics are measured.
     ///
     /// # Errors
-    /// When scenes cannot be read, or the folder must not be written into.
-    pub fn new(
-        config: &'a EvaluateConfig,
-        behaviors: &'a [Box<dyn Behavior>],
-        store: &'a SceneStore,
-        recorded_events: &[BehaviorEvent],
-        predictions: &Path,
-    ) -> Result<Self> {
-        let measures = Measures::new(config, behaviors);
+    /// When files cannot be made.
+    pub fn new(config: &'a EvaluateConfig, docs: Vec<MetricDoc>, files: &EvaluationFiles<'_>) -> Result<Self> {
         Ok(Self {
-            rows: MetricRows::new(measures.docs()),
-            measures,
-            judge: Judge::new(config, store, recorded_events)?,
+            rows: MetricRows::create(docs.clone(), files.scratch)?,
+            docs,
             verdicts: Verdicts::new(config),
+            verdict_table: VerdictWriter::create(files.verdicts)?,
             validity: ValidityTable::default(),
             realism: RealismTable::default(),
             sampling: SamplingTally::default(),
-            predictions: Predictions::create(predictions, &config.predictions)?,
-            kept: BTreeSet::new(),
+            predictions: Predictions::create(files.predictions, &config.predictions)?,
             config,
-            store,
         })
     }
 
@@ -170,59 +168,62 @@ impl<'a> Evaluation<'a> {
         }
     }
 
-    /// Evaluates the next shard and gives back what of it is kept. Shards must come in the order of the samples: of
+    /// Adds the next shard and gives back what of it is kept. Shards must come in the order of the samples: of
     /// near-duplicates the first is accepted.
     ///
     /// # Errors
-    /// When a scene is missing or damaged, or predictions cannot be written.
-    pub fn add(&mut self, Shard { sweep, n_evaluations, mut records }: Shard<'_>) -> Result<KeptScenarios> {
-        let mut assessments: BTreeMap<String, Assessment> = BTreeMap::new();
+    /// When rows or predictions cannot be written.
+    pub fn add(&mut self, shard: MeasuredShard) -> Result<KeptScenarios> {
+        let MeasuredShard { n_evaluations, records, cells } = shard;
+        let mut assessments: BTreeMap<String, (Assessment, Vec<Check>)> = BTreeMap::new();
         let mut recordings: BTreeMap<SceneId, Scene> = BTreeMap::new();
-        let mut not_checked: BTreeMap<String, Vec<Check>> = BTreeMap::new();
-        for (cell, recorded, mut figures) in self.measure(&records)? {
-            let left_out = Judged::future_of(&recorded, Roles::none()).not_checked(&self.config.validity);
-            cell.records.iter().for_each(|record| self.sampling.add(record, &recorded, n_evaluations));
-            self.realism.add(sweep, &cell, &figures.motion);
-            figures.prediction.iter().try_for_each(|modes| self.predictions.add(&recorded, modes))?;
-            let references = figures.references_judged.take();
-            self.validity.add(sweep, (&cell, &recorded), (references.as_ref(), &figures.assessments), &left_out);
-            let ids = cell.records.iter().map(|record| record.scenario.id.clone());
-            not_checked.extend(ids.clone().map(|id| (id, left_out.clone())));
-            assessments.extend(ids.zip(std::mem::take(&mut figures.assessments)));
-            self.rows.add(sweep, &cell, &recorded, figures);
+        for cell in cells {
+            let MeasuredCell { series, recorded, scene_idx, scenario_ids, sampled, figures, not_checked } = cell;
+            let place = recorded.source.place.as_str();
+            self.sampling.add(&series, (place, scene_idx), &sampled, n_evaluations);
+            self.realism.add(&series, &figures.motion);
+            figures.prediction.iter().try_for_each(|modes| self.predictions.add(&recorded, scene_idx, modes))?;
+            let judged = (figures.references_judged.as_ref(), figures.assessments.as_slice());
+            self.validity.add((&series, place), judged, &not_checked);
+            let scenario_ids = scenario_ids.as_slice();
+            self.rows.add(&CellNames { series: &series, place, scene_id: &recorded.id, scenario_ids }, &figures)?;
+            let judged = figures.assessments.into_iter().map(|assessment| (assessment, not_checked.clone()));
+            assessments.extend(scenario_ids.iter().cloned().zip(judged));
             recordings.entry(recorded.id.clone()).or_insert(recorded);
         }
-        for record in &mut records {
-            record.assessment = assessments.remove(&record.scenario.id);
+        let mut kept = Vec::new();
+        for mut record in records {
+            let (assessment, not_checked) = assessments.remove(&record.scenario.id).unzip();
+            record.assessment = assessment;
+            let verdict = self.verdicts.decide(&mut record, not_checked.as_deref().unwrap_or_default());
+            kept.extend(verdict.kept.then_some(record));
+            self.verdict_table.push(verdict)?;
         }
-        records.retain_mut(|record| {
-            self.verdicts.decide(record, not_checked.get(&record.scenario.id).map_or(&[], Vec::as_slice))
-        });
-        self.kept.extend(records.iter().map(|record| record.scenario.id.clone()));
-        let scene_ids = records.iter().map(|record| &record.scenario.provenance.scene_id);
+        let scene_ids = kept.iter().map(|record| &record.scenario.provenance.scene_id);
         let recordings = scene_ids.filter_map(|scene_id| recordings.remove(scene_id)).collect();
-        Ok(KeptScenarios { records, recordings })
+        Ok(KeptScenarios { records: kept, recordings })
     }
 
-    /// Closes the tables, judges the gates, and gives the files of predictions their names.
+    /// Closes the tables, judges the gates, and gives the files of verdicts and predictions their names.
     ///
     /// # Errors
-    /// When predictions cannot be written.
+    /// When files cannot be written.
     pub fn finish(self) -> Result<Evaluated> {
         let (n_predicted_scenes, n_tracks_left_out) = self.predictions.finish()?;
-        let (acceptance, left_out, verdicts) = self.verdicts.finish();
-        let (aggregates, sampling) = (self.rows.aggregates(), self.sampling.finish());
+        self.verdict_table.finish()?;
+        let rows = self.rows.finish()?;
+        let ((acceptance, left_out), sampling) = (self.verdicts.finish(), self.sampling.finish());
         let mut summary = EvaluationSummary {
             n_scenarios: acceptance.iter().map(|row| row.n_scenarios).sum(),
             n_verified: acceptance.iter().map(|row| row.n_verified).sum(),
             n_new: sampling.iter().map(|row| row.n_new).sum(),
             n_valid: acceptance.iter().map(|row| row.n_valid).sum(),
             n_accepted: acceptance.iter().map(|row| row.n_accepted).sum(),
-            n_kept: self.kept.len() as u64,
+            n_kept: acceptance.iter().map(|row| row.n_kept).sum(),
             gates: Vec::new(),
             sampling,
-            docs: self.measures.docs(),
-            aggregates,
+            docs: self.docs,
+            aggregates: rows.aggregates()?,
             realism: self.realism.finish(),
             acceptance,
             left_out,
@@ -230,23 +231,6 @@ impl<'a> Evaluation<'a> {
             maps: Vec::new(),
         };
         summary.gates = self.config.gates.check(&summary);
-        let (rows, kept) = (self.rows, self.kept);
-        Ok(Evaluated { summary, rows, verdicts, kept, n_predicted_scenes, n_tracks_left_out })
-    }
-
-    /// Measures the cells of a shard in parallel, and gives them back in order.
-    fn measure<'r>(&self, records: &'r [ScenarioRecord]) -> Result<Vec<(CellSamples<'r>, Scene, CellFigures)>> {
-        // The files of predictions cannot be shared between threads.
-        let Self { config, store, measures, judge, .. } = self;
-        into_cells(records)
-            .into_par_iter()
-            .map(|cell| {
-                let scene_id = &cell.records[0].scenario.provenance.scene_id;
-                let idx = store.position(scene_id).ok_or_else(|| Error::UnknownScene(scene_id.clone()))?;
-                let recorded = store.scene(idx)?;
-                let figures = cell.evaluate(&recorded, measures, judge, config);
-                Ok((cell, recorded, figures))
-            })
-            .collect()
+        Ok(Evaluated { summary, rows, n_predicted_scenes, n_tracks_left_out })
     }
 }

@@ -3,13 +3,15 @@
 
 use super::config::EvaluateConfig;
 use super::error::Result;
-use crate::behavior::BehaviorEvent;
+use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::metrics::{
     CutInJudgment, EventSpace, Judged, MotionHistograms, PairCriticality, RecordedRanges, SceneCriticality, Violation,
 };
 use crate::scene::{Roles, Scene};
-use crate::store::{Assessment, ScenarioRecord, SceneStore};
+use crate::store::{Assessment, ScenarioRecord, SceneStore, read_events};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::path::Path;
 
 /// Recorded scenes from which the ranges of motion are taken: enough for a thousandth at either end, few enough to be quick.
 const N_REFERENCE_SCENES: usize = 400;
@@ -20,10 +22,14 @@ const CUT_INS: [&str; 2] = ["cut_in", "cut_in_paper"];
 pub(super) struct Judge<'a> {
     config: &'a EvaluateConfig,
     ranges: RecordedRanges,
-    spaces: Vec<EventSpace>,
+    /// The table of recorded events.
+    events: Option<&'a Path>,
+    /// Those of the behaviors that were asked for so far.
+    spaces: BTreeMap<String, Option<EventSpace>>,
 }
 
 /// What the recording of a cell, or a baseline, would be found to be if it had been generated.
+#[derive(Clone)]
 pub(super) struct ReferenceJudgment {
     /// The checks that it fails.
     pub(super) violations: Vec<Violation>,
@@ -32,8 +38,9 @@ pub(super) struct ReferenceJudgment {
 }
 
 impl<'a> Judge<'a> {
-    /// A judge who knows the recorded scenes, of which at most 400 count, evenly spread over the store, and the recorded events.
-    pub(super) fn new(config: &'a EvaluateConfig, store: &SceneStore, recorded: &[BehaviorEvent]) -> Result<Self> {
+    /// A judge who knows the recorded scenes, of which at most 400 count, evenly spread over the store, and can learn the recorded
+    /// `events`.
+    pub(super) fn new(config: &'a EvaluateConfig, store: &SceneStore, events: Option<&'a Path>) -> Result<Self> {
         let n_scenes = store.len().min(N_REFERENCE_SCENES);
         let motion: Vec<MotionHistograms> = (0..n_scenes)
             .into_par_iter()
@@ -41,17 +48,26 @@ impl<'a> Judge<'a> {
             .collect::<Result<_>>()?;
         let mut all = MotionHistograms::default();
         motion.iter().for_each(|of_scene| all.merge(of_scene));
-        let mut behaviors: Vec<&str> = recorded.iter().map(|event| event.behavior.as_str()).collect();
-        behaviors.sort_unstable();
-        behaviors.dedup();
-        let spaces = behaviors.into_iter().filter_map(|behavior| EventSpace::new(behavior, recorded)).collect();
-        Ok(Self { config, ranges: RecordedRanges::of(&all), spaces })
+        Ok(Self { config, ranges: RecordedRanges::of(&all), events, spaces: BTreeMap::new() })
+    }
+
+    /// Reads the recorded events of these behaviors, once for each. Those of others take no memory.
+    pub(super) fn learn_events<'b>(&mut self, behaviors: impl Iterator<Item = &'b str>) -> Result<()> {
+        let Some(events) = self.events else { return Ok(()) };
+        for behavior in behaviors {
+            if !self.spaces.contains_key(behavior) {
+                let is_one = |event: &BehaviorEvent| event.label == EventLabel::Positive && event.behavior == behavior;
+                let space = EventSpace::new(behavior, &read_events(events, is_one)?);
+                self.spaces.insert(behavior.to_owned(), space);
+            }
+        }
+        Ok(())
     }
 
     /// A judge who knows nothing of recorded traffic.
     #[cfg(test)]
     pub(super) fn without_recordings(config: &'a EvaluateConfig) -> Self {
-        Self { config, ranges: RecordedRanges::of(&MotionHistograms::default()), spaces: Vec::new() }
+        Self { config, ranges: RecordedRanges::of(&MotionHistograms::default()), events: None, spaces: BTreeMap::new() }
     }
 
     /// The judgment of a scenario, but for its neighbors in the corpus.
@@ -63,7 +79,7 @@ impl<'a> Judge<'a> {
         let track = |idx: usize| scene.track_idx(&roles.get(idx)?.1);
         let pair = track(0).zip(track(1)).map(|(first, second)| [first, second]);
         let asked = record.requested_behavior.as_deref();
-        let space = self.spaces.iter().find(|space| Some(space.behavior()) == asked);
+        let space = asked.and_then(|asked| self.spaces.get(asked)?.as_ref());
         Assessment {
             accepted: false,
             violations: judged.violations(&self.config.validity),

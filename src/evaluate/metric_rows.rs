@@ -1,122 +1,152 @@
-//! From the figures of cells to rows: one for each scene, each kept scenario, each place, and all places together.
+//! From the figures of cells to rows: one for each scene, each scenario, each place, and all places together.
+//!
+//! Rows wait in files until their place in the table has come: aggregates are first in it and known last. What is in memory grows with
+//! series, places and metrics, not with scenes.
 
-use super::cells::{CellFigures, CellSamples};
+use super::cells::CellFigures;
+use super::error::Result;
 use super::measures::MetricDoc;
-use crate::metrics::{Aggregate, Group, SeriesKey};
-use crate::scene::{Scene, SceneId};
-use crate::store::MetricRow;
+use crate::metrics::{AggregateTally, Group, SeriesKey};
+use crate::scene::SceneId;
+use crate::store::{self, MetricRow, MetricSpool, SpooledMetrics};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
-/// The figures of a series in one scene.
-#[derive(Debug, PartialEq)]
-struct SceneFigures {
-    place: String,
-    scene_id: SceneId,
-    n_samples: u64,
-    values: Vec<Option<f64>>,
+/// A scene and those of its scenarios that are a cell.
+pub(super) struct CellNames<'a> {
+    /// The series of the scenarios.
+    pub(super) series: &'a SeriesKey,
+    /// The place of the scene.
+    pub(super) place: &'a str,
+    /// The scene.
+    pub(super) scene_id: &'a SceneId,
+    /// The scenarios, in order.
+    pub(super) scenario_ids: &'a [String],
 }
 
-/// The figures of a scenario. Whose they are, its series says in the scene that its cell is of.
-#[derive(Debug, PartialEq)]
-struct ScenarioFigures {
-    series_idx: usize,
-    scene_idx: usize,
-    scenario_id: String,
-    values: Vec<Option<f64>>,
-}
-
-/// Collects figures and turns them into rows. Rows are many times as large, so they are made one by one on demand.
-#[derive(Debug, PartialEq)]
-pub struct MetricRows {
+/// Collects figures as rows, in files of their own: one for each series of scenes, and one for the scenarios.
+pub(super) struct MetricRows {
     docs: Vec<MetricDoc>,
-    series: Vec<(SeriesKey, Vec<SceneFigures>)>,
-    of_scenarios: Vec<ScenarioFigures>,
+    scratch: PathBuf,
+    series: Vec<(SeriesKey, MetricSpool)>,
+    of_scenarios: MetricSpool,
 }
 
 impl MetricRows {
-    pub(super) fn new(docs: Vec<MetricDoc>) -> Self {
-        Self { docs, series: Vec::new(), of_scenarios: Vec::new() }
+    /// No rows yet of these metrics. Files that last until the rows are removed are made in the folder `scratch`.
+    pub(super) fn create(docs: Vec<MetricDoc>, scratch: &Path) -> Result<Self> {
+        let of_scenarios = MetricSpool::create(&scratch.join("metrics.scenarios.spool"))?;
+        Ok(Self { docs, scratch: scratch.to_owned(), series: Vec::new(), of_scenarios })
     }
 
-    /// Adds a cell of `sweep` with its figures.
-    pub(super) fn add(&mut self, sweep: &str, cell: &CellSamples<'_>, recorded: &Scene, figures: CellFigures) {
-        let own = cell.series(sweep);
-        let (place, scene_id) = (&recorded.source.place, &recorded.id);
-        let n_samples = cell.records.len() as u64;
+    /// Adds the figures of a cell.
+    pub(super) fn add(&mut self, cell: &CellNames<'_>, figures: &CellFigures) -> Result<()> {
+        let CellNames { series, place, scene_id, scenario_ids } = *cell;
         let parts = [
-            (SeriesKey::reference(Group::Recorded, sweep), 1, figures.recorded),
-            (SeriesKey::reference(Group::ConstantVelocity, sweep), 1, figures.constant_velocity),
-            (own.clone(), n_samples, Some(figures.together)),
+            (&SeriesKey::reference(Group::Recorded, &series.sweep), 1, figures.recorded.as_ref()),
+            (&SeriesKey::reference(Group::ConstantVelocity, &series.sweep), 1, figures.constant_velocity.as_ref()),
+            (series, scenario_ids.len() as u64, Some(&figures.together)),
         ];
         for (key, n_samples, values) in parts {
             let Some(values) = values else { continue };
-            let figures = SceneFigures { place: place.clone(), scene_id: scene_id.clone(), n_samples, values };
-            match self.series.iter_mut().find(|(known, _)| *known == key) {
-                Some((_, scenes)) => scenes.push(figures),
-                None => self.series.push((key, vec![figures])),
+            let at = self.spool_of(key)?;
+            for (metric, value) in defined(&self.docs, values) {
+                let row = row(key, place, metric, value, n_samples);
+                self.series[at].1.push(MetricRow { scene_id: Some(scene_id.clone()), ..row })?;
             }
         }
-        let Some(series_idx) = self.series.iter().position(|(known, _)| *known == own) else { return };
-        let scene_idx = self.series[series_idx].1.len() - 1;
-        let ids = cell.records.iter().map(|record| record.scenario.id.clone());
-        self.of_scenarios.extend(ids.zip(figures.alone).map(|(scenario_id, values)| ScenarioFigures {
-            series_idx,
-            scene_idx,
-            scenario_id,
-            values,
-        }));
+        for (scenario_id, values) in scenario_ids.iter().zip(&figures.alone) {
+            for (metric, value) in defined(&self.docs, values) {
+                let (scene_id, scenario_id) = (Some(scene_id.clone()), Some(scenario_id.clone()));
+                let row = row(series, place, metric, value, 1);
+                self.of_scenarios.push(MetricRow { scene_id, scenario_id, ..row })?;
+            }
+        }
+        Ok(())
     }
 
+    /// Closes the files.
+    pub(super) fn finish(self) -> Result<FinishedRows> {
+        let series = self.series.into_iter().map(|(key, spool)| Ok((key, spool.finish()?)));
+        Ok(FinishedRows {
+            docs: self.docs,
+            series: series.collect::<Result<_>>()?,
+            of_scenarios: self.of_scenarios.finish()?,
+        })
+    }
+
+    /// Which file is that of a series; it is made where there is none.
+    fn spool_of(&mut self, key: &SeriesKey) -> Result<usize> {
+        if let Some(at) = self.series.iter().position(|(known, _)| known == key) {
+            return Ok(at);
+        }
+        let name = format!("metrics.series-{}.spool", self.series.len());
+        self.series.push((key.clone(), MetricSpool::create(&self.scratch.join(name))?));
+        Ok(self.series.len() - 1)
+    }
+}
+
+/// The rows of an evaluation, in files that last until [`FinishedRows::remove`].
+#[derive(Debug)]
+pub(super) struct FinishedRows {
+    docs: Vec<MetricDoc>,
+    series: Vec<(SeriesKey, SpooledMetrics)>,
+    of_scenarios: SpooledMetrics,
+}
+
+impl FinishedRows {
     /// Means over scenes: of all places together, then place by place, each in the order of series and metrics.
-    pub(super) fn aggregates(&self) -> Vec<MetricRow> {
-        let mut places: Vec<&str> =
-            self.series.iter().flat_map(|(_, scenes)| scenes).map(|scene| scene.place.as_str()).collect();
-        places.sort_unstable();
-        places.dedup();
-        let mut rows = Vec::new();
-        for place in std::iter::once("").chain(places) {
-            for (key, scenes) in &self.series {
-                let here: Vec<&SceneFigures> =
-                    scenes.iter().filter(|scene| place.is_empty() || scene.place == place).collect();
-                for (idx, doc) in self.docs.iter().enumerate() {
-                    if let Some(aggregate) = Aggregate::of(here.iter().map(|scene| scene.values[idx])) {
-                        let row = row(key, place, &doc.metric, aggregate.mean, aggregate.n);
-                        rows.push(MetricRow { std_error: aggregate.std_error, ..row });
+    pub(super) fn aggregates(&self) -> Result<Vec<MetricRow>> {
+        let none = vec![vec![AggregateTally::default(); self.docs.len()]; self.series.len()];
+        let mut by_place: BTreeMap<String, Vec<Vec<AggregateTally>>> = BTreeMap::from([(String::new(), none.clone())]);
+        for visit in [AggregateTally::add, AggregateTally::compare] {
+            for (at, (_, spool)) in self.series.iter().enumerate() {
+                for row in spool.rows()? {
+                    let MetricRow { place, metric, value, .. } = row?;
+                    let Some(idx) = self.docs.iter().position(|doc| doc.metric == metric) else { continue };
+                    if !by_place.contains_key(&place) {
+                        by_place.insert(place.clone(), none.clone());
+                    }
+                    for place in ["", &place] {
+                        by_place.get_mut(place).into_iter().for_each(|here| visit(&mut here[at][idx], value));
                     }
                 }
             }
         }
-        rows
+        let mut rows = Vec::new();
+        for (place, here) in &by_place {
+            for ((key, _), tallies) in self.series.iter().zip(here) {
+                for (doc, tally) in self.docs.iter().zip(tallies) {
+                    let Some(aggregate) = tally.finish() else { continue };
+                    let row = row(key, place, &doc.metric, aggregate.mean, aggregate.n);
+                    rows.push(MetricRow { std_error: aggregate.std_error, ..row });
+                }
+            }
+        }
+        Ok(rows)
     }
 
-    /// The value of every scene, in the order of series.
-    pub fn of_scenes(&self) -> impl Iterator<Item = MetricRow> + '_ {
-        let scenes = self.series.iter().flat_map(|(key, scenes)| scenes.iter().map(move |scene| (key, scene)));
-        scenes.flat_map(|(key, scene)| self.rows(key, scene, scene.n_samples, &scene.values))
+    /// The values of every scene, in the order of series.
+    pub(super) fn of_scenes(&self) -> Result<impl Iterator<Item = store::Result<MetricRow>>> {
+        let spools = self.series.iter().map(|(_, spool)| Ok(spool.rows()?));
+        Ok(spools.collect::<Result<Vec<_>>>()?.into_iter().flatten())
     }
 
-    /// The value of every scenario that is wanted by its id, in the order of the samples.
-    pub fn of_scenarios<'a>(&'a self, is_wanted: impl Fn(&str) -> bool + 'a) -> impl Iterator<Item = MetricRow> + 'a {
-        let wanted = self.of_scenarios.iter().filter(move |figures| is_wanted(&figures.scenario_id));
-        wanted.flat_map(|ScenarioFigures { series_idx, scene_idx, scenario_id, values }| {
-            let (key, scenes) = &self.series[*series_idx];
-            let rows = self.rows(key, &scenes[*scene_idx], 1, values);
-            rows.map(move |row| MetricRow { scenario_id: Some(scenario_id.clone()), ..row })
-        })
+    /// The values of every scenario, in the order of the samples.
+    pub(super) fn of_scenarios(&self) -> Result<impl Iterator<Item = store::Result<MetricRow>>> {
+        Ok(self.of_scenarios.rows()?)
     }
 
-    /// The values that are defined, as rows of a scene.
-    fn rows<'a>(
-        &'a self,
-        key: &'a SeriesKey,
-        SceneFigures { place, scene_id, .. }: &'a SceneFigures,
-        n: u64,
-        values: &'a [Option<f64>],
-    ) -> impl Iterator<Item = MetricRow> + 'a {
-        self.docs.iter().zip(values).filter_map(move |(doc, value)| {
-            let row = row(key, place, &doc.metric, (*value)?, n);
-            Some(MetricRow { scene_id: Some(scene_id.clone()), ..row })
-        })
+    /// Removes the files.
+    pub(super) fn remove(self) -> Result<()> {
+        let mut spools = self.series.into_iter().map(|(_, spool)| spool).chain([self.of_scenarios]);
+        Ok(spools.try_for_each(SpooledMetrics::remove)?)
     }
+}
+
+/// The metrics with a value.
+fn defined<'a>(docs: &'a [MetricDoc], values: &'a [Option<f64>]) -> impl Iterator<Item = (&'a str, f64)> {
+    docs.iter().zip(values).filter_map(|(doc, value)| Some((doc.metric.as_str(), (*value)?)))
 }
 
 fn row(key: &SeriesKey, place: &str, metric: &str, value: f64, n: u64) -> MetricRow {
@@ -138,31 +168,56 @@ fn row(key: &SeriesKey, place: &str, metric: &str, value: f64, n: u64) -> Metric
 mod tests {
     use super::*;
     use crate::evaluate::testing::{evaluated_cell, record, recorded};
+    use crate::scene::GuidanceLevel;
 
     #[test]
     fn scenes_and_scenarios_have_a_row_for_each_value_that_is_defined() {
-        let mut second = record(2.0, false, false, recorded());
-        second.scenario.id = "s-5".to_owned();
-        let first = record(2.0, false, false, recorded());
-        let (_, mut figures, docs) = evaluated_cell(&first, &recorded());
+        let (_, mut figures, docs) = evaluated_cell(&record(2.0, false, false, recorded()), &recorded());
         let n_values = figures.alone[0].iter().flatten().count();
         assert!(0 < n_values && n_values < docs.len());
         figures.alone.push(figures.alone[0].clone());
-        let cell = CellSamples { records: vec![&first, &second], with_references: true };
-        let mut rows = MetricRows::new(docs);
-        rows.add("guided", &cell, &recorded(), figures);
-
-        let of_scenes: Vec<MetricRow> = rows.of_scenes().collect();
-        let n_of = |group: &Group, n: u64| of_scenes.iter().filter(|row| row.group == *group && row.n == n).count();
+        let scratch = tempfile::tempdir().unwrap();
         let own = Group::Sweep("guided".to_owned());
+        let series =
+            SeriesKey { group: own.clone(), sweep: "guided".to_owned(), level: GuidanceLevel::of_strength(2.0) };
+        let mut rows = MetricRows::create(docs, scratch.path()).unwrap();
+        let scenario_ids = ["s-4".to_owned(), "s-5".to_owned()];
+        let cell = CellNames { series: &series, place: "Test", scene_id: &recorded().id, scenario_ids: &scenario_ids };
+        rows.add(&cell, &figures).unwrap();
+        let rows = rows.finish().unwrap();
+
+        let of_scenes: Vec<MetricRow> = rows.of_scenes().unwrap().collect::<store::Result<_>>().unwrap();
+        let n_of = |group: &Group, n: u64| of_scenes.iter().filter(|row| row.group == *group && row.n == n).count();
         assert_eq!((n_of(&Group::Recorded, 1), n_of(&own, 2), n_of(&own, 1)), (n_values, n_values, 0));
-        let ids = |wanted: &'static str| rows.of_scenarios(move |id| id == wanted).map(|row| row.scenario_id);
-        assert_eq!(ids("s-5").collect::<Vec<_>>(), vec![Some("s-5".to_owned()); n_values]);
-        let all: Vec<MetricRow> = rows.of_scenarios(|_| true).collect();
-        assert_eq!((all.len(), all[0].scenario_id.as_deref()), (2 * n_values, Some("s-4")));
-        assert!(
-            all.iter().all(|row| row.group == own && row.place == "Test" && row.n == 1 && row.level.strength == 2.0)
-        );
+        let all: Vec<MetricRow> = rows.of_scenarios().unwrap().collect::<store::Result<_>>().unwrap();
+        let n_named = |id: &str| all.iter().filter(|row| row.scenario_id.as_deref() == Some(id)).count();
+        assert_eq!((all.len(), n_named("s-4"), n_named("s-5")), (2 * n_values, n_values, n_values));
+        assert_eq!(all[0].scenario_id.as_deref(), Some("s-4"));
+        assert!(all.iter().all(|row| row.series() == series && row.place == "Test" && row.n == 1));
         assert!(all.iter().all(|row| row.scene_id == Some(recorded().id) && row.std_error.is_none()));
+        rows.remove().unwrap();
+        assert!(!scratch.path().join("metrics.scenarios.spool").exists());
+    }
+
+    #[test]
+    fn means_are_of_all_places_together_and_of_each() {
+        let (_, figures, docs) = evaluated_cell(&record(2.0, false, false, recorded()), &recorded());
+        let idx = figures.together.iter().position(Option::is_some).expect("a value");
+        let scratch = tempfile::tempdir().unwrap();
+        let series = SeriesKey { group: Group::Unguided, sweep: "s".to_owned(), level: GuidanceLevel::UNGUIDED };
+        let mut rows = MetricRows::create(docs.clone(), scratch.path()).unwrap();
+        for (place, value) in [("B", 1.0), ("A", 2.0), ("B", 5.0), ("B", 6.0)] {
+            let mut figures = CellFigures { recorded: None, constant_velocity: None, ..figures.clone() };
+            figures.together = vec![None; docs.len()];
+            figures.together[idx] = Some(value);
+            rows.add(&CellNames { series: &series, place, scene_id: &recorded().id, scenario_ids: &[] }, &figures)
+                .unwrap();
+        }
+        let found = rows.finish().unwrap().aggregates().unwrap();
+        let told: Vec<_> = found.iter().map(|row| (row.place.as_str(), row.value, row.n, row.std_error)).collect();
+        // Deviations -2.5, -1.5, 1.5, 2.5: s² = 17 / 3; at B, -3, 1, 2: s² = 14 / 2.
+        let [together, at_b] = [(17.0_f64 / 3.0 / 4.0).sqrt(), (7.0_f64 / 3.0).sqrt()];
+        assert_eq!(told, [("", 3.5, 4, Some(together)), ("A", 2.0, 1, None), ("B", 4.0, 3, Some(at_b))]);
+        assert!(found.iter().all(|row| row.metric == docs[idx].metric && row.series() == series));
     }
 }

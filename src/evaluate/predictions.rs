@@ -5,10 +5,9 @@ use super::config::EvaluateConfig;
 use super::error::Result;
 use crate::files::clear;
 use crate::metrics::{ModeFit, Modes, ModesConfig, ModesOf, Representative};
-use crate::scene::{Benchmark, Dataset, Scene, SceneId};
+use crate::scene::{Benchmark, Dataset, Scene};
 use crate::seed::Seed;
-use crate::store::{ArgoversePredictions, InteractionPredictions};
-use std::collections::BTreeSet;
+use crate::store::{ArgoversePredictions, InteractionPredictions, SceneSet};
 use std::path::Path;
 
 /// The predictions of each requested dataset. Of a scene the first unguided samples count, in the order of sweeps: a
@@ -16,7 +15,7 @@ use std::path::Path;
 pub(super) struct Predictions {
     interaction: Option<InteractionPredictions>,
     argoverse: Vec<(Dataset, ArgoversePredictions)>,
-    scenes: BTreeSet<SceneId>,
+    scenes: SceneSet,
     n_tracks_left_out: usize,
 }
 
@@ -53,7 +52,7 @@ impl Predictions {
             clear(dir)?;
         }
         let mut predictions =
-            Self { interaction: None, argoverse: Vec::new(), scenes: BTreeSet::new(), n_tracks_left_out: 0 };
+            Self { interaction: None, argoverse: Vec::new(), scenes: SceneSet::default(), n_tracks_left_out: 0 };
         for dataset in datasets {
             match dataset.facts().benchmark {
                 Benchmark::InteractionJoint => predictions.interaction = Some(InteractionPredictions::new(dir)),
@@ -66,9 +65,9 @@ impl Predictions {
         Ok(predictions)
     }
 
-    /// Adds the modes of a scene, if it has none yet.
-    pub(super) fn add(&mut self, recorded: &Scene, modes: &Modes) -> Result<()> {
-        if !self.scenes.insert(recorded.id.clone()) {
+    /// Adds the modes of a scene, which has this position in its store, if it has none yet.
+    pub(super) fn add(&mut self, recorded: &Scene, scene_idx: usize, modes: &Modes) -> Result<()> {
+        if !self.scenes.insert(scene_idx) {
             return Ok(());
         }
         let dataset = recorded.source.dataset;

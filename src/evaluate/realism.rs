@@ -1,6 +1,6 @@
 //! Do road users in a sweep move as in the recordings it continues? Distances between their distributions.
 
-use super::cells::{CellMotion, CellSamples};
+use super::cells::CellMotion;
 use crate::metrics::{Group, MotionHistograms, SeriesKey};
 use crate::scene::GuidanceLevel;
 use serde::{Deserialize, Serialize};
@@ -47,13 +47,14 @@ pub(super) struct RealismTable {
 }
 
 impl RealismTable {
-    /// Adds a cell of `sweep`.
-    pub(super) fn add(&mut self, sweep: &str, cell: &CellSamples<'_>, motion: &CellMotion) {
+    /// Adds a cell whose samples are of `series`.
+    pub(super) fn add(&mut self, series: &SeriesKey, motion: &CellMotion) {
+        let sweep = &series.sweep;
         if let Some([recorded, constant_velocity]) = &motion.references {
             self.add_to(SeriesKey::reference(Group::Recorded, sweep), recorded);
             self.add_to(SeriesKey::reference(Group::ConstantVelocity, sweep), constant_velocity);
         }
-        self.add_to(cell.series(sweep), &motion.together);
+        self.add_to(series.clone(), &motion.together);
     }
 
     fn add_to(&mut self, key: SeriesKey, motion: &MotionHistograms) {

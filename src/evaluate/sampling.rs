@@ -1,10 +1,10 @@
 //! How many scenarios of each sweep, place and strength are there, verified, new, colliding, off the road?
 
-use crate::metrics::{CollisionRate, Metric, OffroadRate, SampleGroup};
-use crate::scene::{GuidanceLevel, Scene, SceneId};
-use crate::store::ScenarioRecord;
+use super::cells::CellSamples;
+use crate::metrics::{CollisionRate, Metric, OffroadRate, SampleGroup, SeriesKey};
+use crate::scene::{GuidanceLevel, Scene};
+use crate::store::{ScenarioRecord, SceneSet};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
 
 /// What one sweep gave at one level of guidance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -36,6 +36,42 @@ pub struct SamplingRow {
     pub n_evaluations: u64,
 }
 
+/// What is counted of the scenarios of a cell.
+pub(super) struct SampledCell {
+    behavior: Option<String>,
+    sampler: String,
+    scenarios: Vec<SampledScenario>,
+}
+
+/// What is counted of a scenario.
+struct SampledScenario {
+    verified: bool,
+    is_new: bool,
+    collides: bool,
+    offroad_rate: Option<f64>,
+}
+
+impl SampledCell {
+    /// That of a cell which continues `recorded`.
+    pub(super) fn of(cell: &CellSamples<'_>, recorded: &Scene) -> Self {
+        let scenario = |record: &&ScenarioRecord| {
+            let group = SampleGroup::equally_likely(recorded, std::slice::from_ref(&record.scenario.scene));
+            SampledScenario {
+                verified: record.verified,
+                is_new: record.verified && !record.recorded_event,
+                collides: CollisionRate.evaluate(&group).is_some_and(|rate| rate > 0.0),
+                offroad_rate: OffroadRate.evaluate(&group),
+            }
+        };
+        let first = cell.records[0];
+        Self {
+            behavior: first.requested_behavior.clone(),
+            sampler: first.scenario.provenance.sampler.clone(),
+            scenarios: cell.records.iter().map(scenario).collect(),
+        }
+    }
+}
+
 /// Counts scenarios; rows come in the order in which their sweep, place and strength first appear.
 #[derive(Default)]
 pub(super) struct SamplingTally {
@@ -44,28 +80,31 @@ pub(super) struct SamplingTally {
 
 struct CountedRow {
     row: SamplingRow,
-    scenes: BTreeSet<SceneId>,
+    scenes: SceneSet,
     offroad_sum: f64,
     n_offroad: u64,
 }
 
 impl SamplingTally {
-    /// Counts a scenario that continues `recorded` and took `n_evaluations` evaluations of the denoiser.
-    pub(super) fn add(&mut self, record: &ScenarioRecord, recorded: &Scene, n_evaluations: u64) {
-        let provenance = &record.scenario.provenance;
-        let place = &recorded.source.place;
-        let same = |counted: &CountedRow| {
-            counted.row.sweep == record.sweep
-                && counted.row.place == *place
-                && counted.row.level == provenance.guidance.level
+    /// Counts a cell of `series`, of a scene with this place and position in its store, each of whose samples took `n_evaluations`
+    /// evaluations of the denoiser.
+    pub(super) fn add(
+        &mut self,
+        series: &SeriesKey,
+        (place, scene_idx): (&str, usize),
+        cell: &SampledCell,
+        n_evaluations: u64,
+    ) {
+        let same = |CountedRow { row, .. }: &CountedRow| {
+            row.sweep == series.sweep && row.place == place && row.level == series.level
         };
         let at = self.rows.iter().position(same).unwrap_or_else(|| {
             let row = SamplingRow {
-                sweep: record.sweep.clone(),
-                behavior: record.requested_behavior.clone(),
-                place: place.clone(),
-                level: provenance.guidance.level,
-                sampler: provenance.sampler.clone(),
+                sweep: series.sweep.clone(),
+                behavior: cell.behavior.clone(),
+                place: place.to_owned(),
+                level: series.level,
+                sampler: cell.sampler.clone(),
                 n_scenes: 0,
                 n_scenarios: 0,
                 n_verified: 0,
@@ -74,19 +113,20 @@ impl SamplingTally {
                 offroad_rate: None,
                 n_evaluations,
             };
-            self.rows.push(CountedRow { row, scenes: BTreeSet::new(), offroad_sum: 0.0, n_offroad: 0 });
+            self.rows.push(CountedRow { row, scenes: SceneSet::default(), offroad_sum: 0.0, n_offroad: 0 });
             self.rows.len() - 1
         });
         let counted = &mut self.rows[at];
-        let group = SampleGroup::equally_likely(recorded, std::slice::from_ref(&record.scenario.scene));
-        counted.scenes.insert(provenance.scene_id.clone());
-        counted.row.n_scenarios += 1;
-        counted.row.n_verified += u64::from(record.verified);
-        counted.row.n_new += u64::from(record.verified && !record.recorded_event);
-        counted.row.n_collision += u64::from(CollisionRate.evaluate(&group).is_some_and(|rate| rate > 0.0));
-        if let Some(rate) = OffroadRate.evaluate(&group) {
-            counted.offroad_sum += rate;
-            counted.n_offroad += 1;
+        counted.scenes.insert(scene_idx);
+        for SampledScenario { verified, is_new, collides, offroad_rate } in &cell.scenarios {
+            counted.row.n_scenarios += 1;
+            counted.row.n_verified += u64::from(*verified);
+            counted.row.n_new += u64::from(*is_new);
+            counted.row.n_collision += u64::from(*collides);
+            if let Some(rate) = offroad_rate {
+                counted.offroad_sum += rate;
+                counted.n_offroad += 1;
+            }
         }
     }
 
@@ -107,6 +147,12 @@ mod tests {
     use crate::evaluate::testing::{record, recorded};
     use crate::scene::testing::{self, Drive};
 
+    /// Counts a sample of scene 7 alone.
+    fn add(tally: &mut SamplingTally, record: &ScenarioRecord, recorded: &Scene) {
+        let cell = CellSamples { records: vec![record], with_references: false };
+        tally.add(&cell.series("guided"), (&recorded.source.place, 7), &SampledCell::of(&cell, recorded), 39);
+    }
+
     #[test]
     fn scenarios_are_counted_by_strength() {
         let mut tally = SamplingTally::default();
@@ -114,10 +160,10 @@ mod tests {
         let mut crash = recorded();
         let veering = testing::scene(&[Drive::straight(-3.3, 11.3, -std::f64::consts::FRAC_PI_4, 20.0)]);
         crash.tracks[1].trajectory = veering.tracks[0].trajectory.clone();
-        tally.add(&record(2.0, true, false, recorded()), &recorded(), 39);
-        tally.add(&record(2.0, true, true, crash), &recorded(), 39);
-        tally.add(&record(2.0, false, false, recorded()), &recorded(), 39);
-        tally.add(&record(0.0, false, false, recorded()), &recorded(), 39);
+        add(&mut tally, &record(2.0, true, false, recorded()), &recorded());
+        add(&mut tally, &record(2.0, true, true, crash), &recorded());
+        add(&mut tally, &record(2.0, false, false, recorded()), &recorded());
+        add(&mut tally, &record(0.0, false, false, recorded()), &recorded());
         let rows = tally.finish();
         let counts: Vec<_> = rows
             .iter()
@@ -140,8 +186,8 @@ mod tests {
             scene
         };
         let unmapped = || Scene { lanes: std::sync::Arc::default(), ..recorded() };
-        tally.add(&record(2.0, true, false, leaving()), &recorded(), 39);
-        tally.add(&record(2.0, true, false, unmapped()), &unmapped(), 39);
+        add(&mut tally, &record(2.0, true, false, leaving()), &recorded());
+        add(&mut tally, &record(2.0, true, false, unmapped()), &unmapped());
         assert_eq!(tally.finish()[0].offroad_rate, Some(1.0));
     }
 }

@@ -1,9 +1,8 @@
 //! How many scenarios of each sweep are valid, and how many of the recordings they continue are? Counted by check.
 
-use super::cells::CellSamples;
 use super::judge::ReferenceJudgment;
 use crate::metrics::{Check, Group, SeriesKey, Violation};
-use crate::scene::{GuidanceLevel, Scene};
+use crate::scene::GuidanceLevel;
 use crate::store::Assessment;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -49,24 +48,23 @@ pub(super) struct ValidityTable {
 }
 
 impl ValidityTable {
-    /// Counts the scenarios of a cell of `sweep`, and its recording and baseline where they are measured.
+    /// Counts the scenarios of a cell, which are of `series` and continue a scene of `place`, and its recording and baseline where
+    /// they are measured.
     pub(super) fn add(
         &mut self,
-        sweep: &str,
-        (cell, recorded): (&CellSamples<'_>, &Scene),
+        (series, place): (&SeriesKey, &str),
         (references, assessments): (Option<&[ReferenceJudgment; 2]>, &[Assessment]),
         not_checked: &[Check],
     ) {
-        let own = cell.series(sweep);
-        let reference = |group| SeriesKey::reference(group, sweep);
+        let reference = |group| SeriesKey::reference(group, &series.sweep);
         let reference_keys = [Group::Recorded, Group::ConstantVelocity].map(reference);
         // All places together first, and each by itself.
-        for place in ["", &recorded.source.place] {
+        for place in ["", place] {
             for (key, judgment) in reference_keys.iter().zip(references.into_iter().flatten()) {
                 self.count(key, place, (&judgment.violations, not_checked), judgment.plausibility);
             }
             for assessment in assessments {
-                self.count(&own, place, (&assessment.violations, not_checked), assessment.plausibility);
+                self.count(series, place, (&assessment.violations, not_checked), assessment.plausibility);
             }
         }
     }
@@ -126,7 +124,7 @@ impl ValidityTable {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluate::metric_rows::MetricRows;
+    use crate::evaluate::metric_rows::{CellNames, MetricRows};
     use crate::evaluate::realism::RealismTable;
     use crate::evaluate::testing::{evaluated_cell, record, recorded};
     use crate::scene::GuidanceTag;
@@ -141,15 +139,19 @@ mod tests {
             let (cell, figures, docs) = evaluated_cell(&record, &recorded());
             let (mut validity, mut realism) = (ValidityTable::default(), RealismTable::default());
             let judged = (figures.references_judged.as_ref(), figures.assessments.as_slice());
-            validity.add("s", (&cell, &recorded()), judged, &[]);
-            realism.add("s", &cell, &figures.motion);
-            let mut rows = MetricRows::new(docs);
-            rows.add("s", &cell, &recorded(), figures);
+            let series = cell.series("s");
+            validity.add((&series, "X"), judged, &[]);
+            realism.add(&series, &figures.motion);
+            let scratch = tempfile::tempdir().unwrap();
+            let mut rows = MetricRows::create(docs, scratch.path()).unwrap();
+            let names = CellNames { series: &series, place: "X", scene_id: &recorded().id, scenario_ids: &[] };
+            rows.add(&names, &figures).unwrap();
+            let rows = rows.finish().unwrap();
             let last = |groups: Vec<Group>| groups.last().cloned().expect("rows");
             vec![
                 last(validity.finish().into_iter().map(|row| row.group).collect()),
                 last(realism.finish().into_iter().map(|row| row.group).collect()),
-                last(rows.of_scenes().map(|row| row.group).collect()),
+                last(rows.of_scenes().unwrap().map(|row| row.unwrap().group).collect()),
             ]
         };
         assert_eq!(groups(None), vec![Group::Unguided; 3]);

@@ -72,13 +72,12 @@ pub(super) struct Verdicts<'a> {
     accepted: PathIndex,
     rows: Vec<AcceptanceRow>,
     left_out: Vec<LeftOutRow>,
-    decided: Vec<VerdictRow>,
 }
 
 impl<'a> Verdicts<'a> {
     /// Nothing decided yet.
     pub(super) fn new(config: &'a EvaluateConfig) -> Self {
-        Self { config, accepted: PathIndex::default(), rows: Vec::new(), left_out: Vec::new(), decided: Vec::new() }
+        Self { config, accepted: PathIndex::default(), rows: Vec::new(), left_out: Vec::new() }
     }
 
     /// Counts a sample without a scenario.
@@ -91,9 +90,9 @@ impl<'a> Verdicts<'a> {
         self.count(("generate", sweep, None), &format!("selection: {reason}"), n, true);
     }
 
-    /// Completes the judgment of a record and says whether it becomes part of the corpus. Records must come in the order of the samples:
+    /// Completes the judgment of a record and says what was decided, such as whether it becomes part of the corpus. Records must come in the order of the samples:
     /// of near-duplicates the first is accepted. `not_checked` are the checks of validity that were not made of it.
-    pub(super) fn decide(&mut self, record: &mut ScenarioRecord, not_checked: &[Check]) -> bool {
+    pub(super) fn decide(&mut self, record: &mut ScenarioRecord, not_checked: &[Check]) -> VerdictRow {
         let path = PairPath::of(&record.scenario.scene, &record.scenario.provenance.guidance.roles);
         let (scenario_id, level) = (record.scenario.id.clone(), record.scenario.provenance.guidance.level);
         let (sweep, verified) = (record.sweep.clone(), record.verified);
@@ -136,7 +135,7 @@ impl<'a> Verdicts<'a> {
         if let (true, Some(behavior), Some(path)) = (assessment.accepted, asked, path) {
             self.accepted.insert(&behavior, path, &scenario_id);
         }
-        self.decided.push(VerdictRow {
+        let verdict = VerdictRow {
             accepted: assessment.accepted,
             kept: is_kept,
             reasons: reasons.into_iter().map(str::to_owned).collect(),
@@ -144,14 +143,14 @@ impl<'a> Verdicts<'a> {
             scenario_id,
             sweep,
             level,
-        });
+        };
         record.assessment = Some(assessment);
-        is_kept
+        verdict
     }
 
-    /// The counts, in the order of first appearance, and what was decided, scenario by scenario in their order.
-    pub(super) fn finish(self) -> (Vec<AcceptanceRow>, Vec<LeftOutRow>, Vec<VerdictRow>) {
-        (self.rows, self.left_out, self.decided)
+    /// The counts, in the order of first appearance.
+    pub(super) fn finish(self) -> (Vec<AcceptanceRow>, Vec<LeftOutRow>) {
+        (self.rows, self.left_out)
     }
 
     fn row(&mut self, sweep: &str, level: GuidanceLevel) -> &mut AcceptanceRow {

@@ -6,7 +6,7 @@ use crate::generate::RejectedSample;
 use crate::metrics::{Check, Violation};
 use crate::scene::testing::{Drive, provenance, scene};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario, TrackId};
-use crate::store::{Assessment, RequestOutcome, RequestTag, ScenarioRecord};
+use crate::store::{Assessment, RequestOutcome, RequestTag, ScenarioRecord, VerdictRow};
 
 /// A scenario of two cars, the second one `offset_m` to the side.
 fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> ScenarioRecord {
@@ -48,7 +48,7 @@ fn duplicates_are_nearer_than_the_limit() {
     let repeats = |limit_m: f64| {
         let config = EvaluateConfig { duplicate_distance_m: limit_m, ..EvaluateConfig::default() };
         let mut verdicts = Verdicts::new(&config);
-        assert!(verdicts.decide(&mut record("first", 5.0, true, &[]), &[]));
+        assert!(verdicts.decide(&mut record("first", 5.0, true, &[]), &[]).kept);
         let mut second = record("second", 5.4, true, &[]);
         verdicts.decide(&mut second, &[]);
         let assessment = second.assessment.unwrap();
@@ -65,7 +65,7 @@ fn what_a_request_has_no_room_for_is_not_kept_as_verified() {
     let is_kept = |outcome: RequestOutcome| {
         let mut record = record("a", 5.0, true, &[]);
         record.request = Some(RequestTag { request: "r".to_owned(), round: 0, outcome, bucket: None });
-        Verdicts::new(&config).decide(&mut record, &[])
+        Verdicts::new(&config).decide(&mut record, &[]).kept
     };
     assert!(is_kept(RequestOutcome::Accepted) && !is_kept(RequestOutcome::Surplus));
 }
@@ -84,19 +84,13 @@ fn records() -> Vec<ScenarioRecord> {
 fn decided(keep: Keep) -> (Vec<ScenarioRecord>, Vec<String>, Vec<AcceptanceRow>, Vec<LeftOutRow>) {
     let config = EvaluateConfig { keep, ..EvaluateConfig::default() };
     let mut verdicts = Verdicts::new(&config);
-    let (mut all, mut kept) = (records(), Vec::new());
-    for record in &mut all {
-        if verdicts.decide(record, &[]) {
-            kept.push(record.scenario.id.clone());
-        }
-    }
-    let (rows, left_out, decided) = verdicts.finish();
+    let mut all = records();
+    let decided: Vec<VerdictRow> = all.iter_mut().map(|record| verdicts.decide(record, &[])).collect();
+    let kept: Vec<String> = decided.iter().filter(|row| row.kept).map(|row| row.scenario_id.clone()).collect();
+    let (rows, left_out) = verdicts.finish();
     for (record, row) in all.iter().zip(&decided) {
         let is_accepted = record.assessment.as_ref().is_some_and(|assessment| assessment.accepted);
-        assert_eq!(
-            (&row.scenario_id, row.accepted, row.kept),
-            (&record.scenario.id, is_accepted, kept.contains(&record.scenario.id))
-        );
+        assert_eq!((&row.scenario_id, row.accepted), (&record.scenario.id, is_accepted));
     }
     let reasons: Vec<Vec<&str>> = decided.iter().map(|row| row.reasons.iter().map(String::as_str).collect()).collect();
     let expected: [&[&str]; 6] =
@@ -152,7 +146,7 @@ fn what_generation_left_out_is_counted_too() {
     let mut verdicts = Verdicts::new(&config);
     [0, 1].map(rejected).iter().for_each(|rejected| verdicts.count_rejected(rejected));
     verdicts.count_unselected("cut_ins", "not among the best 2", 4);
-    let (_, left_out, _) = verdicts.finish();
+    let (_, left_out) = verdicts.finish();
     let counts: Vec<_> = left_out.iter().map(|row| (row.reason.as_str(), row.level, row.n_left_out)).collect();
     assert_eq!(
         counts,

@@ -13,16 +13,37 @@ pub struct Aggregate {
     pub std_error: Option<f64>,
 }
 
-impl Aggregate {
-    /// The aggregate of the values that are defined. `None` when none is. The result depends on the order of the
-    /// values in the last digits, so they are to come in the order of scenes.
-    pub fn of(values: impl IntoIterator<Item = Option<f64>>) -> Option<Self> {
-        let values: Vec<f64> = values.into_iter().flatten().collect();
-        let n = values.len() as f64;
-        let mean = values.iter().sum::<f64>() / n;
-        let squares: f64 = values.iter().map(|value| (value - mean) * (value - mean)).sum();
-        let std_error = (values.len() > 1).then(|| (squares / (n - 1.0) / n).sqrt());
-        (!values.is_empty()).then_some(Self { mean, n: values.len() as u64, std_error })
+/// Makes an aggregate of values that come by twice: first for their mean, then for their distance from it. The result depends
+/// on their order in the last digits, so they are to come in the order of scenes.
+#[derive(Debug, Clone, Default)]
+pub struct AggregateTally {
+    n: u64,
+    sum: f64,
+    squares: f64,
+}
+
+impl AggregateTally {
+    /// Counts a value, before any of them is compared with the mean.
+    pub fn add(&mut self, value: f64) {
+        self.n += 1;
+        self.sum += value;
+    }
+
+    /// Compares a value with the mean, after all of them are counted.
+    pub fn compare(&mut self, value: f64) {
+        let deviation = value - self.mean();
+        self.squares += deviation * deviation;
+    }
+
+    /// The aggregate. `None` of no values.
+    pub fn finish(&self) -> Option<Aggregate> {
+        let n = self.n as f64;
+        let std_error = (self.n > 1).then(|| (self.squares / (n - 1.0) / n).sqrt());
+        (self.n > 0).then(|| Aggregate { mean: self.mean(), n: self.n, std_error })
+    }
+
+    fn mean(&self) -> f64 {
+        self.sum / self.n as f64
     }
 }
 
@@ -33,10 +54,16 @@ mod tests {
     #[test]
     fn known_mean_and_error() {
         // Deviations -2, 0, 2: s² = 8 / 2 = 4, so s / √3.
-        let aggregate = Aggregate::of([Some(1.0), None, Some(3.0), Some(5.0)]).expect("defined");
+        let of = |values: &[f64]| {
+            let mut tally = AggregateTally::default();
+            values.iter().for_each(|value| tally.add(*value));
+            values.iter().for_each(|value| tally.compare(*value));
+            tally.finish()
+        };
+        let aggregate = of(&[1.0, 3.0, 5.0]).expect("defined");
         assert_eq!((aggregate.mean, aggregate.n), (3.0, 3));
         assert!((aggregate.std_error.expect("three values") - 2.0 / 3.0_f64.sqrt()).abs() < 1e-12);
-        assert_eq!(Aggregate::of([Some(2.0)]), Some(Aggregate { mean: 2.0, n: 1, std_error: None }));
-        assert_eq!(Aggregate::of([None, None]), None);
+        assert_eq!(of(&[2.0]), Some(Aggregate { mean: 2.0, n: 1, std_error: None }));
+        assert_eq!(of(&[]), None);
     }
 }

@@ -54,7 +54,7 @@ mod spec;
 mod validity;
 
 pub use actor_world::ActorWorld;
-pub use aggregate::Aggregate;
+pub use aggregate::{Aggregate, AggregateTally};
 pub use careful_driver::{CarefulDriverConfig, CutInJudgment, PreventableRate};
 pub use collision_rate::{AgentCollisionRate, CollisionRate};
 pub use constant_velocity::constant_velocity;

@@ -2,6 +2,7 @@
 
 use super::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use super::run::{CONFIG_FILE, RUN_FILE, RunManifest};
+use super::stages::of_named_path;
 use super::{Classify, Failure, Result, StageId, StageRecord};
 use crate::evaluate::EvaluationSummary;
 use crate::files::{Error, check_overlap, is_link, regular};
@@ -23,9 +24,9 @@ pub fn write_comparison(a: &Path, b: &Path, page: &Path) -> Result<()> {
     check_page(a, b, page)?;
     let text = render_comparison(&comparison);
     if let Some(folder) = page.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        fs_err::create_dir_all(folder).map_err(Failure::input)?;
+        fs_err::create_dir_all(folder).map_err(of_named_path)?;
     }
-    write_atomically::<std::io::Error>(page, |file| file.write_all(text.as_bytes())).map_err(Failure::input)?;
+    write_atomically::<std::io::Error>(page, |file| file.write_all(text.as_bytes())).map_err(of_named_path)?;
     Ok(())
 }
 

@@ -215,7 +215,8 @@ fn run_stage(
     work.finish(expected, stage.outputs(), summary, kept)
 }
 
-/// Refuses damaged results of earlier stages. Those that are kept in shards have a checksum each, which is compared when it is read.
+/// Refuses damaged results of earlier stages, and what those left beside them, such as summaries. Shards have a checksum each, which is
+/// compared when it is read.
 fn check_inputs(stage: &dyn Stage) -> Result<()> {
     for input in stage.inputs() {
         let Some(producer) = input.producer.filter(|id| !matches!(id, StageId::Ingest | StageId::Generate)) else {
@@ -223,9 +224,11 @@ fn check_inputs(stage: &dyn Stage) -> Result<()> {
         };
         let folder = input.path.parent().unwrap_or(Path::new("."));
         let Some(record) = StageRecord::done(folder, producer) else { continue };
-        let name = input.path.file_name().unwrap_or_default().to_string_lossy();
-        if !record.is_whole(folder, &name) {
-            let message = format!("{}: it is not what stage {producer} wrote there", input.path.display());
+        let own = input.path.file_name().unwrap_or_default().to_string_lossy();
+        let is_read = |name: &&String| **name == own || folder.join(name).is_file();
+        if let Some(name) = record.outputs.keys().filter(is_read).find(|name| !record.is_whole(folder, name)) {
+            let path = folder.join(name);
+            let message = format!("{}: it is not what stage {producer} wrote there", path.display());
             return Err(Failure::fault(anyhow::anyhow!(message)).with_hint(format!(
                 "the file was changed or the disk is failing; restore it from a copy, or rebuild it with --redo {producer}"
             )));

@@ -61,27 +61,35 @@ impl StageMemory {
         format!("about {} of memory, with scenes of {n_agents} agents and {n_timesteps} timesteps", size(self.bytes()))
     }
 
-    /// Refuses what cannot fit into `machine` bytes.
-    fn check(&self, machine: u64) -> Result<()> {
-        let machine = machine as f64;
-        if self.bytes() <= machine {
+    /// Refuses what goes beyond the limit.
+    fn check(&self, limit: Limit) -> Result<()> {
+        if self.bytes() <= limit.bytes {
             return Ok(());
         }
         let section = self.stage.facts().section;
-        let fits = ((machine - self.fixed) / self.per_row).floor();
+        let fits = ((limit.bytes - self.fixed) / self.per_row).floor();
         let advice = match fits >= 1.0 {
             true => format!("set {section}.batch_size to {fits} or less, or choose a smaller network"),
             false => "not even a batch of one fits: choose a smaller network, or scenes of fewer agents".to_owned(),
         };
         Err(Failure::input_message(format_args!(
-            "{section}.batch_size is {}, for which {} takes {}; this machine has {}",
+            "{section}.batch_size is {}, for which {} takes {}; {} {}",
             self.batch_size,
             self.stage,
             self.describe(),
-            size(machine)
+            limit.whose,
+            size(limit.bytes)
         ))
-        .with_hint(advice))
+        .with_hint(format!("{advice}; a larger run.memory_limit_gb overrules this estimate")))
     }
+}
+
+/// How much stages may take.
+#[derive(Clone, Copy)]
+struct Limit {
+    bytes: f64,
+    /// Who says so, before the number.
+    whose: &'static str,
 }
 
 /// What those of the stages take that train or sample on the processor, in their order.
@@ -179,20 +187,27 @@ fn denoiser_of(
     Ok(Some((spec.network, scene)))
 }
 
-/// Refuses stages that are to be run and cannot fit into `machine` bytes of memory.
+/// Refuses stages that are to be run and would take more than `run.memory_limit_gb`, or than the `machine` bytes of memory where that
+/// is not set.
 ///
 /// # Errors
-/// Names the setting, the estimate, what the machine has, and what to lower.
+/// Names the setting, the estimate, the limit, and what to lower.
 pub fn check_memory(
     config: &PipelineConfig,
     layout: &Layout,
     planned: &[PlannedStage<'_>],
     machine: Option<u64>,
 ) -> Result<()> {
-    let Some(machine) = machine else { return Ok(()) };
+    let Some(limit) = limit(config, machine) else { return Ok(()) };
     let run = planned.iter().filter(|planned| planned.action != Action::Reuse);
     let run: Vec<StageId> = run.map(|planned| planned.expected.stage).collect();
-    estimate_memory(config, layout, &run)?.iter().try_for_each(|memory| memory.check(machine))
+    estimate_memory(config, layout, &run)?.iter().try_for_each(|memory| memory.check(limit))
+}
+
+/// The limit that is set, or else that of the machine, bytes.
+fn limit(config: &PipelineConfig, machine: Option<u64>) -> Option<Limit> {
+    let set = config.run.memory_limit_gb.map(|gb| Limit { bytes: 1e9 * gb, whose: "run.memory_limit_gb allows" });
+    set.or(machine.map(|bytes| Limit { bytes: bytes as f64, whose: "this machine has" }))
 }
 
 /// The memory that the process may use, bytes: the least limit of its control groups, or all that the machine has. `None` where the
@@ -279,6 +294,22 @@ mod tests {
         assert!(check(&text(fits), 8 << 30).is_ok() && check(&text(fits + 1), 8 << 30).is_err(), "{hint}");
         let failure = check(&text(1), 100 << 20).unwrap_err();
         assert!(failure.hint.unwrap().contains("not even a batch of one fits"));
+    }
+
+    #[test]
+    fn the_limit_that_is_set_counts_in_place_of_the_machine() {
+        let text = |limit_gb: f64| {
+            format!("[run]\nmemory_limit_gb = {limit_gb}\n[train.baseline]\nbatch_size = 64\npreset = 'small'")
+        };
+        let takes = estimate_memory(&config(&text(1.0)), &Layout::below(Path::new("/nowhere")), &StageId::ALL).unwrap();
+        let takes_gb = takes[0].bytes() / 1e9;
+        let check =
+            |limit_gb: f64, machine: u64| takes[0].check(limit(&config(&text(limit_gb)), Some(machine)).unwrap());
+        check(takes_gb + 0.01, 1).unwrap();
+        let failure = check(takes_gb - 0.01, u64::MAX).unwrap_err();
+        assert!(format!("{:#}", failure.error).contains("run.memory_limit_gb allows"), "{:#}", failure.error);
+        assert!(failure.hint.unwrap().ends_with("a larger run.memory_limit_gb overrules this estimate"));
+        assert!(limit(&config(""), None).is_none());
     }
 
     #[test]

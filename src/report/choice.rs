@@ -7,9 +7,8 @@
 use super::card::Verdict;
 use super::config::ReportConfig;
 use crate::scene::SceneId;
-use crate::store::ScenarioRecord;
+use crate::store::{ScenarioRecord, SceneSet};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
 
 /// How much of a sweep is drawn, and which setting keeps it from being more.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -53,19 +52,19 @@ impl<'a> Choice<'a> {
         Self { config, sweeps: Vec::new() }
     }
 
-    /// Looks at the next scenario, in the order of the samples.
-    pub(super) fn offer(&mut self, record: &ScenarioRecord) {
+    /// Looks at the next scenario, in the order of the samples, whose scene has this position in its store.
+    pub(super) fn offer(&mut self, record: &ScenarioRecord, scene_idx: usize) {
         let at = self.sweeps.iter().position(|(sweep, _)| *sweep == record.sweep).unwrap_or_else(|| {
             self.sweeps.push((record.sweep.clone(), self.candidates(record)));
             self.sweeps.len() - 1
         });
         match &mut self.sweeps[at].1 {
             Candidates::Asked { new, recorded, failed } => match Verdict::of(record) {
-                Verdict::New => new.offer(record),
-                Verdict::Recorded => recorded.offer(record),
-                Verdict::NotVerified | Verdict::NotAsked => failed.offer(record),
+                Verdict::New => new.offer(record, scene_idx),
+                Verdict::Recorded => recorded.offer(record, scene_idx),
+                Verdict::NotVerified | Verdict::NotAsked => failed.offer(record, scene_idx),
             },
-            Candidates::Galleries(galleries) => galleries.offer(record, self.config.n_samples_drawn),
+            Candidates::Galleries(galleries) => galleries.offer(record, scene_idx, self.config.n_samples_drawn),
         }
     }
 
@@ -82,7 +81,7 @@ impl<'a> Choice<'a> {
         let preferred = of_others.next().unwrap_or_default();
         Candidates::Galleries(Galleries {
             limit: n_scenes_drawn,
-            scenes: BTreeSet::new(),
+            scenes: SceneSet::default(),
             preferred,
             own: Vec::new(),
             kept: Vec::new(),
@@ -139,19 +138,19 @@ impl<'a> Choice<'a> {
 struct Ranked {
     limit: usize,
     n_offered: usize,
-    scenes: BTreeSet<SceneId>,
+    scenes: SceneSet,
     firsts: Vec<ScenarioRecord>,
     further: Vec<ScenarioRecord>,
 }
 
 impl Ranked {
-    const fn new(limit: usize) -> Self {
-        Self { limit, n_offered: 0, scenes: BTreeSet::new(), firsts: Vec::new(), further: Vec::new() }
+    fn new(limit: usize) -> Self {
+        Self { limit, n_offered: 0, scenes: SceneSet::default(), firsts: Vec::new(), further: Vec::new() }
     }
 
-    fn offer(&mut self, record: &ScenarioRecord) {
+    fn offer(&mut self, record: &ScenarioRecord, scene_idx: usize) {
         self.n_offered += 1;
-        let is_first = self.scenes.insert(record.scenario.provenance.scene_id.clone());
+        let is_first = self.scenes.insert(scene_idx);
         let list = if is_first { &mut self.firsts } else { &mut self.further };
         if list.len() < self.limit {
             list.push(record.clone());
@@ -167,7 +166,7 @@ impl Ranked {
 struct Galleries {
     limit: usize,
     /// All scenes of this sweep.
-    scenes: BTreeSet<SceneId>,
+    scenes: SceneSet,
     /// Scenes that an earlier sweep drew.
     preferred: Vec<SceneId>,
     /// The first scenes of this sweep.
@@ -176,12 +175,10 @@ struct Galleries {
 }
 
 impl Galleries {
-    fn offer(&mut self, record: &ScenarioRecord, n_samples: usize) {
+    fn offer(&mut self, record: &ScenarioRecord, scene_idx: usize, n_samples: usize) {
         let provenance = &record.scenario.provenance;
         let scene_id = &provenance.scene_id;
-        if !self.scenes.contains(scene_id) {
-            self.scenes.insert(scene_id.clone());
-        }
+        self.scenes.insert(scene_idx);
         if !self.own.contains(scene_id) && self.own.len() < self.limit {
             self.own.push(scene_id.clone());
         }

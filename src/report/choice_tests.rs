@@ -38,6 +38,11 @@ fn asked(scene: &str, sample_idx: usize, verified: bool, recorded_event: bool) -
     ScenarioRecord { requested_behavior, verified, recorded_event, ..record("asked", scene, 2.0, sample_idx) }
 }
 
+/// Scenes are at the positions of their letters.
+fn offer(choice: &mut Choice<'_>, record: &ScenarioRecord) {
+    choice.offer(record, usize::from(record.scenario.provenance.scene_id.0.as_bytes()[0]));
+}
+
 fn ids(chosen: &[Chosen]) -> Vec<String> {
     let text = |chosen: &Chosen| match chosen {
         Chosen::Alone(record) => record.scenario.id.clone(),
@@ -50,7 +55,7 @@ fn ids(chosen: &[Chosen]) -> Vec<String> {
 
 fn choose(config: &ReportConfig, records: &[ScenarioRecord]) -> Vec<String> {
     let mut choice = Choice::new(config);
-    records.iter().for_each(|record| choice.offer(record));
+    records.iter().for_each(|record| offer(&mut choice, record));
     ids(&choice.finish())
 }
 
@@ -92,10 +97,10 @@ fn what_keeps_drawings_from_being_more_is_told() {
     let config = ReportConfig { n_drawn: 1000, n_failed_drawn: 1, n_scenes_drawn: 2, ..ReportConfig::default() };
     let mut choice = Choice::new(&config);
     for i in 0..5 {
-        choice.offer(&asked("a", i, i < 3, i == 0));
+        offer(&mut choice, &asked("a", i, i < 3, i == 0));
     }
     for (i, scene) in ["a", "b", "c", "c"].into_iter().enumerate() {
-        choice.offer(&record("one", scene, 0.0, i));
+        offer(&mut choice, &record("one", scene, 0.0, i));
     }
     let drawn = choice.drawn();
     let told: Vec<_> =

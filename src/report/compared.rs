@@ -1,19 +1,19 @@
 //! Whose motion, and which events, are compared with the recorded ones?
 
 use super::distribution::Distribution;
-use super::quantities::{MotionDistributions, event_distributions};
+use super::quantities::{EventParameters, MotionDistributions, event_distributions};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::scene::{GuidanceTag, Provenance, Scene};
-use crate::store::ScenarioRecord;
+use crate::store::{Result, ScenarioRecord, SceneSet};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Collects what is compared: at most `limit` scenes of each group.
+/// Collects what is compared: at most `limit` scenes of each group, and the parameters of events.
 pub(super) struct Compared {
     limit: usize,
-    recorded_ids: BTreeSet<String>,
+    recorded: SceneSet,
     n_generated: BTreeMap<&'static str, usize>,
     motion: MotionDistributions,
-    events: Vec<BehaviorEvent>,
+    events: EventParameters,
     behaviors: BTreeSet<String>,
 }
 
@@ -21,21 +21,22 @@ impl Compared {
     pub(super) fn new(limit: usize) -> Self {
         Self {
             limit,
-            recorded_ids: BTreeSet::new(),
+            recorded: SceneSet::default(),
             n_generated: BTreeMap::new(),
             motion: MotionDistributions::default(),
-            events: Vec::new(),
+            events: EventParameters::default(),
             behaviors: BTreeSet::new(),
         }
     }
 
-    pub(super) fn wants_recording(&self, scene_id: &str) -> bool {
-        self.recorded_ids.len() < self.limit && !self.recorded_ids.contains(scene_id)
+    /// Whether the recording at this position of the store is compared, and not there yet.
+    pub(super) fn wants_recording(&self, scene_idx: usize) -> bool {
+        self.recorded.len() < self.limit && !self.recorded.contains(scene_idx)
     }
 
-    pub(super) fn add_recording(&mut self, scene_id: &str, recorded: &Scene) {
-        if self.wants_recording(scene_id) {
-            self.recorded_ids.insert(scene_id.to_owned());
+    pub(super) fn add_recording(&mut self, scene_idx: usize, recorded: &Scene) {
+        if self.wants_recording(scene_idx) {
+            self.recorded.insert(scene_idx);
             self.motion.add("recorded", recorded);
         }
     }
@@ -49,7 +50,7 @@ impl Compared {
         }
         self.behaviors.extend(record.requested_behavior.clone());
         if record.verified && !record.recorded_event {
-            self.events.extend(record.main_event().cloned());
+            record.main_event().into_iter().for_each(|event| self.events.add(event));
         }
     }
 
@@ -58,19 +59,20 @@ impl Compared {
         self.motion.finish()
     }
 
-    /// Whether a recorded event is one of a behavior that was asked for.
-    pub(super) fn wants_event(&self, event: &BehaviorEvent) -> bool {
-        event.label == EventLabel::Positive && self.behaviors.contains(&event.behavior)
-    }
-
-    /// Parameters of the recorded events that are [wanted](Self::wants_event), beside those of the new ones.
-    pub(super) fn events(&self, recorded: &[BehaviorEvent]) -> Vec<Distribution> {
-        let recorded: Vec<&BehaviorEvent> = recorded.iter().collect();
-        let generated: Vec<&BehaviorEvent> = self.events.iter().collect();
-        if generated.is_empty() {
-            return Vec::new();
+    /// Parameters of the recorded events of behaviors that were asked for, beside those of the new ones. Recorded events are not read
+    /// where there are no new ones.
+    pub(super) fn events(&self, all: impl Iterator<Item = Result<BehaviorEvent>>) -> Result<Vec<Distribution>> {
+        if self.events.is_empty() {
+            return Ok(Vec::new());
         }
-        event_distributions(&[("recorded events", &recorded), ("generated events", &generated)])
+        let mut recorded = EventParameters::default();
+        for event in all {
+            let event = event?;
+            if event.label == EventLabel::Positive && self.behaviors.contains(&event.behavior) {
+                recorded.add(&event);
+            }
+        }
+        Ok(event_distributions(&[("recorded events", &recorded), ("generated events", &self.events)]))
     }
 }
 
@@ -91,7 +93,7 @@ mod tests {
     #[test]
     fn edited_scenarios_are_not_compared_as_unguided_traffic() {
         let mut compared = Compared::new(9);
-        compared.add_recording("a", &recorded());
+        compared.add_recording(0, &recorded());
         let mut guided = record(2.0, false, false, recorded());
         compared.add(&guided);
         guided.scenario.provenance.guidance.kind = GuidanceTag::NONE.to_owned();

@@ -1,7 +1,7 @@
 //! What do the metrics say of single scenarios?
 
 use super::card::CardValue;
-use crate::store::{MetricRow, ScenarioRecord};
+use crate::store::{MetricRow, Result, ScenarioRecord};
 use std::collections::BTreeMap;
 
 /// The metrics of some scenarios, by their ids, in the order of the table.
@@ -10,15 +10,17 @@ pub(super) struct FiguresOfScenarios(BTreeMap<String, Vec<CardValue>>);
 
 impl FiguresOfScenarios {
     /// Those of `records` among the rows of a metric table.
-    pub(super) fn new<'a>(rows: Vec<MetricRow>, records: impl Iterator<Item = &'a ScenarioRecord>) -> Self {
+    pub(super) fn new<'a>(
+        rows: impl Iterator<Item = Result<MetricRow>>,
+        records: impl Iterator<Item = &'a ScenarioRecord>,
+    ) -> Result<Self> {
         let mut figures = Self(records.map(|record| (record.scenario.id.clone(), Vec::new())).collect());
-        figures.add(rows);
-        figures
+        rows.into_iter().try_for_each(|row| row.map(|row| figures.add(row)))?;
+        Ok(figures)
     }
 
-    fn add(&mut self, rows: Vec<MetricRow>) {
-        for row in rows {
-            let Some(values) = row.scenario_id.as_ref().and_then(|id| self.0.get_mut(id)) else { continue };
+    fn add(&mut self, row: MetricRow) {
+        if let Some(values) = row.scenario_id.as_ref().and_then(|id| self.0.get_mut(id)) {
             values.push(CardValue { name: row.metric, value: row.value });
         }
     }
@@ -60,7 +62,8 @@ mod tests {
             std_error: None,
         };
         let mut figures = FiguresOfScenarios(["1", "2"].map(|id| (id.to_owned(), vec![])).into());
-        figures.add(vec![row("1", "a", 2.0), row("2", "a", 4.0), row("2", "b", 5.0), row("3", "a", 99.0)]);
+        let rows = [row("1", "a", 2.0), row("2", "a", 4.0), row("2", "b", 5.0), row("3", "a", 99.0)];
+        rows.into_iter().for_each(|row| figures.add(row));
         let found: Vec<(String, f64)> =
             figures.mean_of(&["1", "2", "4"]).into_iter().map(|v| (v.name, v.value)).collect();
         assert_eq!(found, [("a".to_owned(), 3.0), ("b".to_owned(), 5.0)]);

@@ -9,8 +9,8 @@ use super::figures_of_scenarios::FiguresOfScenarios;
 use crate::behavior::BehaviorEvent;
 use crate::evaluate::{Error, Result};
 use crate::scene::{Scene, SceneId};
-use crate::store::{MetricRow, ScenarioRecord, SceneStore, VerdictRow};
-use std::collections::BTreeMap;
+use crate::store::{self, MetricRow, ScenarioRecord, SceneStore, VerdictRow};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// What the report shows of single scenes.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -42,39 +42,35 @@ impl<'a> Gallery<'a> {
     /// When its recording cannot be read.
     pub fn offer(&mut self, record: &ScenarioRecord) -> Result<()> {
         let scene_id = &record.scenario.provenance.scene_id;
-        if self.compared.wants_recording(&scene_id.0)
-            && let Some(idx) = self.store.position(scene_id)
-        {
-            self.compared.add_recording(&scene_id.0, &self.store.scene(idx)?);
+        let idx = self.store.position(scene_id).ok_or_else(|| Error::UnknownScene(scene_id.clone()))?;
+        if self.compared.wants_recording(idx) {
+            self.compared.add_recording(idx, &self.store.scene(idx)?);
         }
         self.compared.add(record);
-        self.choice.offer(record);
+        self.choice.offer(record, idx);
         Ok(())
     }
 
-    /// Whether a recorded event is one of a behavior that was asked for.
-    pub fn wants_event(&self, event: &BehaviorEvent) -> bool {
-        self.compared.wants_event(event)
-    }
-
     /// Draws what was chosen, with what `metrics` and `verdicts` say of it (nothing where they are empty). Events are compared
-    /// with the `recorded_events` that are [wanted](Self::wants_event), where they are known.
+    /// with the `recorded` ones, where they are known.
     ///
     /// # Errors
-    /// When a recording is missing or cannot be read.
+    /// When a recording is missing or cannot be read; those of the tables.
     pub fn finish(
         self,
-        recorded_events: Option<&[BehaviorEvent]>,
-        metrics: Vec<MetricRow>,
-        verdicts: Vec<VerdictRow>,
+        recorded: Option<impl Iterator<Item = store::Result<BehaviorEvent>>>,
+        metrics: impl Iterator<Item = store::Result<MetricRow>>,
+        verdicts: impl Iterator<Item = store::Result<VerdictRow>>,
     ) -> Result<Drawings> {
         let Self { store, choice, compared } = self;
         let mut distributions = compared.motion();
-        distributions.extend(recorded_events.map(|events| compared.events(events)).into_iter().flatten());
+        if let Some(recorded) = recorded {
+            distributions.extend(compared.events(recorded)?);
+        }
         let drawn = choice.drawn();
         let chosen = choice.finish();
-        let figures = FiguresOfScenarios::new(metrics, records(&chosen));
-        let decisions = decisions(verdicts, records(&chosen));
+        let figures = FiguresOfScenarios::new(metrics, records(&chosen))?;
+        let decisions = decisions(verdicts, records(&chosen))?;
         let mut scenes = Vec::new();
         for chosen in &chosen {
             scenes.extend(card(chosen, store, &figures, &decisions)?);
@@ -92,16 +88,15 @@ fn records(chosen: &[Chosen]) -> impl Iterator<Item = &ScenarioRecord> {
 
 /// Which of `records` were accepted, and why others were not, by their ids.
 fn decisions<'r>(
-    verdicts: Vec<VerdictRow>,
+    verdicts: impl Iterator<Item = store::Result<VerdictRow>>,
     records: impl Iterator<Item = &'r ScenarioRecord>,
-) -> BTreeMap<String, Acceptance> {
-    let mut reasons: BTreeMap<String, Vec<String>> =
-        verdicts.into_iter().map(|row| (row.scenario_id, row.reasons)).collect();
-    let of_record = |record: &ScenarioRecord| {
-        let (id, reasons) = reasons.remove_entry(&record.scenario.id)?;
-        Some((id, Acceptance { reasons }))
+) -> Result<BTreeMap<String, Acceptance>> {
+    let ids: BTreeSet<&str> = records.map(|record| record.scenario.id.as_str()).collect();
+    let of_record = |row: VerdictRow| {
+        let is_shown = ids.contains(row.scenario_id.as_str());
+        is_shown.then_some((row.scenario_id, Acceptance { reasons: row.reasons }))
     };
-    records.filter_map(of_record).collect()
+    Ok(verdicts.filter_map(|row| row.map(of_record).transpose()).collect::<store::Result<_>>()?)
 }
 
 fn card(

@@ -44,6 +44,6 @@ pub use gallery::{Drawings, Gallery};
 pub use html::{PAGE_MARK, render, render_comparison};
 pub use model::{Chart, Curve, Fact, MetricTable, ReportModel, TrainingSummary, Warning};
 pub use plain::{PlainRow, PlainSection, PlainTable};
-pub use quantities::{MotionDistributions, event_distributions};
+pub use quantities::{EventParameters, MotionDistributions, event_distributions};
 pub use tradeoffs::tradeoffs;
 pub use wilson::{Interval, wilson_interval};

@@ -4,7 +4,7 @@ use super::distribution::Distribution;
 use crate::behavior::BehaviorEvent;
 use crate::metrics::{MOTION, MotionQuantity};
 use crate::scene::Scene;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Bins of each histogram.
 const N_BINS: usize = 40;
@@ -40,23 +40,72 @@ impl MotionDistributions {
     }
 }
 
+/// The values of a parameter are thinned when there are this many.
+const MAX_VALUES: usize = 20_000;
+
+/// The parameters of events, by name. Of many events every second counts, of twice as many every fourth, and so on, so that memory
+/// is bounded and the values are of all parts of a run.
+#[derive(Debug, Clone, Default)]
+pub struct EventParameters(BTreeMap<String, Thinned>);
+
+#[derive(Debug, Clone, Default)]
+struct Thinned {
+    n_seen: usize,
+    /// Of 2 to the power of this many values one is kept.
+    halvings: u32,
+    values: Vec<f64>,
+}
+
+impl EventParameters {
+    /// Adds an event.
+    pub fn add(&mut self, event: &BehaviorEvent) {
+        for (name, value) in &event.parameters {
+            if !self.0.contains_key(name) {
+                self.0.insert(name.clone(), Thinned::default());
+            }
+            self.0.get_mut(name).into_iter().for_each(|values| values.add(*value));
+        }
+    }
+
+    /// Whether there are no values.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+}
+
+impl Thinned {
+    fn add(&mut self, value: f64) {
+        if self.n_seen.is_multiple_of(1 << self.halvings) {
+            self.values.push(value);
+        }
+        self.n_seen += 1;
+        if self.values.len() == MAX_VALUES {
+            let mut idx = 0;
+            self.values.retain(|_| {
+                idx += 1;
+                idx % 2 == 1
+            });
+            self.halvings += 1;
+        }
+    }
+}
+
 /// Distributions of the parameters of events, one for each parameter that any event has; the first group is the reference.
-pub fn event_distributions(groups: &[(&str, &[&BehaviorEvent])]) -> Vec<Distribution> {
-    let names: BTreeSet<&String> =
-        groups.iter().flat_map(|(_, events)| events.iter()).flat_map(|e| e.parameters.keys()).collect();
-    names
-        .into_iter()
-        .map(|name| {
-            let values: Vec<Vec<f64>> = groups
-                .iter()
-                .map(|(_, events)| events.iter().filter_map(|event| event.parameters.get(name).copied()).collect())
-                .collect();
-            let groups: Vec<(&str, &[f64])> =
-                groups.iter().zip(&values).map(|((group, _), values)| (*group, values.as_slice())).collect();
-            let (title, unit) = title_and_unit(name);
-            Distribution::of(&title, unit, "of the events", N_BINS / 2, &groups)
-        })
-        .collect()
+pub fn event_distributions(groups: &[(&str, &EventParameters)]) -> Vec<Distribution> {
+    let names: BTreeSet<&String> = groups.iter().flat_map(|(_, events)| events.0.keys()).collect();
+    let none = Thinned::default();
+    let of_parameter = |name: &String| {
+        let found: Vec<(&str, &Thinned)> =
+            groups.iter().map(|(group, events)| (*group, events.0.get(name).unwrap_or(&none))).collect();
+        let thinned = found.iter().filter(|(_, values)| values.halvings > 0);
+        let thinned = thinned.map(|(group, values)| format!("; every {}th of the {group}", 1_u64 << values.halvings));
+        let description = format!("of the events{}", thinned.collect::<String>());
+        let groups: Vec<(&str, &[f64])> =
+            found.iter().map(|(group, values)| (*group, values.values.as_slice())).collect();
+        let (title, unit) = title_and_unit(name);
+        Distribution::of(&title, unit, &description, N_BINS / 2, &groups)
+    };
+    names.into_iter().map(of_parameter).collect()
 }
 
 /// `relative_speed_mps` is the relative speed in m/s.
@@ -106,11 +155,31 @@ mod tests {
             end_timestep: 1,
             parameters: BTreeMap::from([("gap_m".to_owned(), gap_m), ("relative_speed_mps".to_owned(), -1.0)]),
         };
-        let (a, b) = (event(4.0), event(6.0));
-        let distributions = event_distributions(&[("recorded", &[&a]), ("generated", &[&a, &b])]);
+        let parameters = |gaps_m: &[f64]| {
+            let mut parameters = EventParameters::default();
+            gaps_m.iter().for_each(|gap_m| parameters.add(&event(*gap_m)));
+            parameters
+        };
+        let distributions =
+            event_distributions(&[("recorded", &parameters(&[4.0])), ("generated", &parameters(&[4.0, 6.0]))]);
         let titles: Vec<(&str, &str)> = distributions.iter().map(|d| (d.title.as_str(), d.unit.as_str())).collect();
         assert_eq!(titles, [("gap", "m"), ("relative speed", "m/s")]);
         assert_eq!(distributions[0].series[1].mean, Some(5.0));
         assert_eq!(distributions[0].series[1].distance, Some(1.0));
+        assert_eq!(distributions[0].description, "of the events");
+    }
+
+    #[test]
+    fn of_many_values_evenly_spread_ones_stay_in_bounded_memory() {
+        let mut thinned = Thinned::default();
+        (0..150_000).for_each(|value| thinned.add(f64::from(value)));
+        // 20 000 values were there after 20 000, 40 000 and 80 000 events: every eighth of 150 000 is left.
+        assert_eq!((thinned.values.len(), thinned.halvings), (18_750, 3));
+        assert!((0..).step_by(8).map(f64::from).zip(&thinned.values).all(|(expected, value)| expected == *value));
+        let groups =
+            [("few", &EventParameters::default()), ("many", &EventParameters([("gap_m".into(), thinned)].into()))];
+        let distribution = &event_distributions(&groups)[0];
+        assert_eq!(distribution.description, "of the events; every 8th of the many");
+        assert_eq!(distribution.series[1].n, 18_750);
     }
 }

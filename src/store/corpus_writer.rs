@@ -84,13 +84,16 @@ impl<'m> CorpusWriter<'m> {
         self.sink.write_recordings(&partition, &recording::encode(scene)?, 1)
     }
 
-    /// Adds metric values, in the order given.
+    /// Adds metric values, in the order given. Those of scenarios that have not been added are left out.
     ///
     /// # Errors
-    /// Those of the file system.
-    pub fn write_metrics(&mut self, rows: impl IntoIterator<Item = MetricRow>) -> Result<()> {
+    /// Those of the rows; those of the file system.
+    pub fn write_metrics(&mut self, rows: impl IntoIterator<Item = Result<MetricRow>>) -> Result<()> {
+        let Self { scenario_ids, sink, .. } = self;
         let partition = CorpusTable::Metrics.partition(None, "");
-        metrics::batches(rows).try_for_each(|batch| self.sink.write(CorpusTable::Metrics, &partition, &batch?))
+        let is_left_out = |row: &MetricRow| row.scenario_id.as_ref().is_some_and(|id| !scenario_ids.contains(id));
+        let rows = rows.into_iter().filter(|row| !row.as_ref().is_ok_and(is_left_out));
+        metrics::batches(rows).try_for_each(|batch| sink.write(CorpusTable::Metrics, &partition, &batch?))
     }
 
     /// Finishes the tables, and writes the card and the manifest.

@@ -70,7 +70,7 @@ fn write(dir: &Path, store: &SceneStore, records: &[ScenarioRecord], batch_len: 
             writer.write_recording(&recorded(store, record)).unwrap();
         }
     }
-    writer.write_metrics([metric_row()]).unwrap();
+    writer.write_metrics([Ok(metric_row())]).unwrap();
     let left_out = [("guided".to_owned(), [("not_verified".to_owned(), 7)].into())].into();
     writer.finish(&CorpusNotes { left_out, ..CorpusNotes::default() }).unwrap()
 }

@@ -2,7 +2,7 @@
 
 use super::parquet_file::ParquetFile;
 use super::tables::event::{self, EventNames};
-use super::{Result, parquet_file};
+use super::{Result, row_file};
 use crate::behavior::{BehaviorEntry, BehaviorEvent};
 use crate::files::FileStamp;
 use std::path::{Path, PathBuf};
@@ -57,14 +57,18 @@ impl<'n> EventWriter<'n> {
 /// Reads the events of a table that `keep` asks for, in the order they were written. The others take no memory.
 ///
 /// # Errors
-/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is no
-/// such table; those of the file system.
+/// As [`stream_events`].
 pub fn read_events(path: &Path, keep: impl Fn(&BehaviorEvent) -> bool) -> Result<Vec<BehaviorEvent>> {
-    let mut events = Vec::new();
-    for batch in parquet_file::stream(path, &event::schema(), None)? {
-        events.extend(event::decode(&batch?, path)?.into_iter().filter(&keep));
-    }
-    Ok(events)
+    stream_events(path)?.filter(|event| event.as_ref().map_or(true, &keep)).collect()
+}
+
+/// Reads a table of events one by one, in the order they were written; few are in memory at a time.
+///
+/// # Errors
+/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is no
+/// such table, or when an event is read that is damaged; those of the file system.
+pub fn stream_events(path: &Path) -> Result<impl Iterator<Item = Result<BehaviorEvent>> + use<>> {
+    row_file::read(path, &event::schema(), event::decode)
 }
 
 #[cfg(test)]
@@ -72,6 +76,7 @@ mod tests {
     use super::*;
     use crate::behavior::{self, EventLabel};
     use crate::scene::SceneId;
+    use crate::store::parquet_file;
     use crate::store::testing::event;
     use crate::store::{Error, MetricRow, write_metrics};
     use std::collections::BTreeSet;
@@ -179,7 +184,7 @@ mod tests {
     fn other_and_damaged_files_are_named() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("events.parquet");
-        write_metrics(&path, Vec::<MetricRow>::new()).unwrap();
+        write_metrics(&path, Vec::<Result<MetricRow>>::new()).unwrap();
         let error = read_all(&path).unwrap_err();
         assert!(matches!(&error, Error::SchemaVersion { found, .. } if found == "metric.v2"), "{error}");
         write_events(&path, &events()).unwrap();

@@ -1,45 +1,102 @@
 //! `metrics.parquet`: the values of metrics, one a row.
 
-use super::parquet_file::{self, ParquetFile};
+use super::row_file::{self, ROWS_PER_BATCH, RowFile};
 use super::tables::metric;
-use super::{MetricRow, Result};
+use super::{MetricRow, Result, remove_if_present};
 use crate::files::FileStamp;
 use arrow::array::RecordBatch;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Writes a metric table, in the order given.
 ///
 /// # Errors
 /// Those of the file system.
-pub fn write_metrics(path: &Path, rows: impl IntoIterator<Item = MetricRow>) -> Result<FileStamp> {
-    let mut file = ParquetFile::create(path, &metric::schema(), metric::encode(&[])?.schema())?;
-    batches(rows).try_for_each(|batch| file.write(&batch?))?;
+pub fn write_metrics(path: &Path, rows: impl IntoIterator<Item = Result<MetricRow>>) -> Result<FileStamp> {
+    let mut file = RowFile::create(path, &metric::schema(), metric::encode)?;
+    rows.into_iter().try_for_each(|row| file.push(row?))?;
     file.finish()
 }
 
-/// Rows of a batch. A row takes some 300 bytes.
-const ROWS_PER_BATCH: usize = 8 * 1024;
-
 /// The rows as batches, so that few are in memory at a time.
-pub(super) fn batches(rows: impl IntoIterator<Item = MetricRow>) -> impl Iterator<Item = Result<RecordBatch>> {
+pub(super) fn batches(rows: impl IntoIterator<Item = Result<MetricRow>>) -> impl Iterator<Item = Result<RecordBatch>> {
     let mut rows = rows.into_iter().peekable();
     std::iter::from_fn(move || {
         rows.peek()?;
-        Some(metric::encode(&rows.by_ref().take(ROWS_PER_BATCH).collect::<Vec<_>>()))
+        let batch: Result<Vec<MetricRow>> = rows.by_ref().take(ROWS_PER_BATCH).collect();
+        Some(batch.and_then(|batch| metric::encode(&batch)))
     })
 }
 
-/// Reads a metric table, in the order it was written.
+/// Reads a metric table row by row, in the order it was written; few rows are in memory at a time.
 ///
 /// # Errors
 /// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is no
-/// such table; those of the file system.
-pub fn read_metrics(path: &Path) -> Result<Vec<MetricRow>> {
-    let mut rows = Vec::new();
-    for batch in parquet_file::read(path, &metric::schema())? {
-        rows.extend(metric::decode(&batch, path)?);
+/// such table, or when a row is read that is damaged; those of the file system.
+pub fn read_metrics(path: &Path) -> Result<impl Iterator<Item = Result<MetricRow>> + use<>> {
+    row_file::read(path, &metric::schema(), metric::decode)
+}
+
+/// Rows of the batch, and of the group, that a spool holds in memory: there are as many spools as series.
+const ROWS_PER_SPOOLED_BATCH: usize = 1024;
+const ROWS_PER_SPOOLED_GROUP: usize = 32 * 1024;
+
+/// Metric values that wait in a file of their own for those that a table has before them.
+pub struct MetricSpool {
+    path: PathBuf,
+    file: RowFile<MetricRow>,
+}
+
+impl MetricSpool {
+    /// Begins the file.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn create(path: &Path) -> Result<Self> {
+        let file = RowFile::create(path, &metric::schema(), metric::encode)?.in_batches_of(ROWS_PER_SPOOLED_BATCH);
+        Ok(Self { path: path.to_owned(), file })
     }
-    Ok(rows)
+
+    /// Adds a row.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn push(&mut self, row: MetricRow) -> Result<()> {
+        self.file.push(row)?;
+        self.file.limit_memory(ROWS_PER_SPOOLED_GROUP)
+    }
+
+    /// Ends the file, so that it can be read.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn finish(self) -> Result<SpooledMetrics> {
+        self.file.finish()?;
+        Ok(SpooledMetrics { path: self.path })
+    }
+}
+
+/// A finished spool.
+#[derive(Debug)]
+pub struct SpooledMetrics {
+    path: PathBuf,
+}
+
+impl SpooledMetrics {
+    /// The rows, in the order in which they came, as often as they are asked for.
+    ///
+    /// # Errors
+    /// As [`read_metrics`].
+    pub fn rows(&self) -> Result<impl Iterator<Item = Result<MetricRow>> + use<>> {
+        read_metrics(&self.path)
+    }
+
+    /// Removes the file.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn remove(self) -> Result<()> {
+        Ok(remove_if_present(&self.path)?)
+    }
 }
 
 #[cfg(test)]
@@ -72,7 +129,39 @@ mod tests {
             ..aggregate.clone()
         };
         let rows = [aggregate, single];
-        write_metrics(&path, rows.clone()).unwrap();
-        assert_eq!(read_metrics(&path).unwrap(), rows);
+        write_metrics(&path, rows.clone().map(Ok)).unwrap();
+        assert_eq!(read_metrics(&path).unwrap().collect::<Result<Vec<_>>>().unwrap(), rows);
+    }
+
+    #[test]
+    fn a_spool_gives_back_its_rows_in_order_and_leaves_no_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("metrics.spool");
+        // More than a group, and a batch that is not full.
+        let n_rows = ROWS_PER_SPOOLED_GROUP as u64 + 1500;
+        let row = |n: u64| MetricRow {
+            group: Group::Unguided,
+            sweep: "s".to_owned(),
+            level: GuidanceLevel::UNGUIDED,
+            place: "X".to_owned(),
+            scene_id: Some(SceneId::from("a/b/c/d")),
+            scenario_id: None,
+            metric: "mfd_m".to_owned(),
+            value: 0.5 * n as f64,
+            n,
+            std_error: None,
+        };
+        let mut spool = MetricSpool::create(&path).unwrap();
+        (0..n_rows).try_for_each(|n| spool.push(row(n))).unwrap();
+        let spooled = spool.finish().unwrap();
+        for _ in 0..2 {
+            let read = spooled.rows().unwrap().zip(0..n_rows + 1);
+            assert_eq!(read.filter(|(read, n)| *read.as_ref().unwrap() == row(*n)).count() as u64, n_rows);
+        }
+        spooled.remove().unwrap();
+        assert_eq!(
+            std::fs::read_dir(dir.path()).unwrap().filter(|file| file.as_ref().unwrap().path() == path).count(),
+            0
+        );
     }
 }

@@ -1,29 +1,47 @@
 //! `verdicts.parquet`: what became of each generated scenario, one a row.
 
+use super::row_file::{self, RowFile};
 use super::tables::verdict;
-use super::{Result, VerdictRow, parquet_file};
+use super::{Result, VerdictRow};
 use crate::files::FileStamp;
 use std::path::Path;
 
-/// Writes a table of verdicts, in the order given.
-///
-/// # Errors
-/// Those of the file system.
-pub fn write_verdicts(path: &Path, rows: &[VerdictRow]) -> Result<FileStamp> {
-    parquet_file::write_batch(path, &verdict::schema(), &verdict::encode(rows)?)
+/// Writes a table of verdicts row by row, with memory for a row group.
+pub struct VerdictWriter(RowFile<VerdictRow>);
+
+impl VerdictWriter {
+    /// Begins the table.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn create(path: &Path) -> Result<Self> {
+        RowFile::create(path, &verdict::schema(), verdict::encode).map(Self)
+    }
+
+    /// Adds a verdict.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn push(&mut self, row: VerdictRow) -> Result<()> {
+        self.0.push(row)
+    }
+
+    /// Gives the table its name; before that there is none.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn finish(self) -> Result<FileStamp> {
+        self.0.finish()
+    }
 }
 
-/// Reads a table of verdicts, in the order it was written.
+/// Reads a table of verdicts row by row, in the order it was written; few rows are in memory at a time.
 ///
 /// # Errors
 /// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is no
-/// such table; those of the file system.
-pub fn read_verdicts(path: &Path) -> Result<Vec<VerdictRow>> {
-    let mut rows = Vec::new();
-    for batch in parquet_file::read(path, &verdict::schema())? {
-        rows.extend(verdict::decode(&batch, path)?);
-    }
-    Ok(rows)
+/// such table, or when a row is read that is damaged; those of the file system.
+pub fn read_verdicts(path: &Path) -> Result<impl Iterator<Item = Result<VerdictRow>> + use<>> {
+    row_file::read(path, &verdict::schema(), verdict::decode)
 }
 
 #[cfg(test)]
@@ -45,7 +63,9 @@ mod tests {
             not_checked: if id == "b" { vec!["offroad".to_owned()] } else { Vec::new() },
         };
         let rows = [row("a", &["not_verified", "jerk"]), row("b", &[]), row("c", &["near_duplicate"])];
-        write_verdicts(&path, &rows).unwrap();
-        assert_eq!(read_verdicts(&path).unwrap(), rows);
+        let mut writer = VerdictWriter::create(&path).unwrap();
+        rows.iter().try_for_each(|row| writer.push(row.clone())).unwrap();
+        writer.finish().unwrap();
+        assert_eq!(read_verdicts(&path).unwrap().collect::<Result<Vec<_>>>().unwrap(), rows);
     }
 }

@@ -70,6 +70,45 @@ fn exit_codes_tell_whose_fault_it_is() {
     assert!(outcome.stderr.contains("scenes-00000.arrow"), "{}", outcome.stderr);
 }
 
+/// A disk is full when nothing more can be written. Here no file may become longer than a few hundred bytes, which fails in the same
+/// places.
+#[cfg(unix)]
+#[test]
+fn a_full_disk_is_a_fault_of_the_machine_and_leaves_no_half_result() {
+    let workspace = Workspace::new();
+    let [a, b, out] = ["a", "b", "out"].map(|name| workspace.arg(name));
+    for (output, limit) in [(&a, "ingest.limit=2"), (&b, "ingest.limit=3")] {
+        let recordings = "tests/fixtures/recordings/argoverse1";
+        djinn(&["ingest", recordings, "--dataset", "argoverse1", "--set", limit, "--output", output]).expect(0);
+    }
+    let corpus = "tests/fixtures/corpus/corpus.v2_scenario.v5";
+    for args in [
+        vec!["report", "--compare", &a, &b, "--out", &out],
+        vec!["report", "--from", &a, "--output", &out],
+        vec!["mine", "--output", &a],
+        vec!["corpus", "filter", corpus, "--where", "verified", "--out", &out],
+        vec!["export", "openlabel", corpus, "--out", &out],
+    ] {
+        let whole = command(&args);
+        let outcome = std::process::Command::new("sh")
+            .args(["-c", "trap '' XFSZ; ulimit -f 1; exec \"$0\" \"$@\""])
+            .arg(whole.get_program())
+            .args(whole.get_args())
+            .current_dir(env!("CARGO_MANIFEST_DIR"))
+            .output()
+            .unwrap();
+        let said = String::from_utf8(outcome.stderr).unwrap();
+        assert_eq!(outcome.status.code(), Some(2), "{args:?}: {said}");
+        assert!(said.contains("File too large"), "{args:?}: {said}");
+        assert!(!workspace.path("out/report.html").exists() && !workspace.path("a/events.parquet").exists());
+        assert!(workspace.path("out").is_dir() == (args[1] == "--from"), "{args:?}");
+        fs_err::remove_dir_all(&out).ok();
+    }
+    // Where a path leads is the user's affair.
+    let outcome = djinn(&["report", "--compare", &a, &b, "--out", "Cargo.toml/page.html"]).expect(1);
+    assert!(outcome.stderr.contains("Cargo.toml"), "{}", outcome.stderr);
+}
+
 #[test]
 fn data_goes_to_stdout_and_everything_else_to_stderr() {
     let workspace = Workspace::new();

@@ -25,6 +25,22 @@ fn a_flipped_bit_of_a_model_is_a_fault_and_names_the_model() {
 }
 
 #[test]
+fn a_changed_summary_is_not_reported() {
+    let workspace = Workspace::new();
+    let out = workspace.arg("out");
+    djinn(&["ingest", RECORDINGS, "--dataset", "argoverse1", "--output", &out]).expect(0);
+    djinn(&["mine", "--output", &out]).expect(0);
+    let path = workspace.path("out/mine.json");
+    let text = fs_err::read_to_string(&path).unwrap();
+    let changed = text.replacen("\"n_scenes\": 6", "\"n_scenes\": 7", 1);
+    assert_ne!(text, changed);
+    fs_err::write(&path, changed).unwrap();
+    let outcome = djinn(&["report", "--from", &out, "--output", &workspace.arg("page")]).expect(2);
+    assert!(outcome.stderr.contains("out/mine.json: it is not what stage mine wrote there"), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("--redo mine"), "{}", outcome.stderr);
+}
+
+#[test]
 fn what_was_made_of_recordings_stays_without_them() {
     let workspace = Workspace::new();
     let (out, here) = (workspace.arg("out"), workspace.path("here/train/data"));

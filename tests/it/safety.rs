@@ -203,6 +203,35 @@ fn corpora_and_exports_are_not_written_into_what_they_read() {
 }
 
 #[test]
+fn of_two_comparisons_into_one_page_one_is_there_whole() {
+    let workspace = Workspace::new();
+    let [few, all, page] = ["few", "all", "page.html"].map(|name| workspace.arg(name));
+    for (out, limit) in [(&few, "2"), (&all, "8")] {
+        let limit = format!("ingest.limit={limit}");
+        djinn(&["ingest", RECORDINGS, "--dataset", "argoverse1", "--set", &limit, "--output", out]).expect(0);
+    }
+    let compare = |first: &str, second: &str| {
+        command(&["report", "--compare", first, second, "--out", &page])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+    };
+    let expected = [[&few, &all], [&all, &few]].map(|[first, second]| {
+        assert!(compare(first, second).unwrap().wait().unwrap().success());
+        fs_err::read(&page).unwrap()
+    });
+    for round in 0..4 {
+        let children = [compare(&few, &all), compare(&all, &few)];
+        for child in children {
+            assert!(child.unwrap().wait().unwrap().success(), "round {round}");
+        }
+        assert!(expected.contains(&fs_err::read(&page).unwrap()), "round {round}");
+        let names: Vec<String> = files(&workspace.path("")).into_keys().collect();
+        assert!(names.iter().all(|name| !name.contains(".partial")), "{names:?}");
+    }
+}
+
+#[test]
 fn of_two_writers_of_one_corpus_one_is_told_and_the_corpus_is_whole() {
     let workspace = Workspace::new();
     let out = workspace.arg("out");

@@ -8,6 +8,7 @@ use djinn::pipeline::config::parse;
 /// Keys, values that are refused, and what the message says was expected. Every value is a case of its own.
 const BEYOND_RANGES: &[(&str, &[&str], &str)] = &[
     ("run.threads", &["1000000000000", "1025"], "0 to 1024"),
+    ("run.memory_limit_gb", &["0.0", "-1.0", "inf"], "a positive number"),
     ("ingest.n_history", &["0", "1000000000000"], "1 to 10000"),
     ("ingest.n_future", &["1000000000000"], "0 to 10000"),
     ("ingest.window_stride", &["0", "9223372036854775807"], "1 to 1000000"),
@@ -114,6 +115,7 @@ const BEYOND_RANGES: &[(&str, &[&str], &str)] = &[
 
 /// Numbers that must not be NaN; the message names the key.
 const NOT_NAN: &[&str] = &[
+    "run.memory_limit_gb",
     "ingest.holdout_share",
     "ingest.map_radius_m",
     "train.denoiser.learning_rate",
@@ -383,6 +385,7 @@ const REFUSED: &[(&[&str], &[&str])] = &[
 
 /// Values at the ends of ranges, which work.
 const WITHIN_RANGES: &[&str] = &[
+    "run.memory_limit_gb=0.5",
     "ingest.holdout_share=0.0",
     "ingest.holdout_share=1.0",
     "ingest.limit=1",

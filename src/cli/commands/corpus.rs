@@ -24,7 +24,7 @@ pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, print
                 n => {
                     let message = format_args!("{} is damaged: {n} findings", args.corpus.display());
                     Err(Failure::input_message(message)
-                        .with_hint("copy it again, or run the command that wrote it again"))
+                        .with_hint("copy it again, or remove it and run the command that wrote it"))
                 }
             }
         }

@@ -11,7 +11,6 @@ use crate::behavior::{BehaviorEvent, EventLabel};
 /// coincide; a parameter that never varies is left out). The distance of two events is the root mean square of the differences: 1 says that
 /// they differ by a typical spread in every parameter.
 pub struct EventSpace {
-    behavior: String,
     /// Names and spreads.
     axes: Vec<(String, f64)>,
     index: NearestIndex<Vec<f64>>,
@@ -34,18 +33,13 @@ impl EventSpace {
         if axes.is_empty() {
             return None;
         }
-        let mut space = Self { behavior: behavior.to_owned(), axes, index: NearestIndex::default() };
+        let mut space = Self { axes, index: NearestIndex::default() };
         for event in recorded {
             if let Some(point) = space.point(event) {
                 space.index.insert(point, |a, b| distance(a, b));
             }
         }
         Some(space)
-    }
-
-    /// The behavior whose events these are.
-    pub fn behavior(&self) -> &str {
-        &self.behavior
     }
 
     /// The distance of `event` from the nearest recorded one. `None` where it lacks a parameter that recorded events have.

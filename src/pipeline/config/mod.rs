@@ -71,6 +71,10 @@ pub struct RunConfig {
     /// Number of worker threads; 0 uses every core. Results do not depend on it.
     #[schemars(range(max = 1_024))]
     pub threads: usize,
+    /// What training and sampling on the processor may take by the estimate of `--dry-run`, gigabytes (10⁹ bytes); stages that
+    /// would take more are refused. Left out: the memory of the machine, or the limit of its control group.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub memory_limit_gb: Option<f64>,
     /// What networks compute on: `cpu`, or `cuda` or `cuda:N` for a GPU.
     pub device: DeviceChoice,
     /// Precision of the matrix products of networks: `f32`, or `tf32` or `bf16` for the tensor cores of a GPU.
@@ -85,6 +89,7 @@ impl Default for RunConfig {
             name: String::new(),
             seed: 0,
             threads: 0,
+            memory_limit_gb: None,
             device: DeviceChoice::default(),
             precision: Precision::default(),
             output: PathBuf::from("output"),
@@ -150,13 +155,13 @@ impl PipelineConfig {
         Ok(toml::to_string(self)?)
     }
 
-    /// The configuration without what does not bear on results: the number of threads and the output folder. Two runs
-    /// of one pipeline on two machines have the same.
+    /// The configuration without what does not bear on results: the number of threads, the memory and the output folder. Two
+    /// runs of one pipeline on two machines have the same.
     #[must_use]
     pub fn portable(&self) -> Self {
         let mut config = self.clone();
-        let defaults = RunConfig::default();
-        config.run = RunConfig { threads: defaults.threads, output: defaults.output, ..config.run };
+        let RunConfig { threads, memory_limit_gb, output, .. } = RunConfig::default();
+        config.run = RunConfig { threads, memory_limit_gb, output, ..config.run };
         config
     }
 }

@@ -64,17 +64,21 @@ pub(super) fn metrics(path: &Path) -> Result<Option<Description>> {
         return Ok(None);
     }
     let Some(rows) = of_this_schema(read_metrics(path))? else { return Ok(None) };
-    let is_overall = |row: &&MetricRow| row.place.is_empty() && row.scene_id.is_none() && row.scenario_id.is_none();
-    let mut overall = BTreeMap::<String, BTreeMap<&str, Value>>::new();
-    for row in rows.iter().filter(is_overall) {
-        let group = match row.group.is_generated() {
-            false => format!("{} of {}", row.group.name(), row.sweep),
-            true => format!("{} at {}", row.sweep, row.level),
-        };
-        overall.entry(group).or_default().insert(&row.metric, json!(row.value));
+    let is_overall = |row: &MetricRow| row.place.is_empty() && row.scene_id.is_none() && row.scenario_id.is_none();
+    let (mut n_rows, mut overall) = (0_u64, BTreeMap::<String, BTreeMap<String, Value>>::new());
+    for row in rows {
+        let row = row?;
+        n_rows += 1;
+        if is_overall(&row) {
+            let group = match row.group.is_generated() {
+                false => format!("{} of {}", row.group.name(), row.sweep),
+                true => format!("{} at {}", row.sweep, row.level),
+            };
+            overall.entry(group).or_default().insert(row.metric, json!(row.value));
+        }
     }
     let description =
-        Description::new("metric table").with("n_rows", rows.len()).with_json("means_over_scenes", &overall)?;
+        Description::new("metric table").with("n_rows", n_rows).with_json("means_over_scenes", &overall)?;
     Ok(Some(description))
 }
 
@@ -83,14 +87,19 @@ pub(super) fn verdicts(path: &Path) -> Result<Option<Description>> {
         return Ok(None);
     }
     let Some(rows) = of_this_schema(read_verdicts(path))? else { return Ok(None) };
-    let mut by_reason = BTreeMap::<&str, u64>::new();
-    for reason in rows.iter().flat_map(|row| &row.reasons) {
-        *by_reason.entry(reason).or_default() += 1;
+    let mut by_reason = BTreeMap::<String, u64>::new();
+    let (mut n_scenarios, mut n_accepted, mut n_kept) = (0_u64, 0_u64, 0_u64);
+    for row in rows {
+        let row = row?;
+        n_scenarios += 1;
+        n_accepted += u64::from(row.accepted);
+        n_kept += u64::from(row.kept);
+        row.reasons.into_iter().for_each(|reason| *by_reason.entry(reason).or_default() += 1);
     }
     let description = Description::new("table of verdicts")
-        .with("n_scenarios", rows.len())
-        .with("n_accepted", rows.iter().filter(|row| row.accepted).count())
-        .with("n_kept", rows.iter().filter(|row| row.kept).count())
+        .with("n_scenarios", n_scenarios)
+        .with("n_accepted", n_accepted)
+        .with("n_kept", n_kept)
         .with_json("rejected_by_reason", &by_reason)?;
     Ok(Some(description))
 }

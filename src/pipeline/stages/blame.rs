@@ -7,7 +7,7 @@ use std::io::ErrorKind;
 impl From<ingest::Error> for Failure {
     fn from(error: ingest::Error) -> Self {
         match error {
-            ingest::Error::Io(io) => of_input_file(io),
+            ingest::Error::Io(io) => of_named_path(io),
             // What the sink fails with is ours: the store's errors, which say more than the wrapper.
             ingest::Error::Sink(source) => match source.downcast::<store::Error>() {
                 Ok(source) => Self::from(*source).context("failed to store ingested scenes"),
@@ -72,7 +72,7 @@ impl From<export::Error> for Failure {
         match error {
             export::Error::Store(error) => Self::from(error),
             export::Error::Files(error) => error.into(),
-            export::Error::Io(io) => of_input_file(io),
+            export::Error::Io(io) => of_named_path(io),
             error @ export::Error::Encode { .. } => Self::fault(error),
             error => Self::input(error),
         }
@@ -99,14 +99,21 @@ impl From<nn::Error> for Failure {
     }
 }
 
-fn of_input_file(error: std::io::Error) -> Failure {
+/// An error at a path that the user named: where it leads is theirs, a full disk is not.
+pub(in crate::pipeline) fn of_named_path(error: std::io::Error) -> Failure {
     match error.kind() {
-        ErrorKind::NotFound | ErrorKind::PermissionDenied | ErrorKind::NotADirectory | ErrorKind::IsADirectory => {
+        ErrorKind::NotFound
+        | ErrorKind::PermissionDenied
+        | ErrorKind::ReadOnlyFilesystem
+        | ErrorKind::AlreadyExists
+        | ErrorKind::NotADirectory
+        | ErrorKind::IsADirectory => {
             Failure::input(error).with_hint("relative paths are relative to the current directory")
         }
         _ => Failure::fault(error),
     }
 }
+
 impl From<generate::Error> for Failure {
     fn from(error: generate::Error) -> Self {
         let blame = match &error {

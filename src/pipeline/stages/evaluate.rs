@@ -2,16 +2,14 @@
 
 use super::mine::MineConfig;
 use super::sample_folder::SampleManifest;
-use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::evaluate::{
-    EvaluateConfig, Evaluation, EvaluationSummary, MapFitRow, Shard, for_maps, left_out_by_sweep, map_fits,
+    EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, Measurer, Shard, for_maps,
+    left_out_by_sweep, map_fits,
 };
 use crate::generate::GenerateConfig;
 use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS, VERDICTS};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
-use crate::store::{
-    CorpusNotes, CorpusWriter, SceneStore, read_events, write_json_atomically, write_metrics, write_verdicts,
-};
+use crate::store::{CorpusNotes, CorpusWriter, SceneStore, write_json_atomically, write_metrics};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
@@ -83,15 +81,14 @@ impl Stage for Evaluate<'_> {
         let behaviors = self.mine.build()?;
         let store = SceneStore::open(&self.layout.scenes)?;
         let samples = SampleManifest::read(&self.layout.samples)?;
-        let is_positive = |event: &BehaviorEvent| event.label == EventLabel::Positive;
-        let recorded_events = match self.has_events {
-            true => read_events(&self.layout.events, is_positive)?,
-            false => Vec::new(),
-        };
         let maps = map_fits(&store, &self.config.validity)?;
         maps.iter().filter_map(MapFitRow::caution).for_each(|caution| context.progress.warn(&caution));
         let config = EvaluateConfig { validity: for_maps(&self.config.validity, &maps), ..self.config.clone() };
-        let mut evaluation = Evaluation::new(&config, &behaviors, &store, &recorded_events, &path(PREDICTIONS))?;
+        let events = self.has_events.then_some(self.layout.events.as_path());
+        let mut measurer = Measurer::new(&config, &behaviors, &store, events)?;
+        let (predictions, verdicts) = (path(PREDICTIONS), path(VERDICTS));
+        let files = EvaluationFiles { predictions: &predictions, verdicts: &verdicts, scratch: context.root };
+        let mut evaluation = Evaluation::new(&config, measurer.docs(), &files)?;
         evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
         let mut corpus = CorpusWriter::create(&path(CORPUS), &store)?;
         context.progress.start("evaluate", samples.n_scenarios, "scenarios");
@@ -99,20 +96,19 @@ impl Stage for Evaluate<'_> {
             let records = SampleManifest::read_shard(&self.layout.samples, shard, &store)?;
             let n_records = records.len() as u64;
             let (sweep, n_evaluations) = (shard.sweep.as_str(), shard.n_evaluations);
-            let kept = evaluation.add(Shard { sweep, n_evaluations, records })?;
+            let kept = evaluation.add(measurer.measure(Shard { sweep, n_evaluations, records })?)?;
             kept.recordings.iter().try_for_each(|recorded| corpus.write_recording(recorded))?;
             corpus.write_scenarios(&kept.records)?;
             context.progress.advance(n_records);
         }
         context.progress.finish();
-        let mut found = evaluation.finish()?;
-        found.summary.maps = maps;
-        let summary = &found.summary;
-        write_verdicts(&path(VERDICTS), &found.verdicts)?;
-        write_metrics(&path(METRICS), found.all_rows())?;
-        corpus.write_metrics(found.rows_of_corpus())?;
-        corpus.finish(&self.notes(summary))?;
-        write_json_atomically(&path(METRICS_SUMMARY), summary)?;
+        let found = evaluation.finish()?;
+        write_metrics(&path(METRICS), found.all_rows()?)?;
+        corpus.write_metrics(found.rows_of_corpus()?)?;
+        let (n_predicted_scenes, n_tracks_left_out) = (found.n_predicted_scenes, found.n_tracks_left_out);
+        let summary = EvaluationSummary { maps, ..found.remove_rows()? };
+        corpus.finish(&self.notes(&summary))?;
+        write_json_atomically(&path(METRICS_SUMMARY), &summary)?;
         Ok(json!({
             "n_scenarios": summary.n_scenarios,
             "n_verified": summary.n_verified,
@@ -120,7 +116,7 @@ impl Stage for Evaluate<'_> {
             "n_valid": summary.n_valid,
             "n_accepted": summary.n_accepted,
             "n_kept": summary.n_kept,
-            "predictions": { "n_scenes": found.n_predicted_scenes, "n_tracks_left_out": found.n_tracks_left_out },
+            "predictions": { "n_scenes": n_predicted_scenes, "n_tracks_left_out": n_tracks_left_out },
             "gates": summary.gates,
         }))
     }

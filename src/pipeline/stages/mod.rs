@@ -16,6 +16,7 @@ mod train_denoiser;
 mod train_distill;
 mod training_scenes;
 
+pub(in crate::pipeline) use blame::of_named_path;
 pub use evaluate::Evaluate;
 pub use generate::Generate;
 pub use ingest::Ingest;

@@ -103,7 +103,10 @@ pub(super) const TARGETS: &[Target] = &[
     Target {
         name: "metrics_table",
         seeds: |_| vec![fixture(&format!("{CORPUS}/metrics.parquet"))],
-        read: |folder, bytes| read_metrics(&write(folder, "metrics.parquet", bytes)).is_ok(),
+        read: |folder, bytes| {
+            let rows = read_metrics(&write(folder, "metrics.parquet", bytes));
+            rows.is_ok_and(|mut rows| rows.all(|row| row.is_ok()))
+        },
     },
     Target {
         name: "corpus_manifest",

@@ -5,7 +5,7 @@ use crate::pipeline::layout::VERDICTS;
 use crate::pipeline::stages::SampleManifest;
 use crate::pipeline::{Result, StageId};
 use crate::report::{Drawings, Gallery};
-use crate::store::{SceneStore, read_events, read_metrics, read_verdicts};
+use crate::store::{SceneStore, read_metrics, read_verdicts, stream_events};
 
 /// Reads all samples once, shard by shard, draws those that are chosen, and compares motion and events.
 pub(super) fn drawings(stage: &Report<'_>, manifest: &SampleManifest) -> Result<Drawings> {
@@ -17,18 +17,11 @@ pub(super) fn drawings(stage: &Report<'_>, manifest: &SampleManifest) -> Result<
             gallery.offer(&record)?;
         }
     }
-    let events = match stage.has(StageId::Mine) {
-        true => Some(read_events(&layout.events, |event| gallery.wants_event(event))?),
-        false => None,
-    };
-    let (mut metrics, mut verdicts) = (Vec::new(), Vec::new());
-    if stage.has(StageId::Evaluate) {
-        metrics = read_metrics(&layout.metrics)?;
-        let path = layout.metrics.with_file_name(VERDICTS);
-        // A folder of an earlier version has no such table.
-        if path.exists() {
-            verdicts = read_verdicts(&path)?;
-        }
-    }
-    Ok(gallery.finish(events.as_deref(), metrics, verdicts)?)
+    let events = stage.has(StageId::Mine).then(|| stream_events(&layout.events)).transpose()?;
+    let path = layout.metrics.with_file_name(VERDICTS);
+    let is_evaluated = stage.has(StageId::Evaluate);
+    let metrics = is_evaluated.then(|| read_metrics(&layout.metrics)).transpose()?;
+    // A folder of an earlier version has no such table.
+    let verdicts = (is_evaluated && path.exists()).then(|| read_verdicts(&path)).transpose()?;
+    Ok(gallery.finish(events, metrics.into_iter().flatten(), verdicts.into_iter().flatten())?)
 }

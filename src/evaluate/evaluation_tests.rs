@@ -1,0 +1,79 @@
+//! Does a shard come to the same figures whenever it is measured, and does nothing of the rows stay behind?
+
+use super::config::{EvaluateConfig, Keep};
+use super::evaluation::{Evaluation, EvaluationFiles, EvaluationSummary};
+use super::measure::{MeasuredShard, Measurer, Shard};
+use crate::scene::Scene;
+use crate::store::testing::{folder_bytes, record, scene};
+use crate::store::{self, MetricRow, ScenarioRecord, SceneStore, SceneWriter, SceneWriterOptions};
+use serde_json::json;
+use std::path::Path;
+
+const N_SHARDS: usize = 3;
+
+fn store(dir: &Path) -> (SceneStore, Vec<Scene>) {
+    let scenes: Vec<Scene> = (0..4).map(|seed| scene(seed, None)).collect();
+    let mut writer = SceneWriter::create(dir, SceneWriterOptions::default()).unwrap();
+    writer.write_batch(&scenes, &[], Some(0), &json!(0)).unwrap();
+    writer.finish(&json!({ "rejects": {} })).unwrap();
+    (SceneStore::open(dir).unwrap(), scenes)
+}
+
+/// Two samples of each scene in every shard: those of later shards repeat those of the first.
+fn records(scenes: &[Scene], shard: usize) -> Vec<ScenarioRecord> {
+    let samples =
+        scenes.iter().flat_map(|scene| [2 * shard, 2 * shard + 1].map(|sample_idx| record(scene, sample_idx)));
+    samples.map(|record| ScenarioRecord { request: None, ..record }).collect()
+}
+
+/// What is said of the shards when they are measured in this order.
+fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Vec<u8>, Vec<String>) {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, scenes) = store(&dir.path().join("scenes"));
+    let config = EvaluateConfig { keep: Keep::Verified, ..EvaluateConfig::default() };
+    let mut measurer = Measurer::new(&config, &[], &store, None).unwrap();
+    let mut measured: Vec<Option<MeasuredShard>> = (0..N_SHARDS).map(|_| None).collect();
+    for idx in order {
+        let shard = Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes, idx) };
+        measured[idx] = Some(measurer.measure(shard).unwrap());
+    }
+
+    let out = dir.path().join("out");
+    fs_err::create_dir(&out).unwrap();
+    let (predictions, verdicts) = (out.join("predictions"), out.join("verdicts.parquet"));
+    let files = EvaluationFiles { predictions: &predictions, verdicts: &verdicts, scratch: &out };
+    let mut evaluation = Evaluation::new(&config, measurer.docs(), &files).unwrap();
+    let kept = measured.into_iter().flatten().map(|shard| evaluation.add(shard).unwrap());
+    let kept = kept.flat_map(|kept| kept.records).map(|record| record.scenario.id).collect();
+    let found = evaluation.finish().unwrap();
+    let rows = found.all_rows().unwrap().collect::<store::Result<_>>().unwrap();
+    let summary = found.remove_rows().unwrap();
+    let left = folder_bytes(&out);
+    assert_eq!(left.keys().filter(|name| !name.starts_with('.')).collect::<Vec<_>>(), ["verdicts.parquet"]);
+    (summary, rows, left["verdicts.parquet"].clone(), kept)
+}
+
+#[test]
+fn shards_are_measured_in_any_order() {
+    let in_order = evaluated([0, 1, 2]);
+    assert!(in_order == evaluated([2, 0, 1]));
+    let (summary, rows, _, kept) = in_order;
+    assert_eq!((summary.n_scenarios, summary.n_verified, kept.len()), (24, 12, 12));
+    assert_eq!(summary.sampling[0].n_scenes, 4, "scenes of several shards count once");
+    // Of each metric that is defined throughout: one mean of all places and one of the one place, in each of three series; a value
+    // of each scene and shard there; and one of each scenario.
+    let of = |metric: &str| rows.iter().filter(|row| row.metric == metric).collect::<Vec<_>>();
+    let rows = of("collision_rate");
+    let n = |is_counted: &dyn Fn(&MetricRow) -> bool| rows.iter().filter(|row| is_counted(row)).count();
+    assert_eq!(n(&|row| row.scene_id.is_none()), 2 * 3);
+    assert_eq!(n(&|row| row.scene_id.is_some() && row.scenario_id.is_none()), 3 * 4 * N_SHARDS);
+    assert_eq!(n(&|row| row.scenario_id.is_some()), 24);
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let own: Vec<f64> = rows
+        .iter()
+        .filter(|row| row.group.name() == "guided" && row.scene_id.is_some() && row.scenario_id.is_none())
+        .map(|row| row.value)
+        .collect();
+    let told = rows.iter().find(|row| row.group.name() == "guided" && row.scene_id.is_none()).expect("a mean");
+    assert!((told.value - mean(&own)).abs() < 1e-12 && told.n == own.len() as u64);
+}

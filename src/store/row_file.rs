@@ -1,0 +1,79 @@
+//! A table whose rows come and go one by one: few of them are in memory at a time, whatever its size.
+
+use super::Result;
+use super::parquet_file::{self, ParquetFile};
+use super::schema::TableSchema;
+use crate::files::FileStamp;
+use arrow::array::RecordBatch;
+use std::path::Path;
+
+/// Rows of a batch; a row takes up to 300 bytes. The pages of a file break where its batches do.
+pub(super) const ROWS_PER_BATCH: usize = 8 * 1024;
+
+/// Writes a table row by row.
+pub(super) struct RowFile<T> {
+    file: ParquetFile,
+    pending: Vec<T>,
+    rows_per_batch: usize,
+    encode: fn(&[T]) -> Result<RecordBatch>,
+}
+
+impl<T> RowFile<T> {
+    /// Begins a file of this table, whose rows `encode` makes batches of.
+    pub(super) fn create(path: &Path, table: &TableSchema, encode: fn(&[T]) -> Result<RecordBatch>) -> Result<Self> {
+        let file = ParquetFile::create(path, table, encode(&[])?.schema())?;
+        Ok(Self { file, pending: Vec::new(), rows_per_batch: ROWS_PER_BATCH, encode })
+    }
+
+    /// The same with batches of this many rows.
+    pub(super) fn in_batches_of(self, rows_per_batch: usize) -> Self {
+        Self { rows_per_batch, ..self }
+    }
+
+    /// Adds a row.
+    pub(super) fn push(&mut self, row: T) -> Result<()> {
+        self.pending.push(row);
+        if self.pending.len() == self.rows_per_batch {
+            self.write_pending()?;
+        }
+        Ok(())
+    }
+
+    /// Ends the row group if it has this many rows, which are in memory until then.
+    pub(super) fn limit_memory(&mut self, n_rows: usize) -> Result<()> {
+        if self.file.n_rows_in_memory() >= n_rows { self.file.flush() } else { Ok(()) }
+    }
+
+    /// Writes the footer and gives the file its name.
+    pub(super) fn finish(mut self) -> Result<FileStamp> {
+        if !self.pending.is_empty() {
+            self.write_pending()?;
+        }
+        self.file.finish()
+    }
+
+    fn write_pending(&mut self) -> Result<()> {
+        self.file.write(&(self.encode)(&self.pending)?)?;
+        self.pending.clear();
+        Ok(())
+    }
+}
+
+/// Reads a table row by row, in the order it was written; the rows end after the first error.
+pub(super) fn read<T>(
+    path: &Path,
+    table: &TableSchema,
+    decode: fn(&RecordBatch, &Path) -> Result<Vec<T>>,
+) -> Result<impl Iterator<Item = Result<T>> + use<T>> {
+    let batches = parquet_file::stream(path, table, None)?;
+    let path = path.to_owned();
+    Ok(batches.flat_map(move |batch| in_turn(batch.and_then(|batch| decode(&batch, &path)))))
+}
+
+fn in_turn<T>(rows: Result<Vec<T>>) -> impl Iterator<Item = Result<T>> {
+    let (rows, error) = match rows {
+        Ok(rows) => (rows, None),
+        Err(error) => (Vec::new(), Some(Err(error))),
+    };
+    rows.into_iter().map(Ok).chain(error)
+}

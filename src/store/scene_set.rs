@@ -1,0 +1,52 @@
+//! Some scenes of a store: a bit for each, so that even of millions it takes little memory to know which were seen.
+
+/// Scenes by their position in a [`SceneStore`](super::SceneStore).
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct SceneSet {
+    words: Vec<u64>,
+    n: usize,
+}
+
+impl SceneSet {
+    /// Adds the scene at `position`. Returns whether it was not there yet.
+    pub fn insert(&mut self, position: usize) -> bool {
+        let (word, bit) = (position / 64, 1 << (position % 64));
+        if word >= self.words.len() {
+            self.words.resize(word + 1, 0);
+        }
+        let is_new = self.words[word] & bit == 0;
+        self.words[word] |= bit;
+        self.n += usize::from(is_new);
+        is_new
+    }
+
+    /// Whether the scene at `position` is there.
+    pub fn contains(&self, position: usize) -> bool {
+        self.words.get(position / 64).is_some_and(|word| word & (1 << (position % 64)) != 0)
+    }
+
+    /// How many there are.
+    pub const fn len(&self) -> usize {
+        self.n
+    }
+
+    /// Whether there are none.
+    pub const fn is_empty(&self) -> bool {
+        self.n == 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scenes_count_once() {
+        let mut set = SceneSet::default();
+        assert!(set.is_empty());
+        let were_new = [0, 63, 64, 1000, 63, 0, 65].map(|position| set.insert(position));
+        assert_eq!((were_new, set.len()), ([true, true, true, true, false, false, true], 5));
+        let found: Vec<usize> = (0..2000).filter(|position| set.contains(*position)).collect();
+        assert_eq!(found, [0, 63, 64, 65, 1000]);
+    }
+}
