@@ -94,12 +94,7 @@ pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene
 }
 
 /// Whether an agent with this pose is in a lane of a roundabout, or in one that leads to such a lane or comes from it.
-pub(super) fn is_at_roundabout(
-    lanes: &SceneLanes<'_>,
-    config: &TurnConfig,
-    position: Vec2,
-    heading_rad: f64,
-) -> bool {
+pub(super) fn is_at_roundabout(lanes: &SceneLanes<'_>, config: &TurnConfig, position: Vec2, heading_rad: f64) -> bool {
     let is_along = |lane_rad: f64| angle_difference(lane_rad, heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD;
     // The outer lane of a roundabout may lead to exits only; the lane beside it is the one that leads around.
     let is_of_roundabout = |lane: &Lane| {

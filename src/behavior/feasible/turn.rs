@@ -43,7 +43,8 @@ pub(in crate::behavior) fn outcomes(
         let halfway_m = f64::midpoint(bend.begins_m, bend.ends_m);
         let halfway = way.line.point_at(way.station_m + halfway_m)?;
         let heading_rad = way.line.project(halfway)?.heading_rad;
-        let is_possible = bend.radius_m <= config.max_radius_m && !is_at_roundabout(&lanes, config, halfway, heading_rad);
+        let is_possible =
+            bend.radius_m <= config.max_radius_m && !is_at_roundabout(&lanes, config, halfway, heading_rad);
         is_possible.then(|| needed_effort(&bend, now.speed_mps(), horizon_s(scene)))?
     });
     found.reduce(f64::min).map(|effort| Outcome::default().at_effort(effort)).into_iter().collect()

@@ -38,7 +38,7 @@ const MAX_TTC_S: f64 = 10.0;
 ///   paths that they drive (who waits beside a bend is in nobody's way), and would touch in less than 1.5 s. To avoid it takes a deceleration
 ///   of at least 3.4 m/s² (DRAC: their relative speed by twice that time), and both are tracked until then: what comes after the last state is
 ///   not known. At least one of the two moves with 1 m/s or more.
-/// - One is where the other was less than 1 s before, so that the boxes of these timesteps overlap by 0.5 m, both with 1 m/s or more. Their
+/// - One is where the other was less than 0.5 s before, so that the boxes of these timesteps overlap by 0.5 m, both with 1 m/s or more. Their
 ///   courses differ by at least 30 degrees there, and each from the path that the other drives by the same place: who follows around a bend or
 ///   merges behind another crosses nobody.
 /// - The boxes are less than 0.2 m apart, their velocities differ by at least 8 m/s, and the sizes of both are recorded.
@@ -142,13 +142,11 @@ impl NearMiss {
                 let ttc_s = time_to_collision_s(one, a.velocity, other, b.velocity).filter(|ttc| *ttc <= MAX_TTC_S);
                 let reaches_in = || {
                     let inner = first.inner.at(timestep).zip(second.inner.at(timestep));
-                    inner.is_some_and(|(one, other)| {
-                        time_to_collision_s(one, a.velocity, other, b.velocity).is_some()
-                    })
+                    inner.is_some_and(|(one, other)| time_to_collision_s(one, a.velocity, other, b.velocity).is_some())
                 };
-                let conflict_s = ttc_s.filter(|ttc_s| *ttc_s < wide_ttc_s && reaches_in()).and_then(|ttc_s| {
-                    Some(ttc_s.max(first.time_along_paths_s(second, timestep, wide_ttc_s)?))
-                });
+                let conflict_s = ttc_s
+                    .filter(|ttc_s| *ttc_s < wide_ttc_s && reaches_in())
+                    .and_then(|ttc_s| Some(ttc_s.max(first.time_along_paths_s(second, timestep, wide_ttc_s)?)));
                 let distance_m = one.distance_m(other);
                 encounters.push(Encounter { timestep, distance_m, relative_mps, ttc_s, conflict_s });
             }
@@ -264,8 +262,8 @@ mod tests {
         // A car that stands 0.1 m beside the way of the other.
         let parked = events("start = { x_m = 20, y_m = 1.9, speed_mps = 0 }");
         assert_eq!(parked, [vec![Positive], vec![], vec![Negative]]);
-        // Crossing half a second behind each other.
-        let crossing = events("start = { x_m = 20, y_m = -28, heading_deg = 90, speed_mps = 10 }");
+        // Crossing closely behind each other.
+        let crossing = events("start = { x_m = 20, y_m = -27, heading_deg = 90, speed_mps = 10 }");
         assert_eq!(crossing, [vec![Positive], vec![], vec![Positive]]);
     }
 
