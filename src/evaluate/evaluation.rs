@@ -149,7 +149,7 @@ impl<'a> Evaluation<'a> {
             verdicts: Verdicts::new(config),
             validity: ValidityTable::default(),
             realism: RealismTable::default(),
-            sampling: SamplingTally::default(),
+            sampling: SamplingTally::new(config.validity.places_without_road.clone()),
             predictions: Predictions::create(predictions, &config.predictions)?,
             kept: BTreeSet::new(),
             config,

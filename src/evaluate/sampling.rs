@@ -37,8 +37,8 @@ pub struct SamplingRow {
 }
 
 /// Counts scenarios; rows come in the order in which their sweep, place and strength first appear.
-#[derive(Default)]
 pub(super) struct SamplingTally {
+    offroad: OffroadRate,
     rows: Vec<CountedRow>,
 }
 
@@ -50,6 +50,11 @@ struct CountedRow {
 }
 
 impl SamplingTally {
+    /// Nothing counted yet. At these places maps do not say where the road is.
+    pub(super) const fn new(places_without_road: BTreeSet<String>) -> Self {
+        Self { offroad: OffroadRate { places_without_road }, rows: Vec::new() }
+    }
+
     /// Counts a scenario that continues `recorded` and took `n_evaluations` evaluations of the denoiser.
     pub(super) fn add(&mut self, record: &ScenarioRecord, recorded: &Scene, n_evaluations: u64) {
         let provenance = &record.scenario.provenance;
@@ -84,7 +89,7 @@ impl SamplingTally {
         counted.row.n_verified += u64::from(record.verified);
         counted.row.n_new += u64::from(record.verified && !record.recorded_event);
         counted.row.n_collision += u64::from(CollisionRate.evaluate(&group).is_some_and(|rate| rate > 0.0));
-        if let Some(rate) = OffroadRate.evaluate(&group) {
+        if let Some(rate) = self.offroad.evaluate(&group) {
             counted.offroad_sum += rate;
             counted.n_offroad += 1;
         }
@@ -109,7 +114,7 @@ mod tests {
 
     #[test]
     fn scenarios_are_counted_by_strength() {
-        let mut tally = SamplingTally::default();
+        let mut tally = SamplingTally::new(BTreeSet::new());
         // The second car drives into the first one, which is at (8, 0) after 0.8 s, from 45 degrees to its left.
         let mut crash = recorded();
         let veering = testing::scene(&[Drive::straight(-3.3, 11.3, -std::f64::consts::FRAC_PI_4, 20.0)]);
@@ -129,7 +134,7 @@ mod tests {
 
     #[test]
     fn the_offroad_rate_is_over_scenarios_that_have_roads() {
-        let mut tally = SamplingTally::default();
+        let mut tally = SamplingTally::new(BTreeSet::new());
         // Both cars leave the lane to its left, the one that is on it at present counts.
         let leaving = || {
             let mut scene = recorded();
