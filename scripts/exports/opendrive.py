@@ -6,12 +6,12 @@ import numpy as np
 
 STEP_M = 0.05  # along roads, between the points at which they are evaluated
 NEAR_M = 0.05  # how far a lane may be from its road
-END_M = 1.0  # along edges: roads end square, lanes need not, so that there the middle alone is compared
+END_M = 1.0  # along lines: roads end square, lanes need not, so that nothing is compared there
 
 
 def compare_roads(etree, export):
-    """Demands that points along the edges and middles of all lanes lie on those of their roads. Returns how many lanes there are, the
-    largest distance, and the share of points near ends that were left out."""
+    """Demands that points along the edges of all lanes lie on those of their roads, and that the middles of roads lie midway between the
+    edges of their lanes. Returns how many lanes there are, the largest distance, and the share of points near ends that were left out."""
     n_lanes, worst_m, n_points, n_left_out, seen = 0, 0.0, 0, 0, set()
     for scenario in export.scenarios:
         file = etree.parse(str(export.folder / scenario["file"])).getroot().find("RoadNetwork/LogicFile")
@@ -28,15 +28,16 @@ def compare_roads(etree, export):
                 continue  # the map has no edges; usual ones are written
             n_lanes += 1
             drawn = evaluated(road)
-            share = np.linspace(0.0, 1.0, 101)
-            lines = [along(left, share), None, along(right, share)]
-            lines[1] = 0.5 * (lines[0] + lines[2])
-            for k, line in enumerate(lines):
-                length = np.linalg.norm(np.diff(line, axis=0), axis=1).sum()
-                is_compared = (np.minimum(share, 1.0 - share) * length > END_M) | (k == 1)
-                n_points, n_left_out = n_points + len(line), n_left_out + int((~is_compared).sum())
-                for point in line[is_compared]:
-                    distance = np.min(distances(point, drawn[:, k]))
+            for line, off in (
+                (left, lambda point: np.min(distances(point, drawn[:, 0]))),
+                (right, lambda point: np.min(distances(point, drawn[:, 2]))),
+                (drawn[:, 1], lambda point: 0.5 * abs(np.min(distances(point, left)) - np.min(distances(point, right)))),
+            ):
+                share = np.linspace(0.0, 1.0, 101)
+                is_compared = np.minimum(share, 1.0 - share) * np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > END_M
+                n_points, n_left_out = n_points + len(share), n_left_out + int((~is_compared).sum())
+                for point in along(line, share)[is_compared]:
+                    distance = off(point)
                     assert distance < NEAR_M, f"{file.get('filepath')}: lane {lane_id} is {distance:.3f} m off its road at {point}"
                     worst_m = max(worst_m, distance)
     return n_lanes, worst_m, n_left_out / max(n_points, 1)

@@ -241,7 +241,7 @@ pub static ALL: &[BehaviorEntry] = &[
         id: near_miss::ID,
         roles: near_miss::ROLES,
         parameters: near_miss::PARAMETERS,
-        description: "two road users avoid each other by braking hard within 1.5 s, by 1 s where they cross or by 0.2 m, without touching",
+        description: "two road users avoid each other by braking hard within 1.5 s, by 0.5 s where they cross or by 0.2 m, without touching",
         is_collision: false,
         needs_lanes: false,
         default_config: || BehaviorConfig::NearMiss(NearMissConfig::default()),

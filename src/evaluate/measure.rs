@@ -7,7 +7,7 @@ use super::judge::Judge;
 use super::measures::{Measures, MetricDoc};
 use super::sampling::SampledCell;
 use crate::behavior::Behavior;
-use crate::metrics::{Check, Judged, SeriesKey};
+use crate::metrics::{Check, Judged, OffroadRate, SeriesKey};
 use crate::scene::{Roles, Scene};
 use crate::store::{ScenarioRecord, SceneStore};
 use rayon::prelude::*;
@@ -56,6 +56,7 @@ pub struct Measurer<'a> {
     store: &'a SceneStore,
     measures: Measures<'a>,
     judge: Judge<'a>,
+    offroad: OffroadRate,
 }
 
 impl<'a> Measurer<'a> {
@@ -70,7 +71,8 @@ impl<'a> Measurer<'a> {
         events: Option<&'a Path>,
     ) -> Result<Self> {
         let (measures, judge) = (Measures::new(config, behaviors), Judge::new(config, store, events)?);
-        Ok(Self { config, store, measures, judge })
+        let offroad = OffroadRate { places_without_road: config.validity.places_without_road.clone() };
+        Ok(Self { config, store, measures, judge, offroad })
     }
 
     /// What is measured, for reading the tables.
@@ -98,7 +100,7 @@ impl<'a> Measurer<'a> {
             series: cell.series(sweep),
             scene_idx,
             scenario_ids: cell.records.iter().map(|record| record.scenario.id.clone()).collect(),
-            sampled: SampledCell::of(cell, &recorded),
+            sampled: SampledCell::of(cell, &recorded, &self.offroad),
             figures: cell.evaluate(&recorded, &self.measures, &self.judge, self.config),
             not_checked,
             recorded,

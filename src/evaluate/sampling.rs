@@ -53,14 +53,14 @@ struct SampledScenario {
 
 impl SampledCell {
     /// That of a cell which continues `recorded`.
-    pub(super) fn of(cell: &CellSamples<'_>, recorded: &Scene) -> Self {
+    pub(super) fn of(cell: &CellSamples<'_>, recorded: &Scene, offroad: &OffroadRate) -> Self {
         let scenario = |record: &&ScenarioRecord| {
             let group = SampleGroup::equally_likely(recorded, std::slice::from_ref(&record.scenario.scene));
             SampledScenario {
                 verified: record.verified,
                 is_new: record.verified && !record.recorded_event,
                 collides: CollisionRate.evaluate(&group).is_some_and(|rate| rate > 0.0),
-                offroad_rate: OffroadRate.evaluate(&group),
+                offroad_rate: offroad.evaluate(&group),
             }
         };
         let first = cell.records[0];
@@ -150,7 +150,9 @@ mod tests {
     /// Counts a sample of scene 7 alone.
     fn add(tally: &mut SamplingTally, record: &ScenarioRecord, recorded: &Scene) {
         let cell = CellSamples { records: vec![record], with_references: false };
-        tally.add(&cell.series("guided"), (&recorded.source.place, 7), &SampledCell::of(&cell, recorded), 39);
+        let offroad = OffroadRate { places_without_road: std::collections::BTreeSet::new() };
+        let sampled = SampledCell::of(&cell, recorded, &offroad);
+        tally.add(&cell.series("guided"), (&recorded.source.place, 7), &sampled, 39);
     }
 
     #[test]

@@ -4,14 +4,19 @@ use super::road::Road;
 use super::sample_group::future;
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 use crate::scene::Scene;
+use std::collections::BTreeSet;
 
 /// Drivable-area compliance (DAC) of Argoverse 1: the share of samples in which the ego is on the road at every future
 /// timestep. Unlike [`OffroadRate`](super::OffroadRate) it is about the ego alone, wherever that is at present.
 ///
 /// The benchmark looks the area up in a raster of the city. Here the road is what the lanes make up, with the same tolerance and
-/// continuation beyond the map's end as for the off-road rate, so figures need not agree to the last digit. Not defined for scenes without lanes.
-#[derive(Debug, Clone, Copy)]
-pub struct DrivableAreaCompliance;
+/// continuation beyond the map's end as for the off-road rate, so figures need not agree to the last digit. Not defined for scenes without lanes, and at places
+/// of which the map does not say where the road is.
+#[derive(Debug, Clone)]
+pub struct DrivableAreaCompliance {
+    /// Those places.
+    pub places_without_road: BTreeSet<String>,
+}
 
 impl Metric for DrivableAreaCompliance {
     fn spec(&self) -> MetricSpec {
@@ -25,7 +30,8 @@ impl Metric for DrivableAreaCompliance {
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
         let recorded = group.recorded;
-        if recorded.lanes.is_empty() || !recorded.has_future() {
+        let is_judged = !self.places_without_road.contains(&recorded.source.place);
+        if !is_judged || recorded.lanes.is_empty() || !recorded.has_future() {
             return None;
         }
         let road = Road::new(&recorded.lanes);

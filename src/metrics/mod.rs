@@ -84,6 +84,8 @@ pub use settings::MetricSettings;
 pub use spec::{Direction, MetricSpec};
 pub use validity::{Check, Judged, LocalFit, MapFit, ValidityConfig, ValidityRate, Violation};
 
+use std::collections::BTreeSet;
+
 /// A figure of merit of the samples of one scene.
 pub trait Metric: Send + Sync {
     /// What the figure is.
@@ -126,7 +128,7 @@ pub static ALL: &[&dyn Metric] = &[
     &PenalizedMinimum(Displacement::Fde, Penalty::Logarithm),
     &PenalizedMinimum(Displacement::Ade, Penalty::Brier),
     &PenalizedMinimum(Displacement::Fde, Penalty::Brier),
-    &DrivableAreaCompliance,
+    &DrivableAreaCompliance { places_without_road: BTreeSet::new() },
     &MinSceneAde(ScoredAgents::Targets),
     &MinSceneFde(ScoredAgents::Targets),
     &JointConsistency::MinMissRate,
@@ -141,7 +143,7 @@ pub static ALL: &[&dyn Metric] = &[
     &Mfd,
     &CollisionRate,
     &AgentCollisionRate,
-    &OffroadRate,
+    &OffroadRate { places_without_road: BTreeSet::new() },
     &AccelerationViolationRate,
     &JerkViolationRate,
     &ValidityRate { limits: None },

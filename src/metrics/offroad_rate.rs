@@ -4,14 +4,19 @@ use super::road::Road;
 use super::sample_group::{future, present_agents};
 use super::{Direction, Metric, MetricSpec, SampleGroup};
 use crate::scene::Scene;
+use std::collections::BTreeSet;
 
 /// Off-road rate: of the motorized agents, over all samples, that are on the road at present, the share that leaves it.
 ///
 /// An agent is on the road if its center is within the outline of any lane, or at most 0.3 m outside; for lanes without
 /// boundaries, if it is at most 1.9 m from the center line. Where the map ends nothing is known of the road, so lanes
-/// are carried straight on beyond ends that no lane continues. Not defined for scenes without lanes.
-#[derive(Debug, Clone, Copy)]
-pub struct OffroadRate;
+/// are carried straight on beyond ends that no lane continues. Not defined for scenes without lanes, and at places of which the
+/// map does not say where the road is.
+#[derive(Debug, Clone)]
+pub struct OffroadRate {
+    /// Those places.
+    pub places_without_road: BTreeSet<String>,
+}
 
 impl Metric for OffroadRate {
     fn spec(&self) -> MetricSpec {
@@ -24,7 +29,8 @@ impl Metric for OffroadRate {
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
-        if group.recorded.lanes.is_empty() || !group.recorded.has_future() {
+        let is_judged = !self.places_without_road.contains(&group.recorded.source.place);
+        if !is_judged || group.recorded.lanes.is_empty() || !group.recorded.has_future() {
             return None;
         }
         let road = Road::new(&group.recorded.lanes);

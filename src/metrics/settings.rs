@@ -1,13 +1,16 @@
 //! By which settings do metrics judge? The same for evaluation, for selections of sweeps and for limits of requests.
 
-use super::{ALL, CarefulDriverConfig, Metric, PreventableRate, ValidityConfig, ValidityRate};
+use super::{
+    ALL, CarefulDriverConfig, DrivableAreaCompliance, Metric, OffroadRate, PreventableRate, ValidityConfig,
+    ValidityRate,
+};
 use crate::settings;
 use serde::{Deserialize, Serialize};
 
 /// The settings of the metrics that have some. The others have one definition.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MetricSettings {
-    /// What `validity_rate` judges by.
+    /// What `validity_rate` judges by; where it does not judge departures from the road, no metric does.
     pub validity: ValidityConfig,
     /// Who drives in `preventable_rate`.
     pub careful_driver: CarefulDriverConfig,
@@ -34,9 +37,14 @@ impl MetricSettings {
     fn configured(&self, metric: &dyn Metric) -> Option<Box<dyn Metric>> {
         let validity = ValidityRate { limits: Some(self.validity.clone()) };
         let preventable = PreventableRate { driver: Some(self.careful_driver.clone()) };
+        let places_without_road = || self.validity.places_without_road.clone();
+        let offroad = OffroadRate { places_without_road: places_without_road() };
+        let drivable = DrivableAreaCompliance { places_without_road: places_without_road() };
         match metric.spec().id {
             id if id == validity.spec().id => Some(Box::new(validity)),
             id if id == preventable.spec().id => Some(Box::new(preventable)),
+            id if id == offroad.spec().id => Some(Box::new(offroad)),
+            id if id == drivable.spec().id => Some(Box::new(drivable)),
             _ => None,
         }
     }
@@ -54,8 +62,10 @@ impl MetricSettings {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::behavior::testing::SceneSpec;
     use crate::metrics::{Check, SampleGroup};
     use crate::scene::testing::{Drive, scene};
+    use std::collections::BTreeSet;
 
     #[test]
     fn metrics_with_settings_judge_by_them() {
@@ -69,6 +79,25 @@ mod tests {
         let ids: Vec<&str> = lenient.metrics().iter().map(|metric| metric.spec().id).collect();
         assert_eq!(ids, ALL.iter().map(|metric| metric.spec().id).collect::<Vec<_>>());
         assert!(lenient.decide("validity_rate") && lenient.decide("preventable_rate"));
+        assert!(lenient.decide("offroad_rate") && lenient.decide("drivable_area_compliance"));
         assert!(!lenient.decide("min_ade_m") && !lenient.decide("objectives"));
+    }
+
+    #[test]
+    fn where_the_map_does_not_say_where_the_road_is_nobody_leaves_it() {
+        // A car on the only lane, which drives off it.
+        let spec: Result<SceneSpec, _> = toml::from_str(
+            "agents = [{ id = \"a\", start = { x_m = 0, y_m = 0, speed_mps = 10 }, segments = [{ duration_s = 2.0 }, { duration_s = 1.0, turn_deg = 60 }] }]
+            lanes = [{ id = 1, centerline = [[-50, 0], [100, 0]], width_m = 3.6 }]",
+        );
+        let leaving = spec.expect("valid").build("leaving");
+        let group = SampleGroup::equally_likely(&leaving, std::slice::from_ref(&leaving));
+        let unsaid = BTreeSet::from([leaving.source.place.clone()]);
+        let validity = ValidityConfig { places_without_road: unsaid, ..ValidityConfig::default() };
+        let unsaid = MetricSettings { validity, ..MetricSettings::default() };
+        for (id, value) in [("offroad_rate", 1.0), ("drivable_area_compliance", 0.0)] {
+            let by = |settings: &MetricSettings| settings.by_id(id).expect("known").evaluate(&group);
+            assert_eq!((by(&MetricSettings::default()), by(&unsaid)), (Some(value), None), "{id}");
+        }
     }
 }

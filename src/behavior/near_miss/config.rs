@@ -26,7 +26,8 @@ pub struct NearMissConfig {
     /// So hard must one of the two brake on that course to avoid it, m/s². Default 3.4: less is how people stop behind each other.
     #[schemars(range(min = 0.0))]
     pub min_drac_mps2: f64,
-    /// Being where the other was less than this before, on another course, is a near miss, seconds. Default 1.
+    /// Being where the other was less than this before, on another course, is a near miss, seconds. Default 0.5: turning off a second
+    /// behind an oncoming vehicle is usual.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_pet_s: f64,
     /// So far must boxes reach into each other, on a course to touch or where two cross, meters; no more than half their size. Default 0.5:
@@ -53,7 +54,7 @@ impl Default for NearMissConfig {
             min_passing_mps: 8.0,
             max_ttc_s: 1.5,
             min_drac_mps2: 3.4,
-            max_pet_s: 1.0,
+            max_pet_s: 0.5,
             min_overlap_m: 0.5,
             negative_distance_m: 2.0,
             negative_ttc_s: 3.0,

@@ -39,7 +39,7 @@ const MAX_TTC_S: f64 = 10.0;
 ///   paths that they drive (who waits beside a bend is in nobody's way), and would touch in less than 1.5 s. To avoid it takes a deceleration
 ///   of at least 3.4 m/s² (DRAC: their relative speed by twice that time), and both are tracked until then: what comes after the last state is
 ///   not known. At least one of the two moves with 1 m/s or more.
-/// - One is where the other was less than 1 s before, so that the boxes of these timesteps overlap by 0.5 m, both with 1 m/s or more. Their
+/// - One is where the other was less than 0.5 s before, so that the boxes of these timesteps overlap by 0.5 m, both with 1 m/s or more. Their
 ///   courses differ by at least 30 degrees there, and each from the path that the other drives by the same place: who follows around a bend or
 ///   merges behind another crosses nobody.
 /// - The boxes are less than 0.2 m apart, their velocities differ by at least 8 m/s, and the sizes of both are recorded.
@@ -251,7 +251,9 @@ mod tests {
         let sized = spec.expect("valid").build("near");
         let mut unsized_ = sized.clone();
         unsized_.tracks.iter_mut().for_each(|track| track.extent = None);
-        let lenient = NearMiss::new(NearMissConfig { recorded_sizes: false, ..NearMissConfig::default() });
+        // Where boxes are half as large, gaps are longer.
+        let lenient = NearMissConfig { recorded_sizes: false, max_pet_s: 1.0, ..NearMissConfig::default() };
+        let lenient = NearMiss::new(lenient);
         let labels = |behavior: &NearMiss, scene| behavior.detect(scene).iter().map(|event| event.label).collect();
         let strict = NearMiss::default();
         [labels(&strict, &sized), labels(&strict, &unsized_), labels(&lenient, &unsized_)]
@@ -263,7 +265,7 @@ mod tests {
         // A car that stands 0.1 m beside the way of the other.
         let parked = events("start = { x_m = 20, y_m = 1.9, speed_mps = 0 }");
         assert_eq!(parked, [vec![Positive], vec![], vec![Negative]]);
-        // Crossing half a second behind each other.
+        // Crossing closely behind each other.
         let crossing = events("start = { x_m = 20, y_m = -28, heading_deg = 90, speed_mps = 10 }");
         assert_eq!(crossing, [vec![Positive], vec![], vec![Positive]]);
     }

@@ -97,6 +97,8 @@ impl Links {
                     .attr("id", i)
                     .attr("incomingRoad", from)
                     .attr("linkedRoad", to)
+                    // Readers that do not know direct junctions, such as SUMO's, look for it here.
+                    .attr("connectingRoad", to)
                     .attr("contactPoint", "start")
                     .child(element("laneLink").attr("from", -1).attr("to", -1))
             };

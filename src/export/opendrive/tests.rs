@@ -134,7 +134,10 @@ fn roads_follow_each_other_and_fork_in_junctions() {
     );
     let connections = |junction: &Node| -> Vec<(String, String)> {
         assert_eq!(junction.attr("type"), "direct");
-        let pair = |node: &&Node| (node.attr("incomingRoad").to_owned(), node.attr("linkedRoad").to_owned());
+        let pair = |node: &&Node| {
+            assert_eq!(node.attr("linkedRoad"), node.attr("connectingRoad"));
+            (node.attr("incomingRoad").to_owned(), node.attr("linkedRoad").to_owned())
+        };
         junction.all("connection").iter().map(pair).collect()
     };
     let junctions = root.all("junction");

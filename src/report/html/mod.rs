@@ -23,6 +23,7 @@ const STYLE: &str = include_str!("style.css");
 const DRAWING_STYLE: &str = include_str!("../svg/drawing.css");
 const PLAYER: &str = include_str!("player.js");
 const FILTERS: &str = include_str!("filters.js");
+const TABLES: &str = include_str!("tables.js");
 
 /// A part of the page with an entry in the table of contents.
 struct Section {
@@ -105,6 +106,7 @@ fn page(title: &str, head: &Markup, sections: &[Section], scripts: &Markup) -> S
                 footer {
                     p { "Written by djinn " (env!("CARGO_PKG_VERSION")) ". Lengths in meters, times in seconds, angles in radians unless a heading says otherwise." }
                 }
+                script { (PreEscaped(TABLES)) }
                 (scripts)
             }
         }
@@ -144,7 +146,7 @@ fn facts(facts: &[Fact]) -> Markup {
     }
 }
 
-/// A table in a box that scrolls by itself when it is too wide. `head` and `body` hold the rows.
+/// A table, which a script lays out anew where the page is too narrow for it; without scripts it scrolls. `head` and `body` hold the rows.
 fn table(caption: &str, head: &Markup, body: &Markup) -> Markup {
     html! {
         div class="scroll" tabindex="0" role="region" aria-label=(caption) {

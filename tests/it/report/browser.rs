@@ -124,8 +124,22 @@ fn thousands_of_scenes_are_light() {
 }
 
 #[test]
-fn pages_without_scenes_have_no_script_to_fail() {
+fn pages_without_scenes_have_the_script_of_tables_alone() {
     let Some(mut page) = Page::open(&render(&ReportModel::default())) else { return };
-    assert_eq!(page.value("document.scripts.length"), json!(0));
+    assert_eq!(page.value("document.scripts.length"), json!(1));
+    assert_eq!(page.errors(), [""; 0]);
+}
+
+#[test]
+fn tables_hide_nothing_on_a_narrow_page() {
+    let Some(mut page) = Page::open(&render(&sample::model())) else { return };
+    for width in ["73rem", "24rem"] {
+        page.value(&format!("document.body.style.width = '{width}'; dispatchEvent(new Event('resize'))"));
+        let hiding = "[...document.querySelectorAll('.scroll')].filter((e) => e.scrollWidth > e.clientWidth).length";
+        assert_eq!(page.value(hiding), json!(0), "at a width of {width}");
+    }
+    // What a cell says stands beside it.
+    assert!(page.value("document.querySelectorAll('.cards').length").as_u64().unwrap() > 0);
+    assert_eq!(page.value("document.querySelectorAll('.cards td:not([data-label])').length"), json!(0));
     assert_eq!(page.errors(), [""; 0]);
 }
