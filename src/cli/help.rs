@@ -15,7 +15,8 @@ Exit codes:
   1  bad input: arguments, configuration, recordings
   2  program or machine failure: a bug, a full disk, a damaged file of djinn's
   3  everything ran, but a quality gate failed
-A signal ends the program with 130, 143 or 129; it prints what is kept and how to continue.";
+  75 stopped by SIGTERM or SIGUSR1, or waiting for other work: the same command continues
+Other signals end the program with 128 and their number; it prints what is kept and how to continue.";
 
 /// Of `run`.
 pub(super) const RUN: &str = "\

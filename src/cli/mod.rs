@@ -36,7 +36,7 @@ pub fn main() -> ExitCode {
     match outcome {
         Ok(()) => exit::DONE,
         Err(failure) => {
-            printer.failure(&failure);
+            printer.failure(&failure, signals::advice());
             exit::of_failure(&failure)
         }
     }

@@ -145,11 +145,14 @@ pub fn execute(
                 .with_inputs_of(context.root, &expected)?
                 .listing_files(context.root)?
         } else {
+            if context.progress.must_stop() {
+                return Err(Failure::later(format_args!("stopped before stage {}", stage.id())));
+            }
             around(stage.id(), Moment::Start)?;
             let named = Named { stage: stage.id(), inner: context.progress };
             let context = StageContext { progress: &named, ..*context };
             let record = run_stage(stage.as_ref(), expected, &action, &kept, &context)
-                .map_err(|failure| failure.context(format!("stage {} failed", stage.id())))?;
+                .map_err(|failure| failure.of_stage(stage.id()))?;
             around(stage.id(), Moment::End)?;
             record
         };
@@ -197,6 +200,10 @@ impl Progress for Named<'_> {
     fn finish(&self) {
         self.inner.finish();
     }
+
+    fn must_stop(&self) -> bool {
+        self.inner.must_stop()
+    }
 }
 
 fn run_stage(
@@ -216,7 +223,7 @@ fn run_stage(
 }
 
 /// Refuses damaged results of earlier stages. Those that are kept in shards have a checksum each, which is compared when it is read.
-fn check_inputs(stage: &dyn Stage) -> Result<()> {
+pub(super) fn check_inputs(stage: &dyn Stage) -> Result<()> {
     for input in stage.inputs() {
         let Some(producer) = input.producer.filter(|id| !matches!(id, StageId::Ingest | StageId::Generate)) else {
             continue;

@@ -8,9 +8,9 @@ use super::claim;
 use super::clock::{peak_memory_bytes, utc_now};
 use super::config::PipelineConfig;
 use super::device::ComputeChoice;
-use super::failure::Result;
+use super::failure::{Blame, Failure, Result};
 use super::graph::{Action, Moment, PlannedStage, execute};
-use super::log::Logged;
+use super::log::{LOG_FILE, Logged};
 use super::record::{InputRecord, StageRecord};
 use super::stage::{StageContext, StageId};
 use super::work::Work;
@@ -103,10 +103,13 @@ pub fn run_stages(
 ) -> Result<Vec<StageRecord>> {
     let compute = compute.open()?;
     let root = folder.root.as_path();
-    let logged = Logged::open(root, progress)?;
+    let logged = Logged::open(&root.join(LOG_FILE), progress)?;
     logged.line(&format!("djinn {} begins in {}", env!("CARGO_PKG_VERSION"), root.display()));
     for PlannedStage { expected, action, .. } in &planned {
         logged.line(&format!("{}: {action}", expected.stage));
+    }
+    if !folder.lock.is_enforced() {
+        logged.warn("the file system of the run folder knows no locks: see to it that no other process writes there");
     }
     let mut manifest = config.map(|config| RunManifest::new(config, &planned));
     if let Some(config) = config {
@@ -128,6 +131,7 @@ pub fn run_stages(
         execute(planned, &context, &mut |record| save(Some(record)), &mut |stage, moment| clock.take(stage, moment));
     match &outcome {
         Ok(_) => logged.line("done"),
+        Err(Failure { blame: Blame::Later, error, .. }) => logged.line(&format!("stopped: {error:#}")),
         Err(failure) => logged.line(&format!("failed: {:#}", failure.error)),
     }
     outcome
@@ -136,10 +140,15 @@ pub fn run_stages(
 /// A folder to write into, locked against other processes.
 pub struct RunFolder {
     root: PathBuf,
-    _lock: Lock,
+    lock: Lock,
 }
 
 impl RunFolder {
+    /// Where it is.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
     /// Makes the folder, takes its lock, and finishes what a killed process was about to finish.
     ///
     /// # Errors
@@ -150,7 +159,7 @@ impl RunFolder {
         let lock = Lock::in_folder(root)?;
         claim::remove_leftovers(root)?;
         Work::complete_all(root)?;
-        Ok(Self { root: root.to_owned(), _lock: lock })
+        Ok(Self { root: root.to_owned(), lock })
     }
 }
 

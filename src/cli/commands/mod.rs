@@ -37,7 +37,7 @@ fn use_threads(output: &OutputArgs, configured: usize) -> Result<()> {
 
 /// Says what a signal leaves of work in a folder of stages.
 fn resumes_in(root: &Path) {
-    signals::leaves(format!(
+    signals::leaves_resumable(format!(
         "finished shards and saved training states are kept in {}; run the same command again to continue",
         root.display()
     ));
