@@ -30,6 +30,8 @@ Examples:
   djinn run pipelines/cut_in_corpus.toml
   djinn run pipelines/cut_in_corpus.toml --redo train_denoiser
   djinn run pipelines/cut_in_corpus.toml --run more --set run.seed=1 --set generate.sweeps.0.n_samples=8
+  djinn run pipelines/cut_in_corpus.toml --stage ingest --stage mine
+  djinn run pipelines/cut_in_corpus.toml --stage generate --part work --worker 3/100
   djinn run pipelines/cut_in_corpus.toml --set 'ingest.inputs=[\"/data/INTERACTION-v1_2.zip\"]' --dry-run";
 
 /// Of `ingest`.

@@ -1,7 +1,8 @@
 //! The pipeline: which stages are there, which must run, and where do their results lie?
 //!
 //! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code, [`graph`] decides what must run
-//! and runs it, [`run`] keeps the run folder, [`compare`] sets two of them side by side. Only this module (and the command line) uses `anyhow`.
+//! and runs it, [`run`] keeps the run folder, [`compare`] sets two of them side by side. [`parts`] lets several processes work on one
+//! stage. Only this module (and the command line) uses `anyhow`.
 
 mod claim;
 mod clock;
@@ -20,6 +21,7 @@ pub mod layout;
 mod log;
 pub mod memory;
 mod older;
+pub mod parts;
 mod record;
 pub mod regenerate;
 pub mod run;

@@ -15,6 +15,7 @@ use super::record::{InputRecord, StageRecord};
 use super::stage::{StageContext, StageId};
 use super::work::Work;
 use crate::files::Lock;
+use crate::nn::Compute;
 use crate::progress::Progress;
 use crate::store::{read_json, write_atomically, write_json_atomically};
 use serde::{Deserialize, Serialize};
@@ -101,7 +102,9 @@ pub fn run_stages(
     planned: Vec<PlannedStage<'_>>,
     progress: &dyn Progress,
 ) -> Result<Vec<StageRecord>> {
-    let compute = compute.open()?;
+    // A machine without the device may run what does without it.
+    let computes = planned.iter().any(|planned| planned.action != Action::Reuse && planned.expected.stage.computes());
+    let compute = if computes { compute.open()? } else { Compute::cpu() };
     let root = folder.root.as_path();
     let logged = Logged::open(&root.join(LOG_FILE), progress)?;
     logged.line(&format!("djinn {} begins in {}", env!("CARGO_PKG_VERSION"), root.display()));

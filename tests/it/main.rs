@@ -13,6 +13,7 @@ mod documents;
 mod export;
 mod fuzz;
 mod mixture;
+mod parts;
 mod pytorch;
 mod report;
 mod requests;
