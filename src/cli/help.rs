@@ -31,8 +31,29 @@ Examples:
   djinn run pipelines/cut_in_corpus.toml --redo train_denoiser
   djinn run pipelines/cut_in_corpus.toml --run more --set run.seed=1 --set generate.sweeps.0.n_samples=8
   djinn run pipelines/cut_in_corpus.toml --stage ingest --stage mine
-  djinn run pipelines/cut_in_corpus.toml --stage generate --part work --worker 3/100
+  djinn run pipelines/cut_in_corpus.toml --stage generate --part work --worker 3/100     see pipelines/CLUSTER.md
   djinn run pipelines/cut_in_corpus.toml --set 'ingest.inputs=[\"/data/INTERACTION-v1_2.zip\"]' --dry-run";
+
+/// Of `submit`.
+pub(super) const SUBMIT: &str = "\
+The jobs: `prepare` runs the stages before generation, `plan` decides what is sampled, the workers of `work` sample shards,
+`seal` publishes the samples, `finish` runs the stages after them. Each looks by itself whether what it reads is there.
+Submitting again makes up for what is missing. [cluster] says what jobs need: partition, time, cpus, gpus, memory,
+container, retries, more lines of the scripts (pipelines/CLUSTER.md).
+
+Examples:
+  djinn submit pipelines/quickstart.toml --engine slurm --workers 100 --dry-run     print the scripts
+  djinn submit pipelines/quickstart.toml --engine slurm --workers 100
+  djinn submit pipelines/quickstart.toml --engine json | jq -r '.jobs[].command | join(\" \")'";
+
+/// Of `status`.
+pub(super) const STATUS: &str = "\
+Reads the run folder alone: it asks no engine and works from any machine that sees the folder. A shard counts as running if
+a worker began it not long ago; one that was killed in it is told from the others only after a while.
+
+Examples:
+  djinn status output/quickstart/main
+  djinn status output/quickstart/main --json | jq .shards.n_missing";
 
 /// Of `ingest`.
 pub(super) const INGEST: &str = "\

@@ -2,10 +2,11 @@
 //!
 //! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code, [`graph`] decides what must run
 //! and runs it, [`run`] keeps the run folder, [`compare`] sets two of them side by side. [`parts`] lets several processes work on one
-//! stage. Only this module (and the command line) uses `anyhow`.
+//! stage, [`cluster`] hands them to an engine, [`status`] tells how far they are. Only this module (and the command line) uses `anyhow`.
 
 mod claim;
 mod clock;
+pub mod cluster;
 pub mod compare;
 pub mod config;
 mod device;
@@ -30,6 +31,7 @@ mod safety_tests;
 mod stage;
 mod stage_facts;
 pub mod stages;
+pub mod status;
 mod work;
 
 pub use device::{ComputeChoice, DeviceChoice};

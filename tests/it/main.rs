@@ -25,4 +25,6 @@ mod signals;
 #[path = "../skipped.rs"]
 mod skipped;
 mod stages;
+#[cfg(unix)]
+mod submit;
 mod support;

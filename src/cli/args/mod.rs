@@ -1,9 +1,11 @@
 //! Which commands and options are there?
 
+mod cluster;
 mod corpus;
 mod export;
 mod stages;
 
+pub(in crate::cli) use self::cluster::{StatusArgs, SubmitArgs};
 pub(in crate::cli) use self::corpus::CorpusCommand;
 pub(in crate::cli) use self::export::ExportArgs;
 use self::stages::{DenoiserArg, EvaluateArgs, GenerateArgs, IngestArgs, MineArgs, ScenesArg, not_for_comparisons};
@@ -47,6 +49,12 @@ pub(in crate::cli) enum Command {
     /// Run all stages of a pipeline file
     #[command(after_help = help::RUN)]
     Run(RunArgs),
+    /// Run a pipeline file as jobs on a cluster
+    #[command(after_help = help::SUBMIT)]
+    Submit(SubmitArgs),
+    /// Show how far a run is, also while others work on it
+    #[command(after_help = help::STATUS)]
+    Status(StatusArgs),
     /// Read recordings and write scenes
     #[command(after_help = help::INGEST)]
     Ingest(IngestArgs),

@@ -8,6 +8,7 @@
 mod folder;
 mod identity;
 mod plan;
+mod progress;
 mod seal;
 #[cfg(test)]
 mod tests;
@@ -16,6 +17,7 @@ mod work;
 
 pub use identity::Identity;
 pub use plan::plan;
+pub use progress::{ShardStatus, shard_status};
 pub use seal::{seal, sealed};
 pub use work::{Worker, work};
 

@@ -3,6 +3,7 @@
 use super::folder::PartsFolder;
 use super::identity::Identity;
 use super::seal::collected;
+use super::shard_status;
 use super::work::{Shards, Worker};
 use crate::generate::{GenerateConfig, Plan, ResolvedGeneration, ShardOutput, ShardPlan};
 use crate::pipeline::stages::SampleSidecar;
@@ -206,4 +207,34 @@ fn only_our_files_are_discarded() {
     }
     planned.folder.discard().unwrap();
     assert!(!dir.parent().unwrap().exists());
+}
+
+#[test]
+fn the_folder_alone_tells_how_far_the_shards_are() {
+    let planned = Planned::new(3, 100);
+    let root = planned.folder.dir().parent().unwrap().parent().unwrap();
+    let status = || shard_status(root).unwrap().unwrap();
+    assert!(status().n_missing == 6 && status().seconds_left.is_none());
+    for (idx, seconds) in [(0, 30.0), (5, 50.0)] {
+        let sidecar = planned.write(&planned.plan.shards[idx], 0).unwrap();
+        planned.folder.finish(idx, "1/2", seconds, sidecar).unwrap();
+    }
+    assert!(status().text().contains("time left         unknown: no worker is at work; a shard takes one 40 s"));
+    // Two are at work; one died long ago, in another ten did.
+    for mark in [planned.folder.try_path(1, 1), planned.folder.try_path(2, 2), planned.folder.try_path(3, 1)] {
+        fs_err::write(mark, "").unwrap();
+    }
+    let old = std::time::SystemTime::now() - std::time::Duration::from_secs(1_000);
+    let mark = fs_err::OpenOptions::new().write(true).open(planned.folder.try_path(3, 1)).unwrap();
+    mark.file().set_modified(old).unwrap();
+    (1..=10).for_each(|number| fs_err::write(planned.folder.try_path(4, number), "").unwrap());
+    let found = status();
+    assert_eq!((found.n_shards, found.n_done, found.n_running, found.n_missing), (6, 2, 2, 1));
+    assert_eq!(found.given_up, ["samples-00004 (10 workers died in it, or are at work in it)"]);
+    // Three shards of 40 s by two workers.
+    assert!((found.seconds_left.unwrap() - 60.0).abs() < 1e-9);
+    assert_eq!(
+        found.text(),
+        "shards            2 of 6 done, 2 running, 1 missing, 1 given up\ntime left         60 s\ngiven up          samples-00004 (10 workers died in it, or are at work in it)\n"
+    );
 }
