@@ -38,7 +38,7 @@ pub fn main() -> ExitCode {
     match outcome {
         Ok(()) => exit::DONE,
         Err(failure) => {
-            printer.failure(&failure, signals::advice());
+            printer.failure(&failure, signals::advice().as_deref());
             exit::of_failure(&failure)
         }
     }

@@ -37,7 +37,7 @@ impl Printer {
 
     /// Tells of a failure with all its causes and the advice, to stderr; of work that goes on later without advice of its own, what
     /// is left of it.
-    pub(super) fn failure(&self, failure: &Failure, left: Option<String>) {
+    pub(super) fn failure(&self, failure: &Failure, left: Option<&str>) {
         let mut causes = failure.error.chain().map(ToString::to_string);
         let mut text = causes.next().unwrap_or_default();
         let mut last = text.clone();
@@ -51,7 +51,7 @@ impl Printer {
         let is_later = failure.blame == Blame::Later;
         let head = if is_later { self.paint("stopped", "1;33") } else { self.paint("error", "1;31") };
         stderr_line(&format_args!("{head}: {text}"));
-        if let Some(hint) = failure.hint.as_ref().or(left.as_ref().filter(|_| is_later)) {
+        if let Some(hint) = failure.hint.as_deref().or(left.filter(|_| is_later)) {
             stderr_line(&format_args!("{}: {hint}", self.paint("hint", "1;36")));
         }
     }

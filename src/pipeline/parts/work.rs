@@ -112,8 +112,7 @@ pub(super) struct Shards<'a> {
 }
 
 impl Shards<'_> {
-    /// Goes about the shards in the worker's order, once. Each is then finished, unwanted or given up; or another worker died in it just
-    /// now, and will come back to it.
+    /// Goes about the shards in the worker's order, once. Each is then finished, unwanted or given up.
     pub(super) fn work_through(
         mut self,
         worker: Worker,
