@@ -1,4 +1,4 @@
-//! How far a long piece of work has come, without knowing who is told.
+//! How far a long piece of work has come, without knowing who is told; and whether it is asked to stop.
 
 /// Receives the progress of one piece of work. Implementations must tolerate calls from several threads.
 pub trait Progress: Sync {
@@ -12,6 +12,9 @@ pub trait Progress: Sync {
     fn warn(&self, message: &str);
     /// Ends the current phase.
     fn finish(&self);
+    /// Whether the work is to stop as soon as what it has done can be kept. A phase that has asked once is given the time for it; one
+    /// that never asks is ended at once.
+    fn must_stop(&self) -> bool;
 }
 
 /// Tells nobody; for tests and library use.
@@ -24,4 +27,7 @@ impl Progress for Silent {
     fn note(&self, _message: &str) {}
     fn warn(&self, _message: &str) {}
     fn finish(&self) {}
+    fn must_stop(&self) -> bool {
+        false
+    }
 }

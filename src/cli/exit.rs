@@ -6,12 +6,16 @@ use std::process::ExitCode;
 /// Everything was done.
 pub(super) const DONE: ExitCode = ExitCode::SUCCESS;
 
+/// The same command goes on later: what a scheduler of jobs retries (EX_TEMPFAIL of `sysexits.h`).
+pub(super) const LATER: u8 = 75;
+
 /// The code for a failure.
 pub(super) fn of_failure(failure: &Failure) -> ExitCode {
     ExitCode::from(match failure.blame {
         Blame::Input => 1,
         Blame::Fault => 2,
         Blame::Gate => 3,
+        Blame::Later => LATER,
     })
 }
 

@@ -15,7 +15,8 @@ Exit codes:
   1  bad input: arguments, configuration, recordings
   2  program or machine failure: a bug, a full disk, a damaged file of djinn's
   3  everything ran, but a quality gate failed
-A signal ends the program with 130, 143 or 129; it prints what is kept and how to continue.";
+  75 stopped by SIGTERM or SIGUSR1, or waiting for other work: the same command continues
+Other signals end the program with 128 and their number; it prints what is kept and how to continue.";
 
 /// Of `run`.
 pub(super) const RUN: &str = "\
@@ -29,7 +30,30 @@ Examples:
   djinn run pipelines/cut_in_corpus.toml
   djinn run pipelines/cut_in_corpus.toml --redo train_denoiser
   djinn run pipelines/cut_in_corpus.toml --run more --set run.seed=1 --set generate.sweeps.0.n_samples=8
+  djinn run pipelines/cut_in_corpus.toml --stage ingest --stage mine
+  djinn run pipelines/cut_in_corpus.toml --stage generate --part work --worker 3/100     see pipelines/CLUSTER.md
   djinn run pipelines/cut_in_corpus.toml --set 'ingest.inputs=[\"/data/INTERACTION-v1_2.zip\"]' --dry-run";
+
+/// Of `submit`.
+pub(super) const SUBMIT: &str = "\
+The jobs: `prepare` runs the stages before generation, `plan` decides what is sampled, the workers of `work` sample shards,
+`seal` publishes the samples, `finish` runs the stages after them. Each looks by itself whether what it reads is there.
+Submitting again makes up for what is missing. [cluster] says what jobs need: partition, time, cpus, gpus, memory,
+container, retries, more lines of the scripts (pipelines/CLUSTER.md).
+
+Examples:
+  djinn submit pipelines/quickstart.toml --engine slurm --workers 100 --dry-run     print the scripts
+  djinn submit pipelines/quickstart.toml --engine slurm --workers 100
+  djinn submit pipelines/quickstart.toml --engine json | jq -r '.jobs[].command | join(\" \")'";
+
+/// Of `status`.
+pub(super) const STATUS: &str = "\
+Reads the run folder alone: it asks no engine and works from any machine that sees the folder. A shard counts as running if
+a worker began it not long ago; one that was killed in it is told from the others only after a while.
+
+Examples:
+  djinn status output/quickstart/main
+  djinn status output/quickstart/main --json | jq .shards.n_missing";
 
 /// Of `ingest`.
 pub(super) const INGEST: &str = "\

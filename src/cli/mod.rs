@@ -26,6 +26,8 @@ pub fn main() -> ExitCode {
     signals::watch();
     let outcome = panics::told(|| match &args.command {
         Command::Run(run) => commands::run(run, &args.output, &printer),
+        Command::Submit(submit) => commands::submit(submit, &printer),
+        Command::Status(status) => commands::status(status, &printer),
         Command::Corpus(corpus) => commands::corpus(corpus, &args.output, &printer),
         Command::Export(export) => commands::export(export, &args.output, &printer),
         Command::Report(report) => commands::report(report, &args.command, &args.output, &printer),
@@ -36,7 +38,7 @@ pub fn main() -> ExitCode {
     match outcome {
         Ok(()) => exit::DONE,
         Err(failure) => {
-            printer.failure(&failure);
+            printer.failure(&failure, signals::advice().as_deref());
             exit::of_failure(&failure)
         }
     }

@@ -1,7 +1,7 @@
 //! What may be printed, where, and in which colors?
 
 use super::args::OutputArgs;
-use crate::pipeline::{Failure, Result};
+use crate::pipeline::{Blame, Failure, Result};
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 
@@ -35,8 +35,9 @@ impl Printer {
         }
     }
 
-    /// Tells of a failure with all its causes and the advice, to stderr.
-    pub(super) fn failure(&self, failure: &Failure) {
+    /// Tells of a failure with all its causes and the advice, to stderr; of work that goes on later without advice of its own, what
+    /// is left of it.
+    pub(super) fn failure(&self, failure: &Failure, left: Option<&str>) {
         let mut causes = failure.error.chain().map(ToString::to_string);
         let mut text = causes.next().unwrap_or_default();
         let mut last = text.clone();
@@ -47,8 +48,10 @@ impl Printer {
             }
             last = cause;
         }
-        stderr_line(&format_args!("{}: {text}", self.paint("error", "1;31")));
-        if let Some(hint) = &failure.hint {
+        let is_later = failure.blame == Blame::Later;
+        let head = if is_later { self.paint("stopped", "1;33") } else { self.paint("error", "1;31") };
+        stderr_line(&format_args!("{head}: {text}"));
+        if let Some(hint) = failure.hint.as_deref().or(left.filter(|_| is_later)) {
             stderr_line(&format_args!("{}: {hint}", self.paint("hint", "1;36")));
         }
     }

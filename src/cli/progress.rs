@@ -2,6 +2,7 @@
 
 use super::args::OutputArgs;
 use super::printer::{Printer, stderr_line};
+use super::signals;
 use crate::progress::Progress;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
@@ -58,6 +59,7 @@ impl TerminalProgress {
 impl Progress for TerminalProgress {
     fn start(&self, phase: &str, total: u64, unit: &str) {
         self.finish();
+        signals::phase_begins();
         let bar = (self.style == Style::Bars).then(|| bar(phase, total, unit));
         if self.style == Style::Lines {
             let of = if total == 0 { String::new() } else { format!(": {total} {unit}") };
@@ -103,6 +105,10 @@ impl Progress for TerminalProgress {
             // Warnings are shown even when quiet: quiet means no progress, not no problems.
             None => stderr_line(&line),
         }
+    }
+
+    fn must_stop(&self) -> bool {
+        signals::must_stop()
     }
 
     fn finish(&self) {

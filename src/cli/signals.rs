@@ -1,51 +1,120 @@
-//! What does the user read when a signal ends the program?
+//! What does a signal do to the program, and what does the user read then?
 
+use super::exit;
 use super::printer::stderr_line;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGUSR1};
 use signal_hook::iterator::Signals;
-use signal_hook::low_level::{emulate_default_handler, signal_name};
+use signal_hook::low_level::{self, emulate_default_handler, signal_name};
+use std::fmt::Display;
 use std::io::IsTerminal;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
-use std::sync::{Mutex, PoisonError};
-use std::time::Duration;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 /// How long the line may take.
 const PATIENCE: Duration = Duration::from_secs(1);
+/// How long a phase that listens has to keep what it has done. Batch systems give some two minutes of notice.
+const GRACE: Duration = Duration::from_secs(100);
 
 /// What stays of the work at hand, and how to go on.
-static ADVICE: Mutex<Option<String>> = Mutex::new(None);
+static LEFT: Mutex<Option<Left>> = Mutex::new(None);
+/// Whether the work is to stop.
+static MUST_STOP: AtomicBool = AtomicBool::new(false);
+/// Whether the present phase has asked whether it is to stop, and so will know.
+static LISTENS: AtomicBool = AtomicBool::new(false);
 
-/// Says from now on what a signal leaves behind, in words that follow "ended by SIGTERM: ".
-pub(super) fn leaves(advice: String) {
-    *ADVICE.lock().unwrap_or_else(PoisonError::into_inner) = Some(advice);
+#[derive(Clone)]
+struct Left {
+    advice: String,
+    /// Whether the same command goes on with the work.
+    resumes: bool,
 }
 
-/// Watches for the signals that ask the program to end: it then says what it leaves and ends by that signal, at once, so that a shell sees
-/// 128 and its number. Nothing is tidied up: whatever is written is whole under its name or called partial at every moment, and the next
-/// command knows what to do with it. What the parent wants ignored, as `nohup` does with SIGHUP, stays ignored.
+/// Says from now on what a signal leaves behind of work that begins anew, in words that follow "ended by SIGTERM: ".
+pub(super) fn leaves(advice: String) {
+    *left() = Some(Left { advice, resumes: false });
+}
+
+/// The same of work with which the same command goes on: SIGTERM and SIGUSR1 then end it with the exit code that says so.
+pub(super) fn leaves_resumable(advice: String) {
+    *left() = Some(Left { advice, resumes: true });
+}
+
+/// What a signal leaves behind.
+pub(super) fn advice() -> Option<String> {
+    left().clone().map(|left| left.advice)
+}
+
+/// Whether the work is to stop. Who asks is given the time to keep what it has done.
+pub(super) fn must_stop() -> bool {
+    LISTENS.store(true, Ordering::Relaxed);
+    MUST_STOP.load(Ordering::Relaxed)
+}
+
+/// A phase of the work begins, which has not asked yet.
+pub(super) fn phase_begins() {
+    LISTENS.store(false, Ordering::Relaxed);
+}
+
+/// Watches for the signals that ask the program to end. SIGINT and SIGHUP end it at once, so that a shell sees 128 and the number of the
+/// signal. So do SIGTERM and SIGUSR1, by which batch systems announce that they will take the machine, where the work begins anew. Where
+/// the same command goes on with it, they let a phase that listens keep what it has done, and the exit code says that it goes on.
+///
+/// Nothing is tidied up: whatever is written is whole under its name or called partial at every moment, and the next command knows what
+/// to do with it. What the parent wants ignored, as `nohup` does with SIGHUP, stays ignored.
 pub(super) fn watch() {
     let ignored = ignored_signals();
-    let wanted = [SIGTERM, SIGINT, SIGHUP].into_iter().filter(|signal| ignored & (1 << (signal - 1)) == 0);
+    let wanted = [SIGTERM, SIGINT, SIGHUP, SIGUSR1].into_iter().filter(|signal| ignored & (1 << (signal - 1)) == 0);
     // Where signals cannot be watched they end the program without a word.
     let Ok(mut signals) = Signals::new(wanted) else { return };
     std::thread::spawn(move || {
         for signal in signals.forever() {
             let name = signal_name(signal).unwrap_or("a signal");
-            let advice = ADVICE.lock().unwrap_or_else(PoisonError::into_inner).clone();
-            let advice = advice.unwrap_or_else(|| "nothing was written".to_owned());
-            // On a terminal, a progress bar may stand in the line.
-            let begin = if std::io::stderr().is_terminal() { "\n" } else { "" };
-            let (told, telling) = channel::<()>();
-            std::thread::spawn(move || {
-                stderr_line(&format_args!("{begin}ended by {name}: {advice}"));
-                drop(told);
-            });
-            // Nobody may be reading: that must not keep the program alive.
-            let _ = telling.recv_timeout(PATIENCE);
-            // It returns only where the signal cannot be raised; the next one is watched for then.
-            let _ = emulate_default_handler(signal);
+            let left = left().clone();
+            let resumes = [SIGTERM, SIGUSR1].contains(&signal) && left.as_ref().is_some_and(|left| left.resumes);
+            let ended = format!(
+                "ended by {name}: {}",
+                left.map_or_else(|| "nothing was written".to_owned(), |left| left.advice)
+            );
+            if !resumes {
+                tell(ended);
+                // It returns only where the signal cannot be raised; the next one is watched for then.
+                let _ = emulate_default_handler(signal);
+            } else if !MUST_STOP.swap(true, Ordering::Relaxed) {
+                if LISTENS.load(Ordering::Relaxed) {
+                    tell(format!("{name}: stopping as soon as what is done is saved"));
+                }
+                std::thread::spawn(move || end_unless_listening(ended));
+            }
         }
     });
+}
+
+/// Ends the program, once the present phase does not listen or has had its time.
+fn end_unless_listening(ended: String) {
+    let began = Instant::now();
+    while LISTENS.load(Ordering::Relaxed) && began.elapsed() < GRACE {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    tell(ended);
+    low_level::exit(i32::from(exit::LATER));
+}
+
+/// Prints a line. Nobody may be reading: that must not keep the program alive.
+fn tell(line: impl Display + Send + 'static) {
+    // On a terminal, a progress bar may stand in the line.
+    let begin = if std::io::stderr().is_terminal() { "\n" } else { "" };
+    let (told, telling) = channel::<()>();
+    std::thread::spawn(move || {
+        stderr_line(&format_args!("{begin}{line}"));
+        drop(told);
+    });
+    let _ = telling.recv_timeout(PATIENCE);
+}
+
+fn left() -> MutexGuard<'static, Option<Left>> {
+    LEFT.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The signals that the process was told to ignore, a bit each, the lowest that of signal 1; none where the system does not tell.

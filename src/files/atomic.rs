@@ -126,6 +126,20 @@ pub fn write_atomically<E: From<io::Error>>(
     Ok(file.commit()?)
 }
 
+/// Gives the file at `from` a second name, or copies it where the file system knows no such thing. Nothing but the whole file is ever
+/// under `to`.
+///
+/// # Errors
+/// Whatever the file system says; nothing new is then under `to`.
+pub fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
+    enter(to)?;
+    if fs::hard_link(from, to).is_ok() {
+        return sync_folder(to.parent().unwrap_or(Path::new("")));
+    }
+    let mut from = fs::File::open(from)?;
+    write_atomically(to, |file| io::copy(&mut from, file).map(drop)).map(drop)
+}
+
 /// Removes a file if it is there.
 ///
 /// # Errors

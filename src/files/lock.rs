@@ -24,6 +24,7 @@ pub struct Lock {
     file: File,
     /// The file, where it goes with the lock.
     temporary: Option<PathBuf>,
+    is_enforced: bool,
 }
 
 impl Lock {
@@ -33,7 +34,14 @@ impl Lock {
     /// [`Error::Busy`] when another process has it; [`Error::Foreign`] when the lock file is not ours.
     pub fn in_folder(dir: &Path) -> Result<Self> {
         let path = dir.join(LOCK_FILE);
-        Ok(Self { file: acquire(&path, dir)?, temporary: None })
+        let (file, is_enforced) = acquire(&path, dir)?;
+        Ok(Self { file, temporary: None, is_enforced })
+    }
+
+    /// Whether the lock keeps others out. Some network file systems know no locks; working without one is better than not at all, but
+    /// people must know.
+    pub const fn is_enforced(&self) -> bool {
+        self.is_enforced
     }
 
     /// Takes the lock on `path`, which need not exist, by a file beside it that goes with the lock.
@@ -46,10 +54,10 @@ impl Lock {
         name.push(LOCK_FILE);
         let lock = path.with_file_name(name);
         loop {
-            let file = acquire(&lock, path)?;
+            let (file, is_enforced) = acquire(&lock, path)?;
             // Whoever had the lock before may have removed the file after it was opened here.
             if is_still_at(&file, &lock) {
-                return Ok(Self { file, temporary: Some(lock) });
+                return Ok(Self { file, temporary: Some(lock), is_enforced });
             }
         }
     }
@@ -65,7 +73,7 @@ impl Drop for Lock {
     }
 }
 
-fn acquire(path: &Path, what: &Path) -> Result<File> {
+fn acquire(path: &Path, what: &Path) -> Result<(File, bool)> {
     let mut file = File::options().read(true).write(true).create(true).truncate(false).open(path)?;
     let mut holder = String::new();
     let is_ours = file.metadata()?.len() <= MAX_BYTES
@@ -77,20 +85,26 @@ fn acquire(path: &Path, what: &Path) -> Result<File> {
             found: path.file_name().map(PathBuf::from).into_iter().collect(),
         });
     }
-    match try_lock_for(&file, PATIENCE) {
-        Ok(()) => {}
+    let is_enforced = match enforced(try_lock_for(&file, PATIENCE)) {
+        Ok(is_enforced) => is_enforced,
         Err(TryLockError::WouldBlock) => {
             let holder = if holder.is_empty() { "another process".to_owned() } else { format!("process {holder}") };
             return Err(Error::Busy { path: what.to_owned(), holder });
         }
-        // Some network file systems know no locks; working without one is better than not at all.
-        Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {}
         Err(TryLockError::Error(error)) => return Err(error.into()),
-    }
+    };
     file.set_len(0)?;
     std::io::Seek::rewind(&mut file)?;
     write!(file, "{}", std::process::id())?;
-    Ok(file)
+    Ok((file, is_enforced))
+}
+
+/// Whether a lock that was tried keeps others out; `false` where the file system has none.
+fn enforced(tried: std::result::Result<(), TryLockError>) -> std::result::Result<bool, TryLockError> {
+    match tried {
+        Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => Ok(false),
+        tried => tried.map(|()| true),
+    }
 }
 
 fn try_lock_for(file: &File, patience: Duration) -> std::result::Result<(), TryLockError> {
@@ -117,4 +131,17 @@ fn is_still_at(file: &File, path: &Path) -> bool {
 #[cfg(not(unix))]
 fn is_still_at(_file: &File, _path: &Path) -> bool {
     true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Error as IoError, ErrorKind};
+
+    #[test]
+    fn a_file_system_without_locks_is_told_from_a_busy_place() {
+        assert!(enforced(Ok(())).unwrap());
+        assert!(!enforced(Err(TryLockError::Error(IoError::from(ErrorKind::Unsupported)))).unwrap());
+        assert!(matches!(enforced(Err(TryLockError::WouldBlock)), Err(TryLockError::WouldBlock)));
+    }
 }

@@ -15,7 +15,8 @@ mod tests;
 mod written;
 
 pub use atomic::{
-    AtomicFile, FileStamp, PARTIAL_SUFFIX, is_partial_of, remove_if_present, unique_partial, write_atomically,
+    AtomicFile, FileStamp, PARTIAL_SUFFIX, is_partial_of, link_or_copy, remove_if_present, unique_partial,
+    write_atomically,
 };
 pub use error::{Error, PathRelation, Result};
 pub use exchange::exchange;

@@ -168,6 +168,24 @@ fn a_refusal_says_what_is_where_and_what_to_do() {
 }
 
 #[test]
+fn a_second_name_is_of_the_whole_file_and_on_the_list() {
+    let dir = tempfile::tempdir().unwrap();
+    let (from, to) = (dir.path().join("a"), dir.path().join("out/b"));
+    write(&from, "new");
+    fs::create_dir(dir.path().join("out")).unwrap();
+    keep_list(&dir.path().join("out")).unwrap();
+    link_or_copy(&from, &to).unwrap();
+    assert_eq!(fs::read_to_string(&to).unwrap(), "new");
+    // What is there already is replaced by a copy, and the other name of its content stays as it is.
+    write(&from, "newer");
+    assert_eq!(fs::read_to_string(&to).unwrap(), "new");
+    link_or_copy(&from, &to).unwrap();
+    assert_eq!(fs::read_to_string(&to).unwrap(), "newer");
+    assert_eq!(listed(&dir.path().join("out")).unwrap().unwrap(), [PathBuf::from("b")].into());
+    assert!(link_or_copy(&dir.path().join("missing"), &to).is_err());
+}
+
+#[test]
 fn a_place_has_one_writer() {
     let dir = tempfile::tempdir().unwrap();
     let lock = Lock::in_folder(dir.path()).unwrap();

@@ -79,6 +79,9 @@ pub enum Error {
         /// What differs.
         detail: String,
     },
+    /// Generation was asked to stop within a shard, which begins anew.
+    #[error("stopped within a shard")]
+    Stopped,
     /// A tensor operation failed.
     #[error("a tensor operation failed")]
     Tensor(#[from] candle_core::Error),

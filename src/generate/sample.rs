@@ -80,7 +80,7 @@ impl Generator<'_> {
     ///
     /// # Errors
     /// When a scene cannot be loaded or is not the planned one, or a tensor operation fails. Samples that are no finite
-    /// numbers are not errors: they are rejected.
+    /// numbers are not errors: they are rejected. [`Error::Stopped`] when it is asked to stop between two batches.
     pub fn generate(&self, shard: &ShardPlan, progress: &dyn Progress) -> Result<ShardOutput, Error> {
         self.generate_part(shard, &|_, _, _| true, progress)
     }
@@ -106,6 +106,9 @@ impl Generator<'_> {
                 let samples = samples.start + shard.first_sample..samples.end + shard.first_sample;
                 if !is_chosen(level, &members, &samples) {
                     continue;
+                }
+                if progress.must_stop() {
+                    return Err(Error::Stopped);
                 }
                 let cells = members.iter().map(|at| (&shard.cells[*at], &conditioned[*at])).collect();
                 let batch = Batch { sweep, cells, samples: samples.clone(), level };

@@ -5,7 +5,9 @@ use crate::nn::{Compute, Precision};
 use candle_core::Device;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::fmt;
+use std::path::Path;
 use std::str::FromStr;
 
 /// What networks compute on: `cpu`, `cuda` (the first GPU) or `cuda:1` (the second one), and so on.
@@ -106,6 +108,47 @@ impl ComputeChoice {
     }
 }
 
+impl ComputeChoice {
+    /// What decides the last digits of results: the kind of device, and how exactly products are taken. Of a processor, the widest
+    /// vectors that it knows; of GPUs, the models that the driver lists.
+    pub fn class(self) -> String {
+        let kind = match self.device {
+            DeviceChoice::Cpu => processor_class(self.precision),
+            DeviceChoice::Cuda(_) => gpu_class(Path::new("/proc/driver/nvidia/gpus")),
+        };
+        format!("{kind}, {}", self.precision)
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+fn processor_class(precision: Precision) -> String {
+    use std::arch::is_x86_feature_detected;
+    let vectors = match () {
+        () if is_x86_feature_detected!("avx512f") => "-v4",
+        () if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") => "-v3",
+        () => "",
+    };
+    let rounds = if precision == Precision::Bf16 && is_x86_feature_detected!("avx512bf16") { " with bf16" } else { "" };
+    format!("cpu x86-64{vectors}{rounds}")
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn processor_class(_precision: Precision) -> String {
+    format!("cpu {}", std::env::consts::ARCH)
+}
+
+/// The models of the GPUs that have a folder in `list`, as NVIDIA's driver makes one for each.
+fn gpu_class(list: &Path) -> String {
+    let mut models = BTreeSet::new();
+    for gpu in std::fs::read_dir(list).into_iter().flatten().flatten() {
+        let text = fs_err::read_to_string(gpu.path().join("information")).unwrap_or_default();
+        let model = text.lines().find_map(|line| line.strip_prefix("Model:"));
+        models.extend(model.map(|model| model.trim().to_owned()));
+    }
+    let models = Vec::from_iter(models);
+    format!("cuda {}", if models.is_empty() { "of unknown model".to_owned() } else { models.join(" and ") })
+}
+
 impl fmt::Display for ComputeChoice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.precision {
@@ -126,6 +169,19 @@ mod tests {
             (compute.to_string().as_str(), ComputeChoice::default().to_string().as_str()),
             ("cuda, bf16", "cpu")
         );
+    }
+
+    #[test]
+    fn gpus_are_told_apart_by_their_model() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(gpu_class(&folder.path().join("missing")), "cuda of unknown model");
+        for (gpu, model) in [("0000:01:00.0", "NVIDIA H200"), ("0000:02:00.0", "NVIDIA H200")] {
+            fs_err::create_dir(folder.path().join(gpu)).unwrap();
+            let text = format!("Model: \t\t {model}\nIRQ:   \t\t 16\n");
+            fs_err::write(folder.path().join(gpu).join("information"), text).unwrap();
+        }
+        assert_eq!(gpu_class(folder.path()), "cuda NVIDIA H200");
+        assert!(ComputeChoice::default().class().starts_with("cpu "));
     }
 
     #[test]

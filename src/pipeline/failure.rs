@@ -1,5 +1,6 @@
 //! Who has to act when something fails: the user, or the people who look after the program and the machine?
 
+use super::stage::StageId;
 use std::fmt;
 
 /// Who can do something about a failure. The command line turns this into the exit code.
@@ -11,6 +12,8 @@ pub enum Blame {
     Fault,
     /// Everything ran, but a quality gate that the user set was not met.
     Gate,
+    /// Nobody: the work was asked to stop, or waits for other work. The same command goes on later.
+    Later,
 }
 
 /// An error with the blame for it and, where it is known, what to do about it.
@@ -45,6 +48,18 @@ impl Failure {
     /// A quality gate that was not met.
     pub fn gate(message: impl fmt::Display) -> Self {
         Self { blame: Blame::Gate, error: anyhow::anyhow!("{message}"), hint: None }
+    }
+
+    /// Work that goes on later, with the same command.
+    pub fn later(message: impl fmt::Display) -> Self {
+        Self { blame: Blame::Later, error: anyhow::anyhow!("{message}"), hint: None }
+    }
+
+    /// The same failure, as that of a stage.
+    #[must_use]
+    pub(super) fn of_stage(self, stage: StageId) -> Self {
+        let what = if self.blame == Blame::Later { "was stopped" } else { "failed" };
+        self.context(format!("stage {stage} {what}"))
     }
 
     /// The same failure with advice.

@@ -127,6 +127,38 @@ pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId])
     Ok(planned)
 }
 
+/// Those of the planned stages that are `selected`, and those before them that are done.
+///
+/// # Errors
+/// When one is selected that the pipeline does not have, or that reads from one which is neither done nor selected
+/// ([`Blame::Later`](super::Blame::Later)).
+pub fn select<'a>(planned: Vec<PlannedStage<'a>>, selected: &[StageId]) -> Result<Vec<PlannedStage<'a>>> {
+    if let Some(stage) = selected.iter().find(|id| !planned.iter().any(|planned| planned.stage.id() == **id)) {
+        return Err(Failure::input_message(format_args!("--stage {stage}: the pipeline has no such stage")));
+    }
+    let is_ready =
+        |planned: &PlannedStage<'_>| planned.action == Action::Reuse || selected.contains(&planned.stage.id());
+    for PlannedStage { stage, .. } in planned.iter().filter(|planned| selected.contains(&planned.stage.id())) {
+        let producers: Vec<StageId> = stage.inputs().iter().filter_map(|input| input.producer).collect();
+        let waits_for = planned.iter().find(|other| producers.contains(&other.stage.id()) && !is_ready(other));
+        if let Some(PlannedStage { expected, action, .. }) = waits_for {
+            let producer = expected.stage;
+            return Err(Failure::later(format_args!("stage {} waits for stage {producer}: {action}", stage.id()))
+                .with_hint(format!("run --stage {producer} first; this command can be repeated until then")));
+        }
+    }
+    Ok(planned.into_iter().filter(is_ready).collect())
+}
+
+/// What `stage` alone would be run on in the folder `root`.
+///
+/// # Errors
+/// When an input is missing.
+pub(super) fn expected(root: &Path, stage: &dyn Stage) -> Result<StageRecord> {
+    let inputs = stage.inputs().into_iter().map(|input| Ok((input.name.clone(), identify(root, &[], &input, None)?)));
+    Ok(StageRecord::expected(stage, inputs.collect::<Result<_>>()?)?)
+}
+
 /// Runs what must be run. Returns the records of all stages, and calls `after` with each as soon as it is done.
 pub fn execute(
     planned: Vec<PlannedStage<'_>>,
@@ -145,11 +177,14 @@ pub fn execute(
                 .with_inputs_of(context.root, &expected)?
                 .listing_files(context.root)?
         } else {
+            if context.progress.must_stop() {
+                return Err(Failure::later(format_args!("stopped before stage {}", stage.id())));
+            }
             around(stage.id(), Moment::Start)?;
             let named = Named { stage: stage.id(), inner: context.progress };
             let context = StageContext { progress: &named, ..*context };
             let record = run_stage(stage.as_ref(), expected, &action, &kept, &context)
-                .map_err(|failure| failure.context(format!("stage {} failed", stage.id())))?;
+                .map_err(|failure| failure.of_stage(stage.id()))?;
             around(stage.id(), Moment::End)?;
             record
         };
@@ -197,6 +232,10 @@ impl Progress for Named<'_> {
     fn finish(&self) {
         self.inner.finish();
     }
+
+    fn must_stop(&self) -> bool {
+        self.inner.must_stop()
+    }
 }
 
 fn run_stage(
@@ -217,7 +256,7 @@ fn run_stage(
 
 /// Refuses damaged results of earlier stages, and what those left beside them, such as summaries. Shards have a checksum each, which is
 /// compared when it is read.
-fn check_inputs(stage: &dyn Stage) -> Result<()> {
+pub(super) fn check_inputs(stage: &dyn Stage) -> Result<()> {
     for input in stage.inputs() {
         let Some(producer) = input.producer.filter(|id| !matches!(id, StageId::Ingest | StageId::Generate)) else {
             continue;

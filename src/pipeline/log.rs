@@ -23,9 +23,9 @@ struct LogState {
 pub(super) const LOG_FILE: &str = "log.txt";
 
 impl<'a> Logged<'a> {
-    /// Appends to the log in `folder`.
-    pub(super) fn open(folder: &Path, inner: &'a dyn Progress) -> std::io::Result<Self> {
-        let file = File::options().create(true).append(true).open(folder.join(LOG_FILE))?;
+    /// Appends to the log at `path`.
+    pub(super) fn open(path: &Path, inner: &'a dyn Progress) -> std::io::Result<Self> {
+        let file = File::options().create(true).append(true).open(path)?;
         Ok(Self { inner, state: Mutex::new(LogState { file, phase: String::new(), n_done: 0 }) })
     }
 
@@ -78,5 +78,9 @@ impl Progress for Logged<'_> {
             state.line(&line);
         });
         self.inner.finish();
+    }
+
+    fn must_stop(&self) -> bool {
+        self.inner.must_stop()
     }
 }

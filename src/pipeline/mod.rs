@@ -1,10 +1,12 @@
 //! The pipeline: which stages are there, which must run, and where do their results lie?
 //!
 //! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code, [`graph`] decides what must run
-//! and runs it, [`run`] keeps the run folder, [`compare`] sets two of them side by side. Only this module (and the command line) uses `anyhow`.
+//! and runs it, [`run`] keeps the run folder, [`compare`] sets two of them side by side. [`parts`] lets several processes work on one
+//! stage, [`cluster`] hands them to an engine, [`status`] tells how far they are. Only this module (and the command line) uses `anyhow`.
 
 mod claim;
 mod clock;
+pub mod cluster;
 pub mod compare;
 pub mod config;
 mod device;
@@ -20,6 +22,7 @@ pub mod layout;
 mod log;
 pub mod memory;
 mod older;
+pub mod parts;
 mod record;
 pub mod regenerate;
 pub mod run;
@@ -28,6 +31,7 @@ mod safety_tests;
 mod stage;
 mod stage_facts;
 pub mod stages;
+pub mod status;
 mod work;
 
 pub use device::{ComputeChoice, DeviceChoice};

@@ -8,13 +8,14 @@ use super::claim;
 use super::clock::{peak_memory_bytes, utc_now};
 use super::config::PipelineConfig;
 use super::device::ComputeChoice;
-use super::failure::Result;
+use super::failure::{Blame, Failure, Result};
 use super::graph::{Action, Moment, PlannedStage, execute};
-use super::log::Logged;
+use super::log::{LOG_FILE, Logged};
 use super::record::{InputRecord, StageRecord};
 use super::stage::{StageContext, StageId};
 use super::work::Work;
 use crate::files::Lock;
+use crate::nn::Compute;
 use crate::progress::Progress;
 use crate::store::{read_json, write_atomically, write_json_atomically};
 use serde::{Deserialize, Serialize};
@@ -101,12 +102,17 @@ pub fn run_stages(
     planned: Vec<PlannedStage<'_>>,
     progress: &dyn Progress,
 ) -> Result<Vec<StageRecord>> {
-    let compute = compute.open()?;
+    // A machine without the device may run what does without it.
+    let computes = planned.iter().any(|planned| planned.action != Action::Reuse && planned.expected.stage.computes());
+    let compute = if computes { compute.open()? } else { Compute::cpu() };
     let root = folder.root.as_path();
-    let logged = Logged::open(root, progress)?;
+    let logged = Logged::open(&root.join(LOG_FILE), progress)?;
     logged.line(&format!("djinn {} begins in {}", env!("CARGO_PKG_VERSION"), root.display()));
     for PlannedStage { expected, action, .. } in &planned {
         logged.line(&format!("{}: {action}", expected.stage));
+    }
+    if !folder.lock.is_enforced() {
+        logged.warn("the file system of the run folder knows no locks: see to it that no other process writes there");
     }
     let mut manifest = config.map(|config| RunManifest::new(config, &planned));
     if let Some(config) = config {
@@ -128,6 +134,7 @@ pub fn run_stages(
         execute(planned, &context, &mut |record| save(Some(record)), &mut |stage, moment| clock.take(stage, moment));
     match &outcome {
         Ok(_) => logged.line("done"),
+        Err(Failure { blame: Blame::Later, error, .. }) => logged.line(&format!("stopped: {error:#}")),
         Err(failure) => logged.line(&format!("failed: {:#}", failure.error)),
     }
     outcome
@@ -136,10 +143,15 @@ pub fn run_stages(
 /// A folder to write into, locked against other processes.
 pub struct RunFolder {
     root: PathBuf,
-    _lock: Lock,
+    lock: Lock,
 }
 
 impl RunFolder {
+    /// Where it is.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
     /// Makes the folder, takes its lock, and finishes what a killed process was about to finish.
     ///
     /// # Errors
@@ -150,7 +162,7 @@ impl RunFolder {
         let lock = Lock::in_folder(root)?;
         claim::remove_leftovers(root)?;
         Work::complete_all(root)?;
-        Ok(Self { root: root.to_owned(), _lock: lock })
+        Ok(Self { root: root.to_owned(), lock })
     }
 }
 

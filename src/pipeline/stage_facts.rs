@@ -112,6 +112,11 @@ impl StageId {
         }
     }
 
+    /// Whether it computes with networks, and so needs the device.
+    pub const fn computes(self) -> bool {
+        self.facts().trains || matches!(self, Self::Generate)
+    }
+
     /// Where what it makes for other stages is, and what they call it.
     pub fn output(self, layout: &Layout) -> Option<(&'static str, &Path)> {
         self.facts().output.map(|output| (output.name, (output.path)(layout)))

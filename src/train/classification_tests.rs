@@ -129,6 +129,9 @@ fn a_killed_training_resumes_to_the_same_weights() {
         fn note(&self, _message: &str) {}
         fn warn(&self, _message: &str) {}
         fn finish(&self) {}
+        fn must_stop(&self) -> bool {
+            false
+        }
     }
     let denoiser = denoiser_spec(StateParametrization::Residual);
     let (whole, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());

@@ -45,6 +45,12 @@ pub enum Error {
     /// A setting that cannot work.
     #[error("{0}")]
     Config(String),
+    /// The training was asked to stop, and its state is saved.
+    #[error("stopped after step {step}, with everything saved")]
+    Stopped {
+        /// Steps taken.
+        step: u64,
+    },
     /// The loss is no longer a number.
     #[error("the loss is {loss} at step {step}: lower the learning rate or look for non-finite inputs")]
     Diverged {

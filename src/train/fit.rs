@@ -130,7 +130,8 @@ pub struct FitOutcome {
 /// is started again ends with the same weights as an undisturbed one.
 ///
 /// # Errors
-/// When the loss is no longer finite, or files cannot be written or do not fit the model.
+/// When the loss is no longer finite, or files cannot be written or do not fit the model. [`Error::Stopped`] when it is asked to stop
+/// between two steps; the state is saved then.
 pub fn fit(
     config: &FitConfig,
     params: &mut Params,
@@ -145,6 +146,10 @@ pub fn fit(
     progress.start("train", config.steps, "steps");
     progress.advance(first_step);
     while run.position.step < config.steps {
+        if progress.must_stop() {
+            run.save(params)?;
+            return Err(Error::Stopped { step: run.position.step });
+        }
         in_pool(params.device(), || run.step(config, params, task))?;
         let step = run.position.step;
         let is_last = step == config.steps;
@@ -234,6 +239,7 @@ mod tests {
     use crate::progress::Silent;
     use crate::seed::Seed;
     use candle_core::Device;
+    use std::sync::atomic::{AtomicU64, Ordering};
 
     /// Least squares toward a target that depends on the step; fails at one step, as a killed process would.
     struct Chase {
@@ -269,11 +275,44 @@ mod tests {
         }
     }
 
+    /// Asks to stop after so many steps.
+    struct StopAfter(AtomicU64);
+
+    impl Progress for StopAfter {
+        fn start(&self, _phase: &str, _total: u64, _unit: &str) {}
+        fn advance(&self, _n: u64) {}
+        fn note(&self, _message: &str) {}
+        fn warn(&self, _message: &str) {}
+        fn finish(&self) {}
+        fn must_stop(&self) -> bool {
+            self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1)).is_err()
+        }
+    }
+
     fn train(dir: &Path, fails_at: Option<u64>) -> (Vec<f32>, Result<FitOutcome, Error>) {
         let mut params = Params::new(&Compute::cpu());
         let x = params.get_or_init("x", &[3], Init::KaimingUniform { fan_in: 1 }, Seed(1)).unwrap();
         let outcome = fit(&config(), &mut params, &Chase { x: x.clone(), fails_at }, dir, &Silent);
         (x.to_vec1().unwrap(), outcome)
+    }
+
+    #[test]
+    fn a_run_that_is_asked_to_stop_loses_no_step() {
+        let (whole, stopped) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        train(whole.path(), None).1.unwrap();
+        let config = FitConfig { save_every: 1_000, ..config() };
+        for (n_steps, reached) in [(0, 0), (2, 2), (5, 7), (9, 16), (1, 17)] {
+            let mut params = Params::new(&Compute::cpu());
+            let x = params.get_or_init("x", &[3], Init::KaimingUniform { fan_in: 1 }, Seed(1)).unwrap();
+            let progress = StopAfter(AtomicU64::new(n_steps));
+            let outcome = fit(&config, &mut params, &Chase { x, fails_at: None }, stopped.path(), &progress);
+            assert!(matches!(outcome, Err(Error::Stopped { step }) if step == reached), "{outcome:?}");
+        }
+        train(stopped.path(), None).1.unwrap();
+        for name in ["state.safetensors", "statistics.jsonl"] {
+            let read = |dir: &Path| fs::read(dir.join(name)).unwrap();
+            assert_eq!(read(whole.path()), read(stopped.path()), "{name}");
+        }
     }
 
     #[test]

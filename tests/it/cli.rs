@@ -24,6 +24,8 @@ fn help_teaches_every_command() {
         "report",
         "export",
         "inspect",
+        "submit",
+        "status",
     ];
     for command in stages.into_iter().chain(corpus_tools.iter().map(String::as_str)) {
         let first_word = command.split(' ').next().unwrap();

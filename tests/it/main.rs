@@ -13,6 +13,7 @@ mod documents;
 mod export;
 mod fuzz;
 mod mixture;
+mod parts;
 mod pytorch;
 mod report;
 mod requests;
@@ -24,4 +25,6 @@ mod signals;
 #[path = "../skipped.rs"]
 mod skipped;
 mod stages;
+#[cfg(unix)]
+mod submit;
 mod support;

@@ -1,6 +1,6 @@
 //! What does a signal leave, and what is said of it?
 
-use crate::support::{Workspace, djinn};
+use crate::support::{Workspace, assert_same, djinn, files};
 use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -19,10 +19,11 @@ fn send(child: &Child, signal: &str) {
     assert!(Command::new("kill").args(["-s", signal, &child.id().to_string()]).status().unwrap().success());
 }
 
-/// The signal that ended the program, and what was said.
-fn ended(child: Child) -> (Option<i32>, String) {
+/// The exit code, or 128 and the number of the signal that ended the program, as a shell tells it; and what was said.
+fn ended(child: Child) -> (i32, String) {
     let output = child.wait_with_output().unwrap();
-    (output.status.signal(), String::from_utf8(output.stderr).unwrap())
+    let code = output.status.code().or(output.status.signal().map(|signal| 128 + signal));
+    (code.unwrap(), String::from_utf8(output.stderr).unwrap())
 }
 
 fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
@@ -34,16 +35,16 @@ fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
 }
 
 #[test]
-fn a_run_says_what_stays_and_ends_by_the_signal() {
+fn a_run_says_what_stays_and_how_it_goes_on() {
     let workspace = Workspace::new();
-    for (signal, number) in [("TERM", 15), ("INT", 2), ("HUP", 1)] {
+    for (signal, code) in [("TERM", 75), ("USR1", 75), ("INT", 130), ("HUP", 129)] {
         let args = workspace.run_args(signal, &[]);
         let child = start("--default-signal", &args.iter().map(String::as_str).collect::<Vec<_>>());
         let folder = workspace.run_folder(signal);
         wait_until("a stage begins", || folder.join("ingest.partial").exists());
         send(&child, signal);
         let (ended_by, said) = ended(child);
-        assert_eq!(ended_by, Some(number), "{said}");
+        assert_eq!(ended_by, code, "{said}");
         let expected =
             format!("ended by SIG{signal}: finished shards and saved training states are kept in {}", folder.display());
         assert!(said.contains(&expected) && said.contains("run the same command again to continue"), "{said}");
@@ -61,7 +62,45 @@ fn an_ignored_signal_stays_ignored() {
     std::thread::sleep(Duration::from_millis(200));
     assert!(child.try_wait().unwrap().is_none());
     send(&child, "TERM");
-    assert_eq!(ended(child).0, Some(15));
+    assert_eq!(ended(child).0, 75);
+}
+
+/// The state of a training is saved at its end alone, but for signals.
+const RARELY_SAVED: [&str; 6] = [
+    "--set",
+    "train.denoiser.save_every=1000",
+    "--set",
+    "train.classifier.save_every=1000",
+    "--set",
+    "train.denoiser.steps=60",
+];
+
+#[test]
+fn what_was_stopped_in_training_and_in_generation_goes_on_to_the_same_bytes() {
+    let workspace = Workspace::new();
+    workspace.run("whole", &RARELY_SAVED).expect(0);
+    let args = workspace.run_args("stopped", &RARELY_SAVED);
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    let folder = workspace.run_folder("stopped");
+    let training = folder.join("train_denoiser.partial/denoiser");
+    for (signal, sign, kept) in [
+        ("TERM", training.join("statistics.jsonl"), Some(training.join("state.safetensors"))),
+        ("USR1", folder.join("generate.partial/samples/samples-00001.json"), None),
+    ] {
+        let child = start("--default-signal", &args);
+        wait_until(&format!("{} appears", sign.display()), || sign.exists());
+        let (told, is_kept) = (Instant::now(), kept.as_ref().is_none_or(|kept| !kept.exists()));
+        send(&child, signal);
+        let (code, said) = ended(child);
+        assert_eq!(code, 75, "{said}");
+        assert!(told.elapsed() < Duration::from_secs(20), "{:?}", told.elapsed());
+        assert!(said.contains("was stopped") && said.contains("run the same command again to continue"), "{said}");
+        assert!(is_kept && kept.is_none_or(|kept| kept.exists()), "the state is saved, and by the signal alone");
+    }
+    let log = fs_err::read_to_string(folder.join("log.txt")).unwrap();
+    assert!(log.contains("stopped: stage train_denoiser was stopped: stopped after step"), "{log}");
+    workspace.run("stopped", &RARELY_SAVED).expect(0);
+    assert_same(&files(&workspace.run_folder("whole")), &files(&folder));
 }
 
 #[test]
@@ -80,7 +119,7 @@ fn a_tool_says_that_nothing_came_to_be() {
     });
     send(&child, "TERM");
     let (ended_by, said) = ended(child);
-    assert_eq!(ended_by, Some(15), "{said}");
+    assert_eq!(ended_by, 143, "{said}");
     assert!(said.contains(&format!("ended by SIGTERM: {out} is unchanged")), "{said}");
     assert!(!workspace.path("new").exists());
     drop(held);

@@ -1,15 +1,18 @@
 //! Which commands and options are there?
 
+mod cluster;
 mod corpus;
 mod export;
 mod stages;
 
+pub(in crate::cli) use self::cluster::{StatusArgs, SubmitArgs};
 pub(in crate::cli) use self::corpus::CorpusCommand;
 pub(in crate::cli) use self::export::ExportArgs;
 use self::stages::{DenoiserArg, EvaluateArgs, GenerateArgs, IngestArgs, MineArgs, ScenesArg, not_for_comparisons};
 pub(in crate::cli) use self::stages::{ReportArgs, StageArgs, TrainCommand};
 use super::help;
 use crate::nn::Precision;
+use crate::pipeline::parts::{Part, Worker};
 use crate::pipeline::{DeviceChoice, StageId};
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
@@ -46,6 +49,12 @@ pub(in crate::cli) enum Command {
     /// Run all stages of a pipeline file
     #[command(after_help = help::RUN)]
     Run(RunArgs),
+    /// Run a pipeline file as jobs on a cluster
+    #[command(after_help = help::SUBMIT)]
+    Submit(SubmitArgs),
+    /// Show how far a run is, also while others work on it
+    #[command(after_help = help::STATUS)]
+    Status(StatusArgs),
     /// Read recordings and write scenes
     #[command(after_help = help::INGEST)]
     Ingest(IngestArgs),
@@ -92,6 +101,22 @@ pub(in crate::cli) struct RunArgs {
     /// Rerun this stage, such as train_denoiser, even if it is up to date; a trained model is moved aside (may be repeated)
     #[arg(long, value_name = "STAGE")]
     pub(in crate::cli) redo: Vec<StageId>,
+    /// Run only this stage, such as generate; those it reads from must be done (may be repeated)
+    #[arg(long, value_name = "STAGE")]
+    pub(in crate::cli) stage: Vec<StageId>,
+    /// Run only this part of --stage generate: plan, work or seal
+    #[arg(long, value_name = "PART", requires = "stage", conflicts_with = "dry_run")]
+    pub(in crate::cli) part: Option<Part>,
+    /// Which of the workers this is, for --part work; they may run at once, on any number of machines
+    #[arg(long, value_name = "K/N", requires = "part", required_if_eq("part", "work"))]
+    pub(in crate::cli) worker: Option<Worker>,
+    #[command(flatten)]
+    pub(in crate::cli) place: RunPlace,
+}
+
+/// Where the results of a pipeline go.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct RunPlace {
     /// The folder for the results of all pipelines [default: run.output of the file, or output]
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) output: Option<PathBuf>,

@@ -7,6 +7,8 @@ mod regenerate;
 mod report;
 mod run;
 mod stage;
+mod status;
+mod submit;
 
 pub(super) use corpus::corpus;
 pub(super) use export::export;
@@ -15,6 +17,8 @@ pub(super) use regenerate::regenerate;
 pub(super) use report::report;
 pub(super) use run::run;
 pub(super) use stage::stage;
+pub(super) use status::status;
+pub(super) use submit::submit;
 
 use crate::cli::args::OutputArgs;
 use crate::cli::printer::Printer;
@@ -37,7 +41,7 @@ fn use_threads(output: &OutputArgs, configured: usize) -> Result<()> {
 
 /// Says what a signal leaves of work in a folder of stages.
 fn resumes_in(root: &Path) {
-    signals::leaves(format!(
+    signals::leaves_resumable(format!(
         "finished shards and saved training states are kept in {}; run the same command again to continue",
         root.display()
     ));

@@ -97,6 +97,8 @@ impl<'a> Request<'a> {
                 request
             }
             Command::Run(_)
+            | Command::Submit(_)
+            | Command::Status(_)
             | Command::Corpus(_)
             | Command::Export(_)
             | Command::Regenerate(_)

@@ -16,6 +16,7 @@ use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
 use crate::nn::Precision;
 use crate::pipeline::StageId;
+use crate::pipeline::cluster::ClusterConfig;
 use crate::pipeline::device::{ComputeChoice, DeviceChoice};
 use crate::pipeline::failure::{Failure, Result};
 use crate::pipeline::stages::MineConfig;
@@ -44,6 +45,9 @@ pub struct PipelineConfig {
     pub evaluate: Option<EvaluateConfig>,
     /// What to show in the report.
     pub report: Option<ReportConfig>,
+    /// How to submit the pipeline to a cluster.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cluster: Option<ClusterConfig>,
 }
 
 /// The models, one section each.
@@ -129,6 +133,7 @@ impl PipelineConfig {
     pub fn check(&self) -> settings::Result {
         settings::check_ranges(self)?;
         settings::printable("run.name", &self.run.name)?;
+        self.cluster.as_ref().map_or(Ok(()), ClusterConfig::validate).map_err(|issue| issue.within("cluster"))?;
         self.report.as_ref().map_or(Ok(()), |report| settings::printable("report.title", &report.title))
     }
 
@@ -155,13 +160,14 @@ impl PipelineConfig {
         Ok(toml::to_string(self)?)
     }
 
-    /// The configuration without what does not bear on results: the number of threads, the memory and the output folder. Two
+    /// The configuration without what does not bear on results: the number of threads, the memory, the output folder and the cluster. Two
     /// runs of one pipeline on two machines have the same.
     #[must_use]
     pub fn portable(&self) -> Self {
         let mut config = self.clone();
         let RunConfig { threads, memory_limit_gb, output, .. } = RunConfig::default();
         config.run = RunConfig { threads, memory_limit_gb, output, ..config.run };
+        config.cluster = None;
         config
     }
 }

@@ -86,6 +86,7 @@ impl From<train::Error> for Failure {
             | train::Error::NoScenes(_)
             | train::Error::NoExamples { .. }
             | train::Error::Diverged { .. } => Blame::Input,
+            train::Error::Stopped { .. } => Blame::Later,
             _ => Blame::Fault,
         };
         Self { blame, ..Self::fault(error) }
@@ -118,6 +119,7 @@ impl From<generate::Error> for Failure {
     fn from(error: generate::Error) -> Self {
         let blame = match &error {
             generate::Error::Scene { .. } | generate::Error::Stale { .. } | generate::Error::Tensor(_) => Blame::Fault,
+            generate::Error::Stopped => Blame::Later,
             _ => Blame::Input,
         };
         Self { blame, ..Self::fault(error) }

@@ -7,11 +7,12 @@ use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledW
 use super::with_precision;
 use crate::diffusion::Edm;
 use crate::evaluate::{for_maps, map_fits};
-use crate::generate::{self, GenerateConfig, Generator, Plan, ResolvedGeneration, Shortfall};
+use crate::generate::{self, GenerateConfig, Generator, Plan, ResolvedGeneration, ShardPlan, Shortfall};
 use crate::metrics::MetricSettings;
-use crate::nn::Precision;
+use crate::nn::{Compute, Precision};
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
+use crate::progress::Progress;
 use crate::store::SceneStore;
 use crate::train::DistillTrainingConfig;
 use serde_json::{Value, json};
@@ -87,7 +88,49 @@ impl Stage for Generate<'_> {
     }
 
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
-        let compute = context.compute;
+        self.with_ready(context.compute, |ready| self.generate(ready, context))
+    }
+}
+
+/// What shards are planned and sampled with, read and checked.
+pub(in crate::pipeline) struct Ready<'a> {
+    /// What is sampled, sweeps of requests among it.
+    pub(in crate::pipeline) resolved: &'a ResolvedGeneration,
+    store: &'a SceneStore,
+    models: &'a LoadedModels,
+    generator: Generator<'a>,
+    decisive_settings: Option<MetricSettings>,
+}
+
+impl Ready<'_> {
+    /// The plan of the sweeps.
+    pub(in crate::pipeline) fn plan(&self, progress: &dyn Progress) -> Result<Plan> {
+        progress.start("plan", 0, "sweeps");
+        let plan = self.generator.plan_first(self.resolved.n_sweeps, self.store.index())?;
+        progress.finish();
+        Ok(plan)
+    }
+
+    /// Samples a shard and writes its table into `folder`.
+    pub(in crate::pipeline) fn sample(
+        &self,
+        shard: &ShardPlan,
+        folder: &SampleFolder,
+        progress: &dyn Progress,
+    ) -> Result<SampleSidecar> {
+        let output = self.generator.generate(shard, progress)?;
+        let sweep = &self.resolved.sweeps[shard.sweep_idx];
+        folder.write_table(shard.idx, (&sweep.name, sweep.n_evaluations()), output, None)
+    }
+}
+
+impl Generate<'_> {
+    /// Reads and checks what shards are sampled with, and does `work` with it.
+    pub(in crate::pipeline) fn with_ready<R>(
+        &self,
+        compute: &Compute,
+        work: impl FnOnce(&Ready<'_>) -> Result<R>,
+    ) -> Result<R> {
         let resolved = self.resolve()?;
         let store = SceneStore::open(&self.layout.scenes)?;
         let models = LoadedModels::read(self.layout, &resolved.sweeps, compute)?;
@@ -102,20 +145,29 @@ impl Stage for Generate<'_> {
         let metric_settings = decisive_settings.clone().unwrap_or_default();
         let generator =
             Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, &compute.device)?;
+        work(&Ready { resolved: &resolved, store: &store, models: &models, generator, decisive_settings })
+    }
+
+    fn generate(&self, ready: &Ready<'_>, context: &StageContext<'_>) -> Result<Value> {
+        let Ready { resolved, store, models, generator, decisive_settings } = ready;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
         let (mine, generate) = (self.mine.clone(), self.config.clone());
-        folder.write_settings(&SampleSettings { mine, generate, metric_settings: decisive_settings })?;
+        let metric_settings = decisive_settings.clone();
+        folder.write_settings(&SampleSettings { mine, generate, metric_settings })?;
         let plan = match folder.plan() {
             Some(plan) => plan,
-            None => plan_generation(&generator, resolved.n_sweeps, &store, &folder, context)?,
+            None => {
+                let plan = ready.plan(context.progress)?;
+                folder.write_plan(&plan)?;
+                plan
+            }
         };
         for shortfall in &plan.shortfalls {
             let Shortfall { sweep, n_wanted, n_found } = shortfall;
             context.progress.warn(&format!("sweep {sweep}: {n_wanted} scenes requested, {n_found} suitable"));
         }
-        let mut shards = generate_shards(&resolved, &generator, &plan, &folder, context)?;
-        let fulfilment =
-            Fulfilment { generator: &generator, resolved: &resolved, store: &store, folder: &folder, context };
+        let mut shards = generate_shards(ready, &plan, &folder, context)?;
+        let fulfilment = Fulfilment { generator, resolved, store, folder: &folder, context };
         let (of_requests, requests) = fulfilment.all(plan.shards.len())?;
         shards.extend(of_requests);
         let manifest = folder.write_manifest(
@@ -141,9 +193,7 @@ impl Stage for Generate<'_> {
             "n_accepted": requests.iter().map(|request| request.n_accepted).sum::<u64>(),
         }))
     }
-}
 
-impl Generate<'_> {
     /// The settings of metrics, where samples are selected by one that they decide, and they are not the defaults.
     fn decisive_settings(&self) -> Option<&MetricSettings> {
         let settings = &self.metric_settings;
@@ -152,19 +202,19 @@ impl Generate<'_> {
     }
 
     /// What is sampled, sweeps of requests among it.
-    fn resolve(&self) -> Result<ResolvedGeneration> {
+    pub(in crate::pipeline) fn resolve(&self) -> Result<ResolvedGeneration> {
         Ok(self.config.resolve(&self.mine.build()?)?)
     }
 }
 
 /// Generates the shards of the plan, which are those of the sweeps as they were written.
 fn generate_shards(
-    resolved: &ResolvedGeneration,
-    generator: &Generator<'_>,
+    ready: &Ready<'_>,
     plan: &Plan,
     folder: &SampleFolder,
     context: &StageContext<'_>,
 ) -> Result<Vec<SampleSidecar>> {
+    let resolved = ready.resolved;
     let mut done = Vec::new();
     let mut n_verified = vec![0; resolved.n_sweeps];
     if plan.shards.is_empty() {
@@ -183,9 +233,9 @@ fn generate_shards(
                 sidecar
             }
             None => {
-                let output = generator.generate(shard, context.progress)?;
-                let sweep = &resolved.sweeps[shard.sweep_idx];
-                folder.write_shard(shard.idx, (&sweep.name, sweep.n_evaluations()), output, None)?
+                let sidecar = ready.sample(shard, folder, context.progress)?;
+                folder.write_sidecar(shard.idx, &sidecar)?;
+                sidecar
             }
         };
         n_verified[shard.sweep_idx] += sidecar.n_verified as usize;
@@ -194,18 +244,4 @@ fn generate_shards(
     context.progress.note(&format!("{} verified", n_verified.iter().sum::<usize>()));
     context.progress.finish();
     Ok(done)
-}
-
-fn plan_generation(
-    generator: &Generator<'_>,
-    n_sweeps: usize,
-    store: &SceneStore,
-    folder: &SampleFolder,
-    context: &StageContext<'_>,
-) -> Result<Plan> {
-    context.progress.start("plan", 0, "sweeps");
-    let plan = generator.plan_first(n_sweeps, store.index())?;
-    folder.write_plan(&plan)?;
-    context.progress.finish();
-    Ok(plan)
 }

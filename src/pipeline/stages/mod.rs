@@ -72,7 +72,7 @@ pub fn check_gates(records: &[StageRecord]) -> Result<()> {
 }
 
 fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Option<Box<dyn Stage + 'a>> {
-    let PipelineConfig { run, ingest, mine, train, generate, evaluate, report } = config;
+    let PipelineConfig { run, ingest, mine, train, generate, evaluate, report, .. } = config;
     let precision = run.precision;
     let definitions = || mine.clone().unwrap_or_default();
     Some(match id {
@@ -89,16 +89,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
         StageId::TrainBaseline => {
             Box::new(Train { recipe: train.baseline.as_ref()?, seed: run.seed, precision, layout })
         }
-        StageId::Generate => Box::new(Generate {
-            config: generate.as_ref()?,
-            precision,
-            mine: definitions(),
-            metric_settings: evaluate.as_ref().map(EvaluateConfig::metric_settings).unwrap_or_default(),
-            classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
-            // A folder of models that the command line names may hold one that was distilled otherwise.
-            distill: train.distill.as_ref().filter(|_| layout.distilled.parent() == layout.scenes.parent()),
-            layout,
-        }),
+        StageId::Generate => Box::new(generation(config, layout)?),
         StageId::Evaluate => Box::new(Evaluate {
             config: evaluate.as_ref()?,
             mine: definitions(),
@@ -121,6 +112,21 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             },
             layout,
         }),
+    })
+}
+
+/// The stage of generation, where the configuration has its section.
+pub fn generation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Generate<'a>> {
+    let PipelineConfig { run, mine, train, generate, evaluate, .. } = config;
+    Some(Generate {
+        config: generate.as_ref()?,
+        precision: run.precision,
+        mine: mine.clone().unwrap_or_default(),
+        metric_settings: evaluate.as_ref().map(EvaluateConfig::metric_settings).unwrap_or_default(),
+        classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
+        // A folder of models that the command line names may hold one that was distilled otherwise.
+        distill: train.distill.as_ref().filter(|_| layout.distilled.parent() == layout.scenes.parent()),
+        layout,
     })
 }
 

@@ -83,7 +83,7 @@ pub struct SampleFolder {
 
 impl SampleFolder {
     /// Makes the folder, or takes up an unfinished one.
-    pub(super) fn open_for_writing(dir: &Path) -> Result<Self> {
+    pub(in crate::pipeline) fn open_for_writing(dir: &Path) -> Result<Self> {
         fs_err::create_dir_all(dir)?;
         Ok(Self { dir: dir.to_owned() })
     }
@@ -130,33 +130,56 @@ impl SampleFolder {
     }
 
     /// Keeps the plan.
-    pub(super) fn write_plan(&self, plan: &Plan) -> Result<()> {
+    pub(in crate::pipeline) fn write_plan(&self, plan: &Plan) -> Result<()> {
         write_json_atomically(&self.dir.join(PLAN_FILE), plan)?;
         Ok(())
     }
 
     /// What is known of shard `idx`, if it is finished.
-    pub(super) fn finished(&self, idx: usize) -> Option<SampleSidecar> {
+    pub(in crate::pipeline) fn finished(&self, idx: usize) -> Option<SampleSidecar> {
         let sidecar: SampleSidecar = read_json(&self.dir.join(format!("{}.json", shard_name(idx)))).ok()?;
         // A damaged shard is sampled again.
         sidecar.stamp.verify_file(&self.dir.join(&sidecar.file)).is_ok().then_some(sidecar)
+    }
+
+    /// Where a file of the folder is.
+    pub(in crate::pipeline) fn path(&self, file: &str) -> PathBuf {
+        self.dir.join(file)
     }
 
     /// Writes shard `idx` of the plan, of the sweep of this name and this many evaluations of the denoiser a sample.
     pub(super) fn write_shard(
         &self,
         idx: usize,
+        described: (&str, u64),
+        output: ShardOutput,
+        request: Option<ShardTally>,
+    ) -> Result<SampleSidecar> {
+        let sidecar = self.write_table(idx, described, output, request)?;
+        self.write_sidecar(idx, &sidecar)?;
+        Ok(sidecar)
+    }
+
+    /// Declares shard `idx` finished, whose table is written.
+    pub(in crate::pipeline) fn write_sidecar(&self, idx: usize, sidecar: &SampleSidecar) -> Result<()> {
+        write_json_atomically(&self.dir.join(format!("{}.json", shard_name(idx))), sidecar)?;
+        Ok(())
+    }
+
+    /// Writes the table of shard `idx`, and says what is known of it.
+    pub(in crate::pipeline) fn write_table(
+        &self,
+        idx: usize,
         (sweep, n_evaluations): (&str, u64),
         output: ShardOutput,
         request: Option<ShardTally>,
     ) -> Result<SampleSidecar> {
-        let name = shard_name(idx);
-        let file = format!("{name}.parquet");
+        let file = format!("{}.parquet", shard_name(idx));
         let ShardOutput { records, rejected, unselected } = output;
         let stamp = write_samples(&self.dir.join(&file), &records)?;
         let n_verified = records.iter().filter(|record| record.verified).count() as u64;
         let sweep = sweep.to_owned();
-        let sidecar = SampleSidecar {
+        Ok(SampleSidecar {
             file,
             stamp,
             sweep,
@@ -166,9 +189,7 @@ impl SampleFolder {
             rejected,
             unselected,
             request,
-        };
-        write_json_atomically(&self.dir.join(format!("{name}.json")), &sidecar)?;
-        Ok(sidecar)
+        })
     }
 
     /// Declares the folder whole.

@@ -1,0 +1,37 @@
+//! A pipeline on many machines: which jobs does it come to, and how are they handed to an engine that runs them?
+//!
+//! djinn schedules nothing by itself. [`jobs`] says what is to be run after what, [`slurm`] hands that to Slurm, and as JSON it can be
+//! handed to anything else. Whatever is started too early, twice or not at all does no harm: each job looks by itself whether what it
+//! reads is there, and what is missing can be made up for by submitting again.
+
+mod config;
+mod jobs;
+pub mod slurm;
+#[cfg(test)]
+mod tests;
+
+pub use config::ClusterConfig;
+pub use jobs::{Condition, Dependency, Job, JobGraph, Submission};
+
+use std::str::FromStr;
+
+/// What runs the jobs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Engine {
+    /// Slurm, by its commands `sbatch` and `scontrol`.
+    Slurm,
+    /// Anything that reads the graph of jobs.
+    Json,
+}
+
+impl FromStr for Engine {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name {
+            "slurm" => Ok(Self::Slurm),
+            "json" => Ok(Self::Json),
+            _ => Err("expected slurm or json".to_owned()),
+        }
+    }
+}

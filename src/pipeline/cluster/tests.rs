@@ -1,0 +1,120 @@
+//! Which jobs wait for which, what do the scripts say, and what do they do?
+
+use super::{ClusterConfig, JobGraph, Submission, slurm};
+use crate::pipeline::config::{PipelineConfig, parse};
+use std::path::Path;
+use std::process::Command;
+
+const PIPELINE: &str = "[run]\nname = 'night drive'\n[ingest]\ndataset = 'interaction'\ninputs = ['a.zip']\n[train.denoiser]\n[generate]\n\
+    [[generate.sweeps]]\nname = 'plain'\n[evaluate]\n";
+const CLUSTER: &str = "[cluster]\nworkers = 7\nretries = 3\npartition = 'gpu'\ntime = '04:00:00'\ngpus = 1\ncpus = 8\nmemory = '16G'\n\
+    container = 'apptainer exec --nv /images/djinn.sif djinn'\nlines = ['module load cuda', '#SBATCH --account=traffic']\n";
+
+fn graph(text: &str, overrides: &[String]) -> (JobGraph, ClusterConfig) {
+    let config: PipelineConfig = parse(None, text, &[]).unwrap();
+    let cluster = config.cluster.clone().unwrap_or_default();
+    let (pipeline, root) = (Path::new("own/night's.toml"), Path::new("/data/out/night drive/main"));
+    let submission = Submission { pipeline, overrides, run: "main", root, config: &config };
+    let graph = JobGraph { directory: "/home/ada".into(), ..JobGraph::new(&submission, &cluster).unwrap() };
+    (graph, cluster)
+}
+
+/// `DJINN_UPDATE_GOLDEN=1 cargo test --lib cluster::` rewrites the file.
+#[test]
+fn scripts_are_as_they_were_read_and_found_good() {
+    let (graph, cluster) = graph(&format!("{PIPELINE}{CLUSTER}"), &["ingest.limit=10".to_owned()]);
+    let found = slurm::describe(&graph, &cluster);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/slurm.txt");
+    if std::env::var_os("DJINN_UPDATE_GOLDEN").is_some() {
+        fs_err::write(&path, &found).unwrap();
+    }
+    assert_eq!(found, fs_err::read_to_string(&path).unwrap());
+}
+
+#[test]
+fn jobs_wait_for_what_they_read() {
+    let names = |text: &str| graph(text, &[]).0.jobs.iter().map(|job| job.name).collect::<Vec<_>>();
+    assert_eq!(names(PIPELINE), ["prepare", "plan", "work", "seal", "finish"]);
+    // Requests decide as they go, so that one process does it all.
+    assert_eq!(names("[ingest]\ndataset = 'interaction'\ninputs = ['a']\n[generate]\n"), ["run"]);
+    assert_eq!(names("[generate]\n[[generate.sweeps]]\nname = 'plain'\n"), ["plan", "work", "seal"]);
+    let (graph, _) = graph(PIPELINE, &[]);
+    let json = serde_json::to_value(&graph).unwrap();
+    assert_eq!(json["final_exit_codes"], serde_json::json!([0, 1, 3]));
+    assert_eq!(json["jobs"][2]["workers"], 4);
+    let expected =
+        serde_json::json!([{"job": "plan", "condition": "succeeded"}, {"job": "work", "condition": "ended"}]);
+    assert_eq!(json["jobs"][3]["after"], expected);
+    let command = json["jobs"][2]["command"].as_array().unwrap();
+    assert!(
+        command.ends_with(&["--part".into(), "work".into(), "--worker".into(), "{worker}/4".into()]),
+        "{command:?}"
+    );
+}
+
+#[test]
+fn settings_that_would_break_a_script_apart_are_refused() {
+    for (setting, expected) in [
+        ("partition = 'a b'", "cluster.partition is \"a b\", expected one word"),
+        ("lines = [\"x\\ny\"]", "cluster.lines.0 is"),
+        ("workers = 0", "cluster.workers is 0"),
+    ] {
+        let error = parse(None, &format!("[cluster]\n{setting}\n"), &[]).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
+/// Runs the script of the workers with a program that ends so, and says what became of it: the exit code, and what was queued again.
+#[cfg(unix)]
+fn run_script(program: &str, restarts: &str, signal: Option<&str>) -> (i32, String) {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    for (name, text) in [("djinn", program), ("scontrol", "echo \"$@\" >> scontrol.txt")] {
+        fs_err::write(path(name), format!("#!/bin/bash\n{text}\n")).unwrap();
+        fs_err::set_permissions(path(name), PermissionsExt::from_mode(0o755)).unwrap();
+    }
+    let (graph, cluster) = graph(&format!("{PIPELINE}[cluster]\nretries = 3\ncontainer = 'djinn'\n"), &[]);
+    let work = graph.jobs.iter().find(|job| job.name == "work").unwrap();
+    fs_err::write(path("job.sh"), slurm::script(&graph, work, &cluster)).unwrap();
+    let variables = [("SLURM_JOB_ID", "13"), ("SLURM_ARRAY_JOB_ID", "12"), ("SLURM_ARRAY_TASK_ID", "3")];
+    let path_variable = format!("{}:{}", folder.path().display(), std::env::var("PATH").unwrap());
+    let mut child = Command::new("bash")
+        .arg("job.sh")
+        .current_dir(folder.path())
+        .env("PATH", path_variable)
+        .env("SLURM_RESTART_COUNT", restarts)
+        .envs(variables)
+        .spawn()
+        .unwrap();
+    if let Some(signal) = signal {
+        while !path("begun").exists() {
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        assert!(Command::new("kill").args(["-s", signal, &child.id().to_string()]).status().unwrap().success());
+    }
+    let code = child.wait().unwrap().code().unwrap();
+    (code, fs_err::read_to_string(path("scontrol.txt")).unwrap_or_default())
+}
+
+#[cfg(unix)]
+#[test]
+fn a_job_that_was_stopped_or_died_is_queued_again_so_often_and_no_other() {
+    let requeued = "requeue 12_3\n";
+    for (code, queued) in [(0, ""), (1, ""), (2, requeued), (3, ""), (75, requeued), (137, requeued)] {
+        assert_eq!(run_script(&format!("exit {code}"), "0", None), (code, queued.to_owned()));
+    }
+    assert_eq!(run_script("exit 75", "2", None), (75, requeued.to_owned()));
+    assert_eq!(run_script("exit 75", "3", None), (75, String::new()), "so often and no more");
+    assert_eq!(run_script("kill -9 $$", "0", None), (137, requeued.to_owned()));
+    assert_eq!(
+        run_script("[ \"${*: -1}\" = 3/4 ]; exit $?", "0", None),
+        (0, String::new()),
+        "the number of the worker"
+    );
+    // What Slurm announces to the script reaches the program, and the script waits for it.
+    let stops = "trap 'sleep 0.3; exit 75' TERM; touch begun; while :; do sleep 0.05; done";
+    for signal in ["USR1", "TERM"] {
+        assert_eq!(run_script(stops, "1", Some(signal)), (75, requeued.to_owned()), "{signal}");
+    }
+}

@@ -1,0 +1,72 @@
+//! What must be the same in all processes that work on one plan, so that their shards fit together?
+
+use crate::pipeline::fingerprint::fingerprint_value;
+use crate::pipeline::{ComputeChoice, Failure, Result, StageRecord};
+use serde::{Deserialize, Serialize};
+
+/// The work, the program and the machine: together, what decides every byte of a shard.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Identity {
+    /// The stage with its section and inputs.
+    pub stage: StageRecord,
+    /// Version and revision of the program.
+    pub program: String,
+    /// The kind of device, and how products are rounded.
+    pub compute: String,
+}
+
+impl Identity {
+    /// That of this process, which would run `stage`.
+    ///
+    /// # Errors
+    /// When the program cannot be read.
+    pub(super) fn own(stage: StageRecord, compute: ComputeChoice) -> Result<Self> {
+        Ok(Self { stage, program: program()?, compute: compute.class() })
+    }
+
+    /// What names the plan: 16 hexadecimal digits.
+    ///
+    /// # Errors
+    /// Those of JSON.
+    pub(super) fn plan_id(&self) -> Result<String> {
+        let mut id = fingerprint_value(&(&self.stage.fingerprint, &self.program, &self.compute))?;
+        id.truncate(16);
+        Ok(id)
+    }
+
+    /// What differs between this process and a `plan` of another one; `None` if they fit together.
+    pub(super) fn difference(&self, plan: &Self) -> Option<String> {
+        let is_same_stage = self.stage.fingerprint == plan.stage.fingerprint || self.stage.is_same_work(&plan.stage);
+        let named = |what: &str, own: &str, plans: &str| {
+            (own != plans).then(|| format!("{what}: the plan's is {plans}, this one is {own}"))
+        };
+        let differences = [
+            (!is_same_stage).then(|| self.stage.changes_since(&plan.stage)),
+            named("program", &self.program, &plan.program),
+            named("device", &self.compute, &plan.compute),
+        ];
+        let differences: Vec<String> = differences.into_iter().flatten().collect();
+        (!differences.is_empty()).then(|| differences.join("; "))
+    }
+}
+
+/// The version with the revision of the source. Where the build did not know that, the content of the program stands for it.
+fn program() -> Result<String> {
+    let version = env!("CARGO_PKG_VERSION");
+    if let Some(revision) = option_env!("DJINN_REVISION") {
+        return Ok(format!("{version} ({revision})"));
+    }
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(fs_err::File::open(std::env::current_exe()?)?)?;
+    let hash = hasher.finalize().to_hex();
+    Ok(format!("{version} (build {})", hash.get(..12).unwrap_or_default()))
+}
+
+/// A refusal to work on the plan of others.
+pub(super) fn refusal(difference: &str) -> Failure {
+    Failure::input_message(format_args!("the plan in this run folder is another one: {difference}; nothing was changed"))
+        .with_hint(
+            "run all parts with one pipeline file, program and kind of device; to give up that plan and its shards, plan again with \
+             --redo generate",
+        )
+}

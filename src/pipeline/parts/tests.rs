@@ -1,0 +1,240 @@
+//! Who samples which shard, and what becomes of shards that cannot be sampled? On shards without scenarios.
+
+use super::folder::PartsFolder;
+use super::identity::Identity;
+use super::seal::collected;
+use super::shard_status;
+use super::work::{Shards, Worker};
+use crate::generate::{GenerateConfig, Plan, ResolvedGeneration, ShardOutput, ShardPlan};
+use crate::pipeline::stages::SampleSidecar;
+use crate::pipeline::{Blame, Failure, Result, StageId, StageRecord};
+use crate::progress::Silent;
+use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+fn identity() -> Identity {
+    let stage = StageRecord {
+        stage: StageId::Generate,
+        version: 1,
+        config: serde_json::json!({ "seed": 1 }),
+        inputs: BTreeMap::new(),
+        fingerprint: "f".repeat(32),
+        outputs: BTreeMap::new(),
+        files: None,
+        summary: serde_json::Value::Null,
+    };
+    Identity { stage, program: "1 (a)".to_owned(), compute: "cpu, f32".to_owned() }
+}
+
+/// A plan of two sweeps with `n_shards` each, the second of which needs `enough` verified scenarios.
+struct Planned {
+    _root: tempfile::TempDir,
+    folder: PartsFolder,
+    plan: Plan,
+    resolved: ResolvedGeneration,
+}
+
+impl Planned {
+    fn new(n_shards: usize, enough: usize) -> Self {
+        let root = tempfile::tempdir().unwrap();
+        let text = format!(
+            "[[sweeps]]\nname = 'a'\nn_scenes = 4\n[[sweeps]]\nname = 'b'\nn_scenes = 4\nbehavior = 'cut_in'\nstop_after_verified = {enough}"
+        );
+        let behaviors = crate::pipeline::stages::MineConfig::default().build().unwrap();
+        let resolved = toml::from_str::<GenerateConfig>(&text).unwrap().resolve(&behaviors).unwrap();
+        let shard = |idx| ShardPlan { idx, sweep_idx: idx / n_shards, cells: Vec::new(), first_sample: 0 };
+        let plan = Plan { shards: (0..2 * n_shards).map(shard).collect(), shortfalls: Vec::new() };
+        let folder = PartsFolder::write(root.path(), identity(), &plan).unwrap();
+        Self { _root: root, folder, plan, resolved }
+    }
+
+    fn shards(&self) -> Shards<'_> {
+        Shards { folder: &self.folder, plan: &self.plan, resolved: &self.resolved, n_verified: BTreeMap::new() }
+    }
+
+    /// Writes an empty shard that claims to hold `n_verified` scenarios.
+    fn write(&self, shard: &ShardPlan, n_verified: u64) -> Result<SampleSidecar> {
+        let samples = self.folder.samples()?;
+        let sidecar = samples.write_table(shard.idx, ("a", 1), ShardOutput::default(), None)?;
+        Ok(SampleSidecar { n_verified, ..sidecar })
+    }
+
+    fn collected(&self) -> Result<Vec<usize>> {
+        Ok(collected(&self.folder, &self.plan, &self.resolved)?.into_iter().map(|(idx, _)| idx).collect())
+    }
+}
+
+fn worker(text: &str) -> Worker {
+    text.parse().unwrap()
+}
+
+#[test]
+fn every_worker_comes_to_every_shard_once_and_to_its_own_first() {
+    let of = |text: &str, n_shards| worker(text).order(n_shards).collect::<Vec<_>>();
+    assert_eq!(of("1/2", 5), [0, 2, 4, 3, 1]);
+    assert_eq!(of("2/2", 5), [1, 3, 2, 0, 4]);
+    assert_eq!(of("1/1", 3), [0, 1, 2]);
+    for n in 1..9 {
+        for k in 1..=n {
+            let mut order = of(&format!("{k}/{n}"), 7);
+            order.sort_unstable();
+            assert_eq!(order, (0..7).collect::<Vec<_>>(), "{k}/{n}");
+        }
+    }
+    for wrong in ["0/2", "3/2", "1", "1/0", "x/2", "1/200000"] {
+        assert!(wrong.parse::<Worker>().is_err(), "{wrong}");
+    }
+}
+
+#[test]
+fn a_shard_that_crashes_is_given_up_by_name_and_the_others_are_sampled() {
+    let planned = Planned::new(3, 100);
+    assert_eq!(planned.collected().unwrap_err().blame, Blame::Later);
+    let n_crashes = Cell::new(0);
+    let sample = |shard: &ShardPlan| {
+        if shard.idx == 1 {
+            n_crashes.set(n_crashes.get() + 1);
+            panic!("scene x has no lanes");
+        }
+        planned.write(shard, 0)
+    };
+    // Each process ends with the panic and is started again, as a scheduler does.
+    let run = || catch_unwind(AssertUnwindSafe(|| planned.shards().work_through(worker("1/1"), &sample, &Silent)));
+    for _ in 0..3 {
+        assert!(run().is_err());
+    }
+    run().unwrap().unwrap();
+    assert_eq!(n_crashes.get(), 3);
+    let failure = planned.collected().unwrap_err();
+    let said = format!("{failure:?}");
+    assert_eq!(failure.blame, Blame::Fault);
+    assert!(
+        said.contains("1 of 6 shards are given up: samples-00001 (failed 3 times, last: a bug: scene x has no lanes)")
+    );
+    assert!(said.contains("samples-*.try-*"), "{said}");
+    // Mended, and its marks removed, it is sampled like any other.
+    for number in 1..=3 {
+        fs_err::remove_file(planned.folder.try_path(1, number)).unwrap();
+    }
+    let mended = |shard: &ShardPlan| planned.write(shard, 0);
+    planned.shards().work_through(worker("1/1"), &mended, &Silent).unwrap();
+    assert_eq!(planned.collected().unwrap(), [0, 1, 2, 3, 4, 5]);
+}
+
+#[test]
+fn a_stop_is_no_failed_try_and_an_error_is() {
+    let planned = Planned::new(1, 100);
+    for (failure, n_marks) in [(Failure::later("stopped"), 0), (Failure::fault(anyhow::anyhow!("disk full")), 1)] {
+        let failure = RefCell::new(Some(failure));
+        let sample = |_: &ShardPlan| Err(failure.take().unwrap());
+        assert!(planned.shards().work_through(worker("1/1"), &sample, &Silent).is_err());
+        let marks = (1..=10).filter(|number| planned.folder.try_path(0, *number).exists());
+        assert_eq!(marks.count(), n_marks);
+    }
+    let text = fs_err::read_to_string(planned.folder.try_path(0, 1)).unwrap();
+    assert!(text.contains("disk full"), "{text}");
+}
+
+#[test]
+fn what_one_process_would_not_have_sampled_is_not_published() {
+    let planned = Planned::new(4, 3);
+    let sampled = RefCell::new(Vec::new());
+    let sample = |shard: &ShardPlan| {
+        sampled.borrow_mut().push(shard.idx);
+        planned.write(shard, 2)
+    };
+    // The second worker comes to the end of the second sweep before the first one has come to its beginning.
+    planned.shards().work_through(worker("2/2"), &sample, &Silent).unwrap();
+    planned.shards().work_through(worker("1/2"), &sample, &Silent).unwrap();
+    assert_eq!(planned.collected().unwrap(), [0, 1, 2, 3, 4, 5], "4 verified in two shards of the second sweep");
+    assert!(sampled.borrow().contains(&7), "nobody knew");
+    let n_sampled = sampled.borrow().len();
+    planned.shards().work_through(worker("1/1"), &sample, &Silent).unwrap();
+    assert_eq!(sampled.borrow().len(), n_sampled, "what is finished or unwanted is not sampled again");
+}
+
+#[test]
+fn a_damaged_shard_is_missing_again() {
+    let planned = Planned::new(1, 100);
+    let sample = |shard: &ShardPlan| planned.write(shard, 0);
+    planned.shards().work_through(worker("1/1"), &sample, &Silent).unwrap();
+    let table = planned.folder.dir().join("samples-00001.parquet");
+    let mut bytes = fs_err::read(&table).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    fs_err::write(&table, bytes).unwrap();
+    let failure = planned.collected().unwrap_err();
+    assert!(
+        failure.blame == Blame::Later && format!("{failure:?}").contains("1 of 2 shards are missing: samples-00001")
+    );
+    planned.shards().work_through(worker("1/1"), &sample, &Silent).unwrap();
+    assert_eq!(planned.collected().unwrap(), [0, 1]);
+}
+
+#[test]
+fn a_plan_of_others_is_refused_by_what_differs() {
+    let planned = Planned::new(1, 100);
+    let root = planned.folder.dir().parent().unwrap().parent().unwrap();
+    assert_eq!(PartsFolder::of(root, &identity()).unwrap(), Some(planned.folder.clone()));
+    let mut other = [identity(), identity(), identity()];
+    other[0].program = "1 (b)".to_owned();
+    other[1].compute = "cuda NVIDIA H200, f32".to_owned();
+    other[2].stage.fingerprint = "e".repeat(32);
+    other[2].stage.config = serde_json::json!({ "seed": 2 });
+    let expected = ["program: the plan's is 1 (a), this one is 1 (b)", "device: ", "changed: generate.seed 1 -> 2"];
+    for (other, expected) in other.iter().zip(expected) {
+        let failure = PartsFolder::of(root, other).unwrap_err();
+        let said = format!("{failure:?}");
+        assert!(failure.blame == Blame::Input && said.contains(expected) && said.contains("--redo generate"), "{said}");
+    }
+}
+
+#[test]
+fn only_our_files_are_discarded() {
+    let planned = Planned::new(2, 100);
+    let sample = |shard: &ShardPlan| planned.write(shard, 0);
+    planned.shards().work_through(worker("1/1"), &sample, &Silent).unwrap();
+    let dir = planned.folder.dir();
+    fs_err::write(planned.folder.log(3), "line\n").unwrap();
+    fs_err::write(dir.join("samples-00001.try-2"), "").unwrap();
+    fs_err::write(crate::files::unique_partial(&dir.join("samples-00001.parquet")), "half").unwrap();
+    for theirs in ["thesis.doc", "samples-1.parquet", "samples-00001.try-11", "worker-3.txt"] {
+        fs_err::write(dir.join(theirs), "years of work").unwrap();
+        assert!(planned.folder.discard().unwrap_err().error.to_string().contains(theirs));
+        assert!(planned.folder.is_there());
+        fs_err::remove_file(dir.join(theirs)).unwrap();
+    }
+    planned.folder.discard().unwrap();
+    assert!(!dir.parent().unwrap().exists());
+}
+
+#[test]
+fn the_folder_alone_tells_how_far_the_shards_are() {
+    let planned = Planned::new(3, 100);
+    let root = planned.folder.dir().parent().unwrap().parent().unwrap();
+    let status = || shard_status(root).unwrap().unwrap();
+    assert!(status().n_missing == 6 && status().seconds_left.is_none());
+    for (idx, seconds) in [(0, 30.0), (5, 50.0)] {
+        let sidecar = planned.write(&planned.plan.shards[idx], 0).unwrap();
+        planned.folder.finish(idx, "1/2", seconds, sidecar).unwrap();
+    }
+    assert!(status().text().contains("time left         unknown: no worker is at work; a shard takes one 40 s"));
+    // Two are at work; one died long ago, in another ten did.
+    for mark in [planned.folder.try_path(1, 1), planned.folder.try_path(2, 2), planned.folder.try_path(3, 1)] {
+        fs_err::write(mark, "").unwrap();
+    }
+    let old = std::time::SystemTime::now() - std::time::Duration::from_secs(1_000);
+    let mark = fs_err::OpenOptions::new().write(true).open(planned.folder.try_path(3, 1)).unwrap();
+    mark.file().set_modified(old).unwrap();
+    (1..=10).for_each(|number| fs_err::write(planned.folder.try_path(4, number), "").unwrap());
+    let found = status();
+    assert_eq!((found.n_shards, found.n_done, found.n_running, found.n_missing), (6, 2, 2, 1));
+    assert_eq!(found.given_up, ["samples-00004 (10 workers died in it, or are at work in it)"]);
+    // Three shards of 40 s by two workers.
+    assert!((found.seconds_left.unwrap() - 60.0).abs() < 1e-9);
+    assert_eq!(
+        found.text(),
+        "shards            2 of 6 done, 2 running, 1 missing, 1 given up\ntime left         60 s\ngiven up          samples-00004 (10 workers died in it, or are at work in it)\n"
+    );
+}

@@ -1,0 +1,110 @@
+//! How far is a run, told from its folder alone?
+
+use super::layout::Layout;
+use super::parts::{ShardStatus, shard_status};
+use super::run::{RUN_FILE, RunManifest};
+use super::work::Work;
+use super::{Failure, Result, StageId, StageRecord};
+use crate::store::read_json;
+use crate::train::FitStatistics;
+use serde::Serialize;
+use std::fmt::Write;
+use std::path::Path;
+
+/// How far a run is.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Status {
+    /// The stages that it has or will have, as far as that is known.
+    pub stages: Vec<StageStatus>,
+    /// The shards of generation, where workers sample them.
+    pub shards: Option<ShardStatus>,
+}
+
+/// How far a stage is.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StageStatus {
+    /// The stage.
+    pub stage: StageId,
+    /// What can be said of it.
+    pub state: State,
+    /// Of a training, the steps that its statistics know of.
+    pub steps: Option<u64>,
+    /// Steps in all.
+    pub of_steps: Option<u64>,
+}
+
+/// What can be said of a stage.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum State {
+    /// Its outputs are whole.
+    Done,
+    /// It was begun, and is at work or was interrupted.
+    Begun,
+    /// It was not begun.
+    Missing,
+}
+
+/// Looks at the run folder `root`.
+///
+/// # Errors
+/// When it is no run folder; those of the file system.
+pub fn status(root: &Path) -> Result<Status> {
+    let manifest: Option<RunManifest> = read_json(&root.join(RUN_FILE)).ok();
+    let shards = shard_status(root)?;
+    let stages = StageId::ALL.into_iter().filter_map(|stage| {
+        let is_planned = manifest.as_ref().is_some_and(|manifest| manifest.stages.contains_key(stage.name()));
+        let begun = Work::started(root, stage);
+        let is_in_parts = stage == super::parts::STAGE && shards.is_some();
+        let state = match () {
+            () if begun.is_some() || is_in_parts => State::Begun,
+            () if StageRecord::done(root, stage).is_some() => State::Done,
+            () if is_planned => State::Missing,
+            () => return None,
+        };
+        let steps = begun.as_ref().and_then(|_| steps(root, stage));
+        let of_steps = begun.as_ref().and_then(|begun| {
+            let named = ["/resolved/common/fit/steps", "/steps"].iter().find_map(|key| begun.config.pointer(key));
+            named?.as_u64().filter(|_| stage.facts().trains)
+        });
+        Some(StageStatus { stage, state, steps, of_steps })
+    });
+    let stages: Vec<StageStatus> = stages.collect();
+    if stages.is_empty() {
+        return Err(Failure::input_message(format_args!("{} is not a run folder", root.display()))
+            .with_hint("`djinn run` and `djinn submit` print the folder of their results"));
+    }
+    Ok(Status { stages, shards })
+}
+
+/// The last step in the statistics of a training at work.
+fn steps(root: &Path, stage: StageId) -> Option<u64> {
+    let layout = Layout::below(root);
+    let (_, place) = stage.output(&layout).filter(|_| stage.facts().trains)?;
+    let folder = root.join(format!("{stage}.partial")).join(place.file_name()?);
+    let text = fs_err::read_to_string(folder.join("statistics.jsonl")).ok()?;
+    let last: FitStatistics = serde_json::from_str(text.lines().last()?).ok()?;
+    Some(last.step)
+}
+
+impl Status {
+    /// As lines for people.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        for StageStatus { stage, state, steps, of_steps } in &self.stages {
+            let state = match state {
+                State::Done => "done".to_owned(),
+                State::Missing => "not begun".to_owned(),
+                State::Begun => match (steps, of_steps) {
+                    (Some(steps), Some(of)) => format!("begun, {steps} of {of} steps"),
+                    (Some(steps), None) => format!("begun, {steps} steps"),
+                    _ => "begun".to_owned(),
+                },
+            };
+            // Writing to a string cannot fail.
+            let _ = writeln!(text, "{:<18}{state}", stage.name());
+        }
+        self.shards.iter().for_each(|shards| text.push_str(&shards.text()));
+        text
+    }
+}
