@@ -97,6 +97,8 @@ const ANY_PET_S: [f64; 2] = [0.2, 0.8];
 const DRAC_TOLERANCE_MPS2: f64 = 1.0;
 /// The way beside one's course that costs ½, meters: who drives around a bend is on no course to collide with those beyond it.
 const SWERVE_TOLERANCE_M: f64 = 0.5;
+/// How long after the present a collision may threaten at the soonest, seconds.
+const SOONEST_S: f64 = 0.6;
 /// Shorter times to collision are as good as a collision, seconds.
 const LEAST_TTC_S: f64 = 0.1;
 /// The lack of separation τ_s that costs ½ a second, meters.
@@ -146,11 +148,12 @@ impl SceneObjective for NearMiss {
         let gentle = penalty(&(self.drac_mps2 - drac_mps2)?.relu()?, DRAC_TOLERANCE_MPS2)?;
         let bends = penalty(&approach.swerve_m, SWERVE_TOLERANCE_M)?;
         let cost = ((penalty(&beyond(q, &wanted)?, self.tolerance_per_s)? + &aside)? + (gentle + bends)?)?.neg()?;
-        // Whether one would have collided after the last state is not known.
+        // Who is asked for it sooner would have to jerk; whether one would have collided after the last state is not known.
+        let first = context.n_history as f64 + SOONEST_S / context.dt_s - 1.0;
         let n_steps = approach.counts.dim(1)?;
         let known = wanted_s.iter().flat_map(|ttc_s| {
             let last = (n_steps as f64 - ttc_s[0].max(LEAST_TTC_S) / context.dt_s).ceil();
-            (0..n_steps).map(move |t| f64::from(u8::from((t as f64) < last)))
+            (0..n_steps).map(move |t| f64::from(u8::from((t as f64) < last && t as f64 >= first - 1e-6)))
         });
         let known = Tensor::from_vec(known.collect::<Vec<_>>(), (wanted_s.len(), n_steps), states.device())?;
         let counts = (&approach.counts * pairs.of_rows(&known.to_dtype(states.dtype())?)?)?;
