@@ -13,7 +13,7 @@
       across(row.cells, (cell, column) => (labels[column] = `${labels[column] ?? ""} ${cell.textContent}`.trim()));
     }
     for (const row of table.tBodies[0].rows) {
-      across(row.cells, (cell, column) => column && (cell.dataset.label ??= labels[column]));
+      across(row.cells, (cell, column) => (cell.dataset.label ??= labels[column] ?? ""));
     }
   }
   const isWide = (table) => table.parentElement.scrollWidth > table.parentElement.clientWidth;
