@@ -32,6 +32,8 @@ pub(super) struct Place {
 pub(super) struct Meeting {
     /// The speed of one as seen from the other, m/s.
     pub(super) relative_mps: f64,
+    /// By how much their courses differ, radians.
+    pub(super) heading_difference_rad: f64,
     /// What it takes them to meet, from 0 to 1.
     pub(super) effort: f64,
 }
@@ -53,10 +55,11 @@ pub(super) fn meetings([own, others]: &[Vec<Course>; 2], extents: [Extent; 2], n
     for (one, other) in own.iter().flat_map(|one| others.iter().map(move |other| (one, other))) {
         for (i, (a, b)) in one.places.iter().zip(&other.places).enumerate() {
             let evaded = evasion_effort([*a, *b], extents, near_m, (i + 1) as f64 * SPACING_S);
-            let relative_mps = (a.along * a.speed_mps - b.along * b.speed_mps).norm();
-            found.extend(
-                evaded.map(|evaded| Meeting { relative_mps, effort: evaded.max(one.effort).max(other.effort) }),
-            );
+            found.extend(evaded.map(|evaded| Meeting {
+                relative_mps: (a.along * a.speed_mps - b.along * b.speed_mps).norm(),
+                heading_difference_rad: a.along.dot(b.along).clamp(-1.0, 1.0).acos(),
+                effort: evaded.max(one.effort).max(other.effort),
+            }));
         }
     }
     found
