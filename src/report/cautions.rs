@@ -1,13 +1,16 @@
 //! Which figures should a reviewer see before any other? Generated traffic that is clearly worse than it ought to be.
 
+use crate::behavior::BehaviorEntry;
+use crate::evaluate::SamplingRow;
 use crate::metrics::Group;
 use crate::store::MetricRow;
 
 /// How far a rate of generated traffic may lie above that of the recording before it is pointed out.
 const RATE_MARGIN: f64 = 0.1;
 
-/// Sentences about the aggregates over all places, sweep by sweep in the order of the rows.
-pub fn cautions(aggregates: &[MetricRow]) -> Vec<String> {
+/// Sentences about the aggregates over all places, sweep by sweep in the order of the rows. Collisions of sweeps that ask for them, as `sampling`
+/// says, need none.
+pub fn cautions(aggregates: &[MetricRow], sampling: &[SamplingRow]) -> Vec<String> {
     let rows: Vec<&MetricRow> = aggregates.iter().filter(|row| row.place.is_empty()).collect();
     let mut sweeps: Vec<&str> = Vec::new();
     for row in &rows {
@@ -15,10 +18,14 @@ pub fn cautions(aggregates: &[MetricRow]) -> Vec<String> {
             sweeps.push(&row.sweep);
         }
     }
-    sweeps.into_iter().flat_map(|sweep| of_sweep(sweep, &rows)).collect()
+    let asks_for_collision = |sweep: &str| {
+        let behaviors = sampling.iter().filter(|row| row.sweep == sweep).map(|row| row.behavior.as_deref());
+        behaviors.into_iter().any(BehaviorEntry::is_collision)
+    };
+    sweeps.into_iter().flat_map(|sweep| of_sweep(sweep, &rows, asks_for_collision(sweep))).collect()
 }
 
-fn of_sweep(sweep: &str, rows: &[&MetricRow]) -> Vec<String> {
+fn of_sweep(sweep: &str, rows: &[&MetricRow], asks_for_collision: bool) -> Vec<String> {
     let of = |metric: &str| -> Vec<&MetricRow> {
         rows.iter().filter(|row| row.sweep == sweep && row.metric == metric).copied().collect()
     };
@@ -39,6 +46,9 @@ fn of_sweep(sweep: &str, rows: &[&MetricRow]) -> Vec<String> {
         ("offroad_rate", "of vehicles leave the road"),
         ("acceleration_violation_rate", "of vehicles break the acceleration limit"),
     ] {
+        if asks_for_collision && metric == "collision_rate" {
+            continue;
+        }
         let rates = of(metric);
         let Some(recorded) = group(&rates, Group::Recorded) else { continue };
         let generated = rates.iter().filter(|row| row.group.is_generated());
@@ -101,12 +111,33 @@ mod tests {
                 row("cut_ins", 30.0, "behavior_rate", guided),
             ]
         };
-        assert!(cautions(&figures(0.4, 0.1, 0.3)).is_empty());
-        let found = cautions(&figures(0.6, 0.4, 0.1));
+        assert!(cautions(&figures(0.4, 0.1, 0.3), &[]).is_empty());
+        let found = cautions(&figures(0.6, 0.4, 0.1), &[]);
         assert_eq!(found.len(), 3, "{found:?}");
         assert!(found[0].contains("0.600 m against 0.500 m"));
         assert!(found[1].contains("at α = 30, 40 %") && found[1].contains("in the recording 2 %"));
         assert!(found[2].contains("10.0 % against 10.0 %"));
+    }
+
+    #[test]
+    fn collisions_that_were_asked_for_need_no_words() {
+        let figures = [row("recorded", 0.0, "collision_rate", 0.02), row("cut_ins", 30.0, "collision_rate", 0.6)];
+        let asking = |behavior: &str| SamplingRow {
+            sweep: "cut_ins".to_owned(),
+            behavior: Some(behavior.to_owned()),
+            place: String::new(),
+            level: GuidanceLevel::of_strength(30.0),
+            sampler: String::new(),
+            n_scenes: 1,
+            n_scenarios: 1,
+            n_verified: 0,
+            n_new: 0,
+            n_collision: 0,
+            offroad_rate: None,
+            n_evaluations: 1,
+        };
+        assert_eq!(cautions(&figures, &[asking("cut_in")]).len(), 1);
+        assert!(cautions(&figures, &[asking("collision")]).is_empty());
     }
 
     #[test]
@@ -115,6 +146,6 @@ mod tests {
         let mut baseline = row("constant_velocity", 0.0, "min_scene_ade_m", 1.0);
         of_a_place.place = "A".to_owned();
         baseline.place = "A".to_owned();
-        assert!(cautions(&[of_a_place, baseline]).is_empty());
+        assert!(cautions(&[of_a_place, baseline], &[]).is_empty());
     }
 }

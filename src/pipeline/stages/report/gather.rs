@@ -144,7 +144,9 @@ fn add_evaluation(model: &mut ReportModel, summary: EvaluationSummary) {
     model.warnings.extend(
         missed.map(|gate| warning(StageId::Evaluate, format!("Gate not met: {} ({}).", gate.gate, gate.detail))),
     );
-    model.warnings.extend(cautions(&summary.aggregates).into_iter().map(|message| warning(StageId::Evaluate, message)));
+    model.warnings.extend(
+        cautions(&summary.aggregates, &summary.sampling).into_iter().map(|message| warning(StageId::Evaluate, message)),
+    );
     let of_maps = summary.maps.iter().filter_map(MapFitRow::caution);
     model.warnings.extend(of_maps.map(|message| warning(StageId::Evaluate, message)));
     model.maps = summary.maps;
