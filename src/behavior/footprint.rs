@@ -199,5 +199,6 @@ mod tests {
         assert!(at(0.0, 0.0).is_within(&at(3.0, 0.0), 2.0));
         assert!(!at(0.0, 0.0).is_within(&at(3.0, 0.0), 1.9));
         assert!(!at(0.0, 0.0).is_within(&at(0.0, -3.0), 1.9));
+        assert!(at(0.0, 0.0).contains(Vec2::new(1.5, 0.5), 0.6) && !at(0.0, 0.0).contains(Vec2::new(1.5, 0.5), 0.4));
     }
 }

@@ -173,10 +173,10 @@ impl<'a> SceneLanes<'a> {
         if family.any(|lane| names(lane, to.id) || names(to, lane.id)) {
             return Some(LaneRelation::Beside);
         }
-        let follows = ahead.contains(&to.id) || behind.contains(&to.id);
+        // A lane that follows on, or leads here, is among its own.
         let forks = self.reachable(to, |l| &l.predecessors).intersection(&behind).next().is_some();
         let merges = self.reachable(to, |l| &l.successors).intersection(&ahead).next().is_some();
-        (follows || forks || merges).then_some(LaneRelation::Along)
+        (forks || merges).then_some(LaneRelation::Along)
     }
 
     /// The lanes at most [`MAX_HOPS`] connections from `start`, itself included.

@@ -148,3 +148,37 @@ fn candidates<'a>(lanes: &'a SceneLanes<'a>, state: &State) -> impl Iterator<Ite
 fn runs_along(place: &LanePlace, heading_rad: f64) -> bool {
     angle_difference(place.heading_rad, heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::testing::LaneSpec;
+    use crate::scene::LaneGraph;
+    use crate::scene::testing::{Drive, scene};
+    use serde::Deserialize;
+
+    #[derive(Deserialize)]
+    struct Lanes {
+        lanes: Vec<LaneSpec>,
+    }
+
+    #[test]
+    fn who_comes_to_the_end_of_a_lane_goes_on_in_the_next_even_where_one_beside_is_nearer() {
+        // At y = -1.3, an agent is 0.6 m inside of lane 2, which follows on, and 1 m inside of lane 4 beside that.
+        let lanes: Lanes = toml::from_str(
+            "lanes = [
+                { id = 1, centerline = [[0, 0], [20, 0]], successors = [2] },
+                { id = 2, centerline = [[20, 0], [60, 0]], predecessors = [1], right_neighbor = 4 },
+                { id = 4, centerline = [[20, -2.2], [60, -2.2]] },
+            ]",
+        )
+        .expect("lanes");
+        let graph = LaneGraph::new(lanes.lanes.iter().map(LaneSpec::build).collect());
+        let index = SceneLanes::new(&graph);
+        let scene = scene(&[Drive::straight(12.0, -1.3, 0.0, 10.0)]);
+        let trace = LaneTrace::follow(&index, &scene.tracks[0].trajectory, 0.3, 1);
+        assert!(trace.crossings.is_empty());
+        let ids: Vec<i64> = trace.steps.iter().map(|step| step.lane.lane.id.0).collect();
+        assert_eq!((ids.first(), ids.last(), ids.contains(&4)), (Some(&1), Some(&2), false));
+    }
+}

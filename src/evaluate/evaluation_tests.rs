@@ -2,11 +2,14 @@
 
 use super::config::{EvaluateConfig, Keep};
 use super::evaluation::{Evaluation, EvaluationFiles, EvaluationSummary};
+use super::gates::GatesConfig;
 use super::measure::{MeasuredShard, Measurer, Shard};
-use crate::scene::Scene;
+use crate::generate::RejectedSample;
+use crate::scene::{GuidanceLevel, Scene};
 use crate::store::testing::{folder_bytes, record, scene};
 use crate::store::{self, MetricRow, ScenarioRecord, SceneStore, SceneWriter, SceneWriterOptions};
 use serde_json::json;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 const N_SHARDS: usize = 3;
@@ -30,7 +33,8 @@ fn records(scenes: &[Scene], shard: usize) -> Vec<ScenarioRecord> {
 fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Vec<u8>, Vec<String>) {
     let dir = tempfile::tempdir().unwrap();
     let (store, scenes) = store(&dir.path().join("scenes"));
-    let config = EvaluateConfig { keep: Keep::Verified, ..EvaluateConfig::default() };
+    let gates = GatesConfig { min_verified: Some(12), min_new: Some(25), ..GatesConfig::default() };
+    let config = EvaluateConfig { keep: Keep::Verified, gates, ..EvaluateConfig::default() };
     let mut measurer = Measurer::new(&config, &[], &store, None).unwrap();
     let mut measured: Vec<Option<MeasuredShard>> = (0..N_SHARDS).map(|_| None).collect();
     for idx in order {
@@ -45,6 +49,16 @@ fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Ve
     let mut evaluation = Evaluation::new(&config, measurer.docs(), &files).unwrap();
     let kept = measured.into_iter().flatten().map(|shard| evaluation.add(shard).unwrap());
     let kept = kept.flat_map(|kept| kept.records).map(|record| record.scenario.id).collect();
+    let rejected = RejectedSample {
+        scene_id: scenes[0].id.clone(),
+        sweep: "guided".to_owned(),
+        level: GuidanceLevel::of_strength(2.0),
+        sample_idx: 9,
+        seed: 1,
+        reason: "track 3 is not finite at timestep 12".to_owned(),
+    };
+    let unselected = BTreeMap::from([("guided".to_owned(), BTreeMap::from([("not among the best 2".to_owned(), 4)]))]);
+    evaluation.count_left_out([rejected].iter(), &unselected);
     let found = evaluation.finish().unwrap();
     let rows = found.all_rows().unwrap().collect::<store::Result<_>>().unwrap();
     let summary = found.remove_rows().unwrap();
@@ -60,6 +74,10 @@ fn shards_are_measured_in_any_order() {
     let (summary, rows, _, kept) = in_order;
     assert_eq!((summary.n_scenarios, summary.n_verified, kept.len()), (24, 12, 12));
     assert_eq!(summary.sampling[0].n_scenes, 4, "scenes of several shards count once");
+    assert_eq!(summary.gates.iter().map(|gate| gate.met).collect::<Vec<_>>(), [true, false]);
+    let n_left_out = |reason: &str| summary.left_out.iter().find(|row| row.reason == reason).map(|row| row.n_left_out);
+    assert_eq!((n_left_out("not_finite"), n_left_out("selection: not among the best 2")), (Some(1), Some(4)));
+    assert!(summary.realism.iter().any(|row| row.sweep == "guided" && row.n > 0));
     // Of each metric that is defined throughout: one mean of all places and one of the one place, in each of three series; a value
     // of each scene and shard there; and one of each scenario.
     let of = |metric: &str| rows.iter().filter(|row| row.metric == metric).collect::<Vec<_>>();

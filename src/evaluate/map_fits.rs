@@ -69,3 +69,30 @@ pub fn for_maps(config: &ValidityConfig, maps: &[MapFitRow]) -> ValidityConfig {
     let places_without_road = config.places_without_road.iter().cloned().chain(without).collect();
     ValidityConfig { places_without_road, ..config.clone() }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{MapId, Scene, SceneSource};
+    use crate::store::testing::{map, scene};
+    use crate::store::{SceneWriter, SceneWriterOptions};
+    use serde_json::json;
+
+    #[test]
+    fn the_scenes_of_a_place_are_looked_at_once_each_and_places_without_lanes_not() {
+        let maps = [(MapId::from("PIT"), map(1, 9))];
+        let mut scenes: Vec<Scene> = (0..5).map(|seed| scene(seed, Some((&maps[0].0, &maps[0].1)))).collect();
+        let nowhere = scene(5, None);
+        scenes.push(Scene { source: SceneSource { place: "MIA".to_owned(), ..nowhere.source.clone() }, ..nowhere });
+        let dir = tempfile::tempdir().unwrap();
+        let mut writer = SceneWriter::create(dir.path(), SceneWriterOptions::default()).unwrap();
+        writer.write_batch(&scenes, &maps, Some(0), &json!(0)).unwrap();
+        writer.finish(&json!({ "rejects": {} })).unwrap();
+
+        let config = ValidityConfig::default();
+        let rows = map_fits(&SceneStore::open(dir.path()).unwrap(), &config).unwrap();
+        let expected = scenes[..5].iter().map(|scene| MapFit::of(scene, &config)).reduce(MapFit::with).unwrap();
+        assert_eq!(rows.iter().map(|row| (row.place.as_str(), row.fit)).collect::<Vec<_>>(), [("PIT", expected)]);
+        assert_eq!(expected.n_scenes, 5);
+    }
+}

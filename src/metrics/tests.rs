@@ -1,6 +1,6 @@
 //! Tests that concern every metric: hand-computed example scenes, independence of the frame, the recording as its own sample.
 
-use super::{ALL, Metric, SampleGroup, by_id, constant_velocity};
+use super::{ALL, Metric, ModesOf, SampleGroup, by_id, constant_velocity};
 use crate::behavior::testing::{LaneSpec, SceneSpec, cases_in, random_scene, transformed};
 use crate::geometry::{Transform2, Vec2};
 use crate::scene::{Dataset, LaneGraph, Roles, Scene, State, Track, TrackId, TrackRole, Trajectory};
@@ -67,6 +67,44 @@ fn metrics_are_listed_once_under_names_that_end_in_their_unit() {
         assert_eq!(by_id(spec.id).map(|found| found.spec()), Some(spec));
     }
     assert!(by_id("no_such").is_none());
+}
+
+#[test]
+fn figures_of_benchmarks_are_taken_over_modes_of_those_they_are_about() {
+    let of = |wanted: ModesOf| -> BTreeSet<&str> {
+        ALL.iter().filter(|metric| metric.modes() == Some(wanted)).map(|metric| metric.spec().id).collect()
+    };
+    let of_one = [
+        "min_ade_m",
+        "min_fde_m",
+        "min_ade_of_min_fde_m",
+        "miss_rate",
+        "p_miss_rate",
+        "p_min_ade_m",
+        "p_min_fde_m",
+        "brier_min_ade_m",
+        "brier_min_fde_m",
+        "drivable_area_compliance",
+    ];
+    let of_many = [
+        "min_scene_ade_m",
+        "min_scene_fde_m",
+        "min_scene_ade_without_ego_m",
+        "min_scene_fde_without_ego_m",
+        "min_joint_ade_m",
+        "min_joint_fde_m",
+        "min_joint_miss_rate",
+        "consistent_min_joint_miss_rate",
+        "cross_collision_rate",
+        "ego_collision_rate",
+        "avg_min_ade_m",
+        "avg_min_fde_m",
+        "avg_brier_min_fde_m",
+        "actor_miss_rate",
+        "actor_collision_rate",
+    ];
+    assert_eq!(of(ModesOf::Ego), BTreeSet::from(of_one));
+    assert_eq!(of(ModesOf::Scene), BTreeSet::from(of_many));
 }
 
 /// Random traffic on two lanes, one of them without boundaries.

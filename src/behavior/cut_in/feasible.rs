@@ -121,6 +121,19 @@ mod tests {
     }
 
     #[test]
+    fn the_way_aside_takes_its_share_of_the_time() {
+        // 3.3 m aside, less 1.8 m of two half widths, with 0.3 m inside the lane: 1.8 m, which 2 m/s² take √3.6 s for.
+        // At its speed, 7.5 m ahead of an ego that needs 0.75 s for them, it can come in after 2, 2.5 or 3 of the 4 s.
+        let found = outcomes(drive(12.0, 3.3, 0.0, 10.0));
+        let at_its_speed = found.iter().filter(|outcome| outcome.get("relative_speed_mps") == Some(0.0));
+        let efforts: Vec<f64> = at_its_speed.map(Outcome::effort).collect();
+        assert_eq!(efforts.len(), 3, "{efforts:?}");
+        for (effort, time_s) in efforts.iter().zip([2.0, 2.5, 3.0f64]) {
+            assert!((effort - 3.6 / time_s.powi(2)).abs() < 1e-9, "{effort} after {time_s} s");
+        }
+    }
+
+    #[test]
     fn the_future_is_not_looked_at() {
         let mut known = scene(&[drive(0.0, 0.0, 0.0, 10.0), drive(12.0, 3.5, 0.0, 10.0)]);
         known.dt_s = 0.5;

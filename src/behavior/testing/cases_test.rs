@@ -3,7 +3,7 @@
 use super::{Case, cases_in, random_scene, transformed};
 use crate::behavior::{ALL, BehaviorConfig, BehaviorEvent, EventLabel};
 use crate::geometry::{Transform2, Vec2};
-use crate::scene::{Scene, State, Track, Trajectory};
+use crate::scene::{AgentClass, Scene, State, Track, Trajectory};
 use std::collections::{BTreeMap, BTreeSet};
 
 fn case(id: &str, name: &str, text: &str) -> Case {
@@ -83,6 +83,16 @@ fn every_behavior_is_listed_once_and_has_examples_of_both_labels() {
             .map(|event| event.label)
             .collect();
         assert_eq!(labels.len(), 2, "{} lacks positive or negative example scenes", entry.id);
+    }
+}
+
+#[test]
+fn who_may_be_asked_is_motorized_unless_the_behavior_says_otherwise() {
+    for entry in ALL {
+        let behavior = (entry.default_config)().build();
+        assert!(behavior.admits(AgentClass::Vehicle) && !behavior.admits(AgentClass::Static), "{}", entry.id);
+        let is_of_all = ["near_miss", "collision"].contains(&entry.id);
+        assert_eq!(behavior.admits(AgentClass::Pedestrian), is_of_all, "{}", entry.id);
     }
 }
 

@@ -205,6 +205,18 @@ mod tests {
     }
 
     #[test]
+    fn outcomes_lie_in_buckets_as_far_as_they_name_their_parameters() {
+        let toml = "per_bucket = 1\nbuckets = { side = ['left', 'right'], gap_m = [0, 5, 10] }";
+        let buckets = Buckets::new(&request(toml));
+        // In the order gap_m, side. The left is positive, and an edge belongs to the bucket above it.
+        let allowing = |outcome: Outcome| (0..4).filter(|bucket| buckets.allows(*bucket, &outcome)).collect::<Vec<_>>();
+        assert_eq!(allowing(Outcome::default().with("gap_m", 7.0).with("side", 1.0)), [2]);
+        assert_eq!(allowing(Outcome::default().with("gap_m", 5.0)), [2, 3]);
+        assert_eq!(allowing(Outcome::default().with("side", -1.0)), [1, 3]);
+        assert!(allowing(Outcome::default().with("gap_m", 10.0)).is_empty());
+    }
+
+    #[test]
     fn divisions_that_make_no_sense_are_told() {
         for (toml, what) in [
             ("gap_m = [3]", "fewer than two"),

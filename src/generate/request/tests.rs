@@ -332,6 +332,9 @@ fn buckets_cost_what_is_spent_while_they_are_open() {
     let each = request.arms[0].n_evaluations;
     assert_eq!(ledger.spent_while_open[..2], [(12, 12 * each), (6, 6 * each)]);
     assert_eq!((ledger.first_round[0].n_samples, ledger.arms[0].n_samples), (6, 12));
+    let [empty, one] = [0, 1].map(|i| RequestSummary::new(&request, &pool(2), &ledger, 2).buckets[i].clone());
+    assert_eq!((empty.n_evaluations_per_accepted(), one.n_evaluations_per_accepted()), (None, Some(6.0 * each as f64)));
+    assert_eq!(BucketSummary { n_accepted: 4, ..one }.n_evaluations_per_accepted(), Some(1.5 * each as f64));
 
     // A scene that has given a bucket all that it may is not drawn for it.
     let request = tight("per_bucket = 5\nmax_per_scene = 1\nbudget = { n_samples = 1000 }");

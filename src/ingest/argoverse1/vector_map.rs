@@ -247,7 +247,7 @@ mod tests {
         <node id="3" x="20" y="3.8"/> <node id="4" x="0" y="3.8"/>
         <way lane_id="100">
           <tag k="has_traffic_control" v="True"/> <tag k="turn_direction" v="LEFT"/> <tag k="is_intersection" v="False"/>
-          <tag k="l_neighbor_id" v="102"/> <tag k="r_neighbor_id" v="None"/>
+          <tag k="l_neighbor_id" v="102"/> <tag k="r_neighbor_id" v="None"/> <tag k="surface" v="gravel"/>
           <nd ref="0"/> <nd ref="1"/> <tag k="successor" v="101"/> <tag k="successor" v="999"/>
         </way>
         <way lane_id="101"><nd ref="1"/><nd ref="2"/><tag k="r_neighbor_id" v="777"/></way>
@@ -275,6 +275,7 @@ mod tests {
         assert_eq!(graph.get(LaneId(101)).expect("listed").predecessors, [LaneId(100)]);
         assert_eq!(lane.left_neighbor, None, "the neighbor drives the other way");
         assert_eq!(lane.attributes.tags["opposite_left_neighbor"], "102");
+        assert_eq!(lane.attributes.tags["surface"], "gravel", "what we have no field for is kept");
         assert!(lane.left.0[0].distance(Vec2::new(0.0, 1.9)) < 1e-12);
         assert!(lane.right.0[1].distance(Vec2::new(10.0, -1.9)) < 1e-12);
         assert!(lane.attributes.tags["boundaries"].starts_with("assumed"));

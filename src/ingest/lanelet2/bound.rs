@@ -148,6 +148,8 @@ mod tests {
         upper_inverted.invert();
         let mut lower_inverted = lower.clone();
         lower_inverted.invert();
+        let line = Polyline(vec![Vec2::new(10.0, 0.0), Vec2::ZERO]);
+        assert_eq!(lower_inverted, Bound { ways: vec![(1, true)], first_node: 2, last_node: 1, line });
         for left in [&upper, &upper_inverted] {
             for right in [&lower, &lower_inverted] {
                 let (mut left, mut right) = (left.clone(), right.clone());
