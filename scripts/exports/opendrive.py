@@ -5,13 +5,15 @@ import math
 import numpy as np
 
 STEP_M = 0.05  # along roads, between the points at which they are evaluated
-NEAR_M = 0.05  # how far a lane may be from its road
-END_M = 1.0  # along lines: roads end square, lanes need not, so that nothing is compared there
+EDGE_M = 0.05  # how far the edges of a lane may be from those of its road
+MIDDLE_M = 0.1  # how far the middle may be from midway, which is not one line where edges converge
+MOST_LEFT_OUT = 0.5  # share of a lane's points that may lie beyond an end
 
 
 def compare_roads(etree, export):
     """Demands that points along the edges of all lanes lie on those of their roads, and that the middles of roads lie midway between the
-    edges of their lanes. Returns how many lanes there are, the largest distance, and the share of points near ends that were left out."""
+    edges of their lanes. Roads end square and lanes need not: points beyond the end of what they are compared with are left out.
+    Returns how many lanes there are, the largest distance, and the share of points that were left out."""
     n_lanes, worst_m, n_points, n_left_out, seen = 0, 0.0, 0, 0, set()
     for scenario in export.scenarios:
         file = etree.parse(str(export.folder / scenario["file"])).getroot().find("RoadNetwork/LogicFile")
@@ -28,18 +30,20 @@ def compare_roads(etree, export):
                 continue  # the map has no edges; usual ones are written
             n_lanes += 1
             drawn = evaluated(road)
-            for line, off in (
-                (left, lambda point: np.min(distances(point, drawn[:, 0]))),
-                (right, lambda point: np.min(distances(point, drawn[:, 2]))),
-                (drawn[:, 1], lambda point: 0.5 * abs(np.min(distances(point, left)) - np.min(distances(point, right)))),
-            ):
-                share = np.linspace(0.0, 1.0, 101)
-                is_compared = np.minimum(share, 1.0 - share) * np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > END_M
-                n_points, n_left_out = n_points + len(share), n_left_out + int((~is_compared).sum())
-                for point in along(line, share)[is_compared]:
-                    distance = off(point)
-                    assert distance < NEAR_M, f"{file.get('filepath')}: lane {lane_id} is {distance:.3f} m off its road at {point}"
+            n_of_lane, n_beyond = 0, 0
+            for line, others in ((left, [drawn[:, 0]]), (right, [drawn[:, 2]]), (drawn[:, 1], [left, right])):
+                for point in along(line, np.linspace(0.0, 1.0, 101)):
+                    n_of_lane += 1
+                    nearest = [to_line(point, other) for other in others]
+                    if any(is_beyond for _, is_beyond in nearest):
+                        n_beyond += 1
+                        continue
+                    is_edge = len(nearest) == 1
+                    distance = nearest[0][0] if is_edge else 0.5 * abs(nearest[0][0] - nearest[1][0])
+                    assert distance < (EDGE_M if is_edge else MIDDLE_M), f"{file.get('filepath')}: lane {lane_id} is {distance:.3f} m off its road at {point}"
                     worst_m = max(worst_m, distance)
+            assert n_beyond <= MOST_LEFT_OUT * n_of_lane, f"{file.get('filepath')}: most of lane {lane_id} lies beyond its road"
+            n_points, n_left_out = n_points + n_of_lane, n_left_out + n_beyond
     return n_lanes, worst_m, n_left_out / max(n_points, 1)
 
 
@@ -49,11 +53,14 @@ def along(line, share):
     return np.stack([np.interp(share * station[-1], station, line[:, i]) for i in range(2)], -1)
 
 
-def distances(point, line):
-    """From a point to each piece of a line."""
+def to_line(point, line):
+    """The distance from a point to a line, and whether the line's nearest point is one of its ends."""
     start, step = line[:-1], np.diff(line, axis=0)
-    share = np.clip(((point - start) * step).sum(1) / np.maximum((step**2).sum(1), 1e-12), 0.0, 1.0)
-    return np.linalg.norm(start + share[:, None] * step - point, axis=1)
+    share = ((point - start) * step).sum(1) / np.maximum((step**2).sum(1), 1e-12)
+    off = np.linalg.norm(start + np.clip(share, 0.0, 1.0)[:, None] * step - point, axis=1)
+    nearest = int(np.argmin(off))
+    is_beyond = (nearest == 0 and share[0] < 0.0) or (nearest == len(share) - 1 and share[-1] > 1.0)
+    return off[nearest], is_beyond
 
 
 def evaluated(road):
