@@ -6,6 +6,8 @@ use crate::behavior::outcome::Outcome;
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
+/// Two who both creep at present do not come to drive into each other in earnest, m/s.
+const LEAST_SPEED_MPS: f64 = 1.5;
 /// Collisions that pairs can come to are told apart by these: m/s of the relative speed, and radians of the angle.
 const SPEED_SPACING_MPS: f64 = 2.0;
 const ANGLE_SPACING_RAD: f64 = 0.5;
@@ -13,7 +15,9 @@ const ANGLE_SPACING_RAD: f64 = 0.5;
 impl Collision {
     /// Relative speeds and angles at which two could drive into each other if each goes on along a lane with -4 to 2.5 m/s² along and at most 2 m/s² across.
     pub(in crate::behavior) fn outcomes(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Outcome> {
-        let Some(courses) = both_courses(scene, agents, self.config().agents) else { return Vec::new() };
+        let Some(courses) = both_courses(scene, agents, self.config().agents, LEAST_SPEED_MPS) else {
+            return Vec::new();
+        };
         let extents = agents.map(|agent_idx| scene.tracks[agent_idx].extent_or_nominal());
         // The easiest of those that are much alike.
         let mut easiest: BTreeMap<(u64, u64), Outcome> = BTreeMap::new();
@@ -63,5 +67,7 @@ mod tests {
                 .all(|o| o.get("heading_difference_rad").is_some_and(|angle_rad| (angle_rad - PI).abs() < 1e-6))
         );
         assert!(found(Drive::straight(60.0, 0.0, 0.0, 20.0)).is_empty());
+        let creeping = [Drive::straight(0.0, 0.0, 0.0, 1.0), Drive::straight(6.0, 0.0, 0.0, 0.0)];
+        assert!(outcomes(&Collision::default(), &creeping, LaneGraph::default(), &[0, 1]).is_empty());
     }
 }

@@ -38,11 +38,19 @@ pub(super) struct Meeting {
     pub(super) effort: f64,
 }
 
-/// The courses of two agents that `filter` admits; `None` where one of them is not tracked at present.
-pub(super) fn both_courses(scene: &Scene, agents: [usize; 2], filter: AgentFilter) -> Option<[Vec<Course>; 2]> {
+/// The courses of two agents that `filter` admits, of whom one moves with at least `least_mps` at present; `None` where one of them is not
+/// tracked then.
+pub(super) fn both_courses(
+    scene: &Scene,
+    agents: [usize; 2],
+    filter: AgentFilter,
+    least_mps: f64,
+) -> Option<[Vec<Course>; 2]> {
     let lanes = SceneLanes::new(&scene.lanes);
     let n_times = (horizon_s(scene) / SPACING_S).floor() as usize;
-    if !agents.iter().all(|agent_idx| filter.admits(scene.tracks[*agent_idx].class)) {
+    let speed_mps = |agent_idx: &usize| Some(scene.state(*agent_idx, scene.current_timestep())?.speed_mps());
+    let is_admitted = |agent_idx: &usize| filter.admits(scene.tracks[*agent_idx].class);
+    if !agents.iter().all(is_admitted) || agents.iter().filter_map(speed_mps).all(|speed_mps| speed_mps < least_mps) {
         return None;
     }
     let [first, second] = agents.map(|agent_idx| courses(scene, &lanes, agent_idx, n_times));

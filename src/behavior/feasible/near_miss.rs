@@ -22,13 +22,7 @@ impl NearMiss {
         if config.recorded_sizes && agents.iter().any(|agent_idx| scene.tracks[*agent_idx].extent.is_none()) {
             return Vec::new();
         }
-        let speed_mps = |agent_idx: &usize| {
-            scene.state(*agent_idx, scene.current_timestep()).map_or(0.0, |state| state.speed_mps())
-        };
-        if agents.iter().map(speed_mps).fold(0.0, f64::max) < LEAST_SPEED_MPS {
-            return Vec::new();
-        }
-        let Some(courses) = both_courses(scene, agents, config.agents) else { return Vec::new() };
+        let Some(courses) = both_courses(scene, agents, config.agents, LEAST_SPEED_MPS) else { return Vec::new() };
         let extents = agents.map(|agent_idx| scene.tracks[agent_idx].extent_or_nominal());
         let meetings = meetings(&courses, extents, -config.min_overlap_m);
         // One who closes in so fast must brake hard at this time to collision.
