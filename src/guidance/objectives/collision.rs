@@ -4,7 +4,7 @@ use super::approach::Approach;
 use super::box_separation::separation_m;
 use super::motion::{best_moment, nothing, penalty};
 use super::pairs::{PairQuery, Pairs};
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, first, interval, one_agent, second};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -40,14 +40,6 @@ pub struct Collision {
     #[serde(default = "default_tolerance_mps")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
-}
-
-fn first() -> AgentSelector {
-    AgentSelector::new("first")
-}
-
-fn second() -> AgentSelector {
-    AgentSelector::new("second")
 }
 
 const fn default_tolerance_m() -> f64 {

@@ -162,6 +162,16 @@ impl ObjectiveConfig {
     }
 }
 
+/// The first of two of whom neither is the ego.
+fn first() -> AgentSelector {
+    AgentSelector::new("first")
+}
+
+/// The second of the two.
+fn second() -> AgentSelector {
+    AgentSelector::new("second")
+}
+
 /// How far `x` (B, N) lies outside of the interval of its row, (B, 2).
 fn beyond(x: &Tensor, interval: &Tensor) -> Result<Tensor> {
     let (least, most) = (interval.narrow(1, 0, 1)?, interval.narrow(1, 1, 1)?);

@@ -5,7 +5,7 @@ use super::box_separation::separation_m;
 use super::encroachment::Encroachment;
 use super::motion::{best_moment, nothing, penalty};
 use super::pairs::{PairQuery, Pairs};
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, first, interval, one_agent, second};
 use crate::guidance::Target;
 use crate::settings;
 use candle_core::{DType, Result, Tensor};
@@ -21,8 +21,9 @@ use serde::{Deserialize, Serialize};
 ///
 /// J = -(Σ (c + δ)⁻⁴)^(-1/4) - ∫ ½ (max(margin - s, 0) / τ_s)² + ½ (max(q - q_most, 0) / τ_q)² exp(-½ (a / τ_m)²) dt
 ///
-/// with δ = 0.01, τ_s = 0.3 m and τ_b = 1 m/s²: never touching, and never nearer to a collision than wanted. Where a time to collision is asked
-/// for, crossing does not count, and the other way round.
+/// with δ = 0.01, τ_s = 0.3 m and τ_b = 1 m/s²: never touching, and never nearer to a collision than wanted. A course to collide counts from
+/// 0.6 s after the present on, and where the collision would come before the last state. Where a time to collision is asked for, crossing does
+/// not count, and the other way round.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NearMiss {
@@ -45,7 +46,7 @@ pub struct NearMiss {
     #[schemars(range(min = 0.0, max = 20.0))]
     pub drac_mps2: f64,
     /// The time between the two being on the same place, least and most, seconds. Left out: that of the bucket that a request asks for
-    /// (`pet_s`), else 0.2 to 0.8.
+    /// (`pet_s`), else 0.2 to 0.4.
     #[serde(default)]
     pub pet_s: Option<[f64; 2]>,
     /// How far apart the boxes stay, at least, meters.
@@ -60,14 +61,6 @@ pub struct NearMiss {
     #[serde(default = "default_tolerance_m")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
-}
-
-fn first() -> AgentSelector {
-    AgentSelector::new("first")
-}
-
-fn second() -> AgentSelector {
-    AgentSelector::new("second")
 }
 
 const fn default_drac_mps2() -> f64 {
@@ -92,7 +85,7 @@ const PET: &str = "pet_s";
 /// The time to collision where none is asked for, seconds.
 const ANY_TTC_S: [f64; 2] = [0.6, 1.3];
 /// The post-encroachment time where none is asked for, seconds.
-const ANY_PET_S: [f64; 2] = [0.2, 0.8];
+const ANY_PET_S: [f64; 2] = [0.2, 0.4];
 /// The lack of deceleration τ_b that costs ½, m/s².
 const DRAC_TOLERANCE_MPS2: f64 = 1.0;
 /// The way beside one's course that costs ½, meters: who drives around a bend is on no course to collide with those beyond it.
@@ -148,15 +141,8 @@ impl SceneObjective for NearMiss {
         let gentle = penalty(&(self.drac_mps2 - drac_mps2)?.relu()?, DRAC_TOLERANCE_MPS2)?;
         let bends = penalty(&approach.swerve_m, SWERVE_TOLERANCE_M)?;
         let cost = ((penalty(&beyond(q, &wanted)?, self.tolerance_per_s)? + &aside)? + (gentle + bends)?)?.neg()?;
-        // Who is asked for it sooner would have to jerk; whether one would have collided after the last state is not known.
-        let first = context.n_history as f64 + SOONEST_S / context.dt_s - 1.0;
-        let n_steps = approach.counts.dim(1)?;
-        let known = wanted_s.iter().flat_map(|ttc_s| {
-            let last = (n_steps as f64 - ttc_s[0].max(LEAST_TTC_S) / context.dt_s).ceil();
-            (0..n_steps).map(move |t| f64::from(u8::from((t as f64) < last && t as f64 >= first - 1e-6)))
-        });
-        let known = Tensor::from_vec(known.collect::<Vec<_>>(), (wanted_s.len(), n_steps), states.device())?;
-        let counts = (&approach.counts * pairs.of_rows(&known.to_dtype(states.dtype())?)?)?;
+        let in_time = in_time(&wanted_s, context, &approach.counts)?;
+        let counts = (&approach.counts * pairs.of_rows(&in_time)?)?;
         let conflict = best_moment(&cost, &counts)?;
         let pet_s = pairs.of_rows(&context.wanted(PET, self.pet_s, ANY_PET_S, states)?)?;
         let best = match Encroachment::new(&pairs, &pet_s, context.dt_s)? {
@@ -193,6 +179,18 @@ impl NearMiss {
             .collect();
         Tensor::from_vec(meant, (context.targets.len(), 2), like.device())?.to_dtype(like.dtype())
     }
+}
+
+/// 1 at the moments at which a collision may threaten each row within its times `wanted_s`, (B, T - 1) for `like` (P, T - 1): who is asked for it
+/// sooner would have to jerk, and whether one would have collided after the last state is not known.
+fn in_time(wanted_s: &[Vec<f64>], context: &SceneContext, like: &Tensor) -> Result<Tensor> {
+    let n_steps = like.dim(1)?;
+    let first = context.n_history as f64 + SOONEST_S / context.dt_s - 1.0;
+    let moments = wanted_s.iter().flat_map(|ttc_s| {
+        let end = (n_steps as f64 - ttc_s[0].max(LEAST_TTC_S) / context.dt_s).ceil();
+        (0..n_steps).map(move |t| f64::from(u8::from((t as f64) < end && t as f64 >= first - 1e-6)))
+    });
+    Tensor::from_vec(moments.collect::<Vec<_>>(), (wanted_s.len(), n_steps), like.device())?.to_dtype(like.dtype())
 }
 
 #[cfg(test)]
