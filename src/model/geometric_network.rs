@@ -41,10 +41,10 @@ pub(super) struct GeometricNetwork {
     agent: Linear,
     time: Linear,
     noise: Linear,
-    own: Linear,
-    neighbors: Mlp,
-    lanes: Mlp,
-    pooled: Linear,
+    own: Option<Linear>,
+    neighbors: Option<Mlp>,
+    lanes: Option<Mlp>,
+    pooled: Option<Linear>,
     input_out: Linear,
     lane_encoder: Mlp,
     trunk: Trunk,
@@ -76,7 +76,7 @@ impl GeometricNetwork {
         state_dim: usize,
     ) -> Result<Self> {
         let NetworkConfig { width, n_heads, feed_forward, .. } = *config;
-        let GeometryConfig { patch, relation_width, .. } = *geometry;
+        let GeometryConfig { patch, relation_width, n_neighbors, n_nearest_lanes, own_pose, .. } = *geometry;
         if patch == 0 {
             candle_core::bail!("tokens of no timesteps");
         }
@@ -86,10 +86,15 @@ impl GeometricNetwork {
         let agent = Linear::new(&mut input, "agent", SurroundingsLayout::AGENT + AGENT_CONSTANTS, width)?;
         let time = Linear::new(&mut input, "time", ENCODING, width)?;
         let noise = Linear::new(&mut input, "noise", ENCODING, width)?;
-        let own = Linear::new(&mut input, "own", relations::OWN, width)?;
-        let neighbors = Mlp::new(&mut input, "neighbors", &[relations::NEIGHBOR, relation_width, relation_width])?;
-        let lanes = Mlp::new(&mut input, "lanes", &[relations::LANE, relation_width, relation_width])?;
-        let pooled = Linear::new(&mut input, "pooled", 2 * relation_width, width)?;
+        let own = own_pose.then(|| Linear::new(&mut input, "own", relations::OWN, width)).transpose()?;
+        let mut perceptron = |name: &str, n: usize, features: usize| {
+            let made = (n > 0).then(|| Mlp::new(&mut input, name, &[features, relation_width, relation_width]));
+            made.transpose()
+        };
+        let neighbors = perceptron("neighbors", n_neighbors, relations::NEIGHBOR)?;
+        let lanes = perceptron("lanes", n_nearest_lanes, relations::LANE)?;
+        let n_pooled = [&neighbors, &lanes].into_iter().flatten().count() * relation_width;
+        let pooled = (n_pooled > 0).then(|| Linear::new(&mut input, "pooled", n_pooled, width)).transpose()?;
         let input_out = Linear::new(&mut input, "out", width, width)?;
         let lane_encoder = Mlp::new(scope, "lane_encoder", &[SurroundingsLayout::PIECE, width, width])?;
         let trunk = Trunk::new(scope, "trunk", TrunkConfig { layers: &config.layers, width, n_heads, feed_forward })?;
@@ -169,12 +174,24 @@ impl GeometricNetwork {
         let latent = self.latent.forward_valid(&self.tokens(seen)?, valid)?;
         let noise = sinusoidal(c_noise, ENCODING, NOISE_PERIODS.0, NOISE_PERIODS.1)?;
         let noise = self.noise.forward(&noise)?.unsqueeze(1)?.unsqueeze(1)?;
-        let own = self.own.forward_valid(&relations.own, valid)?;
-        let neighbors = pool(&self.neighbors, &relations.neighbors, &relations.neighbor_valid)?;
-        let lanes = pool(&self.lanes, &relations.lanes, &relations.lane_valid)?;
-        let pooled = self.pooled.forward_valid(&Tensor::cat(&[&neighbors, &lanes], 3)?, valid)?;
-        let hidden = (((latent + &known.input)? + own)? + pooled)?.broadcast_add(&noise)?.relu()?;
-        let h = self.trunk.forward(self.input_out.forward_valid(&hidden, valid)?, valid, &known.read, &known.lanes)?;
+        let mut hidden = (latent + &known.input)?;
+        if let Some(own) = &self.own {
+            hidden = (hidden + own.forward_valid(&relations.own, valid)?)?;
+        }
+        let kinds = [
+            (&self.neighbors, &relations.neighbors, &relations.neighbor_valid),
+            (&self.lanes, &relations.lanes, &relations.lane_valid),
+        ];
+        let seen =
+            kinds.into_iter().filter_map(|(perceptron, entries, valid)| Some((perceptron.as_ref()?, entries, valid)));
+        let seen =
+            seen.map(|(perceptron, entries, valid)| pool(perceptron, entries, valid)).collect::<Result<Vec<_>>>()?;
+        if let Some(pooled) = &self.pooled {
+            hidden = (hidden + pooled.forward_valid(&Tensor::cat(&seen, 3)?, valid)?)?;
+        }
+        let hidden = self.input_out.forward_valid(&hidden.broadcast_add(&noise)?.relu()?, valid)?;
+        let frames = self.geometry.relative_attention.then_some(&relations.frames);
+        let h = self.trunk.forward(hidden, valid, &known.read, &known.lanes, frames)?;
         let f_x = self.output.forward_valid(&self.norm_out.forward_for_products(&h)?, &known.read)?;
         let (b, a, n, _) = f_x.dims4()?;
         f_x.reshape((b, a, n * self.geometry.patch, self.state_dim))?.narrow(2, 0, batch.valid.dim(2)?)

@@ -99,14 +99,25 @@ fn run(denoiser: &SceneDenoiser, batch: &SceneBatch, x: &Tensor, sigmas: &[f32])
 
 #[test]
 fn every_parameter_receives_a_gradient() {
+    let whole = GeometryConfig { relation_width: 8, ..GeometryConfig::default() };
+    let blind = GeometryConfig { own_pose: false, n_neighbors: 0, n_nearest_lanes: 0, ..whole.clone() };
+    let without_lanes = GeometryConfig { n_nearest_lanes: 0, ..whole.clone() };
+    let relative = GeometryConfig { relative_attention: true, ..whole.clone() };
+    for geometry in [whole, blind, without_lanes, relative] {
+        reaches_every_parameter(&NetworkConfig { geometry: Some(geometry), ..config() });
+    }
+}
+
+fn reaches_every_parameter(config: &NetworkConfig) {
     let mut params = Params::new(&Compute::cpu());
-    let denoiser = denoiser(&mut params);
+    let denoiser = SceneDenoiser::new(&mut params, config, 3, Edm::default(), Seed(1)).unwrap();
     let batch = collate(&[&cars(3, &road(true))]);
     let x0_hat = run(&denoiser, &batch, &noisy(&batch, 2), &[0.4]);
     let gradients = (x0_hat - &batch.x0).unwrap().sqr().unwrap().sum_all().unwrap().backward().unwrap();
     for (name, var) in params.iter() {
-        let gradient = gradients.get(var.as_tensor()).unwrap_or_else(|| panic!("{name} has no gradient"));
-        assert!(values(gradient).iter().any(|g| *g != 0.0), "the gradient of {name} is zero");
+        let gradient =
+            gradients.get(var.as_tensor()).unwrap_or_else(|| panic!("{name} has no gradient with {config:?}"));
+        assert!(values(gradient).iter().any(|g| *g != 0.0), "the gradient of {name} is zero with {config:?}");
     }
 }
 

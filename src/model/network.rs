@@ -49,20 +49,32 @@ pub struct GeometryConfig {
     /// Number of lane pieces around its path that an agent sees.
     #[schemars(range(min = 1, max = 200))]
     pub n_lanes: usize,
-    /// Number of neighbors that an agent sees at each token, nearest first.
-    #[schemars(range(min = 1, max = 200))]
+    /// Number of neighbors that an agent sees at each token, nearest first; 0: none.
+    #[schemars(range(max = 200))]
     pub n_neighbors: usize,
-    /// Number of lanes that an agent sees at each token, nearest first.
-    #[schemars(range(min = 1, max = 200))]
+    /// Number of lanes that an agent sees at each token, nearest first; 0: none.
+    #[schemars(range(max = 200))]
     pub n_nearest_lanes: usize,
     /// Features of a neighbor, and of a lane, at a token.
     #[schemars(range(min = 1, max = 4_096))]
     pub relation_width: usize,
+    /// Whether a token is told the pose that its agent's estimate has there.
+    pub own_pose: bool,
+    /// Whether agents attend to each other as they lie in the frame of the one that attends.
+    pub relative_attention: bool,
 }
 
 impl Default for GeometryConfig {
     fn default() -> Self {
-        Self { patch: 3, n_lanes: 24, n_neighbors: 6, n_nearest_lanes: 3, relation_width: 48 }
+        Self {
+            patch: 3,
+            n_lanes: 24,
+            n_neighbors: 6,
+            n_nearest_lanes: 3,
+            relation_width: 48,
+            own_pose: true,
+            relative_attention: false,
+        }
     }
 }
 
@@ -211,7 +223,8 @@ impl SceneNetwork {
         let noise = sinusoidal(c_noise, self.encoding, NOISE_PERIODS.0, NOISE_PERIODS.1)?;
         let noise = self.input_noise.forward(&noise)?.unsqueeze(1)?.unsqueeze(1)?;
         let hidden = (latent + &known.input)?.broadcast_add(&noise)?.relu()?;
-        let h = self.trunk.forward(self.input_out.forward_valid(&hidden, valid)?, valid, &known.read, &known.lanes)?;
+        let hidden = self.input_out.forward_valid(&hidden, valid)?;
+        let h = self.trunk.forward(hidden, valid, &known.read, &known.lanes, None)?;
         self.output.forward_valid(&self.norm_out.forward_for_products(&h)?, &known.read)
     }
 }

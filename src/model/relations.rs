@@ -19,6 +19,10 @@ pub(super) const LANE: usize = 13;
 const POSITION_M: f32 = 10.0;
 /// Meters per unit of positions in the ego frame.
 const EGO_POSITION_M: f32 = 50.0;
+/// Meters per unit of the origins of frames: agents that matter to each other are within a few units.
+const FRAME_M: f32 = 20.0;
+/// The frame of who has no pose: that of the ego.
+const NO_FRAME: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 /// Meters per second per unit of velocity.
 const SPEED_MPS: f32 = 10.0;
 /// A lane that points away counts as so many meters farther, per unit of 1 - cos of the angle.
@@ -28,6 +32,8 @@ const PREVIEW_POINTS: usize = 3;
 
 /// What the network is told of the estimate: B rows, A agents, N tokens, K neighbors, L lanes.
 pub(super) struct Relations {
+    /// The frame of each pose, as [`map_frames`](crate::nn::ops::map_frames) takes it, (B, A, N, 4).
+    pub(super) frames: Tensor,
     /// (B, A, N, `OWN`).
     pub(super) own: Tensor,
     /// (B, A, N, K, `NEIGHBOR`).
@@ -65,6 +71,7 @@ struct Pose {
 
 /// One row of the features, while it is written.
 struct Row<'a> {
+    frames: &'a mut [f32],
     own: &'a mut [f32],
     neighbors: &'a mut [f32],
     neighbor_valid: &'a mut [f32],
@@ -83,30 +90,33 @@ impl Relations {
         let host = |tensor: &Tensor| tensor.detach().to_dtype(DType::F32)?.flatten_all()?.to_vec1::<f32>();
         let (poses_host, valid) = (host(poses)?, host(&batch.valid)?);
         let (origin, rotation) = (host(&surroundings.origin)?, host(&batch.rotation)?);
-        let (k, l) = (counts.neighbors, counts.lanes);
+        // Without any there is one entry that is not valid.
+        let (k, l) = (counts.neighbors.max(1), counts.lanes.max(1));
+        let mut frames = NO_FRAME.repeat(b * a * n);
         let mut own = vec![0.0f32; b * a * n * OWN];
         let mut neighbors = vec![0.0f32; b * a * n * k * NEIGHBOR];
         let mut neighbor_valid = vec![0.0f32; b * a * n * k];
         let mut lanes = vec![0.0f32; b * a * n * l * LANE];
         let mut lane_valid = vec![0.0f32; b * a * n * l];
-        (own.par_chunks_mut(a * n * OWN), neighbors.par_chunks_mut((a * n * k * NEIGHBOR).max(1)))
+        (own.par_chunks_mut(a * n * OWN), neighbors.par_chunks_mut(a * n * k * NEIGHBOR))
             .into_par_iter()
-            .zip((neighbor_valid.par_chunks_mut((a * n * k).max(1)), lanes.par_chunks_mut((a * n * l * LANE).max(1))))
-            .zip(lane_valid.par_chunks_mut((a * n * l).max(1)))
+            .zip((neighbor_valid.par_chunks_mut(a * n * k), lanes.par_chunks_mut(a * n * l * LANE)))
+            .zip((lane_valid.par_chunks_mut(a * n * l), frames.par_chunks_mut(a * n * NO_FRAME.len())))
             .enumerate()
-            .for_each(|(i, (((own, neighbors), (neighbor_valid, lanes)), lane_valid))| {
+            .for_each(|(i, (((own, neighbors), (neighbor_valid, lanes)), (lane_valid, frames)))| {
                 let poses = token_poses(
                     &poses_host[i * a * t * 3..(i + 1) * a * t * 3],
                     &valid[i * a * t..(i + 1) * a * t],
                     [a, t, n, counts.patch],
                     surroundings.rows[i].dt_s,
                 );
-                let mut row = Row { own, neighbors, neighbor_valid, lanes, lane_valid };
-                let frames = (&origin[i * a * 2..(i + 1) * a * 2], &rotation[i * a * 2..(i + 1) * a * 2]);
-                row.write(&poses, &surroundings.rows[i], frames, [a, n, k, l]);
+                let mut row = Row { frames, own, neighbors, neighbor_valid, lanes, lane_valid };
+                let own_frames = (&origin[i * a * 2..(i + 1) * a * 2], &rotation[i * a * 2..(i + 1) * a * 2]);
+                row.write(&poses, &surroundings.rows[i], own_frames, [a, n], counts);
             });
         let device: &Device = poses.device();
         Ok(Self {
+            frames: Tensor::from_vec(frames, (b, a, n, NO_FRAME.len()), device)?,
             own: Tensor::from_vec(own, (b, a, n, OWN), device)?,
             neighbors: Tensor::from_vec(neighbors, (b, a, n, k, NEIGHBOR), device)?,
             neighbor_valid: Tensor::from_vec(neighbor_valid, (b, a, n, k), device)?,
@@ -148,8 +158,10 @@ impl Row<'_> {
         poses: &[Option<Pose>],
         row: &RowSurroundings,
         (origin, rotation): (&[f32], &[f32]),
-        [a, n, k, l]: [usize; 4],
+        [a, n]: [usize; 2],
+        counts: Counts,
     ) {
+        let (k, l) = (counts.neighbors.max(1), counts.lanes.max(1));
         let mut ranked: Vec<(f32, usize)> = Vec::with_capacity(a);
         // Agents beyond those of the row are padding.
         for agent in 0..a.min(row.agents.len()) {
@@ -158,6 +170,12 @@ impl Row<'_> {
                 let Some(pose) = &poses[at] else { continue };
                 let frame = [origin[agent * 2], origin[agent * 2 + 1], rotation[agent * 2], rotation[agent * 2 + 1]];
                 self.own[at * OWN..(at + 1) * OWN].copy_from_slice(&own_features(pose, frame));
+                self.frames[at * NO_FRAME.len()..(at + 1) * NO_FRAME.len()].copy_from_slice(&[
+                    pose.cos,
+                    pose.sin,
+                    pose.x / FRAME_M,
+                    pose.y / FRAME_M,
+                ]);
 
                 ranked.clear();
                 for other in (0..row.agents.len()).filter(|other| *other != agent) {
@@ -166,7 +184,7 @@ impl Row<'_> {
                     }
                 }
                 ranked.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
-                for (i, (gap, other)) in ranked.iter().take(k).enumerate() {
+                for (i, (gap, other)) in ranked.iter().take(counts.neighbors).enumerate() {
                     let Some(them) = &poses[other * n + token] else { continue };
                     let features = neighbor_features(pose, them, &row.agents[*other], *gap);
                     let to = at * k + i;
@@ -174,7 +192,7 @@ impl Row<'_> {
                     self.neighbor_valid[to] = 1.0;
                 }
 
-                for (i, features) in nearest_lanes(pose, row, agent, l).into_iter().enumerate() {
+                for (i, features) in nearest_lanes(pose, row, agent, counts.lanes).into_iter().enumerate() {
                     let to = at * l + i;
                     self.lanes[to * LANE..(to + 1) * LANE].copy_from_slice(&features);
                     self.lane_valid[to] = 1.0;

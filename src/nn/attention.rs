@@ -37,6 +37,21 @@ impl SelfAttention {
         Ok(Self { qkv, out, n_heads })
     }
 
+    /// The same among all agents of a timestep, of which each state has a frame of its own, `frames` (B, A, T, 4) as in
+    /// [`ops::map_frames`]: states read each other as they lie in the reader's frame.
+    ///
+    /// # Errors
+    /// When shapes do not fit.
+    pub fn forward_in_frames(&self, x: &Tensor, valid: &Tensor, frames: &Tensor) -> Result<Tensor> {
+        use ops::FrameMap::{Dual, FromCommon, ToCommon};
+        let qkv = self.qkv.forward_valid(x, valid)?;
+        let head_dim = qkv.dim(3)? / (3 * self.n_heads);
+        let qkv = ops::map_frames(&qkv, frames, head_dim, &[Dual, ToCommon, ToCommon])?;
+        let mixed = ops::self_attention(&qkv, valid, self.n_heads, Axis::Agent)?;
+        let mixed = ops::map_frames(&mixed, frames, head_dim, &[FromCommon])?;
+        self.out.forward_valid(&mixed, valid)
+    }
+
     /// Mixes `x` (B, A, T, D) along `axis`. States where `valid` (B, A, T) is 0 are not attended to and get exactly 0.
     ///
     /// # Errors

@@ -176,7 +176,13 @@ fn outputs_and_gradients_of_random_weights_are_those_of_pytorch() {
         width: 8,
         n_heads: 2,
         feed_forward: 12,
-        geometry: Some(GeometryConfig { patch: 3, n_lanes: 4, n_neighbors: 2, n_nearest_lanes: 2, relation_width: 4 }),
+        geometry: Some(GeometryConfig {
+            n_lanes: 4,
+            n_neighbors: 2,
+            n_nearest_lanes: 2,
+            relation_width: 4,
+            ..GeometryConfig::default()
+        }),
         ..NetworkConfig::default()
     };
     let mut params = Params::new(&Compute::cpu());

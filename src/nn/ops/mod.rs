@@ -7,6 +7,7 @@ mod adam;
 mod attention;
 mod cross_attention;
 mod cuda;
+mod frames;
 mod gemm;
 mod heads;
 mod host;
@@ -21,6 +22,7 @@ mod sinusoidal;
 use candle_core::{D, DType, Device, Result, Tensor, bail};
 
 pub(super) use self::adam::{AdamStep, Moments};
+pub use self::frames::FrameMap;
 use self::gemm::{Bf16, F32, Tf32};
 use super::attention::Axis;
 use super::precision::Precision;
@@ -198,6 +200,24 @@ pub fn mode_filter(x: &Tensor, modes: &Tensor, gains: &Tensor) -> Result<Tensor>
     match backend(x) {
         Backend::Fused => mode_filter::fused(x, modes, gains),
         Backend::Kernels | Backend::Plain => mode_filter::reference(x, &modes.detach(), &gains.detach()),
+    }
+}
+
+/// Takes features between frames of the plane: `x` (.., P H F) holds P parts of H heads of F = `head_dim` features; each part's
+/// triples go through its entry of `maps` in the row's frame, `frames` (.., 4): cosine and sine of its rotation, x and y of its
+/// origin. Differentiable in `x` alone.
+///
+/// # Errors
+/// When shapes do not fit.
+pub fn map_frames(x: &Tensor, frames: &Tensor, head_dim: usize, maps: &[FrameMap]) -> Result<Tensor> {
+    let rows = x.dims().split_last().map(|(_, rows)| rows);
+    let fits = frames.dims().split_last().is_some_and(|(four, of)| *four == 4 && Some(of) == rows);
+    if !fits || head_dim == 0 || maps.is_empty() || !x.dim(D::Minus1)?.is_multiple_of(maps.len() * head_dim) {
+        bail!("map_frames: x {:?} and frames {:?} do not fit heads of {head_dim}", x.dims(), frames.dims());
+    }
+    match backend(x) {
+        Backend::Fused => frames::fused(x, frames, head_dim, maps),
+        Backend::Kernels | Backend::Plain => frames::reference(x, frames, head_dim, maps),
     }
 }
 
