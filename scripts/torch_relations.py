@@ -24,6 +24,12 @@ def turned(x, y, cos, sin):
     return x * cos + y * sin, y * cos - x * sin
 
 
+def smallest(x, n, dim):
+    """The `n` smallest entries along `dim` and where they are; of equal ones the first."""
+    values, index = x.sort(dim=dim, stable=True)
+    return values.narrow(dim, 0, min(n, x.shape[dim])), index.narrow(dim, 0, min(n, x.shape[dim]))
+
+
 class Surroundings:
     """What does not change between calls: when tokens are, and the lanes that each agent is shown."""
 
@@ -52,6 +58,7 @@ class Surroundings:
         self.seen = batch["agent_lane_valid"] > 0
         lane = batch["piece_lane"][rows, piece]
         self.same_lane = lane[..., :, None] == lane[..., None, :]
+        self.by_lane = lane.argsort(dim=-1, stable=True)
         self.direction = torch.stack([self.points[..., 2].cos(), self.points[..., 2].sin()], -1)
 
     def map(self, change):
@@ -103,7 +110,7 @@ def gaps(around, pose):
 def neighbors(around, pose, n):
     n_agents = pose.shape[1]
     others = around.there[:, :, None] & around.there[:, None] & ~torch.eye(n_agents, dtype=torch.bool)[None, :, :, None]
-    gap, index = gaps(around, pose).masked_fill(~others, torch.inf).topk(min(n, n_agents), dim=2, largest=False)
+    gap, index = smallest(gaps(around, pose).masked_fill(~others, torch.inf), n, 2)
     there = gap.isfinite()
     gap = gap.masked_fill(~there, 0.0)
     sizes = torch.cat([around.half_size, around.is_vulnerable[..., None]], -1)
@@ -139,7 +146,10 @@ def lanes(around, pose, n):
     mine, theirs = cost[..., :, None], cost[..., None, :]
     earlier = torch.ones(n_pieces, n_pieces, dtype=torch.bool).tril(-1)
     beaten = wide(around.same_lane) & ((theirs < mine) | ((theirs == mine) & earlier))
-    cost, index = cost.masked_fill(beaten.any(-1), torch.inf).topk(min(n, n_pieces), dim=-1, largest=False)
+    # Lanes that begin where others end are as near as those: the one with the lower number comes first.
+    by_lane = wide(around.by_lane)
+    cost, index = smallest(cost.masked_fill(beaten.any(-1), torch.inf).gather(-1, by_lane), n, -1)
+    index = by_lane.gather(-1, index)
     there = cost.isfinite() & around.there[..., None]
 
     k = k.gather(-1, index)

@@ -35,12 +35,20 @@ struct Options {
     n_rounds: usize,
     n_futures: usize,
     n_steps: usize,
+    presets: Vec<Preset>,
+}
+
+const fn name_of(preset: Preset) -> &'static str {
+    match preset {
+        Preset::Paper => "paper",
+        _ => "small",
+    }
 }
 
 /// Prints one row for each kind of call.
 pub(crate) fn run(arguments: &[String]) -> std::result::Result<(), String> {
-    let usage = "network SCENES [--python PROGRAM] [--batch N] [--rounds N] [--futures N] [--steps N], where SCENES is the \
-                 folder `scenes` of a run";
+    let usage = "network SCENES [--python PROGRAM] [--batch N] [--rounds N] [--futures N] [--steps N] [--preset paper|small], \
+                 where SCENES is the folder `scenes` of a run";
     let (scenes, rest) = arguments.split_first().ok_or(usage)?;
     let mut options = Options {
         scenes: scenes.into(),
@@ -49,6 +57,7 @@ pub(crate) fn run(arguments: &[String]) -> std::result::Result<(), String> {
         n_rounds: 7,
         n_futures: 60,
         n_steps: 3,
+        presets: vec![Preset::Paper, Preset::Small],
     };
     for pair in rest.chunks(2) {
         let [name, value] = pair else { return Err(usage.to_owned()) };
@@ -59,12 +68,18 @@ pub(crate) fn run(arguments: &[String]) -> std::result::Result<(), String> {
             "--rounds" => options.n_rounds = number()?,
             "--futures" => options.n_futures = number()?,
             "--steps" => options.n_steps = number()?,
+            "--preset" => {
+                options.presets.retain(|preset| name_of(*preset) == value);
+                if options.presets.is_empty() {
+                    return Err(format!("{name} {value}: {usage}"));
+                }
+            }
             _ => return Err(format!("{name}: {usage}")),
         }
     }
     keep_freed_memory();
-    for preset in [Preset::Paper, Preset::Small] {
-        compare(&options, preset).map_err(|error| error.to_string())?;
+    for preset in &options.presets {
+        compare(&options, *preset).map_err(|error| error.to_string())?;
     }
     Ok(())
 }
@@ -79,11 +94,9 @@ struct Noisy {
 
 fn compare(options: &Options, preset: Preset) -> Result<()> {
     let training = DenoiserTrainingConfig { preset, ..DenoiserTrainingConfig::default() }.resolve()?;
-    let (name, batch_size) = match preset {
-        Preset::Paper => ("paper", 4),
-        _ => ("small", training.common.batch_size),
-    };
-    let batch_size = options.batch_size.unwrap_or(batch_size);
+    let name = name_of(preset);
+    let own_batch_size = if preset == Preset::Paper { 4 } else { training.common.batch_size };
+    let batch_size = options.batch_size.unwrap_or(own_batch_size);
     println!("the network of the preset {name}");
     let store = SceneStore::open(&options.scenes)?;
     let train: Vec<usize> = (0..store.len()).filter(|idx| store.index()[*idx].split == Split::Train).collect();
