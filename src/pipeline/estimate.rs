@@ -2,12 +2,13 @@
 
 use super::config::PipelineConfig;
 use super::layout::Layout;
-use super::stages::checkpoint_file;
+use super::stages::{checkpoint_file, generation};
 use super::{Failure, Result};
 use crate::diffusion::Denoiser;
-use crate::generate::{GenerateConfig, ResolvedGeneration, ResolvedRequest};
+use crate::generate::{GenerateConfig, Pool, ResolvedGeneration, ResolvedRequest};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::model::TrainedDenoiser;
+use crate::nn::Compute;
 use crate::scene::{
     AgentClass, Dataset, Extent, Lane, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource, Split, State,
     Track, TrackId, TrackRole, Trajectory,
@@ -43,10 +44,12 @@ pub fn estimate(config: &PipelineConfig, layout: &Layout) -> Result<Vec<String>>
             n_samples * each
         ));
     }
-    for request in &resolved.requests {
-        n_evaluations += describe(request, &resolved, &mut lines);
+    let compute = config.run.compute().open()?;
+    let pools = generation(config, layout).map(|stage| stage.pools(&compute)).transpose()?.flatten();
+    for (idx, request) in resolved.requests.iter().enumerate() {
+        n_evaluations += describe(request, &resolved, pools.as_ref().map(|pools| &pools[idx]), &mut lines);
     }
-    let time = match evaluations_per_second(config, generate, layout)? {
+    let time = match evaluations_per_second(config, generate, layout, &compute)? {
         None => "time unknown: no denoiser to measure yet".to_owned(),
         Some((rate, what)) => {
             let seconds = n_evaluations as f64 / rate;
@@ -61,8 +64,13 @@ pub fn estimate(config: &PipelineConfig, layout: &Layout) -> Result<Vec<String>>
     Ok(lines)
 }
 
-/// Adds the lines of a request. Returns its most evaluations.
-fn describe(request: &ResolvedRequest, resolved: &ResolvedGeneration, lines: &mut Vec<String>) -> u64 {
+/// Adds the lines of a request, of which the pairs are known where there is a `pool`. Returns its most evaluations.
+fn describe(
+    request: &ResolvedRequest,
+    resolved: &ResolvedGeneration,
+    pool: Option<&Pool>,
+    lines: &mut Vec<String>,
+) -> u64 {
     let config = &request.config;
     let dearest = request.arms.iter().map(|arm| arm.n_evaluations).max().unwrap_or(1);
     let cheapest = request.arms.iter().map(|arm| arm.n_evaluations).min().unwrap_or(1).max(1);
@@ -77,12 +85,27 @@ fn describe(request: &ResolvedRequest, resolved: &ResolvedGeneration, lines: &mu
         wanted.iter().sum::<u64>(),
         wanted.len()
     ));
+    lines.push(match pool {
+        None => "    pairs that can fall into a bucket are counted once scenes and models are there".to_owned(),
+        Some(pool) => format!(
+            "    {} pairs of {} scenes; {} more can fall into no bucket",
+            pool.cells.len(),
+            pool.n_scenes,
+            pool.n_infeasible
+        ),
+    });
     for arm in &request.arms {
         let sampler = resolved.sweeps[arm.sweep_idx].sampler_name();
         lines.push(format!("    arm {}: {sampler}, {} evaluations a sample", arm.name, arm.n_evaluations));
     }
     for (bucket, n) in wanted.iter().enumerate() {
-        lines.push(format!("    bucket {bucket}: {}: {n} wanted", request.buckets.ranges(bucket)));
+        let pairs = match pool.map(|pool| pool.n_feasible(bucket)) {
+            None => String::new(),
+            Some(0) => ", but no pair can fall into it".to_owned(),
+            Some(1) => ", 1 pair can fall into it".to_owned(),
+            Some(n) => format!(", {n} pairs can fall into it"),
+        };
+        lines.push(format!("    bucket {bucket}: {}: {n} wanted{pairs}", request.buckets.ranges(bucket)));
     }
     most_evaluations
 }
@@ -92,6 +115,7 @@ fn evaluations_per_second(
     config: &PipelineConfig,
     generate: &GenerateConfig,
     layout: &Layout,
+    compute: &Compute,
 ) -> Result<Option<(f64, &'static str)>> {
     let trained = checkpoint_file(&layout.denoiser);
     let taken_over = config.train.denoiser.as_ref().and_then(|denoiser| denoiser.checkpoint.as_deref());
@@ -100,8 +124,7 @@ fn evaluations_per_second(
         (false, Some(path)) => checkpoint_file(path),
         (false, None) => return Ok(None),
     };
-    let compute = config.run.compute().open()?;
-    let TrainedDenoiser { network: denoiser, spec, .. } = TrainedDenoiser::read(&path, &compute)?;
+    let TrainedDenoiser { network: denoiser, spec, .. } = TrainedDenoiser::read(&path, compute)?;
     let is_alike = |scene: &Scene| scene.n_history == spec.n_history && scene.n_timesteps == spec.n_timesteps;
     let recorded = SceneStore::open(&layout.scenes).ok().and_then(|store| store.scene(0).ok()).filter(is_alike);
     let what = if recorded.is_some() { "a recorded scene" } else { "a made-up scene of 16 agents" };

@@ -1,14 +1,15 @@
 //! Which scenarios of each sweep are drawn, of thousands that come by one after the other?
 //!
 //! Of sweeps that ask for a behavior, single scenarios: new verified ones first, of as many scenes as possible, and some that
-//! failed. Of other sweeps, scenes with several of their samples; the same scenes in all of these sweeps where they are there, so
+//! failed; of requests, accepted ones of each bucket. Of other sweeps, scenes with several of their samples; the same scenes in all of these sweeps where they are there, so
 //! that what the sweeps differ in can be seen. What is kept of a sweep is bounded by the configuration, whatever its size.
 
 use super::card::Verdict;
 use super::config::ReportConfig;
 use crate::scene::SceneId;
-use crate::store::{ScenarioRecord, SceneSet};
+use crate::store::{BucketTag, RequestOutcome, ScenarioRecord, SceneSet};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// How much of a sweep is drawn, and which setting keeps it from being more.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,6 +41,8 @@ pub(super) enum Chosen {
 pub(super) struct Choice<'a> {
     config: &'a ReportConfig,
     sweeps: Vec<(String, Candidates)>,
+    /// What requests accepted, by request and bucket.
+    buckets: BTreeMap<(String, usize), Ranked>,
 }
 
 enum Candidates {
@@ -49,11 +52,16 @@ enum Candidates {
 
 impl<'a> Choice<'a> {
     pub(super) const fn new(config: &'a ReportConfig) -> Self {
-        Self { config, sweeps: Vec::new() }
+        Self { config, sweeps: Vec::new(), buckets: BTreeMap::new() }
     }
 
     /// Looks at the next scenario, in the order of the samples, whose scene has this position in its store.
     pub(super) fn offer(&mut self, record: &ScenarioRecord, scene_idx: usize) {
+        if let Some((request, bucket)) = accepted_into(record) {
+            let limit = self.config.n_drawn_per_bucket;
+            let of_bucket = self.buckets.entry((request.to_owned(), bucket.idx));
+            return of_bucket.or_insert_with(|| Ranked::new(limit)).offer(record, scene_idx);
+        }
         let at = self.sweeps.iter().position(|(sweep, _)| *sweep == record.sweep).unwrap_or_else(|| {
             self.sweeps.push((record.sweep.clone(), self.candidates(record)));
             self.sweeps.len() - 1
@@ -114,13 +122,36 @@ impl<'a> Choice<'a> {
                 vec![row(sweep, "scenes, at each strength", galleries.scenes.len(), "n_scenes_drawn", n_scenes_drawn)]
             }
         });
-        rows.collect()
+        rows.chain(self.drawn_of_requests()).collect()
     }
 
-    /// What is drawn, in the order of the sweeps.
+    fn drawn_of_requests(&self) -> Vec<Drawn> {
+        let limit = self.config.n_drawn_per_bucket;
+        let mut rows: Vec<Drawn> = Vec::new();
+        for ((request, _), accepted) in &self.buckets {
+            if rows.last().is_none_or(|row| row.sweep != *request) {
+                rows.push(Drawn {
+                    sweep: request.clone(),
+                    what: "accepted scenarios, of each bucket".to_owned(),
+                    n_drawn: 0,
+                    n_there: 0,
+                    setting: "n_drawn_per_bucket".to_owned(),
+                    limit,
+                });
+            }
+            if let Some(row) = rows.last_mut() {
+                row.n_drawn += accepted.n_offered.min(limit);
+                row.n_there += accepted.n_offered;
+            }
+        }
+        rows
+    }
+
+    /// What is drawn: requests, bucket by bucket, then in the order of the sweeps.
     pub(super) fn finish(self) -> Vec<Chosen> {
         let n_drawn = self.config.n_drawn;
-        let mut chosen = Vec::new();
+        let of_buckets = self.buckets.into_values().flat_map(Ranked::take);
+        let mut chosen: Vec<Chosen> = of_buckets.map(|record| Chosen::Alone(Box::new(record))).collect();
         for (_, candidates) in self.sweeps {
             match candidates {
                 Candidates::Asked { new, recorded, failed } => {
@@ -132,6 +163,12 @@ impl<'a> Choice<'a> {
         }
         chosen
     }
+}
+
+/// The request that took a scenario, and the bucket that it went into.
+fn accepted_into(record: &ScenarioRecord) -> Option<(&str, &BucketTag)> {
+    let tag = record.request.as_ref().filter(|tag| tag.outcome == RequestOutcome::Accepted)?;
+    Some((&tag.request, tag.bucket.as_ref()?))
 }
 
 /// Up to `limit` scenarios, the first of each scene before further ones.

@@ -4,7 +4,7 @@ use super::choice::{Choice, Chosen};
 use super::config::ReportConfig;
 use crate::scene::testing::{self, Drive};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario};
-use crate::store::ScenarioRecord;
+use crate::store::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 
 fn record(sweep: &str, scene: &str, strength: f64, sample_idx: usize) -> ScenarioRecord {
     let recorded = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);
@@ -108,4 +108,28 @@ fn what_keeps_drawings_from_being_more_is_told() {
     let expected = [("asked", 3, 3, "n_drawn"), ("asked", 1, 2, "n_failed_drawn"), ("one", 2, 3, "n_scenes_drawn")];
     assert_eq!(told, expected);
     assert_eq!(choice.finish().len(), 3 + 1 + 2);
+}
+
+#[test]
+fn of_each_bucket_of_a_request_some_accepted_scenarios_are_drawn() {
+    let taken = |scene: &str, sample_idx: usize, bucket: usize, outcome: RequestOutcome| {
+        let bucket = BucketTag { idx: bucket, ranges: format!("gap_m {bucket}..{}", bucket + 1) };
+        let tag = RequestTag { request: "gaps".into(), round: 0, outcome, bucket: Some(bucket) };
+        ScenarioRecord { request: Some(tag), ..asked(scene, sample_idx, true, false) }
+    };
+    let (accepted, surplus) = (RequestOutcome::Accepted, RequestOutcome::Surplus);
+    let records = [
+        taken("a", 0, 1, accepted),
+        taken("a", 1, 1, accepted),
+        taken("b", 2, 1, accepted),
+        taken("a", 3, 0, accepted),
+        taken("b", 4, 0, surplus),
+    ];
+    let config = ReportConfig { n_drawn: 0, n_drawn_per_bucket: 2, ..ReportConfig::default() };
+    let mut choice = Choice::new(&config);
+    records.iter().for_each(|record| offer(&mut choice, record));
+    let row = choice.drawn().into_iter().find(|row| row.sweep == "gaps").unwrap();
+    assert_eq!((row.n_drawn, row.n_there, row.setting.as_str()), (3, 4, "n_drawn_per_bucket"));
+    // The first of each scene before further ones; what came when its bucket was full is like any other sample of its sweep.
+    assert_eq!(ids(&choice.finish()), ["asked-a-2-3", "asked-a-2-0", "asked-b-2-2"]);
 }

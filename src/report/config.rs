@@ -15,6 +15,9 @@ pub struct ReportConfig {
     /// Scenarios to draw per such sweep that do not show the behavior.
     #[schemars(range(max = 100_000))]
     pub n_failed_drawn: usize,
+    /// Accepted scenarios to draw of each bucket of a request.
+    #[schemars(range(max = 100_000))]
+    pub n_drawn_per_bucket: usize,
     /// Scenes to draw per sweep without a behavior, at each strength; the same scenes in all of them.
     #[schemars(range(max = 100_000))]
     pub n_scenes_drawn: usize,
@@ -32,6 +35,7 @@ impl Default for ReportConfig {
             title: String::new(),
             n_drawn: 12,
             n_failed_drawn: 3,
+            n_drawn_per_bucket: 2,
             n_scenes_drawn: 2,
             n_samples_drawn: 6,
             n_compared: 300,

@@ -31,8 +31,8 @@ mod training;
 mod wilson;
 
 pub use card::{
-    Acceptance, CardKey, CardValue, DrawnAgent, DrawnLane, DrawnSample, Sample, SceneCard, ScenePanel, Verdict,
-    ViewRect,
+    Acceptance, CardBucket, CardKey, CardValue, DrawnAgent, DrawnLane, DrawnSample, Sample, SceneCard, ScenePanel,
+    Verdict, ViewRect,
 };
 pub use cautions::cautions;
 pub use choice::Drawn;

@@ -75,14 +75,18 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     let workspace = Workspace::new();
     fs_err::write(workspace.path("small.toml"), pipeline()).unwrap();
     let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
-    for part in
-        ["request tight: 12 scenarios in 4 buckets; 72 samples, 432 evaluations", "arm guided@20", "time unknown"]
-    {
+    for part in [
+        "request tight: 12 scenarios in 4 buckets; 72 samples, 432 evaluations",
+        "arm guided@20",
+        "time unknown",
+        "are counted once scenes and models are there",
+    ] {
         assert!(plan.contains(part), "`{part}` is not in\n{plan}");
     }
     workspace.run("out", &["--threads", "1"]).expect(0);
     let root = workspace.run_folder("out");
     let before = files(&root);
+    let n_pairs = read_requests(&root.join("samples")).unwrap()[0].buckets[0].n_feasible;
     counts_agree_with_the_rows(&root);
     rows_are_generated_again(&workspace, &root);
 
@@ -102,6 +106,7 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
         }
         let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
         assert!(plan.contains("#   generate          fresh (resumes"), "{plan}");
+        assert!(plan.contains(&format!("3 wanted, {n_pairs} pairs can fall into it")), "{plan}");
         workspace.run("out", &[]).expect(0);
         assert_same(&before, &files(&root));
     }

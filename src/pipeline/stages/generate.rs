@@ -7,7 +7,7 @@ use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledW
 use super::with_precision;
 use crate::diffusion::Edm;
 use crate::evaluate::{for_maps, map_fits};
-use crate::generate::{self, GenerateConfig, Generator, Plan, ResolvedGeneration, ShardPlan, Shortfall};
+use crate::generate::{self, GenerateConfig, Generator, Plan, Pool, ResolvedGeneration, ShardPlan, Shortfall};
 use crate::metrics::MetricSettings;
 use crate::nn::{Compute, Precision};
 use crate::pipeline::layout::{Layout, SAMPLES};
@@ -199,6 +199,20 @@ impl Generate<'_> {
         let settings = &self.metric_settings;
         let decide = *settings != MetricSettings::default() && self.config.selects_by(|id| settings.decide(id));
         decide.then_some(settings)
+    }
+
+    /// The pairs of each request, with the buckets into which they can still fall; `None` before scenes and models are there.
+    ///
+    /// # Errors
+    /// When no pair can fulfill a request, or scenes and models cannot be read.
+    pub(in crate::pipeline) fn pools(&self, compute: &Compute) -> Result<Option<Vec<Pool>>> {
+        if self.resolve()?.requests.is_empty() || self.inputs().iter().any(|input| !input.path.exists()) {
+            return Ok(None);
+        }
+        self.with_ready(compute, |Ready { resolved, generator, store, .. }| {
+            let pools = resolved.requests.iter().map(|request| generator.pool(request, store.index()));
+            Ok(Some(pools.collect::<std::result::Result<_, _>>()?))
+        })
     }
 
     /// What is sampled, sweeps of requests among it.

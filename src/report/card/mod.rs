@@ -39,6 +39,8 @@ pub struct CardKey {
     pub sweep: String,
     /// The behavior that was asked for.
     pub behavior: Option<String>,
+    /// The bucket of a request that it went into.
+    pub bucket: Option<CardBucket>,
     /// The place of the recording.
     pub place: String,
     /// What came of what was asked for.
@@ -50,6 +52,24 @@ pub struct CardKey {
     pub level: GuidanceLevel,
     /// Parameters of the event and metrics of the scenario; of several samples their mean.
     pub values: Vec<CardValue>,
+}
+
+/// A bucket of a request.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CardBucket {
+    /// Name of the request.
+    pub request: String,
+    /// Index of the bucket among those of the request.
+    pub idx: usize,
+    /// What it holds: `gap_m 0..5, relative_speed_mps -5..0`.
+    pub ranges: String,
+}
+
+impl CardBucket {
+    /// The request and what the bucket holds.
+    pub fn words(&self) -> String {
+        format!("{}: {}", self.request, self.ranges)
+    }
 }
 
 /// A number that belongs to a scene.

@@ -1,11 +1,11 @@
 //! From generated scenarios to what is drawn of them: one beside its recording, or many samples of one scene.
 
-use super::{Acceptance, CardKey, CardValue, Sample, SceneCard, Verdict};
+use super::{Acceptance, CardBucket, CardKey, CardValue, Sample, SceneCard, Verdict};
 use crate::report::model::Fact;
 use crate::report::number::{level, value};
 use crate::report::quantities::title_and_unit;
 use crate::scene::{GuidanceLevel, Roles, Scene};
-use crate::store::ScenarioRecord;
+use crate::store::{BucketTag, RequestOutcome, ScenarioRecord};
 
 impl Verdict {
     /// What came of what this scenario was asked for.
@@ -47,6 +47,7 @@ impl SceneCard {
         let title = format!("{asked}, {}, {}: {verdict}", key.place, key.level);
         let mut facts = vec![Fact::new("Scenario", &scenario.id)];
         facts.extend(acceptance.map(|acceptance| Fact::new("Decision", acceptance.words())));
+        facts.extend(key.bucket.as_ref().map(|bucket| Fact::new("Requested", bucket.words())));
         facts.extend(facts_of_source(record, recorded));
         facts.push(Fact::new("Sample", scenario.provenance.sample_idx));
         facts.extend(scenario.provenance.probability.map(|p| Fact::new("Probability", value(p))));
@@ -97,12 +98,20 @@ fn key(record: &ScenarioRecord, recorded: &Scene, values: Vec<CardValue>) -> Car
     CardKey {
         sweep: record.sweep.clone(),
         behavior: record.requested_behavior.clone(),
+        bucket: bucket(record),
         place: recorded.source.place.clone(),
         verdict: Verdict::of(record),
         acceptance: None,
         level: record.scenario.provenance.guidance.level,
         values,
     }
+}
+
+/// The bucket of a request that took the scenario.
+fn bucket(record: &ScenarioRecord) -> Option<CardBucket> {
+    let tag = record.request.as_ref().filter(|tag| tag.outcome == RequestOutcome::Accepted)?;
+    let BucketTag { idx, ranges } = tag.bucket.clone()?;
+    Some(CardBucket { request: tag.request.clone(), idx, ranges })
 }
 
 fn facts_of_source(record: &ScenarioRecord, recorded: &Scene) -> Vec<Fact> {

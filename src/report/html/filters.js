@@ -2,7 +2,7 @@
 {
   const PREFIX = "#scenes&";
   // In the order of what the page knows of each scene; of decisions it may know several.
-  const CHOICES = ["sweep", "behavior", "place", "verdict", "strength", "decision"];
+  const CHOICES = ["sweep", "behavior", "place", "verdict", "strength", "bucket", "decision"];
   const index = JSON.parse(document.getElementById("index").textContent);
   const form = document.getElementById("filters");
   const found = document.getElementById("found");

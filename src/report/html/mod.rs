@@ -5,6 +5,7 @@ mod data;
 mod outcome;
 mod plain;
 mod quality;
+mod request_gallery;
 mod request_grid;
 mod requests;
 mod scenes;

@@ -1,20 +1,22 @@
 //! What was asked by parameters, and what was got: buckets, arms, and what each accepted scenario cost.
 
+use super::request_gallery::gallery;
 use super::request_grid::{grid, range};
 use super::{Section, table};
 use crate::generate::{BucketSummary, Ended, RequestSummary, Yield};
+use crate::report::card::SceneCard;
 use crate::report::model::ReportModel;
 use crate::report::number::{ABSENT, count, level, optional, share};
 use maud::{Markup, html};
 
 pub(super) fn section(model: &ReportModel) -> Option<Section> {
     (!model.requests.is_empty()).then(|| {
-        let body = html! { @for request in &model.requests { (one(request)) } };
+        let body = html! { @for request in &model.requests { (one(request, &model.scenes)) } };
         Section::new("requests", "Requested and delivered", body)
     })
 }
 
-fn one(request: &RequestSummary) -> Markup {
+fn one(request: &RequestSummary, cards: &[SceneCard]) -> Markup {
     let ended = match request.ended {
         Ended::Full => "all reachable buckets were full",
         Ended::Budget => "its budget was spent",
@@ -28,6 +30,7 @@ fn one(request: &RequestSummary) -> Markup {
             " rounds, when " (ended) "."
         }
         @if let Some(grid) = grid(&request.buckets) { (grid) }
+        (gallery(&request.name, cards))
         (buckets(request))
         (arms(request))
     }

@@ -71,6 +71,15 @@ fn reasons_are_one_table_with_the_most_frequent_first() {
 }
 
 #[test]
+fn a_drawing_of_each_bucket_leads_to_its_scene() {
+    let page = sample_page();
+    let gallery = page.split(r#"<div class="bucket-gallery">"#).nth(1).unwrap();
+    let gallery = &gallery[..gallery.find("</div>").unwrap()];
+    assert_eq!(gallery.matches("<figure>").count(), 1);
+    assert!(gallery.contains(r##"<a href="#scene-0"><svg"##) && gallery.contains("gap_m 0..5"), "{gallery}");
+}
+
+#[test]
 fn no_table_has_more_columns_than_a_laptop_shows() {
     let page = sample_page();
     for row in page.split("<thead>").skip(1) {

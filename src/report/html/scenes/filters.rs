@@ -1,7 +1,7 @@
 //! By what can scenes be found? A form, and what the page knows of every scene to answer it.
 
 use super::ranges::{Range, groups, ranges};
-use crate::report::card::{SceneCard, Verdict};
+use crate::report::card::{CardBucket, SceneCard, Verdict};
 use crate::report::number::level;
 use crate::scene::GuidanceLevel;
 use maud::{Markup, html};
@@ -25,6 +25,7 @@ pub(super) fn form(cards: &[SceneCard]) -> Markup {
     levels.sort_by(|a, b| a.strength.total_cmp(&b.strength).then(a.weight.total_cmp(&b.weight)));
     levels.dedup();
     let levels: Vec<(String, String)> = levels.into_iter().map(|own| (own.to_string(), level(own))).collect();
+    let buckets = distinct(cards.iter().filter_map(|card| card.key.bucket.as_ref()).map(|b| (b.words(), b.words())));
     let decisions = decisions(cards);
     let ranges = ranges(cards);
     html! {
@@ -34,6 +35,7 @@ pub(super) fn form(cards: &[SceneCard]) -> Markup {
                 (choice("behavior", "Behavior", &behaviors))
                 (choice("place", "Place", &places))
                 (choice("verdict", "Verdict", &verdicts))
+                (choice("bucket", "Bucket", &buckets))
                 (choice("decision", "Decision", &decisions))
                 (choice("strength", "Strength α", &levels))
             }
@@ -92,7 +94,7 @@ fn choice(name: &str, label: &str, options: &[(String, String)]) -> Markup {
 }
 
 /// What the form is answered from: the names of the figures, and of each scene its sweep, behavior, place, verdict, strength,
-/// decisions and figures.
+/// bucket, decisions and figures.
 pub(super) fn index(cards: &[SceneCard]) -> Value {
     let ranges = ranges(cards);
     let entry = |card: &SceneCard| {
@@ -106,6 +108,7 @@ pub(super) fn index(cards: &[SceneCard]) -> Value {
             card.key.place,
             card.key.verdict.name(),
             card.key.level.to_string(),
+            card.key.bucket.as_ref().map(CardBucket::words),
             tags(card),
             ranges.iter().map(figure).collect::<Vec<_>>(),
         ])

@@ -1,7 +1,7 @@
 //! Scenes that are drawn: a road of three lanes, on which another car comes over to the lane of the ego.
 
 use djinn::geometry::{Polyline, Transform2, Vec2};
-use djinn::report::{Acceptance, CardKey, CardValue, Fact, Sample, SceneCard, Verdict};
+use djinn::report::{Acceptance, CardBucket, CardKey, CardValue, Fact, Sample, SceneCard, Verdict};
 use djinn::scene::{
     AgentClass, Dataset, Extent, GuidanceLevel, Lane, LaneGraph, LaneId, ObservationMask, Roles, Scene, SceneId,
     SceneSource, Split, State, Track, TrackId, TrackRole, Trajectory,
@@ -29,6 +29,11 @@ pub(crate) fn card(idx: usize, name: &str, depth: f64, turned_rad: f64) -> Scene
     let key = CardKey {
         sweep: "cut_in".into(),
         behavior: Some("cut_in".into()),
+        bucket: (idx == 0).then(|| CardBucket {
+            request: format!("tight cut-ins of {name}"),
+            idx: 0,
+            ranges: format!("gap_m 0..5 of {name}"),
+        }),
         place: name.into(),
         verdict: if idx.is_multiple_of(2) { Verdict::New } else { Verdict::NotVerified },
         acceptance: Some(Acceptance {
@@ -60,6 +65,7 @@ pub(super) fn gallery(name: &str) -> SceneCard {
     let key = CardKey {
         sweep: "masks".into(),
         behavior: None,
+        bucket: None,
         place: name.into(),
         verdict: Verdict::NotAsked,
         acceptance: None,
