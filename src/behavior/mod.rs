@@ -24,6 +24,7 @@ mod pairs;
 mod right_turn;
 pub(crate) mod speed_profile;
 pub(crate) mod sweep;
+mod template;
 #[cfg(test)]
 pub(crate) mod testing;
 pub(crate) mod time_to_collision;
@@ -40,12 +41,14 @@ pub use left_turn::LeftTurn;
 pub use near_miss::{NearMiss, NearMissConfig};
 pub use outcome::Outcome;
 pub use right_turn::RightTurn;
+pub use template::Template;
 pub use turn::TurnConfig;
 
 use crate::scene::{AgentClass, Scene};
 use crate::settings;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// A behavior with a definition that can be checked on any scene, recorded or generated.
 pub trait Behavior: Send + Sync {
@@ -67,6 +70,21 @@ pub trait Behavior: Send + Sync {
     /// cannot show the behavior. Where nothing speaks against it, one outcome that names no parameter.
     fn feasible(&self, _scene: &Scene, _agents: &[usize]) -> Vec<Outcome> {
         vec![Outcome::default()]
+    }
+    /// The parameters of outcomes for which its templates are solved; none where it has no templates.
+    fn template_parameters(&self) -> &'static [&'static str] {
+        &[]
+    }
+    /// A maneuver by which `agents`, in the order of the roles, come to an outcome whose parameters are as `wanted`, each from a least to a
+    /// most, told as outcomes are: the `variant`-th easiest, counted around. `None` where there is none.
+    fn template(
+        &self,
+        _scene: &Scene,
+        _agents: &[usize],
+        _wanted: &BTreeMap<String, [f64; 2]>,
+        _variant: usize,
+    ) -> Option<Template> {
+        None
     }
 }
 

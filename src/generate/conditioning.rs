@@ -160,13 +160,14 @@ pub(super) struct Wanted {
 }
 
 impl Generator<'_> {
-    /// The scene of a cell as the denoiser sees it, with these requested `agents`.
+    /// The scene of a cell as the denoiser sees it, with these requested `agents`, for all samples or, with a template, for this one.
     pub(super) fn condition(
         &self,
         sweep: &ResolvedSweep,
         cell: &Cell,
         recorded: &Scene,
         agents: (usize, usize),
+        sample_idx: usize,
     ) -> Result<Conditioned, Error> {
         let refuse = |why: String| Error::Config(format!("sweep {}: scene {} {why}", sweep.name, cell.scene_id));
         let mut scene = recorded.clone();
@@ -177,6 +178,7 @@ impl Generator<'_> {
                 scene = scene_edit.apply(&scene, &resolve).map_err(refuse)?;
             }
         }
+        let performer = self.follow_template(sweep, (cell, sample_idx), recorded, &mut scene);
         let subject = Subject { scene: &scene, ego_idx: agents.0, roles: &cell.roles };
         let mask = sweep.observe.mask(&subject, self.mask_seed("observe", cell)).map_err(refuse)?;
         if sweep.needs_classifier() {
@@ -193,7 +195,29 @@ impl Generator<'_> {
             // A guide has to say something of every state that is generated.
             scene = scene.completed(|agent_idx, timestep| !mask.is_observed(agent_idx, timestep));
         }
+        let mask = match performer {
+            None => mask,
+            Some(performer) => ObservationMask::from_fn(mask.n_agents(), mask.n_timesteps(), |agent_idx, timestep| {
+                let is_of_template = agent_idx == performer && scene.state(agent_idx, timestep).is_some();
+                is_of_template || mask.is_observed(agent_idx, timestep)
+            }),
+        };
         Ok(Conditioned { scene, mask, agents })
+    }
+
+    /// Puts the template of a sample into `scene`, where there is one. Returns who follows it.
+    fn follow_template(
+        &self,
+        sweep: &ResolvedSweep,
+        (cell, sample_idx): (&Cell, usize),
+        recorded: &Scene,
+        scene: &mut Scene,
+    ) -> Option<usize> {
+        let behavior = self.behavior(sweep).filter(|_| sweep.uses_template())?;
+        let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
+        let template = behavior.template(recorded, &asked, &cell.target(sample_idx), sample_idx)?;
+        template.apply(scene);
+        Some(template.agent_idx)
     }
 
     /// The wanted states of some samples of a cell, given which of its states `base` (row `row`) generates.

@@ -125,6 +125,9 @@ impl<'g> Generator<'g> {
         if level.weight != 0.0 {
             parts.push("classifier_free".to_owned());
         }
+        if sweep.uses_template() {
+            parts.push("template".to_owned());
+        }
         if parts.is_empty() { GuidanceTag::NONE.to_owned() } else { parts.join("+") }
     }
 

@@ -96,9 +96,16 @@ impl Generator<'_> {
         let sweep = &self.config.sweeps[shard.sweep_idx];
         let scenes: Vec<Scene> =
             shard.cells.iter().map(|cell| self.load(cell.scene_idx, &cell.scene_id)).collect::<Result<_, _>>()?;
-        let conditioned: Vec<Conditioned> = (shard.cells.iter().zip(&scenes))
-            .map(|(cell, scene)| self.condition(sweep, cell, scene, agents(cell, scene)?))
+        // What all samples of a cell share; with templates, of each of them.
+        let n_own = if sweep.uses_template() { sweep.n_samples } else { 1 };
+        let conditioned: Vec<Vec<Conditioned>> = (shard.cells.iter().zip(&scenes))
+            .map(|(cell, scene)| {
+                let agents = agents(cell, scene)?;
+                let own = shard.first_sample..shard.first_sample + n_own;
+                own.map(|sample_idx| self.condition(sweep, cell, scene, agents, sample_idx)).collect()
+            })
             .collect::<Result<_, Error>>()?;
+        let given = |at: usize, sample_idx: usize| &conditioned[at][(sample_idx - shard.first_sample).min(n_own - 1)];
         let mut output = ShardOutput::default();
         let mut sampled: Vec<Vec<Sampled>> = vec![Vec::new(); shard.cells.len()];
         for &level in sweep.levels() {
@@ -110,7 +117,7 @@ impl Generator<'_> {
                 if progress.must_stop() {
                     return Err(Error::Stopped);
                 }
-                let cells = members.iter().map(|at| (&shard.cells[*at], &conditioned[*at])).collect();
+                let cells = members.iter().map(|at| (&shard.cells[*at], given(*at, samples.start))).collect();
                 let batch = Batch { sweep, cells, samples: samples.clone(), level };
                 let mut draws = in_pool(self.device, || self.sample(&batch, progress))?.into_iter();
                 for at in members {
@@ -119,13 +126,13 @@ impl Generator<'_> {
                 }
             }
         }
-        for (((cell, scene), given), sampled) in shard.cells.iter().zip(&scenes).zip(&conditioned).zip(sampled) {
+        for (at, ((cell, scene), sampled)) in shard.cells.iter().zip(&scenes).zip(sampled).enumerate() {
             for Sampled { level, sample_idx, draw } in
                 self.select(sweep, (scene, &cell.roles), sampled, &mut output.unselected)
             {
                 match draw {
                     Ok(draw) => {
-                        let scenario = (&draw.scene, given.observed(&draw.scene));
+                        let scenario = (&draw.scene, given(at, sample_idx).observed(&draw.scene));
                         let sample = (level, sample_idx, draw.probability);
                         output.records.push(self.record(sweep, cell, scene, scenario, sample)?);
                     }
@@ -145,12 +152,19 @@ impl Generator<'_> {
     }
 
     /// Cells (by index) and samples that are denoised together: scenes of like size, so that little is padding, and all
-    /// samples of a scene where they fit, so that it is encoded once.
+    /// samples of a scene where they fit, so that it is encoded once. With templates samples of a scene share nothing, and one of each
+    /// scene is in a batch.
     fn batches(&self, sweep: &ResolvedSweep, scenes: &[Scene]) -> Vec<(Vec<usize>, Range<usize>)> {
         let mut order: Vec<usize> = (0..scenes.len()).collect();
         order.sort_by_key(|at| scenes[*at].tracks.len());
         let (n_samples, batch_size) = (sweep.n_samples, self.config.batch_size);
         let mut batches = Vec::new();
+        if sweep.uses_template() {
+            for sample in 0..n_samples {
+                batches.extend(order.chunks(batch_size).map(|members| (members.to_vec(), sample..sample + 1)));
+            }
+            return batches;
+        }
         for members in order.chunks((batch_size / n_samples).max(1)) {
             for first in (0..n_samples).step_by(batch_size) {
                 batches.push((members.to_vec(), first..n_samples.min(first + batch_size)));

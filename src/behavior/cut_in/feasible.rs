@@ -12,8 +12,43 @@ use crate::scene::{Scene, Track};
 const SPACING: f64 = 0.5;
 /// How far the boxes shall share a path, and the least gap, meters.
 const SHARE_M: f64 = 0.3;
+/// The ego shall be where the other came in by so long before the scene ends, whatever it does about it, seconds.
+const TO_SPARE_S: f64 = 0.3;
 /// Below this speed somebody stands, m/s, and no cut-in is found.
 const STANDING_MPS: f64 = 1.0;
+
+/// A pair of which one could cut in before the other, as the past tells it.
+pub(super) struct Pair {
+    /// The lane that the ego keeps, and how far beside its center line the ego drives, meters.
+    pub(super) lane: KeptLane,
+    pub(super) own_offset_m: f64,
+    /// The lane that the other keeps, and where it is there, meters.
+    pub(super) their_lane: KeptLane,
+    pub(super) their_station_m: f64,
+    pub(super) their_offset_m: f64,
+    /// The other's speed along the ego's lane, m/s.
+    pub(super) their_mps: f64,
+    own_station_m: f64,
+    own_mps: f64,
+    /// Sizes of the ego and the other, meters.
+    pub(super) widths_m: [f64; 2],
+    pub(super) lengths_m: [f64; 2],
+    side: f64,
+    horizon_s: f64,
+}
+
+/// One way to cut in.
+pub(super) struct Plan {
+    /// When the boxes begin to share a path, seconds after the present.
+    pub(super) time_s: f64,
+    /// The other's speed then, m/s; it changes evenly.
+    pub(super) then_mps: f64,
+    /// How far the other's way leads beside the ego's path then, and how much of it the other has to come over, meters.
+    pub(super) aside_m: f64,
+    pub(super) shift_m: f64,
+    /// What comes of it.
+    pub(super) outcome: Outcome,
+}
 
 impl CutIn {
     /// What `other` could come to before `ego`, if the ego keeps its lane and its speed, and the other leaves the lane that it keeps with at most
@@ -21,6 +56,12 @@ impl CutIn {
     ///
     /// Empty where the ego is in no lane, and where the other is in the ego's lane already, does not head along it, or is too far to the side, ahead or behind.
     pub(super) fn outcomes(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Vec<Outcome>> {
+        let plans = self.plans(&self.pair(scene, ego_idx, other_idx)?)?;
+        Some(plans.into_iter().map(|plan| plan.outcome).collect())
+    }
+
+    /// The pair, where the other could cut in at all.
+    pub(super) fn pair(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Pair> {
         let lanes = SceneLanes::new(&scene.lanes);
         let (ego, other) = (scene.tracks.get(ego_idx)?, scene.tracks.get(other_idx)?);
         let admits = |track: &Track| self.config.agents.admits(track.class);
@@ -38,51 +79,69 @@ impl CutIn {
             && turned_rad < self.config.max_heading_difference_rad
             && own_mps.min(their_mps) >= STANDING_MPS
             && !lane.holds(theirs.position);
-        if !is_possible {
-            return None;
-        }
         let (own_extent, their_extent) = (ego.extent_or_nominal(), other.extent_or_nominal());
-        let half_widths_m = (own_extent.width_m + their_extent.width_m) / 2.0;
-        let half_lengths_m = (own_extent.length_m + their_extent.length_m) / 2.0;
-        let side = if place.offset_m < own_place.offset_m { -1.0 } else { 1.0 };
-        let horizon_s = horizon_s(scene);
+        is_possible.then(|| Pair {
+            own_offset_m: own_place.offset_m,
+            their_station_m: their_place.station_m,
+            their_offset_m: their_place.offset_m,
+            their_mps,
+            own_station_m: own_place.station_m,
+            own_mps,
+            widths_m: [own_extent.width_m, their_extent.width_m],
+            lengths_m: [own_extent.length_m, their_extent.length_m],
+            side: if place.offset_m < own_place.offset_m { -1.0 } else { 1.0 },
+            horizon_s: horizon_s(scene),
+            lane,
+            their_lane,
+        })
+    }
+
+    /// The ways to cut in, at a grid of times and accelerations.
+    pub(super) fn plans(&self, pair: &Pair) -> Option<Vec<Plan>> {
         let n = |range: f64| (range / SPACING).floor().max(0.0) as usize;
-        let mut outcomes = Vec::new();
-        for time_s in (1..=n(horizon_s)).map(|i| i as f64 * SPACING) {
+        let mut plans = Vec::new();
+        for time_s in (1..=n(pair.horizon_s)).map(|i| i as f64 * SPACING) {
             for i in 0..=n(ACCELERATIONS_MPS2.end() - ACCELERATIONS_MPS2.start()) {
                 let acceleration_mps2 = ACCELERATIONS_MPS2.start() + i as f64 * SPACING;
-                let then_mps = their_mps + acceleration_mps2 * time_s;
-                let driven_m = (their_mps + then_mps) / 2.0 * time_s;
-                // Where its lane leads it, beside its center line as far as now.
-                let on_lane = their_lane.point_at(their_place.station_m + driven_m)?;
-                let then = lane.project(on_lane)?;
-                let aside_m = (then.offset_m + their_place.offset_m - own_place.offset_m).abs();
-                let shift_m = (aside_m - half_widths_m + SHARE_M).max(0.0);
-                let least_s = 2.0 * (shift_m / LATERAL_ACCELERATION_MPS2).sqrt();
-                let gap_m = then.station_m - own_place.station_m - own_mps * time_s - half_lengths_m;
-                // The ego must get there before the scene ends.
-                let left_s = self.config.max_delay_s.min(horizon_s - time_s);
-                let is_reached = (SHARE_M..own_mps * left_s).contains(&gap_m);
-                if then_mps < STANDING_MPS || least_s > time_s || !is_reached {
-                    continue;
-                }
-                let relative_mps = own_mps - then_mps;
-                outcomes.push(
-                    Outcome::default()
-                        .with("gap_m", gap_m)
-                        .with("relative_speed_mps", relative_mps)
-                        .with("ego_speed_mps", own_mps)
-                        .with("other_speed_mps", then_mps)
-                        .with("ttc_s", (relative_mps > 0.1).then(|| gap_m / relative_mps))
-                        .with("time_headway_s", gap_m / own_mps)
-                        .with("side", side)
-                        .with("ego_length_m", own_extent.length_m)
-                        .with("other_length_m", their_extent.length_m)
-                        .at_effort(effort(acceleration_mps2).max((least_s / time_s).powi(2))),
-                );
+                plans.extend(self.plan(pair, time_s, acceleration_mps2)?);
             }
         }
-        Some(outcomes)
+        Some(plans)
+    }
+
+    /// The way to cut in after `time_s` with this acceleration; `Some(None)` where it takes more than the limits, or the ego does not come to where it was.
+    fn plan(&self, pair: &Pair, time_s: f64, acceleration_mps2: f64) -> Option<Option<Plan>> {
+        let Pair { own_mps, lengths_m: [own_length_m, their_length_m], .. } = *pair;
+        let then_mps = pair.their_mps + acceleration_mps2 * time_s;
+        let driven_m = (pair.their_mps + then_mps) / 2.0 * time_s;
+        // Where its lane leads it, beside its center line as far as now.
+        let on_lane = pair.their_lane.point_at(pair.their_station_m + driven_m)?;
+        let then = pair.lane.project(on_lane)?;
+        let aside_m = (then.offset_m + pair.their_offset_m - pair.own_offset_m).abs();
+        let half_widths_m = (pair.widths_m[0] + pair.widths_m[1]) / 2.0;
+        let shift_m = (aside_m - half_widths_m + SHARE_M).max(0.0);
+        let least_s = 2.0 * (shift_m / LATERAL_ACCELERATION_MPS2).sqrt();
+        let half_lengths_m = (own_length_m + their_length_m) / 2.0;
+        let gap_m = then.station_m - pair.own_station_m - own_mps * time_s - half_lengths_m;
+        // The ego must get there before the scene ends.
+        let left_s = self.config.max_delay_s.min(pair.horizon_s - TO_SPARE_S - time_s);
+        let is_reached = (SHARE_M..own_mps * left_s).contains(&gap_m);
+        if then_mps < STANDING_MPS || least_s > time_s || !is_reached {
+            return Some(None);
+        }
+        let relative_mps = own_mps - then_mps;
+        let outcome = Outcome::default()
+            .with("gap_m", gap_m)
+            .with("relative_speed_mps", relative_mps)
+            .with("ego_speed_mps", own_mps)
+            .with("other_speed_mps", then_mps)
+            .with("ttc_s", (relative_mps > 0.1).then(|| gap_m / relative_mps))
+            .with("time_headway_s", gap_m / own_mps)
+            .with("side", pair.side)
+            .with("ego_length_m", own_length_m)
+            .with("other_length_m", their_length_m)
+            .at_effort(effort(acceleration_mps2).max((least_s / time_s).powi(2)));
+        Some(Some(Plan { time_s, then_mps, aside_m, shift_m, outcome }))
     }
 }
 
@@ -123,12 +182,13 @@ mod tests {
     #[test]
     fn the_way_aside_takes_its_share_of_the_time() {
         // 3.3 m aside, less 1.8 m of two half widths, with 0.3 m inside the lane: 1.8 m, which 2 m/s² take √3.6 s for.
-        // At its speed, 7.5 m ahead of an ego that needs 0.75 s for them, it can come in after 2, 2.5 or 3 of the 4 s.
+        // At its speed, 7.5 m ahead of an ego that needs 0.75 s for them, it can come in after 2 or 2.5 of the 4 s: 3 would leave less than is
+        // to spare.
         let found = outcomes(drive(12.0, 3.3, 0.0, 10.0));
         let at_its_speed = found.iter().filter(|outcome| outcome.get("relative_speed_mps") == Some(0.0));
         let efforts: Vec<f64> = at_its_speed.map(Outcome::effort).collect();
-        assert_eq!(efforts.len(), 3, "{efforts:?}");
-        for (effort, time_s) in efforts.iter().zip([2.0, 2.5, 3.0f64]) {
+        assert_eq!(efforts.len(), 2, "{efforts:?}");
+        for (effort, time_s) in efforts.iter().zip([2.0, 2.5f64]) {
             assert!((effort - 3.6 / time_s.powi(2)).abs() < 1e-9, "{effort} after {time_s} s");
         }
     }

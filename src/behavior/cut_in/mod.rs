@@ -2,6 +2,7 @@
 
 mod crossing;
 mod feasible;
+mod template;
 #[cfg(test)]
 mod tests;
 
@@ -9,12 +10,13 @@ use super::kept_lane::KeptLane;
 use super::lane_relation::SceneLanes;
 use super::pairs::PairSearch;
 use super::sweep::Sweep;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome, Template};
 use crate::scene::Scene;
 use crossing::{Crossing, LaneCrossing};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::cell::OnceCell;
+use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_6;
 
 /// Name of the behavior in configs and tables.
@@ -159,6 +161,20 @@ impl Behavior for CutIn {
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         let [ego_idx, other_idx] = agents else { return Vec::new() };
         self.outcomes(scene, *ego_idx, *other_idx).unwrap_or_default()
+    }
+
+    fn template_parameters(&self) -> &'static [&'static str] {
+        &["gap_m", "relative_speed_mps", "side"]
+    }
+
+    fn template(
+        &self,
+        scene: &Scene,
+        agents: &[usize],
+        wanted: &BTreeMap<String, [f64; 2]>,
+        variant: usize,
+    ) -> Option<Template> {
+        self.solved(scene, agents.try_into().ok()?, wanted, variant)
     }
 
     /// Pairs in the order of tracks, each pair first with the earlier track as the ego, then with the later one.

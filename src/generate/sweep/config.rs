@@ -78,6 +78,8 @@ pub struct DiffusionConfig {
     pub classifier_free: Option<ClassifierFreeConfig>,
     /// Edits of the recording that samples start from.
     pub edit: Option<EditConfig>,
+    /// Whether one of the requested agents follows a template of the behavior.
+    pub template: bool,
 }
 
 /// What samples are pushed toward, and how.

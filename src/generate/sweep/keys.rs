@@ -81,6 +81,11 @@ pub(super) struct SweepKeys {
     /// Edits of the recording that samples start from.
     #[serde(skip_serializing_if = "Option::is_none")]
     edit: Option<EditConfig>,
+    /// Whether the one who performs the behavior follows a template: a maneuver along the lanes that was solved for what the event shall be like and
+    /// is observed to its end, while everybody else is sampled. A sample for which there is none is sampled freely. `cut_in` has templates. Left out:
+    /// no.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    template: Option<bool>,
     /// Which samples become scenarios. Left out: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     select: Option<SelectConfig>,
@@ -131,6 +136,7 @@ impl SweepKeys {
             },
             classifier_free: self.classifier_free.take(),
             edit: self.edit.take(),
+            template: self.template.take().unwrap_or_default(),
         }
     }
 
@@ -217,6 +223,7 @@ impl From<ArmConfig> for SweepKeys {
             objective_guidance: Some(objective_guidance),
             classifier_free: diffusion.classifier_free,
             edit: diffusion.edit,
+            template: diffusion.template.then_some(true),
             ..keys
         }
     }

@@ -54,8 +54,9 @@ impl SweepConfig {
         if self.aim == Aim::Feasible && !can_aim {
             return Err(Issue::new(
                 "aim",
-                "is \"feasible\", which needs a behavior, particular agents to show it (classifier_scope other than \"any_pair\"), strengths \
-                 other than 0, and an objective that can aim at the event's parameters, such as objectives = [{ kind = \"cut_in\" }]",
+                "is \"feasible\", which needs a behavior, particular agents to show it (classifier_scope other than \"any_pair\"), and what can \
+                 aim at the event's parameters: template = true, or strengths other than 0 and an objective, such as objectives = [{ kind = \
+                 \"cut_in\" }]",
             ));
         }
         if let Some(select) = &self.select {
@@ -209,8 +210,36 @@ impl DiffusionConfig {
             guidance: self.guidance.clone(),
             classifier_free: self.classifier_free.clone(),
             edit: self.edit.clone(),
+            template: self.template_parameters(purpose)?,
         };
         resolved.check_guidance(purpose, observe).map(|()| resolved)
+    }
+}
+
+impl DiffusionConfig {
+    /// The parameters for which templates are solved; empty where none are asked for.
+    fn template_parameters(&self, purpose: &Purpose<'_>) -> Result<&'static [&'static str]> {
+        if !self.template {
+            return Ok(&[]);
+        }
+        let refuse = |why: String| Err(Issue::new("template", format_args!("is true, but {why}")));
+        if self.guidance.classifier_scope != ClassifierScope::None
+            && self.strengths.iter().any(|strength| *strength != 0.0)
+        {
+            return refuse("the classifier does not know templates; set classifier_scope = \"none\"".to_owned());
+        }
+        if self.edit.is_some() {
+            return refuse("the sweep edits recordings, too; remove edit or template".to_owned());
+        }
+        match purpose.behavior.map(|behavior| (behavior.id(), behavior.template_parameters())) {
+            None => {
+                refuse("no behavior is asked for; add one that has templates, such as behavior = \"cut_in\"".to_owned())
+            }
+            Some((id, [])) => {
+                refuse(format!("{id} has no templates; remove it, or ask for one that has, such as \"cut_in\""))
+            }
+            Some((_, parameters)) => Ok(parameters),
+        }
     }
 }
 

@@ -59,6 +59,8 @@ pub struct Diffusion {
     pub classifier_free: Option<ClassifierFreeConfig>,
     /// Edits of the recording that samples start from.
     pub edit: Option<EditConfig>,
+    /// The parameters of the event for which a template is solved that one of the requested agents follows; empty: there is no template.
+    pub template: &'static [&'static str],
 }
 
 impl ResolvedSweep {
@@ -85,9 +87,15 @@ impl ResolvedSweep {
         self.diffusion().map_or(&[GuidanceLevel::UNGUIDED], |diffusion| &diffusion.levels)
     }
 
-    /// Whether some of its samples are forecasts: neither guided nor leaning toward wanted states nor edited.
+    /// Whether one of the requested agents follows a template, which is another one for each sample.
+    pub fn uses_template(&self) -> bool {
+        self.diffusion().is_some_and(|diffusion| !diffusion.template.is_empty())
+    }
+
+    /// Whether some of its samples are forecasts: neither guided nor leaning toward wanted states nor edited, and nobody follows a
+    /// template.
     pub fn has_unguided(&self) -> bool {
-        self.diffusion().is_none_or(|diffusion| diffusion.edit.is_none())
+        self.diffusion().is_none_or(|diffusion| diffusion.edit.is_none() && diffusion.template.is_empty())
             && self.levels().iter().any(|level| level.strength == 0.0 && level.weight == 0.0)
     }
 
@@ -99,11 +107,12 @@ impl ResolvedSweep {
             })
     }
 
-    /// The parameters of the event at which objectives of its guidance can aim.
+    /// The parameters of the event at which its template and the objectives of its guidance can aim.
     pub(in crate::generate) fn aims_at(&self) -> BTreeSet<&'static str> {
         let guided = self.diffusion().filter(|diffusion| diffusion.is_guided());
         let objectives = guided.into_iter().flat_map(|diffusion| &diffusion.guidance.objectives);
-        objectives.flat_map(|objective| objective.objective().aims_at()).copied().collect()
+        let of_template = self.diffusion().map_or(&[][..], |diffusion| diffusion.template);
+        objectives.flat_map(|objective| objective.objective().aims_at()).chain(of_template).copied().collect()
     }
 
     /// Whether those who are asked are to collide.

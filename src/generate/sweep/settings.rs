@@ -28,6 +28,9 @@ impl Diffusion {
         if let Some(edit) = &self.edit {
             settings["edit"] = json!(edit);
         }
+        if !self.template.is_empty() {
+            settings["template"] = json!(true);
+        }
         if level.strength != 0.0 {
             let guidance = &self.guidance;
             settings["strength"] = json!(level.strength);
