@@ -21,8 +21,10 @@ use std::sync::Arc;
 
 /// Rows of a row group: what a writer holds in memory, and what a reader can skip.
 const ROWS_PER_GROUP: usize = 128 * 1024;
+/// Encoded bytes of a row group beyond which it ends with fewer rows: those of scenarios take almost a kilobyte.
+const BYTES_PER_GROUP: usize = 4 << 20;
 
-/// Writes one table, batch by batch, holding at most a row group in memory.
+/// Writes one table, batch by batch, holding at most a row group in memory. Where row groups end depends on the batches alone.
 pub(crate) struct ParquetFile {
     path: PathBuf,
     writer: ArrowWriter<AtomicFile>,
@@ -41,7 +43,8 @@ impl ParquetFile {
     /// Adds rows.
     pub(crate) fn write(&mut self, batch: &RecordBatch) -> Result<()> {
         self.n_rows += batch.num_rows() as u64;
-        self.writer.write(batch).map_err(Error::parquet(&self.path))
+        self.writer.write(batch).map_err(Error::parquet(&self.path))?;
+        if self.n_bytes_in_memory() > BYTES_PER_GROUP { self.flush() } else { Ok(()) }
     }
 
     /// Number of rows so far.
@@ -49,9 +52,9 @@ impl ParquetFile {
         self.n_rows
     }
 
-    /// Rows of the row group that is being written, which are in memory.
-    pub(crate) fn n_rows_in_memory(&self) -> usize {
-        self.writer.in_progress_rows()
+    /// Encoded bytes of the row group that is being written, which are in memory.
+    pub(crate) fn n_bytes_in_memory(&self) -> usize {
+        self.writer.memory_size()
     }
 
     /// Ends the row group early, so that nothing of it is left in memory.
