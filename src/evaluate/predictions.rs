@@ -103,7 +103,7 @@ mod tests {
     fn a_folder_is_cleared_only_for_predictions() {
         let folder = tempfile::tempdir().unwrap();
         let own = folder.path().join("thesis.tex");
-        std::fs::write(&own, "words").unwrap();
+        fs_err::write(&own, "words").unwrap();
         assert!(Predictions::create(folder.path(), &[]).is_ok());
         assert!(
             Predictions::create(folder.path(), &[Dataset::Interaction]).is_err(),
