@@ -191,3 +191,39 @@ fn damaged(path: &Path) -> impl FnOnce(parquet::errors::ParquetError) -> Error {
     let path = path.to_owned();
     move |error| Error::corrupt(&path, error.to_string())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::GuidanceLevel;
+    use crate::store::VerdictRow;
+    use crate::store::tables::verdict;
+
+    #[test]
+    fn what_a_writer_holds_is_bounded_by_bytes_and_not_by_rows_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let (path, table) = (dir.path().join("verdicts.parquet"), verdict::schema());
+        // Half a kilobyte that hardly compresses.
+        let id = |n: usize| (0..8).map(move |part| blake3::hash(format!("{n} {part}").as_bytes()).to_hex().to_string());
+        let row = |n: usize| VerdictRow {
+            scenario_id: id(n).collect(),
+            sweep: "s".to_owned(),
+            level: GuidanceLevel::UNGUIDED,
+            accepted: false,
+            kept: false,
+            reasons: Vec::new(),
+            not_checked: Vec::new(),
+        };
+        let (n_batches, per_batch) = (80, 512);
+        let mut file = ParquetFile::create(&path, &table, verdict::encode(&[]).unwrap().schema()).unwrap();
+        for batch in 0..n_batches {
+            let rows: Vec<VerdictRow> = (batch * per_batch..(batch + 1) * per_batch).map(row).collect();
+            file.write(&verdict::encode(&rows).unwrap()).unwrap();
+            assert!(file.n_bytes_in_memory() <= BYTES_PER_GROUP, "batch {batch}");
+        }
+        file.finish().unwrap();
+        let n_groups = open(&path, &table, ArrowReaderOptions::new()).unwrap().metadata().num_row_groups();
+        assert!((2..10).contains(&n_groups), "{n_groups} row groups");
+        assert_eq!(n_rows(&path, &table).unwrap(), (n_batches * per_batch) as u64);
+    }
+}
