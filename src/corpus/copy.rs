@@ -3,14 +3,14 @@
 //! With a scenario come its states, its metric values, its recorded scene and its map; recordings and maps that several
 //! share come once. Aggregated metric values are over what a run sampled and hold for no other choice: they are left out.
 
-use super::rows::{Fingerprint, RowBytes, add_rows, fingerprint, texts};
+use super::rows::{RowBytes, add_rows, texts};
 use super::{Error, Result};
 use crate::files::NewFolder;
 use crate::progress::Progress;
 use crate::scene::{LaneGraph, MapId};
 use crate::store::{
-    CorpusChunk, CorpusManifest, CorpusNotes, CorpusScan, CorpusSink, CorpusTable, MapSource, Partition, partitioned,
-    taken, united, widened,
+    CorpusChunk, CorpusManifest, CorpusNotes, CorpusScan, CorpusSink, CorpusTable, Fingerprint, MapSource, Partition,
+    fingerprint, partitioned, taken, united, widened,
 };
 use arrow::array::{Array, BooleanArray, RecordBatch};
 use arrow::compute::filter_record_batch;

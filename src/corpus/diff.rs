@@ -1,9 +1,9 @@
 //! `djinn corpus diff`: what do two corpora have in common, what changed, and did distributions shift?
 
 use super::Result;
-use super::rows::{Content, Fingerprint, contents, fingerprint, texts};
+use super::rows::{Content, contents, texts};
 use crate::progress::Progress;
-use crate::store::{CorpusChunk, CorpusScan, PartitionCount, united, widened};
+use crate::store::{CorpusChunk, CorpusScan, Fingerprint, PartitionCount, fingerprint, united, widened};
 use arrow::array::{Array, Float64Array, RecordBatch};
 use arrow::compute::cast;
 use arrow::datatypes::{DataType, SchemaRef};

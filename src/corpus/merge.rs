@@ -1,10 +1,10 @@
 //! `djinn corpus merge`: several corpora as one.
 
 use super::copy::{CopyOutcome, CopySelection, copy};
-use super::rows::{Content, Fingerprint, contents, fingerprint, texts};
+use super::rows::{Content, contents, texts};
 use super::{Error, Result};
 use crate::progress::Progress;
-use crate::store::{CorpusChunk, CorpusScan, CorpusTable};
+use crate::store::{CorpusChunk, CorpusScan, CorpusTable, Fingerprint, fingerprint};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

@@ -1,25 +1,11 @@
-//! Rows as short fingerprints: how are millions of ids and rows remembered and compared without keeping them?
+//! Rows of a corpus: their columns, and their content as fingerprints.
 
 use super::{Error, Result};
-use crate::store::{self, CorpusChunk};
+use crate::store::{self, CorpusChunk, Fingerprint, shortened};
 use arrow::array::{Array, ArrayRef, RecordBatch, StringArray};
 use arrow::datatypes::SchemaRef;
 use arrow::row::{RowConverter, Rows, SortField};
 use std::path::Path;
-
-/// A hash that stands for an id or a row: with 128 bits, two of a billion agree by chance once in 10²¹.
-pub(super) type Fingerprint = [u8; 16];
-
-/// The fingerprint of these bytes.
-pub(super) fn fingerprint(bytes: &[u8]) -> Fingerprint {
-    shortened(blake3::hash(bytes))
-}
-
-fn shortened(hash: blake3::Hash) -> Fingerprint {
-    let mut short = [0; 16];
-    short.copy_from_slice(&hash.as_bytes()[..16]);
-    short
-}
 
 /// The column of this name.
 pub(super) fn column<'b>(batch: &'b RecordBatch, name: &str, path: &Path) -> Result<&'b ArrayRef> {

@@ -2,11 +2,11 @@
 
 use super::condition::unknown_column;
 use super::copy::{CopyOutcome, CopySelection, copy};
-use super::rows::{Fingerprint, column, fingerprint, texts};
+use super::rows::{column, texts};
 use super::{Error, Result};
 use crate::progress::Progress;
 use crate::seed::Seed;
-use crate::store::{CorpusChunk, CorpusScan, CorpusTable, NO_BEHAVIOR};
+use crate::store::{CorpusChunk, CorpusScan, CorpusTable, Fingerprint, NO_BEHAVIOR, fingerprint};
 use arrow::datatypes::DataType;
 use arrow::util::display::{ArrayFormatter, FormatOptions};
 use std::collections::{BTreeMap, BTreeSet};

@@ -100,6 +100,19 @@ mod tests {
     use crate::scene::GuidanceTag;
 
     #[test]
+    fn a_folder_is_cleared_only_for_predictions() {
+        let folder = tempfile::tempdir().unwrap();
+        let own = folder.path().join("thesis.tex");
+        fs_err::write(&own, "words").unwrap();
+        assert!(Predictions::create(folder.path(), &[]).is_ok());
+        assert!(
+            Predictions::create(folder.path(), &[Dataset::Interaction]).is_err(),
+            "it holds a file of somebody else"
+        );
+        assert!(own.exists());
+    }
+
+    #[test]
     fn only_forecasts_become_predictions() {
         let config = EvaluateConfig { predictions: vec![Dataset::Interaction], ..EvaluateConfig::default() };
         let is_predicted = |kind: &str, strength: f64, edit_tau: Option<f64>| {

@@ -55,7 +55,7 @@ fn duplicates_are_nearer_than_the_limit() {
         (assessment.nearest_scenario_m.unwrap(), assessment.near_duplicate_of.is_some())
     };
     let (distance_m, _) = repeats(1.0);
-    assert!((distance_m - 0.2).abs() < 1e-9, "{distance_m}");
+    assert!((distance_m - 0.2).abs() < 1e-6, "{distance_m}");
     assert_eq!((repeats(0.19).1, repeats(0.21).1), (false, true));
 }
 
@@ -105,10 +105,10 @@ fn of_near_duplicates_the_first_accepted_one_stays() {
     assert_eq!(kept, ["first", "like_the_invalid", "like_the_unverified"]);
     let judged = |i: usize| all[i].assessment.as_ref().expect("judged");
     // One of two agents is 0.2 m off.
-    assert!((judged(2).nearest_scenario_m.expect("one before") - 0.1).abs() < 1e-9);
+    assert!((judged(2).nearest_scenario_m.expect("one before") - 0.1).abs() < 1e-6);
     assert_eq!(judged(2).near_duplicate_of.as_deref(), Some("first"));
     assert_eq!((judged(1).nearest_scenario_m, &judged(4).near_duplicate_of), (None, &None));
-    assert!((judged(5).nearest_scenario_m.expect("two before") - 2.0).abs() < 1e-9);
+    assert!((judged(5).nearest_scenario_m.expect("two before") - 2.0).abs() < 1e-6);
     let row = &rows[0];
     assert_eq!((rows.len(), row.n_scenarios, row.n_verified, row.n_valid), (1, 6, 5, 4));
     assert_eq!((row.n_verified_valid, row.n_accepted, row.n_kept), (4, 3, 3));

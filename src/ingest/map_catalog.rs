@@ -106,3 +106,30 @@ impl MapCatalog {
         Err(Error::MissingMaps { missing, found: self.0.keys().map(|id| id.0.clone()).collect() })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ingest::interaction::Interaction;
+    use crate::progress::Silent;
+    use crate::scene::Dataset;
+
+    #[test]
+    fn maps_that_recordings_need_are_missed_before_any_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let map = "tests/fixtures/recordings/interaction_v1_1/maps/FIX_Intersection.osm";
+        fs_err::create_dir_all(folder.path().join("maps")).unwrap();
+        fs_err::copy(map, folder.path().join("maps/FIX_Intersection.osm")).unwrap();
+        let config = IngestConfig::new(Dataset::Interaction, vec![folder.path().to_owned()]);
+        let read = || MapCatalog::read(&config, &Interaction::new(&config), &Silent);
+        assert_eq!(read().unwrap().0.len(), 1);
+        for place in ["FIX_Intersection", "FIX_Elsewhere"] {
+            let tracks = folder.path().join(format!("recorded_trackfiles/{place}/vehicle_tracks_000.csv"));
+            fs_err::create_dir_all(tracks.parent().unwrap()).unwrap();
+            fs_err::write(tracks, "").unwrap();
+        }
+        let Err(Error::MissingMaps { missing, found }) = read() else { panic!("a map is missing") };
+        assert_eq!((missing.len(), found.len()), (1, 1));
+        assert!(missing[0].contains("FIX_Elsewhere") && found[0].contains("FIX_Intersection"), "{missing:?} {found:?}");
+    }
+}

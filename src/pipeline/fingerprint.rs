@@ -42,24 +42,20 @@ impl PathFingerprint {
     }
 }
 
-/// How much of large files is read.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Depth<'a> {
-    /// Their ends.
-    Ends,
-    /// All of them; if they are as old and as large as when this was taken, it still holds.
-    Whole(Option<&'a PathFingerprint>),
-}
-
 /// The fingerprint of a file, or of all files below a folder with their names, with the whole content of large ones. What cannot be
 /// opened in a folder counts by its name: whoever reads it says why.
 pub fn fingerprint_path(path: &Path) -> Result<PathFingerprint> {
-    fingerprint_to(path, None, Depth::Whole(None))
+    fingerprint_to(path, None, None)
 }
 
 /// The fingerprint of a file, or of those files in a folder that are named relative to it (`None`: of all). Named files have the
-/// same as the whole folder where that holds nothing else.
-pub(super) fn fingerprint_to(path: &Path, names: Option<&[PathBuf]>, depth: Depth<'_>) -> Result<PathFingerprint> {
+/// same as the whole folder where that holds nothing else. Where large files are as old and as large as when `known` was taken, it
+/// still holds, and their middles are not read.
+pub(super) fn fingerprint_to(
+    path: &Path,
+    names: Option<&[PathBuf]>,
+    known: Option<&PathFingerprint>,
+) -> Result<PathFingerprint> {
     let (root, mut files) = match (regular(path)?.is_dir(), names) {
         (false, _) => (None, vec![path.to_owned()]),
         (true, Some(names)) => (Some(path), names.iter().map(|name| path.join(name)).collect()),
@@ -71,9 +67,7 @@ pub(super) fn fingerprint_to(path: &Path, names: Option<&[PathBuf]>, depth: Dept
     };
     files.sort();
     let mut found = combined(root, &files, Reading::Ends)?;
-    if let Depth::Whole(known) = depth
-        && files.iter().any(|file| is_large(file))
-    {
+    if files.iter().any(|file| is_large(file)) {
         let times = combined(root, &files, Reading::Times)?.hash;
         let known = known.filter(|known| found.agrees_with(known) && known.times.as_ref() == Some(&times));
         found.whole = match known.and_then(|known| known.whole.clone()) {
@@ -213,10 +207,10 @@ mod tests {
         fs_err::write(&path, &bytes).unwrap();
         let after = fingerprint_path(folder.path()).unwrap();
         assert!(after.hash == before.hash && !after.agrees_with(&before) && after.identity() != before.identity());
-        let again = fingerprint_to(folder.path(), None, Depth::Whole(Some(&before))).unwrap();
+        let again = fingerprint_to(folder.path(), None, Some(&before)).unwrap();
         assert_eq!(again, after, "it was written since");
         fs_err::OpenOptions::new().write(true).open(&path).unwrap().file().set_modified(modified).unwrap();
-        let known = fingerprint_to(folder.path(), None, Depth::Whole(Some(&before))).unwrap();
+        let known = fingerprint_to(folder.path(), None, Some(&before)).unwrap();
         assert_eq!(known, before, "size and time are those of before: not read");
     }
 

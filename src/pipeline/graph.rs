@@ -2,10 +2,11 @@
 
 use super::claim;
 use super::failure::{Failure, Result};
-use super::fingerprint::{Depth, fingerprint_to};
+use super::fingerprint::fingerprint_to;
 use super::keep::{Kept, kept};
 use super::older;
 use super::record::{InputRecord, StageRecord, started_path};
+use super::run::times_seen;
 use super::stage::{Stage, StageContext, StageId, StageInput};
 use super::work::Work;
 use crate::files::remove_if_present;
@@ -100,7 +101,7 @@ pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId])
             expected.fingerprint.clone_from(&same.fingerprint);
         }
         let is_asked = redo.contains(&stage.id());
-        let action = decide(root, &expected, is_asked);
+        let action = decide(root, &mut expected, is_asked);
         if let Some(failure) = missing.filter(|_| action != Action::Reuse) {
             return Err(failure);
         }
@@ -176,6 +177,7 @@ pub fn execute(
                 .unwrap_or_else(|| expected.clone())
                 .with_inputs_of(context.root, &expected)?
                 .listing_files(context.root)?
+                .seen(expected.times)
         } else {
             if context.progress.must_stop() {
                 return Err(Failure::later(format_args!("stopped before stage {}", stage.id())));
@@ -296,7 +298,7 @@ fn identify(
         }
     }
     let known = earlier.and_then(|earlier| earlier.known_content(&input.name, &input.path));
-    let content = fingerprint_to(&input.path, None, Depth::Whole(known)).map_err(|error| {
+    let content = fingerprint_to(&input.path, None, known).map_err(|error| {
         let failure = Failure::input(error).context(format!("failed to read the input {}", input.name));
         match input.producer {
             Some(producer) => failure.with_hint(format!(
@@ -309,15 +311,19 @@ fn identify(
     Ok(InputRecord::Path { path: input.path.clone(), content })
 }
 
-fn decide(root: &Path, expected: &StageRecord, is_asked: bool) -> Action {
+/// What is to be done about a stage. If nothing is, `expected` learns when its outputs were seen whole.
+fn decide(root: &Path, expected: &mut StageRecord, is_asked: bool) -> Action {
     let stage = expected.stage;
     let done = StageRecord::done(root, stage);
     let why = match &done {
         Some(_) if is_asked => "requested by --redo".to_owned(),
         Some(done) if done.fingerprint != expected.fingerprint => expected.changes_since(done),
-        Some(done) => match done.damaged_output(root) {
-            Some(name) => format!("{name} is missing or was changed"),
-            None => return Action::Reuse,
+        Some(done) => match done.check_outputs(root, &times_seen(root, stage)) {
+            Err(name) => format!("{name} is missing or was changed"),
+            Ok(times) => {
+                expected.times = times;
+                return Action::Reuse;
+            }
         },
         None => match Work::started(root, stage).or_else(|| StageRecord::started_in_place(root, stage)) {
             Some(started) if started.fingerprint != expected.fingerprint => expected.changes_since(&started),

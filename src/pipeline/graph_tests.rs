@@ -1,6 +1,8 @@
 //! Which stages run again after which changes? On stages that write a line of text.
 
-use super::graph::{Action, execute, plan};
+use super::device::ComputeChoice;
+use super::graph::{Action, plan};
+use super::run::{RunFolder, TIMINGS_FILE, run_stages};
 use super::{Blame, Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::files::write_atomically;
 use crate::progress::Silent;
@@ -100,13 +102,12 @@ impl Pipeline<'_> {
                 fails: self.fails,
             }),
         ];
-        let planned = match plan(self.root, stages, &[]) {
-            Ok(planned) => planned,
-            Err(failure) => return (Vec::new(), Vec::new(), Err(failure)),
-        };
-        let actions = planned.iter().map(|stage| stage.action.clone()).collect();
-        let context = StageContext { root: self.root, compute: &crate::nn::Compute::cpu(), progress: &Silent };
-        let outcome = execute(planned, &context, &mut |_| Ok(()), &mut |_, _| Ok(())).map(drop);
+        let mut actions = Vec::new();
+        let outcome = RunFolder::open(self.root).and_then(|folder| {
+            let planned = plan(self.root, stages, &[])?;
+            actions.extend(planned.iter().map(|stage| stage.action.clone()));
+            run_stages(&folder, None, ComputeChoice::default(), planned, &Silent).map(drop)
+        });
         (actions, ran.into_inner(), outcome)
     }
 }
@@ -172,6 +173,37 @@ fn changed_recordings_and_damaged_outputs_are_noticed() {
         let (actions, ran, _) = pipeline.run();
         assert_eq!(why(&actions[0]), "changed: input recording");
         assert_eq!(ran.len(), 2);
+    });
+}
+
+#[test]
+fn large_outputs_count_to_their_last_byte_and_are_read_again_only_when_they_are_others() {
+    let large = "a".repeat(3 << 20);
+    in_folder(|pipeline| {
+        let pipeline = Pipeline { first: &large, ..pipeline };
+        pipeline.run().2.unwrap();
+        let scenes = pipeline.root.join("scenes");
+        let written = fs_err::read(&scenes).unwrap();
+        let modified = fs_err::metadata(&scenes).unwrap().modified().unwrap();
+        let mut damaged = written.clone();
+        damaged[3 << 19] = b'b';
+        fs_err::write(&scenes, &damaged).unwrap();
+        let (actions, ran, _) = pipeline.run();
+        assert_eq!(why(&actions[0]), "scenes is missing or was changed");
+        assert_eq!(ran, [StageId::Ingest]);
+
+        let set_modified = |time| {
+            let file = fs_err::OpenOptions::new().write(true).open(&scenes).unwrap();
+            file.file().set_modified(time).unwrap();
+        };
+        assert_eq!(fs_err::read(&scenes).unwrap(), written);
+        set_modified(modified);
+        assert_eq!(pipeline.run().0[0], Action::Reuse, "it is of another time, and so read again");
+        fs_err::write(&scenes, &damaged).unwrap();
+        set_modified(modified);
+        assert_eq!(pipeline.run().0[0], Action::Reuse, "size and time are those of before: not read");
+        fs_err::remove_file(pipeline.root.join(TIMINGS_FILE)).unwrap();
+        assert_eq!(why(&pipeline.run().0[0]), "scenes is missing or was changed");
     });
 }
 

@@ -4,7 +4,7 @@
 //! hold what the fingerprint was made from, so that a later run can say what changed, and the former every file that the
 //! stage wrote: these, and no others, may be removed when it is redone.
 
-use super::fingerprint::{Depth, PathFingerprint, fingerprint_to, fingerprint_value};
+use super::fingerprint::{PathFingerprint, fingerprint_to, fingerprint_value};
 use super::stage::{Stage, StageId, StageInput};
 use crate::files::{files_below, is_link};
 use crate::store::{read_json, write_json_atomically};
@@ -37,6 +37,10 @@ pub struct StageRecord {
     /// What it says of its work; null until it is done.
     #[serde(default)]
     pub summary: Value,
+    /// When the large files of its outputs, which are whole, were written, by output. Two runs of one pipeline write the same at
+    /// other times: `timings.json` keeps this.
+    #[serde(skip)]
+    pub(super) times: BTreeMap<String, String>,
 }
 
 /// Something a stage read.
@@ -93,6 +97,7 @@ impl StageRecord {
             outputs: BTreeMap::new(),
             files: None,
             summary: Value::Null,
+            times: BTreeMap::new(),
         })
     }
 
@@ -154,9 +159,9 @@ impl StageRecord {
         let files = written.iter().filter(|file| outputs.iter().any(|name| file.starts_with(name)));
         let files: BTreeSet<PathBuf> = files.cloned().collect();
         for name in outputs {
-            let written = fingerprint_to(&dir.join(name), Some(&below(&files, name)), Depth::Whole(None))?;
-            // Two runs of one pipeline write the same, at other times.
-            self.outputs.insert((*name).to_owned(), PathFingerprint { times: None, ..written });
+            let mut written = fingerprint_to(&dir.join(name), Some(&below(&files, name)), None)?;
+            self.times.extend(written.times.take().map(|times| ((*name).to_owned(), times)));
+            self.outputs.insert((*name).to_owned(), written);
         }
         self.files = Some(files);
         self.summary = summary;
@@ -182,7 +187,7 @@ impl StageRecord {
         let mut owned = BTreeSet::new();
         for (name, written) in &self.outputs {
             let place = root.join(name);
-            if is_link(&place) || !fingerprint_to(&place, None, Depth::Ends).is_ok_and(|now| now.agrees_with(written)) {
+            if is_link(&place) || !fingerprint_to(&place, None, None).is_ok_and(|now| now.agrees_with(written)) {
                 continue;
             }
             match place.is_dir() {
@@ -193,21 +198,39 @@ impl StageRecord {
         Ok(owned)
     }
 
-    /// The first output that is no longer as it was written. Files that somebody put beside ours do not count.
-    pub fn damaged_output(&self, root: &Path) -> Option<&str> {
-        let is_intact =
-            |(name, written): &(&String, &PathFingerprint)| self.is_as_written(root, name, written, Depth::Ends);
-        self.outputs.iter().find(|output| !is_intact(output)).map(|(name, _)| name.as_str())
+    /// When the large files of the outputs were written, by output, if all outputs are as the stage wrote them; otherwise the first that is
+    /// not. Files that somebody put beside ours do not count. Outputs that were `seen` whole are not read again while sizes and
+    /// times of their files stay.
+    pub(super) fn check_outputs(
+        &self,
+        root: &Path,
+        seen: &BTreeMap<String, String>,
+    ) -> std::result::Result<BTreeMap<String, String>, String> {
+        let mut times = BTreeMap::new();
+        for (name, written) in &self.outputs {
+            let known = PathFingerprint { times: seen.get(name).cloned(), ..written.clone() };
+            let found = self.found(root, name, Some(&known));
+            let found = found.filter(|found| found.agrees_with(written)).ok_or_else(|| name.clone())?;
+            times.extend(found.times.map(|times| (name.clone(), times)));
+        }
+        Ok(times)
+    }
+
+    /// The same record with outputs that were seen whole when their large files had these times.
+    pub(super) fn seen(self, times: BTreeMap<String, String>) -> Self {
+        Self { times, ..self }
     }
 
     /// Whether the output of this name is what was written, to its last byte. What is no output of the stage is.
     pub(super) fn is_whole(&self, root: &Path, name: &str) -> bool {
-        self.outputs.get(name).is_none_or(|written| self.is_as_written(root, name, written, Depth::Whole(None)))
+        let is_as = |written| self.found(root, name, None).is_some_and(|now| now.agrees_with(written));
+        self.outputs.get(name).is_none_or(is_as)
     }
 
-    fn is_as_written(&self, root: &Path, name: &str, written: &PathFingerprint, depth: Depth<'_>) -> bool {
+    /// What the files of an output hold now; `None` if that cannot be read.
+    fn found(&self, root: &Path, name: &str, known: Option<&PathFingerprint>) -> Option<PathFingerprint> {
         let files = self.files.as_ref().map(|files| below(files, name));
-        fingerprint_to(&root.join(name), files.as_deref(), depth).is_ok_and(|now| now.agrees_with(written))
+        fingerprint_to(&root.join(name), files.as_deref(), known).ok()
     }
 
     /// Whether a setting of the stage's own section differs from `earlier`. What presets come to is not the user's doing.

@@ -19,6 +19,7 @@ use crate::nn::Compute;
 use crate::progress::Progress;
 use crate::store::{read_json, write_atomically, write_json_atomically};
 use serde::{Deserialize, Serialize};
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -76,6 +77,10 @@ pub enum StageStatus {
 pub struct Timings {
     /// One entry for each time that a stage was at work, oldest first; a stage that was interrupted has several.
     pub stages: BTreeMap<String, Vec<StageTiming>>,
+    /// When the large files of outputs were written that were seen whole, by stage and output, as hashes of sizes and times. While
+    /// these stay, planning does not read them again.
+    #[serde(default)]
+    pub outputs: BTreeMap<String, BTreeMap<String, String>>,
 }
 
 /// One time that a stage was at work.
@@ -128,10 +133,13 @@ pub fn run_stages(
         Ok(())
     };
     save(None)?;
-    let mut clock = StageClock::open(root);
+    let clock = RefCell::new(StageClock::open(root));
     let context = StageContext { root, compute: &compute, progress: &logged };
-    let outcome =
-        execute(planned, &context, &mut |record| save(Some(record)), &mut |stage, moment| clock.take(stage, moment));
+    let mut after = |record: &StageRecord| {
+        clock.borrow_mut().keep_times(record)?;
+        save(Some(record))
+    };
+    let outcome = execute(planned, &context, &mut after, &mut |stage, moment| clock.borrow_mut().take(stage, moment));
     match &outcome {
         Ok(_) => logged.line("done"),
         Err(Failure { blame: Blame::Later, error, .. }) => logged.line(&format!("stopped: {error:#}")),
@@ -202,6 +210,12 @@ pub(super) fn seconds_spent(root: &Path, stage: StageId) -> Option<f64> {
     timings.stages.get(stage.name())?.iter().map(|timing| timing.seconds).sum()
 }
 
+/// When the large files of a finished stage's outputs in the folder `root` were written that were seen whole, by output.
+pub(super) fn times_seen(root: &Path, stage: StageId) -> BTreeMap<String, String> {
+    let timings: Timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
+    timings.outputs.get(stage.name()).cloned().unwrap_or_default()
+}
+
 /// Keeps `timings.json`.
 struct StageClock<'a> {
     root: &'a Path,
@@ -211,7 +225,7 @@ struct StageClock<'a> {
 
 impl<'a> StageClock<'a> {
     fn open(root: &'a Path) -> Self {
-        // Timings inform people and nothing depends on them: unreadable ones are begun anew.
+        // Timings inform people and spare reading, and no result depends on them: unreadable ones are begun anew.
         let timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
         Self { root, timings, began: Instant::now() }
     }
@@ -235,6 +249,16 @@ impl<'a> StageClock<'a> {
                 });
             }
         }
+        self.save()
+    }
+
+    /// Notes that the outputs of a stage were seen whole.
+    fn keep_times(&mut self, record: &StageRecord) -> anyhow::Result<()> {
+        let before = self.timings.outputs.insert(record.stage.to_string(), record.times.clone());
+        if before.unwrap_or_default() == record.times { Ok(()) } else { self.save() }
+    }
+
+    fn save(&self) -> anyhow::Result<()> {
         write_json_atomically(&self.root.join(TIMINGS_FILE), &self.timings)?;
         Ok(())
     }

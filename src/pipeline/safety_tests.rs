@@ -108,7 +108,8 @@ fn text(root: &Path, name: &str) -> String {
 /// Writes how long the stage took.
 fn took(root: &Path, seconds: Option<f64>) {
     let timing = StageTiming { started: String::new(), finished: None, seconds, n_threads: 1, peak_memory_bytes: None };
-    let timings = Timings { stages: BTreeMap::from([("train_denoiser".to_owned(), vec![timing])]) };
+    let timings =
+        Timings { stages: BTreeMap::from([("train_denoiser".to_owned(), vec![timing])]), outputs: BTreeMap::new() };
     write_json_atomically(&root.join(TIMINGS_FILE), &timings).unwrap();
 }
 

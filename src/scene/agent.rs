@@ -83,6 +83,20 @@ impl AgentClass {
         };
         Extent { length_m, width_m }
     }
+
+    /// The extent that even the smallest of the class fills, where a recording gives none: that of a smart fortwo of 1998 (2.50 by
+    /// 1.51 m), a minibus such as the Karsan Jest (5.8 by 2.05 m), a Vespa (1.86 by 0.74 m), a folding bicycle, the trunk of a small
+    /// adult, 0.2 m deep and 0.4 m broad, who may look anywhere, and a traffic cone. Unknown agents may be pedestrians.
+    pub const fn least_extent(self) -> Extent {
+        let (length_m, width_m) = match self {
+            Self::Vehicle => (2.5, 1.5),
+            Self::Bus => (5.5, 2.0),
+            Self::Motorcyclist => (1.8, 0.7),
+            Self::Cyclist => (1.4, 0.4),
+            Self::Pedestrian | Self::PedestrianOrCyclist | Self::Static | Self::Unknown => (0.3, 0.3),
+        };
+        Extent { length_m, width_m }
+    }
 }
 
 /// Length and width of a road user seen from above.

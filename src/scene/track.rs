@@ -59,6 +59,15 @@ impl Track {
         self.extent.unwrap_or_else(|| self.class.nominal_extent())
     }
 
+    /// The recorded size, or what the agent fills at least. The vehicle that recorded is one, and so is the focal agent of a dataset
+    /// without classes: Argoverse 1 looked for vehicles that cross, turn, change lanes or drive in dense traffic (Chang et al. 2019).
+    pub fn extent_or_least(&self) -> Extent {
+        let is_vehicle =
+            self.class == AgentClass::Unknown && matches!(self.role, TrackRole::Focal | TrackRole::Recorder);
+        let class = if is_vehicle { AgentClass::Vehicle } else { self.class };
+        self.extent.unwrap_or_else(|| class.least_extent())
+    }
+
     /// The footprint of the agent in `state`.
     pub fn footprint(&self, state: &State) -> OrientedBox {
         let Extent { length_m, width_m } = self.extent_or_nominal();

@@ -22,8 +22,8 @@ use std::sync::Arc;
 
 /// Rows that a file is given at a time: whatever the sizes of the batches that come, its pages break at the same rows.
 const ROWS_PER_WRITE: usize = 4 * 1024;
-/// Rows of unfinished row groups over all files. Beyond it, the largest row group is ended early.
-const MAX_ROWS_IN_MEMORY: usize = 512 * 1024;
+/// Bytes of unfinished row groups over all files. Beyond it, the largest row group is ended early.
+const MAX_BYTES_IN_MEMORY: usize = 16 << 20;
 
 /// Writes the tables of a corpus. Memory is bounded by the number of files that are open, not by the rows that pass.
 pub(crate) struct CorpusSink {
@@ -96,10 +96,10 @@ impl CorpusSink {
     /// Ends the largest unfinished row group while there is too much in memory. What is ended depends on the order of the
     /// rows alone, so equal corpora stay equal.
     fn limit_memory(&mut self) -> Result<()> {
-        let n_rows = |parts: &BTreeMap<_, Part>| parts.values().map(|part| part.file.n_rows_in_memory()).sum::<usize>();
-        while n_rows(&self.parts) > MAX_ROWS_IN_MEMORY {
+        let size = |part: &Part| part.file.n_bytes_in_memory();
+        while self.parts.values().map(size).sum::<usize>() > MAX_BYTES_IN_MEMORY {
             // Of equally large ones the last, by name.
-            let largest = self.parts.values_mut().max_by_key(|part| part.file.n_rows_in_memory());
+            let largest = self.parts.values_mut().max_by_key(|part| size(part));
             let Some(part) = largest else { break };
             part.file.flush()?;
         }

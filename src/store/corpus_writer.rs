@@ -3,6 +3,7 @@
 use super::corpus_layout::CorpusTable;
 use super::corpus_manifest::{CorpusManifest, CorpusNotes};
 use super::corpus_sink::CorpusSink;
+use super::fingerprint::{Fingerprint, fingerprint};
 use super::parquet_file::{self, ParquetFile};
 use super::tables::scenario::ScenarioRows;
 use super::tables::{recording, sample, track};
@@ -18,7 +19,7 @@ const SPOOL_FILE: &str = "scenarios.spool";
 /// Scenarios whose rows are encoded at a time.
 const SCENARIOS_PER_BATCH: usize = 64;
 
-/// Writes a corpus folder in bounded memory: what grows with it are the ids of its scenarios and scenes. Rows of scenarios
+/// Writes a corpus folder in bounded memory: what grows with it are 16 bytes for the id of each scenario and scene. Rows of scenarios
 /// wait in a file of their own, because the columns of parameters are known only at the end.
 pub struct CorpusWriter<'m> {
     dir: PathBuf,
@@ -26,9 +27,9 @@ pub struct CorpusWriter<'m> {
     sink: CorpusSink,
     spool: ParquetFile,
     parameters: BTreeSet<String>,
-    scenario_ids: BTreeSet<String>,
+    scenario_ids: BTreeSet<Fingerprint>,
     known_maps: BTreeSet<MapId>,
-    known_scenes: BTreeSet<String>,
+    known_scenes: BTreeSet<Fingerprint>,
 }
 
 impl<'m> CorpusWriter<'m> {
@@ -77,7 +78,7 @@ impl<'m> CorpusWriter<'m> {
     /// # Errors
     /// Those of the file system.
     pub fn write_recording(&mut self, scene: &Scene) -> Result<()> {
-        if !self.known_scenes.insert(scene.id.0.clone()) {
+        if !self.known_scenes.insert(fingerprint(scene.id.0.as_bytes())) {
             return Ok(());
         }
         let partition = CorpusTable::Recordings.partition(None, &scene.source.place);
@@ -91,7 +92,9 @@ impl<'m> CorpusWriter<'m> {
     pub fn write_metrics(&mut self, rows: impl IntoIterator<Item = Result<MetricRow>>) -> Result<()> {
         let Self { scenario_ids, sink, .. } = self;
         let partition = CorpusTable::Metrics.partition(None, "");
-        let is_left_out = |row: &MetricRow| row.scenario_id.as_ref().is_some_and(|id| !scenario_ids.contains(id));
+        let is_left_out = |row: &MetricRow| {
+            row.scenario_id.as_ref().is_some_and(|id| !scenario_ids.contains(&fingerprint(id.as_bytes())))
+        };
         let rows = rows.into_iter().filter(|row| !row.as_ref().is_ok_and(is_left_out));
         metrics::batches(rows).try_for_each(|batch| sink.write(CorpusTable::Metrics, &partition, &batch?))
     }
@@ -116,7 +119,7 @@ impl<'m> CorpusWriter<'m> {
     fn register(&mut self, record: &ScenarioRecord) -> Result<()> {
         sample::check(record)?;
         let scene = &record.scenario.scene;
-        if !self.scenario_ids.insert(record.scenario.id.clone()) {
+        if !self.scenario_ids.insert(fingerprint(record.scenario.id.as_bytes())) {
             return Err(Error::invalid(&record.scenario.id, "another scenario has this id"));
         }
         if let Some(map_id) = &scene.map_id

@@ -36,9 +36,9 @@ pub fn read_metrics(path: &Path) -> Result<impl Iterator<Item = Result<MetricRow
     row_file::read(path, &metric::schema(), metric::decode)
 }
 
-/// Rows of the batch, and of the group, that a spool holds in memory: there are as many spools as series.
+/// Rows of the batch, and bytes of the group, that a spool holds in memory: there are as many spools as series.
 const ROWS_PER_SPOOLED_BATCH: usize = 1024;
-const ROWS_PER_SPOOLED_GROUP: usize = 32 * 1024;
+const BYTES_PER_SPOOLED_GROUP: usize = 512 << 10;
 
 /// Metric values that wait in a file of their own for those that a table has before them.
 pub struct MetricSpool {
@@ -62,7 +62,7 @@ impl MetricSpool {
     /// Those of the file system.
     pub fn push(&mut self, row: MetricRow) -> Result<()> {
         self.file.push(row)?;
-        self.file.limit_memory(ROWS_PER_SPOOLED_GROUP)
+        self.file.limit_memory(BYTES_PER_SPOOLED_GROUP)
     }
 
     /// Ends the file, so that it can be read.
@@ -137,8 +137,8 @@ mod tests {
     fn a_spool_gives_back_its_rows_in_order_and_leaves_no_file() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("metrics.spool");
-        // More than a group, and a batch that is not full.
-        let n_rows = ROWS_PER_SPOOLED_GROUP as u64 + 1500;
+        // Some groups, and a batch that is not full.
+        let n_rows = 64 * ROWS_PER_SPOOLED_BATCH as u64 + 500;
         let row = |n: u64| MetricRow {
             group: Group::Unguided,
             sweep: "s".to_owned(),

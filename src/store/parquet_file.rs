@@ -21,8 +21,10 @@ use std::sync::Arc;
 
 /// Rows of a row group: what a writer holds in memory, and what a reader can skip.
 const ROWS_PER_GROUP: usize = 128 * 1024;
+/// Encoded bytes of a row group beyond which it ends with fewer rows: those of scenarios take almost a kilobyte.
+const BYTES_PER_GROUP: usize = 4 << 20;
 
-/// Writes one table, batch by batch, holding at most a row group in memory.
+/// Writes one table, batch by batch, holding at most a row group in memory. Where row groups end depends on the batches alone.
 pub(crate) struct ParquetFile {
     path: PathBuf,
     writer: ArrowWriter<AtomicFile>,
@@ -41,7 +43,8 @@ impl ParquetFile {
     /// Adds rows.
     pub(crate) fn write(&mut self, batch: &RecordBatch) -> Result<()> {
         self.n_rows += batch.num_rows() as u64;
-        self.writer.write(batch).map_err(Error::parquet(&self.path))
+        self.writer.write(batch).map_err(Error::parquet(&self.path))?;
+        if self.n_bytes_in_memory() > BYTES_PER_GROUP { self.flush() } else { Ok(()) }
     }
 
     /// Number of rows so far.
@@ -49,9 +52,9 @@ impl ParquetFile {
         self.n_rows
     }
 
-    /// Rows of the row group that is being written, which are in memory.
-    pub(crate) fn n_rows_in_memory(&self) -> usize {
-        self.writer.in_progress_rows()
+    /// Encoded bytes of the row group that is being written, which are in memory.
+    pub(crate) fn n_bytes_in_memory(&self) -> usize {
+        self.writer.memory_size()
     }
 
     /// Ends the row group early, so that nothing of it is left in memory.
@@ -187,4 +190,40 @@ fn open(
 fn damaged(path: &Path) -> impl FnOnce(parquet::errors::ParquetError) -> Error {
     let path = path.to_owned();
     move |error| Error::corrupt(&path, error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::GuidanceLevel;
+    use crate::store::VerdictRow;
+    use crate::store::tables::verdict;
+
+    #[test]
+    fn what_a_writer_holds_is_bounded_by_bytes_and_not_by_rows_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let (path, table) = (dir.path().join("verdicts.parquet"), verdict::schema());
+        // Half a kilobyte that hardly compresses.
+        let id = |n: usize| (0..8).map(move |part| blake3::hash(format!("{n} {part}").as_bytes()).to_hex().to_string());
+        let row = |n: usize| VerdictRow {
+            scenario_id: id(n).collect(),
+            sweep: "s".to_owned(),
+            level: GuidanceLevel::UNGUIDED,
+            accepted: false,
+            kept: false,
+            reasons: Vec::new(),
+            not_checked: Vec::new(),
+        };
+        let (n_batches, per_batch) = (80, 512);
+        let mut file = ParquetFile::create(&path, &table, verdict::encode(&[]).unwrap().schema()).unwrap();
+        for batch in 0..n_batches {
+            let rows: Vec<VerdictRow> = (batch * per_batch..(batch + 1) * per_batch).map(row).collect();
+            file.write(&verdict::encode(&rows).unwrap()).unwrap();
+            assert!(file.n_bytes_in_memory() <= BYTES_PER_GROUP, "batch {batch}");
+        }
+        file.finish().unwrap();
+        let n_groups = open(&path, &table, ArrowReaderOptions::new()).unwrap().metadata().num_row_groups();
+        assert!((2..10).contains(&n_groups), "{n_groups} row groups");
+        assert_eq!(n_rows(&path, &table).unwrap(), (n_batches * per_batch) as u64);
+    }
 }

@@ -39,9 +39,9 @@ impl<T> RowFile<T> {
         Ok(())
     }
 
-    /// Ends the row group if it has this many rows, which are in memory until then.
-    pub(super) fn limit_memory(&mut self, n_rows: usize) -> Result<()> {
-        if self.file.n_rows_in_memory() >= n_rows { self.file.flush() } else { Ok(()) }
+    /// Ends the row group if it takes more than this many bytes, which are in memory until then.
+    pub(super) fn limit_memory(&mut self, n_bytes: usize) -> Result<()> {
+        if self.file.n_bytes_in_memory() > n_bytes { self.file.flush() } else { Ok(()) }
     }
 
     /// Writes the footer and gives the file its name.

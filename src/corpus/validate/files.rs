@@ -2,9 +2,9 @@
 
 use super::{Known, ValidationReport};
 use crate::corpus::Result;
-use crate::corpus::rows::{fingerprint, texts};
+use crate::corpus::rows::texts;
 use crate::progress::Progress;
-use crate::store::{CorpusScan, CorpusTable};
+use crate::store::{CorpusScan, CorpusTable, fingerprint};
 use arrow::array::{Array, Float32Array, Float64Array, RecordBatch};
 use fs_err as fs;
 use std::collections::BTreeSet;

@@ -9,10 +9,9 @@ mod states;
 mod tests;
 
 use super::Result;
-use super::rows::Fingerprint;
 use crate::progress::Progress;
 use crate::scene::MapId;
-use crate::store::{CARD_FILE, CorpusScan, MapSource, card};
+use crate::store::{CARD_FILE, CorpusScan, Fingerprint, MapSource, card};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

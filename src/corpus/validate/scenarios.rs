@@ -3,9 +3,8 @@
 use super::files::non_finite;
 use super::{Known, ValidationReport, states};
 use crate::corpus::Result;
-use crate::corpus::rows::fingerprint;
 use crate::progress::Progress;
-use crate::store::{Columns, CorpusScan, CorpusTable, FileEntry};
+use crate::store::{Columns, CorpusScan, CorpusTable, FileEntry, fingerprint};
 use arrow::datatypes::{Float64Type, Int64Type, UInt32Type};
 use std::collections::BTreeSet;
 

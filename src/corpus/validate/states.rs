@@ -2,9 +2,9 @@
 
 use super::{Known, ValidationReport};
 use crate::corpus::Result;
-use crate::corpus::rows::{fingerprint, texts};
+use crate::corpus::rows::texts;
 use crate::geometry::{Transform2, Vec2};
-use crate::store::{Columns, CorpusChunk, CorpusScan, CorpusTable, FileEntry};
+use crate::store::{Columns, CorpusChunk, CorpusScan, CorpusTable, FileEntry, fingerprint};
 use arrow::array::{Array, BooleanArray, Float32Array, Float64Array, StringArray, UInt32Array};
 use arrow::datatypes::{Float64Type, UInt32Type};
 use std::collections::BTreeSet;

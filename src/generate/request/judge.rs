@@ -118,3 +118,111 @@ impl Generator<'_> {
         Ok(if is_valid { Placement::Hit(bucket) } else { Placement::BeyondLimits(bucket) })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::{BehaviorConfig, BehaviorEvent, EventLabel};
+    use crate::generate::testing::{denoiser, load};
+    use crate::generate::{GenerateConfig, Models, ShardPlan};
+    use crate::guidance::testing::scene;
+    use crate::metrics::MetricSettings;
+    use crate::scene::{Roles, Scene, Trajectory};
+    use candle_core::Device;
+    use std::collections::BTreeMap;
+
+    const REQUEST: &str = "
+        [[arms]]
+        name = 'plain'
+        n_samples = 3
+        [[requests]]
+        name = 'tight'
+        behavior = 'cut_in'
+        buckets = { gap_m = [0, 5] }
+        arms = ['plain']
+        per_bucket = 9
+        budget = { n_samples = 9 }";
+
+    /// A scenario of the scene in which those in the roles show a cut-in with this gap.
+    fn record(scene: &Scene, roles: &Roles, gap_m: f64) -> ScenarioRecord {
+        let mut record = crate::store::testing::record(scene, 0);
+        record.scenario.provenance.scene_id = scene.id.clone();
+        record.scenario.provenance.guidance.roles = roles.clone();
+        (record.verified, record.requested_behavior) = (true, Some("cut_in".to_owned()));
+        record.events = vec![BehaviorEvent {
+            behavior: "cut_in".to_owned(),
+            scene_id: scene.id.clone(),
+            label: EventLabel::Positive,
+            roles: roles.clone(),
+            start_timestep: scene.n_history,
+            end_timestep: scene.n_history + 1,
+            parameters: BTreeMap::from([("gap_m".to_owned(), gap_m)]),
+        }];
+        record
+    }
+
+    /// The scene with the second agent in the place of the third from the present on.
+    fn collided(idx: usize) -> Scene {
+        let mut scene = scene(idx);
+        let [other, own] = [1, 2].map(|agent| scene.tracks[agent].trajectory.entries().to_vec());
+        let states = [&own[..scene.n_history], &other[scene.n_history..]].concat();
+        scene.tracks[2].trajectory = Trajectory::new(states);
+        scene
+    }
+
+    /// Judges records as those of one shard with these cells; says their outcomes, and the tallies of the cells.
+    fn judged(
+        more: &str,
+        cells: &[Cell],
+        mut records: Vec<ScenarioRecord>,
+    ) -> Result<(Vec<RequestOutcome>, Vec<CellTally>), Error> {
+        let config: GenerateConfig = toml::from_str(&format!("{REQUEST}\n{more}")).unwrap();
+        let behaviors = [BehaviorConfig::from_id("cut_in").unwrap().build()];
+        let (config, denoiser) = (config.resolve(&behaviors).unwrap(), denoiser(0));
+        let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline: None };
+        let (request, metric_settings) = (&config.requests[0], MetricSettings::default());
+        let generator = Generator::new(&config, models, &behaviors, &load, metric_settings, &Device::Cpu).unwrap();
+        let pool = Pool {
+            request: "tight".to_owned(),
+            cells: cells.to_vec(),
+            n_scenes: cells.len(),
+            feasible: vec![BTreeMap::from([(0, 0.0)]); cells.len()],
+            n_infeasible: 0,
+        };
+        let plan = ShardPlan { idx: 0, sweep_idx: 0, cells: cells.to_vec(), first_sample: 0 };
+        let shard = RoundShard { arm: 0, members: (0..cells.len()).collect(), plan };
+        let tally = generator.judge((request, 0), (&pool, &shard), &Ledger::new(request, &pool), &mut records)?;
+        Ok((records.iter().map(|record| record.request.as_ref().unwrap().outcome).collect(), tally.cells))
+    }
+
+    fn cell(idx: usize, roles: &Roles) -> Cell {
+        Cell { scene_idx: idx, scene_id: scene(idx).id, roles: roles.clone(), targets: Vec::new() }
+    }
+
+    #[test]
+    fn scenarios_count_in_the_cell_of_their_scene_and_agents() {
+        let [there, back] =
+            [["behind", "ahead"], ["ahead", "behind"]].map(|[a, b]| Roles::from([("ego", a), ("other", b)]));
+        // Cells that share the scene or the roles with the one after them.
+        let cells = [cell(1, &there), cell(2, &there), cell(2, &back)];
+        let records =
+            vec![record(&scene(2), &back, 2.0), record(&scene(2), &there, 7.0), record(&scene(1), &there, 2.0)];
+        let (outcomes, tallies) = judged("", &cells, records.clone()).unwrap();
+        assert_eq!(outcomes, [RequestOutcome::Accepted, RequestOutcome::Outside, RequestOutcome::Accepted]);
+        let counts =
+            |tally: &CellTally| (tally.n_found, tally.n_outside, tally.hits.get(&0).map_or(0, |hits| hits.n_accepted));
+        assert_eq!(tallies.iter().map(counts).collect::<Vec<_>>(), [(1, 0, 1), (1, 1, 0), (1, 0, 1)]);
+        assert!(matches!(judged("", &cells[1..], records), Err(Error::Stale { .. })));
+    }
+
+    #[test]
+    fn limits_are_on_each_scenario_and_without_them_everything_in_a_bucket_is_a_hit() {
+        let roles = Roles::from([("ego", "behind"), ("other", "ahead")]);
+        let records = || vec![record(&scene(1), &roles, 2.0), record(&collided(1), &roles, 2.0)];
+        let (outcomes, _) = judged("", &[cell(1, &roles)], records()).unwrap();
+        assert_eq!(outcomes, [RequestOutcome::Accepted; 2]);
+        let (outcomes, tallies) = judged("limits = { collision_rate = 0.0 }", &[cell(1, &roles)], records()).unwrap();
+        assert_eq!(outcomes, [RequestOutcome::Accepted, RequestOutcome::BeyondLimits]);
+        assert_eq!((tallies[0].n_beyond_limits, tallies[0].n_found), (1, 2));
+    }
+}

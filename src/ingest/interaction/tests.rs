@@ -419,3 +419,22 @@ proptest::proptest! {
         }
     }
 }
+
+#[test]
+fn a_recording_takes_twice_its_text_and_a_case_its_text() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path());
+    let source = Interaction::new(&config);
+    for (name, header, case, factor) in
+        [("recorded_trackfiles/X/vehicle_tracks_000.csv", V1_1, "", 2), ("val/X_val.csv", V1_2, "1.0,", 1)]
+    {
+        let path = folder.path().join(name);
+        fs_err::create_dir_all(path.parent().unwrap()).unwrap();
+        fs_err::write(&path, format!("{header}{}", car(case, 1, 1..=40))).unwrap();
+        let units = read_units(&config).unwrap();
+        fs_err::remove_file(&path).unwrap();
+        let unit = units[0].as_ref().unwrap();
+        assert!(unit.n_bytes() > 1000, "{name}");
+        assert_eq!(source.n_bytes_parsed(unit), factor * unit.n_bytes(), "{name}");
+    }
+}

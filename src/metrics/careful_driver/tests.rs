@@ -91,6 +91,8 @@ fn the_rate_is_over_samples_that_cut_in() {
     assert_eq!(PreventableRate::default().evaluate(&group), Some(0.5));
     assert_eq!(PreventableRate::default().evaluate(&SampleGroup { samples: &samples[2..], ..group }), None);
     assert_eq!(PreventableRate::default().evaluate(&SampleGroup { asked: Roles::none(), ..group }), None);
+    let cut_off = Scene { n_timesteps: samples[0].n_history, ..samples[0].clone() };
+    assert_eq!(PreventableRate::default().evaluate(&SampleGroup { recorded: &cut_off, ..group }), None, "a test split");
 }
 
 #[test]

@@ -3,17 +3,18 @@
 use super::{Check, Judged, ValidityConfig, Violation, keep_worse};
 use crate::geometry::Vec2;
 use crate::metrics::collision_rate::collisions;
-use crate::scene::{Extent, Scene, Track};
+use crate::scene::{Scene, Track};
 use std::borrow::Cow;
 
 /// The collision with the highest relative speed, as the collision rate counts them: boxes that overlap at a future timestep and did
 /// not at present, of two of whom at least one moves. One of the two must be generated there; the two that were asked are excused
-/// where a collision was asked for or the limits say so. Of agents whose size the recording does not give only the core counts.
+/// where a collision was asked for or the limits say so. Where the recording gives no size, nothing is claimed that the smallest of
+/// its kind would not do ([`Track::extent_or_least`]); the metrics of collisions take usual sizes.
 pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Violation> {
     let scene = judged.scene;
     let asked: Vec<usize> = judged.asked.tracks().filter_map(|track| scene.track_idx(track)).collect();
     let mut worst = None;
-    for collision in collisions(&with_cores(scene, config.core_of_unknown_size)) {
+    for collision in collisions(&at_least_size(scene)) {
         let [first, second] = collision.pair;
         let may_collide = judged.may_collide || config.asked_may_collide;
         let is_excused = may_collide && asked.contains(&first) && asked.contains(&second);
@@ -29,15 +30,11 @@ pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Viol
     worst
 }
 
-/// The scene with agents of unknown size reduced to a share of their nominal one.
-fn with_cores(scene: &Scene, share: f64) -> Cow<'_, Scene> {
+/// The scene with agents of unknown size as small as any of their kind.
+fn at_least_size(scene: &Scene) -> Cow<'_, Scene> {
     if scene.tracks.iter().all(|track| track.extent.is_some()) {
         return Cow::Borrowed(scene);
     }
-    let core = |track: &Track| {
-        let Extent { length_m, width_m } = track.class.nominal_extent();
-        let core = Extent { length_m: share * length_m, width_m: share * width_m };
-        Track { extent: track.extent.or(Some(core)), ..track.clone() }
-    };
-    Cow::Owned(Scene { tracks: scene.tracks.iter().map(core).collect(), ..scene.clone() })
+    let sized = |track: &Track| Track { extent: Some(track.extent_or_least()), ..track.clone() };
+    Cow::Owned(Scene { tracks: scene.tracks.iter().map(sized).collect(), ..scene.clone() })
 }

@@ -66,10 +66,6 @@ pub struct ValidityConfig {
     /// Places at which departures are not judged, beside those that are found so.
     #[serde(skip_serializing_if = "BTreeSet::is_empty")]
     pub places_without_road: BTreeSet<String>,
-    /// Agents whose size the recording does not give collide only if the cores of their nominal boxes do: this share of length and width.
-    /// Default 0.5: in Argoverse 1, which gives no sizes, whole boxes overlap in two of five recorded scenes.
-    #[schemars(range(min = 0.0))]
-    pub core_of_unknown_size: f64,
     /// Whether requested agents may collide with each other whatever was asked of them; where it was a `collision`, they always may.
     /// Default false.
     pub asked_may_collide: bool,
@@ -94,7 +90,6 @@ impl Default for ValidityConfig {
             offroad_slack_m: 0.3,
             max_recorded_offroad: 0.03,
             places_without_road: BTreeSet::new(),
-            core_of_unknown_size: 0.5,
             asked_may_collide: false,
         }
     }

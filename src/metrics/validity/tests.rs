@@ -3,7 +3,7 @@
 use super::*;
 use crate::behavior::testing::SceneSpec;
 use crate::geometry::Vec2;
-use crate::scene::{Dataset, Roles, State, Trajectory};
+use crate::scene::{AgentClass, Dataset, Roles, State, Track, TrackRole, Trajectory};
 use crate::settings::check_ranges;
 
 const ROAD: &str = "lanes = [{ id = 1, centerline = [[-60, 0], [300, 0]], width_m = 4.0 }]";
@@ -182,18 +182,29 @@ fn collisions_are_excused_only_where_they_were_asked_for() {
 }
 
 #[test]
-fn who_has_no_known_size_collides_by_its_core() {
-    // Two cars side by side, at 10 and 15 m/s, 1.2 m between centers: boxes of 1.9 m overlap when one passes, cores of 0.95 m do not.
-    let passing = |distance_m: f64| {
+fn who_has_no_known_size_collides_as_the_smallest_of_its_kind_would() {
+    // Two side by side, at 10 and 15 m/s, with this distance between centers: boxes of 1.9 m would overlap when one passes.
+    let passing = |distance_m: f64, agents: [(AgentClass, TrackRole); 2]| {
         let mut scene = built(&format!(
             "{{ id = \"a\", start = {{ x_m = 15, y_m = 0, speed_mps = 10 }} }}, {{ id = \"b\", start = {{ x_m = 0, y_m = {distance_m:?}, speed_mps = 15 }} }}"
         ));
-        scene.tracks.iter_mut().for_each(|track| track.extent = None);
-        scene
+        for (track, (class, role)) in scene.tracks.iter_mut().zip(agents) {
+            *track = Track { class, role, extent: None, ..track.clone() };
+        }
+        checks(&scene, &defaults()).contains(&"collision")
     };
-    assert_eq!(checks(&passing(1.2), &defaults()), [""; 0]);
-    assert_eq!(checks(&passing(0.9), &defaults()), ["collision"]);
-    assert_eq!(checks(&passing(1.2), &ValidityConfig { core_of_unknown_size: 1.0, ..defaults() }), ["collision"]);
+    let (car, unknown) = ((AgentClass::Vehicle, TrackRole::Context), (AgentClass::Unknown, TrackRole::Context));
+    assert!(passing(1.45, [car, car]) && !passing(1.55, [car, car]));
+    assert!(passing(0.25, [unknown, unknown]) && !passing(0.35, [unknown, unknown]));
+    for role in [TrackRole::Focal, TrackRole::Recorder] {
+        let vehicle = (AgentClass::Unknown, role);
+        assert!(passing(0.85, [vehicle, unknown]) && !passing(0.95, [vehicle, unknown]), "{role:?}");
+    }
+    let mut of_known_size = built(
+        "{ id = \"a\", start = { x_m = 15, y_m = 0, speed_mps = 10 } }, { id = \"b\", start = { x_m = 0, y_m = 1.55, speed_mps = 15 } }",
+    );
+    of_known_size.tracks.iter_mut().for_each(|track| track.extent = Some(AgentClass::Vehicle.nominal_extent()));
+    assert_eq!(checks(&of_known_size, &defaults()), ["collision"]);
 }
 
 #[test]

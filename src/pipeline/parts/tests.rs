@@ -23,6 +23,7 @@ fn identity() -> Identity {
         outputs: BTreeMap::new(),
         files: None,
         summary: serde_json::Value::Null,
+        times: BTreeMap::new(),
     };
     Identity { stage, program: "1 (a)".to_owned(), compute: "cpu, f32".to_owned() }
 }

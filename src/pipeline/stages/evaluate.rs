@@ -35,7 +35,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        7
+        8
     }
 
     fn check(&self) -> Result<()> {
