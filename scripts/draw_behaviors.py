@@ -26,7 +26,7 @@ import matplotlib.pyplot as plt
 from PIL import Image
 
 COLORS = ["#1f5fbf", "#e07b00", "#2a8a3a"]
-NOMINAL = {"bus": (12.0, 2.6), "motorcyclist": (2.0, 0.8), "cyclist": (1.8, 0.6), "pedestrian": (0.6, 0.6)}  # where a dataset gives no size
+NOMINAL = {"bus": (12.0, 2.6), "motorcyclist": (2.0, 0.8), "cyclist": (1.8, 0.6), "pedestrian": (0.6, 0.6), "pedestrian_or_cyclist": (0.6, 0.6)}  # where a dataset gives no size
 STATE = ["x_m", "y_m", "heading_rad", "vx_mps", "vy_mps"]
 LINES = ["centerline", "left", "right"]
 COLUMNS, ASPECT, MOST_BYTES = 8, 1.5, 150_000

@@ -3,7 +3,7 @@
 use super::following::{Ahead, Follower};
 use super::lane_relation::SceneLanes;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
-use crate::geometry::angle_difference;
+use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -29,7 +29,7 @@ pub struct CutOutConfig {
     /// The ego must be on course to reach the revealed vehicle in less than this, seconds. Default 4.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_ttc_s: f64,
-    /// The revealed vehicle drives at most at this share of the ego's speed. Default 0.5.
+    /// The revealed vehicle drives at most at this share of the ego's speed, and the leader faster. Default 0.5.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_speed_share: f64,
     /// The ego drives at least this fast at the reveal, m/s. Default 4.
@@ -63,18 +63,19 @@ impl Default for CutOutConfig {
 ///
 /// **Positive**: all of
 ///
-/// - At present the leader is the nearest vehicle ahead in the lane of the ego, within a time headway of 4 s, and the revealed one is the next beyond it.
+/// - At present the leader is the nearest vehicle ahead in the lane of the ego, within a time headway of 4 s, and the revealed one is the next beyond it. Both are in
+///   the ego's way: the boxes overlap across the lane by at least half the width of the narrower one.
 /// - In the future the leader's center leaves the lane (by more than 0.3 m beyond a side), and stays out for a second or to the end of the
 ///   scene. It heads along the lane until then (within 30 degrees).
 /// - At that timestep, the *reveal*, the ego is still in the lane, and the revealed vehicle is the nearest ahead of it. The ego drives at least 4 m/s, the revealed one at most half
-///   as fast along the lane, and at these speeds they touch in less than 4 s.
+///   as fast along the lane, the leader faster than that, and at these speeds ego and revealed vehicle touch in less than 4 s.
 ///
 /// The event *starts* when the leader's box begins to reach over the side of the lane for good, and is *complete* at the reveal. UN Regulation No. 157 (annex 3)
 /// knows the cut-out as one of three scenarios that a system must master, with the time to collision at the reveal and a standing vehicle.
 ///
-/// *What does not count*: leaders that turn off; vehicles that come into the lane later than the present; who is in no lane at present.
+/// *What does not count*: leaders that turn off, or are that are slow themselves, for whom the ego has to brake anyway; vehicles that come into the lane later than the present; who is in no lane at present.
 ///
-/// **Negative**: a leader that leaves the lane likewise, where the next one ahead is too fast or too far away.
+/// **Negative**: a leader that leaves the lane likewise, where the next one ahead is too fast or too far away, or the leader too slow.
 ///
 /// Parameters, all at the reveal: `ttc_s` (gap per relative speed; absent where they do not close in), `gap_m` (from the ego's front to the revealed vehicle, along the lane), `relative_speed_mps` (positive
 /// when closing), `ego_speed_mps` and `revealed_speed_mps` (along the lane), `side` (to which the leader leaves: +1 left, -1 right).
@@ -87,6 +88,7 @@ pub struct CutOut {
 struct Reveal {
     timestep: usize,
     side: f64,
+    leader_mps: f64,
 }
 
 impl CutOut {
@@ -113,11 +115,16 @@ impl CutOut {
         }
     }
 
+    /// Whether who drives so is slow beside an ego that is as fast as this.
+    pub(super) fn is_slow(&self, speed_mps: f64, ego_mps: f64) -> bool {
+        speed_mps <= self.config.max_speed_share * ego_mps
+    }
+
     /// Whether the ego reaches in time who is so far ahead.
     pub(super) fn is_reached(&self, revealed: &Ahead) -> bool {
         let closing_mps = revealed.own_mps - revealed.their_mps;
         revealed.own_mps >= self.config.min_speed_mps
-            && revealed.their_mps <= self.config.max_speed_share * revealed.own_mps
+            && self.is_slow(revealed.their_mps, revealed.own_mps)
             && revealed.gap_m > 0.0
             && revealed.gap_m < self.config.max_ttc_s * closing_mps
     }
@@ -138,8 +145,10 @@ impl CutOut {
         if !stays_out || !(scene.current_timestep()..=timestep).all(is_along) {
             return None;
         }
-        let side = if lane.project(state(timestep)?.position)?.offset_m < 0.0 { -1.0 } else { 1.0 };
-        Some(Reveal { timestep, side })
+        let out = state(timestep)?;
+        let place = lane.project(out.position)?;
+        let side = if place.offset_m < 0.0 { -1.0 } else { 1.0 };
+        Some(Reveal { timestep, side, leader_mps: out.velocity.dot(Vec2::from_angle(place.heading_rad)) })
     }
 
     /// The first of the timesteps up to the reveal at which the leader's box reaches over the side of the lane without a break.
@@ -162,8 +171,8 @@ impl CutOut {
         if revealed.agent_idx != next.agent_idx {
             return None;
         }
-        let is_reached = self.is_reached(&revealed);
-        let label = if is_reached { EventLabel::Positive } else { EventLabel::Negative };
+        let is_sudden = self.is_reached(&revealed) && !self.is_slow(reveal.leader_mps, revealed.own_mps);
+        let label = if is_sudden { EventLabel::Positive } else { EventLabel::Negative };
         let relative_mps = revealed.own_mps - revealed.their_mps;
         let agents = [ego_idx, revealed.agent_idx, leader.agent_idx];
         let timesteps = Self::start(scene, &ego, leader.agent_idx, &reveal)..=reveal.timestep;

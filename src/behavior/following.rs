@@ -1,4 +1,4 @@
-//! Who is ahead of a vehicle in the lane that it keeps, and how far?
+//! Who is in the way of a vehicle in the lane that it keeps, and how far ahead?
 
 use super::AgentFilter;
 use super::footprint::Footprint;
@@ -54,11 +54,13 @@ impl<'a> Follower<'a> {
         self.state(self.agent_idx, timestep).map_or(0.0, State::speed_mps)
     }
 
-    /// Those ahead in the lane at `timestep` within `reach_m`, the nearest first. Nobody where the follower itself is not in it.
+    /// Those ahead in the lane at `timestep` within `reach_m`, the nearest first, who are in the follower's way: the boxes overlap across the lane by at least half
+    /// the width of the narrower one, since two may drive beside each other in one lane. Nobody where the follower itself is not in it.
     pub(super) fn ahead(&self, timestep: usize, reach_m: f64) -> Vec<Ahead> {
         let Some(own) = self.state_in_lane(self.agent_idx, timestep) else { return Vec::new() };
         let Some(place) = self.lane.project(own.position) else { return Vec::new() };
-        let half_length_m = self.scene.tracks[self.agent_idx].extent_or_nominal().length_m / 2.0;
+        let extent = self.scene.tracks[self.agent_idx].extent_or_nominal();
+        let (half_length_m, half_width_m) = (extent.length_m / 2.0, extent.width_m / 2.0);
         let mut found: Vec<(f64, Ahead)> = Vec::new();
         for agent_idx in (0..self.scene.tracks.len()).filter(|idx| *idx != self.agent_idx) {
             let track = &self.scene.tracks[agent_idx];
@@ -69,8 +71,12 @@ impl<'a> Follower<'a> {
             let Some(theirs) = self.lane.project(state.position) else { continue };
             let along = Vec2::from_angle(theirs.heading_rad);
             let way_m = theirs.station_m - place.station_m;
-            let gap_m = way_m - half_length_m - Footprint::new(&track.footprint(state)).half_extent_m(along);
-            if way_m > 0.0 && gap_m <= reach_m {
+            let body = Footprint::new(&track.footprint(state));
+            let gap_m = way_m - half_length_m - body.half_extent_m(along);
+            // Half of both widths less what of the narrower one has to overlap is half of the wider one.
+            let their_half_m = body.half_extent_m(Vec2::new(-along.y, along.x));
+            let is_in_way = (theirs.offset_m - place.offset_m).abs() <= half_width_m.max(their_half_m);
+            if way_m > 0.0 && gap_m <= reach_m && is_in_way {
                 let own_mps = own.velocity.dot(Vec2::from_angle(place.heading_rad));
                 found.push((way_m, Ahead { agent_idx, gap_m, own_mps, their_mps: state.velocity.dot(along) }));
             }

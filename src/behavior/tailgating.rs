@@ -52,7 +52,8 @@ impl Default for TailgatingConfig {
 /// **Positive**: over at least 2 s without a break, all of
 ///
 /// - The leader is the nearest vehicle ahead in the lane that the follower keeps (the one it is in at present, with those that lead to it and
-///   follow on), and both centers are in it, with a hysteresis of 0.3 m.
+///   follow on), and in its way: both centers are in the lane, with a hysteresis of 0.3 m, and the boxes overlap across it by at least half the width of the
+///   narrower one.
 /// - The time headway, that is the gap from the follower's front to the leader's rear along the lane by the follower's speed, is below 0.9 s.
 /// - Both drive along the lane with at least 8 m/s.
 ///
@@ -61,7 +62,7 @@ impl Default for TailgatingConfig {
 /// Analysis and Prevention 35) has headways below 1 s as dangerous, and UN Regulation No. 157 keeps 1.0 to 1.6 s from 2 to 17 m/s.
 ///
 /// *What does not count*: queues and their ends, where one of the two is slow; short gaps after merging that are opened again within 2 s; boxes that
-/// overlap; agents that are in no lane at present.
+/// overlap; two who drive staggered beside each other in one lane; agents that are in no lane at present.
 ///
 /// **Negative**: any other pair with headways below 1.4 s by the same rules.
 ///

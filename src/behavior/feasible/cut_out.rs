@@ -18,7 +18,7 @@ const SPEED_SPACING_MPS: f64 = 2.0;
 
 impl CutOut {
     /// What the ego could come to behind the revealed vehicle if the leader moves over to a lane beside with at most 2 m/s² across, and the two
-    /// drive on with -4 to 2.5 m/s² each. Empty where the leader is not between the two, or no lane lies beside its own.
+    /// drive on with -4 to 2.5 m/s² each. Empty where the leader is not between the two or slow itself, or no lane lies beside its own.
     pub(in crate::behavior) fn outcomes(
         &self,
         scene: &Scene,
@@ -30,7 +30,8 @@ impl CutOut {
         }
         let ego = Follower::as_observed(scene, &lanes, config.agents, ego_idx)?;
         let [leader, next] = self.queue(&ego, scene.current_timestep())?;
-        if [leader.agent_idx, next.agent_idx] != [leader_idx, revealed_idx] {
+        let are_asked = [leader.agent_idx, next.agent_idx] == [leader_idx, revealed_idx];
+        if !are_asked || self.is_slow(leader.their_mps, leader.own_mps) {
             return None;
         }
         let position = ego.state_in_lane(leader_idx, scene.current_timestep())?.position;

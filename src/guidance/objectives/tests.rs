@@ -56,7 +56,7 @@ fn every_gradient_agrees_with_finite_differences_and_every_potential_is_negative
         match config {
             // Whose path is cut into or stepped into, and whom one follows, is held as it is.
             ObjectiveConfig::CutIn(_) | ObjectiveConfig::Tailgating(_) | ObjectiveConfig::PedestrianStepsOut(_) => {
-                assert_gradients_of_match(config.objective(), &traffic, &[1, 2])
+                assert_gradients_of_match(config.objective(), &traffic, &[1, 2]);
             }
             _ => assert_gradients_match(config.objective(), &traffic),
         }
