@@ -73,7 +73,7 @@ impl Default for CutOutConfig {
 /// The event *starts* when the leader's box begins to reach over the side of the lane for good, and is *complete* at the reveal. UN Regulation No. 157 (annex 3)
 /// knows the cut-out as one of three scenarios that a system must master, with the time to collision at the reveal and a standing vehicle.
 ///
-/// *What does not count*: leaders that turn off, or are that are slow themselves, for whom the ego has to brake anyway; vehicles that come into the lane later than the present; who is in no lane at present.
+/// *What does not count*: leaders that turn off, or that are slow themselves (the ego has to brake for them anyway); vehicles that come into the lane later than the present; who is in no lane at present.
 ///
 /// **Negative**: a leader that leaves the lane likewise, where the next one ahead is too fast or too far away, or the leader too slow.
 ///
