@@ -4,7 +4,7 @@
     python scripts/draw_behaviors.py output/cut_in_corpus/main --behaviors cut_in hard_brake --out sheets
 
 A folder is a run: its events.parquet and scenes/ give recorded events, its corpus/ accepted scenarios; what several runs hold is drawn from
-together. A panel shows the lanes, the way of those who take part (the first role blue, the second orange) with their boxes at the start (dotted),
+together. A panel shows the lanes, the way of those who take part (the first role blue, the second orange, a third green) with their boxes at the start (dotted),
 in the middle and at the end (filled) of the event, everybody else at its start in gray; the first role drives to the right. Below are speeds (m/s) over the time of the scene, with
 the event shaded and the present dashed. Panels of accepted scenarios come first. The list of what was drawn goes to standard output.
 """
@@ -25,8 +25,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from PIL import Image
 
-COLORS = ["#1f5fbf", "#e07b00"]
-NOMINAL = {"bus": (12.0, 2.6), "motorcyclist": (2.0, 0.8), "cyclist": (1.8, 0.6), "pedestrian": (0.6, 0.6)}  # where a dataset gives no size
+COLORS = ["#1f5fbf", "#e07b00", "#2a8a3a"]
+NOMINAL = {"bus": (12.0, 2.6), "motorcyclist": (2.0, 0.8), "cyclist": (1.8, 0.6), "pedestrian": (0.6, 0.6), "pedestrian_or_cyclist": (0.6, 0.6)}  # where a dataset gives no size
 STATE = ["x_m", "y_m", "heading_rad", "vx_mps", "vy_mps"]
 LINES = ["centerline", "left", "right"]
 COLUMNS, ASPECT, MOST_BYTES = 8, 1.5, 150_000

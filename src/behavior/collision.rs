@@ -102,19 +102,12 @@ impl Behavior for Collision {
         ID
     }
 
-    fn roles(&self) -> &'static [&'static str] {
-        ROLES
-    }
-
     fn admits(&self, class: AgentClass) -> bool {
         self.config.agents.admits(class)
     }
 
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        match agents {
-            [first, second] => self.outcomes(scene, [*first, *second]),
-            _ => Vec::new(),
-        }
+        agents.try_into().map_or_else(|_| Vec::new(), |pair| self.outcomes(scene, pair))
     }
 
     /// At most one event a pair, in the order of tracks.

@@ -153,10 +153,6 @@ impl Behavior for LaneChange {
         ID
     }
 
-    fn roles(&self) -> &'static [&'static str] {
-        ROLES
-    }
-
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         agents.first().map_or_else(Vec::new, |agent_idx| self.outcomes(scene, *agent_idx))
     }

@@ -1,7 +1,7 @@
 //! Left turn: does an agent turn left by a large angle in little room?
 
 use super::feasible::turn_outcomes as outcomes;
-use super::turn::{ROLES, TurnConfig, TurnSide, turns};
+use super::turn::{TurnConfig, TurnSide, turns};
 use super::{Behavior, BehaviorEvent, Outcome};
 use crate::scene::Scene;
 
@@ -41,10 +41,6 @@ impl LeftTurn {
 impl Behavior for LeftTurn {
     fn id(&self) -> &'static str {
         ID
-    }
-
-    fn roles(&self) -> &'static [&'static str] {
-        ROLES
     }
 
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {

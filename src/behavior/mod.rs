@@ -7,9 +7,11 @@ mod agent_filter;
 mod collision;
 mod cut_in;
 mod cut_in_paper;
+mod cut_out;
 pub(crate) mod driven_path;
 mod event;
 mod feasible;
+mod following;
 pub(crate) mod footprint;
 mod hard_brake;
 mod intrusion;
@@ -21,9 +23,11 @@ mod left_turn;
 mod near_miss;
 mod outcome;
 mod pairs;
+mod pedestrian_steps_out;
 mod right_turn;
 pub(crate) mod speed_profile;
 pub(crate) mod sweep;
+mod tailgating;
 mod template;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -34,13 +38,16 @@ pub use agent_filter::AgentFilter;
 pub use collision::{Collision, CollisionConfig};
 pub use cut_in::{CutIn, CutInConfig};
 pub use cut_in_paper::{CutInPaper, CutInPaperConfig};
+pub use cut_out::{CutOut, CutOutConfig};
 pub use event::{BehaviorEvent, EventLabel};
 pub use hard_brake::{HardBrake, HardBrakeConfig};
 pub use lane_change::{LaneChange, LaneChangeConfig};
 pub use left_turn::LeftTurn;
 pub use near_miss::{NearMiss, NearMissConfig};
 pub use outcome::Outcome;
+pub use pedestrian_steps_out::{PedestrianStepsOut, PedestrianStepsOutConfig};
 pub use right_turn::RightTurn;
+pub use tailgating::{Tailgating, TailgatingConfig};
 pub use template::Template;
 pub use turn::TurnConfig;
 
@@ -55,7 +62,9 @@ pub trait Behavior: Send + Sync {
     /// Its name in configs and tables, such as `cut_in`.
     fn id(&self) -> &'static str;
     /// The roles of an event, in the order in which events list them.
-    fn roles(&self) -> &'static [&'static str];
+    fn roles(&self) -> &'static [&'static str] {
+        BehaviorEntry::of(self.id()).map_or(&[], |entry| entry.roles)
+    }
     /// All events of the scene, positive and (where the behavior defines them) hard negative, in a fixed order.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent>;
     /// Whether agents of this class may be asked to show it.
@@ -65,6 +74,11 @@ pub trait Behavior: Send + Sync {
     /// Whether it is found among agents whose size is recorded alone.
     fn needs_sizes(&self) -> bool {
         false
+    }
+    /// All who would take part in an event of which `pair` has the first two roles, told from what was observed and the map alone. `None`
+    /// where nobody has another role that there is.
+    fn completed(&self, _scene: &Scene, pair: [usize; 2]) -> Option<Vec<usize>> {
+        Some(pair.to_vec())
     }
     /// What `agents`, in the order of the roles, could still come to, told from what was observed and the map alone; empty where they
     /// cannot show the behavior. Where nothing speaks against it, one outcome that names no parameter.
@@ -108,6 +122,12 @@ pub enum BehaviorConfig {
     NearMiss(NearMissConfig),
     /// Two road users drive into each other.
     Collision(CollisionConfig),
+    /// One vehicle drives too close behind another.
+    Tailgating(TailgatingConfig),
+    /// The vehicle ahead leaves the lane and reveals a slow one.
+    CutOut(CutOutConfig),
+    /// Somebody on foot steps into the lane of a vehicle.
+    PedestrianStepsOut(PedestrianStepsOutConfig),
 }
 
 impl BehaviorConfig {
@@ -122,6 +142,9 @@ impl BehaviorConfig {
             Self::HardBrake(config) => Box::new(HardBrake::new(config)),
             Self::NearMiss(config) => Box::new(NearMiss::new(config)),
             Self::Collision(config) => Box::new(Collision::new(config)),
+            Self::Tailgating(config) => Box::new(Tailgating::new(config)),
+            Self::CutOut(config) => Box::new(CutOut::new(config)),
+            Self::PedestrianStepsOut(config) => Box::new(PedestrianStepsOut::new(config)),
         }
     }
 
@@ -142,9 +165,20 @@ impl BehaviorConfig {
                 settings::ascending(negative, ("min_heading_change_rad", config.min_heading_change_rad))?;
                 settings::ascending(("min_radius_m", config.min_radius_m), ("max_radius_m", config.max_radius_m))
             }
-            Self::CutIn(_) | Self::CutInPaper(_) | Self::LaneChange(_) | Self::NearMiss(_) | Self::Collision(_) => {
-                Ok(())
+            Self::Tailgating(config) => {
+                let least = ("max_headway_s", config.max_headway_s);
+                settings::ascending(least, ("negative_headway_s", config.negative_headway_s))
             }
+            Self::PedestrianStepsOut(config) => {
+                let most = ("negative_time_to_arrival_s", config.negative_time_to_arrival_s);
+                settings::ascending(("max_time_to_arrival_s", config.max_time_to_arrival_s), most)
+            }
+            Self::CutIn(_)
+            | Self::CutInPaper(_)
+            | Self::LaneChange(_)
+            | Self::NearMiss(_)
+            | Self::Collision(_)
+            | Self::CutOut(_) => Ok(()),
         }
     }
 
@@ -159,6 +193,9 @@ impl BehaviorConfig {
             Self::HardBrake(_) => hard_brake::ID,
             Self::NearMiss(_) => near_miss::ID,
             Self::Collision(_) => collision::ID,
+            Self::Tailgating(_) => tailgating::ID,
+            Self::CutOut(_) => cut_out::ID,
+            Self::PedestrianStepsOut(_) => pedestrian_steps_out::ID,
         }
     }
 
@@ -272,5 +309,32 @@ pub static ALL: &[BehaviorEntry] = &[
         is_collision: true,
         needs_lanes: false,
         default_config: || BehaviorConfig::Collision(CollisionConfig::default()),
+    },
+    BehaviorEntry {
+        id: tailgating::ID,
+        roles: tailgating::ROLES,
+        parameters: tailgating::PARAMETERS,
+        description: "one vehicle (follower) drives less than 0.9 s behind another (leader) for at least 2 s, both at 8 m/s or more",
+        is_collision: false,
+        needs_lanes: true,
+        default_config: || BehaviorConfig::Tailgating(TailgatingConfig::default()),
+    },
+    BehaviorEntry {
+        id: cut_out::ID,
+        roles: cut_out::ROLES,
+        parameters: cut_out::PARAMETERS,
+        description: "the vehicle ahead (leader) leaves the lane and reveals a slow one that the ego reaches in less than 4 s",
+        is_collision: false,
+        needs_lanes: true,
+        default_config: || BehaviorConfig::CutOut(CutOutConfig::default()),
+    },
+    BehaviorEntry {
+        id: pedestrian_steps_out::ID,
+        roles: pedestrian_steps_out::ROLES,
+        parameters: pedestrian_steps_out::PARAMETERS,
+        description: "somebody on foot steps from beside the road into the lane of a vehicle (ego) that is less than 3 s away",
+        is_collision: false,
+        needs_lanes: true,
+        default_config: || BehaviorConfig::PedestrianStepsOut(PedestrianStepsOutConfig::default()),
     },
 ];

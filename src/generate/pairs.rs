@@ -4,7 +4,7 @@ use super::{Error, Generator, PairRanking, ResolvedSweep};
 use crate::behavior::{Behavior, Outcome};
 use crate::diffusion::NoiseSource;
 use crate::model::TrainedClassifier;
-use crate::scene::{ObservationMask, Roles, Scene};
+use crate::scene::{ObservationMask, Roles, Scene, TrackId};
 use crate::seed::Seed;
 use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
@@ -20,7 +20,7 @@ const N_RANKING_DRAWS: u64 = 8;
 /// A pair that may be requested to show a behavior.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct CandidatePair {
-    /// Its agents in the behavior's order of roles; the same one twice for behaviors of a single agent.
+    /// The agents of the first two roles; the same one twice for behaviors of a single agent.
     pub(super) agents: (usize, usize),
     /// The roles with their tracks.
     pub(super) roles: Roles,
@@ -39,9 +39,12 @@ impl Generator<'_> {
         scene: &Scene,
     ) -> Result<Vec<CandidatePair>, Error> {
         let mut candidates = possible_pairs(sweep, behavior, scene);
-        // Both agents must be among those that the denoiser sees when the first one is at the center.
+        // All with a role must be among those that the denoiser sees when the first one is at the center.
         let max_agents = self.spec().sampling_collator().max_agents;
-        candidates.retain(|pair| proximity_rank(scene, pair.agents.0, pair.agents.1) < max_agents);
+        let is_seen = |pair: &CandidatePair, track: &TrackId| {
+            scene.track_idx(track).is_some_and(|idx| proximity_rank(scene, pair.agents.0, idx) < max_agents)
+        };
+        candidates.retain(|pair| pair.roles.tracks().all(|track| is_seen(pair, track)));
         if let (PairRanking::Classifier, Some(classifier)) = (sweep.pairs.ranking, self.classifier(sweep)) {
             self.score(classifier, scene, &mut candidates)?;
         }
@@ -102,7 +105,10 @@ pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, sce
             if (first == second) != is_single || distance_m(scene, first, second) > sweep.pairs.max_distance_m {
                 continue;
             }
-            let agents = if is_single { vec![first] } else { vec![first, second] };
+            let agents = if is_single { Some(vec![first]) } else { behavior.completed(scene, [first, second]) };
+            let Some(agents) = agents.filter(|agents| agents.iter().all(|idx| eligible.contains(idx))) else {
+                continue;
+            };
             let outcomes = behavior.feasible(scene, &agents);
             let effort = outcomes.iter().map(Outcome::effort).reduce(f64::min);
             if sweep.pairs.only_feasible && effort.is_none() {

@@ -187,6 +187,18 @@ const REFUSED: &[(&[&str], &[&str])] = &[
         &["mine.behaviors=[{ kind = \"right_turn\", max_roundabout_m = -1.0 }]"],
         &["mine.behaviors.0.max_roundabout_m is -1, expected 0 to 10000"],
     ),
+    (
+        &["mine.behaviors=[{ kind = \"tailgating\", max_headway_s = 2.0 }]"],
+        &["mine.behaviors.0.max_headway_s is 2, expected at most negative_headway_s, which is 1.4"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"pedestrian_steps_out\", max_time_to_arrival_s = 6.0 }]"],
+        &["max_time_to_arrival_s is 6, expected at most negative_time_to_arrival_s, which is 5"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"cut_out\", max_speed_share = 1.5 }]"],
+        &["mine.behaviors.0.max_speed_share is 1.5, expected 0 to 1"],
+    ),
     (&["mine.behaviors=[{ kind = \"cut_in\", min_shift_m = -0.5 }]"], &["mine.behaviors.0.min_shift_m is -0.5"]),
     (&["mine.behaviors=[{ kind = \"lane_change\", min_stay_s = -1.0 }]"], &["mine.behaviors.0.min_stay_s is -1"]),
     (

@@ -154,10 +154,6 @@ impl Behavior for CutIn {
         ID
     }
 
-    fn roles(&self) -> &'static [&'static str] {
-        ROLES
-    }
-
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         let [ego_idx, other_idx] = agents else { return Vec::new() };
         self.outcomes(scene, *ego_idx, *other_idx).unwrap_or_default()

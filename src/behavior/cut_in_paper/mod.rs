@@ -187,10 +187,6 @@ impl Behavior for CutInPaper {
         ID
     }
 
-    fn roles(&self) -> &'static [&'static str] {
-        ROLES
-    }
-
     /// Pairs in the order of tracks, each pair first with the earlier track as the ego, then with the later one.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let search = PairSearch {

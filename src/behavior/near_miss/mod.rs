@@ -189,19 +189,12 @@ impl Behavior for NearMiss {
         ID
     }
 
-    fn roles(&self) -> &'static [&'static str] {
-        ROLES
-    }
-
     fn admits(&self, class: AgentClass) -> bool {
         self.config.agents.admits(class)
     }
 
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        match agents {
-            [first, second] => self.outcomes(scene, [*first, *second]),
-            _ => Vec::new(),
-        }
+        agents.try_into().map_or_else(|_| Vec::new(), |pair| self.outcomes(scene, pair))
     }
 
     fn needs_sizes(&self) -> bool {

@@ -91,7 +91,7 @@ fn who_may_be_asked_is_motorized_unless_the_behavior_says_otherwise() {
     for entry in ALL {
         let behavior = (entry.default_config)().build();
         assert!(behavior.admits(AgentClass::Vehicle) && !behavior.admits(AgentClass::Static), "{}", entry.id);
-        let is_of_all = ["near_miss", "collision"].contains(&entry.id);
+        let is_of_all = ["near_miss", "collision", "pedestrian_steps_out"].contains(&entry.id);
         assert_eq!(behavior.admits(AgentClass::Pedestrian), is_of_all, "{}", entry.id);
     }
 }

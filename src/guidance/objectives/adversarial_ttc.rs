@@ -1,9 +1,7 @@
 //! Bring two agents close to a collision.
 
 use super::approach::Approach;
-use super::box_separation::separation_m;
 use super::motion::{best_moment, nothing};
-use super::pairs::{PairQuery, Pairs};
 use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -76,11 +74,9 @@ impl SceneObjective for AdversarialTtc {
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let query = PairQuery::of(&self.agents, &self.to);
-        let Some(pairs) = Pairs::gather(states, context, &query)?.filter(|_| states.dim(2).is_ok_and(|n| n > 1)) else {
+        let Some((pairs, _, approach)) = Approach::between(states, context, [&self.agents, &self.to])? else {
             return nothing(states);
         };
-        let approach = Approach::new(&pairs, &separation_m(&pairs)?, context.dt_s)?;
         let slow = ((1.0 / self.ttc_s - approach.inverse_ttc_per_s)?.relu()? * (1.0 / self.tolerance_per_s))?;
         let aside = (approach.aside_m * (1.0 / self.tolerance_m))?;
         let cost = ((slow.sqr()? + aside.sqr()?)? * 0.5)?;

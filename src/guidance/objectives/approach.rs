@@ -1,7 +1,9 @@
 //! How soon two agents would collide, and how far beside each other they would pass.
 
+use super::box_separation::separation_m;
 use super::motion::{norm, positions};
-use super::pairs::{Agents, Pairs};
+use super::pairs::{Agents, PairQuery, Pairs};
+use super::{AgentSelector, SceneContext};
 use candle_core::{D, Result, Tensor};
 
 /// The gap below which time to collision no longer shrinks, meters: its inverse would grow without bound.
@@ -31,8 +33,24 @@ pub(super) struct Approach {
 }
 
 impl Approach {
+    /// Of the pair of `one` and `other` in each row, with the pairs and the separation of their boxes, (P, T). `None` where there is no such pair, or
+    /// only one timestep.
+    pub(super) fn between(
+        states: &Tensor,
+        context: &SceneContext,
+        [one, other]: [&AgentSelector; 2],
+    ) -> Result<Option<(Pairs, Tensor, Self)>> {
+        let query = PairQuery::of(one, other);
+        let Some(pairs) = Pairs::gather(states, context, &query)?.filter(|_| states.dim(2).is_ok_and(|n| n > 1)) else {
+            return Ok(None);
+        };
+        let separation_m = separation_m(&pairs)?;
+        let approach = Self::new(&pairs, &separation_m, context.dt_s)?;
+        Ok(Some((pairs, separation_m, approach)))
+    }
+
     /// Of `pairs`, whose boxes are `separation_m` (P, T) apart. There must be two timesteps.
-    pub(super) fn new(pairs: &Pairs, separation_m: &Tensor, dt_s: f64) -> Result<Self> {
+    fn new(pairs: &Pairs, separation_m: &Tensor, dt_s: f64) -> Result<Self> {
         let n_steps = separation_m.dim(1)? - 1;
         let (earlier, later) =
             (|tensor: &Tensor| tensor.narrow(1, 0, n_steps), |tensor: &Tensor| tensor.narrow(1, 1, n_steps));

@@ -1,9 +1,7 @@
 //! Drive into each other.
 
 use super::approach::Approach;
-use super::box_separation::separation_m;
 use super::motion::{best_moment, nothing, penalty};
-use super::pairs::{PairQuery, Pairs};
 use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, first, interval, one_agent, second};
 use crate::settings;
 use candle_core::{Result, Tensor};
@@ -81,12 +79,10 @@ impl SceneObjective for Collision {
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let query = PairQuery::of(&self.agents, &self.to);
-        let Some(pairs) = Pairs::gather(states, context, &query)?.filter(|_| states.dim(2).is_ok_and(|n| n > 1)) else {
+        let Some((pairs, separation_m, approach)) = Approach::between(states, context, [&self.agents, &self.to])?
+        else {
             return nothing(states);
         };
-        let separation_m = separation_m(&pairs)?;
-        let approach = Approach::new(&pairs, &separation_m, context.dt_s)?;
         let wanted = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
         let wrong_mps = beyond(&approach.relative_mps, &pairs.of_rows(&wanted)?)?;
         let apart_m = (separation_m.narrow(1, 1, separation_m.dim(1)? - 1)? + OVERLAP_M)?.relu()?;

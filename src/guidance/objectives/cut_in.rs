@@ -1,10 +1,11 @@
 //! Move into the lane of another agent, ahead of it.
 
+use super::driven_paths::PathFrame;
 use super::motion::{best_moment, nothing, penalty};
+use super::pairs::Agents;
 use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval, one_agent};
-use crate::geometry::Vec2;
 use crate::settings;
-use candle_core::{D, DType, Result, Tensor};
+use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -92,10 +93,6 @@ const SETTLED_S: f64 = 1.0;
 const LEAST_GAP_M: f64 = 1.0;
 /// The share of the longest delay that is made use of.
 const DELAY_SHARE: f64 = 0.9;
-/// Rounding of |d| at zero, meters.
-const ROUNDING_M: f64 = 0.05;
-/// The step below which a heading does not follow from a motion, meters.
-const LEAST_STEP_M: f64 = 0.05;
 
 impl SceneObjective for CutIn {
     fn kind(&self) -> &'static str {
@@ -122,52 +119,27 @@ impl SceneObjective for CutIn {
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let (n_rows, n_agents, n_timesteps, _) = states.dims4()?;
-        let (egos, others) = (context.slots(&self.before)?, context.slots(&self.agents)?);
-        let flat = |slots: &[usize]| -> Result<Tensor> {
-            let at = slots.iter().enumerate().map(|(row, slot)| (row * n_agents + slot) as u32);
-            Tensor::from_vec(at.collect::<Vec<_>>(), n_rows, states.device())
-        };
-        let (egos, others) = (flat(egos)?, flat(others)?);
-        let of = |tensor: &Tensor, agents: &Tensor| tensor.flatten(0, 1)?.index_select(agents, 0);
-        let own = of(states, &others)?;
-        let paths = Paths::new(&of(states, &egos)?, &own, &of(&context.valid, &egos)?, context)?;
-        let on_device = |values: Vec<f64>| {
-            Tensor::from_vec(values, (n_rows, n_timesteps), states.device())?.to_dtype(states.dtype())
-        };
-        let valid = (of(&context.valid, &others)? * on_device(paths.is_known)?)?;
-        let counts = (&valid * of(&context.latent, &others)?)?;
+        let n_timesteps = states.dim(2)?;
+        let named = |selector: &AgentSelector| Agents::named(states, context, selector);
+        let (egos, others) = (named(&self.before)?, named(&self.agents)?);
+        let frame = PathFrame::new(&egos, &others, context)?;
+        let halves = |dim: usize| ((&egos.extent_m + &others.extent_m)? * 0.5)?.narrow(1, dim, 1);
+        let (half_lengths_m, half_widths_m) = (halves(0)?, halves(1)?);
+        let gap_m = frame.along_m.broadcast_sub(&half_lengths_m)?;
+        let excess_m = frame.beside_m.broadcast_sub(&half_widths_m)?;
+        let left_s = |t: usize| DELAY_SHARE * self.max_delay_s.min((n_timesteps - 1 - t) as f64 * context.dt_s);
+        let left_s: Vec<f64> = (0..n_timesteps).map(left_s).collect();
+        let left_s = Tensor::from_vec(left_s, n_timesteps, states.device())?.to_dtype(states.dtype())?;
+        let reach_m = frame.owner_mps.broadcast_mul(&left_s)?;
 
-        // Along and across the path, from the pose of it that is nearest.
-        let coordinate = |dim: usize| own.narrow(D::Minus1, dim, 1)?.squeeze(D::Minus1);
-        let (dx, dy) = ((coordinate(0)? - on_device(paths.x)?)?, (coordinate(1)? - on_device(paths.y)?)?);
-        let (cos, sin) = (on_device(paths.cos)?, on_device(paths.sin)?);
-        let along_m = ((&dx * &cos)? + (&dy * &sin)?)?;
-        let across_m = ((&dy * &cos)? - (&dx * &sin)?)?;
-        let beside_m = (across_m.sqr()? + ROUNDING_M * ROUNDING_M)?.sqrt()?;
-        let halves = |dim: usize| -> Result<Tensor> {
-            let of = |agents| of(&context.extent_m, agents)?.narrow(1, dim, 1);
-            ((of(&egos)? + of(&others)?)? * 0.5)?.to_dtype(states.dtype())
-        };
-        let gap_m = (along_m + on_device(paths.station_m)?)?.broadcast_sub(&halves(0)?)?;
-        let half_widths_m = halves(1)?;
-        let excess_m = beside_m.broadcast_sub(&half_widths_m)?;
-
-        let reach_m: Vec<f64> = (paths.speed_mps.iter().enumerate())
-            .map(|(at, speed_mps)| {
-                let left_s = (n_timesteps - 1 - at % n_timesteps) as f64 * context.dt_s;
-                DELAY_SHARE * speed_mps * left_s.min(self.max_delay_s)
-            })
-            .collect();
         let wanted_m = context.wanted(GAP, self.gap_m, ANY_GAP_M, states)?;
         let mut cost =
             (penalty(&excess_m, LATERAL_TOLERANCE_M)? + penalty(&beyond(&gap_m, &wanted_m)?, self.tolerance_m)?)?;
-        cost = (cost + penalty(&(&gap_m - on_device(reach_m)?)?.relu()?, self.tolerance_m)?)?;
-        let velocity = |x: &Tensor| backward_rate(x, context.dt_s);
-        let own_mps = ((velocity(&coordinate(0)?)? * &cos)? + (velocity(&coordinate(1)?)? * &sin)?)?;
-        let closing_mps = (on_device(paths.speed_mps)? - own_mps)?;
+        cost = (cost + penalty(&(&gap_m - reach_m)?.relu()?, self.tolerance_m)?)?;
+        let closing_mps = (frame.owner_mps - frame.agent_mps)?;
         let wanted = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
         cost = (cost + penalty(&beyond(&closing_mps, &wanted)?, self.tolerance_mps)?)?;
+        let counts = frame.counts;
         let best = best_moment(&cost.neg()?, &counts)?;
 
         let n_settled = (SETTLED_S / context.dt_s).round().max(1.0) as usize;
@@ -185,90 +157,6 @@ impl SceneObjective for CutIn {
 
         unsettled - best
     }
-}
-
-/// Differences to the timestep before, per second, (B, T); the first is that of the second.
-fn backward_rate(x: &Tensor, dt_s: f64) -> Result<Tensor> {
-    let n = x.dim(1)?.saturating_sub(1);
-    let rate = ((x.narrow(1, 1, n)? - x.narrow(1, 0, n)?)? * (1.0 / dt_s))?;
-    Tensor::cat(&[&rate.narrow(1, 0, 1)?, &rate], 1)
-}
-
-/// What is read off the paths that are cut into, for each row and timestep: numbers that nothing pulls at.
-struct Paths {
-    /// Position of the pose of the path that is nearest to the other, meters.
-    x: Vec<f64>,
-    y: Vec<f64>,
-    /// Direction of that pose.
-    cos: Vec<f64>,
-    sin: Vec<f64>,
-    /// Way from where the path's owner is at this timestep to that pose, negative where it lies behind, meters.
-    station_m: Vec<f64>,
-    /// The owner's speed, m/s.
-    speed_mps: Vec<f64>,
-    /// 1 where the owner has a state.
-    is_known: Vec<f64>,
-}
-
-impl Paths {
-    /// The paths of `owners` (B, T, 3), as far as they are `valid` (B, T), seen from `others` (B, T, 3).
-    fn new(owners: &Tensor, others: &Tensor, valid: &Tensor, context: &SceneContext) -> Result<Self> {
-        let (n_rows, n_timesteps, _) = owners.dims3()?;
-        let host = |tensor: &Tensor| tensor.detach().to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>();
-        let (owners, others, is_known) = (host(owners)?, host(others)?, host(valid)?);
-        let n = n_rows * n_timesteps;
-        let zeros = || vec![0.0; n];
-        let mut paths = Self {
-            x: zeros(),
-            y: zeros(),
-            cos: zeros(),
-            sin: zeros(),
-            station_m: zeros(),
-            speed_mps: zeros(),
-            is_known,
-        };
-        let present = context.n_history.saturating_sub(1);
-        for row in 0..n_rows {
-            let first = row * n_timesteps;
-            let known: Vec<usize> = (present..n_timesteps).filter(|t| paths.is_known[first + t] > 0.0).collect();
-            let position = |t: usize| Vec2::new(owners[3 * (first + t)], owners[3 * (first + t) + 1]);
-            let mut poses: Vec<Pose> = Vec::with_capacity(known.len());
-            for &t in &known {
-                let before = poses.last().copied();
-                let step_m = before.map_or(0.0, |before| before.position.distance(position(t)));
-                let mut heading_rad = owners[3 * (first + t) + 2];
-                if let (false, Some(before)) = (context.generates_headings, before) {
-                    let step = position(t) - before.position;
-                    heading_rad = if step_m < LEAST_STEP_M { before.heading_rad } else { step.y.atan2(step.x) };
-                }
-                let station_m = before.map_or(0.0, |before| before.station_m + step_m);
-                poses.push(Pose { position: position(t), heading_rad, station_m });
-            }
-            for (i, &t) in known.iter().enumerate() {
-                let at = first + t;
-                let place = Vec2::new(others[3 * at], others[3 * at + 1]);
-                let nearest =
-                    poses.iter().min_by(|a, b| a.position.distance(place).total_cmp(&b.position.distance(place)));
-                let Some(nearest) = nearest else { continue };
-                (paths.x[at], paths.y[at]) = (nearest.position.x, nearest.position.y);
-                (paths.sin[at], paths.cos[at]) = nearest.heading_rad.sin_cos();
-                paths.station_m[at] = nearest.station_m - poses[i].station_m;
-                let (a, b) = if i == 0 { (0, 1.min(known.len() - 1)) } else { (i - 1, i) };
-                let elapsed_s = (known[b] - known[a]).max(1) as f64 * context.dt_s;
-                paths.speed_mps[at] = (poses[b].station_m - poses[a].station_m) / elapsed_s;
-            }
-        }
-        Ok(paths)
-    }
-}
-
-/// A pose of a path.
-#[derive(Clone, Copy)]
-struct Pose {
-    position: Vec2,
-    heading_rad: f64,
-    /// Way driven since the present, meters.
-    station_m: f64,
 }
 
 #[cfg(test)]

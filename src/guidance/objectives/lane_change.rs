@@ -1,7 +1,7 @@
 //! Move over to the lane beside one's own.
 
 use super::motion::{nothing, penalty};
-use super::one_agent::OneAgent;
+use super::one_agent::{OneAgent, SIDE};
 use super::{AgentSelector, SceneContext, SceneObjective, Side, default_weight, one_agent};
 use crate::geometry::Polyline;
 use crate::settings;
@@ -57,8 +57,6 @@ const fn default_tolerance_m() -> f64 {
     0.5
 }
 
-/// The parameter at which it aims, as the events report it: +1 left, -1 right.
-const SIDE: &str = "side";
 impl SceneObjective for LaneChange {
     fn kind(&self) -> &'static str {
         "lane_change"
@@ -88,28 +86,13 @@ impl SceneObjective for LaneChange {
             return nothing(states);
         }
         let asked = OneAgent::gather(states, context, &self.agents)?;
-        let lines: Vec<Option<Polyline>> = (0..n_rows).map(|row| self.line(&asked, context, row)).collect();
+        let lines: Vec<Option<Polyline>> = (0..n_rows).map(|row| asked.line_beside(context, row, self.side)).collect();
         let frame = asked.across(&lines)?;
         let last = |tensor: &Tensor| tensor.narrow(1, n_timesteps - n_settled, n_settled);
         let aside_m = (last(&frame.across_m)?.abs()? - self.within_m)?.relu()?;
         let counts = last(&asked.counts)?;
         let costs = (penalty(&aside_m, self.tolerance_m)? * &counts)?.sum(1)?.div(&(counts.sum(1)? + 1e-6)?)?;
         costs * frame.has_line
-    }
-}
-
-impl LaneChange {
-    /// The center line to move over to: the one that the agent is nearest to when it was last seen.
-    fn line(&self, asked: &OneAgent, context: &SceneContext, row: usize) -> Option<Polyline> {
-        let sides = match (self.side, context.targets[row].get(SIDE)) {
-            (Some(side), _) => vec![side.sign()],
-            (None, Some([least, most])) => vec![(least + most).signum()],
-            (None, None) => vec![1.0, -1.0],
-        };
-        let end = asked.position(row, asked.span(row)?.1);
-        let lines = sides.into_iter().flat_map(|side| context.ways[row].beside(asked.pose(row), side));
-        let aside_m = |line: &Polyline| line.project(end).map_or(f64::INFINITY, |place| place.offset_m.abs());
-        lines.min_by(|a, b| aside_m(a).total_cmp(&aside_m(b)))
     }
 }
 

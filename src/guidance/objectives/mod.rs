@@ -13,23 +13,27 @@ mod acceleration_limit;
 mod adversarial_ttc;
 mod approach;
 mod box_separation;
+mod chase;
 mod collision;
 mod cut_in;
+mod cut_out;
+mod driven_paths;
 mod encroachment;
 mod goal;
 mod hard_brake;
 mod keep_distance;
 mod lane_change;
-
 mod motion;
 mod near_miss;
 mod no_collision;
 mod one_agent;
 mod pairs;
+mod pedestrian_steps_out;
 mod slip_limit;
 mod speed_limit;
 mod stay_on_road;
 mod stop_at_line;
+mod tailgating;
 mod target_speed;
 #[cfg(test)]
 mod testing;
@@ -40,6 +44,7 @@ pub use acceleration_limit::AccelerationLimit;
 pub use adversarial_ttc::AdversarialTtc;
 pub use collision::Collision;
 pub use cut_in::CutIn;
+pub use cut_out::CutOut;
 pub use goal::{Goal, GoalFrame};
 pub use hard_brake::HardBrake;
 pub use keep_distance::KeepDistance;
@@ -47,10 +52,12 @@ pub use lane_change::LaneChange;
 pub(super) use motion::nothing;
 pub use near_miss::NearMiss;
 pub use no_collision::NoCollision;
+pub use pedestrian_steps_out::PedestrianStepsOut;
 pub use slip_limit::SlipLimit;
 pub use speed_limit::SpeedLimit;
 pub use stay_on_road::{RoadPoints, StayOnRoad};
 pub use stop_at_line::StopAtLine;
+pub use tailgating::Tailgating;
 pub use target_speed::TargetSpeed;
 
 use super::{AgentSelector, SceneContext};
@@ -120,6 +127,12 @@ pub enum ObjectiveConfig {
     Collision(Collision),
     /// Move over to the lane beside one's own.
     LaneChange(LaneChange),
+    /// Drive too close behind another.
+    Tailgating(Tailgating),
+    /// Leave the lane and reveal a slow vehicle.
+    CutOut(CutOut),
+    /// Step into the way of a vehicle.
+    PedestrianStepsOut(PedestrianStepsOut),
 }
 
 impl ObjectiveConfig {
@@ -141,6 +154,9 @@ impl ObjectiveConfig {
             Self::NearMiss(objective) => objective,
             Self::Collision(objective) => objective,
             Self::LaneChange(objective) => objective,
+            Self::Tailgating(objective) => objective,
+            Self::CutOut(objective) => objective,
+            Self::PedestrianStepsOut(objective) => objective,
         }
     }
 

@@ -1,10 +1,8 @@
 //! Barely avoid each other.
 
 use super::approach::Approach;
-use super::box_separation::separation_m;
 use super::encroachment::Encroachment;
 use super::motion::{best_moment, nothing, penalty};
-use super::pairs::{PairQuery, Pairs};
 use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, first, interval, one_agent, second};
 use crate::guidance::Target;
 use crate::settings;
@@ -122,12 +120,10 @@ impl SceneObjective for NearMiss {
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let query = PairQuery::of(&self.agents, &self.to);
-        let Some(pairs) = Pairs::gather(states, context, &query)?.filter(|_| states.dim(2).is_ok_and(|n| n > 1)) else {
+        let Some((pairs, separation_m, approach)) = Approach::between(states, context, [&self.agents, &self.to])?
+        else {
             return nothing(states);
         };
-        let separation_m = separation_m(&pairs)?;
-        let approach = Approach::new(&pairs, &separation_m, context.dt_s)?;
         // The interval of inverse times: the longest time is the least of them.
         let wanted_s =
             context.wanted(MIN_TTC, self.ttc_s, ANY_TTC_S, states)?.to_dtype(DType::F64)?.to_vec2::<f64>()?;

@@ -1,9 +1,13 @@
 //! The one agent of each row that an objective is about, and how far it is from a line.
 
-use super::{AgentSelector, SceneContext};
+use super::pairs::Agents;
+use super::{AgentSelector, SceneContext, Side};
 use crate::geometry::{Polyline, Vec2};
 use crate::guidance::lane_ways::WayPose;
 use candle_core::{D, DType, Result, Tensor};
+
+/// The parameter that says to which side one goes, as events report it: +1 left, -1 right.
+pub(super) const SIDE: &str = "side";
 
 /// One agent a row.
 pub(super) struct OneAgent {
@@ -21,34 +25,44 @@ pub(super) struct OneAgent {
 impl OneAgent {
     /// The agents that `selector` names.
     pub(super) fn gather(states: &Tensor, context: &SceneContext, selector: &AgentSelector) -> Result<Self> {
-        let (n_rows, n_agents, n_timesteps, _) = states.dims4()?;
-        let slots = context.slots(selector)?;
-        let flat: Vec<u32> = slots.iter().enumerate().map(|(row, slot)| (row * n_agents + slot) as u32).collect();
-        let flat = Tensor::from_vec(flat, n_rows, states.device())?;
-        let of = |tensor: &Tensor| tensor.flatten(0, 1)?.index_select(&flat, 0);
+        let Agents { states, valid, latent, .. } = Agents::named(states, context, selector)?;
+        let n_timesteps = valid.dim(1)?;
         let host = |tensor: &Tensor| tensor.detach().to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>();
-        let (states, valid) = (of(states)?, of(&context.valid)?);
-        let counts = (&valid * of(&context.latent)?)?;
+        let counts = (&valid * latent)?;
         let (at, is_valid) = (host(&states)?, host(&valid)?);
         Ok(Self { states, counts, at, is_valid, n_timesteps, present: context.n_history.saturating_sub(1) })
     }
 
     /// Where it is at a timestep.
-    pub(super) fn position(&self, row: usize, timestep: usize) -> Vec2 {
+    fn position(&self, row: usize, timestep: usize) -> Vec2 {
         let at = 3 * (row * self.n_timesteps + timestep);
         Vec2::new(self.at[at], self.at[at + 1])
     }
 
     /// Its pose at present.
-    pub(super) fn pose(&self, row: usize) -> WayPose {
+    fn pose(&self, row: usize) -> WayPose {
         let heading_rad = self.at[3 * (row * self.n_timesteps + self.present) + 2];
         WayPose { position: self.position(row, self.present), heading_rad }
     }
 
     /// The first and the last timestep at which it has a state.
-    pub(super) fn span(&self, row: usize) -> Option<(usize, usize)> {
+    fn span(&self, row: usize) -> Option<(usize, usize)> {
         let own = &self.is_valid[row * self.n_timesteps..(row + 1) * self.n_timesteps];
         own.iter().position(|valid| *valid > 0.0).zip(own.iter().rposition(|valid| *valid > 0.0))
+    }
+
+    /// The center line of a lane beside the agent's own on the `configured` side, or the one that a bucket asks for, or either: the one that the
+    /// agent is nearest to when it was last seen.
+    pub(super) fn line_beside(&self, context: &SceneContext, row: usize, configured: Option<Side>) -> Option<Polyline> {
+        let sides = match (configured, context.targets[row].get(SIDE)) {
+            (Some(side), _) => vec![side.sign()],
+            (None, Some([least, most])) => vec![(least + most).signum()],
+            (None, None) => vec![1.0, -1.0],
+        };
+        let end = self.position(row, self.span(row)?.1);
+        let lines = sides.into_iter().flat_map(|side| context.ways[row].beside(self.pose(row), side));
+        let aside_m = |line: &Polyline| line.project(end).map_or(f64::INFINITY, |place| place.offset_m.abs());
+        lines.min_by(|a, b| aside_m(a).total_cmp(&aside_m(b)))
     }
 
     /// The agents across one line a row; where there is none, they are 0 beside it. The nearest point of a line is found on the host and held:

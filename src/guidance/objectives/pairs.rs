@@ -15,7 +15,7 @@ pub(super) struct Pairs {
     n_rows: usize,
 }
 
-/// One agent of each pair.
+/// One agent of each pair, or of each row.
 pub(super) struct Agents {
     /// (P, T, 3).
     pub(super) states: Tensor,
@@ -28,6 +28,22 @@ pub(super) struct Agents {
 }
 
 impl Agents {
+    /// The one agent of each row that `selector` names.
+    pub(super) fn named(states: &Tensor, context: &SceneContext, selector: &AgentSelector) -> Result<Self> {
+        let (n_rows, n_agents, _, _) = states.dims4()?;
+        let slots = context.slots(selector)?.iter().enumerate();
+        let flat: Vec<u32> = slots.map(|(row, slot)| (row * n_agents + slot) as u32).collect();
+        let flat = Tensor::from_vec(flat, n_rows, states.device())?;
+        let of = |tensor: &Tensor| tensor.flatten(0, 1)?.index_select(&flat, 0);
+        let (valid, latent) = (of(&context.valid)?, of(&context.latent)?);
+        Ok(Self { states: of(states)?, extent_m: of(&context.extent_m)?.to_dtype(states.dtype())?, valid, latent })
+    }
+
+    /// The same, where nothing pulls at them.
+    pub(super) fn held(self) -> Self {
+        Self { states: self.states.detach(), ..self }
+    }
+
     /// The same from timestep `start` on, `len` of them.
     pub(super) fn during(&self, start: usize, len: usize) -> Result<Self> {
         let narrow = |tensor: &Tensor| tensor.narrow(1, start, len);

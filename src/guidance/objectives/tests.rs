@@ -24,6 +24,8 @@ fn all() -> Vec<ObjectiveConfig> {
             { kind = 'adversarial_ttc', agents = 'all', to = 'all' },
             { kind = 'cut_in' },
             { kind = 'hard_brake', agents = 'all' },
+            { kind = 'tailgating', agents = 'other', to = 'ego', duration_s = 1.0 },
+            { kind = 'pedestrian_steps_out', agents = 'other' },
         ]";
     let table: toml::Table = toml::from_str(text).unwrap();
     table["objectives"].clone().try_into().unwrap()
@@ -52,8 +54,10 @@ fn every_gradient_agrees_with_finite_differences_and_every_potential_is_negative
     let traffic = busy();
     for config in all() {
         match config {
-            // Whose path is cut into is held as it is.
-            ObjectiveConfig::CutIn(_) => assert_gradients_of_match(config.objective(), &traffic, &[1, 2]),
+            // Whose path is cut into or stepped into, and whom one follows, is held as it is.
+            ObjectiveConfig::CutIn(_) | ObjectiveConfig::Tailgating(_) | ObjectiveConfig::PedestrianStepsOut(_) => {
+                assert_gradients_of_match(config.objective(), &traffic, &[1, 2]);
+            }
             _ => assert_gradients_match(config.objective(), &traffic),
         }
         assert!(traffic.potential(config.objective())[0] < -1e-3, "{}", config.objective().kind());

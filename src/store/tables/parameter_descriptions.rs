@@ -12,12 +12,15 @@ pub(crate) const DESCRIPTIONS: &[(&str, &str)] = &[
     ("duration_s", "From the event's start to its end."),
     ("ego_length_m", "Length of the ego; nominal where no size is recorded."),
     ("ego_shift_m", "How far the ego moves sideways toward the other, across the lane that it keeps."),
-    ("ego_speed_mps", "Speed of the ego when the other reaches its path."),
+    (
+        "ego_speed_mps",
+        "Speed of the ego when the other reaches its path (cut-in) or at the reveal (cut-out), or along its lane at the step (pedestrian).",
+    ),
     ("end_speed_mps", "Speed at the end."),
     ("first_speed_mps", "Speed of the first of the two when they are closest, or before they touch."),
     (
         "gap_m",
-        "Along the ego's path, from its front to the nearest part of the other, when the other reaches the path; negative alongside.",
+        "Along the ego's path, from its front to the nearest part of the other when that one reaches the path, or of the revealed vehicle at the reveal, or of the pedestrian at the step; negative alongside.",
     ),
     ("heading_change_rad", "How far the agent turns in all; positive to the left."),
     (
@@ -39,6 +42,7 @@ pub(crate) const DESCRIPTIONS: &[(&str, &str)] = &[
     ("other_length_m", "Length of the other; nominal where no size is recorded."),
     ("other_speed_mps", "Speed of the other when it reaches the ego's path."),
     ("path_m", "Length of the path from the event's start to its end."),
+    ("pedestrian_speed_mps", "Speed of the pedestrian when it enters the lane."),
     (
         "pet_s",
         "Post-encroachment time: the least time between the two being in one place; missing where they never are.",
@@ -46,15 +50,26 @@ pub(crate) const DESCRIPTIONS: &[(&str, &str)] = &[
     ("radius_m", "Path per change of heading of the turn."),
     (
         "relative_speed_mps",
-        "Cut-in: the ego's speed less the other's along the path, positive when closing. Near miss and collision: speed of one seen from the other, when closest or before they touch.",
+        "Cut-in and cut-out: the ego's speed less the other's or the revealed one's along the path, positive when closing. Near miss and collision: speed of one seen from the other, when closest or before they touch.",
     ),
+    ("revealed_speed_mps", "Speed of the revealed vehicle along the lane at the reveal."),
     ("second_speed_mps", "Speed of the second of the two when they are closest, or before they touch."),
     ("shift_m", "How far the other moves sideways toward the ego's path."),
-    ("side", "Where the other comes from (cut-in) or the new lane lies (lane change): +1 left, -1 right."),
+    (
+        "side",
+        "Where the other or the pedestrian comes from (cut-in, stepping out), the new lane lies (lane change) or the leader goes (cut-out): +1 left, -1 right.",
+    ),
     ("speed_mps", "Speed at the crossing (lane change) or at the start (hard braking)."),
     ("t_ego_s", "When the ego gets to where the other reached its path, since timestep 0."),
     ("t_other_s", "When the other reaches the ego's path, since timestep 0."),
-    ("time_headway_s", "Gap per speed of the ego; missing where the ego stands or is alongside."),
+    (
+        "time_headway_s",
+        "Gap per speed of the ego, missing where it stands or is alongside (cut-in); of the follower, mean over the event (tailgating).",
+    ),
+    (
+        "time_to_arrival_s",
+        "Gap per speed of the ego when the pedestrian enters the lane; missing where the ego stands.",
+    ),
     ("ttc_s", "Gap per relative speed; missing where the two do not close in or are alongside."),
 ];
 

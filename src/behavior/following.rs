@@ -1,0 +1,99 @@
+//! Who is in the way of a vehicle in the lane that it keeps, and how far ahead?
+
+use super::AgentFilter;
+use super::footprint::Footprint;
+use super::kept_lane::KeptLane;
+use super::lane_relation::SceneLanes;
+use crate::geometry::{Vec2, angle_difference};
+use crate::scene::{Scene, State};
+use std::f64::consts::FRAC_PI_4;
+
+/// Who is in a lane drives or stands along it within this, radians.
+const ALONG_RAD: f64 = FRAC_PI_4;
+
+/// A vehicle and the lane that it keeps.
+pub(super) struct Follower<'a> {
+    scene: &'a Scene,
+    agent_idx: usize,
+    agents: AgentFilter,
+    /// The lane.
+    pub(super) lane: KeptLane,
+}
+
+/// Someone ahead in that lane at some timestep.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Ahead {
+    pub(super) agent_idx: usize,
+    /// Along the lane from the follower's front to the nearest part of the other, meters.
+    pub(super) gap_m: f64,
+    /// Speeds along the lane of the follower and of the other, m/s.
+    pub(super) own_mps: f64,
+    pub(super) their_mps: f64,
+}
+
+impl<'a> Follower<'a> {
+    /// The agent with the lane that it turns out to keep, among others that `agents` admits. `None` for who is in no lane at present.
+    pub(super) fn of(scene: &'a Scene, lanes: &SceneLanes<'_>, agents: AgentFilter, agent_idx: usize) -> Option<Self> {
+        let lane = KeptLane::of(scene, lanes, agent_idx)?;
+        Some(Self { scene, agent_idx, agents, lane })
+    }
+
+    /// The same as far as the past tells the lane.
+    pub(super) fn as_observed(
+        scene: &'a Scene,
+        lanes: &SceneLanes<'_>,
+        agents: AgentFilter,
+        agent_idx: usize,
+    ) -> Option<Self> {
+        let lane = KeptLane::as_observed(scene, lanes, agent_idx)?;
+        Some(Self { scene, agent_idx, agents, lane })
+    }
+
+    /// How fast it drives, m/s; 0 where it is not tracked.
+    pub(super) fn speed_mps(&self, timestep: usize) -> f64 {
+        self.state(self.agent_idx, timestep).map_or(0.0, State::speed_mps)
+    }
+
+    /// Those ahead in the lane at `timestep` within `reach_m`, the nearest first, who are in the follower's way: the boxes overlap across the lane by at least half
+    /// the width of the narrower one, since two may drive beside each other in one lane. Nobody where the follower itself is not in it.
+    pub(super) fn ahead(&self, timestep: usize, reach_m: f64) -> Vec<Ahead> {
+        let Some(own) = self.state_in_lane(self.agent_idx, timestep) else { return Vec::new() };
+        let Some(place) = self.lane.project(own.position) else { return Vec::new() };
+        let extent = self.scene.tracks[self.agent_idx].extent_or_nominal();
+        let (half_length_m, half_width_m) = (extent.length_m / 2.0, extent.width_m / 2.0);
+        let mut found: Vec<(f64, Ahead)> = Vec::new();
+        for agent_idx in (0..self.scene.tracks.len()).filter(|idx| *idx != self.agent_idx) {
+            let track = &self.scene.tracks[agent_idx];
+            let nearest_m = reach_m + half_length_m + track.extent_or_nominal().length_m;
+            let is_near = |state: &State| state.position.distance(own.position) <= nearest_m;
+            let is_eligible = self.agents.admits(track.class) && self.state(agent_idx, timestep).is_some_and(is_near);
+            let Some(state) = is_eligible.then(|| self.state_in_lane(agent_idx, timestep)).flatten() else { continue };
+            let Some(theirs) = self.lane.project(state.position) else { continue };
+            let along = Vec2::from_angle(theirs.heading_rad);
+            let way_m = theirs.station_m - place.station_m;
+            let body = Footprint::new(&track.footprint(state));
+            let gap_m = way_m - half_length_m - body.half_extent_m(along);
+            // Half of both widths less what of the narrower one has to overlap is half of the wider one.
+            let their_half_m = body.half_extent_m(Vec2::new(-along.y, along.x));
+            let is_in_way = (theirs.offset_m - place.offset_m).abs() <= half_width_m.max(their_half_m);
+            if way_m > 0.0 && gap_m <= reach_m && is_in_way {
+                let own_mps = own.velocity.dot(Vec2::from_angle(place.heading_rad));
+                found.push((way_m, Ahead { agent_idx, gap_m, own_mps, their_mps: state.velocity.dot(along) }));
+            }
+        }
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        found.into_iter().map(|(_, ahead)| ahead).collect()
+    }
+
+    /// The agent's state, if its center is in the lane then and it heads along it.
+    pub(super) fn state_in_lane(&self, agent_idx: usize, timestep: usize) -> Option<&'a State> {
+        let state = self.state(agent_idx, timestep)?;
+        let heading_rad = self.lane.project(state.position)?.heading_rad;
+        let is_along = angle_difference(state.heading_rad, heading_rad).abs() < ALONG_RAD;
+        (is_along && self.lane.holds(state.position)).then_some(state)
+    }
+
+    fn state(&self, agent_idx: usize, timestep: usize) -> Option<&'a State> {
+        self.scene.state(agent_idx, timestep).filter(|state| state.is_finite())
+    }
+}
