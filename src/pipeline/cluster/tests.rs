@@ -34,11 +34,19 @@ fn scripts_are_as_they_were_read_and_found_good() {
 #[test]
 fn jobs_wait_for_what_they_read() {
     let names = |text: &str| graph(text, &[]).0.jobs.iter().map(|job| job.name).collect::<Vec<_>>();
-    assert_eq!(names(PIPELINE), ["prepare", "plan", "work", "seal", "finish"]);
+    let of_evaluation = ["evaluate-plan", "evaluate-work", "evaluate-seal"];
+    assert_eq!(names(PIPELINE), [&["prepare", "plan", "work", "seal"][..], &of_evaluation].concat());
+    assert_eq!(names(&format!("{PIPELINE}[report]\n")).last(), Some(&"finish"));
+    // One worker measures no sooner than one process.
+    let one = format!("{PIPELINE}[cluster]\nworkers = 1\n");
+    assert_eq!(names(&one), ["prepare", "plan", "work", "seal", "finish"]);
     // Requests decide as they go, so that one process does it all.
     assert_eq!(names("[ingest]\ndataset = 'interaction'\ninputs = ['a']\n[generate]\n"), ["run"]);
     assert_eq!(names("[generate]\n[[generate.sweeps]]\nname = 'plain'\n"), ["plan", "work", "seal"]);
+    assert_eq!(names("[generate]\n[evaluate]\n"), [&["prepare"][..], &of_evaluation].concat());
     let (graph, _) = graph(PIPELINE, &[]);
+    let computing: Vec<&str> = graph.jobs.iter().filter(|job| job.computes).map(|job| job.name).collect();
+    assert_eq!(computing, ["prepare", "plan", "work", "seal"], "evaluation needs no GPU");
     let json = serde_json::to_value(&graph).unwrap();
     assert_eq!(json["final_exit_codes"], serde_json::json!([0, 1, 3]));
     assert_eq!(json["jobs"][2]["workers"], 4);

@@ -4,7 +4,6 @@
 
 use super::folder::PartsFolder;
 use crate::pipeline::clock::utc_now;
-use crate::pipeline::stages::shard_name;
 use crate::pipeline::{Failure, Result};
 use crate::store::{read_json, write_json_atomically};
 use serde::{Deserialize, Serialize};
@@ -108,10 +107,6 @@ pub(super) fn fail(path: &Path, worker: &str, why: &str) -> Result<()> {
     let mark = Try { worker: worker.to_owned(), started: utc_now(), failed: Some(why.to_owned()) };
     write_json_atomically(path, &mark)?;
     Ok(())
-}
-
-pub(super) fn try_path(dir: &Path, idx: usize, number: usize) -> PathBuf {
-    dir.join(format!("{}.try-{number}", shard_name(idx)))
 }
 
 /// Whether `name` is that of a try at the shard called `shard`.
