@@ -93,12 +93,7 @@ impl CellSamples<'_> {
     }
 
     /// Measures the cell against the scene it continues.
-    pub(super) fn evaluate(
-        &self,
-        recorded: &Scene,
-        measures: &Measures<'_>,
-        judge: &Judge<'_>,
-    ) -> CellFigures {
+    pub(super) fn evaluate(&self, recorded: &Scene, measures: &Measures<'_>, judge: &Judge<'_>) -> CellFigures {
         let samples = self.scenes();
         let recorded = as_far_as_generated(recorded, &samples[0]);
         let first = self.records[0];

@@ -18,7 +18,9 @@ pub enum Error {
     #[error("scene {0} of the samples is not in the scene store; pass the scenes that the samples were generated from")]
     UnknownScene(SceneId),
     /// Figures that were not measured of the shard that they are put beside.
-    #[error("figures of {found} cells belong to another shard than the one with {expected}; measure it again with --redo evaluate")]
+    #[error(
+        "figures of {found} cells belong to another shard than the one with {expected}; measure it again with --redo evaluate"
+    )]
     OtherShard {
         /// Cells of the shard.
         expected: usize,

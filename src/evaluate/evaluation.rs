@@ -178,7 +178,8 @@ impl<'a> Evaluation<'a> {
         let mut assessments: BTreeMap<String, (Assessment, Vec<Check>)> = BTreeMap::new();
         let mut recordings: BTreeMap<SceneId, Scene> = BTreeMap::new();
         for cell in cells {
-            let MeasuredCell { series, recorded, scene_idx, scenario_ids, sampled, figures, not_checked, prediction } = cell;
+            let MeasuredCell { series, recorded, scene_idx, scenario_ids, sampled, figures, not_checked, prediction } =
+                cell;
             let place = recorded.source.place.as_str();
             self.sampling.add(&series, (place, scene_idx), &sampled, n_evaluations);
             self.realism.add(&series, &figures.motion);

@@ -109,7 +109,8 @@ fn figures_of_another_shard_are_refused() {
     let (store, scenes) = store(dir.path());
     let config = EvaluateConfig::default();
     let mut measurer = Measurer::new(&config, &[], &store, None).unwrap();
-    let shard = |n_scenes: usize| Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes[..n_scenes], 0) };
+    let shard =
+        |n_scenes: usize| Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes[..n_scenes], 0) };
     let figures = measurer.measure(&shard(4)).unwrap();
     let refused = MeasuredShard::new(shard(3), figures, &config, &store).err().expect("refused").to_string();
     assert!(refused.contains("figures of 4 cells") && refused.contains("--redo evaluate"), "{refused}");

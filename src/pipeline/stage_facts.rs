@@ -44,6 +44,13 @@ const fn output(name: &'static str, path: fn(&Layout) -> &Path) -> Option<StageO
     Some(StageOutput { name, path })
 }
 
+impl PartFacts {
+    /// What shard `idx` is called.
+    pub(super) fn shard_name(self, idx: usize) -> String {
+        format!("{}-{idx:05}", self.shard)
+    }
+}
+
 impl StageId {
     /// What is known of it.
     pub const fn facts(self) -> StageFacts {

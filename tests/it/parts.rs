@@ -125,6 +125,42 @@ fn one_process_goes_on(workspace: &Workspace, expected: &BTreeMap<String, Vec<u8
     assert_same(expected, &files(&folder));
 }
 
+/// The rounds of a request are decided by whoever sees the one before whole.
+#[test]
+fn requests_are_fulfilled_by_any_number_of_workers_to_the_same_bytes() {
+    let workspace = Workspace::new();
+    fs_err::write(workspace.path("small.toml"), crate::requests::pipeline()).unwrap();
+    run(&workspace, "before", &BEFORE).expect(0);
+    copy(&workspace.run_folder("before"), &workspace.run_folder("one"));
+    run(&workspace, "one", &["--stage", "generate"]).expect(0);
+    let expected = files(&workspace.run_folder("one"));
+    let n_rounds = expected.keys().filter(|name| name.starts_with("samples/request-00-round-")).count();
+    assert!(n_rounds > 5, "{n_rounds}");
+    for n in [1, 2, 3] {
+        let output = format!("workers{n}");
+        copy(&workspace.run_folder("before"), &workspace.run_folder(&output));
+        run_in_parts(&workspace, &output, "generate", (n, 3), &mut Draws(n as u64));
+        assert_same(&expected, &files(&workspace.run_folder(&output)));
+    }
+    // One process goes on in the midst of the rounds.
+    let folder = workspace.run_folder("taken");
+    copy(&workspace.run_folder("before"), &folder);
+    part(&workspace, "taken", "plan", &[]).expect(0);
+    let plans = fs_err::read_dir(folder.join("generate.parts")).unwrap();
+    let [plan] = &plans.map(|entry| entry.unwrap().path()).collect::<Vec<_>>()[..] else { panic!("one plan") };
+    let mut worker = begin(&workspace, "taken", "generate", &["work", "--worker", "1/1"]);
+    let began = Instant::now();
+    while !plan.join("request-00-round-00002.json").exists() && began.elapsed() < Duration::from_secs(60) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    worker.kill().unwrap();
+    worker.wait().unwrap();
+    let said = part(&workspace, "taken", "seal", &[]).expect(75).stderr;
+    assert!(said.contains("are missing"), "{said}");
+    run(&workspace, "taken", &["--stage", "generate"]).expect(0);
+    assert_same(&expected, &files(&folder));
+}
+
 #[test]
 fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     let workspace = Workspace::new();
@@ -151,7 +187,10 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     let before = files(dir);
     // Other settings, another checkpoint, another program.
     let more_samples = ["--set", "generate.sweeps.0.n_samples=3"];
-    let differs = ["the plan of stage generate in this run folder is another one: changed: generate.sweeps", "nothing was changed"];
+    let differs = [
+        "the plan of stage generate in this run folder is another one: changed: generate.sweeps",
+        "nothing was changed",
+    ];
     says(work(&more_samples).expect(1), &differs);
     says(part(&workspace, "out", "plan", &more_samples).expect(1), &differs);
     says(part(&workspace, "out", "seal", &more_samples).expect(1), &differs);
@@ -164,7 +203,10 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     fs_err::write(&done, record).unwrap();
     let identity = fs_err::read_to_string(dir.join("parts.json")).unwrap();
     fs_err::write(dir.join("parts.json"), identity.replace("\"program\": \"", "\"program\": \"other ")).unwrap();
-    says(work(&[]).expect(1), &["program: the plan's is other ", "0 of 7 finished shards: plan again with --part plan --redo generate"]);
+    says(
+        work(&[]).expect(1),
+        &["program: the plan's is other ", "0 of 7 finished shards: plan again with --part plan --redo generate"],
+    );
     fs_err::write(dir.join("parts.json"), identity).unwrap();
     assert_same(&before, &files(dir));
 

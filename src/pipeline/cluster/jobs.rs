@@ -1,11 +1,14 @@
 //! Which jobs does a pipeline come to, and which waits for which?
 
 use super::ClusterConfig;
+use crate::generate::RequestConfig;
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::{Result, StageId};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
+/// With so many shards a round, a worker that is done waits for little of it.
+const SHARDS_PER_WORKER: usize = 4;
 /// Where a worker's number, from 1, stands in a command.
 pub(super) const WORKER: &str = "{worker}";
 
@@ -89,7 +92,7 @@ impl JobGraph {
         let mut jobs = Jobs { command, n_workers: cluster.workers, jobs: Vec::new() };
         let mut alone: Vec<StageId> = Vec::new();
         for stage in stages {
-            match names_in_parts(stage, config, cluster.workers) {
+            match names_in_parts(stage, cluster.workers) {
                 Some(names) => {
                     jobs.add_alone("prepare", &std::mem::take(&mut alone));
                     jobs.add_parts(stage, names);
@@ -112,13 +115,25 @@ impl JobGraph {
     }
 }
 
+/// What of a configuration makes poor use of its workers.
+pub fn cautions(config: &PipelineConfig, cluster: &ClusterConfig) -> Vec<String> {
+    let requests = config.generate.iter().flat_map(|generate| &generate.requests).enumerate();
+    let enough = SHARDS_PER_WORKER * cluster.workers;
+    let too_few = requests.filter(|(_, request)| cluster.workers > 1 && request.shards_per_round < enough);
+    let caution = |(idx, request): (usize, &RequestConfig)| {
+        format!(
+            "request {} has {} shards a round for {} workers, most of which will wait for each other; {enough} or more keep them busy \
+             (generate.requests.{idx}.shards_per_round, which changes what is sampled)",
+            request.name, request.shards_per_round, cluster.workers
+        )
+    };
+    too_few.map(caution).collect()
+}
+
 /// What the jobs of a stage are called that is run in parts. `None` of one that one process runs.
-fn names_in_parts(stage: StageId, config: &PipelineConfig, n_workers: usize) -> Option<[&'static str; 3]> {
+fn names_in_parts(stage: StageId, n_workers: usize) -> Option<[&'static str; 3]> {
     match stage {
-        // Requests decide as they go: one process samples for them.
-        StageId::Generate if config.generate.as_ref().is_some_and(|generate| !generate.sweeps.is_empty()) => {
-            Some(["plan", "work", "seal"])
-        }
+        StageId::Generate => Some(["plan", "work", "seal"]),
         StageId::Evaluate if n_workers > 1 => Some(["evaluate-plan", "evaluate-work", "evaluate-seal"]),
         _ => None,
     }

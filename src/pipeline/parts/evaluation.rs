@@ -40,7 +40,7 @@ impl PartedStage for Evaluate<'_> {
         let mut measurer = self.measurer(&ready)?;
         shards.progress.start("work", ready.samples.n_scenarios, "scenarios");
         let n_scenarios = |idx: usize| ready.samples.shards[idx].n_scenarios;
-        shards.go_about(plan.n_shards, &n_scenarios, &|_| true, &mut |idx| {
+        shards.go_about(0..plan.n_shards, &n_scenarios, &|_| true, &mut |idx| {
             let figures = measurer.measure(&self.read(&ready, idx)?)?;
             shards.progress.advance(n_scenarios(idx));
             let file = shards.file_name(idx);

@@ -6,6 +6,7 @@ use super::PartFile;
 use super::identity::Identity;
 use super::tries::is_try_of;
 use crate::files::{files_below, foreign, remove_if_present, remove_listed};
+use crate::pipeline::stages::is_round_file;
 use crate::pipeline::{Failure, PartFacts, Result, StageId};
 use crate::store::{read_json, write_json_atomically};
 use serde::de::DeserializeOwned;
@@ -55,17 +56,24 @@ impl PartsFolder {
     /// # Errors
     /// Those of the file system.
     pub(in crate::pipeline) fn all(root: &Path, stage: StageId) -> Result<Vec<Self>> {
-        let parts = parts_of(root, stage);
-        let Some(facts) = stage.facts().parts.filter(|_| parts.is_dir()) else { return Ok(Vec::new()) };
+        let Some(facts) = stage.facts().parts else { return Ok(Vec::new()) };
         let mut found = Vec::new();
-        for entry in fs_err::read_dir(parts)? {
-            let dir = entry?.path();
+        for dir in plan_dirs(root, stage)? {
             if let Ok(about) = read_json(&dir.join(ABOUT_FILE)) {
                 found.push(Self { dir, facts, about });
             }
         }
-        found.sort_by(|a, b| a.dir.cmp(&b.dir));
         Ok(found)
+    }
+
+    /// Removes what is left of plans that a killed process had not written, or not removed, to the end.
+    ///
+    /// # Errors
+    /// As [`PartsFolder::discard`].
+    pub(super) fn remove_remains(root: &Path, stage: StageId) -> Result<()> {
+        let Some(facts) = stage.facts().parts else { return Ok(()) };
+        let remains = plan_dirs(root, stage)?.into_iter().filter(|dir| !dir.join(ABOUT_FILE).exists());
+        remains.into_iter().try_for_each(|dir| discard(&dir, facts))
     }
 
     /// The plan that a process of `identity` works on, if there is one.
@@ -119,15 +127,25 @@ impl PartsFolder {
         &self.about.identity
     }
 
-    /// Number of shards that the plan knew of.
-    pub(super) fn n_shards(&self) -> usize {
-        self.about.n_shards
+    /// Number of shards that the plan knew of, or that somebody has begun since.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(super) fn n_shards(&self) -> Result<usize> {
+        let after = |name: PathBuf| {
+            let (shard, _) = name.to_str()?.strip_prefix(self.facts.shard)?.strip_prefix('-')?.split_once('.')?;
+            Some(shard.parse::<usize>().ok()? + 1)
+        };
+        let begun = files_below(&self.dir)?.into_iter().filter_map(after).max();
+        Ok(begun.unwrap_or_default().max(self.about.n_shards))
     }
 
     /// A refusal of a process that differs so to work on the plan.
     pub(super) fn refusal(&self, difference: &str) -> Failure {
-        let n_finished = (0..self.n_shards()).filter(|idx| self.sidecar(*idx).exists()).count();
-        self.identity().refusal(difference, (n_finished, self.n_shards()))
+        // Beside the refusal, that the folder cannot be read is of no interest.
+        let n_shards = self.n_shards().unwrap_or_default();
+        let n_finished = (0..n_shards).filter(|idx| self.sidecar(*idx).exists()).count();
+        self.identity().refusal(difference, (n_finished, n_shards))
     }
 
     /// Where it is.
@@ -142,7 +160,7 @@ impl PartsFolder {
 
     /// What shard `idx` is called.
     pub(super) fn shard_name(&self, idx: usize) -> String {
-        format!("{}-{idx:05}", self.facts.shard)
+        self.facts.shard_name(idx)
     }
 
     /// The name of its file.
@@ -188,20 +206,7 @@ impl PartsFolder {
     /// # Errors
     /// When somebody else put files there; those of the file system.
     pub(super) fn discard(&self) -> Result<()> {
-        let found = files_below(&self.dir)?;
-        let ours: BTreeSet<PathBuf> = found.into_iter().filter(|name| self.is_ours(name)).collect();
-        let theirs = foreign(&self.dir, &ours)?;
-        if !theirs.is_empty() {
-            return Err(crate::files::Error::Foreign { path: self.dir.clone(), found: theirs }.into());
-        }
-        // Who begins to work reads this first.
-        remove_if_present(&self.dir.join(ABOUT_FILE))?;
-        remove_listed(&self.dir, &ours).map_err(Failure::fault)?;
-        if let Some(parts) = self.dir.parent() {
-            // Others may be in it.
-            let _ = fs_err::remove_dir(parts);
-        }
-        Ok(())
+        discard(&self.dir, self.facts)
     }
 
     /// The names of shards that were tried and not finished then: a network file system lists a folder sooner than it says of many
@@ -239,22 +244,52 @@ impl PartsFolder {
     pub(super) fn try_path(&self, idx: usize, number: usize) -> PathBuf {
         self.dir.join(format!("{}.try-{number}", self.shard_name(idx)))
     }
+}
 
-    /// Whether a file of this name is one that plans and workers write, or is a part of one.
-    fn is_ours(&self, name: &Path) -> bool {
-        let name = name.to_string_lossy();
-        let whole = name.strip_suffix(crate::files::PARTIAL_SUFFIX).and_then(|rest| rest.rsplit_once('.'));
-        let name = whole.map_or(name.as_ref(), |(whole, _)| whole);
-        let is_number = |text: &str| text.len() >= 5 && text.bytes().all(|byte| byte.is_ascii_digit());
-        let is_log = || name.strip_prefix(LOG).and_then(|rest| rest.strip_suffix(".txt")).is_some_and(is_number);
-        let is_shard = || {
-            let (stem, ending) = name.split_once('.')?;
-            let idx = stem.strip_prefix(self.facts.shard)?.strip_prefix('-').filter(|idx| is_number(idx))?;
-            let shard = self.shard_name(idx.parse().ok()?);
-            ([self.facts.ending, "json"].contains(&ending) || is_try_of(name, &shard)).then_some(())
-        };
-        [PLAN_FILE, ABOUT_FILE].contains(&name) || is_log() || is_shard().is_some()
+/// The folders of the plans of a stage, in order, written to their end or not.
+fn plan_dirs(root: &Path, stage: StageId) -> Result<Vec<PathBuf>> {
+    let parts = parts_of(root, stage);
+    if !parts.is_dir() {
+        return Ok(Vec::new());
     }
+    let dirs = fs_err::read_dir(parts)?.map(|entry| Ok(entry?.path()));
+    let mut dirs: Vec<PathBuf> = dirs.collect::<Result<_>>()?;
+    dirs.sort();
+    Ok(dirs)
+}
+
+/// See [`PartsFolder::discard`].
+fn discard(dir: &Path, facts: PartFacts) -> Result<()> {
+    let found = files_below(dir)?;
+    let ours: BTreeSet<PathBuf> = found.into_iter().filter(|name| is_ours(name, facts)).collect();
+    let theirs = foreign(dir, &ours)?;
+    if !theirs.is_empty() {
+        return Err(crate::files::Error::Foreign { path: dir.to_owned(), found: theirs }.into());
+    }
+    // Who begins to work reads this first.
+    remove_if_present(&dir.join(ABOUT_FILE))?;
+    remove_listed(dir, &ours).map_err(Failure::fault)?;
+    if let Some(parts) = dir.parent() {
+        // Others may be in it.
+        let _ = fs_err::remove_dir(parts);
+    }
+    Ok(())
+}
+
+/// Whether a file of this name is one that plans and workers write, or is a part of one.
+fn is_ours(name: &Path, facts: PartFacts) -> bool {
+    let name = name.to_string_lossy();
+    let whole = name.strip_suffix(crate::files::PARTIAL_SUFFIX).and_then(|rest| rest.rsplit_once('.'));
+    let name = whole.map_or(name.as_ref(), |(whole, _)| whole);
+    let is_number = |text: &str| text.len() >= 5 && text.bytes().all(|byte| byte.is_ascii_digit());
+    let is_log = || name.strip_prefix(LOG).and_then(|rest| rest.strip_suffix(".txt")).is_some_and(is_number);
+    let is_shard = || {
+        let (stem, ending) = name.split_once('.')?;
+        let idx = stem.strip_prefix(facts.shard)?.strip_prefix('-').filter(|idx| is_number(idx))?;
+        let shard = facts.shard_name(idx.parse().ok()?);
+        ([facts.ending, "json"].contains(&ending) || is_try_of(name, &shard)).then_some(())
+    };
+    [PLAN_FILE, ABOUT_FILE].contains(&name) || is_log() || is_shard().is_some() || is_round_file(name)
 }
 
 const LOG: &str = "worker-";

@@ -4,6 +4,7 @@ use super::PartFile;
 use super::folder::PartsFolder;
 use super::tries::Tries;
 use crate::pipeline::{Failure, Result};
+use std::path::Path;
 
 /// The most shards that a message names.
 const SHOWN: usize = 5;
@@ -37,6 +38,16 @@ impl<'a, S: PartFile> Gathering<'a, S> {
             false => self.missing.push(name),
         }
         Ok(None)
+    }
+
+    /// Where the shards are.
+    pub(super) fn dir(&self) -> &Path {
+        self.parts.dir()
+    }
+
+    /// There are more shards than the plan knew of.
+    pub(super) fn expect_more(&mut self, n_shards: usize) {
+        self.n_shards += n_shards;
     }
 
     /// Shard `idx` is one to be published.

@@ -13,6 +13,7 @@ mod generation;
 mod identity;
 mod plan;
 mod progress;
+mod requests;
 mod seal;
 #[cfg(test)]
 mod tests;

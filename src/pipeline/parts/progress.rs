@@ -1,8 +1,8 @@
 //! How many shards are done, running, missing, and how long will the rest take?
 
+use super::StampedFile;
 use super::folder::PartsFolder;
 use super::tries::Tries;
-use super::StampedFile;
 use crate::pipeline::{Result, StageId};
 use serde::Serialize;
 use std::fmt::Write;
@@ -49,7 +49,7 @@ pub fn shard_status(root: &Path) -> Result<Option<ShardStatus>> {
 }
 
 fn status_of(stage: StageId, folder: &PartsFolder) -> Result<ShardStatus> {
-    let n_shards = folder.n_shards();
+    let n_shards = folder.n_shards()?;
     let (mut seconds, mut unfinished) = (Vec::new(), Vec::new());
     let tried = folder.tried()?;
     for idx in 0..n_shards {

@@ -51,6 +51,7 @@ pub(super) fn take_over<S: PartedStage>(
     compute: ComputeChoice,
 ) -> Result<TakenOver> {
     let root = folder.root();
+    PartsFolder::remove_remains(root, stage.id())?;
     let begun = PartsFolder::all(root, stage.id())?;
     let Some(last) = begun.last().filter(|_| planned.action != Action::Reuse) else { return Ok(TakenOver::Nothing) };
     let own = Identity::own(planned.expected.clone(), compute)?;
@@ -91,5 +92,5 @@ pub fn sealed(root: &Path, stage: StageId) -> Result<()> {
         parts.append_logs(&root.join(crate::pipeline::log::LOG_FILE))?;
         parts.discard()?;
     }
-    Ok(())
+    PartsFolder::remove_remains(root, stage)
 }

@@ -2,10 +2,11 @@
 
 use super::folder::PartsFolder;
 use super::gathering::Gathering;
-use super::generation::{gather, work_through};
+use super::generation::{SampledShard, gather, work_through};
 use super::identity::Identity;
-use super::shard_status;
+use super::tries;
 use super::work::{Shards, Worker};
+use super::{sealed, shard_status};
 use crate::generate::{GenerateConfig, Plan, ResolvedGeneration, ShardOutput, ShardPlan};
 use crate::pipeline::stages::{SampleFolder, SampleSidecar};
 use crate::pipeline::{Blame, Failure, Result, StageId, StageRecord};
@@ -66,7 +67,7 @@ impl Planned {
         Ok(self.gathered()?.whole()?.into_iter().map(|(idx, _)| idx).collect())
     }
 
-    fn gathered(&self) -> Result<Gathering<'_, SampleSidecar>> {
+    fn gathered(&self) -> Result<Gathering<'_, SampledShard>> {
         let mut shards = Gathering::new(&self.folder, self.plan.shards.len());
         gather(&self.plan, &self.resolved, &mut shards)?;
         Ok(shards)
@@ -168,7 +169,7 @@ fn one_process_takes_over_no_shard_that_it_might_not_want() {
     // The second shard of either sweep is missing.
     for idx in [0, 2, 3, 5] {
         let sidecar = planned.write(&planned.plan.shards[idx], 1).unwrap();
-        planned.folder.finish(idx, "1/1", 1.0, &sidecar).unwrap();
+        planned.folder.finish(idx, "1/1", 1.0, &SampledShard::of_sweep(sidecar)).unwrap();
     }
     let (found, n_shards) = planned.gathered().unwrap().found();
     assert_eq!((found.into_iter().map(|(idx, _)| idx).collect::<Vec<_>>(), n_shards), (vec![0, 2, 3], 6));
@@ -190,6 +191,24 @@ fn a_damaged_shard_is_missing_again() {
     );
     planned.work("1/1", &sample).unwrap();
     assert_eq!(planned.collected().unwrap(), [0, 1]);
+}
+
+#[test]
+fn what_others_are_at_is_left_to_them_for_a_while() {
+    let planned = Planned::new(2, 100);
+    fs_err::write(planned.folder.try_path(1, 1), "").unwrap();
+    let shards = Shards::new(&planned.folder, worker("1/1"), &Silent);
+    let made = RefCell::new(Vec::new());
+    let mut make = |idx: usize| {
+        made.borrow_mut().push(idx);
+        Ok(SampledShard::of_sweep(planned.write(&planned.plan.shards[idx], 0)?))
+    };
+    assert!(shards.complete(0..3, &|_| 0, &mut make).unwrap());
+    assert_eq!(*made.borrow(), [0, 2, 1]);
+    // What failed often enough is not waited for.
+    (1..=3).for_each(|number| tries::fail(&planned.folder.try_path(3, number), "1/1", "disk full").unwrap());
+    assert!(!shards.complete(2..4, &|_| 0, &mut make).unwrap());
+    assert_eq!(made.borrow().len(), 3);
 }
 
 #[test]
@@ -218,14 +237,20 @@ fn only_our_files_are_discarded() {
     let dir = planned.folder.dir();
     fs_err::write(planned.folder.log(3), "line\n").unwrap();
     fs_err::write(dir.join("samples-00001.try-2"), "").unwrap();
+    fs_err::write(dir.join("request-00-round-00003.json"), "{}").unwrap();
     fs_err::write(crate::files::unique_partial(&dir.join("samples-00001.parquet")), "half").unwrap();
-    for theirs in ["thesis.doc", "samples-1.parquet", "samples-00001.try-11", "worker-3.txt"] {
+    for theirs in ["thesis.doc", "request-00-round-x.json", "samples-1.parquet", "samples-00001.try-11", "worker-3.txt"]
+    {
         fs_err::write(dir.join(theirs), "years of work").unwrap();
         assert!(planned.folder.discard().unwrap_err().error.to_string().contains(theirs));
         assert!(planned.folder.is_there());
         fs_err::remove_file(dir.join(theirs)).unwrap();
     }
-    planned.folder.discard().unwrap();
+    // A process that was killed while it removed the plan has removed this first.
+    fs_err::remove_file(dir.join("parts.json")).unwrap();
+    let root = dir.parent().unwrap().parent().unwrap();
+    assert!(PartsFolder::all(root, StageId::Generate).unwrap().is_empty());
+    sealed(root, StageId::Generate).unwrap();
     assert!(!dir.parent().unwrap().exists());
 }
 
@@ -237,7 +262,7 @@ fn the_folder_alone_tells_how_far_the_shards_are() {
     assert!(status().n_missing == 6 && status().seconds_left.is_none());
     for (idx, seconds) in [(0, 30.0), (5, 50.0)] {
         let sidecar = planned.write(&planned.plan.shards[idx], 0).unwrap();
-        planned.folder.finish(idx, "1/2", seconds, &sidecar).unwrap();
+        planned.folder.finish(idx, "1/2", seconds, &SampledShard::of_sweep(sidecar)).unwrap();
     }
     assert!(status().text().contains("time left         unknown: no worker is at work; a shard takes one 40 s"));
     // Two are at work; one died long ago, in another ten did.

@@ -16,6 +16,9 @@ pub(super) const MAX_FAILED: usize = 3;
 /// Tries that died without a word may have been killed for other reasons: they count less.
 pub(super) const MAX_TRIES: usize = 10;
 
+/// After so long a worker in its last try has died rather than that it is at work.
+const LONG: Duration = Duration::from_secs(600);
+
 /// What a mark says.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Try {
@@ -63,6 +66,11 @@ impl Tries {
     /// Whether nobody will try again.
     pub(super) fn are_over(&self) -> bool {
         self.failed.len() >= MAX_FAILED || self.n_tries >= MAX_TRIES
+    }
+
+    /// Whether nobody tries again, and nobody is likely to be at work.
+    pub(super) fn are_hopeless(&self) -> bool {
+        self.failed.len() >= MAX_FAILED || (self.n_tries >= MAX_TRIES && self.age.is_none_or(|age| age > LONG))
     }
 
     /// What became of the tries, in words.

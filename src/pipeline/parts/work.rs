@@ -1,8 +1,9 @@
 //! The second part: any number of processes make shards.
 
-use super::folder::PartsFolder;
+use super::folder::{PartShard, PartsFolder};
 use super::identity::Identity;
-use super::{PartFile, PartedStage, tries};
+use super::tries::{self, Tries};
+use super::{PartFile, PartedStage};
 use crate::files::remove_if_present;
 use crate::pipeline::graph::{check_inputs, expected};
 use crate::pipeline::log::Logged;
@@ -11,10 +12,17 @@ use crate::progress::Progress;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::fmt;
+use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::Path;
 use std::str::FromStr;
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+/// How long workers wait for shards of others at the least, and while none is known.
+const LEAST_PATIENCE: Duration = Duration::from_secs(2);
+const UNKNOWN: Duration = Duration::from_secs(10);
+/// How often they look.
+const POLL: Duration = Duration::from_millis(200);
 
 /// Which of the workers this is. Several may bear one number: it only says where they begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -94,7 +102,7 @@ pub(super) struct Shards<'a, S> {
     /// Receives the progress.
     pub(super) progress: &'a dyn Progress,
     /// Those that are known to be finished.
-    finished: RefCell<BTreeMap<usize, S>>,
+    finished: RefCell<BTreeMap<usize, PartShard<S>>>,
 }
 
 impl<'a, S: PartFile> Shards<'a, S> {
@@ -117,24 +125,24 @@ impl<'a, S: PartFile> Shards<'a, S> {
     pub(super) fn finished(&self, idx: usize) -> Option<S> {
         let mut known = self.finished.borrow_mut();
         if !known.contains_key(&idx) {
-            known.insert(idx, self.folder.finished::<S>(idx)?.shard);
+            known.insert(idx, self.folder.finished::<S>(idx)?);
         }
-        known.get(&idx).cloned()
+        known.get(&idx).map(|finished| finished.shard.clone())
     }
 
-    /// Goes about the first `n_shards` shards in the worker's order, once. Each is then finished, unwanted or given up. `make` makes one,
+    /// Goes about these shards in the worker's order, once. Each is then finished, unwanted or given up. `make` makes one,
     /// advances the progress by what it is `worth`, and says what is known of it.
     ///
     /// # Errors
     /// When the process is to stop; those of making a shard, whose mark says why.
     pub(super) fn go_about(
         &self,
-        n_shards: usize,
+        range: Range<usize>,
         worth: &dyn Fn(usize) -> u64,
         is_wanted: &dyn Fn(usize) -> bool,
         make: &mut dyn FnMut(usize) -> Result<S>,
     ) -> Result<()> {
-        for idx in self.worker.order(n_shards) {
+        for idx in self.worker.order(range.len()).map(|at| range.start + at) {
             // Whoever has asked is given the time to take back the mark of a try.
             if self.progress.must_stop() {
                 return Err(Failure::later("stopped between shards"));
@@ -148,10 +156,49 @@ impl<'a, S: PartFile> Shards<'a, S> {
         Ok(())
     }
 
+    /// Goes about these shards until each is finished; or given up, which returns `false`. What other workers are at is left to them for
+    /// a while.
+    ///
+    /// # Errors
+    /// As [`Shards::go_about`].
+    pub(super) fn complete(
+        &self,
+        range: Range<usize>,
+        worth: &dyn Fn(usize) -> u64,
+        make: &mut dyn FnMut(usize) -> Result<S>,
+    ) -> Result<bool> {
+        self.go_about(range.clone(), worth, &|idx| Tries::of(self.folder, idx).age.is_none(), make)?;
+        let mut began = Instant::now();
+        loop {
+            let left: Vec<usize> = range.clone().filter(|idx| self.finished(*idx).is_none()).collect();
+            if left.is_empty() {
+                return Ok(true);
+            }
+            if left.iter().any(|idx| Tries::of(self.folder, *idx).are_hopeless()) {
+                return Ok(false);
+            }
+            if self.progress.must_stop() {
+                return Err(Failure::later("stopped while other workers were at the rest of a round"));
+            }
+            std::thread::sleep(POLL);
+            if began.elapsed() > self.patience() {
+                self.go_about(range.clone(), &|_| 0, &|_| true, make)?;
+                began = Instant::now();
+            }
+        }
+    }
+
+    /// How long others may take for a shard: three times what any has taken so far.
+    fn patience(&self) -> Duration {
+        let longest = self.finished.borrow().values().map(|finished| finished.seconds).fold(0.0, f64::max);
+        let patience = if longest > 0.0 { Duration::from_secs_f64(3.0 * longest) } else { UNKNOWN };
+        patience.max(LEAST_PATIENCE)
+    }
+
     fn try_once(&self, idx: usize, make: &mut dyn FnMut(usize) -> Result<S>) -> Result<()> {
         let name = self.worker.to_string();
         let Some(mark) = tries::begin(self.folder, idx, &name)? else {
-            let why = tries::Tries::of(self.folder, idx).describe();
+            let why = Tries::of(self.folder, idx).describe();
             self.progress.warn(&format!("shard {idx} is given up: {why}"));
             return Ok(());
         };
