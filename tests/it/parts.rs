@@ -243,5 +243,7 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     let said = run(&workspace, "out", &["--stage", "generate"]).expect(0);
     says(said, &["generate.parts are of another plan and are not used: changed: generate.sweeps"]);
     assert_eq!(plans().len(), 1);
+    run(&workspace, "out", &["--stage", "generate", "--redo", "generate"]).expect(0);
+    assert!(!folder.exists(), "what is done anew gives up what workers had begun");
     djinn(&["inspect", workspace.run_folder("out").to_str().unwrap()]).expect(0);
 }

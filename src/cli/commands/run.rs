@@ -9,7 +9,7 @@ use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::parts::{self, InParts, Part, TakenOver};
 use crate::pipeline::run::{RunFolder, run_stages};
-use crate::pipeline::{Failure, Result, StageId, graph, stages};
+use crate::pipeline::{ComputeChoice, Failure, Result, StageId, graph, stages};
 use crate::settings;
 use std::path::{Path, PathBuf};
 
@@ -48,11 +48,8 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
         }
         None => {
             for planned in &mut planned {
-                let id = planned.stage.id();
-                let Some(stage) = parts::in_parts(id, &config, &layout) else { continue };
-                let taken = stage.take_over(&folder, planned, compute)?;
-                tell(id, &taken, printer);
-                finished.extend(matches!(taken, TakenOver::Shards(..)).then_some(id));
+                let Some(stage) = parts::in_parts(planned.stage.id(), &config, &layout) else { continue };
+                finished.extend(take_over(args, stage.as_ref(), &folder, planned, compute, printer)?);
             }
         }
     }
@@ -64,18 +61,34 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
     if in_parts.is_some() && config.report.is_some() { Ok(()) } else { stages::check_gates(&records) }
 }
 
-/// Says what becomes of shards that workers made for a stage which one process now runs.
-fn tell(stage: StageId, taken: &TakenOver, printer: &Printer) {
-    match taken {
-        TakenOver::Nothing => {}
-        TakenOver::Shards(n, of) => {
-            printer.message(format_args!("{stage}: {n} of {of} shards are taken over from workers"));
-        }
-        TakenOver::Refused(difference) => printer.message(printer.warning_line(&format!(
-            "{stage}: the shards of workers in {stage}.parts are of another plan and are not used: {difference}; give them up with \
-             --stage {stage} --part plan --redo {stage}"
-        ))),
+/// Takes over what workers made of a stage that one process now runs, and says so. Returns the stage if nothing of the workers' is to be
+/// left once it is done.
+fn take_over(
+    args: &RunArgs,
+    stage: &dyn InParts,
+    folder: &RunFolder,
+    planned: &mut PlannedStage<'_>,
+    compute: ComputeChoice,
+    printer: &Printer,
+) -> Result<Option<StageId>> {
+    let id = planned.stage.id();
+    if args.redo.contains(&id) {
+        return Ok(Some(id));
     }
+    match stage.take_over(folder, planned, compute)? {
+        TakenOver::Nothing => return Ok(None),
+        TakenOver::Shards(n, of) => {
+            printer.message(format_args!("{id}: {n} of {of} shards are taken over from workers"));
+        }
+        TakenOver::Refused(difference) => {
+            printer.message(printer.warning_line(&format!(
+                "{id}: the shards of workers in {id}.parts are of another plan and are not used: {difference}; give them up with \
+                 --stage {id} --part plan --redo {id}"
+            )));
+            return Ok(None);
+        }
+    }
+    Ok(Some(id))
 }
 
 /// The stage that is run in parts, if the arguments ask for that as they must.

@@ -11,6 +11,7 @@ use crate::pipeline::{Blame, ComputeChoice, Failure, Result, StageRecord};
 use crate::progress::Progress;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::fmt;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -123,11 +124,10 @@ impl<'a, S: PartFile> Shards<'a, S> {
 
     /// What is known of shard `idx`, if it is finished.
     pub(super) fn finished(&self, idx: usize) -> Option<S> {
-        let mut known = self.finished.borrow_mut();
-        if !known.contains_key(&idx) {
-            known.insert(idx, self.folder.finished::<S>(idx)?);
-        }
-        known.get(&idx).map(|finished| finished.shard.clone())
+        Some(match self.finished.borrow_mut().entry(idx) {
+            Entry::Occupied(known) => known.get().shard.clone(),
+            Entry::Vacant(place) => place.insert(self.folder.finished::<S>(idx)?).shard.clone(),
+        })
     }
 
     /// Goes about these shards in the worker's order, once. Each is then finished, unwanted or given up. `make` makes one,
