@@ -37,7 +37,8 @@ Examples:
 /// Of `submit`.
 pub(super) const SUBMIT: &str = "\
 The jobs: `prepare` runs the stages before generation, `plan` decides what is sampled, the workers of `work` sample shards,
-`seal` publishes the samples, `finish` runs the stages after them. Each looks by itself whether what it reads is there.
+`seal` publishes the samples; `evaluate-plan`, `evaluate-work` and `evaluate-seal` do the same for evaluation where there are
+several workers; `finish` runs the stages after them. Each looks by itself whether what it reads is there.
 Submitting again makes up for what is missing. [cluster] says what jobs need: partition, time, cpus, gpus, memory,
 container, retries, more lines of the scripts (pipelines/CLUSTER.md).
 

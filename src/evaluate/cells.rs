@@ -1,13 +1,12 @@
 //! Samples of one scene, beside the recording and the baseline: what are their figures?
 
-use super::config::EvaluateConfig;
 use super::judge::{Judge, ReferenceJudgment};
 use super::measures::{Measures, Requested};
-use super::predictions;
-use crate::metrics::{Modes, MotionHistograms, SampleGroup, SeriesKey, constant_velocity};
+use crate::metrics::{MotionHistograms, SampleGroup, SeriesKey, constant_velocity};
 use crate::scene::{GuidanceLevel, Scene, Track, Trajectory};
 use crate::seed::Seed;
 use crate::store::{Assessment, ScenarioRecord};
+use serde::{Deserialize, Serialize};
 
 /// The samples of one scene with the same requested agents at the same level.
 pub(super) struct CellSamples<'a> {
@@ -18,7 +17,7 @@ pub(super) struct CellSamples<'a> {
 }
 
 /// The figures of a cell, each in the order of the measures.
-#[derive(Clone)]
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct CellFigures {
     /// The recording, seen as its own only sample.
     pub(super) recorded: Option<Vec<Option<f64>>>,
@@ -34,12 +33,10 @@ pub(super) struct CellFigures {
     pub(super) references_judged: Option<[ReferenceJudgment; 2]>,
     /// How everybody moves.
     pub(super) motion: CellMotion,
-    /// The predictions for a benchmark, if requested.
-    pub(super) prediction: Option<Modes>,
 }
 
 /// How everybody moves in the futures of a cell.
-#[derive(Clone)]
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct CellMotion {
     /// In the recording and the baseline, where they are measured.
     pub(super) references: Option<[MotionHistograms; 2]>,
@@ -84,15 +81,20 @@ impl CellSamples<'_> {
         self.records.iter().map(|record| record.scenario.provenance.probability).collect()
     }
 
+    /// From which the reduction of its samples to modes starts.
+    pub(super) fn mode_seed(&self) -> Seed {
+        let provenance = &self.records[0].scenario.provenance;
+        Seed(provenance.seed).derive_named("modes", &provenance.scene_id.0)
+    }
+
+    /// Its samples as scenes.
+    pub(super) fn scenes(&self) -> Vec<Scene> {
+        self.records.iter().map(|record| record.scenario.scene.clone()).collect()
+    }
+
     /// Measures the cell against the scene it continues.
-    pub(super) fn evaluate(
-        &self,
-        recorded: &Scene,
-        measures: &Measures<'_>,
-        judge: &Judge<'_>,
-        config: &EvaluateConfig,
-    ) -> CellFigures {
-        let samples: Vec<Scene> = self.records.iter().map(|record| record.scenario.scene.clone()).collect();
+    pub(super) fn evaluate(&self, recorded: &Scene, measures: &Measures<'_>, judge: &Judge<'_>) -> CellFigures {
+        let samples = self.scenes();
         let recorded = as_far_as_generated(recorded, &samples[0]);
         let first = self.records[0];
         let requested = first
@@ -116,12 +118,11 @@ impl CellSamples<'_> {
         };
         let baseline = constant_velocity(&recorded);
         let reference = |scene: &Scene| self.with_references.then(|| figures(std::slice::from_ref(scene)));
-        let mode_seed = Seed(first.scenario.provenance.seed).derive_named("modes", &recorded.id.0);
         let motion_of_references = || [&recorded, &baseline].map(|scene| MotionHistograms::of([scene]));
         CellFigures {
             recorded: reference(&recorded),
             constant_velocity: reference(&baseline),
-            together: evaluate(&together, Some(mode_seed)),
+            together: evaluate(&together, Some(self.mode_seed())),
             alone: samples.chunks(1).map(figures).collect(),
             assessments: self.records.iter().map(|record| judge.assess(record)).collect(),
             references_judged: self
@@ -131,7 +132,6 @@ impl CellSamples<'_> {
                 references: self.with_references.then(motion_of_references),
                 together: MotionHistograms::of(&samples),
             },
-            prediction: predictions::of_cell(self, &samples, config, mode_seed),
         }
     }
 }

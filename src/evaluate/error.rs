@@ -17,6 +17,16 @@ pub enum Error {
     /// A sample of a scene that the store does not hold.
     #[error("scene {0} of the samples is not in the scene store; pass the scenes that the samples were generated from")]
     UnknownScene(SceneId),
+    /// Figures that were not measured of the shard that they are put beside.
+    #[error(
+        "figures of {found} cells belong to another shard than the one with {expected}; measure it again with --redo evaluate"
+    )]
+    OtherShard {
+        /// Cells of the shard.
+        expected: usize,
+        /// Cells with figures.
+        found: usize,
+    },
     /// A file of ours could not be read or written.
     #[error(transparent)]
     Store(#[from] store::Error),

@@ -178,11 +178,12 @@ impl<'a> Evaluation<'a> {
         let mut assessments: BTreeMap<String, (Assessment, Vec<Check>)> = BTreeMap::new();
         let mut recordings: BTreeMap<SceneId, Scene> = BTreeMap::new();
         for cell in cells {
-            let MeasuredCell { series, recorded, scene_idx, scenario_ids, sampled, figures, not_checked } = cell;
+            let MeasuredCell { series, recorded, scene_idx, scenario_ids, sampled, figures, not_checked, prediction } =
+                cell;
             let place = recorded.source.place.as_str();
             self.sampling.add(&series, (place, scene_idx), &sampled, n_evaluations);
             self.realism.add(&series, &figures.motion);
-            figures.prediction.iter().try_for_each(|modes| self.predictions.add(&recorded, scene_idx, modes))?;
+            prediction.iter().try_for_each(|modes| self.predictions.add(&recorded, scene_idx, modes))?;
             let judged = (figures.references_judged.as_ref(), figures.assessments.as_slice());
             self.validity.add((&series, place), judged, &not_checked);
             let scenario_ids = scenario_ids.as_slice();

@@ -3,11 +3,13 @@
 use super::config::{EvaluateConfig, Keep};
 use super::evaluation::{Evaluation, EvaluationFiles, EvaluationSummary};
 use super::gates::GatesConfig;
-use super::measure::{MeasuredShard, Measurer, Shard};
+use super::measure::{MeasuredShard, Measurer, Shard, ShardFigures, metric_docs};
 use crate::generate::RejectedSample;
 use crate::scene::{GuidanceLevel, Scene};
 use crate::store::testing::{folder_bytes, record, scene};
-use crate::store::{self, MetricRow, ScenarioRecord, SceneStore, SceneWriter, SceneWriterOptions};
+use crate::store::{
+    self, MetricRow, ScenarioRecord, SceneStore, SceneWriter, SceneWriterOptions, read_binary, write_binary_atomically,
+};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -39,14 +41,19 @@ fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Ve
     let mut measured: Vec<Option<MeasuredShard>> = (0..N_SHARDS).map(|_| None).collect();
     for idx in order {
         let shard = Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes, idx) };
-        measured[idx] = Some(measurer.measure(shard).unwrap());
+        let figures = measurer.measure(&shard).unwrap();
+        let file = dir.path().join("figures.bin");
+        write_binary_atomically(&file, "figures.v1", &figures).unwrap();
+        let read: ShardFigures = read_binary(&file, "figures.v1").unwrap();
+        assert!(read == figures, "figures are the same when they were in a file");
+        measured[idx] = Some(MeasuredShard::new(shard, read, &config, &store).unwrap());
     }
 
     let out = dir.path().join("out");
     fs_err::create_dir(&out).unwrap();
     let (predictions, verdicts) = (out.join("predictions"), out.join("verdicts.parquet"));
     let files = EvaluationFiles { predictions: &predictions, verdicts: &verdicts, scratch: &out };
-    let mut evaluation = Evaluation::new(&config, measurer.docs(), &files).unwrap();
+    let mut evaluation = Evaluation::new(&config, metric_docs(&config, &[]), &files).unwrap();
     let kept = measured.into_iter().flatten().map(|shard| evaluation.add(shard).unwrap());
     let kept = kept.flat_map(|kept| kept.records).map(|record| record.scenario.id).collect();
     let rejected = RejectedSample {
@@ -94,4 +101,17 @@ fn shards_are_measured_in_any_order() {
         .collect();
     let told = rows.iter().find(|row| row.group.name() == "guided" && row.scene_id.is_none()).expect("a mean");
     assert!((told.value - mean(&own)).abs() < 1e-12 && told.n == own.len() as u64);
+}
+
+#[test]
+fn figures_of_another_shard_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, scenes) = store(dir.path());
+    let config = EvaluateConfig::default();
+    let mut measurer = Measurer::new(&config, &[], &store, None).unwrap();
+    let shard =
+        |n_scenes: usize| Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes[..n_scenes], 0) };
+    let figures = measurer.measure(&shard(4)).unwrap();
+    let refused = MeasuredShard::new(shard(3), figures, &config, &store).err().expect("refused").to_string();
+    assert!(refused.contains("figures of 4 cells") && refused.contains("--redo evaluate"), "{refused}");
 }

@@ -10,6 +10,7 @@ use crate::metrics::{
 use crate::scene::{Roles, Scene};
 use crate::store::{Assessment, ScenarioRecord, SceneStore, read_events};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -29,7 +30,7 @@ pub(super) struct Judge<'a> {
 }
 
 /// What the recording of a cell, or a baseline, would be found to be if it had been generated.
-#[derive(Clone)]
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct ReferenceJudgment {
     /// The checks that it fails.
     pub(super) violations: Vec<Violation>,

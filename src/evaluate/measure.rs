@@ -5,12 +5,14 @@ use super::config::EvaluateConfig;
 use super::error::{Error, Result};
 use super::judge::Judge;
 use super::measures::{Measures, MetricDoc};
-use super::sampling::SampledCell;
+use super::predictions;
+use super::sampling::{Conduct, SampledCell};
 use crate::behavior::Behavior;
-use crate::metrics::{Check, Judged, OffroadRate, SeriesKey};
+use crate::metrics::{Check, Judged, Modes, OffroadRate, SeriesKey};
 use crate::scene::{Roles, Scene};
 use crate::store::{ScenarioRecord, SceneStore};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// Scenarios of one sweep that were generated together.
@@ -21,6 +23,21 @@ pub struct Shard<'a> {
     pub n_evaluations: u64,
     /// The scenarios, in order.
     pub records: Vec<ScenarioRecord>,
+}
+
+/// What takes time to find out of a shard, and is written down where others put the shards together: neither the samples and recordings
+/// nor what these say themselves.
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
+pub struct ShardFigures {
+    /// The cells, in order of first appearance.
+    cells: Vec<CellFindings>,
+}
+
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
+struct CellFindings {
+    conduct: Vec<Conduct>,
+    figures: CellFigures,
+    not_checked: Vec<Check>,
 }
 
 /// A shard with its figures, which [`Evaluation`](super::Evaluation) puts beside those of others.
@@ -48,6 +65,48 @@ pub(super) struct MeasuredCell {
     pub(super) figures: CellFigures,
     /// The checks of validity that were not made of it.
     pub(super) not_checked: Vec<Check>,
+    /// The predictions for a benchmark, if requested.
+    pub(super) prediction: Option<Modes>,
+}
+
+impl MeasuredShard {
+    /// The shard with its figures. Cells are put together in parallel.
+    ///
+    /// # Errors
+    /// When the figures are of another shard, or a scene is missing or damaged.
+    pub fn new(shard: Shard<'_>, figures: ShardFigures, config: &EvaluateConfig, store: &SceneStore) -> Result<Self> {
+        let Shard { sweep, n_evaluations, records } = shard;
+        let cells = into_cells(&records);
+        if cells.len() != figures.cells.len() {
+            return Err(Error::OtherShard { expected: cells.len(), found: figures.cells.len() });
+        }
+        let cells = cells.into_par_iter().zip(figures.cells).map(|(cell, findings)| {
+            let CellFindings { conduct, figures, not_checked } = findings;
+            let scene_idx = scene_idx(&cell, store)?;
+            Ok(MeasuredCell {
+                series: cell.series(sweep),
+                recorded: store.scene(scene_idx)?,
+                scene_idx,
+                scenario_ids: cell.records.iter().map(|record| record.scenario.id.clone()).collect(),
+                sampled: SampledCell::new(&cell, conduct),
+                figures,
+                not_checked,
+                prediction: predictions::of_cell(&cell, config),
+            })
+        });
+        let cells = cells.collect::<Result<_>>()?;
+        Ok(Self { n_evaluations, records, cells })
+    }
+}
+
+fn scene_idx(cell: &CellSamples<'_>, store: &SceneStore) -> Result<usize> {
+    let scene_id = &cell.records[0].scenario.provenance.scene_id;
+    store.position(scene_id).ok_or_else(|| Error::UnknownScene(scene_id.clone()))
+}
+
+/// What is measured by such a configuration, for reading the tables.
+pub fn metric_docs(config: &EvaluateConfig, behaviors: &[Box<dyn Behavior>]) -> Vec<MetricDoc> {
+    Measures::new(config, behaviors).docs()
 }
 
 /// Measures shards, in any order.
@@ -75,35 +134,23 @@ impl<'a> Measurer<'a> {
         Ok(Self { config, store, measures, judge, offroad })
     }
 
-    /// What is measured, for reading the tables.
-    pub fn docs(&self) -> Vec<MetricDoc> {
-        self.measures.docs()
-    }
-
     /// Measures the cells of a shard in parallel. What is read for it of recorded events stays for the next one.
     ///
     /// # Errors
     /// When a scene is missing or damaged, or the events are.
-    pub fn measure(&mut self, Shard { sweep, n_evaluations, records }: Shard<'_>) -> Result<MeasuredShard> {
-        self.judge.learn_events(records.iter().filter_map(|record| record.requested_behavior.as_deref()))?;
-        let cells = into_cells(&records).into_par_iter().map(|cell| self.measure_cell(sweep, &cell));
-        let cells = cells.collect::<Result<_>>()?;
-        Ok(MeasuredShard { n_evaluations, records, cells })
+    pub fn measure(&mut self, shard: &Shard<'_>) -> Result<ShardFigures> {
+        let asked = shard.records.iter().filter_map(|record| record.requested_behavior.as_deref());
+        self.judge.learn_events(asked)?;
+        let cells = into_cells(&shard.records).into_par_iter().map(|cell| self.measure_cell(&cell));
+        Ok(ShardFigures { cells: cells.collect::<Result<_>>()? })
     }
 
-    fn measure_cell(&self, sweep: &str, cell: &CellSamples<'_>) -> Result<MeasuredCell> {
-        let scene_id = &cell.records[0].scenario.provenance.scene_id;
-        let scene_idx = self.store.position(scene_id).ok_or_else(|| Error::UnknownScene(scene_id.clone()))?;
-        let recorded = self.store.scene(scene_idx)?;
-        let not_checked = Judged::future_of(&recorded, Roles::none()).not_checked(&self.config.validity);
-        Ok(MeasuredCell {
-            series: cell.series(sweep),
-            scene_idx,
-            scenario_ids: cell.records.iter().map(|record| record.scenario.id.clone()).collect(),
-            sampled: SampledCell::of(cell, &recorded, &self.offroad),
-            figures: cell.evaluate(&recorded, &self.measures, &self.judge, self.config),
-            not_checked,
-            recorded,
+    fn measure_cell(&self, cell: &CellSamples<'_>) -> Result<CellFindings> {
+        let recorded = self.store.scene(scene_idx(cell, self.store)?)?;
+        Ok(CellFindings {
+            conduct: Conduct::of(cell, &recorded, &self.offroad),
+            figures: cell.evaluate(&recorded, &self.measures, &self.judge),
+            not_checked: Judged::future_of(&recorded, Roles::none()).not_checked(&self.config.validity),
         })
     }
 }

@@ -35,7 +35,7 @@ pub use error::{Error, Result};
 pub use evaluation::{Evaluated, Evaluation, EvaluationFiles, EvaluationSummary, KeptScenarios};
 pub use gates::{GateResult, GatesConfig};
 pub use map_fits::{MapFitRow, for_maps, map_fits};
-pub use measure::{MeasuredShard, Measurer, Shard};
+pub use measure::{MeasuredShard, Measurer, Shard, ShardFigures, metric_docs};
 pub use measures::MetricDoc;
 pub use mining::{BehaviorCount, BehaviorDoc, MiningSummary, MiningTally};
 pub use realism::RealismRow;

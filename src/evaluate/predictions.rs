@@ -6,7 +6,6 @@ use super::error::Result;
 use crate::files::clear;
 use crate::metrics::{ModeFit, Modes, ModesConfig, ModesOf, Representative};
 use crate::scene::{Benchmark, Dataset, Scene};
-use crate::seed::Seed;
 use crate::store::{ArgoversePredictions, InteractionPredictions, SceneSet};
 use std::path::Path;
 
@@ -22,26 +21,27 @@ pub(super) struct Predictions {
 /// The modes that a cell offers as its scene's prediction: those of the ego where the benchmark predicts one agent, of
 /// everybody jointly else. Where there are no more samples than modes, the samples themselves. `None` for cells that
 /// are not forecasts and for datasets that were not requested.
-pub(super) fn of_cell(cell: &CellSamples<'_>, samples: &[Scene], config: &EvaluateConfig, seed: Seed) -> Option<Modes> {
-    let first = samples.first()?;
-    let dataset = first.source.dataset;
-    if !cell.records[0].scenario.provenance.is_unguided() || !config.predictions.contains(&dataset) {
+pub(super) fn of_cell(cell: &CellSamples<'_>, config: &EvaluateConfig) -> Option<Modes> {
+    let first = &cell.records[0].scenario;
+    let dataset = first.scene.source.dataset;
+    if !first.provenance.is_unguided() || !config.predictions.contains(&dataset) {
         return None;
     }
+    let samples = cell.scenes();
     let defaults = ModesConfig::default();
     let modes = config.modes.as_ref().unwrap_or(&defaults);
     if samples.len() <= modes.n_modes {
         let probabilities = cell.probabilities().unwrap_or_else(|| vec![1.0; samples.len()]);
         let sum: f64 = probabilities.iter().sum();
         let probabilities = probabilities.into_iter().map(|probability| probability / sum).collect();
-        return Some(Modes { samples: samples.to_vec(), probabilities });
+        return Some(Modes { samples, probabilities });
     }
     let of = match dataset.facts().benchmark {
         Benchmark::ArgoverseFocal => ModesOf::Ego,
         Benchmark::InteractionJoint | Benchmark::ArgoverseWorlds => ModesOf::Scene,
     };
     let by = modes.by.first().copied().unwrap_or(Representative::Mean);
-    Some(ModeFit::new(samples, &of.agents(first), modes, seed)?.modes(by))
+    Some(ModeFit::new(&samples, &of.agents(&first.scene), modes, cell.mode_seed())?.modes(by))
 }
 
 impl Predictions {
@@ -120,7 +120,7 @@ mod tests {
             record.scenario.provenance.guidance.kind = kind.to_owned();
             record.scenario.provenance.edit_tau = edit_tau;
             let cell = CellSamples { records: vec![&record], with_references: false };
-            of_cell(&cell, &[recorded()], &config, Seed(1)).is_some()
+            of_cell(&cell, &config).is_some()
         };
         assert!(is_predicted(GuidanceTag::NONE, 0.0, None) && is_predicted(GuidanceTag::BASELINE, 0.0, None));
         assert!(!is_predicted("classifier:cut_in", 2.0, None));

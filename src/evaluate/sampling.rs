@@ -47,27 +47,45 @@ pub(super) struct SampledCell {
 struct SampledScenario {
     verified: bool,
     is_new: bool,
+    conduct: Conduct,
+}
+
+/// How everybody drives in a scenario.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Conduct {
+    /// Whether agents collide.
     collides: bool,
+    /// The share of vehicles that leave the road; `None` without lanes.
     offroad_rate: Option<f64>,
 }
 
-impl SampledCell {
-    /// That of a cell which continues `recorded`.
-    pub(super) fn of(cell: &CellSamples<'_>, recorded: &Scene, offroad: &OffroadRate) -> Self {
-        let scenario = |record: &&ScenarioRecord| {
+impl Conduct {
+    /// That of each sample of a cell which continues `recorded`.
+    pub(super) fn of(cell: &CellSamples<'_>, recorded: &Scene, offroad: &OffroadRate) -> Vec<Self> {
+        let of_sample = |record: &&ScenarioRecord| {
             let group = SampleGroup::equally_likely(recorded, std::slice::from_ref(&record.scenario.scene));
-            SampledScenario {
-                verified: record.verified,
-                is_new: record.verified && !record.recorded_event,
+            Self {
                 collides: CollisionRate.evaluate(&group).is_some_and(|rate| rate > 0.0),
                 offroad_rate: offroad.evaluate(&group),
             }
+        };
+        cell.records.iter().map(of_sample).collect()
+    }
+}
+
+impl SampledCell {
+    /// That of a cell whose samples drive so, in order.
+    pub(super) fn new(cell: &CellSamples<'_>, conduct: Vec<Conduct>) -> Self {
+        let scenario = |(record, conduct): (&&ScenarioRecord, Conduct)| SampledScenario {
+            verified: record.verified,
+            is_new: record.verified && !record.recorded_event,
+            conduct,
         };
         let first = cell.records[0];
         Self {
             behavior: first.requested_behavior.clone(),
             sampler: first.scenario.provenance.sampler.clone(),
-            scenarios: cell.records.iter().map(scenario).collect(),
+            scenarios: cell.records.iter().zip(conduct).map(scenario).collect(),
         }
     }
 }
@@ -118,7 +136,7 @@ impl SamplingTally {
         });
         let counted = &mut self.rows[at];
         counted.scenes.insert(scene_idx);
-        for SampledScenario { verified, is_new, collides, offroad_rate } in &cell.scenarios {
+        for SampledScenario { verified, is_new, conduct: Conduct { collides, offroad_rate } } in &cell.scenarios {
             counted.row.n_scenarios += 1;
             counted.row.n_verified += u64::from(*verified);
             counted.row.n_new += u64::from(*is_new);
@@ -151,7 +169,7 @@ mod tests {
     fn add(tally: &mut SamplingTally, record: &ScenarioRecord, recorded: &Scene) {
         let cell = CellSamples { records: vec![record], with_references: false };
         let offroad = OffroadRate { places_without_road: std::collections::BTreeSet::new() };
-        let sampled = SampledCell::of(&cell, recorded, &offroad);
+        let sampled = SampledCell::new(&cell, Conduct::of(&cell, recorded, &offroad));
         tally.add(&cell.series("guided"), (&recorded.source.place, 7), &sampled, 39);
     }
 

@@ -18,7 +18,7 @@ pub(super) fn evaluated_cell<'r>(
     let config = EvaluateConfig::default();
     let (measures, judge) = (Measures::new(&config, &[]), Judge::without_recordings(&config));
     let cell = CellSamples { records: vec![record], with_references: true };
-    let figures = cell.evaluate(recorded, &measures, &judge, &config);
+    let figures = cell.evaluate(recorded, &measures, &judge);
     (cell, figures, measures.docs())
 }
 

@@ -42,8 +42,8 @@ pub use plan::{Cell, Plan, ShardPlan, Shortfall};
 pub use regenerate::SampleKey;
 pub use request::{
     Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Divisions, Ended, Hits, Ledger,
-    PlanKind, Pool, RequestConfig, RequestSummary, Requirement, ResolvedGeneration, ResolvedRequest, Round,
-    RoundContext, RoundShard, ShardTally, Yield,
+    PlacedScenario, PlanKind, Pool, RequestConfig, RequestSummary, Requirement, ResolvedGeneration, ResolvedRequest,
+    Round, RoundContext, RoundShard, ShardTally, Yield,
 };
 pub use sample::{RejectedSample, ShardOutput};
 pub use select::SelectConfig;

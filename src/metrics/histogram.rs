@@ -2,6 +2,8 @@
 //!
 //! Memory does not grow with the number of values, and counts of parts can be added up in any order.
 
+use serde::{Deserialize, Serialize};
+
 /// Bins from which the Wasserstein distance is taken.
 const N_BINS: usize = 400;
 /// So many of them make one of the 40 bins from which the Jensen-Shannon divergence is taken: it is about shares of bins, and fine
@@ -9,7 +11,7 @@ const N_BINS: usize = 400;
 const BINS_PER_COARSE: usize = 10;
 
 /// Counts of the values of a quantity in equal bins over a fixed range.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Histogram {
     range: [f64; 2],
     counts: Vec<u64>,

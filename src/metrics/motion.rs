@@ -9,6 +9,7 @@ use crate::behavior::footprint::Footprint;
 use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::geometry::{Vec2, wrap_angle};
 use crate::scene::{Scene, Track};
+use serde::{Deserialize, Serialize};
 
 /// Timesteps between those at which distances are measured: neighboring ones say the same.
 const DISTANCE_STRIDE: usize = 5;
@@ -87,7 +88,7 @@ pub static MOTION: [MotionQuantity; 6] = [
 ];
 
 /// A histogram of each quantity, in the order of [`MOTION`].
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MotionHistograms(Vec<Histogram>);
 
 impl Default for MotionHistograms {

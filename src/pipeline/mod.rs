@@ -40,4 +40,4 @@ pub use fingerprint::{PathFingerprint, fingerprint_path};
 pub use keep::Kept;
 pub use record::{InputRecord, StageRecord};
 pub use stage::{Stage, StageContext, StageId, StageInput};
-pub use stage_facts::{StageFacts, StageOutput};
+pub use stage_facts::{PartFacts, StageFacts, StageOutput};

@@ -19,6 +19,17 @@ pub struct StageFacts {
     pub is_configured: fn(&PipelineConfig) -> bool,
     /// What other stages call what it makes, and where that is; `None` where it is for people.
     pub output: Option<StageOutput>,
+    /// The shards that several processes can make of it at once; `None` where one process does it all.
+    pub parts: Option<PartFacts>,
+}
+
+/// The files of shards that workers make ([`parts`](super::parts)).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PartFacts {
+    /// What their names begin with.
+    pub shard: &'static str,
+    /// What their names end in.
+    pub ending: &'static str,
 }
 
 /// What other stages read of a stage.
@@ -33,6 +44,13 @@ const fn output(name: &'static str, path: fn(&Layout) -> &Path) -> Option<StageO
     Some(StageOutput { name, path })
 }
 
+impl PartFacts {
+    /// What shard `idx` is called.
+    pub(super) fn shard_name(self, idx: usize) -> String {
+        format!("{}-{idx:05}", self.shard)
+    }
+}
+
 impl StageId {
     /// What is known of it.
     pub const fn facts(self) -> StageFacts {
@@ -44,6 +62,7 @@ impl StageId {
                 trains: false,
                 is_configured: |config| config.ingest.is_some(),
                 output: output("scenes", |layout| &layout.scenes),
+                parts: None,
             },
             Self::Mine => StageFacts {
                 name: "mine",
@@ -52,6 +71,7 @@ impl StageId {
                 trains: false,
                 is_configured: |config| config.mine.is_some(),
                 output: output("events", |layout| &layout.events),
+                parts: None,
             },
             Self::TrainDenoiser => StageFacts {
                 name: "train_denoiser",
@@ -60,6 +80,7 @@ impl StageId {
                 trains: true,
                 is_configured: |config| config.train.denoiser.is_some(),
                 output: output("denoiser", |layout| &layout.denoiser),
+                parts: None,
             },
             Self::TrainDistill => StageFacts {
                 name: "train_distill",
@@ -68,6 +89,7 @@ impl StageId {
                 trains: true,
                 is_configured: |config| config.train.distill.is_some(),
                 output: output("distilled", |layout| &layout.distilled),
+                parts: None,
             },
             Self::TrainClassifier => StageFacts {
                 name: "train_classifier",
@@ -76,6 +98,7 @@ impl StageId {
                 trains: true,
                 is_configured: |config| config.train.classifier.is_some(),
                 output: output("classifier", |layout| &layout.classifier),
+                parts: None,
             },
             Self::TrainBaseline => StageFacts {
                 name: "train_baseline",
@@ -84,6 +107,7 @@ impl StageId {
                 trains: true,
                 is_configured: |config| config.train.baseline.is_some(),
                 output: output("baseline", |layout| &layout.baseline),
+                parts: None,
             },
             Self::Generate => StageFacts {
                 name: "generate",
@@ -92,6 +116,7 @@ impl StageId {
                 trains: false,
                 is_configured: |config| config.generate.is_some(),
                 output: output("samples", |layout| &layout.samples),
+                parts: Some(PartFacts { shard: "samples", ending: "parquet" }),
             },
             Self::Evaluate => StageFacts {
                 name: "evaluate",
@@ -100,6 +125,7 @@ impl StageId {
                 trains: false,
                 is_configured: |config| config.evaluate.is_some(),
                 output: output("metrics", |layout| &layout.metrics),
+                parts: Some(PartFacts { shard: "figures", ending: "bin" }),
             },
             Self::Report => StageFacts {
                 name: "report",
@@ -108,6 +134,7 @@ impl StageId {
                 trains: false,
                 is_configured: |config| config.report.is_some(),
                 output: None,
+                parts: None,
             },
         }
     }

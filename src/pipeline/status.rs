@@ -16,7 +16,7 @@ use std::path::Path;
 pub struct Status {
     /// The stages that it has or will have, as far as that is known.
     pub stages: Vec<StageStatus>,
-    /// The shards of generation, where workers sample them.
+    /// The shards of the stage that workers are at, if they are at one.
     pub shards: Option<ShardStatus>,
 }
 
@@ -55,7 +55,7 @@ pub fn status(root: &Path) -> Result<Status> {
     let stages = StageId::ALL.into_iter().filter_map(|stage| {
         let is_planned = manifest.as_ref().is_some_and(|manifest| manifest.stages.contains_key(stage.name()));
         let begun = Work::started(root, stage);
-        let is_in_parts = stage == super::parts::STAGE && shards.is_some();
+        let is_in_parts = shards.as_ref().is_some_and(|shards| shards.stage == stage);
         let state = match () {
             () if begun.is_some() || is_in_parts => State::Begun,
             () if StageRecord::done(root, stage).is_some() => State::Done,

@@ -1,9 +1,10 @@
 //! What was judged of a scenario, independently of what guided it: could it have happened, how critical is it, is it new?
 
 use crate::metrics::{CutInJudgment, PairCriticality, SceneCriticality, Violation};
+use serde::{Deserialize, Serialize};
 
 /// The judgment of one scenario. Parts that are not defined for it are absent.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Assessment {
     /// Whether it is verified, valid and no near-duplicate.
     pub accepted: bool,

@@ -6,6 +6,7 @@
 
 mod assessment;
 mod atomic;
+mod binary;
 mod corpus_card;
 mod corpus_layout;
 mod corpus_manifest;
@@ -39,6 +40,7 @@ mod verdicts;
 pub use crate::files::{AtomicFile, FileStamp, remove_if_present, write_atomically};
 pub use assessment::Assessment;
 pub use atomic::{read_json, write_json_atomically};
+pub use binary::{read_binary, write_binary_atomically};
 pub(crate) use corpus_card::{CARD_FILE, card};
 pub(crate) use corpus_layout::NO_BEHAVIOR;
 pub use corpus_layout::{CorpusTable, Partition};

@@ -1,6 +1,7 @@
 //! Do any number of workers, killed at will, write the bytes of one process? And do they keep away from what is not theirs?
 
 use crate::support::{Outcome, Workspace, assert_same, command, djinn, files, start};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
@@ -19,9 +20,45 @@ fn part(workspace: &Workspace, output: &str, part: &str, more: &[&str]) -> Outco
 }
 
 /// Starts a part without waiting for it.
-fn begin(workspace: &Workspace, output: &str, part: &[&str]) -> Child {
-    let args = workspace.run_args(output, &[&SETTINGS[..], &["--stage", "generate", "--part"], part].concat());
+fn begin(workspace: &Workspace, output: &str, stage: &str, part: &[&str]) -> Child {
+    let args = workspace.run_args(output, &[&SETTINGS[..], &["--stage", stage, "--part"], part].concat());
     start(&args.iter().map(String::as_str).collect::<Vec<_>>())
+}
+
+/// Runs a stage in parts by `n` workers. One process that plans is killed, then so many times one of the workers, then one that seals.
+fn run_in_parts(workspace: &Workspace, output: &str, stage: &str, (n, n_kills): (usize, usize), draws: &mut Draws) {
+    let folder = workspace.run_folder(output);
+    let to_its_end = |part: &str| run(workspace, output, &["--stage", stage, "--part", part]).expect(0);
+    let mut killed = begin(workspace, output, stage, &["plan"]);
+    std::thread::sleep(Duration::from_millis(200));
+    killed.kill().unwrap();
+    killed.wait().unwrap();
+    let began = Instant::now();
+    to_its_end("plan");
+    let typical = began.elapsed();
+
+    let begin_worker = |k: usize| begin(workspace, output, stage, &["work", "--worker", &format!("{}/{n}", k + 1)]);
+    let mut workers: Vec<Child> = (0..n).map(begin_worker).collect();
+    for _ in 0..n_kills {
+        std::thread::sleep(typical.mul_f64(0.2 + 1.5 * draws.next()));
+        let k = (draws.next() * n as f64) as usize;
+        workers[k].kill().unwrap();
+        workers[k].wait().unwrap();
+        workers[k] = begin_worker(k);
+    }
+    for worker in &mut workers {
+        assert_eq!(worker.wait().unwrap().code(), Some(0));
+    }
+    let mut killed = begin(workspace, output, stage, &["seal"]);
+    std::thread::sleep(typical.mul_f64(draws.next()));
+    killed.kill().unwrap();
+    killed.wait().unwrap();
+    to_its_end("seal");
+    assert!(!folder.join(format!("{stage}.parts")).exists());
+    let log = fs_err::read_to_string(folder.join("log.txt")).unwrap();
+    assert!(log.contains("worker 00001: "), "{log}");
+    // Who comes late finds nothing to do.
+    run(workspace, output, &["--stage", stage, "--part", "work", "--worker", "1/2"]).expect(0);
 }
 
 fn copy(from: &Path, to: &Path) {
@@ -56,40 +93,72 @@ fn any_number_of_workers_killed_at_will_write_the_bytes_of_one_process() {
         let folder = workspace.run_folder(&output);
         copy(&workspace.run_folder("before"), &folder);
         let mut draws = Draws(n as u64);
-        // The plan, too, is begun more than once.
-        let mut killed = begin(&workspace, &output, &["plan"]);
-        std::thread::sleep(Duration::from_millis(200));
-        killed.kill().unwrap();
-        killed.wait().unwrap();
-        let began = Instant::now();
-        part(&workspace, &output, "plan", &[]).expect(0);
-        let typical = began.elapsed();
-
-        let begin_worker = |k: usize| begin(&workspace, &output, &["work", "--worker", &format!("{}/{n}", k + 1)]);
-        let mut workers: Vec<Child> = (0..n).map(begin_worker).collect();
-        for _ in 0..n_kills {
-            std::thread::sleep(typical.mul_f64(0.2 + 1.5 * draws.next()));
-            let k = (draws.next() * n as f64) as usize;
-            workers[k].kill().unwrap();
-            workers[k].wait().unwrap();
-            workers[k] = begin_worker(k);
+        for stage in ["generate", "evaluate"] {
+            run_in_parts(&workspace, &output, stage, (n, n_kills), &mut draws);
         }
-        for worker in &mut workers {
-            assert_eq!(worker.wait().unwrap().code(), Some(0));
-        }
-        let mut killed = begin(&workspace, &output, &["seal"]);
-        std::thread::sleep(typical.mul_f64(draws.next()));
-        killed.kill().unwrap();
-        killed.wait().unwrap();
-        part(&workspace, &output, "seal", &[]).expect(0);
-        assert!(!folder.join("generate.parts").exists());
-        let log = fs_err::read_to_string(folder.join("log.txt")).unwrap();
-        assert!(log.contains("worker 00001: "), "{log}");
-        // Who comes late finds nothing to do.
-        part(&workspace, &output, "work", &["--worker", "1/2"]).expect(0);
-        run(&workspace, &output, &["--stage", "evaluate", "--stage", "report"]).expect(0);
+        run(&workspace, &output, &["--stage", "report"]).expect(0);
         assert_same(&expected, &files(&folder));
     }
+    one_process_goes_on(&workspace, &expected);
+}
+
+/// What workers had begun, a plain run takes over; what they left goes.
+fn one_process_goes_on(workspace: &Workspace, expected: &BTreeMap<String, Vec<u8>>) {
+    let folder = workspace.run_folder("taken");
+    copy(&workspace.run_folder("before"), &folder);
+    for (stage, shard) in [("generate", "samples-00000.json"), ("evaluate", "figures-00000.json")] {
+        run(workspace, "taken", &["--stage", stage, "--part", "plan"]).expect(0);
+        let plans = fs_err::read_dir(folder.join(format!("{stage}.parts"))).unwrap();
+        let [plan] = &plans.map(|entry| entry.unwrap().path()).collect::<Vec<_>>()[..] else { panic!("one plan") };
+        let mut worker = begin(workspace, "taken", stage, &["work", "--worker", "1/1"]);
+        let began = Instant::now();
+        while !plan.join(shard).exists() && began.elapsed() < Duration::from_secs(60) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        worker.kill().unwrap();
+        worker.wait().unwrap();
+        let said = run(workspace, "taken", &["--stage", stage]).expect(0).stderr;
+        assert!(said.contains(" of 7 shards are taken over from workers"), "{said}");
+        assert!(!folder.join(format!("{stage}.parts")).exists());
+    }
+    run(workspace, "taken", &["--stage", "report"]).expect(0);
+    assert_same(expected, &files(&folder));
+}
+
+/// The rounds of a request are decided by whoever sees the one before whole.
+#[test]
+fn requests_are_fulfilled_by_any_number_of_workers_to_the_same_bytes() {
+    let workspace = Workspace::new();
+    fs_err::write(workspace.path("small.toml"), crate::requests::pipeline()).unwrap();
+    run(&workspace, "before", &BEFORE).expect(0);
+    copy(&workspace.run_folder("before"), &workspace.run_folder("one"));
+    run(&workspace, "one", &["--stage", "generate"]).expect(0);
+    let expected = files(&workspace.run_folder("one"));
+    let n_rounds = expected.keys().filter(|name| name.starts_with("samples/request-00-round-")).count();
+    assert!(n_rounds > 5, "{n_rounds}");
+    for n in [1, 2, 3] {
+        let output = format!("workers{n}");
+        copy(&workspace.run_folder("before"), &workspace.run_folder(&output));
+        run_in_parts(&workspace, &output, "generate", (n, 3), &mut Draws(n as u64));
+        assert_same(&expected, &files(&workspace.run_folder(&output)));
+    }
+    // One process goes on in the midst of the rounds.
+    let folder = workspace.run_folder("taken");
+    copy(&workspace.run_folder("before"), &folder);
+    part(&workspace, "taken", "plan", &[]).expect(0);
+    let plans = fs_err::read_dir(folder.join("generate.parts")).unwrap();
+    let [plan] = &plans.map(|entry| entry.unwrap().path()).collect::<Vec<_>>()[..] else { panic!("one plan") };
+    let mut worker = begin(&workspace, "taken", "generate", &["work", "--worker", "1/1"]);
+    let began = Instant::now();
+    while !plan.join("request-00-round-00002.json").exists() && began.elapsed() < Duration::from_secs(60) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    worker.kill().unwrap();
+    worker.wait().unwrap();
+    let said = part(&workspace, "taken", "seal", &[]).expect(75).stderr;
+    assert!(said.contains("are missing"), "{said}");
+    run(&workspace, "taken", &["--stage", "generate"]).expect(0);
+    assert_same(&expected, &files(&folder));
 }
 
 #[test]
@@ -118,7 +187,10 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     let before = files(dir);
     // Other settings, another checkpoint, another program.
     let more_samples = ["--set", "generate.sweeps.0.n_samples=3"];
-    let differs = ["the plan in this run folder is another one: changed: generate.sweeps", "nothing was changed"];
+    let differs = [
+        "the plan of stage generate in this run folder is another one: changed: generate.sweeps",
+        "nothing was changed",
+    ];
     says(work(&more_samples).expect(1), &differs);
     says(part(&workspace, "out", "plan", &more_samples).expect(1), &differs);
     says(part(&workspace, "out", "seal", &more_samples).expect(1), &differs);
@@ -131,7 +203,10 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     fs_err::write(&done, record).unwrap();
     let identity = fs_err::read_to_string(dir.join("parts.json")).unwrap();
     fs_err::write(dir.join("parts.json"), identity.replace("\"program\": \"", "\"program\": \"other ")).unwrap();
-    says(work(&[]).expect(1), &["program: the plan's is other "]);
+    says(
+        work(&[]).expect(1),
+        &["program: the plan's is other ", "0 of 7 finished shards: plan again with --part plan --redo generate"],
+    );
     fs_err::write(dir.join("parts.json"), identity).unwrap();
     assert_same(&before, &files(dir));
 
@@ -164,5 +239,11 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     // Given up on purpose, another plan takes the place.
     part(&workspace, "out", "plan", &[&more_samples[..], &["--redo", "generate"]].concat()).expect(0);
     assert!(plans().len() == 1 && !dir.exists());
+    // One process with other settings does not take the shards of that plan.
+    let said = run(&workspace, "out", &["--stage", "generate"]).expect(0);
+    says(said, &["generate.parts are of another plan and are not used: changed: generate.sweeps"]);
+    assert_eq!(plans().len(), 1);
+    run(&workspace, "out", &["--stage", "generate", "--redo", "generate"]).expect(0);
+    assert!(!folder.exists(), "what is done anew gives up what workers had begun");
     djinn(&["inspect", workspace.run_folder("out").to_str().unwrap()]).expect(0);
 }

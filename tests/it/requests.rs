@@ -56,7 +56,7 @@ shards_per_round = 2
 budget = { n_samples = 72 }
 "#;
 
-fn pipeline() -> String {
+pub(crate) fn pipeline() -> String {
     // A denoiser without training finds cut-ins of the wider definition alone.
     let sampling = SMALL_PIPELINE.replace("\"cut_in\"", "\"cut_in_paper\"");
     let sampling = sampling.replace("[evaluate]", &format!("{REQUEST}\n[evaluate]"));

@@ -34,7 +34,10 @@ fn jobs_are_submitted_with_what_they_wait_for() {
         submit(&workspace, "echo $((100 + n))", &["slurm", "--workers", "3", "--set", "cluster.partition=night"]);
     assert_eq!(
         (output.status.code(), text(&output.stdout).as_str()),
-        (Some(0), "prepare\t101\nplan\t102\nwork\t103\nseal\t104\nfinish\t105\n")
+        (
+            Some(0),
+            "prepare\t101\nplan\t102\nwork\t103\nseal\t104\nevaluate-plan\t105\nevaluate-work\t106\nevaluate-seal\t107\nfinish\t108\n"
+        )
     );
     assert!(text(&output.stderr).contains("djinn status"), "{}", text(&output.stderr));
     let calls = fs_err::read_to_string(workspace.path("calls.txt")).unwrap();
@@ -44,6 +47,9 @@ fn jobs_are_submitted_with_what_they_wait_for() {
         "--parsable --dependency=afterok:102 --kill-on-invalid-dep=yes",
         "--parsable --dependency=afterok:102,afterany:103 --kill-on-invalid-dep=yes",
         "--parsable --dependency=afterok:104 --kill-on-invalid-dep=yes",
+        "--parsable --dependency=afterok:105 --kill-on-invalid-dep=yes",
+        "--parsable --dependency=afterok:105,afterany:106 --kill-on-invalid-dep=yes",
+        "--parsable --dependency=afterok:107 --kill-on-invalid-dep=yes",
     ];
     assert_eq!(calls.lines().collect::<Vec<_>>(), expected);
     let work = fs_err::read_to_string(workspace.path("calls.3.sh")).unwrap();

@@ -12,7 +12,7 @@ pub(in crate::cli) struct SubmitArgs {
     /// What runs the jobs: slurm, or json to print the graph of jobs for other engines
     #[arg(long, value_name = "ENGINE")]
     pub(in crate::cli) engine: Engine,
-    /// Number of jobs that sample at once [default: cluster.workers of the file, or 4]
+    /// Number of jobs that sample, or measure, at once [default: cluster.workers of the file, or 4]
     #[arg(long, value_name = "N")]
     pub(in crate::cli) workers: Option<usize>,
     /// Override a setting, such as cluster.partition=gpu (may be repeated)

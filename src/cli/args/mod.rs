@@ -104,7 +104,7 @@ pub(in crate::cli) struct RunArgs {
     /// Run only this stage, such as generate; those it reads from must be done (may be repeated)
     #[arg(long, value_name = "STAGE")]
     pub(in crate::cli) stage: Vec<StageId>,
-    /// Run only this part of --stage generate: plan, work or seal
+    /// Run only this part of --stage generate or evaluate: plan, work or seal
     #[arg(long, value_name = "PART", requires = "stage", conflicts_with = "dry_run")]
     pub(in crate::cli) part: Option<Part>,
     /// Which of the workers this is, for --part work; they may run at once, on any number of machines

@@ -7,10 +7,9 @@ use crate::cli::progress::TerminalProgress;
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::parts::{self, Part};
+use crate::pipeline::parts::{self, InParts, Part, TakenOver};
 use crate::pipeline::run::{RunFolder, run_stages};
-use crate::pipeline::stages::Generate;
-use crate::pipeline::{Failure, Result, graph, stages};
+use crate::pipeline::{ComputeChoice, Failure, Result, StageId, graph, stages};
 use crate::settings;
 use std::path::{Path, PathBuf};
 
@@ -30,36 +29,84 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
     resumes_in(&root);
     let progress = TerminalProgress::new(output, *printer);
     let compute = config.run.compute();
-    let generation =
-        args.part.map(|part| stage_in_parts(args, part, stages::generation(&config, &layout))).transpose()?;
-    if let (Some(generate), Some(worker)) = (&generation, args.worker) {
-        return parts::work(&root, generate, worker, compute, &progress);
+    let in_parts = args.part.map(|part| stage_in_parts(args, part, &config, &layout)).transpose()?;
+    if let (Some((_, stage)), Some(worker)) = (&in_parts, args.worker) {
+        return stage.work(&root, worker, compute, &progress);
     }
     let folder = RunFolder::open(&root)?;
     let mut planned = plan()?;
-    let in_parts = planned.iter_mut().find(|planned| planned.stage.id() == parts::STAGE);
-    if let (Some(generate), Some(stage)) = (&generation, in_parts) {
-        if args.part == Some(Part::Plan) {
-            let is_redone = args.redo.contains(&parts::STAGE);
-            return parts::plan(&folder, stage, generate, compute, is_redone, &progress);
+    let mut finished = Vec::new();
+    match &in_parts {
+        Some((id, stage)) => {
+            // It is selected, and planning has found it.
+            let Some(planned) = planned.iter_mut().find(|planned| planned.stage.id() == *id) else { return Ok(()) };
+            if args.part == Some(Part::Plan) {
+                return stage.plan(&folder, planned, compute, args.redo.contains(id), &progress);
+            }
+            stage.seal(&folder, planned, compute)?;
+            finished.push(*id);
         }
-        parts::seal(&folder, stage, generate, compute)?;
+        None => {
+            for planned in &mut planned {
+                let Some(stage) = parts::in_parts(planned.stage.id(), &config, &layout) else { continue };
+                finished.extend(take_over(args, stage.as_ref(), &folder, planned, compute, printer)?);
+            }
+        }
     }
     announce(&planned, output, printer);
     let records = run_stages(&folder, Some(&config), compute, planned, &progress)?;
-    if generation.is_some() {
-        parts::sealed(&root)?;
-    }
+    finished.into_iter().try_for_each(|stage| parts::sealed(&root, stage))?;
     printer.message(format_args!("results are in {}", root.display()));
-    stages::check_gates(&records)
+    // Where a report comes later, the run ends with it.
+    if in_parts.is_some() && config.report.is_some() { Ok(()) } else { stages::check_gates(&records) }
+}
+
+/// Takes over what workers made of a stage that one process now runs, and says so. Returns the stage if nothing of the workers' is to be
+/// left once it is done.
+fn take_over(
+    args: &RunArgs,
+    stage: &dyn InParts,
+    folder: &RunFolder,
+    planned: &mut PlannedStage<'_>,
+    compute: ComputeChoice,
+    printer: &Printer,
+) -> Result<Option<StageId>> {
+    let id = planned.stage.id();
+    if args.redo.contains(&id) {
+        return Ok(Some(id));
+    }
+    match stage.take_over(folder, planned, compute)? {
+        TakenOver::Nothing => return Ok(None),
+        TakenOver::Shards(n, of) => {
+            printer.message(format_args!("{id}: {n} of {of} shards are taken over from workers"));
+        }
+        TakenOver::Refused(difference) => {
+            printer.message(printer.warning_line(&format!(
+                "{id}: the shards of workers in {id}.parts are of another plan and are not used: {difference}; give them up with \
+                 --stage {id} --part plan --redo {id}"
+            )));
+            return Ok(None);
+        }
+    }
+    Ok(Some(id))
 }
 
 /// The stage that is run in parts, if the arguments ask for that as they must.
-fn stage_in_parts<'a>(args: &RunArgs, part: Part, generate: Option<Generate<'a>>) -> Result<Generate<'a>> {
-    let stage = parts::STAGE;
-    if args.stage != [stage] {
+fn stage_in_parts<'a>(
+    args: &RunArgs,
+    part: Part,
+    config: &'a PipelineConfig,
+    layout: &'a Layout,
+) -> Result<(StageId, Box<dyn InParts + 'a>)> {
+    let with_parts = StageId::ALL.into_iter().filter(|stage| stage.facts().parts.is_some());
+    let &[stage] = args.stage.as_slice() else {
+        return Err(Failure::input_message(format_args!("--part {part} goes with one --stage, not with several")));
+    };
+    if stage.facts().parts.is_none() {
+        let names: Vec<&str> = with_parts.map(StageId::name).collect();
         return Err(Failure::input_message(format_args!(
-            "--part {part} needs --stage {stage}, the one that has parts"
+            "--part {part} needs --stage {}, which have parts; {stage} has none",
+            names.join(" or --stage ")
         )));
     }
     if (part == Part::Work) != args.worker.is_some() {
@@ -68,7 +115,9 @@ fn stage_in_parts<'a>(args: &RunArgs, part: Part, generate: Option<Generate<'a>>
     if part != Part::Plan && !args.redo.is_empty() {
         return Err(Failure::input_message(format_args!("--redo goes with --part plan, not with --part {part}")));
     }
-    generate.ok_or_else(|| Failure::input_message("the pipeline has no section [generate]"))
+    let in_parts = parts::in_parts(stage, config, layout);
+    let no_section = || Failure::input_message(format_args!("the pipeline has no section [{}]", stage.facts().section));
+    Ok((stage, in_parts.ok_or_else(no_section)?))
 }
 
 /// The configuration and the run folder.

@@ -3,7 +3,7 @@
 use super::run::load;
 use crate::cli::args::SubmitArgs;
 use crate::cli::printer::Printer;
-use crate::pipeline::cluster::{Engine, JobGraph, Submission, slurm};
+use crate::pipeline::cluster::{Engine, JobGraph, Submission, cautions, slurm};
 use crate::pipeline::layout::Layout;
 use crate::pipeline::{Failure, Result, stages};
 
@@ -22,6 +22,9 @@ pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()>
         config: &config,
     };
     let graph = JobGraph::new(&submission, &cluster)?;
+    for caution in cautions(&config, &cluster) {
+        printer.message(printer.warning_line(&caution));
+    }
     match args.engine {
         Engine::Json => {
             let text = serde_json::to_string_pretty(&graph).map_err(Failure::fault)?;

@@ -8,14 +8,24 @@ use crate::generate::select::Candidate;
 use crate::generate::{Cell, Error, Generator};
 use crate::store::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// What of a scenario does not depend on other scenarios.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 enum Placement {
     NotFound,
     Outside,
     BeyondLimits(usize),
     Hit(usize),
+}
+
+/// Where a scenario of a shard falls, whatever room there is: enough to decide on it later, in its turn.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PlacedScenario {
+    /// The place of its cell within the shard.
+    cell: usize,
+    placement: Placement,
 }
 
 impl Generator<'_> {
@@ -31,6 +41,22 @@ impl Generator<'_> {
         ledger: &Ledger,
         records: &mut [ScenarioRecord],
     ) -> Result<ShardTally, Error> {
+        let placed = self.place(request, (pool, shard), records)?;
+        let (tally, tags) = request.decide(round, shard, ledger, &placed);
+        records.iter_mut().zip(tags).for_each(|(record, tag)| record.request = Some(tag));
+        Ok(tally)
+    }
+
+    /// Says of the records of a finished shard of `request`, in order, where they fall.
+    ///
+    /// # Errors
+    /// When a recorded scene cannot be loaded.
+    pub fn place(
+        &self,
+        request: &ResolvedRequest,
+        (pool, shard): (&Pool, &RoundShard),
+        records: &[ScenarioRecord],
+    ) -> Result<Vec<PlacedScenario>, Error> {
         let own_cell = |record: &ScenarioRecord| {
             let provenance = &record.scenario.provenance;
             let is_own = |cell: &Cell| cell.scene_id == provenance.scene_id && cell.roles == provenance.guidance.roles;
@@ -39,68 +65,15 @@ impl Generator<'_> {
                 detail: "a scenario does not belong to any cell of its shard".to_owned(),
             })
         };
-        let findings: Vec<(usize, Placement)> = records
-            .par_iter()
-            .map(|record| {
-                let at = own_cell(record)?;
-                Ok((at, self.finding(request, &pool.cells[shard.members[at]], record)?))
-            })
-            .collect::<Result<_, Error>>()?;
-        let n_samples = request.arms[shard.arm].n_samples;
-        let cell_tally = |cell: &usize| CellTally {
-            cell: *cell,
-            n_samples: n_samples as u64,
-            next_sample: shard.plan.first_sample + n_samples,
-            ..CellTally::default()
+        let place = |record: &ScenarioRecord| {
+            let cell = own_cell(record)?;
+            let placement = self.placement(request, &pool.cells[shard.members[cell]], record)?;
+            Ok(PlacedScenario { cell, placement })
         };
-        let mut tally = ShardTally {
-            request: request.config.name.clone(),
-            round,
-            arm: shard.arm,
-            cells: shard.members.iter().map(cell_tally).collect(),
-        };
-        let mut accepted = ledger.accepted.clone();
-        for (record, (at, finding)) in records.iter_mut().zip(findings) {
-            let cell = &mut tally.cells[at];
-            let (outcome, bucket) = match finding {
-                Placement::NotFound => (RequestOutcome::NotFound, None),
-                Placement::Outside => {
-                    cell.n_outside += 1;
-                    (RequestOutcome::Outside, None)
-                }
-                Placement::BeyondLimits(bucket) => {
-                    cell.n_beyond_limits += 1;
-                    (RequestOutcome::BeyondLimits, Some(bucket))
-                }
-                Placement::Hit(bucket) => {
-                    let hits = cell.hits.entry(bucket).or_default();
-                    let n_of_cell = ledger.accepted_of_cell(cell.cell, bucket) + hits.n_accepted;
-                    let outcome = if accepted[bucket] >= ledger.wanted[bucket] {
-                        hits.n_surplus += 1;
-                        RequestOutcome::Surplus
-                    } else if n_of_cell >= ledger.max_per_scene {
-                        hits.n_repeated += 1;
-                        RequestOutcome::Repeated
-                    } else {
-                        hits.n_accepted += 1;
-                        accepted[bucket] += 1;
-                        RequestOutcome::Accepted
-                    };
-                    (outcome, Some(bucket))
-                }
-            };
-            cell.n_found += u64::from(outcome != RequestOutcome::NotFound);
-            record.request = Some(RequestTag {
-                request: request.config.name.clone(),
-                round,
-                outcome,
-                bucket: bucket.map(|idx| BucketTag { idx, ranges: request.buckets.ranges(idx) }),
-            });
-        }
-        Ok(tally)
+        records.par_iter().map(place).collect()
     }
 
-    fn finding(&self, request: &ResolvedRequest, cell: &Cell, record: &ScenarioRecord) -> Result<Placement, Error> {
+    fn placement(&self, request: &ResolvedRequest, cell: &Cell, record: &ScenarioRecord) -> Result<Placement, Error> {
         let Some(event) = record.main_event() else { return Ok(Placement::NotFound) };
         let scene = &record.scenario.scene;
         let facts = Facts { scene, event };
@@ -116,6 +89,85 @@ impl Generator<'_> {
         let verdicts = request.config.limits().verdicts(&recorded, &[candidate], &self.metric_settings);
         let is_valid = verdicts.iter().all(Option::is_none);
         Ok(if is_valid { Placement::Hit(bucket) } else { Placement::BeyondLimits(bucket) })
+    }
+}
+
+impl ResolvedRequest {
+    /// Whether scenarios that were placed so can be of this shard.
+    pub fn may_decide(&self, shard: &RoundShard, placed: &[PlacedScenario]) -> bool {
+        let is_known = |placement: Placement| match placement {
+            Placement::NotFound | Placement::Outside => true,
+            Placement::BeyondLimits(bucket) | Placement::Hit(bucket) => bucket < self.buckets.len(),
+        };
+        placed.iter().all(|scenario| scenario.cell < shard.members.len() && is_known(scenario.placement))
+    }
+
+    /// Decides on the scenarios of a shard in round `round`, in their order, when `ledger` holds all earlier shards. Returns the counts, and
+    /// the tag of each scenario. What was read from a file is checked by [`ResolvedRequest::may_decide`] first.
+    pub fn decide(
+        &self,
+        round: usize,
+        shard: &RoundShard,
+        ledger: &Ledger,
+        placed: &[PlacedScenario],
+    ) -> (ShardTally, Vec<RequestTag>) {
+        let n_samples = self.arms[shard.arm].n_samples;
+        let cell_tally = |cell: &usize| CellTally {
+            cell: *cell,
+            n_samples: n_samples as u64,
+            next_sample: shard.plan.first_sample + n_samples,
+            ..CellTally::default()
+        };
+        let mut cells: Vec<CellTally> = shard.members.iter().map(cell_tally).collect();
+        let mut accepted = ledger.accepted.clone();
+        let mut tags = Vec::new();
+        for PlacedScenario { cell, placement } in placed {
+            let (outcome, bucket) = outcome(*placement, &mut cells[*cell], ledger, &mut accepted);
+            tags.push(RequestTag {
+                request: self.config.name.clone(),
+                round,
+                outcome,
+                bucket: bucket.map(|idx| BucketTag { idx, ranges: self.buckets.ranges(idx) }),
+            });
+        }
+        (ShardTally { request: self.config.name.clone(), round, arm: shard.arm, cells }, tags)
+    }
+}
+
+/// What becomes of a scenario of `cell`, and the bucket that it falls into; counts it.
+fn outcome(
+    placement: Placement,
+    cell: &mut CellTally,
+    ledger: &Ledger,
+    accepted: &mut [u64],
+) -> (RequestOutcome, Option<usize>) {
+    cell.n_found += u64::from(placement != Placement::NotFound);
+    match placement {
+        Placement::NotFound => (RequestOutcome::NotFound, None),
+        Placement::Outside => {
+            cell.n_outside += 1;
+            (RequestOutcome::Outside, None)
+        }
+        Placement::BeyondLimits(bucket) => {
+            cell.n_beyond_limits += 1;
+            (RequestOutcome::BeyondLimits, Some(bucket))
+        }
+        Placement::Hit(bucket) => {
+            let hits = cell.hits.entry(bucket).or_default();
+            let n_of_cell = ledger.accepted_of_cell(cell.cell, bucket) + hits.n_accepted;
+            let outcome = if accepted[bucket] >= ledger.wanted[bucket] {
+                hits.n_surplus += 1;
+                RequestOutcome::Surplus
+            } else if n_of_cell >= ledger.max_per_scene {
+                hits.n_repeated += 1;
+                RequestOutcome::Repeated
+            } else {
+                hits.n_accepted += 1;
+                accepted[bucket] += 1;
+                RequestOutcome::Accepted
+            };
+            (outcome, Some(bucket))
+        }
     }
 }
 

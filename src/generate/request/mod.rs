@@ -20,6 +20,7 @@ mod tests;
 
 pub use buckets::{BucketPart, Buckets};
 pub use config::{BudgetConfig, Divisions, PlanKind, RequestConfig, Requirement};
+pub use judge::PlacedScenario;
 pub use ledger::{CellTally, Hits, Ledger, ShardTally};
 pub use resolve::{Arm, ResolvedGeneration, ResolvedRequest};
 pub use rounds::{Pool, Round, RoundContext, RoundShard};

@@ -97,6 +97,8 @@ impl ResolvedRequest {
         }
         let mut spent = ledger.spent();
         let mut shards: Vec<RoundShard> = Vec::new();
+        // The cells of earlier shards of the round, each with the number after that of its last sample there.
+        let mut planned: BTreeMap<usize, usize> = BTreeMap::new();
         for slot in 0..self.n_slots(round) {
             let arm_idx = self.choose_arm(context, slot);
             let arm = &self.arms[arm_idx];
@@ -106,11 +108,17 @@ impl ResolvedRequest {
             if n_cells == 0 {
                 break;
             }
-            let members = self.choose_cells(context, slot, n_cells, &shards);
+            let members = self.choose_cells(context, slot, n_cells, &planned);
             let n_planned = n_samples * n_cells as u64;
             spent = (spent.0 + n_planned, spent.1 + n_planned * arm.n_evaluations);
             let idx = context.next_idx + shards.len();
-            shards.push(RoundShard { arm: arm_idx, plan: self.shard(context, (idx, arm), &members, &shards), members });
+            let plan = self.shard(context, (idx, arm), &members, &planned);
+            let next_sample = plan.first_sample + arm.n_samples;
+            for cell in &members {
+                let next = planned.entry(*cell).or_default();
+                *next = next_sample.max(*next);
+            }
+            shards.push(RoundShard { arm: arm_idx, plan, members });
         }
         (!shards.is_empty()).then(|| Round { request: self.config.name.clone(), round, shards })
     }
@@ -149,7 +157,7 @@ impl ResolvedRequest {
         context: &RoundContext<'_>,
         slot: usize,
         n_cells: usize,
-        so_far: &[RoundShard],
+        planned: &BTreeMap<usize, usize>,
     ) -> Vec<usize> {
         let RoundContext { pool, ledger, round, .. } = *context;
         let n = pool.cells.len();
@@ -172,11 +180,10 @@ impl ResolvedRequest {
             let mut rng = seed.derive("cell", &[cell as u64]).rng();
             gamma(&mut rng, CELL_SHAPE + ledger.open_hits_of_cell(cell) as f64) / (CELL_SHAPE + n_expected)
         };
-        let is_taken = |cell: usize| so_far.iter().any(|shard| shard.members.contains(&cell));
         // Cells that another shard of the round has, and those of no use to open buckets, come last.
         let ease = |cell: usize| context.open_buckets(cell).map(|(_, ease)| ease).fold(0.0, f64::max);
         let mut order: Vec<(bool, f64, usize)> =
-            (0..n).map(|cell| (is_taken(cell), draw(cell) * ease(cell), cell)).collect();
+            (0..n).map(|cell| (planned.contains_key(&cell), draw(cell) * ease(cell), cell)).collect();
         order.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
         let mut members: Vec<usize> = order.into_iter().take(n_cells).map(|(_, _, cell)| cell).collect();
         members.sort_unstable();
@@ -195,12 +202,11 @@ impl ResolvedRequest {
         context: &RoundContext<'_>,
         (idx, arm): (usize, &Arm),
         members: &[usize],
-        so_far: &[RoundShard],
+        planned: &BTreeMap<usize, usize>,
     ) -> ShardPlan {
         let next = |cell: &usize| {
-            let planned = so_far.iter().filter(|shard| shard.members.contains(cell));
-            let planned = planned.map(|shard| shard.plan.first_sample + self.arms[shard.arm].n_samples).max();
-            context.ledger.cells[*cell].next_sample.max(planned.unwrap_or(0))
+            let in_round = planned.get(cell).copied().unwrap_or_default();
+            context.ledger.cells[*cell].next_sample.max(in_round)
         };
         let first_sample = if context.round == 0 { 0 } else { members.iter().map(next).max().unwrap_or(0) };
         let mut aimed = vec![0; self.buckets.len()];

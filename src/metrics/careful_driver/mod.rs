@@ -28,9 +28,10 @@ pub use preventable_rate::PreventableRate;
 use crate::scene::Scene;
 use braking::Braking;
 use encounter::Encounter;
+use serde::{Deserialize, Serialize};
 
 /// What the regulation says of a cut-in.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CutInJudgment {
     /// Whether the careful driver avoids the collision.
     pub preventable: bool,

@@ -34,9 +34,10 @@ use super::sample_group::future;
 use crate::scene::{AgentClass, Scene};
 use agent::MovingAgent;
 use closing::Closing;
+use serde::{Deserialize, Serialize};
 
 /// How critical the encounter of two road users is. [The module](self) has the definitions.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct PairCriticality {
     /// Least time to collision, seconds; `None` where no course of at most 10 s leads to one.
     pub min_ttc_s: Option<f64>,
@@ -55,7 +56,7 @@ pub struct PairCriticality {
 }
 
 /// How critical a scene is: the worst of all pairs, measure by measure.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SceneCriticality {
     /// Least time to collision, seconds; `None` where no two are on a course to collide within 10 s.
     pub min_ttc_s: Option<f64>,

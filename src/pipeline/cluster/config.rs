@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClusterConfig {
-    /// Number of jobs that sample at once.
+    /// Number of jobs that sample, or measure, at once.
     #[schemars(range(min = 1, max = 100_000))]
     pub workers: usize,
     /// How often a job is started again that was stopped or died. A training that takes several of the time limits needs one for each.

@@ -1,12 +1,14 @@
 //! Which jobs does a pipeline come to, and which waits for which?
 
 use super::ClusterConfig;
+use crate::generate::RequestConfig;
 use crate::pipeline::config::PipelineConfig;
-use crate::pipeline::parts;
 use crate::pipeline::{Result, StageId};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
+/// With so many shards a round, a worker that is done waits for little of it.
+const SHARDS_PER_WORKER: usize = 4;
 /// Where a worker's number, from 1, stands in a command.
 pub(super) const WORKER: &str = "{worker}";
 
@@ -87,36 +89,20 @@ impl JobGraph {
         let command = Command::new(submission, cluster)?;
         let stages: Vec<StageId> =
             StageId::ALL.into_iter().filter(|stage| (stage.facts().is_configured)(config)).collect();
-        // Requests decide as they go: one process samples for them.
-        let has_parts = config.generate.as_ref().is_some_and(|generate| !generate.sweeps.is_empty());
-        let mut jobs = Vec::new();
-        let mut add = |name, stages: &[StageId], args: &[&str], workers, after: &[Dependency]| {
-            let selection = stages.iter().flat_map(|stage| ["--stage", stage.name()]);
-            let args: Vec<&str> = selection.chain(args.iter().copied()).collect();
-            let computes = stages.is_empty() || stages.iter().any(|stage| stage.computes());
-            jobs.push(Job { name, command: command.with(&args), workers, computes, after: after.to_vec() });
-        };
-        let succeeded = |job| Dependency { job, condition: Condition::Succeeded };
-        if has_parts {
-            let (before, rest): (Vec<StageId>, Vec<StageId>) =
-                stages.into_iter().partition(|stage| *stage < parts::STAGE);
-            let rest: Vec<StageId> = rest.into_iter().filter(|stage| *stage != parts::STAGE).collect();
-            if !before.is_empty() {
-                add("prepare", &before, &[], None, &[]);
+        let mut jobs = Jobs { command, n_workers: cluster.workers, jobs: Vec::new() };
+        let mut alone: Vec<StageId> = Vec::new();
+        for stage in stages {
+            match names_in_parts(stage, cluster.workers) {
+                Some(names) => {
+                    jobs.add_alone("prepare", &std::mem::take(&mut alone));
+                    jobs.add_parts(stage, names);
+                }
+                None => alone.push(stage),
             }
-            let generate = [parts::STAGE];
-            let after_prepare = [succeeded("prepare")];
-            add("plan", &generate, &["--part", "plan"], None, if before.is_empty() { &[] } else { &after_prepare });
-            let number = format!("{WORKER}/{}", cluster.workers);
-            let work = ["--part", "work", "--worker", &number];
-            add("work", &generate, &work, Some(cluster.workers), &[succeeded("plan")]);
-            let ended = Dependency { job: "work", condition: Condition::Ended };
-            add("seal", &generate, &["--part", "seal"], None, &[succeeded("plan"), ended]);
-            if !rest.is_empty() {
-                add("finish", &rest, &[], None, &[succeeded("seal")]);
-            }
-        } else {
-            add("run", &[], &[], None, &[]);
+        }
+        match jobs.jobs.is_empty() {
+            true => jobs.add("run", &[], &[], None, Vec::new()),
+            false => jobs.add_alone("finish", &alone),
         }
         Ok(Self {
             pipeline: config.run.name.clone(),
@@ -124,8 +110,78 @@ impl JobGraph {
             run_folder: submission.root.to_owned(),
             retries: cluster.retries,
             final_exit_codes: [0, 1, 3],
-            jobs,
+            jobs: jobs.jobs,
         })
+    }
+}
+
+/// What of a configuration makes poor use of its workers.
+pub fn cautions(config: &PipelineConfig, cluster: &ClusterConfig) -> Vec<String> {
+    let requests = config.generate.iter().flat_map(|generate| &generate.requests).enumerate();
+    let enough = SHARDS_PER_WORKER * cluster.workers;
+    let too_few = requests.filter(|(_, request)| cluster.workers > 1 && request.shards_per_round < enough);
+    let caution = |(idx, request): (usize, &RequestConfig)| {
+        format!(
+            "request {} has {} shards a round for {} workers, most of which will wait for each other; {enough} or more keep them busy \
+             (generate.requests.{idx}.shards_per_round, which changes what is sampled)",
+            request.name, request.shards_per_round, cluster.workers
+        )
+    };
+    too_few.map(caution).collect()
+}
+
+/// What the jobs of a stage are called that is run in parts. `None` of one that one process runs.
+fn names_in_parts(stage: StageId, n_workers: usize) -> Option<[&'static str; 3]> {
+    match stage {
+        StageId::Generate => Some(["plan", "work", "seal"]),
+        StageId::Evaluate if n_workers > 1 => Some(["evaluate-plan", "evaluate-work", "evaluate-seal"]),
+        _ => None,
+    }
+}
+
+/// Jobs, each of which waits for those before it.
+struct Jobs {
+    command: Command,
+    n_workers: usize,
+    jobs: Vec<Job>,
+}
+
+impl Jobs {
+    /// Adds the jobs of a stage in parts.
+    fn add_parts(&mut self, stage: StageId, [plan, work, seal]: [&'static str; 3]) {
+        let (after, number) = (self.after_last(), format!("{WORKER}/{}", self.n_workers));
+        let planned = Dependency { job: plan, condition: Condition::Succeeded };
+        self.add(plan, &[stage], &["--part", "plan"], None, after);
+        self.add(work, &[stage], &["--part", "work", "--worker", &number], Some(self.n_workers), vec![planned]);
+        let ended = Dependency { job: work, condition: Condition::Ended };
+        self.add(seal, &[stage], &["--part", "seal"], None, vec![planned, ended]);
+    }
+
+    /// Adds the job of one process that runs these stages, if there are any.
+    fn add_alone(&mut self, name: &'static str, stages: &[StageId]) {
+        if !stages.is_empty() {
+            self.add(name, stages, &[], None, self.after_last());
+        }
+    }
+
+    fn after_last(&self) -> Vec<Dependency> {
+        let last = self.jobs.last();
+        last.map(|job| Dependency { job: job.name, condition: Condition::Succeeded }).into_iter().collect()
+    }
+
+    /// Adds a job; without stages, of all of them.
+    fn add(
+        &mut self,
+        name: &'static str,
+        stages: &[StageId],
+        args: &[&str],
+        workers: Option<usize>,
+        after: Vec<Dependency>,
+    ) {
+        let selection = stages.iter().flat_map(|stage| ["--stage", stage.name()]);
+        let args: Vec<&str> = selection.chain(args.iter().copied()).collect();
+        let computes = stages.is_empty() || stages.iter().any(|stage| stage.computes());
+        self.jobs.push(Job { name, command: self.command.with(&args), workers, computes, after });
     }
 }
 

@@ -11,7 +11,7 @@ pub mod slurm;
 mod tests;
 
 pub use config::ClusterConfig;
-pub use jobs::{Condition, Dependency, Job, JobGraph, Submission};
+pub use jobs::{Condition, Dependency, Job, JobGraph, Submission, cautions};
 
 use std::str::FromStr;
 

@@ -1,6 +1,6 @@
 //! Which jobs wait for which, what do the scripts say, and what do they do?
 
-use super::{ClusterConfig, JobGraph, Submission, slurm};
+use super::{ClusterConfig, JobGraph, Submission, cautions, slurm};
 use crate::pipeline::config::{PipelineConfig, parse};
 use std::path::Path;
 use std::process::Command;
@@ -34,11 +34,19 @@ fn scripts_are_as_they_were_read_and_found_good() {
 #[test]
 fn jobs_wait_for_what_they_read() {
     let names = |text: &str| graph(text, &[]).0.jobs.iter().map(|job| job.name).collect::<Vec<_>>();
-    assert_eq!(names(PIPELINE), ["prepare", "plan", "work", "seal", "finish"]);
-    // Requests decide as they go, so that one process does it all.
-    assert_eq!(names("[ingest]\ndataset = 'interaction'\ninputs = ['a']\n[generate]\n"), ["run"]);
+    let of_evaluation = ["evaluate-plan", "evaluate-work", "evaluate-seal"];
+    assert_eq!(names(PIPELINE), [&["prepare", "plan", "work", "seal"][..], &of_evaluation].concat());
+    assert_eq!(names(&format!("{PIPELINE}[report]\n")).last(), Some(&"finish"));
+    // One worker measures no sooner than one process.
+    let one = format!("{PIPELINE}[cluster]\nworkers = 1\n");
+    assert_eq!(names(&one), ["prepare", "plan", "work", "seal", "finish"]);
+    // Without stages in parts one process does it all.
+    assert_eq!(names("[ingest]\ndataset = 'interaction'\ninputs = ['a']\n[report]\n"), ["run"]);
     assert_eq!(names("[generate]\n[[generate.sweeps]]\nname = 'plain'\n"), ["plan", "work", "seal"]);
+    assert_eq!(names("[mine]\n[evaluate]\n"), [&["prepare"][..], &of_evaluation].concat());
     let (graph, _) = graph(PIPELINE, &[]);
+    let computing: Vec<&str> = graph.jobs.iter().filter(|job| job.computes).map(|job| job.name).collect();
+    assert_eq!(computing, ["prepare", "plan", "work", "seal"], "evaluation needs no GPU");
     let json = serde_json::to_value(&graph).unwrap();
     assert_eq!(json["final_exit_codes"], serde_json::json!([0, 1, 3]));
     assert_eq!(json["jobs"][2]["workers"], 4);
@@ -50,6 +58,21 @@ fn jobs_wait_for_what_they_read() {
         command.ends_with(&["--part".into(), "work".into(), "--worker".into(), "{worker}/4".into()]),
         "{command:?}"
     );
+}
+
+#[test]
+fn rounds_too_small_for_the_workers_are_told() {
+    let request = "[[generate.arms]]\nname = 'plain'\n[[generate.requests]]\nname = 'tight'\nbehavior = 'cut_in'\n\
+        buckets = { gap_m = [0, 10] }\nper_bucket = 1\narms = ['plain']\nbudget = { n_samples = 9 }\n";
+    let said = |more: &str, workers: usize| {
+        let text = format!("[generate]\n{request}{more}[cluster]\nworkers = {workers}\n");
+        let config: PipelineConfig = parse(None, &text, &[]).unwrap();
+        cautions(&config, &config.cluster.clone().unwrap())
+    };
+    let [caution] = &said("", 7)[..] else { panic!("one request") };
+    assert!(caution.starts_with("request tight has 4 shards a round for 7 workers") && caution.contains("28 or more"));
+    assert!(caution.contains("generate.requests.0.shards_per_round"), "{caution}");
+    assert!(said("", 1).is_empty() && said("shards_per_round = 28\n", 7).is_empty());
 }
 
 #[test]

@@ -1,36 +1,45 @@
-//! `generate.parts/<plan-id>/`: the plan, and the shards that workers have finished, each with a record beside it.
+//! `<stage>.parts/<plan-id>/`: the plan, and the shards that workers have finished, each with a record beside it.
 //!
 //! The plan's id is in the path, so that a worker of a plan that was given up can write nothing into another one.
 
+use super::PartFile;
 use super::identity::Identity;
-use super::tries::{is_try_of, try_path};
-use crate::files::{files_below, foreign, link_or_copy, remove_if_present, remove_listed};
-use crate::generate::Plan;
-use crate::pipeline::stages::{SampleFolder, SampleSidecar, shard_name};
-use crate::pipeline::{Failure, Result};
+use super::tries::is_try_of;
+use crate::files::{files_below, foreign, remove_if_present, remove_listed};
+use crate::pipeline::stages::is_round_file;
+use crate::pipeline::{Failure, PartFacts, Result, StageId};
 use crate::store::{read_json, write_json_atomically};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Where the plans are, in the run folder.
-const PARTS: &str = "generate.parts";
 const PLAN_FILE: &str = "plan.json";
 /// Written after the plan: whoever sees it may begin.
-const IDENTITY_FILE: &str = "parts.json";
+const ABOUT_FILE: &str = "parts.json";
 
 /// The folder of a plan.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::pipeline) struct PartsFolder {
     dir: PathBuf,
+    facts: PartFacts,
+    about: About,
+}
+
+/// What is known of a plan without reading it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct About {
     /// What its workers have in common.
-    pub(super) identity: Identity,
+    #[serde(flatten)]
+    identity: Identity,
+    /// Number of its shards.
+    n_shards: usize,
 }
 
 /// What is known of a shard that a worker has finished; written beside it, after it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct PartShard {
+pub(super) struct PartShard<S> {
     /// The plan.
     pub(super) plan_id: String,
     /// The worker.
@@ -38,28 +47,33 @@ pub(super) struct PartShard {
     /// How long it took, seconds.
     pub(super) seconds: f64,
     /// What is published with the shard.
-    pub(super) shard: SampleSidecar,
+    pub(super) shard: S,
 }
 
 impl PartsFolder {
-    /// The plans in a run folder; a plan that was not written to its end is none.
+    /// The plans of a stage in a run folder; a plan that was not written to its end is none.
     ///
     /// # Errors
     /// Those of the file system.
-    pub(in crate::pipeline) fn all(root: &Path) -> Result<Vec<Self>> {
-        let parts = root.join(PARTS);
-        if !parts.is_dir() {
-            return Ok(Vec::new());
-        }
+    pub(in crate::pipeline) fn all(root: &Path, stage: StageId) -> Result<Vec<Self>> {
+        let Some(facts) = stage.facts().parts else { return Ok(Vec::new()) };
         let mut found = Vec::new();
-        for entry in fs_err::read_dir(parts)? {
-            let dir = entry?.path();
-            if let Ok(identity) = read_json(&dir.join(IDENTITY_FILE)) {
-                found.push(Self { dir, identity });
+        for dir in plan_dirs(root, stage)? {
+            if let Ok(about) = read_json(&dir.join(ABOUT_FILE)) {
+                found.push(Self { dir, facts, about });
             }
         }
-        found.sort_by(|a, b| a.dir.cmp(&b.dir));
         Ok(found)
+    }
+
+    /// Removes what is left of plans that a killed process had not written, or not removed, to the end.
+    ///
+    /// # Errors
+    /// As [`PartsFolder::discard`].
+    pub(super) fn remove_remains(root: &Path, stage: StageId) -> Result<()> {
+        let Some(facts) = stage.facts().parts else { return Ok(()) };
+        let remains = plan_dirs(root, stage)?.into_iter().filter(|dir| !dir.join(ABOUT_FILE).exists());
+        remains.into_iter().try_for_each(|dir| discard(&dir, facts))
     }
 
     /// The plan that a process of `identity` works on, if there is one.
@@ -68,26 +82,30 @@ impl PartsFolder {
     /// When there are only others; those of the file system.
     pub(super) fn of(root: &Path, identity: &Identity) -> Result<Option<Self>> {
         let mut differs = None;
-        for folder in Self::all(root)? {
-            match identity.difference(&folder.identity) {
+        for folder in Self::all(root, identity.stage.stage)? {
+            match identity.difference(folder.identity()) {
                 None => return Ok(Some(folder)),
-                difference => differs = difference,
+                Some(difference) => differs = Some(folder.refusal(&difference)),
             }
         }
-        differs.map_or(Ok(None), |difference| Err(super::identity::refusal(&difference)))
+        differs.map_or(Ok(None), Err)
     }
 
     /// Keeps a plan.
     ///
     /// # Errors
     /// When files of somebody else are in its place; those of the file system.
-    pub(super) fn write(root: &Path, identity: Identity, plan: &Plan) -> Result<Self> {
-        let folder = Self { dir: root.join(PARTS).join(identity.plan_id()?), identity };
+    pub(super) fn write(root: &Path, identity: Identity, plan: &impl Serialize, n_shards: usize) -> Result<Self> {
+        let stage = identity.stage.stage;
+        let facts = stage.facts().parts;
+        let facts = facts.ok_or_else(|| Failure::fault(anyhow::anyhow!("stage {stage} cannot be run in parts")))?;
+        let dir = parts_of(root, stage).join(identity.plan_id()?);
+        let folder = Self { dir, facts, about: About { identity, n_shards } };
         // What a killed process left has no plan, and nobody has worked on it.
         folder.discard()?;
         fs_err::create_dir_all(&folder.dir)?;
         write_json_atomically(&folder.dir.join(PLAN_FILE), plan)?;
-        write_json_atomically(&folder.dir.join(IDENTITY_FILE), &folder.identity)?;
+        write_json_atomically(&folder.dir.join(ABOUT_FILE), &folder.about)?;
         Ok(folder)
     }
 
@@ -95,13 +113,39 @@ impl PartsFolder {
     ///
     /// # Errors
     /// When it is damaged, or was removed meanwhile.
-    pub(super) fn plan(&self) -> Result<Plan> {
+    pub(super) fn plan<P: DeserializeOwned>(&self) -> Result<P> {
         Ok(read_json(&self.dir.join(PLAN_FILE))?)
     }
 
     /// Whether the plan is still there: nobody has sealed or discarded it.
     pub(super) fn is_there(&self) -> bool {
-        self.dir.join(IDENTITY_FILE).exists()
+        self.dir.join(ABOUT_FILE).exists()
+    }
+
+    /// What its workers have in common.
+    pub(super) fn identity(&self) -> &Identity {
+        &self.about.identity
+    }
+
+    /// Number of shards that the plan knew of, or that somebody has begun since.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(super) fn n_shards(&self) -> Result<usize> {
+        let after = |name: PathBuf| {
+            let (shard, _) = name.to_str()?.strip_prefix(self.facts.shard)?.strip_prefix('-')?.split_once('.')?;
+            Some(shard.parse::<usize>().ok()? + 1)
+        };
+        let begun = files_below(&self.dir)?.into_iter().filter_map(after).max();
+        Ok(begun.unwrap_or_default().max(self.about.n_shards))
+    }
+
+    /// A refusal of a process that differs so to work on the plan.
+    pub(super) fn refusal(&self, difference: &str) -> Failure {
+        // Beside the refusal, that the folder cannot be read is of no interest.
+        let n_shards = self.n_shards().unwrap_or_default();
+        let n_finished = (0..n_shards).filter(|idx| self.sidecar(*idx).exists()).count();
+        self.identity().refusal(difference, (n_finished, n_shards))
     }
 
     /// Where it is.
@@ -114,53 +158,47 @@ impl PartsFolder {
         self.dir.join(format!("{LOG}{worker:05}.txt"))
     }
 
-    /// The folder, to write shards into.
-    pub(super) fn samples(&self) -> Result<SampleFolder> {
-        SampleFolder::open_for_writing(&self.dir)
+    /// What shard `idx` is called.
+    pub(super) fn shard_name(&self, idx: usize) -> String {
+        self.facts.shard_name(idx)
+    }
+
+    /// The name of its file.
+    pub(super) fn file_name(&self, idx: usize) -> String {
+        format!("{}.{}", self.shard_name(idx), self.facts.ending)
     }
 
     /// What is known of shard `idx`, if it is finished. Its content is compared when it is published.
-    pub(super) fn finished(&self, idx: usize) -> Option<PartShard> {
-        let shard: PartShard = read_json(&self.sidecar(idx)).ok()?;
-        let table = self.dir.join(&shard.shard.file);
-        let is_whole = fs_err::metadata(table).is_ok_and(|metadata| metadata.len() == shard.shard.stamp.n_bytes);
+    pub(super) fn finished<S: PartFile>(&self, idx: usize) -> Option<PartShard<S>> {
+        let shard: PartShard<S> = read_json(&self.sidecar(idx)).ok()?;
+        let (file, stamp) = shard.shard.file();
+        let is_whole = fs_err::metadata(self.dir.join(file)).is_ok_and(|metadata| metadata.len() == stamp.n_bytes);
         (is_whole && self.dir.ends_with(&shard.plan_id)).then_some(shard)
     }
 
-    /// Declares a shard finished, whose table is written.
+    /// Declares a shard finished, whose file is written.
     ///
     /// # Errors
     /// Those of the file system.
-    pub(super) fn finish(&self, idx: usize, worker: &str, seconds: f64, shard: SampleSidecar) -> Result<PartShard> {
+    pub(super) fn finish<S: PartFile>(&self, idx: usize, worker: &str, seconds: f64, shard: &S) -> Result<()> {
         let plan_id = self.dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let shard = PartShard { plan_id, worker: worker.to_owned(), seconds, shard };
         write_json_atomically(&self.sidecar(idx), &shard)?;
-        Ok(shard)
+        Ok(())
     }
 
     /// Compares the content of a finished shard with its checksum. A damaged one is finished no longer.
     ///
     /// # Errors
     /// Those of the file system, when the record of a damaged shard cannot be removed.
-    pub(super) fn verified(&self, idx: usize) -> Result<Option<PartShard>> {
-        let Some(shard) = self.finished(idx) else { return Ok(None) };
-        if shard.shard.stamp.verify_file(&self.dir.join(&shard.shard.file)).is_ok() {
+    pub(super) fn verified<S: PartFile>(&self, idx: usize) -> Result<Option<PartShard<S>>> {
+        let Some(shard) = self.finished::<S>(idx) else { return Ok(None) };
+        let (file, stamp) = shard.shard.file();
+        if stamp.verify_file(&self.dir.join(file)).is_ok() {
             return Ok(Some(shard));
         }
         remove_if_present(&self.sidecar(idx))?;
         Ok(None)
-    }
-
-    /// Brings a finished shard into the folder of samples `to`, where it is not there yet.
-    ///
-    /// # Errors
-    /// Those of the file system.
-    pub(super) fn publish(&self, idx: usize, shard: &SampleSidecar, to: &SampleFolder) -> Result<()> {
-        if to.finished(idx).as_ref() != Some(shard) {
-            link_or_copy(&self.dir.join(&shard.file), &to.path(&shard.file))?;
-            to.write_sidecar(idx, shard)?;
-        }
-        Ok(())
     }
 
     /// Removes the plan and all that workers wrote for it. Workers that are still there find no plan.
@@ -168,20 +206,7 @@ impl PartsFolder {
     /// # Errors
     /// When somebody else put files there; those of the file system.
     pub(super) fn discard(&self) -> Result<()> {
-        let found = files_below(&self.dir)?;
-        let ours: BTreeSet<PathBuf> = found.into_iter().filter(|name| is_ours(name)).collect();
-        let theirs = foreign(&self.dir, &ours)?;
-        if !theirs.is_empty() {
-            return Err(crate::files::Error::Foreign { path: self.dir.clone(), found: theirs }.into());
-        }
-        // Who begins to work reads this first.
-        remove_if_present(&self.dir.join(IDENTITY_FILE))?;
-        remove_listed(&self.dir, &ours).map_err(Failure::fault)?;
-        if let Some(parts) = self.dir.parent() {
-            // Others may be in it.
-            let _ = fs_err::remove_dir(parts);
-        }
-        Ok(())
+        discard(&self.dir, self.facts)
     }
 
     /// The names of shards that were tried and not finished then: a network file system lists a folder sooner than it says of many
@@ -212,19 +237,47 @@ impl PartsFolder {
     }
 
     fn sidecar(&self, idx: usize) -> PathBuf {
-        self.dir.join(format!("{}.json", shard_name(idx)))
+        self.dir.join(format!("{}.json", self.shard_name(idx)))
     }
 
     /// Where the `number`-th try at a shard is marked.
     pub(super) fn try_path(&self, idx: usize, number: usize) -> PathBuf {
-        try_path(&self.dir, idx, number)
+        self.dir.join(format!("{}.try-{number}", self.shard_name(idx)))
     }
 }
 
-const LOG: &str = "worker-";
+/// The folders of the plans of a stage, in order, written to their end or not.
+fn plan_dirs(root: &Path, stage: StageId) -> Result<Vec<PathBuf>> {
+    let parts = parts_of(root, stage);
+    if !parts.is_dir() {
+        return Ok(Vec::new());
+    }
+    let dirs = fs_err::read_dir(parts)?.map(|entry| Ok(entry?.path()));
+    let mut dirs: Vec<PathBuf> = dirs.collect::<Result<_>>()?;
+    dirs.sort();
+    Ok(dirs)
+}
+
+/// See [`PartsFolder::discard`].
+fn discard(dir: &Path, facts: PartFacts) -> Result<()> {
+    let found = files_below(dir)?;
+    let ours: BTreeSet<PathBuf> = found.into_iter().filter(|name| is_ours(name, facts)).collect();
+    let theirs = foreign(dir, &ours)?;
+    if !theirs.is_empty() {
+        return Err(crate::files::Error::Foreign { path: dir.to_owned(), found: theirs }.into());
+    }
+    // Who begins to work reads this first.
+    remove_if_present(&dir.join(ABOUT_FILE))?;
+    remove_listed(dir, &ours).map_err(Failure::fault)?;
+    if let Some(parts) = dir.parent() {
+        // Others may be in it.
+        let _ = fs_err::remove_dir(parts);
+    }
+    Ok(())
+}
 
 /// Whether a file of this name is one that plans and workers write, or is a part of one.
-fn is_ours(name: &Path) -> bool {
+fn is_ours(name: &Path, facts: PartFacts) -> bool {
     let name = name.to_string_lossy();
     let whole = name.strip_suffix(crate::files::PARTIAL_SUFFIX).and_then(|rest| rest.rsplit_once('.'));
     let name = whole.map_or(name.as_ref(), |(whole, _)| whole);
@@ -232,8 +285,16 @@ fn is_ours(name: &Path) -> bool {
     let is_log = || name.strip_prefix(LOG).and_then(|rest| rest.strip_suffix(".txt")).is_some_and(is_number);
     let is_shard = || {
         let (stem, ending) = name.split_once('.')?;
-        let idx = stem.strip_prefix("samples-").filter(|idx| is_number(idx))?;
-        (["parquet", "json"].contains(&ending) || is_try_of(name, &shard_name(idx.parse().ok()?))).then_some(())
+        let idx = stem.strip_prefix(facts.shard)?.strip_prefix('-').filter(|idx| is_number(idx))?;
+        let shard = facts.shard_name(idx.parse().ok()?);
+        ([facts.ending, "json"].contains(&ending) || is_try_of(name, &shard)).then_some(())
     };
-    [PLAN_FILE, IDENTITY_FILE].contains(&name) || is_log() || is_shard().is_some()
+    [PLAN_FILE, ABOUT_FILE].contains(&name) || is_log() || is_shard().is_some() || is_round_file(name)
+}
+
+const LOG: &str = "worker-";
+
+/// Where the plans of a stage are, in the run folder.
+fn parts_of(root: &Path, stage: StageId) -> PathBuf {
+    root.join(format!("{stage}.parts"))
 }

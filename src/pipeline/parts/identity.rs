@@ -16,11 +16,12 @@ pub struct Identity {
 }
 
 impl Identity {
-    /// That of this process, which would run `stage`.
+    /// That of this process, which would run `stage`. A stage that computes with no networks runs on the processor.
     ///
     /// # Errors
     /// When the program cannot be read.
     pub(super) fn own(stage: StageRecord, compute: ComputeChoice) -> Result<Self> {
+        let compute = if stage.stage.computes() { compute } else { ComputeChoice::default() };
         Ok(Self { stage, program: program()?, compute: compute.class() })
     }
 
@@ -48,6 +49,19 @@ impl Identity {
         let differences: Vec<String> = differences.into_iter().flatten().collect();
         (!differences.is_empty()).then(|| differences.join("; "))
     }
+
+    /// A refusal of a process that differs so to work on this plan, of whose shards so many of so many are finished.
+    pub(super) fn refusal(&self, difference: &str, (n_finished, n_shards): (usize, usize)) -> Failure {
+        let stage = self.stage.stage;
+        Failure::input_message(format_args!(
+            "the plan of stage {stage} in this run folder is another one: {difference}; nothing was changed"
+        ))
+        .with_hint(format!(
+            "finish it with the same pipeline file, kind of device and program ({}), or give it up with its {n_finished} of {n_shards} finished shards: plan \
+             again with --part plan --redo {stage}",
+            self.program
+        ))
+    }
 }
 
 /// The version with the revision of the source. Where the build did not know that, the content of the program stands for it.
@@ -60,13 +74,4 @@ fn program() -> Result<String> {
     hasher.update_reader(fs_err::File::open(std::env::current_exe()?)?)?;
     let hash = hasher.finalize().to_hex();
     Ok(format!("{version} (build {})", hash.get(..12).unwrap_or_default()))
-}
-
-/// A refusal to work on the plan of others.
-pub(super) fn refusal(difference: &str) -> Failure {
-    Failure::input_message(format_args!("the plan in this run folder is another one: {difference}; nothing was changed"))
-        .with_hint(
-            "run all parts with one pipeline file, program and kind of device; to give up that plan and its shards, plan again with \
-             --redo generate",
-        )
 }

@@ -1,9 +1,9 @@
 //! How many shards are done, running, missing, and how long will the rest take?
 
+use super::StampedFile;
 use super::folder::PartsFolder;
 use super::tries::Tries;
-use crate::pipeline::Result;
-use crate::pipeline::stages::shard_name;
+use crate::pipeline::{Result, StageId};
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::Path;
@@ -17,13 +17,15 @@ const AT_LEAST: Duration = Duration::from_secs(120);
 /// The shards of a plan.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ShardStatus {
+    /// The stage.
+    pub stage: StageId,
     /// Number of shards in the plan.
     pub n_shards: usize,
     /// Of these, finished.
     pub n_done: usize,
     /// Begun not long ago.
     pub n_running: usize,
-    /// Neither, and to be sampled yet. A sweep that stops early leaves some.
+    /// Neither, and to be made yet. A sweep that stops early leaves some.
     pub n_missing: usize,
     /// Names of those that nobody will try again, with the reason.
     pub given_up: Vec<String>,
@@ -33,22 +35,28 @@ pub struct ShardStatus {
     pub seconds_left: Option<f64>,
 }
 
-/// The shards of the plan in the run folder `root`, if there is one.
+/// The shards of the plan in the run folder `root`, if there is one; of the last stage that has one.
 ///
 /// # Errors
 /// Those of the file system.
 pub fn shard_status(root: &Path) -> Result<Option<ShardStatus>> {
-    let Some(folder) = PartsFolder::all(root)?.into_iter().next() else { return Ok(None) };
-    let shards = folder.plan()?.shards;
+    for stage in StageId::ALL.into_iter().rev() {
+        if let Some(folder) = PartsFolder::all(root, stage)?.first() {
+            return Ok(Some(status_of(stage, folder)?));
+        }
+    }
+    Ok(None)
+}
+
+fn status_of(stage: StageId, folder: &PartsFolder) -> Result<ShardStatus> {
+    let n_shards = folder.n_shards()?;
     let (mut seconds, mut unfinished) = (Vec::new(), Vec::new());
     let tried = folder.tried()?;
-    for shard in &shards {
-        match folder.finished(shard.idx) {
+    for idx in 0..n_shards {
+        match folder.finished::<StampedFile>(idx) {
             Some(finished) => seconds.push(finished.seconds),
-            None if tried.contains(&shard_name(shard.idx)) => {
-                unfinished.push((shard.idx, Tries::of(&folder, shard.idx)));
-            }
-            None => unfinished.push((shard.idx, Tries::default())),
+            None if tried.contains(&folder.shard_name(idx)) => unfinished.push((idx, Tries::of(folder, idx))),
+            None => unfinished.push((idx, Tries::default())),
         }
     }
     let n_done = seconds.len();
@@ -56,21 +64,23 @@ pub fn shard_status(root: &Path) -> Result<Option<ShardStatus>> {
     let patience = AT_LEAST.max(Duration::from_secs_f64(MANY * mean.unwrap_or(0.0)));
     let (given_up, left): (Vec<_>, Vec<_>) = unfinished.into_iter().partition(|(_, tries)| tries.are_over());
     let n_running = left.iter().filter(|(_, tries)| tries.age.is_some_and(|age| age < patience)).count();
-    Ok(Some(ShardStatus {
-        n_shards: shards.len(),
+    let describe = |(idx, tries): &(usize, Tries)| format!("{} ({})", folder.shard_name(*idx), tries.describe());
+    Ok(ShardStatus {
+        stage,
+        n_shards,
         n_done,
         n_running,
         n_missing: left.len() - n_running,
-        given_up: given_up.iter().map(|(idx, tries)| format!("{} ({})", shard_name(*idx), tries.describe())).collect(),
+        given_up: given_up.iter().map(describe).collect(),
         seconds_a_shard: mean,
         seconds_left: mean.filter(|_| n_running > 0).map(|mean| mean * left.len() as f64 / n_running as f64),
-    }))
+    })
 }
 
 impl ShardStatus {
     /// As lines for people.
     pub fn text(&self) -> String {
-        let Self { n_shards, n_done, n_running, n_missing, given_up, seconds_a_shard, seconds_left } = self;
+        let Self { n_shards, n_done, n_running, n_missing, given_up, seconds_a_shard, seconds_left, .. } = self;
         let mut text = format!(
             "shards            {n_done} of {n_shards} done, {n_running} running, {n_missing} missing, {} given up\n",
             given_up.len()

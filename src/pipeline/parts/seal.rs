@@ -1,30 +1,31 @@
-//! The last part: one process publishes what the workers sampled, as if it had sampled everything itself.
+//! The last part: one process publishes what the workers made, as if it had made everything itself.
 
+use super::PartedStage;
 use super::folder::PartsFolder;
+use super::gathering::Gathering;
 use super::identity::Identity;
-use super::tries::Tries;
-use crate::generate::{Plan, ResolvedGeneration};
 use crate::pipeline::graph::{Action, PlannedStage};
-use crate::pipeline::layout::SAMPLES;
 use crate::pipeline::run::RunFolder;
-use crate::pipeline::stages::{Generate, SampleFolder, SampleSidecar, shard_name};
 use crate::pipeline::work::Work;
-use crate::pipeline::{ComputeChoice, Failure, Result, Stage};
+use crate::pipeline::{ComputeChoice, Failure, Result, StageId};
 use std::path::Path;
 
-/// The most shards that a message names.
-const SHOWN: usize = 5;
+/// What one process took over of workers that had begun a stage.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum TakenOver {
+    /// No workers had begun.
+    Nothing,
+    /// So many of so many shards. What the workers left is to be removed by [`sealed`] once the stage is done.
+    Shards(usize, usize),
+    /// Nothing, because the plan of the workers differs so. It stays.
+    Refused(String),
+}
 
-/// Takes over the shards of the workers into the work of the stage that is `planned`, which then only finishes it: it runs next, and
-/// [`sealed`] after it. Requests, which decide as they go, it fulfills by itself.
-///
-/// # Errors
-/// When shards are missing: [`Blame::Later`](crate::pipeline::Blame::Later) while they may still come, a fault once all of them are given
-/// up. When there is no plan, or it is another one.
-pub fn seal(
+/// See [`InParts::seal`](super::InParts::seal).
+pub(super) fn seal<S: PartedStage>(
+    stage: &S,
     folder: &RunFolder,
     planned: &mut PlannedStage<'_>,
-    generate: &Generate<'_>,
     compute: ComputeChoice,
 ) -> Result<()> {
     if planned.action == Action::Reuse {
@@ -35,90 +36,61 @@ pub fn seal(
         return Err(Failure::later(format_args!("{} holds no plan to seal yet", root.display()))
             .with_hint("run the parts plan and work first; this command can be repeated until then"));
     };
-    let plan = parts.plan()?;
-    let shards = collected(&parts, &plan, &generate.resolve()?)?;
+    let plan: S::Plan = parts.plan()?;
+    let mut shards = Gathering::new(&parts, S::n_shards(&plan));
+    stage.gather(&plan, &mut shards)?;
+    let shards = shards.whole()?;
+    publish(stage, root, planned, (&parts, &plan), &shards)
+}
+
+/// See [`InParts::take_over`](super::InParts::take_over).
+pub(super) fn take_over<S: PartedStage>(
+    stage: &S,
+    folder: &RunFolder,
+    planned: &mut PlannedStage<'_>,
+    compute: ComputeChoice,
+) -> Result<TakenOver> {
+    let root = folder.root();
+    PartsFolder::remove_remains(root, stage.id())?;
+    let begun = PartsFolder::all(root, stage.id())?;
+    let Some(last) = begun.last().filter(|_| planned.action != Action::Reuse) else { return Ok(TakenOver::Nothing) };
+    let own = Identity::own(planned.expected.clone(), compute)?;
+    let Some(parts) = begun.iter().find(|parts| own.difference(parts.identity()).is_none()) else {
+        return Ok(TakenOver::Refused(own.difference(last.identity()).unwrap_or_default()));
+    };
+    let plan: S::Plan = parts.plan()?;
+    let mut shards = Gathering::new(parts, S::n_shards(&plan));
+    stage.gather(&plan, &mut shards)?;
+    let (shards, n_shards) = shards.found();
+    publish(stage, root, planned, (parts, &plan), &shards)?;
+    Ok(TakenOver::Shards(shards.len(), n_shards))
+}
+
+/// Brings shards into the folder in which the stage works, so that it goes on from there.
+fn publish<S: PartedStage>(
+    stage: &S,
+    root: &Path,
+    planned: &mut PlannedStage<'_>,
+    (parts, plan): (&PartsFolder, &S::Plan),
+    shards: &[(usize, S::Shard)],
+) -> Result<()> {
     let work = match planned.action {
-        Action::Resume => Work::resume(root, &planned.expected, generate.outputs())?,
+        Action::Resume => Work::resume(root, &planned.expected, stage.outputs())?,
         _ => Work::begin(root, &planned.expected)?,
     };
-    let samples = SampleFolder::open_for_writing(&work.path().join(SAMPLES))?;
-    samples.write_plan(&plan)?;
-    for (idx, shard) in &shards {
-        parts.publish(*idx, shard, &samples)?;
-    }
+    stage.publish(plan, shards, parts, work.path())?;
     planned.action = Action::Resume;
     Ok(())
 }
 
-/// Removes the plans and shards in `root`, once they are published. What workers logged goes to the log of the run.
+/// Removes the plans and shards of `stage` in `root`, once they are published. What workers logged goes to the log of the run.
 ///
 /// # Errors
 /// Those of the file system; when somebody else put files there.
-pub fn sealed(root: &Path) -> Result<()> {
-    for parts in PartsFolder::all(root)? {
+pub fn sealed(root: &Path, stage: StageId) -> Result<()> {
+    for parts in PartsFolder::all(root, stage)? {
         parts.append_logs(&root.join(crate::pipeline::log::LOG_FILE))?;
         parts.discard()?;
     }
-    Ok(())
-}
-
-/// The shards that one process would have written, with their indices.
-pub(super) fn collected(
-    parts: &PartsFolder,
-    plan: &Plan,
-    resolved: &ResolvedGeneration,
-) -> Result<Vec<(usize, SampleSidecar)>> {
-    let (mut found, mut missing, mut given_up) = (Vec::new(), Vec::new(), Vec::new());
-    let mut n_verified = vec![0; resolved.n_sweeps];
-    for shard in &plan.shards {
-        if !shard.is_wanted(resolved, n_verified[shard.sweep_idx]) {
-            continue;
-        }
-        match parts.verified(shard.idx)? {
-            Some(finished) => {
-                n_verified[shard.sweep_idx] += finished.shard.n_verified as usize;
-                found.push((shard.idx, finished.shard));
-            }
-            None => {
-                let tries = Tries::of(parts, shard.idx);
-                let name = shard_name(shard.idx);
-                match tries.are_over() {
-                    true => given_up.push(format!("{name} ({})", tries.describe())),
-                    false => missing.push(name),
-                }
-            }
-        }
-    }
-    let n_shards = plan.shards.len();
-    let given_up_text = few(&given_up);
-    match (missing.is_empty(), given_up.is_empty()) {
-        (true, true) => Ok(found),
-        (true, false) => Err(Failure::fault(anyhow::anyhow!(
-            "{} of {n_shards} shards are given up: {given_up_text}",
-            given_up.len()
-        ))
-        .with_hint(format!(
-            "find out why in {}, mend it, remove the marks samples-*.try-* there, and run workers again",
-            parts.dir().display()
-        ))),
-        (false, none_given_up) => {
-            let more = match none_given_up {
-                true => String::new(),
-                false => format!("; {} more are given up: {given_up_text}", given_up.len()),
-            };
-            Err(Failure::later(format_args!(
-                "{} of {n_shards} shards are missing: {}{more}",
-                missing.len(),
-                few(&missing)
-            ))
-            .with_hint("run workers until none is missing, then seal again"))
-        }
-    }
-}
-
-/// The first few names, and how many more there are.
-fn few(names: &[String]) -> String {
-    let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
-    let n_more = names.len().saturating_sub(SHOWN);
-    if n_more == 0 { shown } else { format!("{shown} and {n_more} more") }
+    PartsFolder::remove_remains(root, stage)
 }

@@ -1,12 +1,14 @@
 //! Who samples which shard, and what becomes of shards that cannot be sampled? On shards without scenarios.
 
 use super::folder::PartsFolder;
+use super::gathering::Gathering;
+use super::generation::{SampledShard, gather, work_through};
 use super::identity::Identity;
-use super::seal::collected;
-use super::shard_status;
+use super::tries;
 use super::work::{Shards, Worker};
+use super::{sealed, shard_status};
 use crate::generate::{GenerateConfig, Plan, ResolvedGeneration, ShardOutput, ShardPlan};
-use crate::pipeline::stages::SampleSidecar;
+use crate::pipeline::stages::{SampleFolder, SampleSidecar};
 use crate::pipeline::{Blame, Failure, Result, StageId, StageRecord};
 use crate::progress::Silent;
 use std::cell::{Cell, RefCell};
@@ -46,23 +48,30 @@ impl Planned {
         let resolved = toml::from_str::<GenerateConfig>(&text).unwrap().resolve(&behaviors).unwrap();
         let shard = |idx| ShardPlan { idx, sweep_idx: idx / n_shards, cells: Vec::new(), first_sample: 0 };
         let plan = Plan { shards: (0..2 * n_shards).map(shard).collect(), shortfalls: Vec::new() };
-        let folder = PartsFolder::write(root.path(), identity(), &plan).unwrap();
+        let folder = PartsFolder::write(root.path(), identity(), &plan, plan.shards.len()).unwrap();
         Self { _root: root, folder, plan, resolved }
     }
 
-    fn shards(&self) -> Shards<'_> {
-        Shards { folder: &self.folder, plan: &self.plan, resolved: &self.resolved, n_verified: BTreeMap::new() }
+    fn work(&self, worker: &str, sample: &dyn Fn(&ShardPlan) -> Result<SampleSidecar>) -> Result<()> {
+        let shards = Shards::new(&self.folder, worker.parse().unwrap(), &Silent);
+        work_through(&shards, &self.plan, &self.resolved, &mut |shard| sample(shard))
     }
 
     /// Writes an empty shard that claims to hold `n_verified` scenarios.
     fn write(&self, shard: &ShardPlan, n_verified: u64) -> Result<SampleSidecar> {
-        let samples = self.folder.samples()?;
+        let samples = SampleFolder::open_for_writing(self.folder.dir())?;
         let sidecar = samples.write_table(shard.idx, ("a", 1), ShardOutput::default(), None)?;
         Ok(SampleSidecar { n_verified, ..sidecar })
     }
 
     fn collected(&self) -> Result<Vec<usize>> {
-        Ok(collected(&self.folder, &self.plan, &self.resolved)?.into_iter().map(|(idx, _)| idx).collect())
+        Ok(self.gathered()?.whole()?.into_iter().map(|(idx, _)| idx).collect())
+    }
+
+    fn gathered(&self) -> Result<Gathering<'_, SampledShard>> {
+        let mut shards = Gathering::new(&self.folder, self.plan.shards.len());
+        gather(&self.plan, &self.resolved, &mut shards)?;
+        Ok(shards)
     }
 }
 
@@ -101,7 +110,7 @@ fn a_shard_that_crashes_is_given_up_by_name_and_the_others_are_sampled() {
         planned.write(shard, 0)
     };
     // Each process ends with the panic and is started again, as a scheduler does.
-    let run = || catch_unwind(AssertUnwindSafe(|| planned.shards().work_through(worker("1/1"), &sample, &Silent)));
+    let run = || catch_unwind(AssertUnwindSafe(|| planned.work("1/1", &sample)));
     for _ in 0..3 {
         assert!(run().is_err());
     }
@@ -113,13 +122,13 @@ fn a_shard_that_crashes_is_given_up_by_name_and_the_others_are_sampled() {
     assert!(
         said.contains("1 of 6 shards are given up: samples-00001 (failed 3 times, last: a bug: scene x has no lanes)")
     );
-    assert!(said.contains("samples-*.try-*"), "{said}");
+    assert!(said.contains("marks *.try-*"), "{said}");
     // Mended, and its marks removed, it is sampled like any other.
     for number in 1..=3 {
         fs_err::remove_file(planned.folder.try_path(1, number)).unwrap();
     }
     let mended = |shard: &ShardPlan| planned.write(shard, 0);
-    planned.shards().work_through(worker("1/1"), &mended, &Silent).unwrap();
+    planned.work("1/1", &mended).unwrap();
     assert_eq!(planned.collected().unwrap(), [0, 1, 2, 3, 4, 5]);
 }
 
@@ -129,7 +138,7 @@ fn a_stop_is_no_failed_try_and_an_error_is() {
     for (failure, n_marks) in [(Failure::later("stopped"), 0), (Failure::fault(anyhow::anyhow!("disk full")), 1)] {
         let failure = RefCell::new(Some(failure));
         let sample = |_: &ShardPlan| Err(failure.take().unwrap());
-        assert!(planned.shards().work_through(worker("1/1"), &sample, &Silent).is_err());
+        assert!(planned.work("1/1", &sample).is_err());
         let marks = (1..=10).filter(|number| planned.folder.try_path(0, *number).exists());
         assert_eq!(marks.count(), n_marks);
     }
@@ -146,20 +155,32 @@ fn what_one_process_would_not_have_sampled_is_not_published() {
         planned.write(shard, 2)
     };
     // The second worker comes to the end of the second sweep before the first one has come to its beginning.
-    planned.shards().work_through(worker("2/2"), &sample, &Silent).unwrap();
-    planned.shards().work_through(worker("1/2"), &sample, &Silent).unwrap();
+    planned.work("2/2", &sample).unwrap();
+    planned.work("1/2", &sample).unwrap();
     assert_eq!(planned.collected().unwrap(), [0, 1, 2, 3, 4, 5], "4 verified in two shards of the second sweep");
     assert!(sampled.borrow().contains(&7), "nobody knew");
     let n_sampled = sampled.borrow().len();
-    planned.shards().work_through(worker("1/1"), &sample, &Silent).unwrap();
+    planned.work("1/1", &sample).unwrap();
     assert_eq!(sampled.borrow().len(), n_sampled, "what is finished or unwanted is not sampled again");
+}
+
+#[test]
+fn one_process_takes_over_no_shard_that_it_might_not_want() {
+    let planned = Planned::new(3, 3);
+    // The second shard of either sweep is missing.
+    for idx in [0, 2, 3, 5] {
+        let sidecar = planned.write(&planned.plan.shards[idx], 1).unwrap();
+        planned.folder.finish(idx, "1/1", 1.0, &SampledShard::of_sweep(sidecar)).unwrap();
+    }
+    let (found, n_shards) = planned.gathered().unwrap().found();
+    assert_eq!((found.into_iter().map(|(idx, _)| idx).collect::<Vec<_>>(), n_shards), (vec![0, 2, 3], 6));
 }
 
 #[test]
 fn a_damaged_shard_is_missing_again() {
     let planned = Planned::new(1, 100);
     let sample = |shard: &ShardPlan| planned.write(shard, 0);
-    planned.shards().work_through(worker("1/1"), &sample, &Silent).unwrap();
+    planned.work("1/1", &sample).unwrap();
     let table = planned.folder.dir().join("samples-00001.parquet");
     let mut bytes = fs_err::read(&table).unwrap();
     let middle = bytes.len() / 2;
@@ -169,8 +190,26 @@ fn a_damaged_shard_is_missing_again() {
     assert!(
         failure.blame == Blame::Later && format!("{failure:?}").contains("1 of 2 shards are missing: samples-00001")
     );
-    planned.shards().work_through(worker("1/1"), &sample, &Silent).unwrap();
+    planned.work("1/1", &sample).unwrap();
     assert_eq!(planned.collected().unwrap(), [0, 1]);
+}
+
+#[test]
+fn what_others_are_at_is_left_to_them_for_a_while() {
+    let planned = Planned::new(2, 100);
+    fs_err::write(planned.folder.try_path(1, 1), "").unwrap();
+    let shards = Shards::new(&planned.folder, worker("1/1"), &Silent);
+    let made = RefCell::new(Vec::new());
+    let mut make = |idx: usize| {
+        made.borrow_mut().push(idx);
+        Ok(SampledShard::of_sweep(planned.write(&planned.plan.shards[idx], 0)?))
+    };
+    assert!(shards.complete(0..3, &|_| 0, &mut make).unwrap());
+    assert_eq!(*made.borrow(), [0, 2, 1]);
+    // What failed often enough is not waited for.
+    (1..=3).for_each(|number| tries::fail(&planned.folder.try_path(3, number), "1/1", "disk full").unwrap());
+    assert!(!shards.complete(2..4, &|_| 0, &mut make).unwrap());
+    assert_eq!(made.borrow().len(), 3);
 }
 
 #[test]
@@ -195,18 +234,24 @@ fn a_plan_of_others_is_refused_by_what_differs() {
 fn only_our_files_are_discarded() {
     let planned = Planned::new(2, 100);
     let sample = |shard: &ShardPlan| planned.write(shard, 0);
-    planned.shards().work_through(worker("1/1"), &sample, &Silent).unwrap();
+    planned.work("1/1", &sample).unwrap();
     let dir = planned.folder.dir();
     fs_err::write(planned.folder.log(3), "line\n").unwrap();
     fs_err::write(dir.join("samples-00001.try-2"), "").unwrap();
+    fs_err::write(dir.join("request-00-round-00003.json"), "{}").unwrap();
     fs_err::write(crate::files::unique_partial(&dir.join("samples-00001.parquet")), "half").unwrap();
-    for theirs in ["thesis.doc", "samples-1.parquet", "samples-00001.try-11", "worker-3.txt"] {
+    for theirs in ["thesis.doc", "request-00-round-x.json", "samples-1.parquet", "samples-00001.try-11", "worker-3.txt"]
+    {
         fs_err::write(dir.join(theirs), "years of work").unwrap();
         assert!(planned.folder.discard().unwrap_err().error.to_string().contains(theirs));
         assert!(planned.folder.is_there());
         fs_err::remove_file(dir.join(theirs)).unwrap();
     }
-    planned.folder.discard().unwrap();
+    // A process that was killed while it removed the plan has removed this first.
+    fs_err::remove_file(dir.join("parts.json")).unwrap();
+    let root = dir.parent().unwrap().parent().unwrap();
+    assert!(PartsFolder::all(root, StageId::Generate).unwrap().is_empty());
+    sealed(root, StageId::Generate).unwrap();
     assert!(!dir.parent().unwrap().exists());
 }
 
@@ -218,7 +263,7 @@ fn the_folder_alone_tells_how_far_the_shards_are() {
     assert!(status().n_missing == 6 && status().seconds_left.is_none());
     for (idx, seconds) in [(0, 30.0), (5, 50.0)] {
         let sidecar = planned.write(&planned.plan.shards[idx], 0).unwrap();
-        planned.folder.finish(idx, "1/2", seconds, sidecar).unwrap();
+        planned.folder.finish(idx, "1/2", seconds, &SampledShard::of_sweep(sidecar)).unwrap();
     }
     assert!(status().text().contains("time left         unknown: no worker is at work; a shard takes one 40 s"));
     // Two are at work; one died long ago, in another ten did.

@@ -4,7 +4,6 @@
 
 use super::folder::PartsFolder;
 use crate::pipeline::clock::utc_now;
-use crate::pipeline::stages::shard_name;
 use crate::pipeline::{Failure, Result};
 use crate::store::{read_json, write_json_atomically};
 use serde::{Deserialize, Serialize};
@@ -16,6 +15,9 @@ use std::time::{Duration, SystemTime};
 pub(super) const MAX_FAILED: usize = 3;
 /// Tries that died without a word may have been killed for other reasons: they count less.
 pub(super) const MAX_TRIES: usize = 10;
+
+/// After so long a worker in its last try has died rather than that it is at work.
+const LONG: Duration = Duration::from_secs(600);
 
 /// What a mark says.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -66,6 +68,11 @@ impl Tries {
         self.failed.len() >= MAX_FAILED || self.n_tries >= MAX_TRIES
     }
 
+    /// Whether nobody tries again, and nobody is likely to be at work.
+    pub(super) fn are_hopeless(&self) -> bool {
+        self.failed.len() >= MAX_FAILED || (self.n_tries >= MAX_TRIES && self.age.is_none_or(|age| age > LONG))
+    }
+
     /// What became of the tries, in words.
     pub(super) fn describe(&self) -> String {
         match self.failed.last() {
@@ -108,10 +115,6 @@ pub(super) fn fail(path: &Path, worker: &str, why: &str) -> Result<()> {
     let mark = Try { worker: worker.to_owned(), started: utc_now(), failed: Some(why.to_owned()) };
     write_json_atomically(path, &mark)?;
     Ok(())
-}
-
-pub(super) fn try_path(dir: &Path, idx: usize, number: usize) -> PathBuf {
-    dir.join(format!("{}.try-{number}", shard_name(idx)))
 }
 
 /// Whether `name` is that of a try at the shard called `shard`.

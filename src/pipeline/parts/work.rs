@@ -1,21 +1,29 @@
-//! The second part: any number of processes sample shards.
+//! The second part: any number of processes make shards.
 
-use super::folder::PartsFolder;
+use super::folder::{PartShard, PartsFolder};
 use super::identity::Identity;
-use super::{STAGE, tries};
+use super::tries::{self, Tries};
+use super::{PartFile, PartedStage};
 use crate::files::remove_if_present;
-use crate::generate::{Plan, ResolvedGeneration, ShardPlan};
 use crate::pipeline::graph::{check_inputs, expected};
 use crate::pipeline::log::Logged;
-use crate::pipeline::stages::{Generate, SampleSidecar};
 use crate::pipeline::{Blame, ComputeChoice, Failure, Result, StageRecord};
 use crate::progress::Progress;
+use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::fmt;
+use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::Path;
 use std::str::FromStr;
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+/// How long workers wait for shards of others at the least, and while none is known.
+const LEAST_PATIENCE: Duration = Duration::from_secs(2);
+const UNKNOWN: Duration = Duration::from_secs(10);
+/// How often they look.
+const POLL: Duration = Duration::from_millis(200);
 
 /// Which of the workers this is. Several may bear one number: it only says where they begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,13 +63,10 @@ impl Worker {
     }
 }
 
-/// Samples shards of the plan in the run folder `root` until none is left to be begun.
-///
-/// # Errors
-/// When there is no plan yet ([`Blame::Later`]), or the plan is of another configuration, program or kind of device; those of sampling.
-pub fn work(
+/// See [`InParts::work`](super::InParts::work).
+pub(super) fn work<S: PartedStage>(
+    stage: &S,
     root: &Path,
-    generate: &Generate<'_>,
     worker: Worker,
     compute: ComputeChoice,
     progress: &dyn Progress,
@@ -70,30 +75,19 @@ pub fn work(
         Failure::later(format_args!("{} holds no plan to work on yet", root.display()))
             .with_hint("run the part plan first; this command can be repeated until then")
     };
-    let done = StageRecord::done(root, STAGE);
-    if done.is_none() && PartsFolder::all(root)?.is_empty() {
+    let done = StageRecord::done(root, stage.id());
+    if done.is_none() && PartsFolder::all(root, stage.id())?.is_empty() {
         return Err(no_plan());
     }
-    let stage = expected(root, generate)?;
-    let is_done = done.is_some_and(|done| done.fingerprint == stage.fingerprint || stage.is_same_work(&done));
-    let Some(folder) = PartsFolder::of(root, &Identity::own(stage, compute)?)? else {
+    let record = expected(root, stage)?;
+    let is_done = done.is_some_and(|done| done.fingerprint == record.fingerprint || record.is_same_work(&done));
+    let Some(folder) = PartsFolder::of(root, &Identity::own(record, compute)?)? else {
         return if is_done { Ok(()) } else { Err(no_plan()) };
     };
     let logged = Logged::open(&folder.log(worker.number), progress)?;
     logged.line(&format!("djinn {} begins as worker {worker}", env!("CARGO_PKG_VERSION")));
-    let outcome = (|| {
-        check_inputs(generate)?;
-        let plan = folder.plan()?;
-        let samples = folder.samples()?;
-        generate.with_ready(&compute.open()?, |ready| {
-            logged.start("work", plan.n_samples(ready.resolved) as u64, "samples");
-            let sample = |shard: &ShardPlan| ready.sample(shard, &samples, &logged);
-            Shards { folder: &folder, plan: &plan, resolved: ready.resolved, n_verified: BTreeMap::new() }
-                .work_through(worker, &sample, &logged)?;
-            logged.finish();
-            Ok(())
-        })
-    })();
+    let shards = Shards::new(&folder, worker, &logged);
+    let outcome = check_inputs(stage).and_then(|()| stage.work(&folder.plan()?, &shards, compute));
     match &outcome {
         Ok(()) => logged.line("nothing is left to be begun"),
         Err(failure) => logged.line(&format!("ended: {:#}", failure.error)),
@@ -103,76 +97,114 @@ pub fn work(
 }
 
 /// The shards of a plan, as one worker sees them.
-pub(super) struct Shards<'a> {
-    pub(super) folder: &'a PartsFolder,
-    pub(super) plan: &'a Plan,
-    pub(super) resolved: &'a ResolvedGeneration,
-    /// Verified scenarios of those that are known to be finished, by index.
-    pub(super) n_verified: BTreeMap<usize, u64>,
+pub(super) struct Shards<'a, S> {
+    folder: &'a PartsFolder,
+    worker: Worker,
+    /// Receives the progress.
+    pub(super) progress: &'a dyn Progress,
+    /// Those that are known to be finished.
+    finished: RefCell<BTreeMap<usize, PartShard<S>>>,
 }
 
-impl Shards<'_> {
-    /// Goes about the shards in the worker's order, once. Each is then finished, unwanted or given up.
-    pub(super) fn work_through(
-        mut self,
-        worker: Worker,
-        sample: &dyn Fn(&ShardPlan) -> Result<SampleSidecar>,
-        progress: &dyn Progress,
+impl<'a, S: PartFile> Shards<'a, S> {
+    /// Those in `folder`, of which nothing is known yet.
+    pub(super) fn new(folder: &'a PartsFolder, worker: Worker, progress: &'a dyn Progress) -> Self {
+        Self { folder, worker, progress, finished: RefCell::default() }
+    }
+
+    /// The folder that workers write into.
+    pub(super) fn dir(&self) -> &Path {
+        self.folder.dir()
+    }
+
+    /// The name of the file of shard `idx`.
+    pub(super) fn file_name(&self, idx: usize) -> String {
+        self.folder.file_name(idx)
+    }
+
+    /// What is known of shard `idx`, if it is finished.
+    pub(super) fn finished(&self, idx: usize) -> Option<S> {
+        Some(match self.finished.borrow_mut().entry(idx) {
+            Entry::Occupied(known) => known.get().shard.clone(),
+            Entry::Vacant(place) => place.insert(self.folder.finished::<S>(idx)?).shard.clone(),
+        })
+    }
+
+    /// Goes about these shards in the worker's order, once. Each is then finished, unwanted or given up. `make` makes one,
+    /// advances the progress by what it is `worth`, and says what is known of it.
+    ///
+    /// # Errors
+    /// When the process is to stop; those of making a shard, whose mark says why.
+    pub(super) fn go_about(
+        &self,
+        range: Range<usize>,
+        worth: &dyn Fn(usize) -> u64,
+        is_wanted: &dyn Fn(usize) -> bool,
+        make: &mut dyn FnMut(usize) -> Result<S>,
     ) -> Result<()> {
-        let plan = self.plan;
-        for idx in worker.order(plan.shards.len()) {
-            let shard = &plan.shards[idx];
+        for idx in self.worker.order(range.len()).map(|at| range.start + at) {
             // Whoever has asked is given the time to take back the mark of a try.
-            if progress.must_stop() {
+            if self.progress.must_stop() {
                 return Err(Failure::later("stopped between shards"));
             }
-            if self.is_finished(idx) || !self.may_be_wanted(shard) {
-                progress.advance(shard.n_samples(self.resolved) as u64);
+            if self.finished(idx).is_some() || !is_wanted(idx) {
+                self.progress.advance(worth(idx));
                 continue;
             }
-            self.try_once(shard, worker, sample, progress)?;
+            self.try_once(idx, make)?;
         }
         Ok(())
     }
 
-    pub(super) fn is_finished(&mut self, idx: usize) -> bool {
-        if !self.n_verified.contains_key(&idx)
-            && let Some(finished) = self.folder.finished(idx)
-        {
-            self.n_verified.insert(idx, finished.shard.n_verified);
-        }
-        self.n_verified.contains_key(&idx)
-    }
-
-    /// Whether one process might generate the shard: not if those before it that are finished have enough verified scenarios already.
-    fn may_be_wanted(&mut self, shard: &ShardPlan) -> bool {
-        if shard.is_wanted(self.resolved, usize::MAX) {
-            return true;
-        }
-        let plan = self.plan;
-        let before = plan.shards[..shard.idx].iter().filter(|other| other.sweep_idx == shard.sweep_idx);
-        before.for_each(|other| _ = self.is_finished(other.idx));
-        let before = plan.shards[..shard.idx].iter().filter(|other| other.sweep_idx == shard.sweep_idx);
-        let n_verified: u64 = before.filter_map(|other| self.n_verified.get(&other.idx)).sum();
-        shard.is_wanted(self.resolved, n_verified as usize)
-    }
-
-    fn try_once(
+    /// Goes about these shards until each is finished; or given up, which returns `false`. What other workers are at is left to them for
+    /// a while.
+    ///
+    /// # Errors
+    /// As [`Shards::go_about`].
+    pub(super) fn complete(
         &self,
-        shard: &ShardPlan,
-        worker: Worker,
-        sample: &dyn Fn(&ShardPlan) -> Result<SampleSidecar>,
-        progress: &dyn Progress,
-    ) -> Result<()> {
-        let name = worker.to_string();
-        let Some(mark) = tries::begin(self.folder, shard.idx, &name)? else {
-            let why = tries::Tries::of(self.folder, shard.idx).describe();
-            progress.warn(&format!("shard {} is given up: {why}", shard.idx));
+        range: Range<usize>,
+        worth: &dyn Fn(usize) -> u64,
+        make: &mut dyn FnMut(usize) -> Result<S>,
+    ) -> Result<bool> {
+        self.go_about(range.clone(), worth, &|idx| Tries::of(self.folder, idx).age.is_none(), make)?;
+        let mut began = Instant::now();
+        loop {
+            let left: Vec<usize> = range.clone().filter(|idx| self.finished(*idx).is_none()).collect();
+            if left.is_empty() {
+                return Ok(true);
+            }
+            if left.iter().any(|idx| Tries::of(self.folder, *idx).are_hopeless()) {
+                return Ok(false);
+            }
+            if self.progress.must_stop() {
+                return Err(Failure::later("stopped while other workers were at the rest of a round"));
+            }
+            std::thread::sleep(POLL);
+            if began.elapsed() > self.patience() {
+                self.go_about(range.clone(), &|_| 0, &|_| true, make)?;
+                began = Instant::now();
+            }
+        }
+    }
+
+    /// How long others may take for a shard: three times what any has taken so far.
+    fn patience(&self) -> Duration {
+        let longest = self.finished.borrow().values().map(|finished| finished.seconds).fold(0.0, f64::max);
+        let patience = if longest > 0.0 { Duration::from_secs_f64(3.0 * longest) } else { UNKNOWN };
+        patience.max(LEAST_PATIENCE)
+    }
+
+    fn try_once(&self, idx: usize, make: &mut dyn FnMut(usize) -> Result<S>) -> Result<()> {
+        let name = self.worker.to_string();
+        let Some(mark) = tries::begin(self.folder, idx, &name)? else {
+            let why = Tries::of(self.folder, idx).describe();
+            self.progress.warn(&format!("shard {idx} is given up: {why}"));
             return Ok(());
         };
         let began = Instant::now();
-        let finished = catch_unwind(AssertUnwindSafe(|| sample(shard)));
-        let outcome = match finished {
+        let made = catch_unwind(AssertUnwindSafe(|| make(idx)));
+        let outcome = match made {
             Ok(outcome) => outcome,
             Err(panic) => {
                 // The shard learns of it; everything else about a panic is as everywhere.
@@ -180,8 +212,8 @@ impl Shards<'_> {
                 resume_unwind(panic)
             }
         };
-        match outcome.and_then(|sidecar| self.folder.finish(shard.idx, &name, began.elapsed().as_secs_f64(), sidecar)) {
-            Ok(_) => Ok(remove_if_present(&mark)?),
+        match outcome.and_then(|shard| self.folder.finish(idx, &name, began.elapsed().as_secs_f64(), &shard)) {
+            Ok(()) => Ok(remove_if_present(&mark)?),
             Err(failure) => {
                 match failure.blame {
                     Blame::Later => drop(remove_if_present(&mark)),

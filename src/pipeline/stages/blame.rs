@@ -63,6 +63,7 @@ impl From<evaluate::Error> for Failure {
             evaluate::Error::Files(error) => error.into(),
             evaluate::Error::Config { message, advice } => Self::input_message(message).with_hint(advice),
             error @ evaluate::Error::UnknownScene(_) => Self::input(error),
+            error @ evaluate::Error::OtherShard { .. } => Self::fault(error),
         }
     }
 }

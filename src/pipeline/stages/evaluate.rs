@@ -1,17 +1,20 @@
-//! Generated scenarios to metrics and the corpus: the files around [`Evaluation`].
+//! Generated scenarios to metrics and the corpus: the files around [`Evaluation`]. What workers have measured is not measured again.
 
 use super::mine::MineConfig;
 use super::sample_folder::SampleManifest;
+use crate::behavior::Behavior;
 use crate::evaluate::{
-    EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, Measurer, Shard, for_maps,
-    left_out_by_sweep, map_fits,
+    EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, MeasuredShard, Measurer, Shard,
+    for_maps, left_out_by_sweep, map_fits, metric_docs,
 };
+use crate::files::remove_if_present;
 use crate::generate::GenerateConfig;
 use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS, VERDICTS};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
-use crate::store::{CorpusNotes, CorpusWriter, SceneStore, write_json_atomically, write_metrics};
+use crate::store::{CorpusNotes, CorpusWriter, SceneStore, read_binary, write_json_atomically, write_metrics};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// The stage.
 pub struct Evaluate<'a> {
@@ -78,37 +81,41 @@ impl Stage for Evaluate<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         self.check()?;
         let path = |name: &str| context.root.join(name);
-        let behaviors = self.mine.build()?;
-        let store = SceneStore::open(&self.layout.scenes)?;
-        let samples = SampleManifest::read(&self.layout.samples)?;
-        let maps = map_fits(&store, &self.config.validity)?;
+        let ready = self.ready(None)?;
+        let EvaluationReady { store, samples, behaviors, maps, config } = &ready;
         maps.iter().filter_map(MapFitRow::caution).for_each(|caution| context.progress.warn(&caution));
-        let config = EvaluateConfig { validity: for_maps(&self.config.validity, &maps), ..self.config.clone() };
-        let events = self.has_events.then_some(self.layout.events.as_path());
-        let mut measurer = Measurer::new(&config, &behaviors, &store, events)?;
+        let mut measurer = None;
         let (predictions, verdicts) = (path(PREDICTIONS), path(VERDICTS));
         let files = EvaluationFiles { predictions: &predictions, verdicts: &verdicts, scratch: context.root };
-        let mut evaluation = Evaluation::new(&config, measurer.docs(), &files)?;
+        let mut evaluation = Evaluation::new(config, metric_docs(config, behaviors), &files)?;
         evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
-        let mut corpus = CorpusWriter::create(&path(CORPUS), &store)?;
+        let mut corpus = CorpusWriter::create(&path(CORPUS), store)?;
         context.progress.start("evaluate", samples.n_scenarios, "scenarios");
-        for shard in &samples.shards {
-            let records = SampleManifest::read_shard(&self.layout.samples, shard, &store)?;
-            let n_records = records.len() as u64;
-            let (sweep, n_evaluations) = (shard.sweep.as_str(), shard.n_evaluations);
-            let kept = evaluation.add(measurer.measure(Shard { sweep, n_evaluations, records })?)?;
+        for idx in 0..samples.shards.len() {
+            let shard = self.read(&ready, idx)?;
+            // A damaged file of figures is as good as none.
+            let figures = match read_binary(&figures_path(context.root, idx), FIGURES_FORMAT) {
+                Ok(figures) => figures,
+                Err(_) => match &mut measurer {
+                    Some(measurer) => measurer,
+                    none => none.insert(self.measurer(&ready)?),
+                }
+                .measure(&shard)?,
+            };
+            let kept = evaluation.add(MeasuredShard::new(shard, figures, config, store)?)?;
             kept.recordings.iter().try_for_each(|recorded| corpus.write_recording(recorded))?;
             corpus.write_scenarios(&kept.records)?;
-            context.progress.advance(n_records);
+            context.progress.advance(samples.shards[idx].n_scenarios);
         }
         context.progress.finish();
         let found = evaluation.finish()?;
         write_metrics(&path(METRICS), found.all_rows()?)?;
         corpus.write_metrics(found.rows_of_corpus()?)?;
         let (n_predicted_scenes, n_tracks_left_out) = (found.n_predicted_scenes, found.n_tracks_left_out);
-        let summary = EvaluationSummary { maps, ..found.remove_rows()? };
+        let summary = EvaluationSummary { maps: maps.clone(), ..found.remove_rows()? };
         corpus.finish(&self.notes(&summary))?;
         write_json_atomically(&path(METRICS_SUMMARY), &summary)?;
+        (0..samples.shards.len()).try_for_each(|idx| remove_if_present(&figures_path(context.root, idx)))?;
         Ok(json!({
             "n_scenarios": summary.n_scenarios,
             "n_verified": summary.n_verified,
@@ -122,7 +129,54 @@ impl Stage for Evaluate<'_> {
     }
 }
 
+/// The format of the files in which figures of shards are.
+pub(in crate::pipeline) const FIGURES_FORMAT: &str = "figures.v1";
+
+/// Where the stage, when it works in `work`, looks for the figures of shard `idx` that others have measured.
+pub(in crate::pipeline) fn figures_path(work: &Path, idx: usize) -> PathBuf {
+    work.join("figures").join(format!("figures-{idx:05}.bin"))
+}
+
+/// What shards are measured and put together with, read and checked.
+pub(in crate::pipeline) struct EvaluationReady {
+    store: SceneStore,
+    /// The shards.
+    pub(in crate::pipeline) samples: SampleManifest,
+    behaviors: Vec<Box<dyn Behavior>>,
+    /// How well the maps of places fit their recordings.
+    pub(in crate::pipeline) maps: Vec<MapFitRow>,
+    /// The section, which knows by now what maps allow.
+    config: EvaluateConfig,
+}
+
 impl Evaluate<'_> {
+    /// Reads and checks what shards are measured with. How well maps fit is found out where nobody has done so.
+    pub(in crate::pipeline) fn ready(&self, maps: Option<Vec<MapFitRow>>) -> Result<EvaluationReady> {
+        self.check()?;
+        let store = SceneStore::open(&self.layout.scenes)?;
+        let maps = maps.map_or_else(|| map_fits(&store, &self.config.validity), Ok)?;
+        Ok(EvaluationReady {
+            samples: SampleManifest::read(&self.layout.samples)?,
+            behaviors: self.mine.build()?,
+            config: EvaluateConfig { validity: for_maps(&self.config.validity, &maps), ..self.config.clone() },
+            store,
+            maps,
+        })
+    }
+
+    /// What measures shards.
+    pub(in crate::pipeline) fn measurer<'r>(&'r self, ready: &'r EvaluationReady) -> Result<Measurer<'r>> {
+        let events = self.has_events.then_some(self.layout.events.as_path());
+        Ok(Measurer::new(&ready.config, &ready.behaviors, &ready.store, events)?)
+    }
+
+    /// Reads shard `idx` of the samples.
+    pub(in crate::pipeline) fn read<'r>(&self, ready: &'r EvaluationReady, idx: usize) -> Result<Shard<'r>> {
+        let shard = &ready.samples.shards[idx];
+        let records = SampleManifest::read_shard(&self.layout.samples, shard, &ready.store)?;
+        Ok(Shard { sweep: &shard.sweep, n_evaluations: shard.n_evaluations, records })
+    }
+
     /// What the corpus says of itself.
     fn notes(&self, summary: &EvaluationSummary) -> CorpusNotes {
         let mut notes = BTreeMap::from([

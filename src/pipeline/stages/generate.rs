@@ -98,7 +98,8 @@ pub(in crate::pipeline) struct Ready<'a> {
     pub(in crate::pipeline) resolved: &'a ResolvedGeneration,
     store: &'a SceneStore,
     models: &'a LoadedModels,
-    generator: Generator<'a>,
+    /// Samples shards, and places what was sampled for requests.
+    pub(in crate::pipeline) generator: Generator<'a>,
     decisive_settings: Option<MetricSettings>,
 }
 
@@ -109,6 +110,12 @@ impl Ready<'_> {
         let plan = self.generator.plan_first(self.resolved.n_sweeps, self.store.index())?;
         progress.finish();
         Ok(plan)
+    }
+
+    /// The cells of each request.
+    pub(in crate::pipeline) fn pools(&self) -> Result<Vec<Pool>> {
+        let pool = |request| Ok(self.generator.pool(request, self.store.index())?);
+        self.resolved.requests.iter().map(pool).collect()
     }
 
     /// Samples a shard and writes its table into `folder`.

@@ -18,12 +18,15 @@ mod training_scenes;
 
 pub(in crate::pipeline) use blame::of_named_path;
 pub use evaluate::Evaluate;
+pub(in crate::pipeline) use evaluate::{FIGURES_FORMAT, figures_path};
 pub use generate::Generate;
+pub(in crate::pipeline) use generate::Ready;
 pub use ingest::Ingest;
 pub use mine::{Mine, MineConfig};
 pub(in crate::pipeline) use models::{LoadedModels, needed_models};
 pub use report::{About, Report};
-pub(in crate::pipeline) use sample_folder::{FoundShard, find_shard, shard_name};
+pub(in crate::pipeline) use request_rounds::{RoundShards, Rounds};
+pub(in crate::pipeline) use sample_folder::{FoundShard, find_shard, is_round_file, shard_name};
 pub use sample_folder::{SampleFolder, SampleManifest, SampleSettings, SampleSidecar, SampledWith, read_requests};
 pub(in crate::pipeline) use train::checkpoint_file;
 pub use train::{Recipe, Train};
@@ -72,9 +75,8 @@ pub fn check_gates(records: &[StageRecord]) -> Result<()> {
 }
 
 fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Option<Box<dyn Stage + 'a>> {
-    let PipelineConfig { run, ingest, mine, train, generate, evaluate, report, .. } = config;
+    let PipelineConfig { run, ingest, mine, train, report, .. } = config;
     let precision = run.precision;
-    let definitions = || mine.clone().unwrap_or_default();
     Some(match id {
         StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()? }),
         StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
@@ -90,16 +92,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             Box::new(Train { recipe: train.baseline.as_ref()?, seed: run.seed, precision, layout })
         }
         StageId::Generate => Box::new(generation(config, layout)?),
-        StageId::Evaluate => Box::new(Evaluate {
-            config: evaluate.as_ref()?,
-            mine: definitions(),
-            pipeline: &run.name,
-            has_events: has_events(config, layout),
-            // Samples that the command line names may come of another configuration.
-            generated: (generate.as_ref().zip(ingest.as_ref().map(IngestConfig::wants_maps)))
-                .filter(|_| layout.samples.parent() == layout.scenes.parent()),
-            layout,
-        }),
+        StageId::Evaluate => Box::new(evaluation(config, layout)?),
         StageId::Report => Box::new(Report {
             config: report.as_ref()?,
             parts: reported_stages(config, layout),
@@ -126,6 +119,21 @@ pub fn generation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<
         classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
         // A folder of models that the command line names may hold one that was distilled otherwise.
         distill: train.distill.as_ref().filter(|_| layout.distilled.parent() == layout.scenes.parent()),
+        layout,
+    })
+}
+
+/// The stage of evaluation, where the configuration has its section.
+pub fn evaluation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Evaluate<'a>> {
+    let PipelineConfig { run, ingest, mine, generate, evaluate, .. } = config;
+    Some(Evaluate {
+        config: evaluate.as_ref()?,
+        mine: mine.clone().unwrap_or_default(),
+        pipeline: &run.name,
+        has_events: has_events(config, layout),
+        // Samples that the command line names may come of another configuration.
+        generated: (generate.as_ref().zip(ingest.as_ref().map(IngestConfig::wants_maps)))
+            .filter(|_| layout.samples.parent() == layout.scenes.parent()),
         layout,
     })
 }

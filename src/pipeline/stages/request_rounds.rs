@@ -1,10 +1,15 @@
 //! Requests: rounds of shards until every bucket is full or the budget is spent; what is finished is kept when interrupted.
+//!
+//! One process samples the shards of a round one after the other. Workers sample them in any order, and go through them afterwards
+//! ([`RoundShards`]).
 
 use super::sample_folder::{SampleFolder, SampleSidecar};
 use crate::generate::{
     Generator, Ledger, Pool, RequestSummary, ResolvedGeneration, ResolvedRequest, Round, RoundContext, RoundShard,
+    ShardTally,
 };
-use crate::pipeline::{Result, StageContext};
+use crate::pipeline::{Failure, Result, StageContext};
+use crate::progress::Progress;
 use crate::seed::Seed;
 use crate::store::SceneStore;
 
@@ -52,27 +57,17 @@ impl Fulfilment<'_> {
         let progress = self.context.progress;
         progress.start(&format!("request {}", request.config.name), 0, "samples");
         let pool = self.pool(request)?;
-        let mut ledger = Ledger::new(request, &pool);
-        let mut done = Vec::new();
-        let mut n_rounds = 0;
-        while let Some(round) = self.round(request, (&pool, &ledger), n_rounds, *next_idx)? {
-            for shard in &round.shards {
-                // Whether the rest of a round is wanted depends on its earlier shards, which are the same in every attempt.
-                if ledger.is_full() {
-                    break;
-                }
-                done.push(self.shard(request, n_rounds, (&pool, shard), &mut ledger)?);
-                progress.note(&format!(
-                    "round {n_rounds}, {} of {} accepted",
-                    ledger.n_accepted(),
-                    request.buckets.wanted().iter().sum::<u64>()
-                ));
-            }
-            *next_idx += round.shards.len();
-            n_rounds += 1;
-        }
+        let mut alone = Alone { fulfilment: self, done: Vec::new() };
+        let rounds = Rounds { resolved: self.resolved, folder: self.folder, progress };
+        let walked = rounds.go_through((request, &pool), next_idx, &mut alone)?;
         progress.finish();
-        Ok((done, RequestSummary::new(request, &pool, &ledger, n_rounds)))
+        let Some((ledger, n_rounds)) = walked else {
+            return Err(Failure::fault(anyhow::anyhow!(
+                "a shard of request {} is neither there nor made",
+                request.config.name
+            )));
+        };
+        Ok((alone.done, RequestSummary::new(request, &pool, &ledger, n_rounds)))
     }
 
     fn pool(&self, request: &ResolvedRequest) -> Result<Pool> {
@@ -82,6 +77,61 @@ impl Fulfilment<'_> {
         let pool = self.generator.pool(request, self.store.index())?;
         self.folder.write_pool(request.idx, &pool)?;
         Ok(pool)
+    }
+}
+
+/// Has the shards of rounds, or makes them.
+pub(in crate::pipeline) trait RoundShards {
+    /// Takes notice of a round before its shards are asked for one by one.
+    fn begin(&mut self, of: (&ResolvedRequest, &Pool), round: &Round) -> Result<()>;
+
+    /// What a shard of the round of this number came to, when `ledger` holds all earlier ones; `None` if it is missing.
+    fn tally(
+        &mut self,
+        of: (&ResolvedRequest, &Pool),
+        round: usize,
+        shard: &RoundShard,
+        ledger: &Ledger,
+    ) -> Result<Option<ShardTally>>;
+}
+
+/// The rounds of requests, which are decided where they were not yet.
+pub(in crate::pipeline) struct Rounds<'a> {
+    /// What is sampled.
+    pub(in crate::pipeline) resolved: &'a ResolvedGeneration,
+    /// Where what was decided is kept.
+    pub(in crate::pipeline) folder: &'a SampleFolder,
+    /// Receives the progress.
+    pub(in crate::pipeline) progress: &'a dyn Progress,
+}
+
+impl Rounds<'_> {
+    /// Goes through the rounds of a request, whose shards count from `next_idx` on. Returns what it came to, and the number of rounds;
+    /// `None` when a shard is missing.
+    pub(in crate::pipeline) fn go_through(
+        &self,
+        (request, pool): (&ResolvedRequest, &Pool),
+        next_idx: &mut usize,
+        shards: &mut dyn RoundShards,
+    ) -> Result<Option<(Ledger, usize)>> {
+        let mut ledger = Ledger::new(request, pool);
+        let mut n_rounds = 0;
+        while let Some(round) = self.round(request, (pool, &ledger), n_rounds, *next_idx)? {
+            shards.begin((request, pool), &round)?;
+            for shard in &round.shards {
+                // Whether the rest of a round is wanted depends on its earlier shards, which are the same in every attempt.
+                if ledger.is_full() {
+                    break;
+                }
+                let Some(tally) = shards.tally((request, pool), n_rounds, shard, &ledger)? else { return Ok(None) };
+                ledger.add(&tally);
+                let n_wanted = request.buckets.wanted().iter().sum::<u64>();
+                self.progress.note(&format!("round {n_rounds}, {} of {n_wanted} accepted", ledger.n_accepted()));
+            }
+            *next_idx += round.shards.len();
+            n_rounds += 1;
+        }
+        Ok(Some((ledger, n_rounds)))
     }
 
     /// The round as it was decided, or decides it.
@@ -109,30 +159,43 @@ impl Fulfilment<'_> {
         }
         Ok(decided)
     }
+}
 
-    /// The shard as it was finished, or generates it; and adds what it came to.
-    fn shard(
-        &self,
-        request: &ResolvedRequest,
+/// One process, which samples shard after shard.
+struct Alone<'a> {
+    fulfilment: &'a Fulfilment<'a>,
+    done: Vec<SampleSidecar>,
+}
+
+impl RoundShards for Alone<'_> {
+    fn begin(&mut self, _: (&ResolvedRequest, &Pool), _: &Round) -> Result<()> {
+        Ok(())
+    }
+
+    /// That of the shard as it was finished, or generates it.
+    fn tally(
+        &mut self,
+        (request, pool): (&ResolvedRequest, &Pool),
         round: usize,
-        (pool, shard): (&Pool, &RoundShard),
-        ledger: &mut Ledger,
-    ) -> Result<SampleSidecar> {
-        let resolved = self.resolved;
-        let sidecar = match self.folder.finished(shard.plan.idx).filter(|sidecar| sidecar.request.is_some()) {
+        shard: &RoundShard,
+        ledger: &Ledger,
+    ) -> Result<Option<ShardTally>> {
+        let Fulfilment { generator, resolved, folder, context, .. } = *self.fulfilment;
+        let sidecar = match folder.finished(shard.plan.idx).filter(|sidecar| sidecar.request.is_some()) {
             Some(sidecar) => {
-                self.context.progress.advance(shard.plan.n_samples(resolved) as u64);
+                context.progress.advance(shard.plan.n_samples(resolved) as u64);
                 sidecar
             }
             None => {
-                let mut output = self.generator.generate(&shard.plan, self.context.progress)?;
-                let tally = self.generator.judge((request, round), (pool, shard), ledger, &mut output.records)?;
+                let mut output = generator.generate(&shard.plan, context.progress)?;
+                let tally = generator.judge((request, round), (pool, shard), ledger, &mut output.records)?;
                 let sweep = &resolved.sweeps[shard.plan.sweep_idx];
                 let described = (sweep.name.as_str(), sweep.n_evaluations());
-                self.folder.write_shard(shard.plan.idx, described, output, Some(tally))?
+                folder.write_shard(shard.plan.idx, described, output, Some(tally))?
             }
         };
-        sidecar.request.iter().for_each(|tally| ledger.add(tally));
-        Ok(sidecar)
+        let tally = sidecar.request.clone();
+        self.done.push(sidecar);
+        Ok(tally)
     }
 }

@@ -107,7 +107,7 @@ impl SampleFolder {
     }
 
     /// Keeps the cells of a request.
-    pub(super) fn write_pool(&self, request: usize, pool: &Pool) -> Result<()> {
+    pub(in crate::pipeline) fn write_pool(&self, request: usize, pool: &Pool) -> Result<()> {
         write_json_atomically(&self.dir.join(pool_file(request)), pool)?;
         Ok(())
     }
@@ -148,7 +148,7 @@ impl SampleFolder {
     }
 
     /// Writes shard `idx` of the plan, of the sweep of this name and this many evaluations of the denoiser a sample.
-    pub(super) fn write_shard(
+    pub(in crate::pipeline) fn write_shard(
         &self,
         idx: usize,
         described: (&str, u64),
@@ -326,6 +326,13 @@ fn pool_file(request: usize) -> String {
 
 fn round_file(request: usize, round: usize) -> String {
     format!("request-{request:02}-round-{round:05}.json")
+}
+
+/// Whether a file of this name holds the decisions for a round.
+pub(in crate::pipeline) fn is_round_file(name: &str) -> bool {
+    let numbers = name.strip_prefix("request-").and_then(|rest| rest.strip_suffix(".json")?.split_once("-round-"));
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    numbers.is_some_and(|(request, round)| is_number(request) && is_number(round))
 }
 
 pub(in crate::pipeline) fn shard_name(idx: usize) -> String {
