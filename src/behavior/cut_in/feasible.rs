@@ -33,8 +33,9 @@ pub(super) struct Pair {
     /// Sizes of the ego and the other, meters.
     pub(super) widths_m: [f64; 2],
     pub(super) lengths_m: [f64; 2],
-    side: f64,
-    horizon_s: f64,
+    /// From where the other comes: 1 for the left, -1 for the right.
+    pub(super) side: f64,
+    pub(super) horizon_s: f64,
 }
 
 /// One way to cut in.

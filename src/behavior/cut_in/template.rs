@@ -15,6 +15,12 @@ const MOST_MPS2: f64 = 3.0;
 /// Spacing of the times at which the box is looked for in the path, seconds, and how often its coming is corrected.
 const STEP_S: f64 = 0.02;
 const N_CORRECTIONS: usize = 2;
+/// How much of the comfortable time it may take who is in a hurry.
+const HURRIES: [f64; 3] = [1.0, 0.85, 0.7];
+/// The other is in the lane by so long before the scene ends, seconds.
+const TO_SPARE_S: f64 = 0.2;
+/// Nobody drives farther beside the center line in the end, meters.
+const MOST_OFFSET_M: f64 = 0.6;
 /// Below this nobody has to come over, meters.
 const NOTHING_M: f64 = 0.01;
 
@@ -56,24 +62,39 @@ struct ComingOver {
 }
 
 impl Pair {
-    /// When the other comes over so that its box is in the ego's path at the time of the plan: comfortably, but for what it needs to be there in
-    /// time. `None` where that is too hard.
+    /// When the other comes over so that its box is in the ego's path at the time of the plan, and its center in the lane before the scene
+    /// ends: comfortably, but for what it needs for that. `None` where that is too hard.
     fn coming_over(&self, plan: &Plan) -> Option<ComingOver> {
-        if plan.aside_m < NOTHING_M {
+        let aside_m = self.aside_m(plan);
+        if plan.aside_m.min(aside_m) < NOTHING_M {
             return Some(ComingOver { begins_s: 0.0, takes_s: plan.time_s });
         }
-        let comfortable_s = (QUINTIC_PEAK * plan.aside_m / COMFORTABLE_MPS2).sqrt();
-        let share = quintic_inverse((plan.shift_m / plan.aside_m).min(1.0));
-        let takes_s = if share > 0.0 { comfortable_s.min(plan.time_s / share) } else { comfortable_s };
-        if QUINTIC_PEAK * plan.aside_m / (takes_s * takes_s) > MOST_MPS2 {
-            return None;
-        }
-        // Who comes over is turned, so that a corner of its box is there first.
-        let mut over = ComingOver { begins_s: plan.time_s - share * takes_s, takes_s };
-        for _ in 0..N_CORRECTIONS {
-            over.begins_s = (over.begins_s + plan.time_s - self.intrusion_s(plan, over)?).max(0.0);
-        }
-        Some(over)
+        let share = quintic_inverse((plan.shift_m / aside_m).min(1.0));
+        let most_s = if share > 0.0 { plan.time_s / share } else { f64::INFINITY };
+        let comfortable_s = (QUINTIC_PEAK * aside_m / COMFORTABLE_MPS2).sqrt();
+        HURRIES.into_iter().find_map(|hurry| {
+            let takes_s = most_s.min(comfortable_s * hurry);
+            if QUINTIC_PEAK * aside_m / (takes_s * takes_s) > MOST_MPS2 {
+                return None;
+            }
+            // Who comes over is turned, so that a corner of its box is there first.
+            let mut over = ComingOver { begins_s: plan.time_s - share * takes_s, takes_s };
+            for _ in 0..N_CORRECTIONS {
+                over.begins_s = (over.begins_s + plan.time_s - self.intrusion_s(plan, over)?).max(0.0);
+            }
+            let end = self.place(plan, over, self.horizon_s - TO_SPARE_S)?;
+            (self.lane.beyond_m(end, self.side)? < 0.0).then_some(over)
+        })
+    }
+
+    /// How far the other comes over in all, meters.
+    fn aside_m(&self, plan: &Plan) -> f64 {
+        plan.aside_m + self.side * (self.own_offset_m - self.kept_offset_m())
+    }
+
+    /// Where the other drives in the end beside the center line of the lane, meters: as the ego, where that is well within the lane.
+    fn kept_offset_m(&self) -> f64 {
+        self.own_offset_m.clamp(-MOST_OFFSET_M, MOST_OFFSET_M)
     }
 
     /// When the other's box first is in the path of the ego.
@@ -99,7 +120,7 @@ impl Pair {
             + plan.then_mps * (elapsed_s - until_s);
         let on_own = beside(&self.their_lane, self.their_station_m + driven_m, self.their_offset_m)?;
         let station_m = self.lane.project(on_own)?.station_m;
-        let on_egos = beside(&self.lane, station_m, self.own_offset_m)?;
+        let on_egos = beside(&self.lane, station_m, self.kept_offset_m())?;
         Some(on_own.lerp(on_egos, quintic((elapsed_s - over.begins_s) / over.takes_s)))
     }
 }
