@@ -24,7 +24,7 @@ pub struct Template {
 impl Template {
     /// The maneuver of an agent that would be at `place` so many seconds after the present. It begins where the agent is, as the agent
     /// moves, and comes to be as `place` says within a second. `None` where the agent is not tracked at present, or has no place at some time.
-    pub(super) fn new(scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
+    pub(crate) fn new(scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let (start, soon) = (place(0.0)?, place(scene.dt_s / 2.0)?);
         let missing = state.position - start;

@@ -1,9 +1,10 @@
 //! A behavior, models and scenes for the tests of generation.
 
 use super::*;
-use crate::behavior::{Behavior, BehaviorEvent, EventLabel, Outcome};
+use crate::behavior::{Behavior, BehaviorEvent, EventLabel, Outcome, Template};
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
+use crate::geometry::Vec2;
 use crate::guidance::testing::{denoiser_spec, scene};
 use crate::metrics::MetricSettings;
 use crate::model::{
@@ -60,6 +61,26 @@ impl Behavior for Drift {
         (0..8)
             .map(|i| Outcome::default().with("gap_m", 2.0 + 3.0 * f64::from(i)).at_effort(f64::from(i) / 8.0))
             .collect()
+    }
+
+    fn template_parameters(&self) -> &'static [&'static str] {
+        &["gap_m"]
+    }
+
+    /// The second one drifts the farther to the right, the larger the gap is that is wanted.
+    fn template(
+        &self,
+        scene: &Scene,
+        agents: &[usize],
+        wanted: &BTreeMap<String, [f64; 2]>,
+        _variant: usize,
+    ) -> Option<Template> {
+        let [least, most] = wanted.get("gap_m").copied().unwrap_or_default();
+        let now = *scene.state(agents[1], scene.current_timestep())?;
+        let duration_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
+        let drift_m = 3.0 + (least + most) / 4.0;
+        let place = |t: f64| Some(now.position + now.velocity * t + Vec2::new(0.0, -drift_m * (t / duration_s)));
+        Template::new(scene, agents[1], place)
     }
 }
 

@@ -13,7 +13,9 @@ const SPACING: f64 = 0.5;
 /// How far the boxes shall share a path, and the least gap, meters.
 const SHARE_M: f64 = 0.3;
 /// The ego shall be where the other came in by so long before the scene ends, whatever it does about it, seconds.
-const TO_SPARE_S: f64 = 0.3;
+const TO_SPARE_S: f64 = 0.5;
+/// How fast the other crosses into the lane once it is in the ego's path, m/s.
+const CROSSING_MPS: f64 = 1.2;
 /// Below this speed somebody stands, m/s, and no cut-in is found.
 const STANDING_MPS: f64 = 1.0;
 
@@ -129,6 +131,12 @@ impl CutIn {
         let left_s = self.config.max_delay_s.min(pair.horizon_s - TO_SPARE_S - time_s);
         let is_reached = (SHARE_M..own_mps * left_s).contains(&gap_m);
         if then_mps < STANDING_MPS || least_s > time_s || !is_reached {
+            return Some(None);
+        }
+        // Its center must be in the lane, too, before the scene ends.
+        let beyond_m = pair.lane.beyond_m(on_lane, pair.side)? + pair.side * pair.their_offset_m;
+        let crossed_s = time_s + (beyond_m - shift_m).max(0.0) / CROSSING_MPS;
+        if crossed_s > pair.horizon_s - TO_SPARE_S {
             return Some(None);
         }
         let relative_mps = own_mps - then_mps;

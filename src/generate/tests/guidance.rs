@@ -137,6 +137,46 @@ fn each_sample_of_a_pair_aims_at_another_of_its_outcomes_whatever_the_batch() {
 }
 
 #[test]
+fn who_follows_a_template_is_observed_and_each_sample_has_its_own_whatever_the_batch() {
+    let asked = "behavior = 'drift'\n    classifier_scope = 'none'\n    template = true\n    aim = 'feasible'";
+    let templates = SWEEPS.replace("behavior = 'drift'", asked).replace("n_samples = 2", "n_samples = 5");
+    let templates = templates.replace("strengths = [0.0, 3.0]", "");
+    let own = |config: &GenerateConfig| generate(config).split_off(15);
+    let records = own(&config(&templates));
+    assert_eq!(records.len(), 4 * 5);
+    assert_eq!(kinds(&records), ["template"]);
+    for cell in records.chunks(5) {
+        let mut ends: Vec<f64> = Vec::new();
+        for record in cell {
+            let scenario = &record.scenario;
+            let performer = &scenario.provenance.guidance.roles.tracks().nth(1).unwrap();
+            let idx = scenario.scene.track_idx(performer).unwrap();
+            let is_observed =
+                |agent: usize| (0..scenario.scene.n_timesteps).all(|t| scenario.observed.is_observed(agent, t));
+            assert!(record.verified && is_observed(idx) && (0..3).filter(|agent| is_observed(*agent)).count() == 1);
+            assert!(!scenario.provenance.is_unguided());
+            ends.push(scenario.scene.state(idx, scenario.scene.n_timesteps - 1).unwrap().position.y);
+        }
+        ends.sort_by(f64::total_cmp);
+        assert!(ends.windows(2).all(|pair| pair[1] - pair[0] > 0.1), "{ends:?}");
+    }
+    for batch_size in [1, 2, 7] {
+        for (a, b) in records.iter().zip(&own(&GenerateConfig { batch_size, ..config(&templates) })) {
+            assert!(difference_m(&a.scenario.scene, &b.scenario.scene) < ROUNDING_M, "batches of {batch_size}");
+        }
+    }
+    with_generator(&config(&templates), 0, |generator| {
+        let plan = generator.plan(&index(12)).unwrap();
+        let shard = plan.shards.last().unwrap();
+        let output = generator.generate(shard, &Silent).unwrap();
+        for record in &output.records {
+            let key = SampleKey::of(shard, &record.scenario.provenance).unwrap();
+            assert_eq!(generator.regenerate(shard, key).unwrap().unwrap().scenario, record.scenario);
+        }
+    });
+}
+
+#[test]
 fn anybody_may_perform_the_behavior() {
     let toml = SWEEPS.replace("behavior = 'drift'", "behavior = 'drift'\n    classifier_scope = 'any_pair'");
     let records = generate(&config(&toml));
@@ -170,6 +210,9 @@ fn guidance_that_makes_no_sense_is_refused() {
         (guided(&speed(", weight = -1.0")), "generate.sweeps.0.objectives.0.weight is -1, expected a positive number"),
         (guided(&speed(", agents = 'other'")), "no agent has the role `other`, expected one of all, ego"),
         (cut_in(&speed(", agents = 'third'")), "no agent has the role `third`, expected one of all, ego, other"),
+        (sweep("template = true"), "template is true, but no behavior is asked for"),
+        (sweep("behavior = 'cut_in'\ntemplate = true\nedit = { tau = 0.5 }"), "edits recordings, too"),
+        (cut_in("template = true"), "the classifier does not know templates"),
         (
             cut_in(&format!("classifier_scope = 'any_pair'\n{}", speed(", agents = 'other'"))),
             "no agent has the role `other`",
