@@ -14,7 +14,7 @@ const SPACING: f64 = 0.5;
 const SHARE_M: f64 = 0.3;
 /// The ego shall be where the other came in by so long before the scene ends, whatever it does about it, seconds.
 const TO_SPARE_S: f64 = 0.5;
-/// How fast the other crosses into the lane once it is in the ego's path, m/s.
+/// How fast the other is taken to cross into the lane once it is in the ego's path, m/s: about the mean of a lane change of three seconds.
 const CROSSING_MPS: f64 = 1.2;
 /// Below this speed somebody stands, m/s, and no cut-in is found.
 const STANDING_MPS: f64 = 1.0;
@@ -37,6 +37,7 @@ pub(super) struct Pair {
     pub(super) lengths_m: [f64; 2],
     /// From where the other comes: 1 for the left, -1 for the right.
     pub(super) side: f64,
+    /// From the present to the end of the scene, seconds.
     pub(super) horizon_s: f64,
 }
 
@@ -55,7 +56,8 @@ pub(super) struct Plan {
 
 impl CutIn {
     /// What `other` could come to before `ego`, if the ego keeps its lane and its speed, and the other leaves the lane that it keeps with at most
-    /// 2 m/s² across and -4 to 2.5 m/s² along the way. Nothing but what was observed and the map is looked at.
+    /// 2 m/s² across and -4 to 2.5 m/s² along the way. Half a second before the scene ends the other's center must be in the lane, and the ego where
+    /// the other came in. Nothing but what was observed and the map is looked at.
     ///
     /// Empty where the ego is in no lane, and where the other is in the ego's lane already, does not head along it, or is too far to the side, ahead or behind.
     pub(super) fn outcomes(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Vec<Outcome>> {

@@ -18,7 +18,7 @@ const N_CORRECTIONS: usize = 2;
 /// How much of the comfortable time it may take who is in a hurry.
 const HURRIES: [f64; 3] = [1.0, 0.85, 0.7];
 /// The other is in the lane by so long before the scene ends, seconds.
-const TO_SPARE_S: f64 = 0.2;
+const IN_LANE_S: f64 = 0.2;
 /// Nobody drives farther beside the center line in the end, meters.
 const MOST_OFFSET_M: f64 = 0.6;
 /// Below this nobody has to come over, meters.
@@ -82,7 +82,7 @@ impl Pair {
             for _ in 0..N_CORRECTIONS {
                 over.begins_s = (over.begins_s + plan.time_s - self.intrusion_s(plan, over)?).max(0.0);
             }
-            let end = self.place(plan, over, self.horizon_s - TO_SPARE_S)?;
+            let end = self.place(plan, over, self.horizon_s - IN_LANE_S)?;
             (self.lane.beyond_m(end, self.side)? < 0.0).then_some(over)
         })
     }
