@@ -188,30 +188,22 @@ pub(super) fn extended<'a>(points: impl Iterator<Item = &'a Vec2>) -> Polyline {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::behavior::testing::LaneSpec;
-    use crate::scene::LaneGraph;
+    use crate::behavior::testing::lane_graph;
     use crate::scene::testing::{Drive, scene};
-    use serde::Deserialize;
     use std::sync::Arc;
-
-    #[derive(Deserialize)]
-    struct Lanes {
-        lanes: Vec<LaneSpec>,
-    }
 
     #[test]
     fn lanes_join_where_one_leads_into_the_other_or_both_into_a_third() {
         // 1 and 2 merge into 3; 4 runs on its own.
-        let lanes: Lanes = toml::from_str(
+        let lanes = lane_graph(
             "lanes = [
                 { id = 1, centerline = [[0, 0], [40, 0]], successors = [3] },
                 { id = 2, centerline = [[0, 8], [40, 0]], successors = [3] },
                 { id = 3, centerline = [[40, 0], [80, 0]], predecessors = [1, 2] },
                 { id = 4, centerline = [[0, -8], [80, -8]] },
             ]",
-        )
-        .expect("lanes");
-        let graph = LaneGraph::new(lanes.lanes.iter().map(LaneSpec::build).collect());
+        );
+        let graph = lanes;
         let drives = [(5.0, 0.0), (5.0, 7.0), (50.0, 0.0), (5.0, -8.0)];
         let scene = scene(&drives.map(|(x, y)| Drive::straight(x, y, 0.0, 10.0)));
         let scene = Scene { lanes: Arc::new(graph), ..scene };

@@ -194,18 +194,7 @@ impl<'a> SceneLanes<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::behavior::testing::LaneSpec;
-    use serde::Deserialize;
-
-    #[derive(Deserialize)]
-    struct Lanes {
-        lanes: Vec<LaneSpec>,
-    }
-
-    fn graph(text: &str) -> LaneGraph {
-        let lanes: Lanes = toml::from_str(text).expect("lanes");
-        LaneGraph::new(lanes.lanes.iter().map(LaneSpec::build).collect())
-    }
+    use crate::behavior::testing::lane_graph as graph;
 
     #[test]
     fn places_have_a_margin_with_and_without_boundaries() {

@@ -152,28 +152,20 @@ fn runs_along(place: &LanePlace, heading_rad: f64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::behavior::testing::LaneSpec;
-    use crate::scene::LaneGraph;
+    use crate::behavior::testing::lane_graph;
     use crate::scene::testing::{Drive, scene};
-    use serde::Deserialize;
-
-    #[derive(Deserialize)]
-    struct Lanes {
-        lanes: Vec<LaneSpec>,
-    }
 
     #[test]
     fn who_comes_to_the_end_of_a_lane_goes_on_in_the_next_even_where_one_beside_is_nearer() {
         // At y = -1.3, an agent is 0.6 m inside of lane 2, which follows on, and 1 m inside of lane 4 beside that.
-        let lanes: Lanes = toml::from_str(
+        let lanes = lane_graph(
             "lanes = [
                 { id = 1, centerline = [[0, 0], [20, 0]], successors = [2] },
                 { id = 2, centerline = [[20, 0], [60, 0]], predecessors = [1], right_neighbor = 4 },
                 { id = 4, centerline = [[20, -2.2], [60, -2.2]] },
             ]",
-        )
-        .expect("lanes");
-        let graph = LaneGraph::new(lanes.lanes.iter().map(LaneSpec::build).collect());
+        );
+        let graph = lanes;
         let index = SceneLanes::new(&graph);
         let scene = scene(&[Drive::straight(12.0, -1.3, 0.0, 10.0)]);
         let trace = LaneTrace::follow(&index, &scene.tracks[0].trajectory, 0.3, 1);

@@ -135,28 +135,21 @@ fn beside(lane: &KeptLane, station_m: f64, offset_m: f64) -> Option<Vec2> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::behavior::testing::LaneSpec;
+    use crate::behavior::testing::lane_graph;
     use crate::behavior::{Behavior, BehaviorEvent, CutInConfig, EventLabel, Outcome};
+    use crate::scene::Trajectory;
     use crate::scene::testing::{Drive, scene};
-    use crate::scene::{LaneGraph, Trajectory};
-    use serde::Deserialize;
-
-    #[derive(Deserialize)]
-    struct Road {
-        lanes: Vec<LaneSpec>,
-    }
 
     /// Two lanes; the ego in one, another car ahead in the other, with 4 s of future.
     fn two_lanes(other: Drive) -> Scene {
-        let road: Road = toml::from_str(
+        let road = lane_graph(
             "lanes = [
                 { id = 1, centerline = [[-100, 0], [200, 0]], width_m = 3.5 },
                 { id = 2, centerline = [[-100, 3.5], [200, 3.5]], width_m = 3.5 },
             ]",
-        )
-        .unwrap();
+        );
         let mut recorded = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), other]);
-        recorded.lanes = LaneGraph::new(road.lanes.iter().map(LaneSpec::build).collect()).into();
+        recorded.lanes = road.into();
         let (n_history, step_s) = (recorded.n_history, 0.1);
         // The same drive at ten states a second.
         recorded.dt_s = step_s;

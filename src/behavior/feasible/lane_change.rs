@@ -56,27 +56,18 @@ fn crossing_s(way_m: f64, speed_mps: f64) -> f64 {
 mod tests {
     use super::super::outcomes;
     use super::crossing_s;
-    use crate::behavior::testing::LaneSpec;
+    use crate::behavior::testing::lane_graph;
     use crate::behavior::{LaneChange, LaneChangeConfig};
-    use crate::scene::LaneGraph;
     use crate::scene::testing::Drive;
-    use serde::Deserialize;
-
-    #[derive(Deserialize)]
-    struct Lanes {
-        lanes: Vec<LaneSpec>,
-    }
 
     fn sides(y: f64, speed_mps: f64) -> Vec<f64> {
-        let lanes: Lanes = toml::from_str(
+        let lanes = lane_graph(
             "lanes = [
                 { id = 1, centerline = [[-50, 0], [100, 0]], width_m = 3.5 },
                 { id = 2, centerline = [[-50, 3.5], [100, 3.5]], width_m = 3.5 },
                 { id = 3, centerline = [[100, -3.5], [-50, -3.5]], width_m = 3.5 },
             ]",
-        )
-        .expect("lanes");
-        let lanes = LaneGraph::new(lanes.lanes.iter().map(LaneSpec::build).collect());
+        );
         let found = outcomes(
             &LaneChange::new(LaneChangeConfig::default()),
             &[Drive::straight(0.0, y, 0.0, speed_mps)],

@@ -93,16 +93,10 @@ fn needed_effort(bend: &Bend, speed_mps: f64, horizon_s: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::super::outcomes;
-    use crate::behavior::testing::LaneSpec;
+    use crate::behavior::testing::lane_graph;
     use crate::behavior::{LeftTurn, RightTurn, TurnConfig};
     use crate::scene::LaneGraph;
     use crate::scene::testing::Drive;
-    use serde::Deserialize;
-
-    #[derive(Deserialize)]
-    struct Lanes {
-        lanes: Vec<LaneSpec>,
-    }
 
     /// A lane along x that forks at x = 20 m: straight on, and to the left on a quarter of a circle of 10 m.
     fn fork() -> LaneGraph {
@@ -118,8 +112,7 @@ mod tests {
             ]",
             bend.join(", ")
         );
-        let lanes: Lanes = toml::from_str(&text).expect("lanes");
-        LaneGraph::new(lanes.lanes.iter().map(LaneSpec::build).collect())
+        lane_graph(&text)
     }
 
     #[test]

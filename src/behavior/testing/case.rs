@@ -103,6 +103,16 @@ const fn default_class() -> AgentClass {
     AgentClass::Vehicle
 }
 
+/// The lanes of a text such as `lanes = [{ id = 1, centerline = [[0, 0], [50, 0]] }]`.
+pub(crate) fn lane_graph(text: &str) -> LaneGraph {
+    #[derive(Deserialize)]
+    struct Lanes {
+        lanes: Vec<LaneSpec>,
+    }
+    let Lanes { lanes } = toml::from_str(text).expect("lanes");
+    LaneGraph::new(lanes.iter().map(LaneSpec::build).collect())
+}
+
 /// A lane: a center line and, if `width_m` is given, boundaries beside it.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -5,5 +5,5 @@ mod cases_test;
 mod motion;
 mod random;
 
-pub(crate) use case::{Case, LaneSpec, SceneSpec, cases_in};
+pub(crate) use case::{Case, LaneSpec, SceneSpec, cases_in, lane_graph};
 pub(crate) use random::{random_scene, transformed};
