@@ -1,6 +1,7 @@
-//! A maneuver that was solved for what is wanted of it: who moves, and where it is from the present on.
+//! A maneuver that was solved for what is wanted of it: who takes part, and where each is from the present on.
 //!
-//! A template says what one agent does; the denoiser makes everybody else live with it. It is told from the past and the map alone.
+//! A template says what the agents of the event do; the denoiser makes everybody else live with it. It is told from the past and the map
+//! alone.
 
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
 use crate::scene::{STANDING_STEP_M, Scene, State, Track, Trajectory};
@@ -12,19 +13,30 @@ const N_ROUNDINGS: usize = 3;
 /// Timesteps between those at which a template is compared with where others would be.
 const STRIDE: usize = 2;
 
-/// The future of one agent.
+/// The futures of those who take part.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Template {
+    motions: Vec<Motion>,
+}
+
+/// The future of one agent.
+#[derive(Debug, Clone, PartialEq)]
+struct Motion {
     /// Whose.
-    pub agent_idx: usize,
-    /// Its position at each timestep after the present, meters in the scene frame.
-    positions: Vec<Vec2>,
+    agent_idx: usize,
+    /// Its state at each timestep after the present, in the scene frame.
+    states: Vec<State>,
 }
 
 impl Template {
-    /// The maneuver of an agent that would be at `place` so many seconds after the present. It begins where the agent is, as the agent
+    /// A maneuver in which nobody takes part yet.
+    pub(crate) const fn empty() -> Self {
+        Self { motions: Vec::new() }
+    }
+
+    /// The same with an agent that would be at `place` so many seconds after the present. It begins where the agent is, as the agent
     /// moves, and comes to be as `place` says within a second. `None` where the agent is not tracked at present, or has no place at some time.
-    pub(crate) fn new(scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
+    pub(crate) fn with(mut self, scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let (start, soon) = (place(0.0)?, place(scene.dt_s / 2.0)?);
         let missing = state.position - start;
@@ -35,57 +47,68 @@ impl Template {
         let positions: Option<Vec<Vec2>> = times_s.map(|t| Some(place(t)? + fading(t))).collect();
         let past = scene.tracks[agent_idx].trajectory.entries()[..=scene.current_timestep()].iter().flatten();
         let past: Vec<Vec2> = past.map(|state| state.position).collect();
-        Some(Self { agent_idx, positions: rounded(&past, positions?) })
+        let states = states(state, scene.dt_s, &rounded(&past, positions?));
+        self.motions.push(Motion { agent_idx, states });
+        Some(self)
     }
 
-    /// Whether nobody is in the way, if all the others go straight on at their speed; the one who is to react, until `reacts_s` after the
-    /// present.
-    pub(super) fn is_clear(&self, scene: &Scene, (reacting_idx, reacts_s): (usize, f64)) -> bool {
-        let own = &scene.tracks[self.agent_idx];
-        let Some(futures) = self.states(scene) else { return false };
-        let present = |track: &Track| track.trajectory.get(scene.current_timestep()).copied();
-        let others = scene.tracks.iter().enumerate().filter(|(idx, _)| *idx != self.agent_idx);
-        others.filter_map(|(idx, track)| Some((idx, track, present(track)?))).all(|(idx, track, now)| {
-            let until_s = if idx == reacting_idx { reacts_s } else { f64::INFINITY };
-            futures.iter().enumerate().step_by(STRIDE).all(|(step, state)| {
+    /// Who takes part.
+    pub fn agents(&self) -> impl Iterator<Item = usize> {
+        self.motions.iter().map(|motion| motion.agent_idx)
+    }
+
+    /// Whether nobody is in the way of those who take part, if all the others go straight on at their speed.
+    pub(super) fn is_clear(&self, scene: &Scene) -> bool {
+        let others =
+            scene.tracks.iter().enumerate().filter(|(idx, _)| self.agents().all(|agent_idx| agent_idx != *idx));
+        let others: Vec<(&Track, State)> =
+            others.filter_map(|(_, track)| Some((track, *track.trajectory.get(scene.current_timestep())?))).collect();
+        self.motions.iter().enumerate().all(|(i, motion)| {
+            let own = &scene.tracks[motion.agent_idx];
+            (0..motion.states.len()).step_by(STRIDE).all(|step| {
                 let elapsed_s = (step + 1) as f64 * scene.dt_s;
-                let there = now.position + now.velocity * elapsed_s;
-                elapsed_s > until_s
-                    || !own.footprint(state).overlaps(&track.footprint(&State { position: there, ..now }))
+                let footprint = own.footprint(&motion.states[step]);
+                let meets = |track: &Track, state: &State| footprint.overlaps(&track.footprint(state));
+                let mut beside = self.motions[..i].iter();
+                beside.all(|other| !meets(&scene.tracks[other.agent_idx], &other.states[step]))
+                    && others.iter().all(|(track, now)| {
+                        !meets(track, &State { position: now.position + now.velocity * elapsed_s, ..*now })
+                    })
             })
         })
     }
 
     /// Puts it into a scene in the place of what was recorded.
-    pub fn apply(&self, scene: &mut Scene) {
-        let Some(states) = self.states(scene) else { return };
+    pub fn apply(self, scene: &mut Scene) {
         let n_kept = scene.current_timestep() + 1;
-        let trajectory = &mut scene.tracks[self.agent_idx].trajectory;
-        let kept = trajectory.entries()[..n_kept].iter().copied();
-        *trajectory = Trajectory::new(kept.chain(states.into_iter().map(Some)).collect());
+        for Motion { agent_idx, states } in self.motions {
+            let trajectory = &mut scene.tracks[agent_idx].trajectory;
+            let kept = trajectory.entries()[..n_kept].iter().copied();
+            *trajectory = Trajectory::new(kept.chain(states.into_iter().map(Some)).collect());
+        }
     }
+}
 
-    /// Its states. Velocities are those since the timestep before, headings turn with the motion; where the agent stands, they stay.
-    fn states(&self, scene: &Scene) -> Option<Vec<State>> {
-        let now = scene.state(self.agent_idx, scene.current_timestep())?;
-        // A vehicle may be recorded as turned against its motion.
-        let slip_rad = match now.speed_mps() * scene.dt_s < STANDING_STEP_M {
-            true => 0.0,
-            false => angle_difference(now.heading_rad, now.velocity.angle()),
+/// The states of an agent that is `now` somewhere and will be at `positions`. Velocities are those since the timestep before, headings turn
+/// with the motion; where the agent stands, they stay.
+fn states(now: &State, dt_s: f64, positions: &[Vec2]) -> Vec<State> {
+    // A vehicle may be recorded as turned against its motion.
+    let slip_rad = match now.speed_mps() * dt_s < STANDING_STEP_M {
+        true => 0.0,
+        false => angle_difference(now.heading_rad, now.velocity.angle()),
+    };
+    let mut before = *now;
+    let state = |(step, position): (usize, &Vec2)| {
+        let way = *position - before.position;
+        let slip_rad = slip_rad * (-((step + 1) as f64) * dt_s / FADE_S).exp();
+        let heading_rad = match way.norm() < STANDING_STEP_M {
+            true => before.heading_rad,
+            false => wrap_angle(way.angle() + slip_rad),
         };
-        let mut before = *now;
-        let state = |(step, position): (usize, &Vec2)| {
-            let way = *position - before.position;
-            let slip_rad = slip_rad * (-((step + 1) as f64) * scene.dt_s / FADE_S).exp();
-            let heading_rad = match way.norm() < STANDING_STEP_M {
-                true => before.heading_rad,
-                false => wrap_angle(way.angle() + slip_rad),
-            };
-            before = State { position: *position, heading_rad, velocity: way * (1.0 / scene.dt_s) };
-            before
-        };
-        Some(self.positions.iter().enumerate().map(state).collect())
-    }
+        before = State { position: *position, heading_rad, velocity: way * (1.0 / dt_s) };
+        before
+    };
+    positions.iter().enumerate().map(state).collect()
 }
 
 /// 0 at 0, 1 at 1, with no velocity and no acceleration at both ends: 10 u³ - 15 u⁴ + 6 u⁵.
@@ -156,8 +179,8 @@ mod tests {
         let now = *scene.state(0, scene.current_timestep()).unwrap();
         // Half a meter aside, and 1 m/s slower than it drives.
         let place = |t: f64| Some(now.position + Vec2::new(9.0 * t, 0.5));
-        let template = Template::new(&scene, 0, place).unwrap();
-        assert!(template.is_clear(&scene, (1, 0.0)), "the one ahead drives on");
+        let template = Template::empty().with(&scene, 0, place).unwrap();
+        assert!(template.is_clear(&scene), "the one ahead drives on");
         let before = scene.tracks[0].trajectory.clone();
         template.apply(&mut scene);
         let after = &scene.tracks[0].trajectory;
@@ -169,10 +192,18 @@ mod tests {
             let step = state(timestep).position - state(timestep - 1).position;
             assert!((step * (1.0 / scene.dt_s) - state(timestep).velocity).norm() < 1e-9);
         }
-        // Who comes over to where another drives is in its way, unless that one is to react.
+        // Who comes over to where another drives is in its way, unless that one takes part and makes room.
         let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 2.5, 0.0, 10.0)]);
         let over = |t: f64| Some(now.position + Vec2::new(10.0 * t, 2.5 * quintic(t / 0.6)));
-        let over = Template::new(&scene, 0, over).unwrap();
-        assert_eq!([(0, 0.0), (1, 0.0)].map(|reacting| over.is_clear(&scene, reacting)), [false, true]);
+        let over = Template::empty().with(&scene, 0, over).unwrap();
+        let theirs = *scene.state(1, scene.current_timestep()).unwrap();
+        let beside = |aside_m: f64| {
+            let place = move |t: f64| Some(theirs.position + Vec2::new(10.0 * t, aside_m * quintic(t / 0.6)));
+            over.clone().with(&scene, 1, place).unwrap()
+        };
+        assert_eq!(
+            [over.clone(), beside(0.0), beside(2.5)].map(|template| template.is_clear(&scene)),
+            [false, false, true]
+        );
     }
 }

@@ -4,6 +4,7 @@ use super::observe::{MaskRule, Subject, rule_mask, validate_rules};
 use super::{Cell, Error, Generator, ResolvedSweep};
 use crate::diffusion::{Edm, NoiseSource, SamplerConfig};
 use crate::geometry::Vec2;
+use crate::guidance::Target;
 use crate::scene::{AgentRef, ObservationMask, Scene, SceneEdit, State, Trajectory};
 use crate::seed::Seed;
 use crate::settings::{self, Issue};
@@ -178,7 +179,7 @@ impl Generator<'_> {
                 scene = scene_edit.apply(&scene, &resolve).map_err(refuse)?;
             }
         }
-        let performer = self.follow_template(sweep, (cell, sample_idx), recorded, &mut scene);
+        let performers = self.follow_template(sweep, (cell, sample_idx), recorded, &mut scene);
         let subject = Subject { scene: &scene, ego_idx: agents.0, roles: &cell.roles };
         let mask = sweep.observe.mask(&subject, self.mask_seed("observe", cell)).map_err(refuse)?;
         if sweep.needs_classifier() {
@@ -195,29 +196,31 @@ impl Generator<'_> {
             // A guide has to say something of every state that is generated.
             scene = scene.completed(|agent_idx, timestep| !mask.is_observed(agent_idx, timestep));
         }
-        let mask = match performer {
-            None => mask,
-            Some(performer) => ObservationMask::from_fn(mask.n_agents(), mask.n_timesteps(), |agent_idx, timestep| {
-                let is_of_template = agent_idx == performer && scene.state(agent_idx, timestep).is_some();
-                is_of_template || mask.is_observed(agent_idx, timestep)
-            }),
-        };
+        let mask = ObservationMask::from_fn(mask.n_agents(), mask.n_timesteps(), |agent_idx, timestep| {
+            let is_of_template = performers.contains(&agent_idx) && scene.state(agent_idx, timestep).is_some();
+            is_of_template || mask.is_observed(agent_idx, timestep)
+        });
         Ok(Conditioned { scene, mask, agents })
     }
 
-    /// Puts the template of a sample into `scene`, where there is one. Returns who follows it.
+    /// Puts the template of a sample into `scene`: one that comes to the sample's target, or else to anything. Returns who follows it; nobody
+    /// where there is none.
     fn follow_template(
         &self,
         sweep: &ResolvedSweep,
         (cell, sample_idx): (&Cell, usize),
         recorded: &Scene,
         scene: &mut Scene,
-    ) -> Option<usize> {
-        let behavior = self.behavior(sweep).filter(|_| sweep.uses_template())?;
+    ) -> Vec<usize> {
+        let Some(behavior) = self.behavior(sweep).filter(|_| sweep.uses_template()) else { return Vec::new() };
         let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
-        let template = behavior.template(recorded, &asked, &cell.target(sample_idx), sample_idx)?;
+        let solved = |target: &Target| behavior.template(recorded, &asked, target, sample_idx);
+        let Some(template) = solved(&cell.target(sample_idx)).or_else(|| solved(&Target::new())) else {
+            return Vec::new();
+        };
+        let performers = template.agents().collect();
         template.apply(scene);
-        Some(template.agent_idx)
+        performers
     }
 
     /// The wanted states of some samples of a cell, given which of its states `base` (row `row`) generates.

@@ -80,7 +80,7 @@ impl Behavior for Drift {
         let duration_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
         let drift_m = 3.0 + (least + most) / 4.0;
         let place = |t: f64| Some(now.position + now.velocity * t + Vec2::new(0.0, -drift_m * (t / duration_s)));
-        Template::new(scene, agents[1], place)
+        Template::empty().with(scene, agents[1], place)
     }
 }
 

@@ -30,8 +30,8 @@ pub(super) struct Pair {
     pub(super) their_offset_m: f64,
     /// The other's speed along the ego's lane, m/s.
     pub(super) their_mps: f64,
-    own_station_m: f64,
-    own_mps: f64,
+    pub(super) own_station_m: f64,
+    pub(super) own_mps: f64,
     /// Sizes of the ego and the other, meters.
     pub(super) widths_m: [f64; 2],
     pub(super) lengths_m: [f64; 2],
@@ -59,7 +59,7 @@ impl CutIn {
     /// 2 m/s² across and -4 to 2.5 m/s² along the way. Half a second before the scene ends the other's center must be in the lane, and the ego where
     /// the other came in. Nothing but what was observed and the map is looked at.
     ///
-    /// Empty where the ego is in no lane, and where the other is in the ego's lane already, does not head along it, or is too far to the side, ahead or behind.
+    /// Empty where the ego is in no lane, and where the other is in the ego's lane or path already, does not head along it, or is too far to the side, ahead or behind.
     pub(super) fn outcomes(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Vec<Outcome>> {
         let plans = self.plans(&self.pair(scene, ego_idx, other_idx)?)?;
         Some(plans.into_iter().map(|plan| plan.outcome).collect())
@@ -86,7 +86,10 @@ impl CutIn {
             // Whichever lane the ego turns out to keep.
             && !KeptLane::possible(scene, &lanes, ego_idx).iter().any(|lane| lane.holds(theirs.position));
         let (own_extent, their_extent) = (ego.extent_or_nominal(), other.extent_or_nominal());
-        is_possible.then(|| Pair {
+        // Who is partly in the ego's path already does not come into it.
+        let across_m = their_extent.length_m * turned_rad.sin() + their_extent.width_m * turned_rad.cos();
+        let is_aside = (place.offset_m - own_place.offset_m).abs() > (own_extent.width_m + across_m) / 2.0;
+        (is_possible && is_aside).then(|| Pair {
             own_offset_m: own_place.offset_m,
             their_station_m: their_place.station_m,
             their_offset_m: their_place.offset_m,
@@ -223,6 +226,7 @@ mod tests {
     fn who_is_in_the_way_behind_or_comes_toward_cannot() {
         for impossible in [
             drive(12.0, 0.5, 0.0, 10.0),
+            drive(12.0, 1.7, 0.0, 10.0),
             drive(-30.0, 3.5, 0.0, 10.0),
             drive(12.0, 3.5, std::f64::consts::PI, 10.0),
             drive(12.0, 40.0, 0.0, 10.0),

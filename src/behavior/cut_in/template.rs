@@ -1,4 +1,5 @@
-//! Cut-ins that are solved for a gap and a relative speed: the other follows its lane and comes over to the path of the ego.
+//! Cut-ins that are solved for a gap and a relative speed: the other follows its lane and comes over to the path of the ego, who keeps its
+//! lane, and its speed until it has to brake for the other.
 
 use super::CutIn;
 use super::feasible::{Pair, Plan};
@@ -23,6 +24,18 @@ const IN_LANE_S: f64 = 0.2;
 const MOST_OFFSET_M: f64 = 0.6;
 /// Below this nobody has to come over, meters.
 const NOTHING_M: f64 = 0.01;
+/// How the ego brakes if it can, and the most it does, m/s².
+const GENTLE_MPS2: f64 = 2.0;
+const HARDEST_MPS2: f64 = 5.0;
+/// What it leaves to the other of the gap, of the most seconds and meters.
+const LEFT_S: f64 = 0.5;
+const LEFT_M: f64 = 2.0;
+/// The box may be in the path by so much later than planned, seconds.
+const LATE_S: f64 = 0.1;
+/// The ego is so far beyond where the other came in, meters: both are places at timesteps.
+const IN_PLACE_M: f64 = 0.5;
+/// The largest slope of the smooth change of speed from 0 to 1.
+const CHANGE_PEAK: f64 = 1.5;
 
 impl CutIn {
     /// The `variant`-th easiest way, counted around, in which `other` cuts in before `ego` so that every parameter of the outcome that is `wanted` lies in its
@@ -45,8 +58,10 @@ impl CutIn {
         plans.sort_by(|a, b| a.outcome.effort().total_cmp(&b.outcome.effort()));
         let templates = plans.iter().filter_map(|plan| {
             let over = pair.coming_over(plan)?;
-            let template = Template::new(scene, other_idx, |elapsed_s| pair.place(plan, over, elapsed_s))?;
-            template.is_clear(scene, (ego_idx, plan.time_s)).then_some(template)
+            let braking = pair.braking(plan, self.config.max_delay_s)?;
+            let template = Template::empty().with(scene, other_idx, |elapsed_s| pair.place(plan, over, elapsed_s))?;
+            let template = template.with(scene, ego_idx, |elapsed_s| pair.own_place(plan, braking, elapsed_s))?;
+            template.is_clear(scene).then_some(template)
         });
         let clear: Vec<Template> = templates.collect();
         let n_clear = clear.len().max(1);
@@ -61,7 +76,41 @@ struct ComingOver {
     takes_s: f64,
 }
 
+/// How the ego comes to the speed of the other, from the intrusion on.
+#[derive(Clone, Copy)]
+struct Braking {
+    takes_s: f64,
+    less_mps: f64,
+}
+
 impl Pair {
+    /// How the ego brakes for the other: gently, or as hard as it must to keep away. `None` where it would have to brake too hard, or is not
+    /// where the other came in before the scene ends, or too late to be cut off.
+    fn braking(&self, plan: &Plan, max_delay_s: f64) -> Option<Braking> {
+        let less_mps = (self.own_mps - plan.then_mps).max(0.0);
+        let gap_m = plan.outcome.get("gap_m")?;
+        let least_m = LEFT_M.min(LEFT_S * plan.then_mps).min(gap_m / 2.0);
+        // While it brakes it comes nearer by half of what it is faster.
+        let most_s = if less_mps > 0.0 { 2.0 * (gap_m - least_m) / less_mps } else { f64::INFINITY };
+        let takes_s = most_s.min(CHANGE_PEAK * less_mps / GENTLE_MPS2);
+        let braking = Braking { takes_s, less_mps };
+        let reached_s = max_delay_s.min(self.horizon_s - IN_LANE_S - plan.time_s);
+        let driven_m = self.own_driven_m(plan, braking, plan.time_s + reached_s) - self.own_mps * plan.time_s;
+        let is_possible = CHANGE_PEAK * less_mps <= HARDEST_MPS2 * takes_s && driven_m > gap_m + IN_PLACE_M;
+        is_possible.then_some(braking)
+    }
+
+    /// How far the ego has come, meters.
+    fn own_driven_m(&self, plan: &Plan, Braking { takes_s, less_mps }: Braking, elapsed_s: f64) -> f64 {
+        let since_s = (elapsed_s - plan.time_s).max(0.0);
+        self.own_mps * elapsed_s - less_mps * (changed_s(since_s, takes_s) + (since_s - takes_s).max(0.0))
+    }
+
+    /// Where the ego is by the plan, `elapsed_s` after the present.
+    fn own_place(&self, plan: &Plan, braking: Braking, elapsed_s: f64) -> Option<Vec2> {
+        beside(&self.lane, self.own_station_m + self.own_driven_m(plan, braking, elapsed_s), self.own_offset_m)
+    }
+
     /// When the other comes over so that its box is in the ego's path at the time of the plan, and its center in the lane before the scene
     /// ends: comfortably, but for what it needs for that. `None` where that is too hard.
     fn coming_over(&self, plan: &Plan) -> Option<ComingOver> {
@@ -83,7 +132,8 @@ impl Pair {
                 over.begins_s = (over.begins_s + plan.time_s - self.intrusion_s(plan, over)?).max(0.0);
             }
             let end = self.place(plan, over, self.horizon_s - IN_LANE_S)?;
-            (self.lane.beyond_m(end, self.side)? < 0.0).then_some(over)
+            let is_in_time = self.intrusion_s(plan, over)? <= plan.time_s + LATE_S;
+            (is_in_time && self.lane.beyond_m(end, self.side)? < 0.0).then_some(over)
         })
     }
 
@@ -113,16 +163,24 @@ impl Pair {
     /// Where the other is by the plan, `elapsed_s` after the present.
     fn place(&self, plan: &Plan, over: ComingOver, elapsed_s: f64) -> Option<Vec2> {
         // Its speed changes smoothly, by as much and over as long a way as if it changed evenly.
-        let (until_s, changed_mps) = (elapsed_s.min(plan.time_s), plan.then_mps - self.their_mps);
-        let u = until_s / plan.time_s;
+        let until_s = elapsed_s.min(plan.time_s);
         let driven_m = self.their_mps * until_s
-            + changed_mps * plan.time_s * u * u * u * (1.0 - u / 2.0)
+            + (plan.then_mps - self.their_mps) * changed_s(until_s, plan.time_s)
             + plan.then_mps * (elapsed_s - until_s);
         let on_own = beside(&self.their_lane, self.their_station_m + driven_m, self.their_offset_m)?;
         let station_m = self.lane.project(on_own)?.station_m;
         let on_egos = beside(&self.lane, station_m, self.kept_offset_m())?;
         Some(on_own.lerp(on_egos, quintic((elapsed_s - over.begins_s) / over.takes_s)))
     }
+}
+
+/// The integral of a speed that changes smoothly from 0 to 1 within `takes_s`, by 3 u² - 2 u³, over the first `elapsed_s` of them, seconds.
+fn changed_s(elapsed_s: f64, takes_s: f64) -> f64 {
+    if takes_s <= 0.0 {
+        return 0.0;
+    }
+    let u = (elapsed_s / takes_s).min(1.0);
+    takes_s * u * u * u * (1.0 - u / 2.0)
 }
 
 /// The point so far along a lane and beside its center line.
@@ -136,7 +194,7 @@ fn beside(lane: &KeptLane, station_m: f64, offset_m: f64) -> Option<Vec2> {
 mod tests {
     use super::*;
     use crate::behavior::testing::lane_graph;
-    use crate::behavior::{Behavior, BehaviorEvent, CutInConfig, EventLabel, Outcome};
+    use crate::behavior::{Behavior, BehaviorEvent, CutInConfig, EventLabel};
     use crate::scene::Trajectory;
     use crate::scene::testing::{Drive, scene};
 
@@ -170,11 +228,8 @@ mod tests {
         let behavior = CutIn::new(CutInConfig::default());
         let scene = two_lanes(Drive::straight(16.0, 3.5, 0.0, 9.0));
         let outcomes = behavior.feasible(&scene, &[0, 1]);
-        let mut n_found = 0;
-        // An ego that does not react would drive into who comes in too slowly, too near.
-        let is_harmless =
-            |outcome: &&Outcome| outcome.effort() < 0.8 && outcome.get("ttc_s").is_none_or(|ttc_s| ttc_s > 1.5);
-        for outcome in outcomes.iter().filter(is_harmless) {
+        let (mut n_found, mut n_braked) = (0, 0);
+        for outcome in &outcomes {
             let around = |name: &str, half: f64| {
                 (name.to_owned(), [outcome.get(name).unwrap() - half, outcome.get(name).unwrap() + half])
             };
@@ -192,9 +247,15 @@ mod tests {
                 let found = event.parameters[name];
                 assert!((least - 0.6..=most + 0.6).contains(&found), "{name} is {found}, wanted {least} to {most}");
             }
+            assert!(event.parameters["min_distance_m"] > 0.0, "the ego drives into the other for {wanted:?}");
             n_found += 1;
+            n_braked += usize::from(changed.state(0, changed.n_timesteps - 1).unwrap().speed_mps() < 9.0);
         }
-        assert!(n_found >= 3, "{n_found} of {} outcomes have a template", outcomes.len());
+        assert!(
+            n_found >= 10 && n_braked >= 3,
+            "{n_found} of {} outcomes have a template, {n_braked} with an ego that brakes",
+            outcomes.len()
+        );
     }
 
     #[test]
