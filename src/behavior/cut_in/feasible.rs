@@ -55,14 +55,15 @@ pub(super) struct Plan {
 }
 
 impl CutIn {
-    /// What `other` could come to before `ego`, if the ego keeps its lane and its speed, and the other leaves the lane that it keeps with at most
-    /// 2 m/s² across and -4 to 2.5 m/s² along the way. Half a second before the scene ends the other's center must be in the lane, and the ego where
-    /// the other came in. Nothing but what was observed and the map is looked at.
+    /// What `other` could come to before `ego`: the outcomes for which a maneuver can be solved. The other leaves the lane that it keeps, with
+    /// at most 2 m/s² across in the mean and -4 to 2.5 m/s² along the way; the ego keeps its lane and brakes for it with at most 5 m/s²; nobody
+    /// is in the way, if all the others go straight on; and before the scene ends the other's center is in the lane, and the ego where the
+    /// other came in. Nothing but what was observed and the map is looked at.
     ///
     /// Empty where the ego is in no lane, and where the other is in the ego's lane or path already, does not head along it, or is too far to the side, ahead or behind.
     pub(super) fn outcomes(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Vec<Outcome>> {
-        let plans = self.plans(&self.pair(scene, ego_idx, other_idx)?)?;
-        Some(plans.into_iter().map(|plan| plan.outcome).collect())
+        let ways = self.ways(scene, [ego_idx, other_idx], |_| true)?;
+        Some(ways.into_iter().map(|(outcome, _)| outcome).collect())
     }
 
     /// The pair, where the other could cut in at all.

@@ -3,6 +3,7 @@
 
 use super::CutIn;
 use super::feasible::{Pair, Plan};
+use crate::behavior::Outcome;
 use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::template::{QUINTIC_PEAK, Template, quintic, quintic_inverse};
 use crate::geometry::{Vec2, angle_difference};
@@ -13,8 +14,10 @@ use std::collections::BTreeMap;
 const COMFORTABLE_MPS2: f64 = 1.5;
 /// None takes more, m/s².
 const MOST_MPS2: f64 = 3.0;
-/// Spacing of the times at which the box is looked for in the path, seconds, and how often its coming is corrected.
+/// Spacing of the times at which the box is looked for in the path, seconds, how many are passed over at first, and how often its coming is
+/// corrected.
 const STEP_S: f64 = 0.02;
+const N_FINE: usize = 5;
 const N_CORRECTIONS: usize = 2;
 /// How much of the comfortable time it may take who is in a hurry.
 const HURRIES: [f64; 3] = [1.0, 0.85, 0.7];
@@ -39,33 +42,43 @@ const CHANGE_PEAK: f64 = 1.5;
 
 impl CutIn {
     /// The `variant`-th easiest way, counted around, in which `other` cuts in before `ego` so that every parameter of the outcome that is `wanted` lies in its
-    /// range, nobody being in the way. `None` where there is none.
+    /// range. `None` where there is none.
     pub(super) fn solved(
         &self,
         scene: &Scene,
-        [ego_idx, other_idx]: [usize; 2],
+        pair: [usize; 2],
         wanted: &BTreeMap<String, [f64; 2]>,
         variant: usize,
     ) -> Option<Template> {
-        let pair = self.pair(scene, ego_idx, other_idx)?;
-        let mut plans = self.plans(&pair)?;
-        plans.retain(|plan| {
+        let is_wanted = |outcome: &Outcome| {
             let is_in = |(name, [least, most]): (&String, &[f64; 2])| {
-                plan.outcome.get(name).is_none_or(|value| (*least..=*most).contains(&value))
+                outcome.get(name).is_none_or(|value| (*least..=*most).contains(&value))
             };
             wanted.iter().all(is_in)
-        });
-        plans.sort_by(|a, b| a.outcome.effort().total_cmp(&b.outcome.effort()));
-        let templates = plans.iter().filter_map(|plan| {
-            let over = pair.coming_over(plan)?;
-            let braking = pair.braking(plan, self.config.max_delay_s)?;
-            let template = Template::empty().with(scene, other_idx, |elapsed_s| pair.place(plan, over, elapsed_s))?;
-            let template = template.with(scene, ego_idx, |elapsed_s| pair.own_place(plan, braking, elapsed_s))?;
-            template.is_clear(scene).then_some(template)
-        });
-        let clear: Vec<Template> = templates.collect();
-        let n_clear = clear.len().max(1);
-        clear.into_iter().nth(variant % n_clear)
+        };
+        let mut ways = self.ways(scene, pair, is_wanted)?;
+        ways.sort_by(|a, b| a.0.effort().total_cmp(&b.0.effort()));
+        let n_ways = ways.len().max(1);
+        ways.into_iter().nth(variant % n_ways).map(|(_, template)| template)
+    }
+
+    /// The ways in which `other` can cut in before `ego`, nobody being in the way, with what comes of each: those of the plans whose outcome
+    /// is wanted. `None` where the pair cannot show a cut-in at all.
+    pub(super) fn ways(
+        &self,
+        scene: &Scene,
+        [ego_idx, other_idx]: [usize; 2],
+        is_wanted: impl Fn(&Outcome) -> bool,
+    ) -> Option<Vec<(Outcome, Template)>> {
+        let pair = self.pair(scene, ego_idx, other_idx)?;
+        let way = |plan: Plan| {
+            let braking = pair.braking(&plan, self.config.max_delay_s)?;
+            let over = pair.coming_over(&plan)?;
+            let template = Template::empty().with(scene, other_idx, |elapsed_s| pair.place(&plan, over, elapsed_s))?;
+            let template = template.with(scene, ego_idx, |elapsed_s| pair.own_place(&plan, braking, elapsed_s))?;
+            template.is_clear(scene).then_some((plan.outcome, template))
+        };
+        Some(self.plans(&pair)?.into_iter().filter(|plan| is_wanted(&plan.outcome)).filter_map(way).collect())
     }
 }
 
@@ -157,7 +170,10 @@ impl Pair {
             Some((place.offset_m - self.own_offset_m).abs() <= self.widths_m[0] / 2.0 + half_across_m)
         };
         let n_steps = (2.0 * plan.time_s / STEP_S) as usize;
-        (0..n_steps).map(|step| step as f64 * STEP_S).find(|elapsed_s| is_in_path(*elapsed_s) == Some(true))
+        let at = |step: usize| step as f64 * STEP_S;
+        // Coarsely first.
+        let first = (0..n_steps).step_by(N_FINE).find(|step| is_in_path(at(*step)) == Some(true))?;
+        (first.saturating_sub(N_FINE)..=first).map(at).find(|elapsed_s| is_in_path(*elapsed_s) == Some(true))
     }
 
     /// Where the other is by the plan, `elapsed_s` after the present.

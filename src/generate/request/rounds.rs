@@ -137,17 +137,22 @@ impl ResolvedRequest {
             return self.even_shard(round, slot) % self.arms.len();
         }
         let seed = self.slot_seed(context, slot);
-        // The rate of hits in open buckets is that of all hits, times the share of them that is in open buckets: an arm that
-        // filled buckets is likelier to fill others, too.
+        // The rate of hits in open buckets is that of all hits, times the share of them that is in open buckets. Of an arm of which
+        // little is known the share is taken to be that of all arms: the fewer buckets are open, the less is left to hope for.
+        let arms = 0..self.arms.len();
+        let (n_hits, n_open) = (arms.clone())
+            .map(|arm| (ledger.hits_of_arm(arm) as f64, ledger.open_hits_of_arm(arm) as f64))
+            .fold((0.0, 0.0), |sums, arm| (sums.0 + arm.0, sums.1 + arm.1));
+        let usual_share = (0.5 + n_open) / (1.0 + n_hits);
         let draw = |arm: usize| {
             let (n, n_hits) = (ledger.arms[arm].n_samples as f64, ledger.hits_of_arm(arm) as f64);
             let n_open = ledger.open_hits_of_arm(arm) as f64;
             let mut rng = seed.derive("arm", &[arm as u64]).rng();
             let rate = beta(&mut rng, 1.0 + n_hits, 1.0 + (n - n_hits).max(0.0));
-            let share = beta(&mut rng, 0.5 + n_open, 0.5 + n_hits - n_open);
+            let share = beta(&mut rng, usual_share + n_open, 1.0 - usual_share + n_hits - n_open);
             rate * share / self.config.budget.cost(self.arms[arm].n_evaluations)
         };
-        let draws: Vec<f64> = (0..self.arms.len()).map(draw).collect();
+        let draws: Vec<f64> = arms.map(draw).collect();
         // The first of equal ones.
         (0..draws.len()).rev().max_by(|a, b| draws[*a].total_cmp(&draws[*b])).unwrap_or(0)
     }
