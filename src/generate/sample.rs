@@ -8,7 +8,7 @@ use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::nn::in_pool;
 use crate::progress::Progress;
-use crate::scene::{GuidanceLevel, Roles, Scene, SceneId};
+use crate::scene::{GuidanceLevel, Roles, Scene, SceneId, UnfitScene};
 use crate::seed::Seed;
 use crate::store::ScenarioRecord;
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
@@ -69,7 +69,7 @@ struct Draw {
 struct Sampled {
     level: GuidanceLevel,
     sample_idx: usize,
-    draw: Result<Draw, String>,
+    draw: Result<Draw, UnfitScene>,
 }
 
 /// Whether a batch is generated: of this level, these cells and samples.
@@ -136,7 +136,7 @@ impl Generator<'_> {
                         let sample = (level, sample_idx, draw.probability);
                         output.records.push(self.record(sweep, cell, scene, scenario, sample)?);
                     }
-                    Err(reason) => output.rejected.push(RejectedSample {
+                    Err(UnfitScene(reason)) => output.rejected.push(RejectedSample {
                         scene_id: cell.scene_id.clone(),
                         sweep: sweep.name.clone(),
                         level,
@@ -174,14 +174,18 @@ impl Generator<'_> {
     }
 
     /// The samples of a batch: all of its first cell, then all of the next.
-    fn sample(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Result<Draw, String>>, Error> {
+    fn sample(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
         match batch.sweep.diffusion() {
             Some(diffusion) => self.sample_denoiser(batch, diffusion, progress),
             None => self.sample_baseline(batch, progress),
         }
     }
 
-    fn sample_baseline(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Result<Draw, String>>, Error> {
+    fn sample_baseline(
+        &self,
+        batch: &Batch<'_>,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
         let given: Vec<&Conditioned> = batch.cells.iter().map(|(_, given)| *given).collect();
         let predicted = self.predict(batch.sweep, &given, batch.samples.clone())?;
         progress.advance(predicted.len() as u64);
@@ -196,7 +200,7 @@ impl Generator<'_> {
         batch: &Batch<'_>,
         diffusion: &Diffusion,
         progress: &dyn Progress,
-    ) -> Result<Vec<Result<Draw, String>>, Error> {
+    ) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
         let agents: Vec<(usize, usize)> = batch.cells.iter().map(|(_, given)| given.agents).collect();
         let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
         let tensors = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
@@ -349,10 +353,10 @@ fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
 }
 
 /// A scene whose every state is a number.
-fn checked(scene: Scene) -> Result<Scene, String> {
+fn checked(scene: Scene) -> Result<Scene, UnfitScene> {
     for track in &scene.tracks {
         if let Some((timestep, _)) = track.trajectory.valid().find(|(_, state)| !state.is_finite()) {
-            return Err(format!("track {} is not finite at timestep {timestep}", track.id));
+            return Err(UnfitScene(format!("track {} is not finite at timestep {timestep}", track.id)));
         }
     }
     Ok(scene)

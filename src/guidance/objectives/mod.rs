@@ -135,6 +135,22 @@ pub enum ObjectiveConfig {
     PedestrianStepsOut(PedestrianStepsOut),
 }
 
+/// Why an objective cannot work.
+#[derive(Debug, thiserror::Error)]
+pub enum InvalidObjective {
+    /// One of its settings.
+    #[error(transparent)]
+    Setting(#[from] Issue),
+    /// It names agents that nobody is.
+    #[error("no agent has the role `{role}`, expected one of {known}")]
+    Role {
+        /// As written.
+        role: String,
+        /// What can be written.
+        known: String,
+    },
+}
+
 impl ObjectiveConfig {
     /// The objective.
     pub fn objective(&self) -> &dyn SceneObjective {
@@ -164,14 +180,14 @@ impl ObjectiveConfig {
     ///
     /// # Errors
     /// When something does.
-    pub fn validate(&self, roles: &[&str]) -> std::result::Result<(), String> {
+    pub fn validate(&self, roles: &[&str]) -> settings::Result<(), InvalidObjective> {
         let objective = self.objective();
-        settings::check_ranges(self).and_then(|()| objective.validate()).map_err(|issue| issue.to_string())?;
+        settings::check_ranges(self).and_then(|()| objective.validate())?;
         match objective.agents().into_iter().find(|agents| !agents.is_known(roles)) {
             Some(agents) => {
                 let others = roles.iter().copied().filter(|role| *role != AgentSelector::EGO);
                 let known: Vec<&str> = [AgentSelector::ALL, AgentSelector::EGO].into_iter().chain(others).collect();
-                Err(format!("no agent has the role `{}`, expected one of {}", agents.name(), known.join(", ")))
+                Err(InvalidObjective::Role { role: agents.name().to_owned(), known: known.join(", ") })
             }
             None => Ok(()),
         }

@@ -208,7 +208,7 @@ fn the_front_stops_at_the_line() {
 #[test]
 fn options_that_make_no_sense_are_refused() {
     let refusal = |text: &str| match toml::from_str::<ObjectiveConfig>(text) {
-        Ok(config) => config.validate(&["ego", "other"]).unwrap_err(),
+        Ok(config) => config.validate(&["ego", "other"]).unwrap_err().to_string(),
         Err(error) => error.to_string(),
     };
     for (text, part) in [
