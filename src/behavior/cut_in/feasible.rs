@@ -83,8 +83,7 @@ impl CutIn {
             && admits(other)
             && turned_rad < self.config.max_heading_difference_rad
             && own_mps.min(their_mps) >= STANDING_MPS
-            // Whichever lane the ego turns out to keep.
-            && !KeptLane::possible(scene, &lanes, ego_idx).iter().any(|lane| lane.holds(theirs.position));
+            && !lane.holds(theirs.position);
         let (own_extent, their_extent) = (ego.extent_or_nominal(), other.extent_or_nominal());
         is_possible.then(|| Pair {
             own_offset_m: own_place.offset_m,

@@ -1,7 +1,7 @@
 //! Drive into each other.
 
 use super::approach::Approach;
-use super::motion::{best_moment, nothing, penalty};
+use super::motion::{best_potential, nothing, penalty};
 use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, first, interval, one_agent, second};
 use crate::settings;
 use candle_core::{Result, Tensor};
@@ -86,8 +86,8 @@ impl SceneObjective for Collision {
         let wanted = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
         let wrong_mps = beyond(&approach.relative_mps, &pairs.of_rows(&wanted)?)?;
         let apart_m = (separation_m.narrow(1, 1, separation_m.dim(1)? - 1)? + OVERLAP_M)?.relu()?;
-        let cost = (penalty(&apart_m, self.tolerance_m)? + penalty(&wrong_mps, self.tolerance_mps)?)?.neg()?;
-        pairs.sum_over_rows(&best_moment(&cost, &approach.counts)?.neg()?)
+        let parts = [penalty(&apart_m, self.tolerance_m)?, penalty(&wrong_mps, self.tolerance_mps)?];
+        pairs.sum_over_rows(&best_potential(&parts, &approach.counts)?)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::motion::{nothing, penalty};
 use super::one_agent::{OneAgent, SIDE};
-use super::{AgentSelector, SceneContext, SceneObjective, Side, default_weight, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, default_weight, one_agent};
 use crate::geometry::Polyline;
 use crate::settings;
 use candle_core::{Result, Tensor};
@@ -39,10 +39,6 @@ pub struct LaneChange {
     #[serde(default = "default_tolerance_m")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
-}
-
-fn agent() -> AgentSelector {
-    AgentSelector::new("agent")
 }
 
 const fn default_settled_s() -> f64 {

@@ -194,6 +194,21 @@ impl ObjectiveConfig {
     }
 }
 
+/// The agent around which a scene is cut out, or in that role.
+fn ego() -> AgentSelector {
+    AgentSelector::new(AgentSelector::EGO)
+}
+
+/// The one agent of a behavior without others.
+fn agent() -> AgentSelector {
+    AgentSelector::new("agent")
+}
+
+/// The one whom another follows.
+fn leader() -> AgentSelector {
+    AgentSelector::new("leader")
+}
+
 /// The first of two of whom neither is the ego.
 fn first() -> AgentSelector {
     AgentSelector::new("first")
