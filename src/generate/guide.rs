@@ -98,7 +98,7 @@ impl Guided<'_> {
             ObjectiveSum { objectives: &self.diffusion.guidance.objectives, batch: self.repeated, context: &context };
         let terms: Vec<Vec<f64>> =
             (sum.terms(x)?.iter()).map(|term| term.to_dtype(DType::F64)?.to_vec1::<f64>()).collect::<Result<_, _>>()?;
-        let kinds = self.diffusion.guidance.objectives.iter().map(|objective| objective.objective().kind());
+        let kinds = self.diffusion.guidance.objectives.iter().map(|objective| objective.kind());
         let of_row = |row: usize| kinds.clone().zip(&terms).map(|(kind, values)| (kind, values[row])).collect();
         Ok((0..n_rows).map(of_row).collect())
     }
@@ -120,7 +120,7 @@ impl<'g> Generator<'g> {
         let mut parts: Vec<String> = classifier.map(|c| format!("{scope}:{}", c.spec.behavior)).into_iter().collect();
         if level.strength != 0.0 {
             let objectives = &diffusion.guidance.objectives;
-            parts.extend(objectives.iter().map(|objective| objective.objective().kind().to_owned()));
+            parts.extend(objectives.iter().map(|objective| objective.kind().to_owned()));
         }
         if level.weight != 0.0 {
             parts.push("classifier_free".to_owned());

@@ -2,7 +2,7 @@
 
 use super::driven_paths::PathFrame;
 use super::motion::{best_potential, nothing, penalty};
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, ego, interval, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, ego, interval, one, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -52,11 +52,11 @@ pub struct CutIn {
     #[schemars(range(min = 0.0, max = 2.0))]
     pub overlap_m: f64,
     /// The error τ of the gap that costs ½, meters.
-    #[serde(default = "default_weight")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
     /// The error τ_u of the relative speed that costs ½, m/s.
-    #[serde(default = "default_weight")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
 }
@@ -90,14 +90,6 @@ const LEAST_GAP_M: f64 = 1.0;
 const DELAY_SHARE: f64 = 0.9;
 
 impl SceneObjective for CutIn {
-    fn kind(&self) -> &'static str {
-        "cut_in"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.before]
     }

@@ -85,14 +85,6 @@ const SETTLED_S: f64 = 0.5;
 const SETTLED_M: f64 = 1.2;
 
 impl SceneObjective for CutOut {
-    fn kind(&self) -> &'static str {
-        "cut_out"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.before, &self.to]
     }

@@ -1,7 +1,7 @@
 //! Brake hard.
 
 use super::motion::{best_potential, norm, nothing, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, agent, beyond, default_weight, interval};
+use super::{AgentSelector, SceneContext, SceneObjective, agent, beyond, default_weight, interval, one};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -31,7 +31,7 @@ pub struct HardBrake {
     #[schemars(range(min = 0.0, max = 100.0))]
     pub least_speed_mps: f64,
     /// The error τ of the deceleration that costs ½, m/s².
-    #[serde(default = "default_weight")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps2: f64,
 }
@@ -48,14 +48,6 @@ const ANY_MPS2: [f64; 2] = [5.0, 8.0];
 const WINDOW_S: f64 = 0.6;
 
 impl SceneObjective for HardBrake {
-    fn kind(&self) -> &'static str {
-        "hard_brake"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
     }

@@ -65,14 +65,6 @@ const BESIDE_TOLERANCE_M: f64 = 0.3;
 const INSIDE_M: f64 = 0.5;
 
 impl SceneObjective for PedestrianStepsOut {
-    fn kind(&self) -> &'static str {
-        "pedestrian_steps_out"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.before]
     }

@@ -3,7 +3,7 @@
 use super::chase::{Chase, beyond_times};
 use super::motion::{best_potential, nothing, penalty};
 use super::pairs::Agents;
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval, leader, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval, leader, one, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -41,7 +41,7 @@ pub struct Tailgating {
     #[schemars(range(min = 0.0, max = 100.0))]
     pub duration_s: f64,
     /// The error τ of the gap that costs ½, meters.
-    #[serde(default = "default_weight")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
@@ -64,14 +64,6 @@ const ANY_SPEED_MPS: [f64; 2] = [8.5, 1e3];
 const SPEED_TOLERANCE_MPS: f64 = 1.0;
 
 impl SceneObjective for Tailgating {
-    fn kind(&self) -> &'static str {
-        "tailgating"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.to]
     }
