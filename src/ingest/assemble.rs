@@ -7,6 +7,7 @@ use super::report::IngestReport;
 use crate::geometry::{Transform2, Vec2};
 use crate::scene::{AgentClass, LaneGraph, Scene, State, Track, TrackRole, Trajectory};
 use crate::seed::Seed;
+use std::fmt::Display;
 use std::sync::Arc;
 
 /// A standing vehicle takes the direction of a lane no farther than this from its center, meters.
@@ -81,7 +82,7 @@ pub(super) fn assemble(
     Ok((scene, counts))
 }
 
-fn reject(raw: &RawScene, reason: &'static str, detail: String) -> Reject {
+fn reject(raw: &RawScene, reason: &'static str, detail: impl Display) -> Reject {
     Reject { reason, detail: format!("{}: scene {}: {detail}", raw.source.file, raw.id) }
 }
 

@@ -65,7 +65,8 @@ pub fn ingest(
         let reader = scope.spawn(move || read_batches(config, source, unit_sender));
         let (scene_sender, batches) = mpsc::sync_channel(1);
         let storer = scope.spawn(move || batches.into_iter().try_for_each(sink));
-        let parsed = parser.parse_all(units, &mut total, progress, scene_sender);
+        let parsed = parser.parse_all(units, &mut total, progress, &scene_sender);
+        drop(scene_sender);
         // What could not be stored came first.
         storer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)).map_err(Error::Sink)?;
         parsed?;
@@ -182,7 +183,7 @@ impl UnitParser<'_> {
         units: mpsc::Receiver<Result<Batch, Error>>,
         total: &mut IngestReport,
         progress: &dyn Progress,
-        sender: mpsc::SyncSender<IngestBatch>,
+        sender: &mpsc::SyncSender<IngestBatch>,
     ) -> Result<(), Error> {
         let limit = self.config.limit;
         let mut handed_out = BTreeSet::new();

@@ -170,7 +170,7 @@ impl Source<'_> {
     }
 
     fn override_error(&self, written: &str, why: Unreadable) -> ConfigError {
-        ConfigError { place: ConfigPlace::Override(written.to_owned()), message: why.to_string(), suggestion: None }
+        ConfigError { place: ConfigPlace::Override(written.to_owned()), message: why.0, suggestion: None }
     }
 }
 
