@@ -19,6 +19,7 @@ import subprocess
 
 import numpy as np
 import polars as pl
+from compare_sweeps import N_DRAWS, by_scene
 
 METRICS = {
     "collision_rate": ("samples with a collision", 100, "%"),
@@ -29,7 +30,6 @@ METRICS = {
 }
 LOSS, TURNED = "held_out_loss_at_sigma_0.8", "held_out_loss_at_sigma_0.8_map_turned"
 CALIBRATION_STEPS = (10, 50)
-N_DRAWS = 10_000
 
 PAPER = ["train.denoiser.preset='paper_small'"]
 THREE_PLACES = ["train.denoiser.data=[]", "train.denoiser.own_weight=1"]
@@ -102,19 +102,11 @@ def measure(arguments, row, settings, seed):
     return folder, steps
 
 
-def by_scene(folder, metric, series="unguided"):
-    """The metric of each held-out scene."""
-    rows = pl.read_parquet(folder / "metrics.parquet").filter(
-        pl.col("series") == series, pl.col("metric") == metric, pl.col("scene_id").is_not_null()
-    )
-    together = rows.filter(pl.col("scenario_id").is_null())
-    return (together if together.height else rows).group_by("scene_id").agg(pl.col("value").mean())
-
-
 def cell(folders, metric):
     """Mean over scenes and seeds with its interval; the seeds' own means in brackets."""
     _, scale, unit = METRICS[metric]
-    seeds = [by_scene(folder, metric).drop_nans().sort("scene_id") for folder in folders]
+    rows = [pl.read_parquet(folder / "metrics.parquet").filter(pl.col("series") == "unguided") for folder in folders]
+    seeds = [by_scene(of_seed, metric).drop_nans().sort("scene_id") for of_seed in rows]
     means = pl.concat(seeds).group_by("scene_id").agg(pl.col("value").mean()).sort("scene_id")["value"].to_numpy() * scale
     drawn = np.random.default_rng(0).integers(0, len(means), (N_DRAWS, len(means)))
     low, high = np.quantile(means[drawn].mean(1), (0.025, 0.975))

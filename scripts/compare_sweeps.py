@@ -19,15 +19,15 @@ RATES = ("collision_rate", "offroad_rate", "jerk_violation_rate", "validity_rate
 N_DRAWS = 10_000
 
 
-def by_scene(metrics, sweep, metric):
+def by_scene(rows, metric):
     """A metric of each scene: of all its samples together where it is one of theirs, else the mean of what each sample has."""
-    rows = metrics.filter(pl.col("sweep") == sweep, pl.col("metric") == metric, pl.col("scene_id").is_not_null())
+    rows = rows.filter(pl.col("metric") == metric, pl.col("scene_id").is_not_null())
     together = rows.filter(pl.col("scenario_id").is_null())
     return (together if together.height else rows).group_by("scene_id").agg(pl.col("value").mean())
 
 
-def difference(metrics, sweep, reference, metric):
-    ours, theirs = (by_scene(metrics, name, metric) for name in (sweep, reference))
+def difference(ours, theirs, metric):
+    ours, theirs = by_scene(ours, metric), by_scene(theirs, metric)
     both = ours.join(theirs, on="scene_id", suffix="_reference").drop_nans().sort("scene_id")
     a, b = both["value"].to_numpy(), both["value_reference"].to_numpy()
     drawn = np.random.default_rng(0).integers(0, len(a), (N_DRAWS, len(a)))
@@ -59,18 +59,18 @@ def main():
     parser.add_argument("--with", dest="reference", required=True, metavar="SWEEP")
     arguments = parser.parse_args()
     metrics = pl.read_parquet(arguments.run / "metrics.parquet").filter(pl.col("series") == "unguided")
-    sweeps = metrics["sweep"].unique(maintain_order=True).to_list()
+    sweeps = {sweep: rows for (sweep,), rows in metrics.group_by("sweep", maintain_order=True)}
     if arguments.reference not in sweeps:
         parser.error(f"no sweep {arguments.reference!r} without guidance in {arguments.run}; there are {', '.join(sweeps)}")
-    scenes = {sweep: set(by_scene(metrics, sweep, DIFFERENCES[0])["scene_id"]) for sweep in sweeps}
+    scenes = {sweep: set(by_scene(rows, DIFFERENCES[0])["scene_id"]) for sweep, rows in sweeps.items()}
     # Sweeps that ask for a behavior choose scenes of their own.
-    sweeps = [sweep for sweep in sweeps if scenes[sweep] == scenes[arguments.reference]]
-    last = endings(arguments.run, sweeps)
+    sweeps = {sweep: rows for sweep, rows in sweeps.items() if scenes[sweep] == scenes[arguments.reference]}
+    last = endings(arguments.run, list(sweeps))
     header = ["sweep", *DIFFERENCES, *RATES, "from the reference (m)"]
     print("| " + " | ".join(header) + " |\n" + "|---" * len(header) + "|")
-    for sweep in sweeps:
-        cells = [difference(metrics, sweep, arguments.reference, metric) for metric in DIFFERENCES]
-        cells += [f"{by_scene(metrics, sweep, metric)['value'].mean():.1%}" for metric in RATES]
+    for sweep, rows in sweeps.items():
+        cells = [difference(rows, sweeps[arguments.reference], metric) for metric in DIFFERENCES]
+        cells += [f"{by_scene(rows, metric)['value'].mean():.1%}" for metric in RATES]
         cells.append(f"{distance_m(last, sweep, arguments.reference):.2f}")
         print("| " + " | ".join([sweep, *cells]) + " |")
 

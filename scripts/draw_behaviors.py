@@ -69,15 +69,20 @@ def recorded(run, behavior, wanted):
                 agents.append(agent(track["track_id"], track["class"], (track["length_m"], track["width_m"]), states))
             own = [lanes[row["map_id"], lane] for lane in row["lane_ids"]] if row["map_id"] else []
             for event in by_scene[row["scene_id"]]:
-                yield {
-                    "name": row["scene_id"],
-                    "roles": [role["track_id"] for role in event["roles"]],
-                    "span": (event["start_timestep"], event["end_timestep"]),
-                    "agents": agents,
-                    "lanes": lanes_in_scene(own, row["world_from_scene"]),
-                    "n_history": row["n_history"],
-                    "dt_s": row["dt_s"],
-                }
+                yield panel(row["scene_id"], row, event, agents, own)
+
+
+def panel(name, row, event, agents, lanes):
+    """What is drawn of an event."""
+    return {
+        "name": name,
+        "roles": [role["track_id"] for role in event["roles"]],
+        "span": (event["start_timestep"], event["end_timestep"]),
+        "agents": agents,
+        "lanes": lanes_in_scene(lanes, row["world_from_scene"]),
+        "n_history": row["n_history"],
+        "dt_s": row["dt_s"],
+    }
 
 
 def generated(corpus, wanted):
@@ -97,15 +102,7 @@ def generated(corpus, wanted):
             agents.append(agent(track_id, states[0]["class"], (states[0]["length_m"], states[0]["width_m"]), values))
         event = row["events"][0]
         own = [lanes[row["map_id"], lane] for lane in row["lane_ids"] or []] if row["map_id"] else []
-        yield {
-            "name": f"{row['scenario_id']} {row['scene_id']}",
-            "roles": [role["track_id"] for role in event["roles"]],
-            "span": (event["start_timestep"], event["end_timestep"]),
-            "agents": agents,
-            "lanes": lanes_in_scene(own, row["world_from_scene"]),
-            "n_history": row["n_history"],
-            "dt_s": row["dt_s"],
-        }
+        yield panel(f"{row['scenario_id']} {row['scene_id']}", row, event, agents, own)
 
 
 def outline(state, size):

@@ -45,40 +45,23 @@ impl KeptLane {
         Self { center, sides: None, lanes: Vec::new() }
     }
 
-    /// Each lane that the agent could turn out to keep: where lanes run into each other, it is in several of them at present.
-    pub(super) fn possible(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Vec<Self> {
-        Self::ranked(scene, lanes, agent_idx, scene.n_history).map(|(_, _, kept)| kept).collect()
-    }
-
-    /// The lane in which the agent is at present, told from its way up to `end`.
+    /// Of the lanes in which the agent is at present, the one that holds most of its places up to `end`; of equal ones that whose center line is nearest
+    /// to them.
     fn among(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, end: usize) -> Option<Self> {
-        let best = Self::ranked(scene, lanes, agent_idx, end).min_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        best.map(|(_, _, kept)| kept)
-    }
-
-    /// The lanes in which the agent is at present, each with how many of its places up to `end` are outside and how far all of them are from the
-    /// center line, meters.
-    fn ranked(
-        scene: &Scene,
-        lanes: &SceneLanes<'_>,
-        agent_idx: usize,
-        end: usize,
-    ) -> impl Iterator<Item = (usize, f64, Self)> {
         let trajectory = &scene.tracks[agent_idx].trajectory;
-        let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite());
+        let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let future: Vec<Vec2> = positions(trajectory, scene.current_timestep()..end);
         let history: Vec<Vec2> = positions(trajectory, 0..scene.n_history);
-        let own = state.into_iter().flat_map(|state| {
-            let is_along =
-                |heading_rad: f64| angle_difference(heading_rad, state.heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD;
-            lanes.lanes_at(state.position).filter(move |(_, place)| is_along(place.heading_rad))
-        });
-        own.map(move |(lane, _)| {
+        let is_along =
+            |heading_rad: f64| angle_difference(heading_rad, state.heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD;
+        let own = lanes.lanes_at(state.position).filter(|(_, place)| is_along(place.heading_rad));
+        let ranked = own.map(|(lane, _)| {
             let kept = Self::along(&route(lanes, lane, &future, &history));
             let n_outside = future.iter().filter(|point| !kept.holds(**point)).count();
             let offsets_m = future.iter().filter_map(|point| Some(kept.project(*point)?.offset_m.abs()));
             (n_outside, offsets_m.sum::<f64>(), kept)
-        })
+        });
+        ranked.min_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))).map(|(_, _, kept)| kept)
     }
 
     fn along(lanes: &[&Lane]) -> Self {

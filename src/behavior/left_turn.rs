@@ -1,5 +1,7 @@
 //! Left turn: does an agent turn left by a large angle in little room?
 
+pub(super) use super::turn::{PARAMETERS, ROLES};
+
 use super::feasible::turn_outcomes as outcomes;
 use super::turn::{TurnConfig, TurnSide, turns};
 use super::{Behavior, BehaviorEvent, Outcome};

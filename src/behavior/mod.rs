@@ -1,6 +1,6 @@
 //! Behaviors worth finding in traffic: does this scene hold a cut-in, and who took part?
 //!
-//! One behavior a file. A new one needs its file, a variant of [`BehaviorConfig`], an entry in [`ALL`], and example
+//! One behavior a file. A new one needs its file, an entry in the list `behaviors!`, and example
 //! scenes in `tests/fixtures/behavior/<id>/`, at least one with a positive and one with a negative event.
 
 mod agent_filter;
@@ -102,52 +102,80 @@ pub trait Behavior: Send + Sync {
     }
 }
 
-/// A behavior to mine, with its options: `{ kind = "cut_in", max_delay_s = 2.0 }`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
-pub enum BehaviorConfig {
+/// Lists the behaviors: each has a module with its `ID`, `ROLES` and `PARAMETERS`, a type of its name, and options.
+macro_rules! behaviors {
+    ($($(#[$doc:meta])* $Behavior:ident($Config:ident) in $module:ident {
+        is_collision: $is_collision:literal, needs_lanes: $needs_lanes:literal
+    }: $description:literal,)*) => {
+        /// A behavior to mine, with its options: `{ kind = "cut_in", max_delay_s = 2.0 }`.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+        pub enum BehaviorConfig {
+            $($(#[$doc])* $Behavior($Config),)*
+        }
+
+        impl BehaviorConfig {
+            /// The behavior with these options.
+            pub fn build(&self) -> Box<dyn Behavior> {
+                match self.clone() { $(Self::$Behavior(config) => Box::new($Behavior::new(config)),)* }
+            }
+
+            /// The name of the behavior.
+            pub const fn id(&self) -> &'static str {
+                match self { $(Self::$Behavior(_) => $module::ID,)* }
+            }
+        }
+
+        /// Every behavior.
+        pub static ALL: &[BehaviorEntry] = &[$(BehaviorEntry {
+            id: $module::ID,
+            roles: $module::ROLES,
+            parameters: $module::PARAMETERS,
+            description: $description,
+            is_collision: $is_collision,
+            needs_lanes: $needs_lanes,
+            default_config: || BehaviorConfig::$Behavior($Config::default()),
+        }),*];
+    };
+}
+
+behaviors! {
     /// One vehicle crosses into the lane of another, shortly ahead of it.
-    CutIn(CutInConfig),
+    CutIn(CutInConfig) in cut_in { is_collision: false, needs_lanes: true }:
+        "one vehicle (other) crosses into the lane that another (ego) keeps, less than 3 s ahead of it",
     /// One vehicle gets into the path of another, whichever of the two changes course: the paper's cut-in.
-    CutInPaper(CutInPaperConfig),
+    CutInPaper(CutInPaperConfig) in cut_in_paper { is_collision: false, needs_lanes: false }:
+        "one vehicle (other) gets into the path of another (ego) less than 3 s before that one gets there",
     /// An agent turns left.
-    LeftTurn(TurnConfig),
+    LeftTurn(TurnConfig) in left_turn { is_collision: false, needs_lanes: false }:
+        "an agent turns left by at least 60 degrees, as at an intersection",
     /// An agent turns right.
-    RightTurn(TurnConfig),
+    RightTurn(TurnConfig) in right_turn { is_collision: false, needs_lanes: false }:
+        "an agent turns right by at least 60 degrees, as at an intersection",
     /// An agent changes lanes.
-    LaneChange(LaneChangeConfig),
+    LaneChange(LaneChangeConfig) in lane_change { is_collision: false, needs_lanes: true }:
+        "an agent moves over to the lane beside its own and stays there for at least 1 s",
     /// An agent brakes hard.
-    HardBrake(HardBrakeConfig),
+    HardBrake(HardBrakeConfig) in hard_brake { is_collision: false, needs_lanes: false }:
+        "an agent brakes with at least 4 m/s² over at least 0.3 s",
     /// Two road users barely avoid each other.
-    NearMiss(NearMissConfig),
+    NearMiss(NearMissConfig) in near_miss { is_collision: false, needs_lanes: false }:
+        "two road users avoid each other by braking hard within 1.5 s, by 0.5 s where they cross or by 0.2 m, without touching",
     /// Two road users drive into each other.
-    Collision(CollisionConfig),
+    Collision(CollisionConfig) in collision { is_collision: true, needs_lanes: false }:
+        "two road users drive into each other",
     /// One vehicle drives too close behind another.
-    Tailgating(TailgatingConfig),
+    Tailgating(TailgatingConfig) in tailgating { is_collision: false, needs_lanes: true }:
+        "one vehicle (follower) drives less than 0.9 s behind another (leader) for at least 2 s, both at 8 m/s or more",
     /// The vehicle ahead leaves the lane and reveals a slow one.
-    CutOut(CutOutConfig),
+    CutOut(CutOutConfig) in cut_out { is_collision: false, needs_lanes: true }:
+        "the vehicle ahead (leader) leaves the lane and reveals a slow one that the ego reaches in less than 4 s",
     /// Somebody on foot steps into the lane of a vehicle.
-    PedestrianStepsOut(PedestrianStepsOutConfig),
+    PedestrianStepsOut(PedestrianStepsOutConfig) in pedestrian_steps_out { is_collision: false, needs_lanes: true }:
+        "somebody on foot steps from beside the road into the lane of a vehicle (ego) that is less than 3 s away",
 }
 
 impl BehaviorConfig {
-    /// The behavior with these options.
-    pub fn build(&self) -> Box<dyn Behavior> {
-        match self.clone() {
-            Self::CutIn(config) => Box::new(CutIn::new(config)),
-            Self::CutInPaper(config) => Box::new(CutInPaper::new(config)),
-            Self::LeftTurn(config) => Box::new(LeftTurn::new(config)),
-            Self::RightTurn(config) => Box::new(RightTurn::new(config)),
-            Self::LaneChange(config) => Box::new(LaneChange::new(config)),
-            Self::HardBrake(config) => Box::new(HardBrake::new(config)),
-            Self::NearMiss(config) => Box::new(NearMiss::new(config)),
-            Self::Collision(config) => Box::new(Collision::new(config)),
-            Self::Tailgating(config) => Box::new(Tailgating::new(config)),
-            Self::CutOut(config) => Box::new(CutOut::new(config)),
-            Self::PedestrianStepsOut(config) => Box::new(PedestrianStepsOut::new(config)),
-        }
-    }
-
     /// Refuses options by which nothing could be found, or what is found would not be what the behavior says.
     ///
     /// # Errors
@@ -179,23 +207,6 @@ impl BehaviorConfig {
             | Self::NearMiss(_)
             | Self::Collision(_)
             | Self::CutOut(_) => Ok(()),
-        }
-    }
-
-    /// The name of the behavior.
-    pub const fn id(&self) -> &'static str {
-        match self {
-            Self::CutIn(_) => cut_in::ID,
-            Self::CutInPaper(_) => cut_in_paper::ID,
-            Self::LeftTurn(_) => left_turn::ID,
-            Self::RightTurn(_) => right_turn::ID,
-            Self::LaneChange(_) => lane_change::ID,
-            Self::HardBrake(_) => hard_brake::ID,
-            Self::NearMiss(_) => near_miss::ID,
-            Self::Collision(_) => collision::ID,
-            Self::Tailgating(_) => tailgating::ID,
-            Self::CutOut(_) => cut_out::ID,
-            Self::PedestrianStepsOut(_) => pedestrian_steps_out::ID,
         }
     }
 
@@ -235,106 +246,3 @@ impl BehaviorEntry {
         id.and_then(Self::of).is_some_and(|entry| entry.is_collision)
     }
 }
-
-/// Every behavior.
-pub static ALL: &[BehaviorEntry] = &[
-    BehaviorEntry {
-        id: cut_in::ID,
-        roles: cut_in::ROLES,
-        parameters: cut_in::PARAMETERS,
-        description: "one vehicle (other) crosses into the lane that another (ego) keeps, less than 3 s ahead of it",
-        is_collision: false,
-        needs_lanes: true,
-        default_config: || BehaviorConfig::CutIn(CutInConfig::default()),
-    },
-    BehaviorEntry {
-        id: cut_in_paper::ID,
-        roles: cut_in_paper::ROLES,
-        parameters: cut_in_paper::PARAMETERS,
-        description: "one vehicle (other) gets into the path of another (ego) less than 3 s before that one gets there",
-        is_collision: false,
-        needs_lanes: false,
-        default_config: || BehaviorConfig::CutInPaper(CutInPaperConfig::default()),
-    },
-    BehaviorEntry {
-        id: left_turn::ID,
-        roles: turn::ROLES,
-        parameters: turn::PARAMETERS,
-        description: "an agent turns left by at least 60 degrees, as at an intersection",
-        is_collision: false,
-        needs_lanes: false,
-        default_config: || BehaviorConfig::LeftTurn(TurnConfig::default()),
-    },
-    BehaviorEntry {
-        id: right_turn::ID,
-        roles: turn::ROLES,
-        parameters: turn::PARAMETERS,
-        description: "an agent turns right by at least 60 degrees, as at an intersection",
-        is_collision: false,
-        needs_lanes: false,
-        default_config: || BehaviorConfig::RightTurn(TurnConfig::default()),
-    },
-    BehaviorEntry {
-        id: lane_change::ID,
-        roles: lane_change::ROLES,
-        parameters: lane_change::PARAMETERS,
-        description: "an agent moves over to the lane beside its own and stays there for at least 1 s",
-        is_collision: false,
-        needs_lanes: true,
-        default_config: || BehaviorConfig::LaneChange(LaneChangeConfig::default()),
-    },
-    BehaviorEntry {
-        id: hard_brake::ID,
-        roles: hard_brake::ROLES,
-        parameters: hard_brake::PARAMETERS,
-        description: "an agent brakes with at least 4 m/s² over at least 0.3 s",
-        is_collision: false,
-        needs_lanes: false,
-        default_config: || BehaviorConfig::HardBrake(HardBrakeConfig::default()),
-    },
-    BehaviorEntry {
-        id: near_miss::ID,
-        roles: near_miss::ROLES,
-        parameters: near_miss::PARAMETERS,
-        description: "two road users avoid each other by braking hard within 1.5 s, by 0.5 s where they cross or by 0.2 m, without touching",
-        is_collision: false,
-        needs_lanes: false,
-        default_config: || BehaviorConfig::NearMiss(NearMissConfig::default()),
-    },
-    BehaviorEntry {
-        id: collision::ID,
-        roles: collision::ROLES,
-        parameters: collision::PARAMETERS,
-        description: "two road users drive into each other",
-        is_collision: true,
-        needs_lanes: false,
-        default_config: || BehaviorConfig::Collision(CollisionConfig::default()),
-    },
-    BehaviorEntry {
-        id: tailgating::ID,
-        roles: tailgating::ROLES,
-        parameters: tailgating::PARAMETERS,
-        description: "one vehicle (follower) drives less than 0.9 s behind another (leader) for at least 2 s, both at 8 m/s or more",
-        is_collision: false,
-        needs_lanes: true,
-        default_config: || BehaviorConfig::Tailgating(TailgatingConfig::default()),
-    },
-    BehaviorEntry {
-        id: cut_out::ID,
-        roles: cut_out::ROLES,
-        parameters: cut_out::PARAMETERS,
-        description: "the vehicle ahead (leader) leaves the lane and reveals a slow one that the ego reaches in less than 4 s",
-        is_collision: false,
-        needs_lanes: true,
-        default_config: || BehaviorConfig::CutOut(CutOutConfig::default()),
-    },
-    BehaviorEntry {
-        id: pedestrian_steps_out::ID,
-        roles: pedestrian_steps_out::ROLES,
-        parameters: pedestrian_steps_out::PARAMETERS,
-        description: "somebody on foot steps from beside the road into the lane of a vehicle (ego) that is less than 3 s away",
-        is_collision: false,
-        needs_lanes: true,
-        default_config: || BehaviorConfig::PedestrianStepsOut(PedestrianStepsOutConfig::default()),
-    },
-];

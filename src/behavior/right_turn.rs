@@ -1,5 +1,7 @@
 //! Right turn: does an agent turn right by a large angle in little room?
 
+pub(super) use super::turn::{PARAMETERS, ROLES};
+
 use super::feasible::turn_outcomes as outcomes;
 use super::turn::{TurnConfig, TurnSide, turns};
 use super::{Behavior, BehaviorEvent, Outcome};

@@ -3,11 +3,11 @@
 /// Of the program.
 pub(super) const TOP: &str = "\
 Examples:
-  djinn run pipelines/quickstart.toml                 run every stage on the recordings in this repository
+  djinn run pipelines/quickstart.toml                 run all stages on the carried recordings
   djinn run pipelines/quickstart.toml --dry-run       show what would run
   djinn inspect output/quickstart/main                show the results
 
-Running the same command again resumes an interrupted run and redoes only what changed. djinn never removes or
+Running the same command again resumes an interrupted run and redoes only what changed. djinn never removes or \
 replaces a file that it did not write.
 
 Exit codes:
@@ -20,37 +20,37 @@ Other signals end the program with 128 and their number; it prints what is kept 
 
 /// Of `run`.
 pub(super) const RUN: &str = "\
-A pipeline file has one section per stage: [ingest], [mine], [train.denoiser], [train.distill], [train.classifier],
-[train.baseline], [generate], [evaluate], [report]. Stages with a section run, in this order. Relative paths are
-relative to the current directory. Results go to <output>/<pipeline>/<run>/. A stage runs again only if its
-configuration or inputs changed. A model that took more than ten minutes to train is retrained only if its own section
-changed, or with --redo; the old model is moved aside.
+A pipeline file has one section per stage: [ingest], [mine], [train.denoiser], [train.distill], [train.classifier], \
+[train.baseline], [generate], [evaluate], [report]. Stages with a section run, in this order. Relative paths are \
+relative to the current directory. Results go to <output>/<pipeline>/<run>/. A stage runs again only if its \
+configuration or inputs changed. A model that took more than ten minutes to train is retrained only if its own section \
+changed, or with --redo; the old model is moved aside. Several workers can share generation and evaluation \
+(pipelines/CLUSTER.md).
 
 Examples:
   djinn run pipelines/cut_in_corpus.toml
   djinn run pipelines/cut_in_corpus.toml --redo train_denoiser
-  djinn run pipelines/cut_in_corpus.toml --run more --set run.seed=1 --set generate.sweeps.0.n_samples=8
+  djinn run pipelines/cut_in_corpus.toml --run more --set run.seed=1
   djinn run pipelines/cut_in_corpus.toml --stage ingest --stage mine
-  djinn run pipelines/cut_in_corpus.toml --stage generate --part work --worker 3/100     see pipelines/CLUSTER.md
-  djinn run pipelines/cut_in_corpus.toml --set 'ingest.inputs=[\"/data/INTERACTION-v1_2.zip\"]' --dry-run";
+  djinn run pipelines/cut_in_corpus.toml --stage generate --part work --worker 3/100
+  djinn run pipelines/cut_in_corpus.toml --set 'ingest.inputs=[\"/data/INTERACTION-v1_2.zip\"]'";
 
 /// Of `submit`.
 pub(super) const SUBMIT: &str = "\
-The jobs: `prepare` runs the stages before generation, `plan` decides what is sampled, the workers of `work` sample shards,
-`seal` publishes the samples; `evaluate-plan`, `evaluate-work` and `evaluate-seal` do the same for evaluation where there are
-several workers; `finish` runs the stages after them. Each looks by itself whether what it reads is there.
-Submitting again makes up for what is missing. [cluster] says what jobs need: partition, time, cpus, gpus, memory,
-container, retries, more lines of the scripts (pipelines/CLUSTER.md).
+The jobs: `prepare` runs the stages before generation, `plan` decides what is sampled, `work` samples shards, \
+`seal` publishes the samples. With several workers, `evaluate-plan`, `evaluate-work` and `evaluate-seal` do the same for \
+evaluation. `finish` runs the remaining stages. Each job checks for itself that its inputs exist. \
+Submitting again fills in what is missing. [cluster] sets what jobs need: partition, time, cpus, gpus, memory, \
+container, retries, further lines of the scripts (pipelines/CLUSTER.md).
 
 Examples:
-  djinn submit pipelines/quickstart.toml --engine slurm --workers 100 --dry-run     print the scripts
-  djinn submit pipelines/quickstart.toml --engine slurm --workers 100
+  djinn submit pipelines/quickstart.toml --engine slurm --workers 100 --dry-run
   djinn submit pipelines/quickstart.toml --engine json | jq -r '.jobs[].command | join(\" \")'";
 
 /// Of `status`.
 pub(super) const STATUS: &str = "\
-Reads the run folder alone: it asks no engine and works from any machine that sees the folder. A shard counts as running if
-a worker began it not long ago; one that was killed in it is told from the others only after a while.
+Reads only the run folder: it asks no engine and works on any machine that can see the folder. A shard counts as running if \
+a worker started it recently, so a killed worker shows only after a while.
 
 Examples:
   djinn status output/quickstart/main
@@ -61,30 +61,30 @@ pub(super) const INGEST: &str = "\
 Recordings are read as downloaded: folders, .zip, .tar, .tar.gz, .gz and plain files.
 
 Examples:
-  djinn ingest forecasting_train.tar.gz hd_maps.tar.gz --dataset argoverse1 --output output/argoverse1
+  djinn ingest forecasting_train.tar.gz hd_maps.tar.gz --dataset argoverse1 -o output/argoverse1
   djinn ingest --config pipelines/cut_in_corpus.toml --set ingest.limit=1000 --output output/try";
 
 /// Of `mine`.
 pub(super) const MINE: &str = "\
 Examples:
   djinn mine --config pipelines/cut_in_corpus.toml --output output/try
-  djinn mine --scenes output/argoverse1/scenes --set 'mine.behaviors=[{ kind = \"near_miss\" }]' --output output/try";
+  djinn mine --set 'mine.behaviors=[{ kind = \"near_miss\" }]' --output output/argoverse1";
 
 /// Of `train denoiser`.
 pub(super) const TRAIN_DENOISER: &str = "\
 Examples:
   djinn train denoiser --config pipelines/cut_in_corpus.toml --output output/try
-  djinn train denoiser --scenes output/argoverse1/scenes --set train.denoiser.preset=tiny --output output/try";
+  djinn train denoiser --set train.denoiser.preset=tiny --output output/argoverse1";
 
 /// Of `train distill`.
 pub(super) const TRAIN_DISTILL: &str = "\
-The distilled network has the same architecture and samples in one to three evaluations. To sweep it, set
-model = \"distilled\" and the sampler of train.distill.method: { kind = \"euler\", n_steps = 2, grid = … } for
+The distilled network has the same architecture and samples in one to three evaluations. To use it in a sweep, set \
+model = \"distilled\" and the sampler of train.distill.method: { kind = \"euler\", n_steps = 2, grid = … } for \
 { kind = \"steps\", n_steps = 2, grid = … }, otherwise { kind = \"consistency\", levels = [0.8] }.
 
 Examples:
   djinn train distill --config pipelines/few_evaluations.toml --output output/try
-  djinn train distill --denoiser checkpoints/small --scenes output/argoverse1/scenes --output output/try";
+  djinn train distill --denoiser checkpoints/small --output output/argoverse1";
 
 /// Of `train classifier`.
 pub(super) const TRAIN_CLASSIFIER: &str = "\
@@ -95,12 +95,12 @@ Example:
 pub(super) const TRAIN_BASELINE: &str = "\
 Examples:
   djinn train baseline --config pipelines/scene_transformer.toml --output output/try
-  djinn train baseline --scenes output/argoverse1/scenes --set train.baseline.preset=tiny --output output/try";
+  djinn train baseline --set train.baseline.preset=tiny --output output/argoverse1";
 
 /// Of `generate`.
 pub(super) const GENERATE: &str = "\
 Example:
-  djinn generate --config pipelines/cut_in_corpus.toml --denoiser checkpoints/small --output output/try";
+  djinn generate --config pipelines/cut_in_corpus.toml --denoiser checkpoints/small -o output/try";
 
 /// Of `evaluate`.
 pub(super) const EVALUATE: &str = "\
@@ -111,7 +111,7 @@ Example:
 
 /// Of `report`.
 pub(super) const REPORT: &str = "\
-Writes report.html, a single file that works offline, and figures/ with its charts and scenes as SVG. A comparison of two
+Writes report.html, a single file that works offline, and figures/ with its charts and scenes as SVG. A comparison of two \
 run folders shows changed settings, yield, metrics and realism side by side.
 
 Examples:
@@ -120,7 +120,7 @@ Examples:
 
 /// Of `export`.
 pub(super) const EXPORT: &str = "\
-index.tsv and tracks.tsv map the files back to the corpus. NOTICE.txt names the sources and their terms, which apply to the
+index.tsv and tracks.tsv map the files back to the corpus. NOTICE.txt names the sources and their terms, which apply to the \
 export too. What a format cannot represent is left out; export.json counts it by reason.
 
 Examples:
@@ -130,8 +130,8 @@ Examples:
 
 /// Of `corpus validate`.
 pub(super) const CORPUS_VALIDATE: &str = "\
-Checks sizes, checksums, schemas, counts and unique ids; that states, lanes and recordings belong to scenarios; that
-values are finite and physically possible; and that no stray file would be read by a query. Findings go to stdout with
+Checks sizes, checksums, schemas, counts and unique ids; that states, lanes and recordings belong to scenarios; that \
+values are finite and physically possible; and that no stray file would be read by a query. Findings go to stdout with \
 file and row (from 0). The exit code is 1 if the corpus is damaged; remarks do not count as damage.
 
 Examples:
@@ -140,7 +140,7 @@ Examples:
 
 /// Of `corpus merge`.
 pub(super) const CORPUS_MERGE: &str = "\
-A scenario in several corpora is written once; if its content differs between them, the merge fails. Recordings, maps,
+A scenario in several corpora is written once; if its content differs between them, the merge fails. Recordings, maps, \
 metrics of scenarios and the terms of all sources are merged too. Corpora of earlier versions are upgraded.
 
 Example:
@@ -148,16 +148,16 @@ Example:
 
 /// Of `corpus filter`.
 pub(super) const CORPUS_FILTER: &str = "\
-A condition is a column of `scenarios`, an operator and a value. Operators: =, !=, <, <=, >, >=, in (a, b), not in (a, b),
+A condition is a column of `scenarios`, an operator and a value. Operators: =, !=, <, <=, >, >=, in (a, b), not in (a, b), \
 is missing, is present. A flag may stand alone: verified, not recorded_event. A missing value fails every comparison.
 
 Examples:
-  djinn corpus filter output/quickstart/main/corpus --where verified --where \"gap_m < 5\" --out output/tight
-  djinn corpus filter output/all --where \"behavior in (cut_in, near_miss)\" --where \"place != PIT\" --out output/some";
+  djinn corpus filter output/all --where verified --where \"gap_m < 5\" --out output/tight
+  djinn corpus filter output/all --where \"behavior in (cut_in, near_miss)\" --out output/some";
 
 /// Of `corpus sample`.
 pub(super) const CORPUS_SAMPLE: &str = "\
-The same seed draws the same scenarios regardless of their order, and a larger N adds to them. With --by, each value of
+The same seed draws the same scenarios regardless of their order, and a larger N adds to them. With --by, each value of \
 the column gets the same number of scenarios, as far as there are enough.
 
 Examples:
@@ -166,7 +166,7 @@ Examples:
 
 /// Of `corpus diff`.
 pub(super) const CORPUS_DIFF: &str = "\
-Compares counts by behavior and place, lists scenarios that were added, removed or changed (and in which columns), and
+Compares counts by behavior and place, lists scenarios that were added, removed or changed (and in which columns), and \
 shows how distributions shifted. The exit code is 0 whether or not the corpora differ.
 
 Examples:
@@ -175,8 +175,8 @@ Examples:
 
 /// Of `regenerate`.
 pub(super) const REGENERATE: &str = "\
-Reads samples/, scenes/ and the models of the run folder and checks their fingerprints. Then it denoises the scenario's
-batch again (the last digits depend on the batch), mines the result and compares every column bit by bit. The number of
+Reads samples/, scenes/ and the models of the run folder and checks their fingerprints. Then it denoises the scenario's \
+batch again (the last digits depend on the batch), mines the result and compares every column bit by bit. The number of \
 threads does not matter.
 
 Exits with code 0 if the scenario is identical, 1 if it differs or one of its inputs changed, 2 if an input is missing.

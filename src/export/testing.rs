@@ -43,17 +43,8 @@ pub(super) fn scene() -> Scene {
 /// A lane of 40 m along the x axis, 4 m wide.
 pub(super) fn lane(id: i64) -> Lane {
     let line = |y: f64| Polyline(vec![Vec2::new(0.0, y), Vec2::new(40.0, y)]);
-    Lane {
-        id: LaneId(id),
-        centerline: line(0.0),
-        left: line(2.0),
-        right: line(-2.0),
-        successors: Vec::new(),
-        predecessors: Vec::new(),
-        left_neighbor: None,
-        right_neighbor: None,
-        attributes: Arc::new(LaneAttributes { one_way: true, kind: "road".to_owned(), ..LaneAttributes::default() }),
-    }
+    let attributes = LaneAttributes { one_way: true, kind: "road".to_owned(), ..LaneAttributes::default() };
+    Lane { attributes: attributes.into(), ..Lane::unconnected(id, line(0.0), [2.0, -2.0].map(line)) }
 }
 
 /// A verified scenario of this scene in which track `2` cuts in before track `1`.

@@ -5,7 +5,7 @@ use super::{Cell, Error, Generator, ResolvedSweep};
 use crate::diffusion::{Edm, NoiseSource, SamplerConfig};
 use crate::geometry::Vec2;
 use crate::guidance::Target;
-use crate::scene::{AgentRef, ObservationMask, Scene, SceneEdit, State, Trajectory};
+use crate::scene::{AgentRef, ObservationMask, Scene, SceneEdit, State, Trajectory, UnfitScene};
 use crate::seed::Seed;
 use crate::settings::{self, Issue};
 use crate::tensor::{FeatureLayout, SceneBatch, SceneTensors, SceneView};
@@ -170,7 +170,7 @@ impl Generator<'_> {
         agents: (usize, usize),
         sample_idx: usize,
     ) -> Result<Conditioned, Error> {
-        let refuse = |why: String| Error::Config(format!("sweep {}: scene {} {why}", sweep.name, cell.scene_id));
+        let refuse = |UnfitScene(why)| Error::Config(format!("sweep {}: scene {} {why}", sweep.name, cell.scene_id));
         let mut scene = recorded.clone();
         let edit = sweep.diffusion().and_then(|diffusion| diffusion.edit.as_ref());
         if let Some(edit) = edit {
@@ -186,10 +186,10 @@ impl Generator<'_> {
             let hidden = first_hidden(&scene, &mask);
             if let Some((agent_idx, timestep)) = hidden {
                 let track = &scene.tracks[agent_idx].id;
-                return Err(refuse(format!(
+                return Err(refuse(UnfitScene(format!(
                     "has track {track} unobserved at timestep {timestep} of its history, which the classifier that guides \
                      the sweep looks at; observe the history, or let objectives guide alone (classifier_scope = \"none\")"
-                )));
+                ))));
             }
         }
         if edit.is_some() {

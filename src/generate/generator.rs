@@ -145,18 +145,21 @@ impl<'a> Generator<'a> {
         }
     }
 
-    /// Says which noise level is above those that the denoiser knows.
-    fn check_noise_levels(&self, Diffusion { sampler, edit, .. }: &Diffusion) -> Result<(), String> {
+    /// Refuses noise levels above those that the denoiser knows.
+    fn check_noise_levels(&self, name: &str, Diffusion { sampler, edit, .. }: &Diffusion) -> Result<(), Error> {
+        let refuse = |why: String| Err(Error::Config(format!("sweep {name}: {why}")));
         let edm = &self.spec().edm;
         let sigma_max = edm.sigma_max;
         if let Some(edit) = edit.as_ref().filter(|edit| edit.tau > sigma_max) {
             let tau = edit.tau;
-            return Err(format!("edit.tau is {tau}, expected at most the denoiser's largest noise level {sigma_max}"));
+            return refuse(format!(
+                "edit.tau is {tau}, expected at most the denoiser's largest noise level {sigma_max}"
+            ));
         }
         let levels = sampler.schedule(edm, sampler.sigma_start(edm));
         match levels.len() == sampler.n_steps() + 1 && levels[0] <= sigma_max {
             true => Ok(()),
-            false => Err(format!("the sampler uses noise levels above the denoiser's largest, {sigma_max}")),
+            false => refuse(format!("the sampler uses noise levels above the denoiser's largest, {sigma_max}")),
         }
     }
 
@@ -164,7 +167,7 @@ impl<'a> Generator<'a> {
         self.check_baseline(sweep)?;
         self.check_distilled(sweep)?;
         if let Some(diffusion) = sweep.diffusion() {
-            self.check_noise_levels(diffusion).map_err(|why| Error::Config(format!("sweep {}: {why}", sweep.name)))?;
+            self.check_noise_levels(&sweep.name, diffusion)?;
         }
         let Some(behavior) = &sweep.behavior else { return Ok(()) };
         let Some(classifier) = self.classifier(sweep) else {

@@ -7,9 +7,9 @@ use super::{
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::Denoiser;
 use crate::guidance::{
-    AgentSelector, AnyPairGuidance, ClassifierGuidance, CleanGuidedDenoiser, ContextRow, EstimatePotential, Guidance,
-    GuidanceConfig, GuidedDenoiser, MaskChange, NoCollision, ObjectiveConfig, ObjectiveGuidanceConfig, ObjectiveSum,
-    RoadPoints, SceneContext, SlipLimit, StayOnRoad,
+    AgentSelector, AnyPairGuidance, ClassifierGuidance, CleanGuidedDenoiser, CleanPotential, ContextRow,
+    EstimatePotential, Guidance, GuidanceConfig, GuidedDenoiser, MaskChange, NoCollision, ObjectiveConfig,
+    ObjectiveGuidanceConfig, ObjectiveSum, RoadPoints, SceneContext, SlipLimit, StayOnRoad,
 };
 use crate::model::TrainedClassifier;
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Scene};
@@ -98,7 +98,7 @@ impl Guided<'_> {
             ObjectiveSum { objectives: &self.diffusion.guidance.objectives, batch: self.repeated, context: &context };
         let terms: Vec<Vec<f64>> =
             (sum.terms(x)?.iter()).map(|term| term.to_dtype(DType::F64)?.to_vec1::<f64>()).collect::<Result<_, _>>()?;
-        let kinds = self.diffusion.guidance.objectives.iter().map(|objective| objective.objective().kind());
+        let kinds = self.diffusion.guidance.objectives.iter().map(|objective| objective.kind());
         let of_row = |row: usize| kinds.clone().zip(&terms).map(|(kind, values)| (kind, values[row])).collect();
         Ok((0..n_rows).map(of_row).collect())
     }
@@ -120,7 +120,7 @@ impl<'g> Generator<'g> {
         let mut parts: Vec<String> = classifier.map(|c| format!("{scope}:{}", c.spec.behavior)).into_iter().collect();
         if level.strength != 0.0 {
             let objectives = &diffusion.guidance.objectives;
-            parts.extend(objectives.iter().map(|objective| objective.objective().kind().to_owned()));
+            parts.extend(objectives.iter().map(|objective| objective.kind().to_owned()));
         }
         if level.weight != 0.0 {
             parts.push("classifier_free".to_owned());
@@ -142,14 +142,6 @@ impl<'g> Generator<'g> {
     ) -> Result<T, Error> {
         let Guided { sweep, diffusion, level: GuidanceLevel { strength, .. }, .. } = *guided;
         let asked = &diffusion.guidance;
-        let on_estimates = |inner, potential| CleanGuidedDenoiser {
-            inner,
-            potential,
-            strength,
-            gate: asked.gate,
-            config: asked.objective_guidance,
-            sigma_data: self.spec().edm.sigma_data,
-        };
         let classifier = self.guiding_classifier(sweep, strength);
         let shown = classifier.map(|_| self.classified_batch(guided)).transpose()?.flatten();
         let guidance = match classifier {
@@ -167,13 +159,24 @@ impl<'g> Generator<'g> {
             strength,
             config: asked.gate,
         });
-        let of_estimate = of_estimate.as_ref().map(|potential| on_estimates(inner, potential));
+        let of_estimate = of_estimate.as_ref().map(|potential| self.on_estimates(guided, inner, potential));
         let inner: &dyn Denoiser = match (asked.classifier_input, &of_noisy, &of_estimate) {
             (ClassifierInput::NoisyStates, Some(denoiser), _) => denoiser,
             (ClassifierInput::CleanEstimate, _, Some(denoiser)) => denoiser,
             _ => inner,
         };
-        let validity_strength = diffusion.validity_strength;
+        self.guided_by_objectives(guided, inner, sample)
+    }
+
+    /// The same with the objectives of the sweep and the rules of traffic alone.
+    fn guided_by_objectives<T>(
+        &self,
+        guided: &Guided<'_>,
+        inner: &dyn Denoiser,
+        sample: impl FnOnce(&dyn Denoiser) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        let Guided { sweep, diffusion, level: GuidanceLevel { strength, .. }, .. } = *guided;
+        let (asked, validity_strength) = (&diffusion.guidance, diffusion.validity_strength);
         let has_objectives = strength != 0.0 && !asked.objectives.is_empty();
         if !has_objectives && validity_strength == 0.0 {
             return sample(inner);
@@ -185,7 +188,7 @@ impl<'g> Generator<'g> {
         let may_collide = may_collide.filter(|_| sweep.asks_for_collision() && !sweep.asks_anybody());
         let (wished, rules) = (sum(&asked.objectives), rules_of_traffic(may_collide));
         let rules = sum(&rules);
-        let wishing = on_estimates(inner, &wished);
+        let wishing = self.on_estimates(guided, inner, &wished);
         let inner: &dyn Denoiser = if has_objectives { &wishing } else { inner };
         if validity_strength == 0.0 {
             return sample(inner);
@@ -198,6 +201,23 @@ impl<'g> Generator<'g> {
             config: ObjectiveGuidanceConfig::default(),
             sigma_data: self.spec().edm.sigma_data,
         })
+    }
+
+    /// `inner`, guided by a potential of clean estimates as strongly as the sweep says.
+    fn on_estimates<'a>(
+        &self,
+        Guided { diffusion, level, .. }: &Guided<'_>,
+        inner: &'a dyn Denoiser,
+        potential: &'a dyn CleanPotential,
+    ) -> CleanGuidedDenoiser<'a> {
+        CleanGuidedDenoiser {
+            inner,
+            potential,
+            strength: level.strength,
+            gate: diffusion.guidance.gate,
+            config: diffusion.guidance.objective_guidance,
+            sigma_data: self.spec().edm.sigma_data,
+        }
     }
 
     /// The scenes as the classifier knows them, with their histories observed and no more, where the sweep observes

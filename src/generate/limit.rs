@@ -1,5 +1,6 @@
 //! Between which values must a metric or an objective of a sample be?
 
+use crate::settings::{self, Issue};
 use schemars::JsonSchema;
 use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
 use serde::de::{Error as _, MapAccess, SeqAccess, Visitor};
@@ -38,12 +39,13 @@ pub struct LimitRange {
 }
 
 impl Limit {
-    /// Says what makes no sense in it. `has_direction` tells whether more or less of the value is better.
-    pub(super) fn validate(&self, has_direction: bool) -> Result<(), String> {
+    /// Rejects a limit under this key that nothing can keep or break. `has_direction` tells whether more or less of the value is better.
+    pub(super) fn validate(&self, key: &str, has_direction: bool) -> settings::Result {
+        let refuse = |why: String| Err(Issue::new(key, why));
         let range = match self {
-            Self::Worst(value) if value.is_nan() => return Err(format!("is {value}, expected a number")),
+            Self::Worst(value) if value.is_nan() => return refuse(format!("is {value}, expected a number")),
             Self::Worst(value) if !has_direction => {
-                return Err(format!(
+                return refuse(format!(
                     "is {value}, but neither direction is better; give a side, as in {{ at_most = {value:?} }}, \
                      {{ at_least = {value:?} }} or [least, largest]"
                 ));
@@ -53,10 +55,12 @@ impl Limit {
             Self::Range(range) => *range,
         };
         match (range.at_least, range.at_most) {
-            (None, None) => Err("is an empty range; set at_least, at_most or both".to_owned()),
-            (Some(least), Some(most)) if least > most => Err(format!("is empty: at least {least} and at most {most}")),
+            (None, None) => refuse("is an empty range; set at_least, at_most or both".to_owned()),
+            (Some(least), Some(most)) if least > most => {
+                refuse(format!("is empty: at least {least} and at most {most}"))
+            }
             (least, most) if least.into_iter().chain(most).any(f64::is_nan) => {
-                Err("has an end that is not a number".to_owned())
+                refuse("has an end that is not a number".to_owned())
             }
             _ => Ok(()),
         }
@@ -170,11 +174,11 @@ mod tests {
             ("{}", false, "empty range"),
             ("{ at_most = nan }", true, "not a number"),
         ] {
-            let why = limit(toml).validate(has_direction).unwrap_err();
+            let why = limit(toml).validate("x", has_direction).unwrap_err().message;
             assert!(why.contains(what), "{toml}: {why}");
         }
         for toml in ["[2, 3]", "[2, inf]", "{ at_most = 2 }"] {
-            limit(toml).validate(false).unwrap();
+            limit(toml).validate("x", false).unwrap();
         }
     }
 

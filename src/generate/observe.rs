@@ -1,6 +1,6 @@
 //! Which states of a scene are given to the denoiser? A training task by name, or a mask that is written as rules.
 
-use crate::scene::{AgentRef, ObservationMask, Roles, Scene};
+use crate::scene::{AgentRef, ObservationMask, Roles, Scene, UnfitScene};
 use crate::seed::Seed;
 use crate::settings::{self, Issue};
 use crate::tensor::MaskTask;
@@ -157,14 +157,15 @@ impl ObserveConfig {
     }
 
     /// The mask of a scene. What is random in it follows from `seed` alone.
-    pub(super) fn mask(&self, subject: &Subject<'_>, seed: Seed) -> Result<ObservationMask, String> {
+    pub(super) fn mask(&self, subject: &Subject<'_>, seed: Seed) -> Result<ObservationMask, UnfitScene> {
         let scene = subject.scene;
         let mask = match self {
             Self::Task(MaskTask::Predictive) => {
                 ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history)
             }
             Self::Task(task) if !scene.has_future() => {
-                return Err(format!("has no recorded future, which the task {} needs", task.name()));
+                let why = format!("has no recorded future, which the task {} needs", task.name());
+                return Err(UnfitScene(why));
             }
             Self::Task(task) => task.sample(scene, subject.ego_idx, &mut seed.derive("task", &[]).rng()),
             Self::Mask(rules) => rule_mask(rules, subject, seed),
@@ -174,7 +175,7 @@ impl ObserveConfig {
         };
         match (0..scene.tracks.len()).any(|agent| (0..scene.n_timesteps).any(|timestep| is_given(agent, timestep))) {
             true => Ok(mask),
-            false => Err("has no observed state".into()),
+            false => Err(UnfitScene("has no observed state".to_owned())),
         }
     }
 }
@@ -358,10 +359,10 @@ mod tests {
         let scene = three();
         let subject = Subject { scene: &scene, ego_idx: 0, roles: Roles::none() };
         let nobody = parse("[{ agents = { track = '77' }, times = 'all' }]");
-        assert!(nobody.mask(&subject, Seed(0)).unwrap_err().contains("no observed state"));
+        assert!(nobody.mask(&subject, Seed(0)).unwrap_err().0.contains("no observed state"));
         let history_only = Scene { n_timesteps: 4, ..scene.clone() };
         let subject = Subject { scene: &history_only, ..subject };
-        assert!(parse("'windowed'").mask(&subject, Seed(0)).unwrap_err().contains("no recorded future"));
+        assert!(parse("'windowed'").mask(&subject, Seed(0)).unwrap_err().0.contains("no recorded future"));
         assert!(parse("'predictive'").mask(&subject, Seed(0)).is_ok());
     }
 }

@@ -8,7 +8,7 @@ use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::nn::in_pool;
 use crate::progress::Progress;
-use crate::scene::{GuidanceLevel, Roles, Scene, SceneId};
+use crate::scene::{GuidanceLevel, Roles, Scene, SceneId, UnfitScene};
 use crate::seed::Seed;
 use crate::store::ScenarioRecord;
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
@@ -69,7 +69,21 @@ struct Draw {
 struct Sampled {
     level: GuidanceLevel,
     sample_idx: usize,
-    draw: Result<Draw, String>,
+    draw: Result<Draw, UnfitScene>,
+}
+
+/// What samples are conditioned on.
+struct Given {
+    /// Of each cell: one for all of its samples or, with templates, one for each.
+    of_cells: Vec<Vec<Conditioned>>,
+    first_sample: usize,
+}
+
+impl Given {
+    fn of(&self, cell: usize, sample_idx: usize) -> &Conditioned {
+        let own = &self.of_cells[cell];
+        &own[(sample_idx - self.first_sample).min(own.len() - 1)]
+    }
 }
 
 /// Whether a batch is generated: of this level, these cells and samples.
@@ -96,17 +110,7 @@ impl Generator<'_> {
         let sweep = &self.config.sweeps[shard.sweep_idx];
         let scenes: Vec<Scene> =
             shard.cells.iter().map(|cell| self.load(cell.scene_idx, &cell.scene_id)).collect::<Result<_, _>>()?;
-        // What all samples of a cell share; with templates, of each of them.
-        let n_own = if sweep.uses_template() { sweep.n_samples } else { 1 };
-        let conditioned: Vec<Vec<Conditioned>> = (shard.cells.iter().zip(&scenes))
-            .map(|(cell, scene)| {
-                let agents = agents(cell, scene)?;
-                let own = shard.first_sample..shard.first_sample + n_own;
-                own.map(|sample_idx| self.condition(sweep, cell, scene, agents, sample_idx)).collect()
-            })
-            .collect::<Result<_, Error>>()?;
-        let given = |at: usize, sample_idx: usize| &conditioned[at][(sample_idx - shard.first_sample).min(n_own - 1)];
-        let mut output = ShardOutput::default();
+        let given = self.given(sweep, shard, &scenes)?;
         let mut sampled: Vec<Vec<Sampled>> = vec![Vec::new(); shard.cells.len()];
         for &level in sweep.levels() {
             for (members, samples) in self.batches(sweep, &scenes) {
@@ -117,7 +121,7 @@ impl Generator<'_> {
                 if progress.must_stop() {
                     return Err(Error::Stopped);
                 }
-                let cells = members.iter().map(|at| (&shard.cells[*at], given(*at, samples.start))).collect();
+                let cells = members.iter().map(|at| (&shard.cells[*at], given.of(*at, samples.start))).collect();
                 let batch = Batch { sweep, cells, samples: samples.clone(), level };
                 let mut draws = in_pool(self.device, || self.sample(&batch, progress))?.into_iter();
                 for at in members {
@@ -126,29 +130,37 @@ impl Generator<'_> {
                 }
             }
         }
-        for (at, ((cell, scene), sampled)) in shard.cells.iter().zip(&scenes).zip(sampled).enumerate() {
-            for Sampled { level, sample_idx, draw } in
-                self.select(sweep, (scene, &cell.roles), sampled, &mut output.unselected)
-            {
+        let mut output = ShardOutput::default();
+        for (at, (scene, sampled)) in scenes.iter().zip(sampled).enumerate() {
+            let cell = &shard.cells[at];
+            let selected = self.select(sweep, (scene, &cell.roles), sampled, &mut output.unselected);
+            for Sampled { level, sample_idx, draw } in selected {
                 match draw {
                     Ok(draw) => {
-                        let scenario = (&draw.scene, given(at, sample_idx).observed(&draw.scene));
+                        let scenario = (&draw.scene, given.of(at, sample_idx).observed(&draw.scene));
                         let sample = (level, sample_idx, draw.probability);
                         output.records.push(self.record(sweep, cell, scene, scenario, sample)?);
                     }
-                    Err(reason) => output.rejected.push(RejectedSample {
-                        scene_id: cell.scene_id.clone(),
-                        sweep: sweep.name.clone(),
-                        level,
-                        sample_idx,
-                        seed: self.config.seed,
-                        reason,
-                    }),
+                    Err(UnfitScene(reason)) => {
+                        let (scene_id, sweep, seed) = (cell.scene_id.clone(), sweep.name.clone(), self.config.seed);
+                        output.rejected.push(RejectedSample { scene_id, sweep, level, sample_idx, seed, reason });
+                    }
                 }
             }
         }
         output.records.iter_mut().for_each(|record| record.shard = shard.idx);
         Ok(output)
+    }
+
+    /// What the samples of each cell of a shard are conditioned on.
+    fn given(&self, sweep: &ResolvedSweep, shard: &ShardPlan, scenes: &[Scene]) -> Result<Given, Error> {
+        let n_own = if sweep.uses_template() { sweep.n_samples } else { 1 };
+        let of_cells = shard.cells.iter().zip(scenes).map(|(cell, scene)| {
+            let agents = agents(cell, scene)?;
+            let own = shard.first_sample..shard.first_sample + n_own;
+            own.map(|sample_idx| self.condition(sweep, cell, scene, agents, sample_idx)).collect()
+        });
+        Ok(Given { of_cells: of_cells.collect::<Result<_, Error>>()?, first_sample: shard.first_sample })
     }
 
     /// Cells (by index) and samples that are denoised together: scenes of like size, so that little is padding, and all
@@ -174,14 +186,18 @@ impl Generator<'_> {
     }
 
     /// The samples of a batch: all of its first cell, then all of the next.
-    fn sample(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Result<Draw, String>>, Error> {
+    fn sample(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
         match batch.sweep.diffusion() {
             Some(diffusion) => self.sample_denoiser(batch, diffusion, progress),
             None => self.sample_baseline(batch, progress),
         }
     }
 
-    fn sample_baseline(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Result<Draw, String>>, Error> {
+    fn sample_baseline(
+        &self,
+        batch: &Batch<'_>,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
         let given: Vec<&Conditioned> = batch.cells.iter().map(|(_, given)| *given).collect();
         let predicted = self.predict(batch.sweep, &given, batch.samples.clone())?;
         progress.advance(predicted.len() as u64);
@@ -196,7 +212,7 @@ impl Generator<'_> {
         batch: &Batch<'_>,
         diffusion: &Diffusion,
         progress: &dyn Progress,
-    ) -> Result<Vec<Result<Draw, String>>, Error> {
+    ) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
         let agents: Vec<(usize, usize)> = batch.cells.iter().map(|(_, given)| given.agents).collect();
         let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
         let tensors = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
@@ -349,10 +365,10 @@ fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
 }
 
 /// A scene whose every state is a number.
-fn checked(scene: Scene) -> Result<Scene, String> {
+fn checked(scene: Scene) -> Result<Scene, UnfitScene> {
     for track in &scene.tracks {
         if let Some((timestep, _)) = track.trajectory.valid().find(|(_, state)| !state.is_finite()) {
-            return Err(format!("track {} is not finite at timestep {timestep}", track.id));
+            return Err(UnfitScene(format!("track {} is not finite at timestep {timestep}", track.id)));
         }
     }
     Ok(scene)

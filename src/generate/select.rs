@@ -127,7 +127,7 @@ impl SelectConfig {
         }
         for (id, limit) in &self.limits {
             let has_direction = direction(id) != Direction::Neither;
-            limit.validate(has_direction).map_err(|why| Issue::new(format!("limits.{id}"), why))?;
+            limit.validate(&format!("limits.{id}"), has_direction)?;
         }
         match (self.best, self.by.is_empty()) {
             (Some(n), true) => Err(Issue::new(

@@ -120,17 +120,9 @@ mod tests {
     use super::*;
 
     fn lane(id: i64, points: &[(f64, f64)], successors: &[i64]) -> Lane {
-        Lane {
-            id: LaneId(id),
-            centerline: Polyline(points.iter().map(|(x, y)| Vec2::new(*x, *y)).collect()),
-            left: Polyline::default(),
-            right: Polyline::default(),
-            successors: successors.iter().map(|id| LaneId(*id)).collect(),
-            predecessors: Vec::new(),
-            left_neighbor: None,
-            right_neighbor: None,
-            attributes: std::sync::Arc::default(),
-        }
+        let centerline = Polyline(points.iter().map(|(x, y)| Vec2::new(*x, *y)).collect());
+        let successors = successors.iter().map(|id| LaneId(*id)).collect();
+        Lane { successors, ..Lane::unconnected(id, centerline, Default::default()) }
     }
 
     /// Lane 1 along x forks into 2, straight on, and 3, to the left; 4 lies to its left, 5 beyond that, 6 to its right and joins 2, and 7

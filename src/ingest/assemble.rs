@@ -7,6 +7,7 @@ use super::report::IngestReport;
 use crate::geometry::{Transform2, Vec2};
 use crate::scene::{AgentClass, LaneGraph, Scene, State, Track, TrackRole, Trajectory};
 use crate::seed::Seed;
+use std::fmt::Display;
 use std::sync::Arc;
 
 /// A standing vehicle takes the direction of a lane no farther than this from its center, meters.
@@ -34,19 +35,7 @@ pub(super) fn assemble(
     map: Option<&LaneIndex>,
     config: &IngestConfig,
 ) -> Result<(Scene, IngestReport), Reject> {
-    let reject = |raw: &RawScene, reason, detail: String| Reject {
-        reason,
-        detail: format!("{}: scene {}: {detail}", raw.source.file, raw.id),
-    };
-    if let Some((track, _)) = states(&raw).find(|(_, state)| !state.is_finite()) {
-        let detail = format!("track {} has a state that is not finite", track.id);
-        return Err(reject(&raw, "non_finite", detail));
-    }
-    if let Some((track, state)) = states(&raw).find(|(_, state)| !is_possible(state)) {
-        let (Vec2 { x, y }, speed) = (state.position, state.velocity.norm());
-        let detail = format!("track {} is at ({x}, {y}) m with {speed} m/s", track.id);
-        return Err(reject(&raw, "out_of_range", detail));
-    }
+    check_states(&raw)?;
     let present = raw.n_history.saturating_sub(1);
     let mut counts = IngestReport::default();
     let Some((ego_idx, ego_state)) = choose_ego(&raw, present, Seed(config.seed)) else {
@@ -91,6 +80,25 @@ pub(super) fn assemble(
         tracks,
     };
     Ok((scene, counts))
+}
+
+fn reject(raw: &RawScene, reason: &'static str, detail: impl Display) -> Reject {
+    Reject { reason, detail: format!("{}: scene {}: {detail}", raw.source.file, raw.id) }
+}
+
+/// Rejects states that are not finite, or beyond what recordings can hold.
+fn check_states(raw: &RawScene) -> Result<(), Reject> {
+    if let Some((track, _)) = states(raw).find(|(_, state)| !state.is_finite()) {
+        return Err(reject(raw, "non_finite", format!("track {} has a state that is not finite", track.id)));
+    }
+    match states(raw).find(|(_, state)| !is_possible(state)) {
+        Some((track, state)) => {
+            let (Vec2 { x, y }, speed) = (state.position, state.velocity.norm());
+            let detail = format!("track {} is at ({x}, {y}) m with {speed} m/s", track.id);
+            Err(reject(raw, "out_of_range", detail))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Where an agent can get in `future_s` seconds, whatever it does, and a little beyond. It follows from what is observed alone, so that the

@@ -65,30 +65,7 @@ pub fn ingest(
         let reader = scope.spawn(move || read_batches(config, source, unit_sender));
         let (scene_sender, batches) = mpsc::sync_channel(1);
         let storer = scope.spawn(move || batches.into_iter().try_for_each(sink));
-        let mut handed_out = BTreeSet::new();
-        let parse_all = || -> Result<(), Error> {
-            for units in units {
-                let mut pending = parser.parse_units(units?);
-                while !pending.is_empty() {
-                    let room = config.limit.map(|limit| limit - total.n_scenes);
-                    let n_next = pending.len().min(MAX_SCENES);
-                    let batch = parser.make_scenes(pending.drain(..n_next).collect(), room, &mut handed_out)?;
-                    total.merge(&batch.report);
-                    progress.advance(batch.report.n_scenes);
-                    if total.n_rejects() > 0 {
-                        progress.note(&format!("{} rejected", total.n_rejects()));
-                    }
-                    let is_enough = config.limit.is_some_and(|limit| total.n_scenes >= limit);
-                    let units_done = (is_enough || pending.is_empty()).then_some(total.n_units);
-                    let sent = scene_sender.send(IngestBatch { units_done, ..batch });
-                    if sent.is_err() || is_enough {
-                        return Ok(());
-                    }
-                }
-            }
-            Ok(())
-        };
-        let parsed = parse_all();
+        let parsed = parser.parse_all(units, &mut total, progress, &scene_sender);
         drop(scene_sender);
         // What could not be stored came first.
         storer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)).map_err(Error::Sink)?;
@@ -200,6 +177,37 @@ struct UnitParser<'a> {
 
 impl UnitParser<'_> {
     /// Parses units in parallel, so far as is done before their scenes are made.
+    /// Sends the scenes of all units on, until the limit is reached or nobody takes them, and counts them in `total`.
+    fn parse_all(
+        &self,
+        units: mpsc::Receiver<Result<Batch, Error>>,
+        total: &mut IngestReport,
+        progress: &dyn Progress,
+        sender: &mpsc::SyncSender<IngestBatch>,
+    ) -> Result<(), Error> {
+        let limit = self.config.limit;
+        let mut handed_out = BTreeSet::new();
+        for units in units {
+            let mut pending = self.parse_units(units?);
+            while !pending.is_empty() {
+                let room = limit.map(|limit| limit - total.n_scenes);
+                let n_next = pending.len().min(MAX_SCENES);
+                let batch = self.make_scenes(pending.drain(..n_next).collect(), room, &mut handed_out)?;
+                total.merge(&batch.report);
+                progress.advance(batch.report.n_scenes);
+                if total.n_rejects() > 0 {
+                    progress.note(&format!("{} rejected", total.n_rejects()));
+                }
+                let is_enough = limit.is_some_and(|limit| total.n_scenes >= limit);
+                let units_done = (is_enough || pending.is_empty()).then_some(total.n_units);
+                if sender.send(IngestBatch { units_done, ..batch }).is_err() || is_enough {
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
+    }
+
     fn parse_units(&self, units: Batch) -> Vec<Pending<'_>> {
         let parsed: Vec<Vec<Pending<'_>>> = units.into_par_iter().map(|unit| self.parse_unit(unit)).collect();
         parsed.into_iter().flatten().collect()

@@ -6,6 +6,35 @@ use std::path::PathBuf;
 /// An error of a caller's own making, passed through unchanged.
 pub type BoxError = Box<dyn std::error::Error + Send + Sync>;
 
+/// What is wrong with the content of a file, in words that follow the file's name and the place in it.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum Malformed {
+    #[error("{0}")]
+    Content(String),
+    #[error(transparent)]
+    Xml(#[from] quick_xml::Error),
+    #[error(transparent)]
+    XmlAttribute(#[from] quick_xml::events::attributes::AttrError),
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    #[error(transparent)]
+    Parquet(#[from] parquet::errors::ParquetError),
+    #[error(transparent)]
+    Arrow(#[from] arrow::error::ArrowError),
+}
+
+impl From<String> for Malformed {
+    fn from(detail: String) -> Self {
+        Self::Content(detail)
+    }
+}
+
+impl From<&str> for Malformed {
+    fn from(detail: &str) -> Self {
+        Self::Content(detail.to_owned())
+    }
+}
+
 /// Why an ingest cannot go on.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -73,6 +102,12 @@ pub enum Error {
     /// The receiver of the scenes failed.
     #[error("cannot store ingested scenes")]
     Sink(#[source] BoxError),
+}
+
+impl Error {
+    pub(super) fn map(file: &str, place: impl Into<String>, detail: impl Into<Malformed>) -> Self {
+        Self::Map { file: file.to_owned(), place: place.into(), detail: detail.into().to_string() }
+    }
 }
 
 fn in_container(file: &str) -> String {

@@ -65,17 +65,8 @@ pub(super) mod tests {
     use crate::geometry::{Polyline, Vec2};
 
     pub(in crate::ingest) fn lane(id: i64, from: (f64, f64), to: (f64, f64)) -> Lane {
-        Lane {
-            id: LaneId(id),
-            centerline: Polyline(vec![Vec2::new(from.0, from.1), Vec2::new(to.0, to.1)]),
-            left: Polyline::default(),
-            right: Polyline::default(),
-            successors: Vec::new(),
-            predecessors: Vec::new(),
-            left_neighbor: None,
-            right_neighbor: None,
-            attributes: Arc::default(),
-        }
+        let centerline = Polyline(vec![Vec2::new(from.0, from.1), Vec2::new(to.0, to.1)]);
+        Lane::unconnected(id, centerline, Default::default())
     }
 
     #[test]

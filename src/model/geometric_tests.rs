@@ -1,6 +1,7 @@
 //! The geometric network: gradients reach every parameter, padding and the order of agents do not matter, lanes and neighbors
 //! do, and scenes that lack something work.
 
+use super::tests::{noisy, values, worst};
 use super::*;
 use crate::diffusion::{Denoiser, Edm};
 use crate::geometry::{Polyline, Vec2};
@@ -73,23 +74,6 @@ fn collate(scenes: &[&Scene]) -> SceneBatch {
 
 fn denoiser(params: &mut Params) -> SceneDenoiser {
     SceneDenoiser::new(params, &config(), 3, Edm::default(), Seed(1)).unwrap()
-}
-
-fn values(tensor: &Tensor) -> Vec<f32> {
-    tensor.flatten_all().unwrap().to_vec1().unwrap()
-}
-
-/// The largest difference between two tensors.
-fn worst(a: &Tensor, b: &Tensor) -> f32 {
-    assert_eq!(a.dims(), b.dims());
-    values(a).iter().zip(values(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
-}
-
-fn noisy(batch: &SceneBatch, seed: u64) -> Tensor {
-    let mut rng = Seed(seed).rng();
-    let draws: Vec<f32> = (0..batch.x0.elem_count()).map(|_| rng.normal() as f32).collect();
-    let noise = Tensor::from_vec(draws, batch.x0.dims().to_vec(), &Device::Cpu).unwrap();
-    (&batch.x0 + noise).unwrap().broadcast_mul(&batch.latent.unsqueeze(3).unwrap()).unwrap()
 }
 
 fn run(denoiser: &SceneDenoiser, batch: &SceneBatch, x: &Tensor, sigmas: &[f32]) -> Tensor {

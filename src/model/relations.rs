@@ -4,7 +4,12 @@
 //! All of it is looked up on the host and outside of every gradient: which neighbor or lane is nearest jumps, and a network
 //! that is told so at every noise level has its gradients through the states themselves.
 
-use crate::tensor::{AgentSurroundings, LanePoint, PIECE_POINTS, RowSurroundings, SceneBatch};
+mod lanes;
+
+pub(super) use self::lanes::LANE;
+
+use self::lanes::nearest_lanes;
+use crate::tensor::{AgentSurroundings, RowSurroundings, SceneBatch};
 use candle_core::{DType, Device, Result, Tensor};
 use rayon::prelude::*;
 
@@ -12,8 +17,6 @@ use rayon::prelude::*;
 pub(super) const OWN: usize = 10;
 /// Features of a neighbor.
 pub(super) const NEIGHBOR: usize = 17;
-/// Features of a lane.
-pub(super) const LANE: usize = 13;
 
 /// Meters per unit of positions in an agent's own frame, and where those relative to a neighbor are half of their limit.
 const POSITION_M: f32 = 10.0;
@@ -25,10 +28,6 @@ const FRAME_M: f32 = 20.0;
 const NO_FRAME: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 /// Meters per second per unit of velocity.
 const SPEED_MPS: f32 = 10.0;
-/// A lane that points away counts as so many meters farther, per unit of 1 - cos of the angle.
-const AWAY_M: f32 = 2.0;
-/// Points of a lane ahead, over which its turning is told: about six meters.
-const PREVIEW_POINTS: usize = 3;
 
 /// What the network is told of the estimate: B rows, A agents, N tokens, K neighbors, L lanes.
 pub(super) struct Relations {
@@ -260,88 +259,26 @@ fn neighbor_features(pose: &Pose, them: &Pose, of_them: &AgentSurroundings, gap:
     ]
 }
 
-/// The nearest piece of each of the `n` nearest lanes among those that the agent is shown.
-fn nearest_lanes(pose: &Pose, row: &RowSurroundings, agent: usize, n: usize) -> Vec<[f32; LANE]> {
-    let around = &row.agents[agent];
-    // The best place of each lane: (cost, piece, point).
-    let mut best: Vec<(f32, u32, usize, usize)> = Vec::with_capacity(around.lanes.len());
-    for (seen_idx, seen) in around.lanes.iter().enumerate() {
-        let piece = &row.pieces[seen.piece as usize];
-        let mut nearest = (f32::INFINITY, 0);
-        for (k, point) in piece.points.iter().enumerate() {
-            let squared = (pose.x - point.x).powi(2) + (pose.y - point.y).powi(2);
-            if squared < nearest.0 {
-                nearest = (squared, k);
-            }
-        }
-        let point = &piece.points[nearest.1];
-        let (sin, cos) = point.heading_rad.sin_cos();
-        let cost = nearest.0.sqrt() + AWAY_M * (1.0 - (cos * pose.cos + sin * pose.sin));
-        match best.iter_mut().find(|(_, lane, _, _)| *lane == piece.lane) {
-            Some(known) if cost < known.0 => *known = (cost, piece.lane, seen_idx, nearest.1),
-            Some(_) => {}
-            None => best.push((cost, piece.lane, seen_idx, nearest.1)),
-        }
-    }
-    best.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
-    best.truncate(n);
-    best.into_iter()
-        .map(|(_, _, seen_idx, k)| {
-            let seen = around.lanes[seen_idx];
-            let piece = &row.pieces[seen.piece as usize];
-            let reach_m = seen.reach_m.map(|reach| reach + piece.length_m * k as f32 / (PIECE_POINTS - 1) as f32);
-            lane_features(pose, around.half_size_m[1], &piece.points, k, reach_m)
-        })
-        .collect()
-}
+/// Agents for tests.
+#[cfg(test)]
+mod testing {
+    use super::Pose;
+    use crate::tensor::AgentSurroundings;
 
-fn lane_features(
-    pose: &Pose,
-    half_width_m: f32,
-    points: &[LanePoint; PIECE_POINTS],
-    k: usize,
-    reach_m: Option<f32>,
-) -> [f32; LANE] {
-    let point = &points[k];
-    let (sin, cos) = point.heading_rad.sin_cos();
-    let (dx, dy) = (pose.x - point.x, pose.y - point.y);
-    let (along, offset) = (dx * cos + dy * sin, dy * cos - dx * sin);
-    let ahead = &points[(k + PREVIEW_POINTS).min(PIECE_POINTS - 1)];
-    let turn = ahead.heading_rad - point.heading_rad;
-    let turn = turn.sin().atan2(turn.cos());
-    // Clearances of the agent's sides, not of its center.
-    let clear = point.edges_m.map(|[left, right]| [left - offset - half_width_m, right + offset - half_width_m]);
-    let [left, right] = clear.map_or([0.0; 2], |sides| sides.map(|side| (side / 2.0).tanh()));
-    [
-        offset.tanh(),
-        (offset / 5.0).clamp(-4.0, 4.0),
-        (along / 5.0).clamp(-4.0, 4.0),
-        pose.cos * cos + pose.sin * sin,
-        pose.sin * cos - pose.cos * sin,
-        left,
-        right,
-        f32::from(u8::from(clear.is_some())),
-        turn,
-        f32::from(u8::from(reach_m.is_some())),
-        reach_m.unwrap_or_default() / 20.0,
-        (pose.vx * cos + pose.vy * sin) / SPEED_MPS,
-        (pose.vy * cos - pose.vx * sin) / SPEED_MPS,
-    ]
+    pub(super) fn car() -> AgentSurroundings {
+        AgentSurroundings { half_size_m: [2.0, 1.0], is_vulnerable: false, lanes: Vec::new() }
+    }
+
+    pub(super) fn pose(x: f32, y: f32, heading_rad: f32) -> Pose {
+        let (sin, cos) = heading_rad.sin_cos();
+        Pose { x, y, heading_rad, cos, sin, vx: 0.0, vy: 0.0 }
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::testing::{car, pose};
     use super::*;
-    use crate::tensor::{LanePiece, PIECE_FLAGS, SeenPiece};
-
-    fn car() -> AgentSurroundings {
-        AgentSurroundings { half_size_m: [2.0, 1.0], is_vulnerable: false, lanes: Vec::new() }
-    }
-
-    fn pose(x: f32, y: f32, heading_rad: f32) -> Pose {
-        let (sin, cos) = heading_rad.sin_cos();
-        Pose { x, y, heading_rad, cos, sin, vx: 0.0, vy: 0.0 }
-    }
 
     #[test]
     fn gaps_are_those_of_the_boxes() {
@@ -366,42 +303,5 @@ mod tests {
         let found = token_poses(&poses, &[1.0, 1.0, 1.0, 0.0, 0.0, 0.0], [1, 6, 3, 2], 0.1);
         let [Some(first), Some(second), None] = found[..] else { panic!("{found:?}") };
         assert!((first.x, second.x) == (1.0, 2.0) && (first.vx - 10.0).abs() < 1e-4 && (second.vx - 10.0).abs() < 1e-4);
-    }
-
-    #[test]
-    fn the_nearest_lanes_are_those_that_lead_the_agents_way() {
-        let piece = |lane: u32, y: f32, heading_rad: f32| LanePiece {
-            points: std::array::from_fn(|i| LanePoint { x: 2.0 * i as f32 - 9.0, y, heading_rad, edges_m: None }),
-            lane,
-            length_m: 18.0,
-            flags: [false; PIECE_FLAGS],
-        };
-        // One that leads back 1 m to the left counts 5 m; two pieces of one lane count once.
-        let pieces =
-            vec![piece(7, 1.0, std::f32::consts::PI), piece(8, -3.0, 0.0), piece(8, -2.0, 0.0), piece(9, 4.5, 0.0)];
-        let lanes = (0..4).map(|piece| SeenPiece { piece, reach_m: None }).collect();
-        let row = RowSurroundings { pieces, agents: vec![AgentSurroundings { lanes, ..car() }], dt_s: 0.1 };
-        let found = nearest_lanes(&pose(0.0, 0.0, 0.0), &row, 0, 3);
-        let offsets: Vec<f32> = found.iter().map(|features| features[1] * 5.0).collect();
-        for (found, expected) in offsets.iter().zip([2.0, -4.5, 1.0]) {
-            assert!((found - expected).abs() < 1e-5, "{offsets:?}");
-        }
-        assert_eq!(nearest_lanes(&pose(0.0, 0.0, 0.0), &row, 0, 2).len(), 2);
-        assert!(nearest_lanes(&pose(0.0, 0.0, 0.0), &row, 0, 9).len() == 3);
-    }
-
-    #[test]
-    fn a_lane_tells_offset_clearance_and_turning() {
-        let point = |i: usize| LanePoint {
-            x: i as f32 * 2.0,
-            y: 0.0,
-            heading_rad: 0.1 * i as f32,
-            edges_m: Some([1.75, 5.25]),
-        };
-        let points: [LanePoint; PIECE_POINTS] = std::array::from_fn(point);
-        let features = lane_features(&pose(0.0, 0.5, 0.0), 1.0, &points, 0, Some(8.0));
-        let expected =
-            [0.5f32.tanh(), 0.1, 0.0, 1.0, 0.0, 0.125f32.tanh(), 2.375f32.tanh(), 1.0, 0.3, 1.0, 0.4, 0.0, 0.0];
-        assert!(features.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{features:?}");
     }
 }

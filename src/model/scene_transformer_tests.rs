@@ -1,5 +1,6 @@
 //! Padding never leaks between scenes and futures, hidden states are not seen, and the order of agents does not matter.
 
+use super::tests::drives;
 use super::*;
 use crate::nn::{Compute, Params};
 use crate::scene::testing::{Drive, scene};
@@ -28,14 +29,7 @@ fn network() -> (Params, SceneTransformer) {
 }
 
 fn cars(n: usize, future_curvature_1pm: f64) -> Scene {
-    let drive = |i: usize| Drive {
-        x: 6.0 * i as f64,
-        y: 2.0 - i as f64,
-        heading_rad: 0.1 * i as f64,
-        speed_mps: 9.0 + i as f64,
-        curvature_1pm: 0.02 * i as f64,
-    };
-    let drives: Vec<Drive> = (0..n).map(drive).collect();
+    let drives = drives(n);
     let turned: Vec<Drive> =
         drives.iter().map(|d| Drive { curvature_1pm: d.curvature_1pm + future_curvature_1pm, ..*d }).collect();
     let (mut recorded, other) = (scene(&drives), scene(&turned));

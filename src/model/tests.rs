@@ -24,7 +24,8 @@ fn config() -> NetworkConfig {
     }
 }
 
-fn cars(n: usize) -> Scene {
+/// Cars one behind the other, each faster than the one before it, on a sharper bend.
+pub(super) fn drives(n: usize) -> Vec<Drive> {
     let drive = |i: usize| Drive {
         x: 6.0 * i as f64,
         y: 2.0 - i as f64,
@@ -32,7 +33,11 @@ fn cars(n: usize) -> Scene {
         speed_mps: 9.0 + i as f64,
         curvature_1pm: 0.02 * i as f64,
     };
-    scene(&(0..n).map(drive).collect::<Vec<_>>())
+    (0..n).map(drive).collect()
+}
+
+fn cars(n: usize) -> Scene {
+    scene(&drives(n))
 }
 
 fn collate(scenes: &[&Scene]) -> SceneBatch {
@@ -45,18 +50,18 @@ fn collate(scenes: &[&Scene]) -> SceneBatch {
     collator.collate(&views, FutureValidity::Recorded, &Device::Cpu).unwrap()
 }
 
-fn values(tensor: &Tensor) -> Vec<f32> {
+pub(super) fn values(tensor: &Tensor) -> Vec<f32> {
     tensor.flatten_all().unwrap().to_vec1().unwrap()
 }
 
 /// The largest difference between two tensors. Not quite zero where batches differ: matrix products block by size.
-fn worst(a: &Tensor, b: &Tensor) -> f32 {
+pub(super) fn worst(a: &Tensor, b: &Tensor) -> f32 {
     assert_eq!(a.dims(), b.dims());
     values(a).iter().zip(values(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
 /// Deterministic noisy states of one scene's shape.
-fn noisy(batch: &SceneBatch, seed: u64) -> Tensor {
+pub(super) fn noisy(batch: &SceneBatch, seed: u64) -> Tensor {
     let mut rng = Seed(seed).rng();
     let dims = batch.x0.dims().to_vec();
     let draws: Vec<f32> = (0..batch.x0.elem_count()).map(|_| rng.normal() as f32).collect();

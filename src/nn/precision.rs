@@ -3,6 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::settings::Unreadable;
 use candle_core::{DType, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -34,11 +35,11 @@ impl fmt::Display for Precision {
 }
 
 impl FromStr for Precision {
-    type Err = String;
+    type Err = Unreadable;
 
-    fn from_str(text: &str) -> std::result::Result<Self, String> {
+    fn from_str(text: &str) -> std::result::Result<Self, Unreadable> {
         let known = [Self::F32, Self::Tf32, Self::Bf16].into_iter().find(|precision| precision.to_string() == text);
-        known.ok_or_else(|| format!("unknown precision `{text}`; known here: f32, tf32, bf16"))
+        known.ok_or_else(|| Unreadable(format!("unknown precision `{text}`; known here: f32, tf32, bf16")))
     }
 }
 
@@ -105,7 +106,7 @@ mod tests {
         for precision in [Precision::F32, Precision::Tf32, Precision::Bf16] {
             assert_eq!(precision.to_string().parse(), Ok(precision));
         }
-        assert!("fp16".parse::<Precision>().unwrap_err().contains("fp16"));
+        assert!("fp16".parse::<Precision>().unwrap_err().0.contains("fp16"));
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use super::failure::{Failure, Result};
 use crate::nn::{Compute, Precision};
+use crate::settings::Unreadable;
 use candle_core::Device;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -63,22 +64,23 @@ impl fmt::Display for DeviceChoice {
 }
 
 impl FromStr for DeviceChoice {
-    type Err = String;
+    type Err = Unreadable;
 
-    fn from_str(text: &str) -> std::result::Result<Self, String> {
+    fn from_str(text: &str) -> std::result::Result<Self, Unreadable> {
         let gpu = match text {
             "cpu" => return Ok(Self::Cpu),
             "cuda" => Some(0),
             other => other.strip_prefix("cuda:").and_then(|ordinal| ordinal.parse().ok()),
         };
-        gpu.map(Self::Cuda).ok_or_else(|| format!("unknown device `{text}`; known here: cpu, cuda, cuda:N"))
+        let unknown = || Unreadable(format!("unknown device `{text}`; known here: cpu, cuda, cuda:N"));
+        gpu.map(Self::Cuda).ok_or_else(unknown)
     }
 }
 
 impl TryFrom<String> for DeviceChoice {
-    type Error = String;
+    type Error = Unreadable;
 
-    fn try_from(text: String) -> std::result::Result<Self, String> {
+    fn try_from(text: String) -> std::result::Result<Self, Unreadable> {
         text.parse()
     }
 }
@@ -192,7 +194,7 @@ mod tests {
             assert_eq!((text.parse(), device.to_string().as_str()), (Ok(device), text));
         }
         for text in ["gpu", "cuda:", "cuda:-1", "CPU"] {
-            assert!(text.parse::<DeviceChoice>().unwrap_err().contains(text));
+            assert!(text.parse::<DeviceChoice>().unwrap_err().0.contains(text));
         }
     }
 

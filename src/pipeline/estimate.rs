@@ -10,8 +10,8 @@ use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::model::TrainedDenoiser;
 use crate::nn::Compute;
 use crate::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneGraph, LaneId, ObservationMask, Scene, SceneId, SceneSource, Split, State,
-    Track, TrackId, TrackRole, Trajectory,
+    AgentClass, Dataset, Extent, Lane, LaneGraph, ObservationMask, Scene, SceneId, SceneSource, Split, State, Track,
+    TrackId, TrackRole, Trajectory,
 };
 use crate::store::SceneStore;
 use crate::tensor::{FutureValidity, SceneView};
@@ -169,17 +169,7 @@ fn made_up_scene(n_history: usize, n_timesteps: usize, dt_s: f64) -> Scene {
             let (x, y) = (20.0 * (i / 4) as f64 - 100.0, 4.0 * (i % 4) as f64 + offset_m);
             Polyline((0..11).map(|point| Vec2::new(x + 2.0 * f64::from(point), y)).collect())
         };
-        Lane {
-            id: LaneId(i as i64),
-            centerline: line(0.0),
-            left: line(2.0),
-            right: line(-2.0),
-            successors: Vec::new(),
-            predecessors: Vec::new(),
-            left_neighbor: None,
-            right_neighbor: None,
-            attributes: Arc::default(),
-        }
+        Lane::unconnected(i as i64, line(0.0), [2.0, -2.0].map(line))
     };
     Scene {
         id: SceneId("made-up".to_owned()),

@@ -100,91 +100,102 @@ pub fn estimate_memory(config: &PipelineConfig, layout: &Layout, stages: &[Stage
     if config.run.device != DeviceChoice::Cpu {
         return Ok(Vec::new());
     }
-    let largest = SceneStore::open(&layout.scenes).ok().and_then(|store| {
-        let index = store.index();
-        Some((index.iter().map(|scene| scene.n_agents).max()?, index.iter().map(|scene| scene.n_timesteps).max()?))
-    });
-    let scene = |max_agents: usize, n_lanes: usize, state_dim: Option<usize>| -> Result<SceneSize> {
-        let (n_agents, n_timesteps) = match (largest, &config.ingest) {
-            (Some(largest), _) => largest,
-            (None, Some(ingest)) => (N_AGENTS.min(ingest.max_agents), usual_horizon(ingest)?.n_timesteps()),
-            (None, None) => (N_AGENTS, 40),
-        };
-        Ok(SceneSize { n_agents: n_agents.min(max_agents), n_timesteps, n_lanes, state_dim: state_dim.unwrap_or(3) })
-    };
-    let train = &config.train;
-    let of_stage = |stage: StageId| -> Result<Option<StageMemory>> {
-        let denoiser = || denoiser_of(config, layout, &scene);
+    let sizes = Sizes::new(config, layout);
+    stages.iter().filter_map(|stage| sizes.memory(*stage).transpose()).collect()
+}
+
+/// The sizes of networks and scenes, as far as they are known before anything runs.
+struct Sizes<'a> {
+    config: &'a PipelineConfig,
+    layout: &'a Layout,
+    /// Agents and timesteps of the largest ingested scene.
+    largest: Option<(usize, usize)>,
+}
+
+impl<'a> Sizes<'a> {
+    fn new(config: &'a PipelineConfig, layout: &'a Layout) -> Self {
+        let largest = SceneStore::open(&layout.scenes).ok().and_then(|store| {
+            let index = store.index();
+            Some((index.iter().map(|scene| scene.n_agents).max()?, index.iter().map(|scene| scene.n_timesteps).max()?))
+        });
+        Self { config, layout, largest }
+    }
+
+    /// What a stage takes; `None` where it neither trains nor samples.
+    fn memory(&self, stage: StageId) -> Result<Option<StageMemory>> {
+        let train = &self.config.train;
+        let trained = |counts, batch_size, scene| Some(StageMemory::trained(stage, counts, batch_size, scene));
         Ok(match stage {
-            StageId::TrainDenoiser => match train.denoiser.as_ref().filter(|section| section.checkpoint.is_none()) {
-                Some(section) => {
+            StageId::TrainDenoiser => match &train.denoiser {
+                Some(section) if section.checkpoint.is_none() => {
                     let resolved = section.resolve()?;
-                    let scene = scene(resolved.max_agents, resolved.max_lanes, section.state_dim)?;
-                    let counts = resolved.network.number_counts(scene);
-                    Some(StageMemory::trained(stage, counts, resolved.common.batch_size, scene))
+                    let scene = self.scene(resolved.max_agents, resolved.max_lanes, section.state_dim)?;
+                    trained(resolved.network.number_counts(scene), resolved.common.batch_size, scene)
                 }
-                None => None,
+                _ => None,
             },
-            StageId::TrainDistill => match train.distill.as_ref().filter(|section| section.checkpoint.is_none()) {
-                Some(section) => denoiser()?.map(|(network, scene)| {
-                    StageMemory::trained(stage, network.number_counts(scene), section.batch_size, scene)
-                }),
-                None => None,
+            StageId::TrainDistill => match &train.distill {
+                Some(section) if section.checkpoint.is_none() => self
+                    .denoiser()?
+                    .and_then(|(network, scene)| trained(network.number_counts(scene), section.batch_size, scene)),
+                _ => None,
             },
-            StageId::TrainClassifier => {
-                match train.classifier.as_ref().filter(|section| section.checkpoint.is_none()) {
-                    Some(section) => {
-                        let scene = scene(N_AGENTS, 0, None)?;
-                        let counts = section.network.number_counts(scene);
-                        Some(StageMemory::trained(stage, counts, section.batch_size, scene))
-                    }
-                    None => None,
+            StageId::TrainClassifier => match &train.classifier {
+                Some(section) if section.checkpoint.is_none() => {
+                    let scene = self.scene(N_AGENTS, 0, None)?;
+                    trained(section.network.number_counts(scene), section.batch_size, scene)
                 }
-            }
-            StageId::TrainBaseline => match train.baseline.as_ref().filter(|section| section.checkpoint.is_none()) {
-                Some(section) => {
+                _ => None,
+            },
+            StageId::TrainBaseline => match &train.baseline {
+                Some(section) if section.checkpoint.is_none() => {
                     let resolved = section.resolve()?;
-                    let scene = scene(resolved.max_agents, resolved.max_lanes, section.state_dim)?;
-                    let counts = resolved.network.number_counts(scene);
-                    Some(StageMemory::trained(stage, counts, resolved.common.batch_size, scene))
+                    let scene = self.scene(resolved.max_agents, resolved.max_lanes, section.state_dim)?;
+                    trained(resolved.network.number_counts(scene), resolved.common.batch_size, scene)
                 }
-                None => None,
+                _ => None,
             },
-            StageId::Generate => match &config.generate {
-                Some(section) => denoiser()?.map(|(network, scene)| {
+            StageId::Generate => match &self.config.generate {
+                Some(section) => self.denoiser()?.map(|(network, scene)| {
                     StageMemory::sampled(network.number_counts(scene), section.batch_size, scene)
                 }),
                 None => None,
             },
             StageId::Ingest | StageId::Mine | StageId::Evaluate | StageId::Report => None,
         })
-    };
-    stages.iter().filter_map(|stage| of_stage(*stage).transpose()).collect()
-}
+    }
 
-/// The denoiser's network and the scenes that it is shown: as it will be trained, or as its checkpoint says. `None` where neither is known.
-fn denoiser_of(
-    config: &PipelineConfig,
-    layout: &Layout,
-    scene: &dyn Fn(usize, usize, Option<usize>) -> Result<SceneSize>,
-) -> Result<Option<(NetworkConfig, SceneSize)>> {
-    let path = match &config.train.denoiser {
-        Some(section) => match &section.checkpoint {
-            Some(path) => checkpoint_file(path),
-            None => {
-                let resolved = section.resolve()?;
-                let scene = scene(resolved.max_agents, resolved.max_lanes, section.state_dim)?;
-                return Ok(Some((resolved.network, scene)));
-            }
-        },
-        None => checkpoint_file(&layout.denoiser),
-    };
-    // Whether it can be read, the stage that reads it says.
-    let Ok(TrainedModel { spec, .. }) = TrainedModel::<DenoiserSpec>::read(&path, &Compute::cpu()) else {
-        return Ok(None);
-    };
-    let scene = scene(spec.max_agents, spec.max_lanes, Some(spec.normalizer.state_dim))?;
-    Ok(Some((spec.network, scene)))
+    /// The largest scene that a network is shown.
+    fn scene(&self, max_agents: usize, n_lanes: usize, state_dim: Option<usize>) -> Result<SceneSize> {
+        let (n_agents, n_timesteps) = match (self.largest, &self.config.ingest) {
+            (Some(largest), _) => largest,
+            (None, Some(ingest)) => (N_AGENTS.min(ingest.max_agents), usual_horizon(ingest)?.n_timesteps()),
+            (None, None) => (N_AGENTS, 40),
+        };
+        Ok(SceneSize { n_agents: n_agents.min(max_agents), n_timesteps, n_lanes, state_dim: state_dim.unwrap_or(3) })
+    }
+
+    /// The denoiser's network and the scenes that it is shown: as it will be trained, or as its checkpoint says. `None` where neither is
+    /// known.
+    fn denoiser(&self) -> Result<Option<(NetworkConfig, SceneSize)>> {
+        let path = match &self.config.train.denoiser {
+            Some(section) => match &section.checkpoint {
+                Some(path) => checkpoint_file(path),
+                None => {
+                    let resolved = section.resolve()?;
+                    let scene = self.scene(resolved.max_agents, resolved.max_lanes, section.state_dim)?;
+                    return Ok(Some((resolved.network, scene)));
+                }
+            },
+            None => checkpoint_file(&self.layout.denoiser),
+        };
+        // Whether it can be read, the stage that reads it says.
+        let Ok(TrainedModel { spec, .. }) = TrainedModel::<DenoiserSpec>::read(&path, &Compute::cpu()) else {
+            return Ok(None);
+        };
+        let scene = self.scene(spec.max_agents, spec.max_lanes, Some(spec.normalizer.state_dim))?;
+        Ok(Some((spec.network, scene)))
+    }
 }
 
 /// Refuses stages that are to be run and would take more than `run.memory_limit_gb`, or than the `machine` bytes of memory where that

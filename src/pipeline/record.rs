@@ -205,12 +205,12 @@ impl StageRecord {
         &self,
         root: &Path,
         seen: &BTreeMap<String, String>,
-    ) -> std::result::Result<BTreeMap<String, String>, String> {
+    ) -> std::result::Result<BTreeMap<String, String>, &str> {
         let mut times = BTreeMap::new();
         for (name, written) in &self.outputs {
             let known = PathFingerprint { times: seen.get(name).cloned(), ..written.clone() };
             let found = self.found(root, name, Some(&known));
-            let found = found.filter(|found| found.agrees_with(written)).ok_or_else(|| name.clone())?;
+            let found = found.filter(|found| found.agrees_with(written)).ok_or(name.as_str())?;
             times.extend(found.times.map(|times| (name.clone(), times)));
         }
         Ok(times)

@@ -3,6 +3,7 @@
 use super::failure::Result;
 use crate::nn::Compute;
 use crate::progress::Progress;
+use crate::settings::Unreadable;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -53,12 +54,12 @@ impl StageId {
 }
 
 impl FromStr for StageId {
-    type Err = String;
+    type Err = Unreadable;
 
-    fn from_str(name: &str) -> Result<Self, String> {
+    fn from_str(name: &str) -> Result<Self, Unreadable> {
         Self::ALL.into_iter().find(|stage| stage.name() == name).ok_or_else(|| {
             let known: Vec<&str> = Self::ALL.iter().map(|stage| stage.name()).collect();
-            format!("unknown stage; known stages: {}", known.join(", "))
+            Unreadable(format!("unknown stage; known stages: {}", known.join(", ")))
         })
     }
 }

@@ -5,7 +5,7 @@
 //! smoothly; velocities and headings follow.
 
 use super::motion::{Motion, hermite, point_along, smooth_step, with_future};
-use super::{AgentRef, Scene};
+use super::{AgentRef, Scene, UnfitScene};
 use crate::geometry::{Polyline, Vec2};
 use crate::settings::{self, Issue};
 use schemars::JsonSchema;
@@ -163,15 +163,16 @@ impl SceneEdit {
     ///
     /// # Errors
     /// When the scene has no future or no such agent at present.
-    pub fn apply(&self, scene: &Scene, resolve: &dyn Fn(&AgentRef) -> Option<usize>) -> Result<Scene, String> {
+    pub fn apply(&self, scene: &Scene, resolve: &dyn Fn(&AgentRef) -> Option<usize>) -> Result<Scene, UnfitScene> {
         if !scene.has_future() {
-            return Err("has no recorded future to edit".to_owned());
+            return Err(UnfitScene("has no recorded future to edit".to_owned()));
         }
         let present = scene.current_timestep();
         let mut indices = Vec::new();
         for agent in self.agents() {
             let agent_idx = resolve(agent).filter(|agent_idx| scene.state(*agent_idx, present).is_some());
-            indices.push(agent_idx.ok_or_else(|| format!("has no agent {agent} that is tracked at present"))?);
+            let unfit = || UnfitScene(format!("has no agent {agent} that is tracked at present"));
+            indices.push(agent_idx.ok_or_else(unfit)?);
         }
         let motion = |i: usize| Motion::new(&scene.tracks[indices[i]].trajectory, scene.dt_s);
         let Some(own) = motion(0) else { return Ok(scene.clone()) };
@@ -374,7 +375,7 @@ mod tests {
         let scene = without_states(crossing(), 0, |t| t == 3);
         let resolve = |agent: &AgentRef| agent.resolve(&scene, 0, crate::scene::Roles::none());
         let error = edit("{ kind = 'scale_speed', agent = 'ego', factor = 2.0 }").apply(&scene, &resolve).unwrap_err();
-        assert!(error.contains("tracked at present"), "{error}");
+        assert!(error.0.contains("tracked at present"), "{error}");
     }
 
     #[test]

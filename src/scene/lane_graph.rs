@@ -60,6 +60,21 @@ pub struct Lane {
 }
 
 impl Lane {
+    /// A lane with these boundaries, left and right, of which nothing else is known.
+    pub fn unconnected(id: i64, centerline: Polyline, [left, right]: [Polyline; 2]) -> Self {
+        Self {
+            id: LaneId(id),
+            centerline,
+            left,
+            right,
+            successors: Vec::new(),
+            predecessors: Vec::new(),
+            left_neighbor: None,
+            right_neighbor: None,
+            attributes: Arc::default(),
+        }
+    }
+
     /// The outline of the lane: left boundary, then right boundary backwards. `None` without boundaries.
     pub fn outline(&self) -> Option<Vec<crate::geometry::Vec2>> {
         (self.left.0.len() >= 2 && self.right.0.len() >= 2)

@@ -29,6 +29,6 @@ pub use motion::STANDING_STEP_M;
 pub use observation_mask::ObservationMask;
 pub use roles::Roles;
 pub use scenario::{GuidanceTag, Provenance, Scenario};
-pub use scene::{Scene, SceneSource, Split};
+pub use scene::{Scene, SceneSource, Split, UnfitScene};
 pub use track::{Track, TrackRole};
 pub use trajectory::{Derivation, RecordedPosition, State, Trajectory};

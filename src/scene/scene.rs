@@ -39,6 +39,11 @@ impl Split {
     }
 }
 
+/// Why a scene does not serve its purpose, in words that follow its name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct UnfitScene(pub String);
+
 /// Where a scene came from, precisely enough to find it again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SceneSource {

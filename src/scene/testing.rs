@@ -47,17 +47,7 @@ pub(crate) fn scene(drives: &[Drive]) -> Scene {
         trajectory: Trajectory::new((0..n_timesteps).map(|t| Some(drive.state(t as f64 * dt_s))).collect()),
     };
     let line = |y: f64| Polyline((0..61).map(|i| Vec2::new(f64::from(i) * 2.0 - 40.0, y)).collect());
-    let lane = Lane {
-        id: LaneId(7),
-        centerline: line(0.0),
-        left: line(1.75),
-        right: line(-1.75),
-        successors: Vec::new(),
-        predecessors: Vec::new(),
-        left_neighbor: None,
-        right_neighbor: None,
-        attributes: Arc::default(),
-    };
+    let lane = Lane::unconnected(7, line(0.0), [1.75, -1.75].map(line));
     Scene {
         id: "interaction/train/Test/1".into(),
         source: SceneSource {

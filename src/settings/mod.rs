@@ -21,6 +21,17 @@ pub struct Issue {
     pub message: String,
 }
 
+/// A value that cannot be read from its text. Whoever knows its key says it.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Unreadable(pub String);
+
+impl<T: Into<String>> From<T> for Unreadable {
+    fn from(why: T) -> Self {
+        Self(why.into())
+    }
+}
+
 /// Whether settings can work.
 pub type Result<T = (), E = Issue> = std::result::Result<T, E>;
 

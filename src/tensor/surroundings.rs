@@ -197,17 +197,7 @@ mod tests {
 
     /// A lane of 36 m: two pieces.
     fn lane(id: i64, from: Vec2, to: Vec2) -> Lane {
-        Lane {
-            id: LaneId(id),
-            centerline: Polyline(vec![from, to]),
-            left: Polyline::default(),
-            right: Polyline::default(),
-            successors: Vec::new(),
-            predecessors: Vec::new(),
-            left_neighbor: None,
-            right_neighbor: None,
-            attributes: std::sync::Arc::default(),
-        }
+        Lane::unconnected(id, Polyline(vec![from, to]), Default::default())
     }
 
     /// A lane along x that another one continues, one beside it, one back on the far side, and one far away.

@@ -76,7 +76,7 @@ impl TrainTask for DenoisingTask<'_> {
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
         let objectives = &self.training.objectives;
         let losses = EVALUATION_SIGMAS.into_iter().map(|sigma| format!("held_out_loss_at_sigma_{sigma}"));
-        let costs = objectives.iter().map(|objective| format!("held_out_cost_of_{}", objective.objective().kind()));
+        let costs = objectives.iter().map(|objective| format!("held_out_cost_of_{}", objective.kind()));
         let names: Vec<String> = losses.chain(costs).collect();
         let means = self.draws.held_out_means(names.len(), |drawn| {
             let DrawnBatch { batch, seeds, .. } = drawn;

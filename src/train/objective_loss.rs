@@ -7,9 +7,7 @@ use candle_core::Tensor;
 /// Fails where objectives cannot be trained toward: there are no roles in training.
 pub(super) fn check_objectives(key: &str, objectives: &[ObjectiveConfig]) -> Result<(), Error> {
     match objectives.iter().find_map(|objective| Some((objective, objective.validate(&[]).err()?))) {
-        Some((objective, why)) => {
-            Err(Error::Config(format!("{key}: objective {}: {why}", objective.objective().kind())))
-        }
+        Some((objective, why)) => Err(Error::Config(format!("{key}: objective {}: {why}", objective.kind()))),
         None => Ok(()),
     }
 }
@@ -49,7 +47,7 @@ pub(super) fn objective_loss(
     let counts = Tensor::from_slice(counts, counts.len(), x0.device())?;
     let mut total: Option<Tensor> = None;
     for (objective, cost) in objectives.iter().zip(objective_costs(objectives, x0, drawn)?) {
-        let mean = ((cost * &counts)?.sum_all()? * (objective.objective().weight() / f64::from(n_rows)))?;
+        let mean = ((cost * &counts)?.sum_all()? * (objective.weight() / f64::from(n_rows)))?;
         total = Some(match total {
             Some(total) => (total + mean)?,
             None => mean,

@@ -195,7 +195,7 @@ impl TrainTask for StepDistillationTask<'_> {
         let sigmas = self.steps.sigmas(self.frozen.edm());
         let objectives = &self.training.objectives;
         let levels = sigmas[..sigmas.len() - 1].iter().map(|sigma| format!("held_out_distance_at_sigma_{sigma:.3}"));
-        let wishes = objectives.iter().map(|objective| format!("held_out_cost_of_{}", objective.objective().kind()));
+        let wishes = objectives.iter().map(|objective| format!("held_out_cost_of_{}", objective.kind()));
         let names: Vec<String> = levels.chain(wishes).collect();
         let means = self.draws.held_out_means(names.len(), |drawn| {
             let Answers { mut distances, sample } = self.answers(self.frozen, drawn)?;

@@ -32,17 +32,7 @@ pub(crate) fn scene(n_agents: usize, n_timesteps: usize, n_history: usize, n_lan
         let line = |offset_m: f64| {
             Polyline((0..10).map(|i| Vec2::new(column * 18.0 + f64::from(i) * 2.0, row * 3.5 + offset_m)).collect())
         };
-        Lane {
-            id: LaneId(idx as i64),
-            centerline: line(0.0),
-            left: line(1.75),
-            right: line(-1.75),
-            successors: Vec::new(),
-            predecessors: Vec::new(),
-            left_neighbor: None,
-            right_neighbor: None,
-            attributes: Arc::default(),
-        }
+        Lane::unconnected(idx as i64, line(0.0), [1.75, -1.75].map(line))
     };
     Scene {
         id: format!("interaction/train/Grid/{n_agents}").as_str().into(),

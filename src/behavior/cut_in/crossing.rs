@@ -51,54 +51,26 @@ struct Place {
 impl LaneCrossing<'_> {
     /// The cut-in, if there is one. `others_lane` is asked for the lane that the other keeps.
     pub(super) fn find<'l>(&self, others_lane: impl Fn() -> Option<&'l KeptLane>) -> Option<Crossing> {
-        let (scene, config) = (self.scene, self.config);
+        let scene = self.scene;
         let [ego, other] = self.pair.map(|agent_idx| &scene.tracks[agent_idx]);
         let (present, end) = (scene.current_timestep(), scene.n_timesteps);
-        let start = self.place(other, present)?;
-        let side = if start.offset_m < 0.0 { -1.0 } else { 1.0 };
-        let beyond_m = |timestep: usize, side: f64| self.lane.beyond_m(state(other, timestep)?.position, side);
-        if beyond_m(present, side)? <= 0.0 {
-            return None;
-        }
-        let is_in =
-            |t: usize| [side, -side].into_iter().all(|side| beyond_m(t, side).is_some_and(|beyond| beyond <= 0.0));
-        let crossing = (scene.n_history..end).find(|timestep| is_in(*timestep))?;
-        let settling = (SETTLING_S / scene.dt_s).round() as usize;
-        let goes_back =
-            (crossing..end.min(crossing + settling)).any(|t| beyond_m(t, side).is_some_and(|beyond| beyond > 0.0));
+        let side = if self.place(other, present)?.offset_m < 0.0 { -1.0 } else { 1.0 };
+        let crossing = self.crossed(other, side)?;
         let places: Vec<[Option<Place>; 2]> = (0..end)
             .map(|t| if t < present { [None, None] } else { [self.place(ego, t), self.place(other, t)] })
             .collect();
-        let is_along = |t: usize| {
-            let heading_rad = state(other, t).zip(places[t][1]);
-            heading_rad.is_none_or(|(state, place)| {
-                angle_difference(state.heading_rad, place.heading_rad).abs() < config.max_heading_difference_rad
-            })
-        };
-        if goes_back || !(present..=crossing).all(is_along) {
-            return None;
-        }
         let (intrusion, reached) = self.replayed(&places)?;
-        let is_ahead =
-            |t: usize| places[t][0].zip(places[t][1]).is_some_and(|(own, theirs)| theirs.station_m > own.station_m);
-        let come_in = crossing.max(intrusion);
-        let [own, theirs] = places[come_in];
-        let half_length_m = ego.extent_or_nominal().length_m / 2.0;
-        let gap_m =
-            |own: &Place, theirs: &Place| theirs.station_m - theirs.half_along_m - own.station_m - half_length_m;
-        let is_clear = own.zip(theirs).is_some_and(|(own, theirs)| gap_m(&own, &theirs) >= 0.0);
-        let keeps = |t: usize| state(ego, t).is_none_or(|state| self.lane.holds(state.position));
-        if !is_ahead(crossing) || !is_ahead(intrusion) || !is_clear || !(present..=come_in).all(keeps) {
+        if !self.is_ahead(&places, crossing, intrusion) {
             return None;
         }
-        let last = (come_in + settling).min(end - 1);
+        let last = (crossing.max(intrusion) + self.n_settling()).min(end - 1);
         let moved_m = |who: usize, toward: f64| {
             let start = places[present][who]?;
             let offsets = places[present..=last].iter().filter_map(|places| places[who]);
             offsets.map(|place| toward * (place.offset_m - start.offset_m)).reduce(f64::max)
         };
         let (shift_m, ego_shift_m) = (moved_m(1, -side)?, moved_m(0, side)?);
-        if shift_m < config.min_shift_m || shift_m <= ego_shift_m {
+        if shift_m < self.config.min_shift_m || shift_m <= ego_shift_m {
             return None;
         }
         // Where the two lanes are one ahead, each is as far from the other as the other from it.
@@ -110,24 +82,73 @@ impl LaneCrossing<'_> {
         if is_mutual && side * across_m(ego)? >= -side * across_m(other)? {
             return None;
         }
-        let (own, theirs) = (places[intrusion][0]?, places[intrusion][1]?);
-        let (ego_state, other_state) = (state(ego, intrusion)?, state(other, intrusion)?);
+        let moment = self.moment(intrusion, &places[intrusion], side, shift_m)?;
+        Some(Crossing { intrusion, reached, crossing, ego_shift_m, moment })
+    }
+
+    /// When the other, which comes from `side`, is in the lane with its center, having headed along it until then. `None` also where it goes back
+    /// soon.
+    fn crossed(&self, other: &Track, side: f64) -> Option<usize> {
+        let (present, end) = (self.scene.current_timestep(), self.scene.n_timesteps);
+        let beyond_m = |t: usize, side: f64| self.lane.beyond_m(state(other, t)?.position, side);
+        let is_outside = |t: usize| beyond_m(t, side).is_some_and(|beyond_m| beyond_m > 0.0);
+        let is_in =
+            |t: usize| [side, -side].into_iter().all(|side| beyond_m(t, side).is_some_and(|beyond_m| beyond_m <= 0.0));
+        let is_along = |t: usize| {
+            let found = state(other, t).and_then(|state| Some((state, self.lane.project(state.position)?)));
+            found.is_none_or(|(state, place)| {
+                angle_difference(state.heading_rad, place.heading_rad).abs() < self.config.max_heading_difference_rad
+            })
+        };
+        let crossing = (self.scene.n_history..end).find(|timestep| is_in(*timestep))?;
+        let goes_back = (crossing..end.min(crossing + self.n_settling())).any(is_outside);
+        (is_outside(present) && !goes_back && (present..=crossing).all(is_along)).then_some(crossing)
+    }
+
+    /// Whether the other is ahead of the ego when it crosses and when it intrudes, clear of it when both have happened, and the ego in its lane until
+    /// then.
+    fn is_ahead(&self, places: &[[Option<Place>; 2]], crossing: usize, intrusion: usize) -> bool {
+        let both = |t: usize| places[t][0].zip(places[t][1]);
+        let is_ahead = |t: usize| both(t).is_some_and(|(own, theirs)| theirs.station_m > own.station_m);
+        let come_in = crossing.max(intrusion);
+        let ego = &self.scene.tracks[self.pair[0]];
+        let keeps = |t: usize| state(ego, t).is_none_or(|state| self.lane.holds(state.position));
+        is_ahead(crossing)
+            && is_ahead(intrusion)
+            && both(come_in).is_some_and(|(own, theirs)| self.gap_m(&own, &theirs) >= 0.0)
+            && (self.scene.current_timestep()..=come_in).all(keeps)
+    }
+
+    /// How the two stand to each other at a timestep. `None` where one of them stands still.
+    fn moment(&self, timestep: usize, places: &[Option<Place>; 2], side: f64, shift_m: f64) -> Option<Intrusion> {
+        let [ego, other] = self.pair.map(|agent_idx| &self.scene.tracks[agent_idx]);
+        let (own, theirs) = (places[0]?, places[1]?);
+        let (ego_state, other_state) = (state(ego, timestep)?, state(other, timestep)?);
         if ego_state.speed_mps().min(other_state.speed_mps()) < MIN_SPEED_MPS {
             return None;
         }
-        let moment = Intrusion {
+        Some(Intrusion {
             ego_speed_mps: ego_state.speed_mps(),
             other_speed_mps: other_state.speed_mps(),
             relative_speed_mps: ego_state.velocity.dot(Vec2::from_angle(own.heading_rad))
                 - other_state.velocity.dot(Vec2::from_angle(theirs.heading_rad)),
-            gap_m: gap_m(&own, &theirs),
+            gap_m: self.gap_m(&own, &theirs),
             lateral_speed_mps: -side * Vec2::from_angle(theirs.heading_rad).cross(other_state.velocity),
             side,
             ego_length_m: ego.extent_or_nominal().length_m,
             other_length_m: other.extent_or_nominal().length_m,
             shift_m: Some(shift_m),
-        };
-        Some(Crossing { intrusion, reached, crossing, ego_shift_m, moment })
+        })
+    }
+
+    /// From the front of the ego to the rear of the other, along the lane.
+    fn gap_m(&self, own: &Place, theirs: &Place) -> f64 {
+        let half_length_m = self.scene.tracks[self.pair[0]].extent_or_nominal().length_m / 2.0;
+        theirs.station_m - theirs.half_along_m - own.station_m - half_length_m
+    }
+
+    fn n_settling(&self) -> usize {
+        (SETTLING_S / self.scene.dt_s).round() as usize
     }
 
     fn place(&self, track: &Track, timestep: usize) -> Option<Place> {

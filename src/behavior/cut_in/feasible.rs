@@ -84,8 +84,7 @@ impl CutIn {
             && admits(other)
             && turned_rad < self.config.max_heading_difference_rad
             && own_mps.min(their_mps) >= STANDING_MPS
-            // Whichever lane the ego turns out to keep.
-            && !KeptLane::possible(scene, &lanes, ego_idx).iter().any(|lane| lane.holds(theirs.position));
+            && !lane.holds(theirs.position);
         let (own_extent, their_extent) = (ego.extent_or_nominal(), other.extent_or_nominal());
         // Who is partly in the ego's path already does not come into it.
         let across_m = their_extent.length_m * turned_rad.sin() + their_extent.width_m * turned_rad.cos();

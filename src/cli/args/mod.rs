@@ -8,7 +8,7 @@ mod stages;
 pub(in crate::cli) use self::cluster::{StatusArgs, SubmitArgs};
 pub(in crate::cli) use self::corpus::CorpusCommand;
 pub(in crate::cli) use self::export::ExportArgs;
-use self::stages::{DenoiserArg, EvaluateArgs, GenerateArgs, IngestArgs, MineArgs, ScenesArg, not_for_comparisons};
+use self::stages::{EvaluateArgs, GenerateArgs, IngestArgs, ModelArgs, SceneStageArgs, ScenesArg, not_for_comparisons};
 pub(in crate::cli) use self::stages::{ReportArgs, StageArgs, TrainCommand};
 use super::help;
 use crate::nn::Precision;
@@ -52,7 +52,7 @@ pub(in crate::cli) enum Command {
     /// Run a pipeline file as jobs on a cluster
     #[command(after_help = help::SUBMIT)]
     Submit(SubmitArgs),
-    /// Show how far a run is, also while others work on it
+    /// Show the progress of a run, even while others work on it
     #[command(after_help = help::STATUS)]
     Status(StatusArgs),
     /// Read recordings and write scenes
@@ -60,7 +60,7 @@ pub(in crate::cli) enum Command {
     Ingest(IngestArgs),
     /// Find behaviors in scenes and write events
     #[command(after_help = help::MINE)]
-    Mine(MineArgs),
+    Mine(SceneStageArgs),
     /// Train a model on scenes
     #[command(subcommand)]
     Train(TrainCommand),
@@ -148,16 +148,7 @@ pub(in crate::cli) struct RegenerateArgs {
     #[command(flatten)]
     pub(in crate::cli) scenes: ScenesArg,
     #[command(flatten)]
-    pub(in crate::cli) denoiser: DenoiserArg,
-    /// The folder of the distilled denoiser [default: distilled in the run folder]
-    #[arg(long, value_name = "DIR")]
-    pub(in crate::cli) distilled: Option<PathBuf>,
-    /// The folder of the classifier [default: classifier in the run folder]
-    #[arg(long, value_name = "DIR")]
-    pub(in crate::cli) classifier: Option<PathBuf>,
-    /// The folder of the baseline [default: baseline in the run folder]
-    #[arg(long, value_name = "DIR")]
-    pub(in crate::cli) baseline: Option<PathBuf>,
+    pub(in crate::cli) models: ModelArgs,
 }
 
 #[derive(Debug, clap::Args)]
@@ -176,5 +167,17 @@ mod tests {
     #[test]
     fn the_definition_is_consistent() {
         <Args as clap::CommandFactory>::command().debug_assert();
+    }
+
+    #[test]
+    fn examples_fit_on_a_line_where_the_width_is_unknown() {
+        fn check(command: &clap::Command) {
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            for example in help.lines().filter(|line| line.starts_with("  djinn")) {
+                assert!(example.chars().count() <= 100, "{example}");
+            }
+            command.get_subcommands().for_each(check);
+        }
+        check(&<Args as clap::CommandFactory>::command());
     }
 }

@@ -1,6 +1,7 @@
 //! Arguments of the stages of a pipeline, each run alone.
 
 use crate::cli::help;
+use crate::pipeline::layout::Layout;
 use clap::Subcommand;
 use std::path::PathBuf;
 
@@ -8,7 +9,7 @@ use std::path::PathBuf;
 pub(in crate::cli) enum TrainCommand {
     /// Train the diffusion model that generates scenarios
     #[command(after_help = help::TRAIN_DENOISER)]
-    Denoiser(TrainDenoiserArgs),
+    Denoiser(SceneStageArgs),
     /// Tune a trained diffusion model to need few evaluations
     #[command(after_help = help::TRAIN_DISTILL)]
     Distill(TrainDistillArgs),
@@ -17,7 +18,7 @@ pub(in crate::cli) enum TrainCommand {
     Classifier(TrainClassifierArgs),
     /// Train Scene Transformer, the baseline to compare the diffusion model with
     #[command(after_help = help::TRAIN_BASELINE)]
-    Baseline(TrainBaselineArgs),
+    Baseline(SceneStageArgs),
 }
 
 /// What every stage takes when it runs alone.
@@ -26,7 +27,7 @@ pub(in crate::cli) struct StageArgs {
     /// A pipeline file; the stage's section of it is used [default: the section's defaults]
     #[arg(long, value_name = "PIPELINE.toml")]
     pub(in crate::cli) config: Option<PathBuf>,
-    /// Override a setting, such as ingest.max_agents=32 (may be repeated)
+    /// Override a setting, such as run.seed=7 (may be repeated)
     #[arg(long, value_name = "KEY=VALUE")]
     pub(in crate::cli) set: Vec<String>,
     /// Print the resolved configuration and whether the stage would run; write nothing
@@ -35,7 +36,7 @@ pub(in crate::cli) struct StageArgs {
     /// Rerun the stage even if it is up to date; a trained model is moved aside
     #[arg(long)]
     pub(in crate::cli) redo: bool,
-    /// The folder to write to, laid out like a run folder; inputs that are not given are read from here
+    /// The run folder: results are written to it, and inputs that are not given are read from it
     #[arg(short, long, value_name = "DIR")]
     pub(in crate::cli) output: PathBuf,
 }
@@ -51,16 +52,9 @@ pub(in crate::cli) struct IngestArgs {
     pub(in crate::cli) stage: StageArgs,
 }
 
+/// What a stage takes that reads scenes and nothing else.
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct MineArgs {
-    #[command(flatten)]
-    pub(in crate::cli) scenes: ScenesArg,
-    #[command(flatten)]
-    pub(in crate::cli) stage: StageArgs,
-}
-
-#[derive(Debug, clap::Args)]
-pub(in crate::cli) struct TrainDenoiserArgs {
+pub(in crate::cli) struct SceneStageArgs {
     #[command(flatten)]
     pub(in crate::cli) scenes: ScenesArg,
     #[command(flatten)]
@@ -90,28 +84,11 @@ pub(in crate::cli) struct TrainClassifierArgs {
 }
 
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct TrainBaselineArgs {
-    #[command(flatten)]
-    pub(in crate::cli) scenes: ScenesArg,
-    #[command(flatten)]
-    pub(in crate::cli) stage: StageArgs,
-}
-
-#[derive(Debug, clap::Args)]
 pub(in crate::cli) struct GenerateArgs {
     #[command(flatten)]
     pub(in crate::cli) scenes: ScenesArg,
     #[command(flatten)]
-    pub(in crate::cli) denoiser: DenoiserArg,
-    /// The folder of a distilled denoiser [default: distilled in the output folder]
-    #[arg(long, value_name = "DIR")]
-    pub(in crate::cli) distilled: Option<PathBuf>,
-    /// The folder of a trained classifier [default: classifier in the output folder]
-    #[arg(long, value_name = "DIR")]
-    pub(in crate::cli) classifier: Option<PathBuf>,
-    /// The folder of a trained baseline [default: baseline in the output folder]
-    #[arg(long, value_name = "DIR")]
-    pub(in crate::cli) baseline: Option<PathBuf>,
+    pub(in crate::cli) models: ModelArgs,
     #[command(flatten)]
     pub(in crate::cli) stage: StageArgs,
 }
@@ -120,10 +97,10 @@ pub(in crate::cli) struct GenerateArgs {
 pub(in crate::cli) struct EvaluateArgs {
     #[command(flatten)]
     pub(in crate::cli) scenes: ScenesArg,
-    /// The recorded events, to measure novelty against [default: events.parquet in the output folder, if present]
+    /// The recorded events, to measure novelty against [default: events.parquet in the run folder, if present]
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) events: Option<PathBuf>,
-    /// The folder of generated scenarios [default: samples in the output folder]
+    /// The folder of generated scenarios [default: samples in the run folder]
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) samples: Option<PathBuf>,
     #[command(flatten)]
@@ -132,7 +109,7 @@ pub(in crate::cli) struct EvaluateArgs {
 
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct ReportArgs {
-    /// The folder to report on, such as a run folder [default: the output folder]
+    /// The run folder to report on [default: --output]
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) from: Option<PathBuf>,
     /// Compare two runs instead
@@ -156,21 +133,51 @@ pub(super) fn not_for_comparisons(output: clap::Arg) -> clap::Arg {
 
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct ScenesArg {
-    /// The scene store to read [default: scenes in the output folder]
+    /// The scene store to read [default: scenes in the run folder]
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) scenes: Option<PathBuf>,
 }
 
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct EventsArg {
-    /// The events to read [default: events.parquet in the output folder]
+    /// The events to read [default: events.parquet in the run folder]
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) events: Option<PathBuf>,
 }
 
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct DenoiserArg {
-    /// The folder of a trained denoiser [default: denoiser in the output folder]
+    /// The folder of a trained denoiser [default: denoiser in the run folder]
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) denoiser: Option<PathBuf>,
+}
+
+/// The models that scenarios are sampled with.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct ModelArgs {
+    #[command(flatten)]
+    denoiser: DenoiserArg,
+    /// The folder of a distilled denoiser [default: distilled in the run folder]
+    #[arg(long, value_name = "DIR")]
+    distilled: Option<PathBuf>,
+    /// The folder of a trained classifier [default: classifier in the run folder]
+    #[arg(long, value_name = "DIR")]
+    classifier: Option<PathBuf>,
+    /// The folder of a trained baseline [default: baseline in the run folder]
+    #[arg(long, value_name = "DIR")]
+    baseline: Option<PathBuf>,
+}
+
+impl ModelArgs {
+    /// Puts the folders that are given in the place of the run's.
+    pub(in crate::cli) fn replace_in(&self, layout: &mut Layout) {
+        for (place, path) in [
+            (&mut layout.denoiser, &self.denoiser.denoiser),
+            (&mut layout.distilled, &self.distilled),
+            (&mut layout.classifier, &self.classifier),
+            (&mut layout.baseline, &self.baseline),
+        ] {
+            path.iter().for_each(|path| place.clone_from(path));
+        }
+    }
 }

@@ -15,15 +15,8 @@ pub(in crate::cli) fn regenerate(args: &RegenerateArgs, output: &OutputArgs, pri
     let beside_corpus = args.corpus.as_deref().and_then(Path::parent);
     let root = args.from.as_deref().or(beside_corpus).unwrap_or(Path::new("."));
     let mut layout = Layout::below(root);
-    for (place, path) in [
-        (&mut layout.scenes, &args.scenes.scenes),
-        (&mut layout.denoiser, &args.denoiser.denoiser),
-        (&mut layout.classifier, &args.classifier),
-        (&mut layout.distilled, &args.distilled),
-        (&mut layout.baseline, &args.baseline),
-    ] {
-        path.iter().for_each(|path| place.clone_from(path));
-    }
+    args.scenes.scenes.iter().for_each(|path| layout.scenes.clone_from(path));
+    args.models.replace_in(&mut layout);
     if let Some(path) = &args.out {
         check_new(path, &layout, args.corpus.as_deref())?;
         begins_anew(path);

@@ -75,12 +75,8 @@ impl<'a> Request<'a> {
                 Self::new(StageId::TrainBaseline, &args.stage).scenes(&args.scenes.scenes)
             }
             Command::Generate(args) => {
-                let mut request = Self::new(StageId::Generate, &args.stage)
-                    .scenes(&args.scenes.scenes)
-                    .denoiser(&args.denoiser.denoiser);
-                replace(&mut request.layout.distilled, &args.distilled);
-                replace(&mut request.layout.classifier, &args.classifier);
-                replace(&mut request.layout.baseline, &args.baseline);
+                let mut request = Self::new(StageId::Generate, &args.stage).scenes(&args.scenes.scenes);
+                args.models.replace_in(&mut request.layout);
                 request
             }
             Command::Evaluate(args) => {

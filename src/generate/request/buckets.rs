@@ -4,6 +4,7 @@ use super::config::{Divisions, RequestConfig};
 use super::facts::{Facts, SIDE, side};
 use crate::behavior::Outcome;
 use crate::guidance::Target;
+use crate::settings::{self, Issue};
 use serde::{Deserialize, Serialize};
 
 /// How far inside of a bucket's edges samples aim: a share of its width, and at most so much, in the unit of the parameter.
@@ -42,19 +43,20 @@ impl Divisions {
         }
     }
 
-    /// Rejects settings that cannot work.
-    pub(super) fn validate(&self) -> Result<(), String> {
+    /// Rejects divisions of the parameter `key` that cannot work.
+    pub(super) fn validate(&self, key: &str) -> settings::Result {
+        let refuse = |why: &str| Err(Issue::new(key, why));
         match self {
-            Self::Edges(edges) if edges.len() < 2 => Err("has fewer than two edges".to_owned()),
+            Self::Edges(edges) if edges.len() < 2 => refuse("has fewer than two edges"),
             Self::Edges(edges) if edges.iter().any(|edge| !edge.is_finite()) => {
-                Err("has an edge that is not finite; use a very large number for an open end".to_owned())
+                refuse("has an edge that is not finite; use a very large number for an open end")
             }
             Self::Edges(edges) if edges.windows(2).any(|edges| edges[0] >= edges[1]) => {
-                Err("has edges that do not ascend".to_owned())
+                refuse("has edges that do not ascend")
             }
-            Self::Texts(texts) if texts.is_empty() => Err("is empty".to_owned()),
+            Self::Texts(texts) if texts.is_empty() => refuse("is empty"),
             Self::Texts(texts) if texts.iter().enumerate().any(|(i, text)| texts[..i].contains(text)) => {
-                Err("names a text twice".to_owned())
+                refuse("names a text twice")
             }
             _ => Ok(()),
         }
@@ -225,7 +227,7 @@ mod tests {
             ("side = ['left', 'left']", "twice"),
         ] {
             let request = request(&format!("per_bucket = 1\nbuckets = {{ {toml} }}"));
-            let why = request.buckets.values().next().unwrap().validate().unwrap_err();
+            let why = request.buckets.values().next().unwrap().validate("x").unwrap_err().message;
             assert!(why.contains(what), "{why}");
         }
     }

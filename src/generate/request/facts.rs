@@ -3,6 +3,7 @@
 use super::config::{Divisions, Requirement};
 use crate::behavior::{BehaviorEntry, BehaviorEvent};
 use crate::scene::{AgentClass, Scene};
+use crate::settings::{self, Issue};
 
 /// The place of a scene.
 const PLACE: &str = "place";
@@ -19,32 +20,33 @@ pub(super) fn known_names(behavior: &BehaviorEntry) -> Vec<String> {
     parameters.chain(classes).chain([PLACE.to_owned()]).collect()
 }
 
-/// Says which name is unknown, or is used with numbers where it has texts.
-pub(super) fn check_name(behavior: &BehaviorEntry, name: &str, texts: Option<&[String]>) -> Result<(), String> {
+/// Refuses a name that is unknown, or is used with numbers where it has texts.
+pub(super) fn check_name(behavior: &BehaviorEntry, name: &str, texts: Option<&[String]>) -> settings::Result {
+    let refuse = |why: String| Err(Issue::new(name, why));
     let known = known_names(behavior);
     if !known.iter().any(|known| known == name) {
         let mut nearest = known;
         nearest.sort_by_key(|known| strsim::damerau_levenshtein(known, name));
         nearest.truncate(3);
-        return Err(format!("{name} is not a parameter of {}; similar: {}", behavior.id, nearest.join(", ")));
+        return refuse(format!("is not a parameter of {}; similar: {}", behavior.id, nearest.join(", ")));
     }
     let is_parameter = behavior.parameters.contains(&name);
     let Some(texts) = texts else {
         return match is_parameter {
             true => Ok(()),
-            false => Err(format!("{name} holds text; give a list of strings")),
+            false => refuse("holds text; give a list of strings".to_owned()),
         };
     };
     let values: Option<Vec<&str>> = match name {
         PLACE => None,
         SIDE => Some(SIDES.to_vec()),
-        _ if is_parameter => return Err(format!("{name} is a number; give numbers instead of strings")),
+        _ if is_parameter => return refuse("is a number; give numbers instead of strings".to_owned()),
         _ => Some(AgentClass::ALL.into_iter().map(AgentClass::name).collect()),
     };
     let unknown = texts.iter().find(|text| values.as_ref().is_some_and(|values| !values.contains(&text.as_str())));
     match (unknown, values) {
         (Some(unknown), Some(values)) => {
-            Err(format!("{name} cannot be `{unknown}`, expected one of {}", values.join(", ")))
+            refuse(format!("cannot be `{unknown}`, expected one of {}", values.join(", ")))
         }
         _ => Ok(()),
     }
@@ -116,7 +118,7 @@ mod tests {
     #[test]
     fn names_and_texts_are_checked_and_the_nearest_are_told() {
         let texts = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
-        let refusal = |name: &str, of: Option<&[String]>| check_name(cut_in(), name, of).unwrap_err();
+        let refusal = |name: &str, of: Option<&[String]>| check_name(cut_in(), name, of).unwrap_err().to_string();
         assert!(refusal("gap", None).contains("gap_m"), "{}", refusal("gap", None));
         assert!(refusal("relativ_speed_mps", None).contains("similar: relative_speed_mps"));
         assert!(refusal("place", None).contains("holds text"));

@@ -72,7 +72,7 @@ impl GenerateConfig {
         for (idx, request) in self.requests.iter().enumerate() {
             let section = format!("generate.requests.{idx}");
             let within = |issue: Issue| Error::Setting(issue.within(&section));
-            let refuse = |why: String| Error::Config(format!("{section} ({}): {why}", request.name));
+            let refuse = |issue: Issue| Error::Config(format!("{section} ({}): {issue}", request.name));
             settings::printable_name("name", &request.name).map_err(within)?;
             request.validate().map_err(refuse)?;
             let behavior = mined(&request.behavior, behaviors).map_err(within)?;
@@ -84,8 +84,8 @@ impl GenerateConfig {
             for name in &request.arms {
                 let Some(at) = self.arms.iter().position(|arm| arm.name == *name) else {
                     let known: Vec<&str> = self.arms.iter().map(|arm| arm.name.as_str()).collect();
-                    let why = format!("arms: unknown arm \"{name}\"; [[generate.arms]] has {}", known.join(", "));
-                    return Err(refuse(why));
+                    let why = format!("names the unknown arm \"{name}\"; [[generate.arms]] has {}", known.join(", "));
+                    return Err(refuse(Issue::new("arms", why)));
                 };
                 let of_arm = |issue: Issue| Error::Setting(issue.within(&format!("generate.arms.{at}")));
                 for (sweep, level) in self.arms[at].resolve(request, self, behavior).map_err(of_arm)? {
@@ -109,62 +109,62 @@ impl GenerateConfig {
 
 impl RequestConfig {
     /// Rejects settings that cannot work.
-    fn validate(&self) -> Result<(), String> {
+    fn validate(&self) -> settings::Result {
+        let refuse = |key: &str, why: &str| Err(Issue::new(key, why));
         let Some(behavior) = behavior::ALL.iter().find(|known| known.id == self.behavior) else {
             let known: Vec<&str> = behavior::ALL.iter().map(|known| known.id).collect();
-            return Err(format!("unknown behavior {}; known: {}", self.behavior, known.join(", ")));
+            return refuse("behavior", &format!("is unknown ({}); known: {}", self.behavior, known.join(", ")));
         };
         if self.buckets.is_empty() {
-            return Err("buckets is empty; add a parameter with edges, such as gap_m = [0, 10]".to_owned());
+            return refuse("buckets", "is empty; add a parameter with edges, such as gap_m = [0, 10]");
         }
         for (name, divisions) in &self.buckets {
             let texts = if let Divisions::Texts(texts) = divisions { Some(texts.as_slice()) } else { None };
-            check_name(behavior, name, texts).map_err(|why| format!("buckets: {why}"))?;
-            divisions.validate().map_err(|why| format!("buckets.{name} {why}"))?;
+            let checked = check_name(behavior, name, texts).and_then(|()| divisions.validate(name));
+            checked.map_err(|issue| issue.within("buckets"))?;
         }
         for (name, condition) in &self.conditions {
             let texts = if let Requirement::Texts(texts) = condition { Some(texts.as_slice()) } else { None };
-            check_name(behavior, name, texts).map_err(|why| format!("where: {why}"))?;
-            match condition {
-                Requirement::Range([least, most]) if !(least <= most && least.is_finite() && most.is_finite()) => {
-                    return Err(format!("where.{name} is not a range of finite numbers"));
-                }
-                Requirement::Texts(texts) if texts.is_empty() => return Err(format!("where.{name} is empty")),
-                _ => {}
-            }
+            let checked = check_name(behavior, name, texts).and_then(|()| condition.validate(name));
+            checked.map_err(|issue| issue.within("where"))?;
         }
         self.validate_counts()?;
         if !self.limits.is_empty() {
-            self.limits().validate(&[], behavior.roles.len() > 1).map_err(|issue| issue.to_string())?;
+            self.limits().validate(&[], behavior.roles.len() > 1)?;
         }
         if self.arms.is_empty() {
-            return Err("arms is empty; list at least one of [[generate.arms]]".to_owned());
+            return refuse("arms", "is empty; list at least one of [[generate.arms]]");
         }
-        settings::distinct("arms", &self.arms).map_err(|issue| issue.to_string())?;
+        settings::distinct("arms", &self.arms)?;
         match self.budget.n_samples.or(self.budget.n_evaluations) {
-            None => Err("budget is empty; set n_samples or n_evaluations".to_owned()),
+            None => refuse("budget", "is empty; set n_samples or n_evaluations"),
             Some(_) => Ok(()),
         }
     }
 
-    fn validate_counts(&self) -> Result<(), String> {
+    fn validate_counts(&self) -> settings::Result {
+        let refuse = |key: &str, why: &str| Err(Issue::new(key, why));
         match (self.per_bucket, self.n_total) {
-            (Some(_), Some(_)) | (None, None) => return Err("set either per_bucket or n_total".to_owned()),
+            (Some(_), Some(_)) => {
+                return refuse("n_total", "is set beside per_bucket; set either per_bucket or n_total");
+            }
+            (None, None) => return refuse("per_bucket", "is missing; set either per_bucket or n_total"),
             (Some(_), None) if !self.weights.is_empty() => {
-                return Err("weights need n_total; with per_bucket all buckets are equal".to_owned());
+                return refuse("weights", "need n_total; with per_bucket all buckets are equal");
             }
             _ => {}
         }
         for (name, weights) in &self.weights {
+            let refuse = |why: &str| refuse(&format!("weights.{name}"), why);
             let Some(divisions) = self.buckets.get(name) else {
-                return Err(format!("weights.{name} is not among the buckets"));
+                return refuse("is not among the buckets");
             };
             let (n, n_parts) = (weights.len(), divisions.len());
             if n != n_parts {
-                return Err(format!("weights.{name} has {n} entries for {n_parts} parts"));
+                return refuse(&format!("has {n} entries for {n_parts} parts"));
             }
             if weights.iter().any(|weight| !weight.is_finite() || *weight < 0.0) || weights.iter().sum::<f64>() <= 0.0 {
-                return Err(format!("weights.{name} are not all 0 or more, or all 0"));
+                return refuse("are not all 0 or more, or all 0");
             }
         }
         Ok(())
@@ -173,5 +173,18 @@ impl RequestConfig {
     /// The limits as a selection.
     pub(super) fn limits(&self) -> SelectConfig {
         SelectConfig { limits: self.limits.clone(), ..SelectConfig::default() }
+    }
+}
+
+impl Requirement {
+    /// Rejects a requirement of the parameter `key` that nothing can meet.
+    fn validate(&self, key: &str) -> settings::Result {
+        match self {
+            Self::Range([least, most]) if !(least <= most && least.is_finite() && most.is_finite()) => {
+                Err(Issue::new(key, "is not a range of finite numbers"))
+            }
+            Self::Texts(texts) if texts.is_empty() => Err(Issue::new(key, "is empty")),
+            _ => Ok(()),
+        }
     }
 }

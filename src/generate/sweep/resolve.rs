@@ -61,7 +61,7 @@ impl SweepConfig {
         }
         if let Some(select) = &self.select {
             let objectives = sweep.diffusion().map_or(&[][..], |diffusion| &diffusion.guidance.objectives);
-            let kinds: Vec<&str> = objectives.iter().map(|objective| objective.objective().kind()).collect();
+            let kinds: Vec<&str> = objectives.iter().map(|objective| objective.kind()).collect();
             let asks_pairs = behavior.is_some_and(|asked| asked.roles().len() > 1) && !sweep.asks_anybody();
             select.validate(&kinds, asks_pairs).map_err(|issue| issue.within("select"))?;
         }
@@ -285,7 +285,7 @@ impl Diffusion {
         }
         let roles = purpose.behavior.filter(|_| !is_anybody).map_or(&[][..], Behavior::roles);
         for (i, objective) in guidance.objectives.iter().enumerate() {
-            let (key, kind) = (format!("objectives.{i}"), objective.objective().kind());
+            let (key, kind) = (format!("objectives.{i}"), objective.kind());
             objective.validate(roles).map_err(|why| Issue::new(key, format_args!("({kind}): {why}")))?;
         }
         if self.goes_through_network(purpose)

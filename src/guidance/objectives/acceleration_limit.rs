@@ -1,7 +1,7 @@
 //! Accelerate, brake and turn no harder than a given limit.
 
 use super::motion::{integral, norm, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, one};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,7 @@ pub struct AccelerationLimit {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub limit_mps2: f64,
     /// The excess τ that costs ½ a second, m/s².
-    #[serde(default = "default_tolerance_mps2")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps2: f64,
 }
@@ -33,19 +33,7 @@ const fn default_limit_mps2() -> f64 {
     4.0
 }
 
-const fn default_tolerance_mps2() -> f64 {
-    1.0
-}
-
 impl SceneObjective for AccelerationLimit {
-    fn kind(&self) -> &'static str {
-        "acceleration_limit"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
     }

@@ -2,7 +2,7 @@
 
 use super::approach::Approach;
 use super::motion::{best_moment, nothing};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, ego, one};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -39,7 +39,7 @@ pub struct AdversarialTtc {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_per_s: f64,
     /// The distance τ_m of passing that costs ½, meters.
-    #[serde(default = "default_tolerance_m")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
@@ -52,23 +52,7 @@ const fn default_tolerance_per_s() -> f64 {
     0.2
 }
 
-const fn default_tolerance_m() -> f64 {
-    1.0
-}
-
-fn ego() -> AgentSelector {
-    AgentSelector::new(AgentSelector::EGO)
-}
-
 impl SceneObjective for AdversarialTtc {
-    fn kind(&self) -> &'static str {
-        "adversarial_ttc"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.to]
     }

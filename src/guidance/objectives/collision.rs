@@ -1,8 +1,10 @@
 //! Drive into each other.
 
 use super::approach::Approach;
-use super::motion::{best_moment, nothing, penalty};
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, first, interval, one_agent, second};
+use super::motion::{best_potential, nothing, penalty};
+use super::{
+    AgentSelector, SceneContext, SceneObjective, beyond, default_weight, first, half, interval, one, one_agent, second,
+};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -31,21 +33,13 @@ pub struct Collision {
     #[serde(default)]
     pub relative_speed_mps: Option<[f64; 2]>,
     /// The distance τ_m to touching that costs ½, meters.
-    #[serde(default = "default_tolerance_m")]
+    #[serde(default = "half")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
     /// The error τ_u of the relative speed that costs ½, m/s.
-    #[serde(default = "default_tolerance_mps")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
-}
-
-const fn default_tolerance_m() -> f64 {
-    0.5
-}
-
-const fn default_tolerance_mps() -> f64 {
-    1.0
 }
 
 /// The parameter at which it aims, as the events report it.
@@ -56,14 +50,6 @@ const ANY_SPEED_MPS: [f64; 2] = [2.0, 30.0];
 const OVERLAP_M: f64 = 0.4;
 
 impl SceneObjective for Collision {
-    fn kind(&self) -> &'static str {
-        "collision"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.to]
     }
@@ -86,8 +72,8 @@ impl SceneObjective for Collision {
         let wanted = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
         let wrong_mps = beyond(&approach.relative_mps, &pairs.of_rows(&wanted)?)?;
         let apart_m = (separation_m.narrow(1, 1, separation_m.dim(1)? - 1)? + OVERLAP_M)?.relu()?;
-        let cost = (penalty(&apart_m, self.tolerance_m)? + penalty(&wrong_mps, self.tolerance_mps)?)?.neg()?;
-        pairs.sum_over_rows(&best_moment(&cost, &approach.counts)?.neg()?)
+        let parts = [penalty(&apart_m, self.tolerance_m)?, penalty(&wrong_mps, self.tolerance_mps)?];
+        pairs.sum_over_rows(&best_potential(&parts, &approach.counts)?)
     }
 }
 

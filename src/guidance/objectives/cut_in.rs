@@ -1,9 +1,8 @@
 //! Move into the lane of another agent, ahead of it.
 
 use super::driven_paths::PathFrame;
-use super::motion::{best_moment, nothing, penalty};
-use super::pairs::Agents;
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval, one_agent};
+use super::motion::{best_potential, nothing, penalty};
+use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, ego, interval, one, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -53,11 +52,11 @@ pub struct CutIn {
     #[schemars(range(min = 0.0, max = 2.0))]
     pub overlap_m: f64,
     /// The error τ of the gap that costs ½, meters.
-    #[serde(default = "default_weight")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
     /// The error τ_u of the relative speed that costs ½, m/s.
-    #[serde(default = "default_weight")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
 }
@@ -68,10 +67,6 @@ const fn default_max_delay_s() -> f64 {
 
 const fn default_overlap_m() -> f64 {
     0.8
-}
-
-fn ego() -> AgentSelector {
-    AgentSelector::new(AgentSelector::EGO)
 }
 
 fn other() -> AgentSelector {
@@ -95,14 +90,6 @@ const LEAST_GAP_M: f64 = 1.0;
 const DELAY_SHARE: f64 = 0.9;
 
 impl SceneObjective for CutIn {
-    fn kind(&self) -> &'static str {
-        "cut_in"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.before]
     }
@@ -120,27 +107,24 @@ impl SceneObjective for CutIn {
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let n_timesteps = states.dim(2)?;
-        let named = |selector: &AgentSelector| Agents::named(states, context, selector);
-        let (egos, others) = (named(&self.before)?, named(&self.agents)?);
-        let frame = PathFrame::new(&egos, &others, context)?;
-        let halves = |dim: usize| ((&egos.extent_m + &others.extent_m)? * 0.5)?.narrow(1, dim, 1);
-        let (half_lengths_m, half_widths_m) = (halves(0)?, halves(1)?);
-        let gap_m = frame.along_m.broadcast_sub(&half_lengths_m)?;
-        let excess_m = frame.beside_m.broadcast_sub(&half_widths_m)?;
+        let frame = PathFrame::between(states, context, &self.before, &self.agents)?;
+        let gap_m = &frame.gap_m;
+        let excess_m = frame.beside_m.broadcast_sub(&frame.half_widths_m)?;
         let left_s = |t: usize| DELAY_SHARE * self.max_delay_s.min((n_timesteps - 1 - t) as f64 * context.dt_s);
         let left_s: Vec<f64> = (0..n_timesteps).map(left_s).collect();
         let left_s = Tensor::from_vec(left_s, n_timesteps, states.device())?.to_dtype(states.dtype())?;
         let reach_m = frame.owner_mps.broadcast_mul(&left_s)?;
 
         let wanted_m = context.wanted(GAP, self.gap_m, ANY_GAP_M, states)?;
-        let mut cost =
-            (penalty(&excess_m, LATERAL_TOLERANCE_M)? + penalty(&beyond(&gap_m, &wanted_m)?, self.tolerance_m)?)?;
-        cost = (cost + penalty(&(&gap_m - reach_m)?.relu()?, self.tolerance_m)?)?;
-        let closing_mps = (frame.owner_mps - frame.agent_mps)?;
-        let wanted = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
-        cost = (cost + penalty(&beyond(&closing_mps, &wanted)?, self.tolerance_mps)?)?;
-        let counts = frame.counts;
-        let best = best_moment(&cost.neg()?, &counts)?;
+        let closing_mps = (&frame.owner_mps - &frame.agent_mps)?;
+        let wanted_mps = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
+        let parts = [
+            penalty(&excess_m, LATERAL_TOLERANCE_M)?,
+            penalty(&beyond(gap_m, &wanted_m)?, self.tolerance_m)?,
+            penalty(&(gap_m - reach_m)?.relu()?, self.tolerance_m)?,
+            penalty(&beyond(&closing_mps, &wanted_mps)?, self.tolerance_mps)?,
+        ];
+        let best = best_potential(&parts, &frame.counts)?;
 
         let n_settled = (SETTLED_S / context.dt_s).round().max(1.0) as usize;
         let n_settled = n_settled.min(n_timesteps.saturating_sub(context.n_history));
@@ -149,13 +133,13 @@ impl SceneObjective for CutIn {
         }
         let last = |tensor: &Tensor| tensor.narrow(1, n_timesteps - n_settled, n_settled);
         let outside_m = (last(&excess_m)? + self.overlap_m)?.relu()?;
-        let short_m = (LEAST_GAP_M - last(&gap_m)?)?.relu()?;
+        let short_m = (LEAST_GAP_M - last(gap_m)?)?.relu()?;
         let unsettled = (penalty(&outside_m, LATERAL_TOLERANCE_M)? + penalty(&short_m, self.tolerance_m)?)?;
-        let counted = last(&counts)?;
+        let counted = last(&frame.counts)?;
         let n_counted = (counted.sum(1)? + 1e-6)?;
         let unsettled = (unsettled * &counted)?.sum(1)?.div(&n_counted)?;
 
-        unsettled - best
+        unsettled + best
     }
 }
 

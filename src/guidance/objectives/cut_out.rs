@@ -2,10 +2,12 @@
 
 use super::chase::{Chase, beyond_times};
 use super::lane_change::LaneChange;
-use super::motion::{best_moment, nothing, penalty};
+use super::motion::{best_potential, nothing, penalty};
 use super::one_agent::{OneAgent, SIDE};
 use super::pairs::Agents;
-use super::{AgentSelector, SceneContext, SceneObjective, Side, beyond, default_weight, interval, one_agent};
+use super::{
+    AgentSelector, SceneContext, SceneObjective, Side, beyond, default_weight, ego, interval, leader, one_agent,
+};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -53,14 +55,6 @@ pub struct CutOut {
     pub tolerance_m: f64,
 }
 
-fn leader() -> AgentSelector {
-    AgentSelector::new("leader")
-}
-
-fn ego() -> AgentSelector {
-    AgentSelector::new(AgentSelector::EGO)
-}
-
 fn revealed() -> AgentSelector {
     AgentSelector::new("revealed")
 }
@@ -91,14 +85,6 @@ const SETTLED_S: f64 = 0.5;
 const SETTLED_M: f64 = 1.2;
 
 impl SceneObjective for CutOut {
-    fn kind(&self) -> &'static str {
-        "cut_out"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.before, &self.to]
     }
@@ -135,11 +121,14 @@ impl SceneObjective for CutOut {
         let wanted_mps = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
         let apart_m = beyond_times(&chase.gap_m, &closing_mps, &wanted_s)?;
         let fast_mps = (chase.their_mps - (&chase.own_mps * self.speed_share)?)?.relu()?;
-        let speeds = (penalty(&beyond(&closing_mps, &wanted_mps)?, SPEED_TOLERANCE_MPS)?
-            + penalty(&fast_mps, SPEED_TOLERANCE_MPS)?)?;
-        let places = (penalty(&beyond_m, ACROSS_TOLERANCE_M)? + penalty(&apart_m, self.tolerance_m)?)?;
-        let best = best_moment(&(places + speeds)?.neg()?, &(chase.counts * moments(&leader.counts)?)?)?;
-        self.leaves().log_potential(states, context)? - (best * frame.has_line)?
+        let parts = [
+            penalty(&beyond_m, ACROSS_TOLERANCE_M)?,
+            penalty(&apart_m, self.tolerance_m)?,
+            penalty(&beyond(&closing_mps, &wanted_mps)?, SPEED_TOLERANCE_MPS)?,
+            penalty(&fast_mps, SPEED_TOLERANCE_MPS)?,
+        ];
+        let best = best_potential(&parts, &(chase.counts * moments(&leader.counts)?)?)?;
+        self.leaves().log_potential(states, context)? + (best * frame.has_line)?
     }
 }
 

@@ -1,7 +1,7 @@
 //! Where is one agent relative to the path that another drives in the sample?
 
-use super::SceneContext;
 use super::pairs::Agents;
+use super::{AgentSelector, SceneContext};
 use crate::geometry::Vec2;
 use candle_core::{D, DType, Result, Tensor};
 
@@ -12,10 +12,12 @@ const ROUNDING_M: f64 = 0.05;
 
 /// An agent relative to the path of another, from the pose of it that is nearest, (B, T) each. The path is taken as it is: nothing pulls at it.
 pub(super) struct PathFrame {
-    /// Way along the path from where its owner is at this timestep, meters.
-    pub(super) along_m: Tensor,
+    /// Way along the path from where its owner is at this timestep, less half of both lengths, meters.
+    pub(super) gap_m: Tensor,
     /// Way beside the path, to either side, rounded at zero, meters.
     pub(super) beside_m: Tensor,
+    /// Half of both widths together, (B, 1), meters.
+    pub(super) half_widths_m: Tensor,
     /// The agent's speed along the path, from the timestep before, m/s.
     pub(super) agent_mps: Tensor,
     /// The owner's speed, m/s.
@@ -25,9 +27,16 @@ pub(super) struct PathFrame {
 }
 
 impl PathFrame {
-    /// Of the agents of each row relative to the paths of its `owners`.
-    pub(super) fn new(owners: &Agents, agents: &Agents, context: &SceneContext) -> Result<Self> {
-        let paths = Paths::new(owners, agents, context)?;
+    /// Of the agent of each row that is named `agent`, relative to the path of the one named `owner`.
+    pub(super) fn between(
+        states: &Tensor,
+        context: &SceneContext,
+        owner: &AgentSelector,
+        agent: &AgentSelector,
+    ) -> Result<Self> {
+        let [owners, agents] = [owner, agent].map(|selector| Agents::named(states, context, selector));
+        let (owners, agents) = (owners?, agents?);
+        let paths = Paths::new(&owners, &agents, context)?;
         let states = &agents.states;
         let (n_rows, n_timesteps, _) = states.dims3()?;
         let on_device = |values: Vec<f64>| {
@@ -39,8 +48,11 @@ impl PathFrame {
         let along = |x: &Tensor, y: &Tensor| -> Result<Tensor> { (x * &cos)? + (y * &sin)? };
         let (dx, dy) = ((&x - on_device(paths.x)?)?, (&y - on_device(paths.y)?)?);
         let across_m = ((&dy * &cos)? - (&dx * &sin)?)?;
+        let halves_m = ((&owners.extent_m + &agents.extent_m)? * 0.5)?;
+        let along_m = (along(&dx, &dy)? + on_device(paths.station_m)?)?;
         Ok(Self {
-            along_m: (along(&dx, &dy)? + on_device(paths.station_m)?)?,
+            gap_m: along_m.broadcast_sub(&halves_m.narrow(1, 0, 1)?)?,
+            half_widths_m: halves_m.narrow(1, 1, 1)?,
             beside_m: (across_m.sqr()? + ROUNDING_M * ROUNDING_M)?.sqrt()?,
             agent_mps: along(&backward_rate(&x, context.dt_s)?, &backward_rate(&y, context.dt_s)?)?,
             owner_mps: on_device(paths.speed_mps)?,

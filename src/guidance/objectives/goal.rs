@@ -1,7 +1,7 @@
 //! Be at a given place at a given time.
 
 use super::motion::{headings, penalty, positions};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, ego, one};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -33,7 +33,7 @@ pub struct Goal {
     #[schemars(range(min = 0.0))]
     pub time_s: Option<f64>,
     /// The distance τ from the place that costs ½, meters.
-    #[serde(default = "default_tolerance_m")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
@@ -49,23 +49,7 @@ pub enum GoalFrame {
     Ego,
 }
 
-const fn default_tolerance_m() -> f64 {
-    1.0
-}
-
-fn ego() -> AgentSelector {
-    AgentSelector::new(AgentSelector::EGO)
-}
-
 impl SceneObjective for Goal {
-    fn kind(&self) -> &'static str {
-        "goal"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
     }

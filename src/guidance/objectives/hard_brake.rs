@@ -1,7 +1,7 @@
 //! Brake hard.
 
-use super::motion::{best_moment, norm, nothing, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval};
+use super::motion::{best_potential, norm, nothing, penalty, positions, rate};
+use super::{AgentSelector, SceneContext, SceneObjective, agent, beyond, default_weight, interval, one};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -31,13 +31,9 @@ pub struct HardBrake {
     #[schemars(range(min = 0.0, max = 100.0))]
     pub least_speed_mps: f64,
     /// The error τ of the deceleration that costs ½, m/s².
-    #[serde(default = "default_weight")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps2: f64,
-}
-
-fn agent() -> AgentSelector {
-    AgentSelector::new("agent")
 }
 
 const fn default_least_speed_mps() -> f64 {
@@ -52,14 +48,6 @@ const ANY_MPS2: [f64; 2] = [5.0, 8.0];
 const WINDOW_S: f64 = 0.6;
 
 impl SceneObjective for HardBrake {
-    fn kind(&self) -> &'static str {
-        "hard_brake"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
     }
@@ -86,9 +74,8 @@ impl SceneObjective for HardBrake {
         let wanted = context.wanted(MAX_DECELERATION, self.deceleration_mps2, ANY_MPS2, states)?;
         let missed = beyond(&braking, &wanted)?.reshape((n_rows, n_agents, n_moments))?;
         let slow = (self.least_speed_mps - before)?.relu()?;
-        let cost = (penalty(&missed, self.tolerance_mps2)? + penalty(&slow, 1.0)?)?.neg()?;
-        let counts = context.terms(n_window + 1)?;
-        (best_moment(&cost, &counts)?.neg()? * context.selected(&self.agents)?)?.sum(1)
+        let parts = [penalty(&missed, self.tolerance_mps2)?, penalty(&slow, 1.0)?];
+        (best_potential(&parts, &context.terms(n_window + 1)?)? * context.selected(&self.agents)?)?.sum(1)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::motion::{norm, nothing, penalty, positions};
 use super::pairs::{PairQuery, Pairs, Reach};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, one};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -33,24 +33,12 @@ pub struct KeepDistance {
     #[schemars(range(min = 0.0))]
     pub max_m: Option<f64>,
     /// The deviation τ that costs ½ a second, meters.
-    #[serde(default = "default_tolerance_m")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
 
-const fn default_tolerance_m() -> f64 {
-    1.0
-}
-
 impl SceneObjective for KeepDistance {
-    fn kind(&self) -> &'static str {
-        "keep_distance"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.to]
     }

@@ -2,7 +2,7 @@
 
 use super::motion::{nothing, penalty};
 use super::one_agent::{OneAgent, SIDE};
-use super::{AgentSelector, SceneContext, SceneObjective, Side, default_weight, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, default_weight, half, one_agent};
 use crate::geometry::Polyline;
 use crate::settings;
 use candle_core::{Result, Tensor};
@@ -36,13 +36,9 @@ pub struct LaneChange {
     #[schemars(range(min = 0.0, max = 10.0))]
     pub within_m: f64,
     /// The error τ of the offset that costs ½, meters.
-    #[serde(default = "default_tolerance_m")]
+    #[serde(default = "half")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
-}
-
-fn agent() -> AgentSelector {
-    AgentSelector::new("agent")
 }
 
 const fn default_settled_s() -> f64 {
@@ -53,19 +49,7 @@ const fn default_within_m() -> f64 {
     0.7
 }
 
-const fn default_tolerance_m() -> f64 {
-    0.5
-}
-
 impl SceneObjective for LaneChange {
-    fn kind(&self) -> &'static str {
-        "lane_change"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
     }

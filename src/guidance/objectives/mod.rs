@@ -68,10 +68,6 @@ use serde::{Deserialize, Serialize};
 
 /// An objective for the trajectories of a scene.
 pub trait SceneObjective {
-    /// Its name in configs and provenance.
-    fn kind(&self) -> &'static str;
-    /// Its weight relative to others.
-    fn weight(&self) -> f64;
     /// Whose motion it judges.
     fn agents(&self) -> Vec<&AgentSelector>;
     /// The parameters of an event at which it can aim, row by row ([`super::Target`]).
@@ -93,89 +89,122 @@ pub trait SceneObjective {
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor>;
 }
 
-/// An objective with its options: `{ kind = "target_speed", agents = "other", speed_mps = 5.0 }`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
-pub enum ObjectiveConfig {
+/// Lists the objectives: each has a type with a `weight`, and a name in configs and provenance.
+macro_rules! objectives {
+    ($($(#[$doc:meta])* $Objective:ident = $kind:literal,)*) => {
+        /// An objective with its options: `{ kind = "target_speed", agents = "other", speed_mps = 5.0 }`.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[serde(tag = "kind", deny_unknown_fields)]
+        pub enum ObjectiveConfig {
+            $($(#[$doc])* #[serde(rename = $kind)] $Objective($Objective),)*
+        }
+
+        impl ObjectiveConfig {
+            /// The objective.
+            pub fn objective(&self) -> &dyn SceneObjective {
+                match self { $(Self::$Objective(objective) => objective,)* }
+            }
+
+            /// Its name.
+            pub const fn kind(&self) -> &'static str {
+                match self { $(Self::$Objective(_) => $kind,)* }
+            }
+
+            /// Its weight relative to others.
+            pub const fn weight(&self) -> f64 {
+                match self { $(Self::$Objective(objective) => objective.weight,)* }
+            }
+        }
+    };
+}
+
+objectives! {
     /// Drive at a given speed.
-    TargetSpeed(TargetSpeed),
+    TargetSpeed = "target_speed",
     /// Drive no faster than a given speed.
-    SpeedLimit(SpeedLimit),
+    SpeedLimit = "speed_limit",
     /// Be at a given place at a given time.
-    Goal(Goal),
+    Goal = "goal",
     /// Accelerate, brake and turn no harder than a limit.
-    AccelerationLimit(AccelerationLimit),
+    AccelerationLimit = "acceleration_limit",
     /// Keep the heading along the motion.
-    SlipLimit(SlipLimit),
+    SlipLimit = "slip_limit",
     /// Stay on the road.
-    StayOnRoad(StayOnRoad),
+    StayOnRoad = "stay_on_road",
     /// Avoid collisions.
-    NoCollision(NoCollision),
+    NoCollision = "no_collision",
     /// Keep a distance.
-    KeepDistance(KeepDistance),
+    KeepDistance = "keep_distance",
     /// Come to a halt before a line.
-    StopAtLine(StopAtLine),
+    StopAtLine = "stop_at_line",
     /// Bring two agents close to a collision.
-    AdversarialTtc(AdversarialTtc),
+    AdversarialTtc = "adversarial_ttc",
     /// Move into the lane of another agent, ahead of it.
-    CutIn(CutIn),
+    CutIn = "cut_in",
     /// Brake hard.
-    HardBrake(HardBrake),
+    HardBrake = "hard_brake",
     /// Barely avoid each other.
-    NearMiss(NearMiss),
+    NearMiss = "near_miss",
     /// Drive into each other.
-    Collision(Collision),
+    Collision = "collision",
     /// Move over to the lane beside one's own.
-    LaneChange(LaneChange),
+    LaneChange = "lane_change",
     /// Drive too close behind another.
-    Tailgating(Tailgating),
+    Tailgating = "tailgating",
     /// Leave the lane and reveal a slow vehicle.
-    CutOut(CutOut),
+    CutOut = "cut_out",
     /// Step into the way of a vehicle.
-    PedestrianStepsOut(PedestrianStepsOut),
+    PedestrianStepsOut = "pedestrian_steps_out",
+}
+
+/// Why an objective cannot work.
+#[derive(Debug, thiserror::Error)]
+pub enum InvalidObjective {
+    /// One of its settings.
+    #[error(transparent)]
+    Setting(#[from] Issue),
+    /// It names agents that nobody is.
+    #[error("no agent has the role `{role}`, expected one of {known}")]
+    Role {
+        /// As written.
+        role: String,
+        /// What can be written.
+        known: String,
+    },
 }
 
 impl ObjectiveConfig {
-    /// The objective.
-    pub fn objective(&self) -> &dyn SceneObjective {
-        match self {
-            Self::TargetSpeed(objective) => objective,
-            Self::SpeedLimit(objective) => objective,
-            Self::Goal(objective) => objective,
-            Self::AccelerationLimit(objective) => objective,
-            Self::SlipLimit(objective) => objective,
-            Self::StayOnRoad(objective) => objective,
-            Self::NoCollision(objective) => objective,
-            Self::KeepDistance(objective) => objective,
-            Self::StopAtLine(objective) => objective,
-            Self::AdversarialTtc(objective) => objective,
-            Self::CutIn(objective) => objective,
-            Self::HardBrake(objective) => objective,
-            Self::NearMiss(objective) => objective,
-            Self::Collision(objective) => objective,
-            Self::LaneChange(objective) => objective,
-            Self::Tailgating(objective) => objective,
-            Self::CutOut(objective) => objective,
-            Self::PedestrianStepsOut(objective) => objective,
-        }
-    }
-
     /// Rejects what cannot work in a sweep whose behavior has these `roles`.
     ///
     /// # Errors
     /// When something does.
-    pub fn validate(&self, roles: &[&str]) -> std::result::Result<(), String> {
+    pub fn validate(&self, roles: &[&str]) -> settings::Result<(), InvalidObjective> {
         let objective = self.objective();
-        settings::check_ranges(self).and_then(|()| objective.validate()).map_err(|issue| issue.to_string())?;
+        settings::check_ranges(self).and_then(|()| objective.validate())?;
         match objective.agents().into_iter().find(|agents| !agents.is_known(roles)) {
             Some(agents) => {
                 let others = roles.iter().copied().filter(|role| *role != AgentSelector::EGO);
                 let known: Vec<&str> = [AgentSelector::ALL, AgentSelector::EGO].into_iter().chain(others).collect();
-                Err(format!("no agent has the role `{}`, expected one of {}", agents.name(), known.join(", ")))
+                Err(InvalidObjective::Role { role: agents.name().to_owned(), known: known.join(", ") })
             }
             None => Ok(()),
         }
     }
+}
+
+/// The agent around which a scene is cut out, or in that role.
+fn ego() -> AgentSelector {
+    AgentSelector::new(AgentSelector::EGO)
+}
+
+/// The one agent of a behavior without others.
+fn agent() -> AgentSelector {
+    AgentSelector::new("agent")
+}
+
+/// The one whom another follows.
+fn leader() -> AgentSelector {
+    AgentSelector::new("leader")
 }
 
 /// The first of two of whom neither is the ego.
@@ -234,6 +263,16 @@ impl Side {
     }
 }
 
+// Defaults for serde, which takes functions.
+
 const fn default_weight() -> f64 {
     1.0
+}
+
+const fn one() -> f64 {
+    1.0
+}
+
+const fn half() -> f64 {
+    0.5
 }

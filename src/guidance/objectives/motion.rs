@@ -35,6 +35,13 @@ pub(super) fn penalty(x: &Tensor, tolerance: f64) -> Result<Tensor> {
     x.sqr()? * (-0.5 / (tolerance * tolerance))
 }
 
+/// The log potential of the best of the moments that count, smoothly: of `potentials`, each at most 0 and of the shape of `counts`, the sum over them
+/// at that moment.
+pub(super) fn best_potential(potentials: &[Tensor], counts: &Tensor) -> Result<Tensor> {
+    let sum = potentials.iter().skip(1).try_fold(potentials[0].clone(), |sum, potential| sum + potential)?;
+    best_moment(&sum.neg()?, counts)?.neg()
+}
+
 /// The cost of the best of the moments that count, smoothly: (Σ (c + δ)⁻⁴)^(-1/4) over the last dimension, 0 where no moment counts. `costs` are at
 /// least 0; `counts` has the same shape, and is 0 or 1.
 pub(super) fn best_moment(costs: &Tensor, counts: &Tensor) -> Result<Tensor> {

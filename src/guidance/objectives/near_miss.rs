@@ -96,14 +96,6 @@ const LEAST_TTC_S: f64 = 0.1;
 const SEPARATION_TOLERANCE_M: f64 = 0.3;
 
 impl SceneObjective for NearMiss {
-    fn kind(&self) -> &'static str {
-        "near_miss"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.to]
     }

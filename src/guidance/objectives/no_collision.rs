@@ -3,7 +3,7 @@
 use super::box_separation::separation_m;
 use super::motion::{nothing, penalty};
 use super::pairs::{PairQuery, Pairs, Reach};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, half};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -30,7 +30,7 @@ pub struct NoCollision {
     #[schemars(range(min = 0.0))]
     pub margin_m: f64,
     /// The lack of separation τ that costs ½ a second, meters.
-    #[serde(default = "default_tolerance_m")]
+    #[serde(default = "half")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
@@ -39,19 +39,7 @@ const fn default_margin_m() -> f64 {
     0.5
 }
 
-const fn default_tolerance_m() -> f64 {
-    0.5
-}
-
 impl SceneObjective for NoCollision {
-    fn kind(&self) -> &'static str {
-        "no_collision"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         std::iter::once(&self.agents).chain(self.except.iter().flatten()).collect()
     }

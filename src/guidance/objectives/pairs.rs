@@ -87,42 +87,7 @@ impl Pairs {
     /// The pairs of `query`, each once; `None` when there are none.
     pub(super) fn gather(states: &Tensor, context: &SceneContext, query: &PairQuery<'_>) -> Result<Option<Self>> {
         let (n_rows, n_agents, n_timesteps, _) = states.dims4()?;
-        let host = |tensor: &Tensor| tensor.detach().to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>();
-        let (at, valid, latent) = (host(states)?, host(&context.valid)?, host(&context.latent)?);
-        let extent_m = host(&context.extent_m)?;
-        let (one, other) = (host(&context.selected(query.one)?)?, host(&context.selected(query.other)?)?);
-        let except = match query.except {
-            Some([a, b]) => Some((context.slots(a)?, context.slots(b)?)),
-            None => None,
-        };
-        let is_left_out = |i: usize, j: usize| {
-            let (row, pair) = (i / n_agents, [i % n_agents, j % n_agents]);
-            except.is_some_and(|(a, b)| pair == [a[row], b[row]] || pair == [b[row], a[row]])
-        };
-        let is_asked = |i: usize, j: usize| (one[i] * other[j] > 0.0 || one[j] * other[i] > 0.0) && !is_left_out(i, j);
-        let radius_m = |i: usize| extent_m[2 * i].hypot(extent_m[2 * i + 1]) / 2.0;
-        let is_near = |i: usize, j: usize| {
-            let limit_m = query
-                .reach
-                .map_or(f64::INFINITY, |reach| reach.per_radius * (radius_m(i) + radius_m(j)) + reach.beyond_m);
-            (0..n_timesteps).any(|t| {
-                let (a, b) = (i * n_timesteps + t, j * n_timesteps + t);
-                let counts = valid[a] * valid[b] > 0.0 && latent[a] + latent[b] > 0.0;
-                counts && (at[3 * a] - at[3 * b]).hypot(at[3 * a + 1] - at[3 * b + 1]) <= limit_m
-            })
-        };
-        let (mut first, mut second, mut rows) = (Vec::new(), Vec::new(), Vec::new());
-        for row in 0..n_rows {
-            for i in row * n_agents..(row + 1) * n_agents {
-                for j in i + 1..(row + 1) * n_agents {
-                    if is_asked(i, j) && is_near(i, j) {
-                        first.push(i as u32);
-                        second.push(j as u32);
-                        rows.push(row as u32);
-                    }
-                }
-            }
-        }
+        let [first, second, rows] = Self::find(states, context, query)?;
         if rows.is_empty() {
             return Ok(None);
         }
@@ -145,6 +110,42 @@ impl Pairs {
         let (first, second) = (agents(&first)?, agents(&second)?);
         let (both_valid, counts) = (both_valid(&first, &second)?, counts(&first, &second)?);
         Ok(Some(Self { first, second, counts, both_valid, rows, n_rows }))
+    }
+
+    /// The first and the second agent of each pair, on the axis of all rows' agents, and its row.
+    fn find(states: &Tensor, context: &SceneContext, query: &PairQuery<'_>) -> Result<[Vec<u32>; 3]> {
+        let (n_rows, n_agents, n_timesteps, _) = states.dims4()?;
+        let host = |tensor: &Tensor| tensor.detach().to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>();
+        let (at, valid, latent) = (host(states)?, host(&context.valid)?, host(&context.latent)?);
+        let extent_m = host(&context.extent_m)?;
+        let (one, other) = (host(&context.selected(query.one)?)?, host(&context.selected(query.other)?)?);
+        let except = match query.except {
+            Some([a, b]) => Some((context.slots(a)?, context.slots(b)?)),
+            None => None,
+        };
+        let is_left_out = |i: usize, j: usize| {
+            let (row, pair) = (i / n_agents, [i % n_agents, j % n_agents]);
+            except.is_some_and(|(a, b)| pair == [a[row], b[row]] || pair == [b[row], a[row]])
+        };
+        let is_asked = |i: usize, j: usize| (one[i] * other[j] > 0.0 || one[j] * other[i] > 0.0) && !is_left_out(i, j);
+        let radius_m = |i: usize| extent_m[2 * i].hypot(extent_m[2 * i + 1]) / 2.0;
+        let is_near = |i: usize, j: usize| {
+            let limit = |reach: Reach| reach.per_radius * (radius_m(i) + radius_m(j)) + reach.beyond_m;
+            let limit_m = query.reach.map_or(f64::INFINITY, limit);
+            (0..n_timesteps).any(|t| {
+                let (a, b) = (i * n_timesteps + t, j * n_timesteps + t);
+                let counts = valid[a] * valid[b] > 0.0 && latent[a] + latent[b] > 0.0;
+                counts && (at[3 * a] - at[3 * b]).hypot(at[3 * a + 1] - at[3 * b + 1]) <= limit_m
+            })
+        };
+        let mut found: [Vec<u32>; 3] = Default::default();
+        for i in 0..n_rows * n_agents {
+            let row = i / n_agents;
+            for j in (i + 1..(row + 1) * n_agents).filter(|j| is_asked(i, *j) && is_near(i, *j)) {
+                found.iter_mut().zip([i, j, row]).for_each(|(list, index)| list.push(index as u32));
+            }
+        }
+        Ok(found)
     }
 
     /// What belongs to the row of each pair, (P, ..), of `values` (B, ..).

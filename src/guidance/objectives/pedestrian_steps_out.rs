@@ -2,9 +2,8 @@
 
 use super::chase::beyond_times;
 use super::driven_paths::PathFrame;
-use super::motion::{best_moment, penalty};
-use super::pairs::Agents;
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight, interval, one_agent};
+use super::motion::{best_potential, penalty};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, ego, interval, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -48,10 +47,6 @@ fn pedestrian() -> AgentSelector {
     AgentSelector::new("pedestrian")
 }
 
-fn ego() -> AgentSelector {
-    AgentSelector::new(AgentSelector::EGO)
-}
-
 const fn default_half_width_m() -> f64 {
     1.75
 }
@@ -70,14 +65,6 @@ const BESIDE_TOLERANCE_M: f64 = 0.3;
 const INSIDE_M: f64 = 0.5;
 
 impl SceneObjective for PedestrianStepsOut {
-    fn kind(&self) -> &'static str {
-        "pedestrian_steps_out"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.before]
     }
@@ -93,17 +80,13 @@ impl SceneObjective for PedestrianStepsOut {
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let named = |selector: &AgentSelector| Agents::named(states, context, selector);
-        let (egos, pedestrians) = (named(&self.before)?, named(&self.agents)?);
-        let frame = PathFrame::new(&egos, &pedestrians, context)?;
-        let half_lengths_m = ((&egos.extent_m + &pedestrians.extent_m)? * 0.5)?.narrow(1, 0, 1)?;
-        let gap_m = frame.along_m.broadcast_sub(&half_lengths_m)?;
+        let frame = PathFrame::between(states, context, &self.before, &self.agents)?;
         let wanted_s = context.wanted(TIME_TO_ARRIVAL, self.time_to_arrival_s, ANY_TIME_S, states)?;
-        let apart_m = beyond_times(&gap_m, &frame.owner_mps, &wanted_s)?;
+        let apart_m = beyond_times(&frame.gap_m, &frame.owner_mps, &wanted_s)?;
         let outside_m = (frame.beside_m - self.half_width_m)?;
-        let cost = (penalty(&outside_m, BESIDE_TOLERANCE_M)? + penalty(&apart_m, self.tolerance_m)?)?.neg()?;
-        let inside = penalty(&(outside_m + INSIDE_M)?.relu()?, BESIDE_TOLERANCE_M)?.neg()?;
-        (best_moment(&cost, &frame.counts)? + best_moment(&inside, &frame.counts)?)?.neg()
+        let at_side = [penalty(&outside_m, BESIDE_TOLERANCE_M)?, penalty(&apart_m, self.tolerance_m)?];
+        let inside = [penalty(&(outside_m + INSIDE_M)?.relu()?, BESIDE_TOLERANCE_M)?];
+        best_potential(&at_side, &frame.counts)? + best_potential(&inside, &frame.counts)?
     }
 }
 

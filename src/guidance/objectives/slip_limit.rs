@@ -1,7 +1,7 @@
 //! Keep the heading along the motion.
 
 use super::motion::{headings, integral, norm, nothing, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, half};
 use candle_core::{D, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -25,7 +25,7 @@ pub struct SlipLimit {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub limit_rad: f64,
     /// The excess of sideways speed τ that costs ½ a second, m/s.
-    #[serde(default = "default_tolerance_mps")]
+    #[serde(default = "half")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
 }
@@ -34,19 +34,7 @@ const fn default_limit_rad() -> f64 {
     0.2
 }
 
-const fn default_tolerance_mps() -> f64 {
-    0.5
-}
-
 impl SceneObjective for SlipLimit {
-    fn kind(&self) -> &'static str {
-        "slip_limit"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
     }

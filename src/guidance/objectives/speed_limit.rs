@@ -1,7 +1,7 @@
 //! Drive no faster than a given speed.
 
 use super::motion::{integral, norm, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, one};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,24 +23,12 @@ pub struct SpeedLimit {
     #[schemars(range(min = 0.0))]
     pub limit_mps: f64,
     /// The excess τ that costs ½ a second, m/s.
-    #[serde(default = "default_tolerance_mps")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
 }
 
-const fn default_tolerance_mps() -> f64 {
-    1.0
-}
-
 impl SceneObjective for SpeedLimit {
-    fn kind(&self) -> &'static str {
-        "speed_limit"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
     }

@@ -1,7 +1,7 @@
 //! Stay on the road.
 
 use super::motion::{headings, integral, norm, penalty, positions};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, half};
 use crate::geometry::Vec2;
 use candle_core::{DType, Result, Tensor};
 use schemars::JsonSchema;
@@ -33,7 +33,7 @@ pub struct StayOnRoad {
     #[schemars(range(min = 0.0))]
     pub margin_m: f64,
     /// The distance τ off the road that costs ½ a second, meters.
-    #[serde(default = "default_tolerance_m")]
+    #[serde(default = "half")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
@@ -49,19 +49,7 @@ pub enum RoadPoints {
     Corners,
 }
 
-const fn default_tolerance_m() -> f64 {
-    0.5
-}
-
 impl SceneObjective for StayOnRoad {
-    fn kind(&self) -> &'static str {
-        "stay_on_road"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
     }

@@ -1,7 +1,7 @@
 //! Come to a halt before a line.
 
 use super::motion::{headings, integral, norm, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, ego, half, one};
 use candle_core::{D, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -28,36 +28,16 @@ pub struct StopAtLine {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub distance_m: f64,
     /// The way τ_s beyond or before the line that costs ½, meters.
-    #[serde(default = "default_tolerance_m")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
     /// The final speed τ_v that costs ½, m/s.
-    #[serde(default = "default_tolerance_mps")]
+    #[serde(default = "half")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
 }
 
-const fn default_tolerance_m() -> f64 {
-    1.0
-}
-
-const fn default_tolerance_mps() -> f64 {
-    0.5
-}
-
-fn ego() -> AgentSelector {
-    AgentSelector::new(AgentSelector::EGO)
-}
-
 impl SceneObjective for StopAtLine {
-    fn kind(&self) -> &'static str {
-        "stop_at_line"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
     }

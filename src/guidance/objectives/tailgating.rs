@@ -1,9 +1,9 @@
 //! Drive too close behind another.
 
 use super::chase::{Chase, beyond_times};
-use super::motion::{best_moment, nothing, penalty};
+use super::motion::{best_potential, nothing, penalty};
 use super::pairs::Agents;
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, interval, leader, one, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -41,17 +41,13 @@ pub struct Tailgating {
     #[schemars(range(min = 0.0, max = 100.0))]
     pub duration_s: f64,
     /// The error τ of the gap that costs ½, meters.
-    #[serde(default = "default_weight")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
 
 fn follower() -> AgentSelector {
     AgentSelector::new("follower")
-}
-
-fn leader() -> AgentSelector {
-    AgentSelector::new("leader")
 }
 
 const fn default_duration_s() -> f64 {
@@ -68,14 +64,6 @@ const ANY_SPEED_MPS: [f64; 2] = [8.5, 1e3];
 const SPEED_TOLERANCE_MPS: f64 = 1.0;
 
 impl SceneObjective for Tailgating {
-    fn kind(&self) -> &'static str {
-        "tailgating"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents, &self.to]
     }
@@ -103,7 +91,7 @@ impl SceneObjective for Tailgating {
         let wanted_mps = context.wanted(SPEED, self.speed_mps, ANY_SPEED_MPS, states)?;
         let apart_m = beyond_times(&chase.gap_m, &chase.own_mps, &wanted_s)?;
         let slow_mps = beyond(&chase.own_mps, &wanted_mps)?;
-        let cost = (penalty(&apart_m, self.tolerance_m)? + penalty(&slow_mps, SPEED_TOLERANCE_MPS)?)?.neg()?;
+        let potential = (penalty(&apart_m, self.tolerance_m)? + penalty(&slow_mps, SPEED_TOLERANCE_MPS)?)?;
         // Stretches by their first timestep, (B, N, timesteps of one).
         let stretches = |values: &Tensor| {
             let of = (0..n_stretch).map(|step| values.narrow(1, step, n_stretches)).collect::<Result<Vec<_>>>()?;
@@ -111,7 +99,7 @@ impl SceneObjective for Tailgating {
         };
         // Whole stretches that hold a generated state.
         let counts = (stretches(&chase.valid)?.min(2)? * stretches(&chase.counts)?.max(2)?)?;
-        best_moment(&stretches(&cost)?.mean(2)?, &counts)?.neg()
+        best_potential(&[stretches(&potential)?.mean(2)?], &counts)
     }
 }
 

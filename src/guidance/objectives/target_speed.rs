@@ -1,7 +1,7 @@
 //! Drive at a given speed.
 
 use super::motion::{integral, norm, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, one};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,7 +23,7 @@ pub struct TargetSpeed {
     #[schemars(range(min = 0.0))]
     pub speed_mps: f64,
     /// The deviation τ that costs ½ a second, m/s.
-    #[serde(default = "default_tolerance_mps")]
+    #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_mps: f64,
     /// From when on the speed counts, seconds after the present: speed cannot change at once.
@@ -32,19 +32,7 @@ pub struct TargetSpeed {
     pub from_s: f64,
 }
 
-const fn default_tolerance_mps() -> f64 {
-    1.0
-}
-
 impl SceneObjective for TargetSpeed {
-    fn kind(&self) -> &'static str {
-        "target_speed"
-    }
-
-    fn weight(&self) -> f64 {
-        self.weight
-    }
-
     fn agents(&self) -> Vec<&AgentSelector> {
         vec![&self.agents]
     }

@@ -4,7 +4,7 @@ use super::SceneObjective;
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::guidance::SceneContext;
 use crate::guidance::lane_ways::LaneWays;
-use crate::scene::{Lane, LaneGraph, LaneId};
+use crate::scene::{Lane, LaneGraph};
 use candle_core::{Device, Tensor, Var};
 use std::ops::Range;
 
@@ -81,16 +81,9 @@ pub(super) fn two_lanes() -> LaneWays {
 }
 
 fn ways(lanes: Vec<(i64, Vec<(f64, f64)>)>) -> LaneWays {
-    let lane = |(id, points): (i64, Vec<(f64, f64)>)| Lane {
-        id: LaneId(id),
-        centerline: Polyline(points.into_iter().map(|(x, y)| Vec2::new(x, y)).collect()),
-        left: Polyline::default(),
-        right: Polyline::default(),
-        successors: Vec::new(),
-        predecessors: Vec::new(),
-        left_neighbor: None,
-        right_neighbor: None,
-        attributes: std::sync::Arc::default(),
+    let lane = |(id, points): (i64, Vec<(f64, f64)>)| {
+        let centerline = Polyline(points.into_iter().map(|(x, y)| Vec2::new(x, y)).collect());
+        Lane::unconnected(id, centerline, Default::default())
     };
     LaneWays::new(&LaneGraph::new(lanes.into_iter().map(lane).collect()).into(), &Transform2::IDENTITY)
 }

@@ -5,14 +5,13 @@
 
 use crate::geometry::{Polyline, Vec2};
 use crate::ingest::assemble::MAX_COORDINATE_M;
-use crate::ingest::error::Error;
+use crate::ingest::error::{Error, Malformed};
 use crate::ingest::lane_topology::connect;
 use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId, TurnDirection};
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::reader::Reader;
 use std::collections::HashMap;
-use std::fmt::Display;
 use std::io::{BufRead, Read};
 
 /// The map stores no widths; the official reader assumes this one.
@@ -34,8 +33,8 @@ pub(super) fn read(file: &str, reader: &mut dyn BufRead) -> Result<LaneGraph, Er
     let mut buffer = Vec::new();
     loop {
         let event = xml.read_event_into(&mut buffer);
-        let done = event.map_err(|error| error.to_string()).and_then(|event| map.take(&event)).map_err(|detail| {
-            fault(file, format!("byte {}", xml.error_position().max(xml.buffer_position())), detail)
+        let done = event.map_err(Malformed::from).and_then(|event| map.take(&event)).map_err(|malformed| {
+            Error::map(file, format!("byte {}", xml.error_position().max(xml.buffer_position())), malformed)
         })?;
         if done {
             break;
@@ -44,13 +43,9 @@ pub(super) fn read(file: &str, reader: &mut dyn BufRead) -> Result<LaneGraph, Er
     }
     let lanes: Vec<Lane> = map.lanes;
     if lanes.is_empty() {
-        return Err(fault(file, String::new(), "holds no lanes (`way` elements with a `lane_id`)"));
+        return Err(Error::map(file, "", "holds no lanes (`way` elements with a `lane_id`)"));
     }
     Ok(connect(lanes))
-}
-
-fn fault(file: &str, place: String, detail: impl Display) -> Error {
-    Error::Map { file: file.to_owned(), place, detail: detail.to_string() }
 }
 
 #[derive(Default)]
@@ -75,7 +70,7 @@ struct Way {
 
 impl VectorMap {
     /// Takes in one event; `true` after the last.
-    fn take(&mut self, event: &Event<'_>) -> Result<bool, String> {
+    fn take(&mut self, event: &Event<'_>) -> Result<bool, Malformed> {
         match event {
             Event::Start(element) => {
                 self.begin(element)?;
@@ -90,10 +85,10 @@ impl VectorMap {
                 self.end(element.name().as_ref())?;
             }
             // Entities could grow without bound, and no map has any.
-            Event::DocType(_) => return Err("has a document type declaration, which maps never have".to_owned()),
+            Event::DocType(_) => return Err("has a document type declaration, which maps never have".into()),
             Event::Eof => {
                 return match self.open.last() {
-                    Some(element) => Err(format!("ends within <{element}>; the file is cut short")),
+                    Some(element) => Err(format!("ends within <{element}>; the file is cut short").into()),
                     None => Ok(true),
                 };
             }
@@ -102,12 +97,12 @@ impl VectorMap {
         Ok(false)
     }
 
-    fn begin(&mut self, element: &BytesStart<'_>) -> Result<(), String> {
+    fn begin(&mut self, element: &BytesStart<'_>) -> Result<(), Malformed> {
         let name = element.name();
         match (name.as_ref(), &mut self.way) {
             ("ArgoverseVectorMap", _) if self.open.is_empty() => {}
             (root, _) if self.open.is_empty() => {
-                return Err(format!("begins with <{root}>, expected <ArgoverseVectorMap>"));
+                return Err(format!("begins with <{root}>, expected <ArgoverseVectorMap>").into());
             }
             ("node", _) => {
                 let position = Vec2::new(coordinate(element, "x")?, coordinate(element, "y")?);
@@ -117,7 +112,7 @@ impl VectorMap {
                 let id = integer("lane_id", &attribute(element, "lane_id")?)?;
                 self.way = Some(Way { id, ..Way::default() });
             }
-            ("way", Some(way)) => return Err(format!("way {} holds another way", way.id)),
+            ("way", Some(way)) => return Err(format!("way {} holds another way", way.id).into()),
             ("nd", Some(way)) => {
                 let node = integer("node reference", &attribute(element, "ref")?)?;
                 let point =
@@ -126,14 +121,14 @@ impl VectorMap {
             }
             ("tag", Some(way)) => {
                 let (key, value) = (attribute(element, "k")?, attribute(element, "v")?);
-                way.tag(&key, &value).map_err(|detail| format!("way {}: {detail}", way.id))?;
+                way.tag(&key, &value).map_err(|malformed| format!("way {}: {malformed}", way.id))?;
             }
             _ => {}
         }
         Ok(())
     }
 
-    fn end(&mut self, name: &str) -> Result<(), String> {
+    fn end(&mut self, name: &str) -> Result<(), Malformed> {
         if name == "way"
             && let Some(way) = self.way.take()
         {
@@ -144,7 +139,7 @@ impl VectorMap {
 }
 
 impl Way {
-    fn tag(&mut self, key: &str, value: &str) -> Result<(), String> {
+    fn tag(&mut self, key: &str, value: &str) -> Result<(), Malformed> {
         match key {
             "has_traffic_control" => self.attributes.has_traffic_control = boolean(key, value)?,
             "is_intersection" => self.attributes.is_intersection = boolean(key, value)?,
@@ -153,7 +148,7 @@ impl Way {
                     "LEFT" => TurnDirection::Left,
                     "RIGHT" => TurnDirection::Right,
                     "NONE" | "None" => TurnDirection::None,
-                    _ => return Err(format!("turn_direction is `{value}`, expected LEFT, RIGHT or NONE")),
+                    _ => return Err(format!("turn_direction is `{value}`, expected LEFT, RIGHT or NONE").into()),
                 }
             }
             "l_neighbor_id" => self.left_neighbor = lane_id(key, value)?,
@@ -167,11 +162,11 @@ impl Way {
         Ok(())
     }
 
-    fn into_lane(self) -> Result<Lane, String> {
+    fn into_lane(self) -> Result<Lane, Malformed> {
         let mut points = self.points;
         points.dedup();
         if points.len() < 2 {
-            return Err(format!("way {} has {} distinct points, expected at least 2", self.id, points.len()));
+            return Err(format!("way {} has {} distinct points, expected at least 2", self.id, points.len()).into());
         }
         let mut attributes = self.attributes;
         attributes.one_way = true;
@@ -202,39 +197,33 @@ fn beside(points: &[Vec2], offset_m: f64) -> Polyline {
     Polyline(shifted.collect())
 }
 
-fn attribute(element: &BytesStart<'_>, name: &str) -> Result<String, String> {
+fn attribute(element: &BytesStart<'_>, name: &str) -> Result<String, Malformed> {
     let tag = element.name();
-    let attribute = element.try_get_attribute(name).map_err(|error| error.to_string())?;
+    let attribute = element.try_get_attribute(name)?;
     let attribute = attribute.ok_or_else(|| format!("<{}> has no attribute `{name}`", tag.as_ref()))?;
-    attribute
-        .normalized_value(XmlVersion::Implicit1_0)
-        .map(|value| value.into_owned())
-        .map_err(|error| error.to_string())
+    Ok(attribute.normalized_value(XmlVersion::Implicit1_0)?.into_owned())
 }
 
-fn coordinate(element: &BytesStart<'_>, name: &str) -> Result<f64, String> {
+fn coordinate(element: &BytesStart<'_>, name: &str) -> Result<f64, Malformed> {
     let text = attribute(element, name)?;
     let value = text.trim().parse::<f64>().ok().filter(|value| value.abs() <= MAX_COORDINATE_M);
-    value.ok_or_else(|| {
-        format!(
-            "node coordinate {name} is `{text}`, expected a number from -{MAX_COORDINATE_M} to {MAX_COORDINATE_M} m"
-        )
-    })
+    let expected = format!("a number from -{MAX_COORDINATE_M} to {MAX_COORDINATE_M} m");
+    value.ok_or_else(|| format!("node coordinate {name} is `{text}`, expected {expected}").into())
 }
 
-fn integer(what: &str, text: &str) -> Result<i64, String> {
-    text.trim().parse().map_err(|_| format!("{what} is `{text}`, expected an integer"))
+fn integer(what: &str, text: &str) -> Result<i64, Malformed> {
+    text.trim().parse().map_err(|_| format!("{what} is `{text}`, expected an integer").into())
 }
 
-fn lane_id(key: &str, value: &str) -> Result<Option<LaneId>, String> {
+fn lane_id(key: &str, value: &str) -> Result<Option<LaneId>, Malformed> {
     if value == "None" { Ok(None) } else { integer(key, value).map(|id| Some(LaneId(id))) }
 }
 
-fn boolean(key: &str, value: &str) -> Result<bool, String> {
+fn boolean(key: &str, value: &str) -> Result<bool, Malformed> {
     match value {
         "True" => Ok(true),
         "False" => Ok(false),
-        _ => Err(format!("{key} is `{value}`, expected True or False")),
+        _ => Err(format!("{key} is `{value}`, expected True or False").into()),
     }
 }
 

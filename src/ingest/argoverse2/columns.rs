@@ -1,6 +1,7 @@
 //! The columns of a scenario file, whatever encoding its writer chose.
 
 use crate::containment::contained;
+use crate::ingest::error::Malformed;
 use arrow::array::{Array, ArrayRef, AsArray, Float64Array, Int64Array, RecordBatch, StringArray};
 use arrow::compute::{cast, concat_batches};
 use arrow::datatypes::{DataType, FieldRef, Fields, Schema, SchemaRef};
@@ -8,7 +9,6 @@ use parquet::DecodeResult;
 use parquet::arrow::arrow_reader::ArrowReaderOptions;
 use parquet::arrow::push_decoder::ParquetPushDecoderBuilder;
 use parquet::arrow::{ProjectionMask, parquet_to_arrow_schema};
-use parquet::errors::ParquetError;
 use parquet::file::metadata::{FileMetaData, ParquetMetaDataPushDecoder};
 use std::sync::Arc;
 
@@ -23,8 +23,8 @@ pub(super) struct Table(RecordBatch);
 
 impl Table {
     /// Decodes the columns of a parquet file that have these `names`. The error says what is wrong with them.
-    pub(super) fn read(bytes: &[u8], names: &[&str]) -> Result<Self, String> {
-        let damaged = || Err("the file is damaged beyond decoding".to_owned());
+    pub(super) fn read(bytes: &[u8], names: &[&str]) -> Result<Self, Malformed> {
+        let damaged = || Err("the file is damaged beyond decoding".into());
         contained(|| decode(bytes, names)).unwrap_or_else(damaged).map(Self)
     }
 
@@ -39,23 +39,24 @@ impl Table {
     }
 
     /// A column of text (plain, large, view or dictionary), or of whole numbers, which are names as well.
-    pub(super) fn text(&self, name: &str) -> Result<StringArray, String> {
+    pub(super) fn text(&self, name: &str) -> Result<StringArray, Malformed> {
         let is_text = |found: &DataType| is_string(found) || found.is_integer();
         self.column(name, &DataType::Utf8, "text", is_text)?.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))
     }
 
     /// A column of numbers of any width.
-    pub(super) fn float(&self, name: &str) -> Result<Float64Array, String> {
+    pub(super) fn float(&self, name: &str) -> Result<Float64Array, Malformed> {
         let column = self.column(name, &DataType::Float64, "numbers", DataType::is_numeric)?;
         column.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))
     }
 
     /// A column of whole numbers of any width, which may be kept as floating-point numbers.
-    pub(super) fn integer(&self, name: &str) -> Result<Int64Array, String> {
+    pub(super) fn integer(&self, name: &str) -> Result<Int64Array, Malformed> {
         if self.0.column_by_name(name).is_some_and(|column| column.data_type().is_floating()) {
             let numbers = self.float(name)?;
             if let Some(row) = numbers.values().iter().position(|number| number.fract() != 0.0) {
-                return Err(format!("column {name} is {} in row {row}, expected a whole number", numbers.value(row)));
+                let number = numbers.value(row);
+                return Err(format!("column {name} is {number} in row {row}, expected a whole number").into());
             }
         }
         let column = self.column(name, &DataType::Int64, "whole numbers", DataType::is_numeric)?;
@@ -70,7 +71,7 @@ impl Table {
         wanted: &DataType,
         expected: &str,
         accepted: impl Fn(&DataType) -> bool,
-    ) -> Result<ArrayRef, String> {
+    ) -> Result<ArrayRef, Malformed> {
         let column = self.0.column_by_name(name).ok_or_else(|| format!("no column {name}"))?;
         let found = match column.data_type() {
             DataType::Dictionary(_, values) => values,
@@ -78,22 +79,19 @@ impl Table {
         };
         if !accepted(found) {
             let found = if is_string(found) { "text".to_owned() } else { column.data_type().to_string() };
-            return Err(format!("column {name} is of type {found}, expected {expected}"));
+            return Err(format!("column {name} is of type {found}, expected {expected}").into());
         }
         // Views share what the file holds once: only now every row gets a copy.
         if let Some(views) = column.as_string_view_opt() {
             let n_bytes: usize = views.iter().flatten().map(str::len).sum();
             if n_bytes > MAX_BYTES {
-                return Err(format!(
-                    "column {name} has {} MiB of text, expected at most {}",
-                    n_bytes >> 20,
-                    MAX_BYTES >> 20
-                ));
+                let (n_mib, most) = (n_bytes >> 20, MAX_BYTES >> 20);
+                return Err(format!("column {name} has {n_mib} MiB of text, expected at most {most}").into());
             }
         }
         let column = cast(column, wanted).map_err(|error| format!("column {name}: {error}"))?;
         match (0..column.len()).find(|row| column.is_null(*row)) {
-            Some(row) => Err(format!("column {name} has no value in row {row}")),
+            Some(row) => Err(format!("column {name} has no value in row {row}").into()),
             None => Ok(column),
         }
     }
@@ -103,16 +101,15 @@ const fn is_string(found: &DataType) -> bool {
     matches!(found, DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View)
 }
 
-fn lost(name: &str) -> String {
-    format!("column {name} cannot be converted")
+fn lost(name: &str) -> Malformed {
+    format!("column {name} cannot be converted").into()
 }
 
 /// The schema in which the columns of these `names` are decoded: texts as views, so that a long one that many rows share is there
 /// once. Refuses columns that are neither numbers nor texts, of which nothing is known.
-fn views(metadata: &FileMetaData, names: &[&str]) -> Result<SchemaRef, String> {
-    let schema = parquet_to_arrow_schema(metadata.schema_descr(), metadata.key_value_metadata());
-    let schema = schema.map_err(|error| error.to_string())?;
-    let in_view = |field: &FieldRef| -> Result<FieldRef, String> {
+fn views(metadata: &FileMetaData, names: &[&str]) -> Result<SchemaRef, Malformed> {
+    let schema = parquet_to_arrow_schema(metadata.schema_descr(), metadata.key_value_metadata())?;
+    let in_view = |field: &FieldRef| -> Result<FieldRef, Malformed> {
         let found = match field.data_type() {
             DataType::Dictionary(_, values) => values,
             plain => plain,
@@ -122,46 +119,44 @@ fn views(metadata: &FileMetaData, names: &[&str]) -> Result<SchemaRef, String> {
         }
         if names.contains(&field.name().as_str()) && !found.is_numeric() && *found != DataType::Boolean {
             let (name, found) = (field.name(), field.data_type());
-            return Err(format!("column {name} is of type {found}, expected numbers or text"));
+            return Err(format!("column {name} is of type {found}, expected numbers or text").into());
         }
         Ok(Arc::clone(field))
     };
-    let fields = schema.fields().iter().map(in_view).collect::<Result<Fields, String>>()?;
+    let fields = schema.fields().iter().map(in_view).collect::<Result<Fields, Malformed>>()?;
     Ok(Arc::new(Schema::new_with_metadata(fields, schema.metadata().clone())))
 }
 
-fn decode(bytes: &[u8], names: &[&str]) -> Result<RecordBatch, String> {
-    let explain = |error: ParquetError| error.to_string();
+fn decode(bytes: &[u8], names: &[&str]) -> Result<RecordBatch, Malformed> {
     let whole = 0..bytes.len() as u64;
-    let mut metadata_decoder = ParquetMetaDataPushDecoder::try_new(whole.end).map_err(explain)?;
-    metadata_decoder.push_range(whole.clone(), bytes.to_vec().into()).map_err(explain)?;
-    let DecodeResult::Data(metadata) = metadata_decoder.try_decode().map_err(explain)? else {
-        return Err("the file is cut short".to_owned());
+    let mut metadata_decoder = ParquetMetaDataPushDecoder::try_new(whole.end)?;
+    metadata_decoder.push_range(whole.clone(), bytes.to_vec().into())?;
+    let DecodeResult::Data(metadata) = metadata_decoder.try_decode()? else {
+        return Err("the file is cut short".into());
     };
     let n_rows = metadata.file_metadata().num_rows();
     if !(0..=MAX_ROWS as i64).contains(&n_rows) {
-        return Err(format!("{n_rows} rows, expected at most {MAX_ROWS}"));
+        return Err(format!("{n_rows} rows, expected at most {MAX_ROWS}").into());
     }
     let columns = metadata.row_groups().iter().flat_map(|group| group.columns());
     let wanted = columns.filter(|column| names.contains(&column.column_path().string().as_str()));
     let n_bytes: u64 = wanted.map(|column| column.uncompressed_size().unsigned_abs()).fold(0, u64::saturating_add);
     if n_bytes > MAX_BYTES as u64 {
-        return Err(format!("its columns have {} MiB, expected at most {}", n_bytes >> 20, MAX_BYTES >> 20));
+        return Err(format!("its columns have {} MiB, expected at most {}", n_bytes >> 20, MAX_BYTES >> 20).into());
     }
     let options = ArrowReaderOptions::new().with_schema(views(metadata.file_metadata(), names)?);
     let mask = ProjectionMask::columns(metadata.file_metadata().schema_descr(), names.iter().copied());
     let mut decoder = ParquetPushDecoderBuilder::try_new_decoder_with_options(Arc::new(metadata), options)
-        .and_then(|builder| builder.with_projection(mask).with_batch_size(MAX_ROWS).build())
-        .map_err(explain)?;
-    decoder.push_range(whole, bytes.to_vec().into()).map_err(explain)?;
+        .and_then(|builder| builder.with_projection(mask).with_batch_size(MAX_ROWS).build())?;
+    decoder.push_range(whole, bytes.to_vec().into())?;
     let mut batches = Vec::new();
     loop {
-        match decoder.try_decode().map_err(explain)? {
+        match decoder.try_decode()? {
             DecodeResult::Data(batch) => batches.push(batch),
-            DecodeResult::NeedsData(_) => return Err("the file refers to bytes it does not hold".to_owned()),
+            DecodeResult::NeedsData(_) => return Err("the file refers to bytes it does not hold".into()),
             DecodeResult::Finished => break,
         }
     }
     let first = batches.first().ok_or("the file has no rows")?;
-    concat_batches(&first.schema(), &batches).map_err(|error| error.to_string())
+    Ok(concat_batches(&first.schema(), &batches)?)
 }

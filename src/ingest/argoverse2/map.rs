@@ -1,6 +1,7 @@
 //! Argoverse 2 maps: from the JSON of a scenario's surroundings to a lane graph.
 
 use crate::geometry::{Polyline, Vec2};
+use crate::ingest::error::Malformed;
 use crate::ingest::lane_topology::connect;
 use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId};
 use serde::Deserialize;
@@ -43,15 +44,15 @@ struct Point {
 }
 
 /// Reads a map; the error says what is wrong and where.
-pub(super) fn parse(json: &[u8]) -> Result<LaneGraph, String> {
-    let map: MapJson = serde_json::from_slice(json).map_err(|error| error.to_string())?;
+pub(super) fn parse(json: &[u8]) -> Result<LaneGraph, Malformed> {
+    let map: MapJson = serde_json::from_slice(json)?;
     let driving = map.lane_segments.into_values().filter(|lane| DRIVING_LANES.contains(&lane.lane_type.as_str()));
     let lanes: Vec<Lane> = driving.map(LaneSegment::into_lane).collect::<Result<_, _>>()?;
     Ok(connect(lanes))
 }
 
 impl LaneSegment {
-    fn into_lane(self) -> Result<Lane, String> {
+    fn into_lane(self) -> Result<Lane, Malformed> {
         let (left, right) = (line(&self.left_lane_boundary), line(&self.right_lane_boundary));
         let centerline = match &self.centerline {
             Some(points) => line(points),
@@ -59,7 +60,7 @@ impl LaneSegment {
         };
         for (name, line) in [("left boundary", &left), ("right boundary", &right), ("centerline", &centerline)] {
             if line.length_m() == 0.0 {
-                return Err(format!("lane {}: its {name} has fewer than 2 distinct points", self.id));
+                return Err(format!("lane {}: its {name} has fewer than 2 distinct points", self.id).into());
             }
         }
         let marks = [("left_mark", self.left_lane_mark_type), ("right_mark", self.right_lane_mark_type)];
@@ -146,10 +147,15 @@ mod tests {
     #[test]
     fn faulty_maps_are_refused() {
         let whole = map(&[segment(1, "VEHICLE", "")]);
-        assert!(parse(&whole.as_bytes()[..whole.len() / 2]).expect_err("cut").contains("line"));
+        assert!(parse(&whole.as_bytes()[..whole.len() / 2]).expect_err("cut").to_string().contains("line"));
         assert!(parse(b"[]").is_err() && parse(b"").is_err());
         assert!(parse(whole.replace("\"x\": 10", "\"x\": 1e999").as_bytes()).is_err());
-        assert!(parse(whole.replace("\"x\": 10", "\"x\": 0").as_bytes()).expect_err("a point").contains("lane 1"));
+        assert!(
+            parse(whole.replace("\"x\": 10", "\"x\": 0").as_bytes())
+                .expect_err("a point")
+                .to_string()
+                .contains("lane 1")
+        );
         let deep = format!("{{\"lane_segments\": {}", "[".repeat(100_000));
         assert!(parse(deep.as_bytes()).is_err());
     }

@@ -1,5 +1,7 @@
 //! Which column of a table of tracks holds what, and which version of INTERACTION is it?
 
+use crate::ingest::error::Malformed;
+
 /// The columns of every table.
 const REQUIRED: [&str; 8] = ["track_id", "frame_id", "timestamp_ms", "agent_type", "x", "y", "vx", "vy"];
 /// Further columns of all tables but v1.1's tables of pedestrians.
@@ -36,22 +38,22 @@ impl TrackColumns {
     ///
     /// A table without `case_id` is of v1.1, where pedestrians have a table of their own without `psi_rad`, `length` and
     /// `width`; all other tables must have these.
-    pub(super) fn of(header: &[u8], is_pedestrians: bool) -> Result<Self, String> {
+    pub(super) fn of(header: &[u8], is_pedestrians: bool) -> Result<Self, Malformed> {
         let names: Vec<&[u8]> = header.split(|byte| *byte == b',').map(<[u8]>::trim_ascii).collect();
         if names.len() > MAX_COLUMNS {
-            return Err(format!("line 1: the header has more than {MAX_COLUMNS} columns"));
+            return Err(format!("line 1: the header has more than {MAX_COLUMNS} columns").into());
         }
         let find = |name: &str| names.iter().position(|found| *found == name.as_bytes());
         let needs_shape = !is_pedestrians || find("case_id").is_some() || SHAPE.iter().any(|name| find(name).is_some());
         let expected: Vec<&str> = REQUIRED.into_iter().chain(SHAPE.into_iter().filter(|_| needs_shape)).collect();
         let missing: Vec<&str> = expected.iter().copied().filter(|name| find(name).is_none()).collect();
         if !missing.is_empty() {
-            return Err(missing_columns(&missing, &expected, header));
+            return Err(missing_columns(&missing, &expected, header).into());
         }
         let known = ["case_id", "track_to_predict", "interesting_agent"].into_iter().chain(expected);
         for name in known {
             if names.iter().filter(|found| **found == name.as_bytes()).count() > 1 {
-                return Err(format!("line 1: the column `{name}` appears twice"));
+                return Err(format!("line 1: the column `{name}` appears twice").into());
             }
         }
         let index = |name: &str| find(name).unwrap_or_default();
@@ -105,20 +107,30 @@ mod tests {
     fn only_tables_of_pedestrians_may_lack_heading_and_size() {
         let short = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy";
         assert_eq!(TrackColumns::of(short.as_bytes(), true).unwrap().shape, None);
-        assert!(TrackColumns::of(short.as_bytes(), false).unwrap_err().contains("psi_rad, length, width"));
+        assert!(TrackColumns::of(short.as_bytes(), false).unwrap_err().to_string().contains("psi_rad, length, width"));
         assert!(TrackColumns::of(format!("case_id,{short}").as_bytes(), true).is_err());
-        assert!(TrackColumns::of(format!("{short},psi_rad").as_bytes(), true).unwrap_err().contains("length, width"));
+        assert!(
+            TrackColumns::of(format!("{short},psi_rad").as_bytes(), true)
+                .unwrap_err()
+                .to_string()
+                .contains("length, width")
+        );
     }
 
     #[test]
     fn wrong_headers_are_explained() {
-        let error = TrackColumns::of(V1_1.replace(",vx", "").as_bytes(), false).unwrap_err();
+        let error = TrackColumns::of(V1_1.replace(",vx", "").as_bytes(), false).unwrap_err().to_string();
         assert!(error.starts_with("line 1: no column vx; expected `track_id,") && error.contains("found `track_id,"));
-        let error = TrackColumns::of(V1_1.replace(',', ";").as_bytes(), false).unwrap_err();
+        let error = TrackColumns::of(V1_1.replace(',', ";").as_bytes(), false).unwrap_err().to_string();
         assert!(error.contains("separated by `,`, not `;`"), "{error}");
-        let error = TrackColumns::of(V1_1.replace(',', "\t").as_bytes(), false).unwrap_err();
+        let error = TrackColumns::of(V1_1.replace(',', "\t").as_bytes(), false).unwrap_err().to_string();
         assert!(error.contains("not `\\t`"), "{error}");
-        assert!(TrackColumns::of(format!("{V1_1},x").as_bytes(), false).unwrap_err().contains("`x` appears twice"));
+        assert!(
+            TrackColumns::of(format!("{V1_1},x").as_bytes(), false)
+                .unwrap_err()
+                .to_string()
+                .contains("`x` appears twice")
+        );
         assert!(TrackColumns::of(b"\x00\xff", false).is_err());
     }
 }

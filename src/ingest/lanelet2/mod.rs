@@ -15,7 +15,7 @@ mod topology;
 pub use report::MapReport;
 
 use crate::geometry::Vec2;
-use crate::ingest::Error;
+use crate::ingest::error::{Error, Malformed};
 use crate::scene::LaneGraph;
 use lanelet::Lanelet;
 use osm::{NodePosition, Osm};
@@ -39,22 +39,21 @@ const MAX_TAG_BYTES: usize = 64 * 1024 * 1024;
 /// [`Error::Map`], naming `file` and line, when the document is not well-formed, has a document type, is beyond all
 /// bounds, or when no lane remains.
 pub fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapReport), Error> {
-    let error = |place: String, detail: String| Error::Map { file: file.to_owned(), place, detail };
+    let error = |what: String| Error::map(file, "", what);
     let mut bytes = Vec::new();
     reader
         .take(MAX_MAP_BYTES + 1)
         .read_to_end(&mut bytes)
-        .map_err(|source| error(String::new(), format!("cannot be read: {source}")))?;
+        .map_err(|source| error(format!("cannot be read: {source}")))?;
     if bytes.len() as u64 > MAX_MAP_BYTES {
-        return Err(error(String::new(), format!("is larger than {} MiB", MAX_MAP_BYTES >> 20)));
+        return Err(error(format!("is larger than {} MiB", MAX_MAP_BYTES >> 20)));
     }
     let text = std::str::from_utf8(&bytes)
-        .map_err(|utf8| error(format!("byte {}", utf8.valid_up_to()), "is not UTF-8 text".to_owned()))?;
+        .map_err(|utf8| Error::map(file, format!("byte {}", utf8.valid_up_to()), "is not UTF-8 text"))?;
 
     let mut report = MapReport::default();
-    let osm = osm::parse(text, &mut report)
-        .map_err(|malformed| error(format!("line {}", malformed.line), malformed.detail))?;
-    let lanelets = lanelets(&osm, &mut report).map_err(|detail| error(String::new(), detail))?;
+    let osm = osm::parse(text, file, &mut report)?;
+    let lanelets = lanelets(&osm, &mut report).map_err(|what| Error::map(file, "", what))?;
     if lanelets.is_empty() {
         let detail = format!(
             "has no vehicle lane: {} lanelets, {} of them not for vehicles; {}",
@@ -62,16 +61,15 @@ pub fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapR
             report.n_not_drivable,
             report.summary()
         );
-        return Err(error(String::new(), detail));
+        return Err(error(detail));
     }
     report.n_lanes = lanelets.len() as u64;
-    let lanes = topology::connect(lanelets).map_err(|n| {
-        error(String::new(), format!("has {n} lane connections; its lanelets share too many end nodes"))
-    })?;
+    let lanes = topology::connect(lanelets)
+        .map_err(|n| error(format!("has {n} lane connections; its lanelets share too many end nodes")))?;
     Ok((LaneGraph::new(lanes), report))
 }
 
-fn lanelets(osm: &Osm, report: &mut MapReport) -> Result<Vec<Lanelet>, String> {
+fn lanelets(osm: &Osm, report: &mut MapReport) -> Result<Vec<Lanelet>, Malformed> {
     let positions = positions(osm);
     let mut lanelets = Vec::new();
     let (mut n_points, mut n_tag_bytes) = (0, 0);
@@ -86,7 +84,7 @@ fn lanelets(osm: &Osm, report: &mut MapReport) -> Result<Vec<Lanelet>, String> {
         }
         n_points += relation.members.iter().filter_map(|member| osm.ways.get(&member.id)).map(Vec::len).sum::<usize>();
         if n_points > MAX_BOUND_POINTS {
-            return Err(format!("its lanelets have more than {MAX_BOUND_POINTS} points together"));
+            return Err(format!("its lanelets have more than {MAX_BOUND_POINTS} points together").into());
         }
         match Lanelet::of(relation, *id, osm, &positions, report) {
             Ok(lanelet) => {
@@ -96,7 +94,7 @@ fn lanelets(osm: &Osm, report: &mut MapReport) -> Result<Vec<Lanelet>, String> {
             Err((reason, detail)) => report.warn(reason, format!("lanelet {id}: {detail}")),
         }
         if n_tag_bytes > MAX_TAG_BYTES {
-            return Err(format!("its lanelets have more than {} MiB of tags together", MAX_TAG_BYTES >> 20));
+            return Err(format!("its lanelets have more than {} MiB of tags together", MAX_TAG_BYTES >> 20).into());
         }
     }
     Ok(lanelets)

@@ -6,6 +6,7 @@
 use super::projection::{GeoPoint, MAX_LATITUDE_DEG, MAX_LONGITUDE_DEG};
 use super::report::MapReport;
 use crate::geometry::Vec2;
+use crate::ingest::error::{Error, Malformed};
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use std::collections::BTreeMap;
@@ -51,28 +52,20 @@ pub(super) struct Member {
     pub(super) role: String,
 }
 
-/// What is wrong with a document, and where.
-#[derive(Debug)]
-pub(super) struct Malformed {
-    /// Line, counted from 1.
-    pub(super) line: usize,
-    pub(super) detail: String,
-}
-
-/// Reads a document; nodes without a usable position are left out and reported.
-pub(super) fn parse(text: &str, report: &mut MapReport) -> Result<Osm, Malformed> {
+/// Reads the document in `file`; nodes without a usable position are left out and reported.
+pub(super) fn parse(text: &str, file: &str, report: &mut MapReport) -> Result<Osm, Error> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let mut reader = quick_xml::Reader::from_str(text);
     let mut document = Document { osm: Osm::default(), open: Open::Nothing, report };
     let mut depth = 0;
     loop {
         let at = usize::try_from(reader.buffer_position()).unwrap_or(text.len());
-        let malformed = |detail: String| Malformed { line: line_at(text, at), detail };
+        let malformed = |what: Malformed| Error::map(file, line_at(text, at), what);
         match reader.read_event() {
             Ok(Event::Start(element)) => {
                 depth += 1;
                 if depth > MAX_DEPTH {
-                    return Err(malformed(format!("elements are nested deeper than {MAX_DEPTH}")));
+                    return Err(malformed(format!("elements are nested deeper than {MAX_DEPTH}").into()));
                 }
                 document.begin(&element, depth).map_err(malformed)?;
             }
@@ -87,20 +80,22 @@ pub(super) fn parse(text: &str, report: &mut MapReport) -> Result<Osm, Malformed
             Ok(Event::DocType(_)) => {
                 return Err(malformed("document types and entities are not accepted; remove `<!DOCTYPE …>`".into()));
             }
-            Ok(Event::GeneralRef(entity)) => return Err(malformed(format!("unexpected reference `&{};`", &*entity))),
+            Ok(Event::GeneralRef(entity)) => {
+                return Err(malformed(format!("unexpected reference `&{};`", &*entity).into()));
+            }
             Ok(Event::Eof) if depth > 0 => return Err(malformed("the document ends within an element".into())),
             Ok(Event::Eof) => return Ok(document.osm),
             Ok(_) => {}
             Err(error) => {
                 let at = usize::try_from(reader.error_position()).unwrap_or(text.len());
-                return Err(Malformed { line: line_at(text, at), detail: error.to_string() });
+                return Err(Error::map(file, line_at(text, at), error));
             }
         }
     }
 }
 
-fn line_at(text: &str, byte: usize) -> usize {
-    1 + text.as_bytes().iter().take(byte).filter(|b| **b == b'\n').count()
+fn line_at(text: &str, byte: usize) -> String {
+    format!("line {}", 1 + text.as_bytes().iter().take(byte).filter(|b| **b == b'\n').count())
 }
 
 /// The element that is being read.
@@ -119,13 +114,15 @@ struct Document<'a> {
 
 impl Document<'_> {
     /// Takes in an element at `depth` (1 is the root).
-    fn begin(&mut self, element: &BytesStart<'_>, depth: usize) -> Result<(), String> {
+    fn begin(&mut self, element: &BytesStart<'_>, depth: usize) -> Result<(), Malformed> {
         let name = element.name();
         let name: &str = name.as_ref();
         let attributes = Attributes::read(element)?;
         match (depth, name, &mut self.open) {
             (1, "osm", _) => {}
-            (1, ..) => return Err(format!("is not an OSM document: the root element is `<{name}>`, expected `<osm>`")),
+            (1, ..) => {
+                return Err(format!("is not an OSM document: the root element is `<{name}>`, expected `<osm>`").into());
+            }
             (2, "node", _) => self.add_node(&attributes)?,
             (2, "way" | "relation", _) if attributes.is_deleted() => self.open = Open::Deleted,
             (2, "way", _) => self.open = Open::Way { id: attributes.id("id", name)?, nodes: Vec::new() },
@@ -165,16 +162,16 @@ impl Document<'_> {
         }
     }
 
-    fn add_node(&mut self, attributes: &Attributes) -> Result<(), String> {
+    fn add_node(&mut self, attributes: &Attributes) -> Result<(), Malformed> {
         let id = attributes.id("id", "node")?;
         if attributes.is_deleted() {
             return Ok(());
         }
         let position = match attributes.position() {
             Ok(position) => position,
-            Err(detail) => {
-                self.report.warn("node_without_position", format!("node {id}: {detail}"));
-                insert_new(&mut self.osm.misplaced, id, detail);
+            Err(what) => {
+                self.report.warn("node_without_position", format!("node {id}: {what}"));
+                insert_new(&mut self.osm.misplaced, id, what.to_string());
                 return Ok(());
             }
         };
@@ -201,13 +198,13 @@ fn insert_new<T>(elements: &mut BTreeMap<i64, T>, id: i64, element: T) -> bool {
 struct Attributes(Vec<(String, String)>);
 
 impl Attributes {
-    fn read(element: &BytesStart<'_>) -> Result<Self, String> {
+    fn read(element: &BytesStart<'_>) -> Result<Self, Malformed> {
         let mut pairs = Vec::new();
         // The library's check for duplicates takes quadratic time; here the first of a name counts.
         for attribute in element.attributes().with_checks(false) {
-            let attribute = attribute.map_err(|error| error.to_string())?;
+            let attribute = attribute?;
             if pairs.len() == MAX_ATTRIBUTES {
-                return Err(format!("an element has more than {MAX_ATTRIBUTES} attributes"));
+                return Err(format!("an element has more than {MAX_ATTRIBUTES} attributes").into());
             }
             // Resolves the five predefined entities and character references, and refuses all others.
             let value =
@@ -221,9 +218,9 @@ impl Attributes {
         self.0.iter().find(|(k, _)| k == key).map(|(_, value)| value.as_str())
     }
 
-    fn id(&self, key: &str, element: &str) -> Result<i64, String> {
+    fn id(&self, key: &str, element: &str) -> Result<i64, Malformed> {
         let text = self.get(key).ok_or_else(|| format!("`<{element}>` without `{key}`"))?;
-        text.parse().map_err(|_| format!("`<{element}>`: `{key}` is \"{text}\", expected a whole number"))
+        text.parse().map_err(|_| format!("`<{element}>`: `{key}` is \"{text}\", expected a whole number").into())
     }
 
     /// JOSM and Lanelet2 keep deleted elements in the file.
@@ -232,7 +229,7 @@ impl Attributes {
     }
 
     /// `x` and `y` where given, else `lat` and `lon`; or what is wrong with them.
-    fn position(&self) -> Result<NodePosition, String> {
+    fn position(&self) -> Result<NodePosition, Malformed> {
         const EARTH_M: f64 = 2.1e7;
         let is_number = |key| self.get(key).is_some_and(|text| text.trim().parse::<f64>().is_ok());
         let has = |key| self.get(key).is_some();
@@ -241,7 +238,7 @@ impl Attributes {
             return Ok(NodePosition::Plane(point));
         }
         if !(has("lat") && has("lon")) {
-            return Err("has no position; it needs `lat` and `lon`, or `x` and `y`".to_owned());
+            return Err("has no position; it needs `lat` and `lon`, or `x` and `y`".into());
         }
         let latitude_deg = self.coordinate("lat", MAX_LATITUDE_DEG, "degrees")?;
         let longitude_deg = self.coordinate("lon", MAX_LONGITUDE_DEG, "degrees")?;
@@ -249,9 +246,9 @@ impl Attributes {
     }
 
     /// The number in attribute `key`, which must lie within `limit` of 0.
-    fn coordinate(&self, key: &str, limit: f64, unit: &str) -> Result<f64, String> {
+    fn coordinate(&self, key: &str, limit: f64, unit: &str) -> Result<f64, Malformed> {
         let text = self.get(key).unwrap_or_default();
         let number = text.trim().parse::<f64>().ok().filter(|number| number.abs() <= limit);
-        number.ok_or_else(|| format!("`{key}` is \"{text}\", expected a number from -{limit} to {limit} {unit}"))
+        number.ok_or_else(|| format!("`{key}` is \"{text}\", expected a number from -{limit} to {limit} {unit}").into())
     }
 }

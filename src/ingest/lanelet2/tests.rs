@@ -332,9 +332,9 @@ proptest::proptest! {
 fn elements_without_content_count() {
     let mut report = MapReport::default();
     let text = r#"<osm><way id="7"/><relation id="8"/><way id="9" action="delete"/><node id="1" x="0" y="0"/></osm>"#;
-    let osm = osm::parse(text, &mut report).unwrap();
+    let osm = osm::parse(text, "", &mut report).unwrap();
     assert_eq!((osm.ways.keys().collect::<Vec<_>>(), osm.ways[&7].len()), (vec![&7], 0));
     assert_eq!((osm.relations.len(), osm.nodes.len()), (1, 1));
-    osm::parse(r#"<osm><way id="7"/><way id="7"/></osm>"#, &mut report).unwrap();
+    osm::parse(r#"<osm><way id="7"/><way id="7"/></osm>"#, "", &mut report).unwrap();
     assert!(report.summary().contains("duplicate_id"), "{}", report.summary());
 }

@@ -5,7 +5,7 @@
 //! tree is deserialized once; so both kinds of mistakes are reported by the same code, each with its place.
 
 use super::{Override, PipelineConfig};
-use crate::settings::Issue;
+use crate::settings::{Issue, Unreadable};
 use serde::Deserialize;
 use std::fmt;
 use std::ops::Range;
@@ -169,8 +169,8 @@ impl Source<'_> {
         ConfigError { place, message: issue.to_string(), suggestion: None }
     }
 
-    fn override_error(&self, written: &str, why: String) -> ConfigError {
-        ConfigError { place: ConfigPlace::Override(written.to_owned()), message: why, suggestion: None }
+    fn override_error(&self, written: &str, why: Unreadable) -> ConfigError {
+        ConfigError { place: ConfigPlace::Override(written.to_owned()), message: why.0, suggestion: None }
     }
 }
 

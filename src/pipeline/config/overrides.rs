@@ -1,5 +1,6 @@
 //! What does `--set a.b.c=value` change in a parsed configuration?
 
+use crate::settings::Unreadable;
 use std::ops::Range;
 use toml::Spanned;
 use toml::de::{DeArray, DeString, DeTable, DeValue};
@@ -15,18 +16,18 @@ pub struct Override {
 
 impl Override {
     /// Reads `generate.sweeps.0.n_samples=2`. The error says what is wrong with the text.
-    pub fn parse(text: &str) -> Result<Self, String> {
+    pub fn parse(text: &str) -> Result<Self, Unreadable> {
         let (key, value) = text.split_once('=').ok_or("missing `=`; write key=value")?;
         let key: Vec<String> = key.split('.').map(|part| part.trim().to_owned()).collect();
         if key.iter().any(String::is_empty) {
-            return Err("its key has an empty part".to_owned());
+            return Err("its key has an empty part".into());
         }
         Ok(Self { key, value: value.trim().to_owned() })
     }
 
     /// Sets the value in `table`, making tables that are missing. Everything it adds gets `span`, so that a later error
     /// about it can be told from one about the file.
-    pub fn apply<'i>(&'i self, table: &mut DeTable<'i>, span: &Range<usize>) -> Result<(), String> {
+    pub fn apply<'i>(&'i self, table: &mut DeTable<'i>, span: &Range<usize>) -> Result<(), Unreadable> {
         let (last, parents) = self.key.split_last().ok_or("its key is empty")?;
         let mut place = Container::Table(table);
         for part in parents {
@@ -46,7 +47,7 @@ enum Container<'t, 'i> {
 }
 
 impl<'i> Container<'_, 'i> {
-    fn enter(self, part: &'i str, span: &Range<usize>) -> Result<Self, String> {
+    fn enter(self, part: &'i str, span: &Range<usize>) -> Result<Self, Unreadable> {
         let value = match self {
             Container::Table(table) => table
                 .entry(spanned_key(part, span))
@@ -57,11 +58,11 @@ impl<'i> Container<'_, 'i> {
         match value {
             DeValue::Table(table) => Ok(Container::Table(table)),
             DeValue::Array(array) => Ok(Container::Array(array)),
-            _ => Err(format!("`{part}` is a value, not a table")),
+            _ => Err(format!("`{part}` is a value, not a table").into()),
         }
     }
 
-    fn set(self, part: &'i str, value: Spanned<DeValue<'i>>, span: &Range<usize>) -> Result<(), String> {
+    fn set(self, part: &'i str, value: Spanned<DeValue<'i>>, span: &Range<usize>) -> Result<(), Unreadable> {
         match self {
             Container::Table(table) => {
                 // The old key is removed first: inserting alone would keep its place in the file.
@@ -78,10 +79,10 @@ fn spanned_key<'i>(part: &'i str, span: &Range<usize>) -> Spanned<DeString<'i>> 
     Spanned::new(span.clone(), DeString::Borrowed(part))
 }
 
-fn element<'t, 'i>(array: &'t mut DeArray<'i>, part: &str) -> Result<&'t mut Spanned<DeValue<'i>>, String> {
+fn element<'t, 'i>(array: &'t mut DeArray<'i>, part: &str) -> Result<&'t mut Spanned<DeValue<'i>>, Unreadable> {
     let n_elements = array.len();
     let idx: usize = part.parse().map_err(|_| format!("`{part}` is not an array index"))?;
-    array.get_mut(idx).ok_or_else(|| format!("index {idx} is out of range for an array of {n_elements}"))
+    Ok(array.get_mut(idx).ok_or_else(|| format!("index {idx} is out of range for an array of {n_elements}"))?)
 }
 
 /// Gives a value and everything in it one span.
@@ -105,7 +106,7 @@ fn relocate<'i>(value: DeValue<'i>, span: &Range<usize>) -> Spanned<DeValue<'i>>
 mod tests {
     use super::*;
 
-    fn applied(text: &str, written: &str) -> Result<toml::Table, String> {
+    fn applied(text: &str, written: &str) -> Result<toml::Table, Unreadable> {
         let parsed = Override::parse(written)?;
         let mut table = DeTable::parse(text).unwrap().into_inner();
         parsed.apply(&mut table, &(0..0))?;
@@ -128,9 +129,9 @@ mod tests {
 
     #[test]
     fn impossible_places_are_refused() {
-        assert!(applied("a = [1]", "a.1=2").unwrap_err().contains("out of range for an array of 1"));
-        assert!(applied("a = [1]", "a.x=2").unwrap_err().contains("not an array index"));
-        assert!(applied("a = 1", "a.x=2").unwrap_err().contains("is a value"));
-        assert!(applied("", "a..x=2").unwrap_err().contains("empty part"));
+        assert!(applied("a = [1]", "a.1=2").unwrap_err().0.contains("out of range for an array of 1"));
+        assert!(applied("a = [1]", "a.x=2").unwrap_err().0.contains("not an array index"));
+        assert!(applied("a = 1", "a.x=2").unwrap_err().0.contains("is a value"));
+        assert!(applied("", "a..x=2").unwrap_err().0.contains("empty part"));
     }
 }

@@ -1,9 +1,10 @@
 //! Scenes to an event table: the detectors run on every scene, in parallel, and their events are kept in order.
 
-use crate::behavior::{self, Behavior, BehaviorConfig, BehaviorEvent};
+use crate::behavior::{self, Behavior, BehaviorConfig, BehaviorEntry, BehaviorEvent};
 use crate::evaluate::MiningTally;
 use crate::pipeline::layout::{EVENTS, Layout, MINE_SUMMARY};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
+use crate::progress::Progress;
 use crate::scene::Split;
 use crate::settings::Issue;
 use crate::store::{EventWriter, SceneIndexEntry, SceneStore, write_json_atomically};
@@ -118,23 +119,7 @@ impl Stage for Mine<'_> {
         }
         writer.write(&found)?;
         context.progress.finish();
-        if !has_lanes.into_inner() {
-            for entry in behavior::ALL.iter().filter(|entry| entry.needs_lanes && ids.contains(&entry.id)) {
-                context.progress.warn(&format!(
-                    "{} is found along lanes, and no scene has any: ingest with maps, or leave it out of mine.behaviors",
-                    entry.id
-                ));
-            }
-        }
-        if !has_sizes.into_inner() {
-            for behavior in behaviors.iter().filter(|behavior| behavior.needs_sizes()) {
-                context.progress.warn(&format!(
-                    "{} is found among road users of recorded size, and no scene has any: set recorded_sizes = false, or leave it out of \
-                     mine.behaviors",
-                    behavior.id()
-                ));
-            }
-        }
+        warn_of_blind(&behaviors, [has_lanes, has_sizes].map(AtomicBool::into_inner), context.progress);
         writer.finish()?;
         let n_events = tally.n_events();
         let summary = tally.finish();
@@ -144,5 +129,23 @@ impl Stage for Mine<'_> {
         };
         let n_positive: BTreeMap<&str, u64> = ids.iter().map(|id| (*id, n_positive(id))).collect();
         Ok(json!({ "n_scenes": scenes.len(), "n_events": n_events, "n_positive": n_positive }))
+    }
+}
+
+/// Warns of behaviors that cannot be found in scenes without lanes, or without sizes.
+fn warn_of_blind(behaviors: &[Box<dyn Behavior>], [has_lanes, has_sizes]: [bool; 2], progress: &dyn Progress) {
+    for behavior in behaviors {
+        let id = behavior.id();
+        if !has_lanes && BehaviorEntry::of(id).is_some_and(|entry| entry.needs_lanes) {
+            progress.warn(&format!(
+                "{id} is found along lanes, and no scene has any: ingest with maps, or leave it out of mine.behaviors"
+            ));
+        }
+        if !has_sizes && behavior.needs_sizes() {
+            progress.warn(&format!(
+                "{id} is found among road users of recorded size, and no scene has any: set recorded_sizes = false, or leave it out of \
+                 mine.behaviors"
+            ));
+        }
     }
 }

@@ -119,17 +119,33 @@ fn maps(rows: &[MapFitRow]) -> Markup {
     }
 }
 
+fn n_not_checked(row: &ValidityRow, check: Check) -> u64 {
+    row.not_checked.get(check.id()).copied().unwrap_or(0)
+}
+
+/// Which checks were not made, and of how many scenes.
+fn not_checked(rows: &[&ValidityRow]) -> Markup {
+    let n_scenes: u64 = rows.iter().map(|row| row.n).sum();
+    let n_of = |check| rows.iter().map(|row| n_not_checked(row, check)).sum::<u64>();
+    let left_out: Vec<(Check, u64)> =
+        Check::ALL.into_iter().map(|check| (check, n_of(check))).filter(|(_, n)| *n > 0).collect();
+    html! {
+        @if !left_out.is_empty() {
+            p class="note" {
+                "Not checked, so that nothing is said of it: "
+                @for (i, (check, n)) in left_out.iter().enumerate() {
+                    @if i > 0 { ", " } (check.id().replace('_', " ")) " in " (count(*n)) " of " (count(n_scenes)) " scenes"
+                }
+                ". Motion is not checked where a dataset's positions are too noisy, departures from the road where there is no map or one that does not allow it. "
+                "Shares are of the scenes that were checked."
+            }
+        }
+    }
+}
+
 fn validity(rows: &[ValidityRow]) -> Markup {
     let rows: Vec<&ValidityRow> = rows.iter().filter(|row| row.place.is_empty()).collect();
-    let n_not_checked = |row: &ValidityRow, check: Check| row.not_checked.get(check.id()).copied().unwrap_or(0);
     let is_failed = |check: &Check| rows.iter().any(|row| row.violations.contains_key(check.id()));
-    let left_out: Vec<(Check, u64, u64)> = Check::ALL
-        .into_iter()
-        .map(|check| {
-            (check, rows.iter().map(|row| n_not_checked(row, check)).sum(), rows.iter().map(|row| row.n).sum())
-        })
-        .filter(|(_, n, _)| *n > 0)
-        .collect();
     let checks: Vec<Check> = Check::ALL.into_iter().filter(is_failed).collect();
     let head = html! {
         tr {
@@ -160,16 +176,7 @@ fn validity(rows: &[ValidityRow]) -> Markup {
             "The recordings are judged as if they were generated: what they fail shows how strict a limit is, or how noisy they are. "
             "Plausibility is the share of motion between the 0.1 % and 99.9 % quantiles of recorded motion."
         }
-        @if !left_out.is_empty() {
-            p class="note" {
-                "Not checked, so that nothing is said of it: "
-                @for (i, (check, n, of)) in left_out.iter().enumerate() {
-                    @if i > 0 { ", " } (check.id().replace('_', " ")) " in " (count(*n)) " of " (count(*of)) " scenes"
-                }
-                ". Motion is not checked where a dataset's positions are too noisy, departures from the road where there is no map or one that does not allow it. "
-                "Shares are of the scenes that were checked."
-            }
-        }
+        (not_checked(&rows))
         details {
             summary { "What is checked" }
             dl class="definitions" {

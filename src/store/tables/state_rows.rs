@@ -86,14 +86,14 @@ pub(crate) fn state_fields() -> Vec<Field> {
     };
     let size = |name: &str, description: &str| column(name, DataType::Float32, description).unit("m").optional();
     vec![
-        scene("x_m", "m", "Center."),
-        scene("y_m", "m", "Center."),
-        scene("heading_rad", "rad", "Direction in (-π, π]."),
-        scene("vx_mps", "m/s", "Velocity."),
-        scene("vy_mps", "m/s", "Velocity."),
-        world("world_x_m", "m", "Center."),
-        world("world_y_m", "m", "Center."),
-        world("world_heading_rad", "rad", "Direction in (-π, π]."),
+        scene("x_m", "m", "Position of its center along x."),
+        scene("y_m", "m", "Position of its center along y."),
+        scene("heading_rad", "rad", "Direction in which it points, in (-π, π]; 0 is along x."),
+        scene("vx_mps", "m/s", "Velocity along x."),
+        scene("vy_mps", "m/s", "Velocity along y."),
+        world("world_x_m", "m", "Position of its center along x."),
+        world("world_y_m", "m", "Position of its center along y."),
+        world("world_heading_rad", "rad", "Direction in which it points, in (-π, π]; 0 is along x."),
         size("length_m", "Size along the heading; missing where the recording gives none."),
         size("width_m", "Size across the heading; missing where the recording gives none."),
     ]

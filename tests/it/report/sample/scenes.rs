@@ -3,8 +3,8 @@
 use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::report::{Acceptance, CardBucket, CardKey, CardValue, Fact, Sample, SceneCard, Verdict};
 use djinn::scene::{
-    AgentClass, Dataset, Extent, GuidanceLevel, Lane, LaneGraph, LaneId, ObservationMask, Roles, Scene, SceneId,
-    SceneSource, Split, State, Track, TrackId, TrackRole, Trajectory,
+    AgentClass, Dataset, Extent, GuidanceLevel, Lane, LaneGraph, ObservationMask, Roles, Scene, SceneId, SceneSource,
+    Split, State, Track, TrackId, TrackRole, Trajectory,
 };
 use std::sync::Arc;
 
@@ -136,15 +136,5 @@ fn lane(i: i64) -> Lane {
     let line = |offset: f64| {
         Polyline((0..8).map(|k| Vec2::new(f64::from(k) * 30.0 - 80.0, i as f64 * 3.5 + offset)).collect())
     };
-    Lane {
-        id: LaneId(i),
-        centerline: line(0.0),
-        left: line(1.75),
-        right: line(-1.75),
-        successors: vec![],
-        predecessors: vec![],
-        left_neighbor: None,
-        right_neighbor: None,
-        attributes: Arc::default(),
-    }
+    Lane::unconnected(i, line(0.0), [1.75, -1.75].map(line))
 }
