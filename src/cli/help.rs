@@ -40,11 +40,13 @@ The jobs: `prepare` runs the stages before generation, `plan` decides what is sa
 `seal` publishes the samples; `evaluate-plan`, `evaluate-work` and `evaluate-seal` do the same for evaluation where there are
 several workers; `finish` runs the stages after them. Each looks by itself whether what it reads is there.
 Submitting again makes up for what is missing. [cluster] says what jobs need: partition, time, cpus, gpus, memory,
-container, retries, more lines of the scripts (pipelines/CLUSTER.md).
+container, retries, more lines of the scripts, for Kubernetes image and volumes (pipelines/CLUSTER.md).
 
 Examples:
   djinn submit pipelines/quickstart.toml --engine slurm --workers 100 --dry-run     print the scripts
   djinn submit pipelines/quickstart.toml --engine slurm --workers 100
+  djinn submit pipelines/quickstart.toml --engine kubernetes --set cluster.image=registry.example.org/djinn:0.1 \\
+    --set 'cluster.volumes={ traffic = \"/data\" }' --dry-run     print the JobSet
   djinn submit pipelines/quickstart.toml --engine json | jq -r '.jobs[].command | join(\" \")'";
 
 /// Of `status`.
