@@ -60,7 +60,8 @@ class Measured:
 
 
 def simulate(measured, cluster, n_scenarios, graph=GRAPH, rounds=None, seed=0):
-    """Plays the graph. Returns a row for each job, in order; `rounds` is (shards a round, lag) where a request is played."""
+    """Plays the graph. Returns for each job, in order, its name, when it begins, its workers (None for one process), and what
+    became of it. `rounds` is (shards a round, lag) where a request is played."""
     n_shards = -(-n_scenarios // measured.scenarios_a_shard)
     rows, now = [], 0.0
     for job in graph:
@@ -75,7 +76,7 @@ def simulate(measured, cluster, n_scenarios, graph=GRAPH, rounds=None, seed=0):
         else:
             seconds = measured.alone_s(name, n_scenarios, n_shards)
             tally = Tally(seconds=seconds, held_s=seconds, useful_s=seconds)
-        rows.append((name, begin, cluster.workers if job["workers"] else 1, tally))
+        rows.append((name, begin, cluster.workers if job["workers"] else None, tally))
         now = begin + tally.seconds
     return rows
 
@@ -83,7 +84,7 @@ def simulate(measured, cluster, n_scenarios, graph=GRAPH, rounds=None, seed=0):
 def summary(rows, measured, cluster, n_scenarios):
     """The figures of a schedule."""
     total = rows[-1][1] + rows[-1][3].seconds
-    at_work = [tally for _, _, n, tally in rows if n > 1]
+    at_work = [tally for _, _, n_workers, tally in rows if n_workers]
     held = sum(tally.held_s for tally in at_work)
     n_shards = -(-n_scenarios // measured.scenarios_a_shard)
     # One process holds the cores of a worker.
@@ -124,9 +125,9 @@ def draw(rows, path):
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(9, 3.2), layout="constrained")
-    top = max(n for _, _, n, _ in rows)
-    for color, (name, begin, n, tally) in zip(pyplot.cm.tab10.colors, rows):
-        edges, counts = tally.profile(n)
+    top = max(n_workers or 1 for _, _, n_workers, _ in rows)
+    for color, (name, begin, n_workers, tally) in zip(pyplot.cm.tab10.colors, rows):
+        edges, counts = tally.profile(n_workers or 1)
         minutes = [(begin + edge) / 60 for edge in edges]
         axes.stairs(counts, minutes, fill=True, color=color, alpha=0.85, label=name)
     axes.set(xlabel="minutes", ylabel="processes that compute", yscale="log", ylim=(0.8, 1.5 * top), xlim=(0, None))

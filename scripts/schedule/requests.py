@@ -8,7 +8,7 @@ without what was known a little later.
 import collections
 import heapq
 
-from .shards import Tally, lifetime, log_normal
+from .shards import Tally, Workers
 
 # How many times the time of a shard a worker leaves one to another worker before it makes it, too.
 PATIENCE = 3.0
@@ -46,6 +46,9 @@ class Rounds:
         self.decide()
         return True
 
+    def are_complete(self):
+        return self.complete == len(self.left)
+
     def undecided(self):
         """Of how many shards is the result not known when one is decided, on average?"""
         sizes = [min(self.size, self.n_shards - begin) for begin in range(0, self.n_shards, self.size)]
@@ -53,76 +56,84 @@ class Rounds:
         return sum(size * n for size, n in zip(sizes, unknown)) / self.n_shards
 
 
+class Request:
+    """The workers of a request."""
+
+    def __init__(self, n_shards, shard_s, spread, start_s, cluster, rng, rounds):
+        self.rounds, self.tally = Rounds(n_shards, *rounds), Tally()
+        self.workers = Workers(cluster, rng, start_s, self.tally)
+        self.shard_s, self.spread, self.start_s = shard_s, spread, start_s
+        self.idle = set()
+        # Shards that somebody is at, or died at, with the time when others lose their patience.
+        self.begun = {}
+        # (when, worker, the shard that it has made or what else happens, when it began with that)
+        self.events = [(start_s, number, BEGINS, 0.0) for number in range(cluster.workers)]
+        # When each worker that waits looks next: only the last word counts.
+        self.looks = [-1.0] * cluster.workers
+
+    def play(self):
+        while self.events and not self.rounds.are_complete():
+            now, number, made, since = heapq.heappop(self.events)
+            if made == DIES:
+                # It may have died already, and come back.
+                if self.workers.dies_at[number] > now:
+                    continue
+                self.idle.discard(number)
+                if (again := self.workers.die(number, since)) is not None:
+                    heapq.heappush(self.events, (again + self.start_s, number, BEGINS, 0.0))
+                continue
+            if made == LOOKS:
+                if number not in self.idle or self.looks[number] != now:
+                    continue
+                self.looks[number] = -1.0
+            elif made != BEGINS:
+                self.finish(made, since, now)
+            self.idle.discard(number)
+            if not self.rounds.are_complete():
+                self.take(number, now)
+        busy = max((end for _, end in self.tally.busy), default=0.0)
+        self.tally.seconds = max(self.start_s, busy)
+        self.tally.held_s += sum(max(0.0, self.tally.seconds - begin) for begin in self.workers.began)
+        self.tally.n_unfinished = sum(self.rounds.left)
+        self.tally.undecided = self.rounds.undecided()
+        return self.tally
+
+    def finish(self, shard, since, now):
+        n_complete = self.rounds.complete
+        is_first = self.rounds.finish(shard)
+        self.tally.made(since, now, is_first)
+        self.begun.pop(shard, None)
+        # Whoever waits sees that a round is whole.
+        if self.rounds.complete > n_complete:
+            for waiting in sorted(self.idle):
+                self.look(waiting, now)
+
+    def look(self, number, at):
+        if self.looks[number] != at:
+            self.looks[number] = at
+            heapq.heappush(self.events, (at, number, LOOKS, at))
+
+    def take(self, number, now):
+        """The worker takes a shard that nobody is at, or that somebody has been at for long; else it waits."""
+        self.tally.n_lookups += 1
+        free, dies_at = self.rounds.free, self.workers.dies_at[number]
+        shard = free.popleft() if free else next((one for one, until in self.begun.items() if until <= now), None)
+        if shard is None:
+            self.idle.add(number)
+            next_look = min(self.begun.values())
+            if dies_at < next_look:
+                heapq.heappush(self.events, (max(now, dies_at), number, DIES, dies_at))
+            else:
+                self.look(number, next_look)
+            return
+        self.begun[shard] = now + PATIENCE * self.shard_s
+        end = now + self.workers.seconds(number, self.shard_s, self.spread)
+        if dies_at < end:
+            heapq.heappush(self.events, (max(now, dies_at), number, DIES, now))
+        else:
+            heapq.heappush(self.events, (end, number, shard, now))
+
+
 def play_rounds(n_shards, shard_s, spread, start_s, cluster, rng, rounds):
     """Plays the workers of a request of `rounds`: (shards a round, lag)."""
-    state, tally = Rounds(n_shards, *rounds), Tally()
-    slow = [rng.random() < cluster.slow_share for _ in range(cluster.workers)]
-    dies_at = [start_s + lifetime(cluster, rng) for _ in slow]
-    restarts, began, idle = [0] * cluster.workers, [0.0] * cluster.workers, set()
-    # Shards that somebody is at, or died at, with the time when others lose their patience.
-    begun = {}
-    events = [(start_s, number, BEGINS, 0.0) for number in range(cluster.workers)]
-    # When each worker that waits looks next: only the last word counts.
-    looks = [0.0] * cluster.workers
-
-    def look(number, at):
-        if looks[number] != at:
-            looks[number] = at
-            heapq.heappush(events, (at, number, LOOKS, at))
-
-    while events and state.complete < len(state.left):
-        now, number, made, since = heapq.heappop(events)
-        if made == DIES:
-            tally.held_s += now - began[number]
-            idle.discard(number)
-            if restarts[number] < cluster.retries:
-                restarts[number] += 1
-                began[number] = now + cluster.requeue_s
-                dies_at[number] = began[number] + start_s + lifetime(cluster, rng)
-                heapq.heappush(events, (began[number] + start_s, number, BEGINS, 0.0))
-            else:
-                began[number] = float("inf")
-            continue
-        if made == LOOKS:
-            if number not in idle or looks[number] != now:
-                continue
-            looks[number] = -1.0
-        elif made != BEGINS:
-            tally.busy.append((since, now))
-            n_complete = state.complete
-            if state.finish(made):
-                tally.useful_s += now - since
-                begun.pop(made, None)
-            else:
-                tally.twice_s += now - since
-            # Whoever waits sees it.
-            if state.complete > n_complete:
-                for waiting in sorted(idle):
-                    look(waiting, now)
-        idle.discard(number)
-        shard = state.free.popleft() if state.free else next((s for s, until in begun.items() if until <= now), None)
-        tally.n_lookups += 1
-        if shard is None:
-            idle.add(number)
-            if dies_at[number] < min(begun.values(), default=float("inf")):
-                tally.n_kills += 1
-                heapq.heappush(events, (dies_at[number], number, DIES, 0.0))
-                dies_at[number] = float("inf")
-            elif begun:
-                look(number, min(begun.values()))
-            continue
-        begun[shard] = now + PATIENCE * shard_s
-        end = now + shard_s * (cluster.slow_factor if slow[number] else 1.0) * log_normal(spread, rng)
-        if dies_at[number] < end:
-            tally.n_kills += 1
-            tally.lost_s += max(0.0, dies_at[number] - now)
-            heapq.heappush(events, (max(now, dies_at[number]), number, DIES, 0.0))
-        else:
-            heapq.heappush(events, (end, number, shard, now))
-        tally.seconds = max(tally.seconds, now)
-    # All end when they see the last round whole.
-    tally.seconds = max((end for _, end in tally.busy), default=start_s) if state.complete == len(state.left) else tally.seconds
-    tally.held_s += sum(max(0.0, tally.seconds - begin) for begin in began)
-    tally.n_unfinished = sum(state.left)
-    tally.undecided = state.undecided()
-    return tally
+    return Request(n_shards, shard_s, spread, start_s, cluster, rng, rounds).play()

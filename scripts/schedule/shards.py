@@ -50,6 +50,14 @@ class Tally:
     # When workers computed: (begin, end) each.
     busy: list = dataclasses.field(default_factory=list)
 
+    def made(self, begin, end, is_first):
+        """A shard was made, for the first time or once more."""
+        self.busy.append((begin, end))
+        if is_first:
+            self.useful_s += end - begin
+        else:
+            self.twice_s += end - begin
+
     def profile(self, n_workers, n_bins=200):
         """Edges of bins of time, and how many workers computed in each."""
         if not self.busy:
@@ -73,8 +81,9 @@ class Unfinished:
         return self.before[idx] == idx
 
     def remove(self, idx):
-        self.before[idx] = idx - 1
-        self.left -= 1
+        if idx in self:
+            self.before[idx] = idx - 1
+            self.left -= 1
 
     def at_or_before(self, idx):
         """The last one not after `idx`, or -1."""
@@ -128,52 +137,65 @@ class Worker:
             self.cursor, self.wrapped = self.n_shards - 1, True
 
 
+class Workers:
+    """Who is slow, who dies when, and who comes back: the same for all kinds of work."""
+
+    def __init__(self, cluster, rng, start_s, tally):
+        self.cluster, self.rng, self.tally = cluster, rng, tally
+        self.slow = [rng.random() < cluster.slow_share for _ in range(cluster.workers)]
+        self.dies_at = [lifetime(cluster, rng) for _ in self.slow]
+        self.restarts, self.began = [0] * cluster.workers, [0.0] * cluster.workers
+        self.start_s = start_s
+
+    def seconds(self, number, shard_s, spread):
+        """What a shard takes this worker."""
+        return shard_s * (self.cluster.slow_factor if self.slow[number] else 1.0) * log_normal(spread, self.rng)
+
+    def die(self, number, since):
+        """The worker dies, at work since then. Returns when it begins again, or None."""
+        died = self.dies_at[number]
+        self.tally.n_kills += 1
+        self.tally.lost_s += max(0.0, died - since)
+        self.tally.held_s += died - self.began[number]
+        if self.restarts[number] == self.cluster.retries:
+            self.began[number] = self.dies_at[number] = float("inf")
+            return None
+        self.restarts[number] += 1
+        self.began[number] = died + self.cluster.requeue_s
+        self.dies_at[number] = self.began[number] + lifetime(self.cluster, self.rng)
+        return self.began[number]
+
+
 def play_shards(n_shards, shard_s, spread, start_s, cluster, rng):
     """Plays the workers of one job until each has seen every shard finished."""
     tally, unfinished = Tally(), Unfinished(n_shards)
+    workers = Workers(cluster, rng, start_s, tally)
     look_s = cluster.workers / cluster.lookups_a_second if cluster.lookups_a_second else 0.0
-    slow = [rng.random() < cluster.slow_share for _ in range(cluster.workers)]
-    workers = [Worker(number, cluster.workers, n_shards) for number in range(cluster.workers)]
-    restarts = [0] * cluster.workers
-    dies_at = [lifetime(cluster, rng) for _ in workers]
+    ways = [Worker(number, cluster.workers, n_shards) for number in range(cluster.workers)]
     # (when, worker, shard that it has made, when it began with it); no shard: the worker begins.
     events = [(0.0, number, None, 0.0) for number in range(cluster.workers)]
-    began = [0.0] * cluster.workers
     # Whoever decides at a moment knows of all that is finished then.
     free = []
     while events or free:
         if not free or (events and events[0][0] == free[0][0]):
             now, number, made, since = heapq.heappop(events)
             if made is not None:
-                tally.busy.append((since, now))
-                if made in unfinished:
-                    unfinished.remove(made)
-                    tally.useful_s += now - since
-                else:
-                    tally.twice_s += now - since
+                tally.made(since, now, made in unfinished)
+                unfinished.remove(made)
             free.append((now, number, made))
             continue
         now, number, made = free.pop(0)
-        begin = now + (start_s if made is None else 0.0)
-        shard = workers[number].next(unfinished)
-        tally.n_lookups += workers[number].looked
-        begin += workers[number].looked * look_s
-        seconds = shard_s * (cluster.slow_factor if slow[number] else 1.0) * log_normal(spread, rng)
-        end = begin if shard is None else begin + seconds
-        if dies_at[number] < end:
-            tally.n_kills += 1
-            tally.lost_s += max(0.0, dies_at[number] - begin)
-            tally.held_s += dies_at[number] - began[number]
-            tally.seconds = max(tally.seconds, dies_at[number])
-            if restarts[number] < cluster.retries:
-                restarts[number] += 1
-                again = dies_at[number] + cluster.requeue_s
-                workers[number].begin()
-                began[number], dies_at[number] = again, again + lifetime(cluster, rng)
+        shard = ways[number].next(unfinished)
+        tally.n_lookups += ways[number].looked
+        begin = now + (start_s if made is None else 0.0) + ways[number].looked * look_s
+        end = begin if shard is None else begin + workers.seconds(number, shard_s, spread)
+        tally.seconds = max(tally.seconds, min(end, workers.dies_at[number]))
+        if workers.dies_at[number] < end:
+            if (again := workers.die(number, begin)) is not None:
+                ways[number].begin()
                 heapq.heappush(events, (again, number, None, again))
         elif shard is None:
-            tally.held_s += end - began[number]
-            tally.seconds = max(tally.seconds, end)
+            tally.held_s += end - workers.began[number]
         else:
             heapq.heappush(events, (end, number, shard, begin))
     tally.n_unfinished = unfinished.left

@@ -123,6 +123,14 @@ class Requests(unittest.TestCase):
         tally = self.play(2, 2, (2, 0), Deaths(math.inf, 0.5), kills_an_hour=1.0, retries=0)
         self.assertEqual((tally.seconds, tally.lost_s, tally.n_kills, tally.held_s), (4.0, 0.5, 1, 4.5))
 
+    def test_nothing_is_lost_among_many_deaths(self):
+        tally = self.play(200, 5, (10, 1), kills_an_hour=600.0, retries=10**9, requeue_s=2.0, slow_share=0.4)
+        made = len(tally.busy)
+        self.assertTrue(tally.n_kills > 10 and made >= 200 and tally.n_unfinished == 0)
+        self.assertLess(tally.useful_s + tally.twice_s + tally.lost_s, tally.held_s + 1e-9)
+        # The slow take two seconds, the others one.
+        self.assertTrue(200 <= tally.useful_s <= 400)
+
 
 class Graph(unittest.TestCase):
     measured = {
@@ -148,6 +156,9 @@ class Graph(unittest.TestCase):
         idle = 1 - (5 * 2.5 + 5 * 1.25) / (5 * 2.5 + 1.0 + 5 * 1.25)
         self.assertAlmostEqual(figures["idle_share"], idle)
         self.assertEqual(rows, simulate(measured, cluster, 200))
+        alone = summary(simulate(measured, Cluster(workers=1), 200), measured, Cluster(workers=1), 200)
+        self.assertAlmostEqual(alone["hours"] * 3600, 6 * 10.0 + 20 * 5 + 1.0 + 20 * 2.5)
+        self.assertAlmostEqual(alone["idle_share"], 1 / (20 * 5 + 1.0 + 20 * 2.5))
 
     def test_a_status_takes_the_place_of_what_was_measured(self):
         measured = Measured(**self.measured)

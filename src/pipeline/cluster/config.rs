@@ -78,7 +78,7 @@ impl ClusterConfig {
             settings::printable_name(&format!("volumes.{claim}"), folder)?;
             if !folder.starts_with('/') {
                 let found = format_args!("is \"{folder}\", expected a path from the root, such as /data");
-                return Err(settings::Issue::new(&format!("volumes.{claim}"), found));
+                return Err(settings::Issue::new(format!("volumes.{claim}"), found));
             }
         }
         settings::printable("container", &self.container)?;

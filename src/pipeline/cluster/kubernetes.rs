@@ -10,13 +10,13 @@ use crate::pipeline::{Failure, Result};
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// Where the program begins in the name of a group, and in that of a container.
+/// The program, as the image names it, and what is called after it.
 const PROGRAM: &str = "djinn";
-/// The group of images without root, by number as volumes want it.
+/// The group of the image's user, to which volumes are opened.
 const GROUP: u32 = 65_532;
 /// The number of a worker, from 0: Kubernetes puts it in the place of this.
 const INDEX: &str = "$(JOB_COMPLETION_INDEX)";
-/// Room for the name of a JobSet: names of pods have at most 63 letters, of which `-evaluate-work-0-99999-abcde` is not ours.
+/// Room for the name of a JobSet: names of pods have at most 63 letters, of which `-evaluate-work-0-99999-abcde` takes 28.
 const NAME_LETTERS: usize = 35;
 
 /// The JobSet, as YAML.

@@ -12,11 +12,11 @@ pub(super) fn document(value: &Value) -> String {
 
 /// Writes a value whose lines begin `indent` to the right. The first line follows what is there already.
 fn block(value: &Value, indent: usize, text: &mut String) {
-    let begin = |is_first: bool, text: &mut String| (!is_first).then(|| text.push_str(&" ".repeat(indent)));
+    let begin = |i: usize, text: &mut String| text.push_str(&" ".repeat(if i == 0 { 0 } else { indent }));
     match value {
         Value::Object(entries) if !entries.is_empty() => {
             for (i, (key, entry)) in entries.iter().enumerate() {
-                begin(i == 0, text);
+                begin(i, text);
                 let _ = write!(text, "{}:", scalar(&Value::String(key.clone())));
                 match is_leaf(entry) {
                     true => text.push(' '),
@@ -29,7 +29,7 @@ fn block(value: &Value, indent: usize, text: &mut String) {
         }
         Value::Array(items) if !items.is_empty() => {
             for (i, item) in items.iter().enumerate() {
-                begin(i == 0, text);
+                begin(i, text);
                 text.push_str("- ");
                 block(item, indent + 2, text);
             }
