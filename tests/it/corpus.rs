@@ -1,7 +1,7 @@
 //! Are corpora of every version read, do the tools work from the command line, and do the example queries run?
 
 use crate::skipped::skipped;
-use crate::support::{Workspace, djinn};
+use crate::support::{Workspace, djinn, python};
 use djinn::store::{CorpusManifest, CorpusReader, CorpusTable};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -121,14 +121,8 @@ fn the_tools_work_from_the_command_line() {
 /// What needs a Python package that is not here is skipped, and told; an error of a query fails it, and so does a missing Python.
 #[test]
 fn the_example_queries_run() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let python = std::env::var("DJINN_PYTHON").unwrap_or("python3".to_owned());
-    let script = root.join("scripts/check_readme_queries.py");
-    let output = std::process::Command::new(&python).arg(script).arg(root.join(PRESENT)).output();
-    let output =
-        output.unwrap_or_else(|error| panic!("`{python}`, which DJINN_PYTHON can name, does not run: {error}"));
-    let (stdout, stderr) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    assert!(output.status.success() && !stdout.is_empty(), "{stdout}\n{stderr}");
+    let stdout = python(&["scripts/check_readme_queries.py", PRESENT]);
+    assert!(!stdout.is_empty());
     let missing: BTreeSet<&str> = stdout.lines().filter_map(|line| line.strip_prefix("skipped: ")).collect();
     missing.iter().for_each(|why| skipped("python-packages", why));
 }

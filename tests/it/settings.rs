@@ -388,6 +388,8 @@ const REFUSED: &[(&[&str], &[&str])] = &[
     (&["run.name=\"two\\nlines\""], &["run.name is \"two\\nlines\"", "without control characters"]),
     (&["report.title=\"\\u0007\""], &["report.title is \"\\u{7}\""]),
     (&["cluster.partition=two words"], &["cluster.partition is \"two words\", expected one word"]),
+    (&["cluster.image=two words"], &["cluster.image is \"two words\", expected one word"]),
+    (&["cluster.volumes={ data = 'data' }"], &["cluster.volumes.data is \"data\", expected a path from the root"]),
     (&["cluster.lines=[\"\", \"a\\nb\"]"], &["cluster.lines.1 is \"a\\nb\"", "without control characters"]),
     // Types, and where a mistake stands.
     (&["generate.batch_size=-1"], &["--set generate.batch_size=-1", "expected a whole number of at least 0"]),

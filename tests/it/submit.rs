@@ -1,18 +1,20 @@
 //! What does submitting a pipeline hand to Slurm, and what is seen of a run from outside?
 
-use crate::support::{Workspace, command, djinn};
+use crate::support::{Workspace, command, djinn, python};
 use std::os::unix::fs::PermissionsExt;
 use std::process::Output;
 
-/// Submits the small pipeline with an `sbatch` that writes down what it gets and behaves like `answer`.
+/// Submits the small pipeline with an `sbatch` and a `kubectl` that write down what they get and behave like `answer`.
 fn submit(workspace: &Workspace, answer: &str, more: &[&str]) -> Output {
     let (bin, pipeline, out) = (workspace.path("bin"), workspace.arg("small.toml"), workspace.arg("out"));
     fs_err::create_dir_all(&bin).unwrap();
     let calls = workspace.arg("calls");
     let stub =
         format!("#!/bin/bash\necho \"$@\" >> {calls}.txt\nn=$(wc -l < {calls}.txt)\ncat > {calls}.$n.sh\n{answer}\n");
-    fs_err::write(bin.join("sbatch"), stub).unwrap();
-    fs_err::set_permissions(bin.join("sbatch"), PermissionsExt::from_mode(0o755)).unwrap();
+    for program in ["sbatch", "kubectl"] {
+        fs_err::write(bin.join(program), &stub).unwrap();
+        fs_err::set_permissions(bin.join(program), PermissionsExt::from_mode(0o755)).unwrap();
+    }
     let path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap());
     let args = [&["submit", &pipeline, "--output", &out, "--engine"][..], more].concat();
     command(&args).env("PATH", path).output().unwrap()
@@ -65,6 +67,45 @@ fn jobs_are_submitted_with_what_they_wait_for() {
 }
 
 #[test]
+fn kubernetes_gets_one_job_set() {
+    let workspace = Workspace::new();
+    let volumes = format!(
+        "cluster.volumes={{ code = '{}', data = '{}' }}",
+        std::env::current_dir().unwrap().display(),
+        workspace.arg("")
+    );
+    let image = "cluster.image=registry.example.org/djinn:0.1";
+    let args = ["kubernetes", "--workers", "3", "--set", image, "--set", &volumes];
+    let kubernetes = |answer: &str, more: &[&str]| submit(&workspace, answer, &[&args[..], more].concat());
+    let printed = text(&kubernetes("exit 1", &["--dry-run"]).stdout);
+    assert!(!workspace.path("calls.txt").exists(), "a dry run does nothing");
+    for part in ["kind: JobSet\n", "- \"--worker\"\n", "- \"$(JOB_COMPLETION_INDEX)/3\"\n", "name: evaluate-seal\n"] {
+        assert!(printed.contains(part), "`{part}` is not in\n{printed}");
+    }
+    let output = kubernetes("echo 'jobset.jobset.x-k8s.io/djinn-x created'", &[]);
+    assert_eq!(
+        (output.status.code(), text(&output.stdout).as_str()),
+        (Some(0), "jobset.jobset.x-k8s.io/djinn-x created\n"),
+        "{}",
+        text(&output.stderr)
+    );
+    assert_eq!(fs_err::read_to_string(workspace.path("calls.txt")).unwrap(), "apply -f -\n");
+    assert_eq!(fs_err::read_to_string(workspace.path("calls.1.sh")).unwrap(), printed);
+    for (answer, expected) in [
+        ("echo 'error: no matches for kind \"JobSet\"' >&2; exit 1", "install JobSet 0.8 or later"),
+        ("echo 'field is immutable' >&2; exit 1", "kubectl delete jobset djinn-"),
+        ("echo 'jobset.jobset.x-k8s.io/djinn-x unchanged'", "kubectl delete jobset djinn-"),
+        ("echo 'connection refused' >&2; exit 1", "kubectl apply -f - failed: connection refused"),
+    ] {
+        let output = kubernetes(answer, &[]);
+        let said = text(&output.stderr);
+        assert!(output.status.code() == Some(1) && said.contains(expected), "{said}");
+    }
+    let refused = submit(&workspace, "exit 1", &["kubernetes", "--dry-run"]);
+    assert!(refused.status.code() == Some(1) && text(&refused.stderr).contains("cluster.image is empty"));
+}
+
+#[test]
 fn a_refusal_names_what_was_submitted_before_it() {
     let workspace = Workspace::new();
     let answer =
@@ -92,6 +133,11 @@ fn a_refusal_names_what_was_submitted_before_it() {
 }
 
 #[test]
+fn simulated_schedules_agree_with_those_worked_out_by_hand() {
+    python(&["scripts/schedule/test_schedule.py"]);
+}
+
+#[test]
 fn the_state_of_a_run_is_seen_from_its_folder() {
     let workspace = Workspace::new();
     let folder = workspace.run_folder("out");
@@ -107,7 +153,17 @@ fn the_state_of_a_run_is_seen_from_its_folder() {
         assert!(said.contains(part), "`{part}` is not in\n{said}");
     }
     workspace.run("out", &["--stage", "generate", "--part", "work", "--worker", "1/1"]).expect(0);
-    let status: serde_json::Value =
-        serde_json::from_str(&djinn(&["status", folder, "--json"]).expect(0).stdout).unwrap();
+    let printed = djinn(&["status", folder, "--json"]).expect(0).stdout;
+    let status: serde_json::Value = serde_json::from_str(&printed).unwrap();
     assert_eq!((status["shards"]["n_done"].as_u64(), status["shards"]["n_missing"].as_u64()), (Some(4), Some(0)));
+
+    // The simulator of schedules reads both, the time of a shard and the graph.
+    let graph = text(&submit(&workspace, "exit 1", &["json", "--workers", "3"]).stdout);
+    fs_err::write(workspace.path("status.json"), printed).unwrap();
+    fs_err::write(workspace.path("graph.json"), graph).unwrap();
+    let (script, measured) = ("scripts/simulate_schedule.py", "scripts/schedule/measured.json");
+    let more = ["--status", &workspace.arg("status.json"), "--graph", &workspace.arg("graph.json"), "--json"];
+    let figures = python(&[&[script, measured, "--scenarios", "384000"][..], &more].concat());
+    let figures: serde_json::Value = serde_json::from_str(&figures).unwrap();
+    assert_eq!((figures["n_shards"].as_u64(), figures["n_lookups"].as_u64()), (Some(1_000), Some(2 * 3 * 1_000)));
 }

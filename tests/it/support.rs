@@ -146,6 +146,18 @@ impl Workspace {
     }
 }
 
+/// Runs a script of ours, which must succeed, and returns what it prints. A missing Python is a failure.
+#[track_caller]
+pub(crate) fn python(args: &[&str]) -> String {
+    let python = std::env::var("DJINN_PYTHON").unwrap_or("python3".to_owned());
+    let output = Command::new(&python).args(args).current_dir(env!("CARGO_MANIFEST_DIR")).output();
+    let output =
+        output.unwrap_or_else(|error| panic!("`{python}`, which DJINN_PYTHON can name, does not run: {error}"));
+    let (stdout, stderr) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{stdout}\n{stderr}");
+    stdout.into_owned()
+}
+
 /// Every file below `root` by its name, except those that may differ between equal runs.
 pub(crate) fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();

@@ -3,7 +3,7 @@
 use super::run::load;
 use crate::cli::args::SubmitArgs;
 use crate::cli::printer::Printer;
-use crate::pipeline::cluster::{Engine, JobGraph, Submission, cautions, slurm};
+use crate::pipeline::cluster::{Engine, JobGraph, Submission, cautions, kubernetes, slurm};
 use crate::pipeline::layout::Layout;
 use crate::pipeline::{Failure, Result, stages};
 
@@ -15,6 +15,7 @@ pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()>
     // What cannot work is refused now and not by each of the jobs.
     stages::of_pipeline(&config, &Layout::below(&root))?.iter().try_for_each(|stage| stage.check())?;
     let submission = Submission {
+        engine: args.engine,
         pipeline: &args.pipeline,
         overrides: &args.set,
         run: &args.place.run,
@@ -29,6 +30,16 @@ pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()>
         Engine::Json => {
             let text = serde_json::to_string_pretty(&graph).map_err(Failure::fault)?;
             printer.data(&format!("{text}\n"))
+        }
+        Engine::Kubernetes if args.dry_run => printer.data(&kubernetes::manifest(&graph, &cluster)?),
+        Engine::Kubernetes => {
+            printer.data(&kubernetes::submit(&graph, &cluster)?)?;
+            let (name, root) = (kubernetes::name(&graph), root.display());
+            printer.message(format_args!(
+                "results will be in {root}, what jobs print in `kubectl logs --selector jobset.sigs.k8s.io/jobset-name={name}`; \
+                 see how far they are with `djinn status {root}`"
+            ));
+            Ok(())
         }
         Engine::Slurm if args.dry_run => printer.data(&slurm::describe(&graph, &cluster)),
         Engine::Slurm => {

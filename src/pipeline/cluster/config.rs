@@ -3,6 +3,7 @@
 use crate::settings;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// How a pipeline is submitted to a cluster (`djinn submit`). Results do not depend on it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -14,9 +15,9 @@ pub struct ClusterConfig {
     /// How often a job is started again that was stopped or died. A training that takes several of the time limits needs one for each.
     #[schemars(range(max = 1_000))]
     pub retries: u32,
-    /// The partition; empty: the default one.
+    /// The partition of Slurm, or the queue of Kueue on Kubernetes; empty: the default one, or none.
     pub partition: String,
-    /// The time limit of a job as Slurm writes it, such as `04:00:00`; empty: the partition's.
+    /// The time limit of a job as Slurm writes it, such as `04:00:00`; empty: the partition's. Kubernetes sets none.
     pub time: String,
     /// GPUs of each job that computes with networks.
     #[schemars(range(max = 64))]
@@ -29,10 +30,15 @@ pub struct ClusterConfig {
     /// How long before its time is up a job hears of it, seconds: enough for a step of training.
     #[schemars(range(min = 10, max = 3_600))]
     pub notice_s: u32,
-    /// What runs the program in a container, such as `apptainer exec --nv /images/djinn.sif djinn`; empty: the program that submits.
+    /// On Slurm, what runs the program in a container, such as `apptainer exec --nv /images/djinn.sif djinn`; empty: the program that submits.
     pub container: String,
-    /// More lines of the scripts, such as `#SBATCH --account=traffic` or `module load cuda`.
+    /// More lines of Slurm's scripts, such as `#SBATCH --account=traffic` or `module load cuda`.
     pub lines: Vec<String>,
+    /// The container image that Kubernetes runs, such as `registry.example.org/djinn:0.1`.
+    pub image: String,
+    /// PersistentVolumeClaims of Kubernetes and the folders where jobs find them, such as `{ traffic = "/data" }`: the same folders as
+    /// where the pipeline is submitted.
+    pub volumes: BTreeMap<String, String>,
 }
 
 impl Default for ClusterConfig {
@@ -48,6 +54,8 @@ impl Default for ClusterConfig {
             notice_s: 120,
             container: String::new(),
             lines: Vec::new(),
+            image: String::new(),
+            volumes: BTreeMap::new(),
         }
     }
 }
@@ -58,11 +66,19 @@ impl ClusterConfig {
     /// # Errors
     /// Names the setting.
     pub fn validate(&self) -> settings::Result {
-        let words = [("partition", &self.partition), ("time", &self.time), ("memory", &self.memory)];
+        let words =
+            [("partition", &self.partition), ("time", &self.time), ("memory", &self.memory), ("image", &self.image)];
         for (key, word) in words {
             settings::printable(key, word)?;
             if word.contains(char::is_whitespace) {
                 return Err(settings::Issue::new(key, format_args!("is \"{word}\", expected one word")));
+            }
+        }
+        for (claim, folder) in &self.volumes {
+            settings::printable_name(&format!("volumes.{claim}"), folder)?;
+            if !folder.starts_with('/') {
+                let found = format_args!("is \"{folder}\", expected a path from the root, such as /data");
+                return Err(settings::Issue::new(format!("volumes.{claim}"), found));
             }
         }
         settings::printable("container", &self.container)?;

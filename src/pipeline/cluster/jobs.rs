@@ -1,6 +1,6 @@
 //! Which jobs does a pipeline come to, and which waits for which?
 
-use super::ClusterConfig;
+use super::{ClusterConfig, Engine};
 use crate::generate::RequestConfig;
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::{Result, StageId};
@@ -15,6 +15,8 @@ pub(super) const WORKER: &str = "{worker}";
 /// What is submitted.
 #[derive(Debug)]
 pub struct Submission<'a> {
+    /// What runs the jobs.
+    pub engine: Engine,
     /// The pipeline file.
     pub pipeline: &'a Path,
     /// Overrides of its settings.
@@ -192,8 +194,11 @@ struct Command {
 
 impl Command {
     fn new(submission: &Submission<'_>, cluster: &ClusterConfig) -> Result<Self> {
-        let Submission { pipeline, overrides, run, config, .. } = submission;
-        let mut words: Vec<String> = cluster.container.split_whitespace().map(str::to_owned).collect();
+        let Submission { engine, pipeline, overrides, run, config, .. } = submission;
+        let mut words: Vec<String> = match engine {
+            Engine::Kubernetes => vec!["djinn".to_owned()],
+            Engine::Slurm | Engine::Json => cluster.container.split_whitespace().map(str::to_owned).collect(),
+        };
         if words.is_empty() {
             words.push(std::env::current_exe()?.to_string_lossy().into_owned());
         }

@@ -3,14 +3,13 @@
 //! A script starts the program, tells it of signals, and asks for its job to be queued again when it was stopped or died, so often as the
 //! configuration allows. Nothing depends on a signal: some sites send none, and a killed worker's shards are sampled by others.
 
+use super::feed::{complaint, feed};
 use super::jobs::WORKER;
 use super::{ClusterConfig, Condition, Job, JobGraph};
 use crate::pipeline::{Classify, Failure, Result};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
 
 /// The folder of the jobs' outputs, in the run folder.
 const OUTPUTS: &str = "slurm";
@@ -101,18 +100,7 @@ pub fn submit(graph: &JobGraph, cluster: &ClusterConfig) -> Result<Vec<Submitted
 
 /// Submits a script. Returns the number of the job.
 fn sbatch(args: &[String], script: &str) -> Result<String> {
-    let missing = |error| {
-        Failure::input(anyhow::Error::new(error).context("failed to start sbatch, Slurm's command that submits jobs"))
-            .with_hint("run this where Slurm is installed; --dry-run prints the scripts without it")
-    };
-    let mut command = Command::new("sbatch");
-    command.args(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let mut child = command.spawn().map_err(missing)?;
-    if let Some(mut stdin) = child.stdin.take() {
-        // One that refuses its arguments need not read: what it says counts.
-        let _ = stdin.write_all(script.as_bytes());
-    }
-    let output = child.wait_with_output().blame_fault()?;
+    let output = feed("sbatch", "Slurm's command that submits jobs", args, script)?;
     let said = String::from_utf8_lossy(&output.stdout);
     // `1234` or, in a federation, `1234;cluster`.
     let id = said.trim().split(';').next().unwrap_or_default();
@@ -120,9 +108,7 @@ fn sbatch(args: &[String], script: &str) -> Result<String> {
     if output.status.success() && is_id {
         return Ok(id.to_owned());
     }
-    let why = String::from_utf8_lossy(&output.stderr);
-    let why = if why.trim().is_empty() { said } else { why };
-    Err(Failure::input_message(format_args!("sbatch {} refused a job: {}", args.join(" "), why.trim())))
+    Err(Failure::input_message(format_args!("sbatch {} refused a job: {}", args.join(" "), complaint(&output))))
 }
 
 /// All scripts, as a person reads them.

@@ -1,34 +1,41 @@
 //! Which jobs wait for which, what do the scripts say, and what do they do?
 
-use super::{ClusterConfig, JobGraph, Submission, cautions, slurm};
+use super::{ClusterConfig, Engine, JobGraph, Submission, cautions, slurm};
 use crate::pipeline::config::{PipelineConfig, parse};
 use std::path::Path;
 use std::process::Command;
 
-const PIPELINE: &str = "[run]\nname = 'night drive'\n[ingest]\ndataset = 'interaction'\ninputs = ['a.zip']\n[train.denoiser]\n[generate]\n\
+pub(super) const PIPELINE: &str = "[run]\nname = 'night drive'\n[ingest]\ndataset = 'interaction'\ninputs = ['a.zip']\n[train.denoiser]\n[generate]\n\
     [[generate.sweeps]]\nname = 'plain'\n[evaluate]\n";
 const CLUSTER: &str = "[cluster]\nworkers = 7\nretries = 3\npartition = 'gpu'\ntime = '04:00:00'\ngpus = 1\ncpus = 8\nmemory = '16G'\n\
     container = 'apptainer exec --nv /images/djinn.sif djinn'\nlines = ['module load cuda', '#SBATCH --account=traffic']\n";
 
 fn graph(text: &str, overrides: &[String]) -> (JobGraph, ClusterConfig) {
+    graph_for(Engine::Slurm, text, overrides)
+}
+
+pub(super) fn graph_for(engine: Engine, text: &str, overrides: &[String]) -> (JobGraph, ClusterConfig) {
     let config: PipelineConfig = parse(None, text, &[]).unwrap();
     let cluster = config.cluster.clone().unwrap_or_default();
     let (pipeline, root) = (Path::new("own/night's.toml"), Path::new("/data/out/night drive/main"));
-    let submission = Submission { pipeline, overrides, run: "main", root, config: &config };
+    let submission = Submission { engine, pipeline, overrides, run: "main", root, config: &config };
     let graph = JobGraph { directory: "/home/ada".into(), ..JobGraph::new(&submission, &cluster).unwrap() };
     (graph, cluster)
 }
 
-/// `DJINN_UPDATE_GOLDEN=1 cargo test --lib cluster::` rewrites the file.
+/// Compares with a file; `DJINN_UPDATE_GOLDEN=1 cargo test --lib cluster::` rewrites it.
+pub(super) fn assert_golden(name: &str, found: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
+    if std::env::var_os("DJINN_UPDATE_GOLDEN").is_some() {
+        fs_err::write(&path, found).unwrap();
+    }
+    assert_eq!(found, fs_err::read_to_string(&path).unwrap());
+}
+
 #[test]
 fn scripts_are_as_they_were_read_and_found_good() {
     let (graph, cluster) = graph(&format!("{PIPELINE}{CLUSTER}"), &["ingest.limit=10".to_owned()]);
-    let found = slurm::describe(&graph, &cluster);
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/slurm.txt");
-    if std::env::var_os("DJINN_UPDATE_GOLDEN").is_some() {
-        fs_err::write(&path, &found).unwrap();
-    }
-    assert_eq!(found, fs_err::read_to_string(&path).unwrap());
+    assert_golden("slurm.txt", &slurm::describe(&graph, &cluster));
 }
 
 #[test]

@@ -92,7 +92,8 @@ fn every_worker_comes_to_every_shard_once_and_to_its_own_first() {
             assert_eq!(order, (0..7).collect::<Vec<_>>(), "{k}/{n}");
         }
     }
-    for wrong in ["0/2", "3/2", "1", "1/0", "x/2", "1/200000"] {
+    assert_eq!(worker("0/2"), worker("2/2"), "counted from 0, the last one is the first");
+    for wrong in ["0/0", "3/2", "1", "1/0", "x/2", "1/200000"] {
         assert!(wrong.parse::<Worker>().is_err(), "{wrong}");
     }
 }

@@ -42,8 +42,10 @@ impl FromStr for Worker {
             let (number, of) = text.split_once('/')?;
             Some(Self { number: number.parse().ok()?, of: of.parse().ok()? })
         };
-        let worker = read().filter(|worker| (1..=worker.of).contains(&worker.number) && worker.of <= 100_000);
-        worker.ok_or_else(|| "expected K/N with K from 1 to N, such as 3/100".to_owned())
+        let worker = read().filter(|worker| worker.number <= worker.of && (1..=100_000).contains(&worker.of));
+        // Engines that count from 0 have no last one.
+        let counted = worker.map(|Self { number, of }| Self { number: if number == 0 { of } else { number }, of });
+        counted.ok_or_else(|| "expected K/N with K from 1 to N, or from 0 to N - 1, such as 3/100".to_owned())
     }
 }
 
