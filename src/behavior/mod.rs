@@ -89,16 +89,16 @@ pub trait Behavior: Send + Sync {
     fn template_parameters(&self) -> &'static [&'static str] {
         &[]
     }
-    /// A maneuver by which `agents`, in the order of the roles, come to an outcome whose parameters are as `wanted`, each from a least to a
-    /// most, told as outcomes are: the `variant`-th easiest, counted around. `None` where there is none.
-    fn template(
+    /// Maneuvers by which `agents`, in the order of the roles, come to an outcome whose parameters are as `wanted`, each from a least to a
+    /// most, told as outcomes are: the `variant`-th easiest way, counted around. Empty where there is none.
+    fn templates(
         &self,
         _scene: &Scene,
         _agents: &[usize],
         _wanted: &BTreeMap<String, [f64; 2]>,
         _variant: usize,
-    ) -> Option<Template> {
-        None
+    ) -> Vec<Template> {
+        Vec::new()
     }
 }
 

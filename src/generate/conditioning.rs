@@ -178,7 +178,7 @@ impl Generator<'_> {
                 scene = scene_edit.apply(&scene, &resolve).map_err(refuse)?;
             }
         }
-        let performer = self.follow_template(sweep, (cell, sample_idx), recorded, &mut scene);
+        let performers = self.follow_templates(sweep, (cell, sample_idx), recorded, &mut scene);
         let subject = Subject { scene: &scene, ego_idx: agents.0, roles: &cell.roles };
         let mask = sweep.observe.mask(&subject, self.mask_seed("observe", cell)).map_err(refuse)?;
         if sweep.needs_classifier() {
@@ -195,29 +195,26 @@ impl Generator<'_> {
             // A guide has to say something of every state that is generated.
             scene = scene.completed(|agent_idx, timestep| !mask.is_observed(agent_idx, timestep));
         }
-        let mask = match performer {
-            None => mask,
-            Some(performer) => ObservationMask::from_fn(mask.n_agents(), mask.n_timesteps(), |agent_idx, timestep| {
-                let is_of_template = agent_idx == performer && scene.state(agent_idx, timestep).is_some();
-                is_of_template || mask.is_observed(agent_idx, timestep)
-            }),
-        };
+        let mask = ObservationMask::from_fn(mask.n_agents(), mask.n_timesteps(), |agent_idx, timestep| {
+            let is_of_template = performers.contains(&agent_idx) && scene.state(agent_idx, timestep).is_some();
+            is_of_template || mask.is_observed(agent_idx, timestep)
+        });
         Ok(Conditioned { scene, mask, agents })
     }
 
-    /// Puts the template of a sample into `scene`, where there is one. Returns who follows it.
-    fn follow_template(
+    /// Puts the templates of a sample into `scene`, where there are any. Returns who follows them.
+    fn follow_templates(
         &self,
         sweep: &ResolvedSweep,
         (cell, sample_idx): (&Cell, usize),
         recorded: &Scene,
         scene: &mut Scene,
-    ) -> Option<usize> {
-        let behavior = self.behavior(sweep).filter(|_| sweep.uses_template())?;
+    ) -> Vec<usize> {
+        let Some(behavior) = self.behavior(sweep).filter(|_| sweep.uses_template()) else { return Vec::new() };
         let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
-        let template = behavior.template(recorded, &asked, &cell.target(sample_idx), sample_idx)?;
-        template.apply(scene);
-        Some(template.agent_idx)
+        let templates = behavior.templates(recorded, &asked, &cell.target(sample_idx), sample_idx);
+        templates.iter().for_each(|template| template.apply(scene));
+        templates.into_iter().map(|template| template.agent_idx).collect()
     }
 
     /// The wanted states of some samples of a cell, given which of its states `base` (row `row`) generates.

@@ -163,14 +163,15 @@ impl Behavior for CutIn {
         &["gap_m", "relative_speed_mps", "side"]
     }
 
-    fn template(
+    fn templates(
         &self,
         scene: &Scene,
         agents: &[usize],
         wanted: &BTreeMap<String, [f64; 2]>,
         variant: usize,
-    ) -> Option<Template> {
-        self.solved(scene, agents.try_into().ok()?, wanted, variant)
+    ) -> Vec<Template> {
+        let solved = |pair: [usize; 2]| self.solved(scene, pair, wanted, variant);
+        agents.try_into().ok().and_then(solved).into_iter().collect()
     }
 
     /// Pairs in the order of tracks, each pair first with the earlier track as the ego, then with the later one.

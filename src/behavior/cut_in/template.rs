@@ -179,7 +179,7 @@ mod tests {
                 (name.to_owned(), [outcome.get(name).unwrap() - half, outcome.get(name).unwrap() + half])
             };
             let wanted = BTreeMap::from([around("gap_m", 0.5), around("relative_speed_mps", 0.25)]);
-            let Some(template) = behavior.template(&scene, &[0, 1], &wanted, 0) else { continue };
+            let [template] = &behavior.templates(&scene, &[0, 1], &wanted, 0)[..] else { continue };
             let mut changed = scene.clone();
             template.apply(&mut changed);
             let events = behavior.detect(&changed);
@@ -201,7 +201,7 @@ mod tests {
     fn who_would_drive_into_somebody_has_no_template() {
         let behavior = CutIn::new(CutInConfig::default());
         let free = two_lanes(Drive::straight(12.0, 3.5, 0.0, 10.0));
-        assert!(behavior.template(&free, &[0, 1], &BTreeMap::new(), 0).is_some());
+        assert_eq!(behavior.templates(&free, &[0, 1], &BTreeMap::new(), 0).len(), 1);
         let mut taken = free.clone();
         // A queue in the lane of the ego, just ahead of it.
         for i in 0..8u32 {
@@ -214,8 +214,8 @@ mod tests {
             track.trajectory = Trajectory::new(moved.collect());
             taken.tracks.push(track);
         }
-        assert_eq!(behavior.template(&taken, &[0, 1], &BTreeMap::new(), 0), None);
+        assert_eq!(behavior.templates(&taken, &[0, 1], &BTreeMap::new(), 0), []);
         let impossible = BTreeMap::from([("gap_m".to_owned(), [200.0, 300.0])]);
-        assert_eq!(behavior.template(&free, &[0, 1], &impossible, 0), None);
+        assert_eq!(behavior.templates(&free, &[0, 1], &impossible, 0), []);
     }
 }

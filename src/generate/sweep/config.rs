@@ -78,7 +78,7 @@ pub struct DiffusionConfig {
     pub classifier_free: Option<ClassifierFreeConfig>,
     /// Edits of the recording that samples start from.
     pub edit: Option<EditConfig>,
-    /// Whether one of the requested agents follows a template of the behavior.
+    /// Whether requested agents follow a template of the behavior.
     pub template: bool,
 }
 

@@ -81,9 +81,9 @@ pub(super) struct SweepKeys {
     /// Edits of the recording that samples start from.
     #[serde(skip_serializing_if = "Option::is_none")]
     edit: Option<EditConfig>,
-    /// Whether the one who performs the behavior follows a template: a maneuver along the lanes that was solved for what the event shall be like and
-    /// is observed to its end, while everybody else is sampled. A sample for which there is none is sampled freely. `cut_in` has templates. Left out:
-    /// no.
+    /// Whether those who perform the behavior follow a template: a maneuver along the lanes that was solved for what the event shall be like and
+    /// is observed to its end, while everybody else is sampled. A sample for which there is none is sampled freely. `cut_in` (of the other) and
+    /// `near_miss` (of both) have templates. Left out: no.
     #[serde(skip_serializing_if = "Option::is_none")]
     template: Option<bool>,
     /// Which samples become scenarios. Left out: all.

@@ -59,7 +59,7 @@ pub struct Diffusion {
     pub classifier_free: Option<ClassifierFreeConfig>,
     /// Edits of the recording that samples start from.
     pub edit: Option<EditConfig>,
-    /// The parameters of the event for which a template is solved that one of the requested agents follows; empty: there is no template.
+    /// The parameters of the event for which templates are solved that requested agents follow; empty: there is no template.
     pub template: &'static [&'static str],
 }
 
@@ -87,7 +87,7 @@ impl ResolvedSweep {
         self.diffusion().map_or(&[GuidanceLevel::UNGUIDED], |diffusion| &diffusion.levels)
     }
 
-    /// Whether one of the requested agents follows a template, which is another one for each sample.
+    /// Whether requested agents follow a template, which is another one for each sample.
     pub fn uses_template(&self) -> bool {
         self.diffusion().is_some_and(|diffusion| !diffusion.template.is_empty())
     }
