@@ -56,6 +56,14 @@ impl Template {
         })
     }
 
+    /// Whether the agent never accelerates harder than this in any direction, from the present on, m/s².
+    pub(super) fn is_within(&self, scene: &Scene, limit_mps2: f64) -> bool {
+        let now = scene.state(self.agent_idx, scene.current_timestep());
+        let Some((now, states)) = now.zip(self.states(scene)) else { return false };
+        let velocities: Vec<Vec2> = std::iter::once(now).chain(&states).map(|state| state.velocity).collect();
+        velocities.windows(2).all(|pair| (pair[1] - pair[0]).norm() <= limit_mps2 * scene.dt_s)
+    }
+
     /// Puts it into a scene in the place of what was recorded.
     pub fn apply(&self, scene: &mut Scene) {
         let Some(states) = self.states(scene) else { return };

@@ -12,6 +12,8 @@ pub(super) const ORDINARY_MPS2: [f64; 5] = [-2.0, -1.0, 0.0, 0.6, 1.25];
 const SPACING_M: f64 = 0.5;
 /// Ways that end within this of each other, as far as anybody can get, are the same, meters.
 const SAME_M: f64 = 1.0;
+/// Every so many places it is looked whether a way that begins on the road stays on it.
+const ROAD_STRIDE: usize = 4;
 /// How long a pedal takes to be pressed, and who brakes to come to a halt gently, seconds.
 const PEDAL_S: f64 = 0.3;
 /// Steps of a timestep in which speeds are summed up.
@@ -57,8 +59,11 @@ impl Driver {
         let hardest_mps2 = ORDINARY_MPS2.into_iter().fold(0.0, f64::max);
         let reach_m = (state.speed_mps() + hardest_mps2 * horizon_s / 2.0) * horizon_s;
         let mut rails: Vec<Rail> = Vec::new();
+        let is_on_road = |point: Vec2| lanes.lanes_at(point).next().is_some();
+        let keeps_road = is_on_road(state.position);
         for rail in ways(lanes, &state).iter().filter_map(|way| Rail::new(way, reach_m)) {
-            if rails.iter().all(|other| other.end().distance(rail.end()) > SAME_M) {
+            let is_new = rails.iter().all(|other| other.end().distance(rail.end()) > SAME_M);
+            if is_new && !(keeps_road && rail.0.iter().step_by(ROAD_STRIDE).any(|(point, _)| !is_on_road(*point))) {
                 rails.push(rail);
             }
         }

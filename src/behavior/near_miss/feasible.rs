@@ -1,21 +1,24 @@
 //! Could two road users still come close to each other, and how do they have to drive for it?
 
 use super::NearMiss;
+use super::plan::Plan;
 use crate::behavior::outcome::Outcome;
 use crate::behavior::template::Template;
-use crate::geometry::Vec2;
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
+/// Values within this of each other are the same.
+const SAME: f64 = 1e-9;
+
 impl NearMiss {
     /// The least time to collision of near misses that one of the two can still brake to avoid, and the post-encroachment times of those where
-    /// they cross. Empty for pairs that have no [`super::plan::Plan`].
+    /// they cross. Empty for pairs that have no [`Plan`].
     pub(super) fn outcomes(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Outcome> {
         self.plans(scene, agents).into_iter().map(|plan| plan.outcome).collect()
     }
 
-    /// How both drive so that every parameter of the outcome that is `wanted` lies in its range: the `variant`-th easiest way, counted around.
-    /// Empty where there is none.
+    /// How both drive so that every parameter of the outcome that is `wanted` lies in its range: as in the plan that is in the middle of all
+    /// ranges, where there is one, else the `variant`-th easiest way, counted around. Empty where there is none.
     pub(super) fn solved(
         &self,
         scene: &Scene,
@@ -24,25 +27,19 @@ impl NearMiss {
         variant: usize,
     ) -> Vec<Template> {
         let mut plans = self.plans(scene, agents);
-        plans.retain(|plan| {
-            let is_in = |(name, [least, most]): (&String, &[f64; 2])| {
-                plan.outcome.get(name).is_some_and(|value| (*least..=*most).contains(&value))
-            };
-            wanted.iter().all(is_in)
-        });
-        let n_plans = plans.len().max(1);
-        let Some(plan) = plans.into_iter().nth(variant % n_plans) else { return Vec::new() };
-        let template = |(agent_idx, positions): (usize, &Vec<Vec2>)| {
-            let place = |elapsed_s: f64| {
-                let step = elapsed_s / scene.dt_s;
-                let before = (step as usize).min(positions.len() - 1);
-                let after = (before + 1).min(positions.len() - 1);
-                Some(positions[before].lerp(positions[after], step - before as f64))
-            };
-            Template::new(scene, agent_idx, place)
+        let beside = |plan: &Plan, most: &dyn Fn(f64) -> f64| {
+            wanted.iter().all(|(name, [least, greatest])| {
+                let (middle, half) = (f64::midpoint(*least, *greatest), (greatest - least) / 2.0);
+                plan.outcome.get(name).is_some_and(|value| (value - middle).abs() <= most(half))
+            })
         };
-        let templates: Option<Vec<Template>> = agents.into_iter().zip(&plan.positions).map(template).collect();
-        templates.unwrap_or_default()
+        let meant = plans.iter().position(|plan| !wanted.is_empty() && beside(plan, &|_| SAME));
+        if let Some(plan) = meant {
+            return plans.swap_remove(plan).templates(scene, agents);
+        }
+        plans.retain(|plan| beside(plan, &|half| half));
+        let n_plans = plans.len().max(1);
+        plans.get(variant % n_plans).map_or_else(Vec::new, |plan| plan.templates(scene, agents))
     }
 }
 
@@ -50,6 +47,7 @@ impl NearMiss {
 mod tests {
     use super::*;
     use crate::behavior::{Behavior, EventLabel};
+    use crate::geometry::Vec2;
     use crate::scene::testing::{self, Drive};
     use crate::scene::{State, TrackId, Trajectory};
     use std::f64::consts::FRAC_PI_2;
@@ -107,7 +105,7 @@ mod tests {
                 templates.iter().for_each(|template| template.apply(&mut changed));
                 let event = behavior.detect(&changed).pop().unwrap_or_else(|| panic!("{name}, {outcome:?}: nothing"));
                 assert_eq!(event.label, EventLabel::Positive, "{name}, {outcome:?}, {event:?}");
-                assert!((event.parameters[kind] - value).abs() < 0.25, "{name}, {outcome:?}, {event:?}");
+                assert!((event.parameters[kind] - value).abs() < 1e-6, "{name}, {outcome:?}, {event:?}");
             }
         }
     }

@@ -6,7 +6,9 @@ use super::drive::{Brake, Drive, Driver, ORDINARY_MPS2};
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::outcome::Outcome;
+use crate::behavior::template::Template;
 use crate::behavior::time_to_collision::time_to_collision_s;
+use crate::behavior::{Behavior, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::{Scene, State};
 use std::collections::BTreeMap;
@@ -14,23 +16,35 @@ use std::collections::BTreeMap;
 /// The times to collision at which one brakes, and how hard, seconds and m/s².
 const BRAKES_AT_S: [f64; 5] = [0.6, 0.8, 1.0, 1.2, 1.4];
 const BRAKES_MPS2: [f64; 2] = [5.0, 7.0];
+/// Nobody accelerates harder in any direction, m/s²: who turns off at present does not go on around a roundabout, nor fast around a bend.
+const MOST_MPS2: f64 = 8.0;
 /// Nobody brakes sooner after the present, seconds.
 const SOONEST_S: f64 = 0.3;
 /// By so much a time to collision is shorter than it would have to be, since who is driven there does so by other means, seconds.
 const SPARE_S: f64 = 0.1;
 /// How far apart the boxes stay, meters: of who brakes, and of those who cross.
 const APART_M: f64 = 0.4;
-/// Plans whose time differs by less than this are alike, seconds; so many of them are kept.
-const ALIKE_S: f64 = 0.2;
-const N_ALIKE: usize = 3;
+/// So many plans are kept of those in which the same one brakes as late, or of those in which nobody does, and so many are tried for it.
+const N_ALIKE: usize = 4;
+const N_TRIED: usize = 8;
 /// Every so many timesteps it is looked whether somebody is in the way.
 const STRIDE: usize = 2;
 
 /// What two come to, and where they are from the present on, a position a timestep.
 pub(super) struct Plan {
     pub(super) outcome: Outcome,
-    pub(super) positions: [Vec<Vec2>; 2],
+    positions: [Vec<Vec2>; 2],
 }
+
+/// A plan that was not tried yet. Plans of one kind are alike.
+struct Draft {
+    kind: Kind,
+    effort: f64,
+    positions: [Vec<Vec2>; 2],
+}
+
+/// Whether one of the two, the first or the second, brakes so many timesteps before they would meet.
+type Kind = Option<(usize, usize)>;
 
 /// A pair as the past and the map tell it.
 struct Search<'a> {
@@ -52,7 +66,7 @@ struct Course {
 impl NearMiss {
     /// The near misses that two can still come to, the easiest first: one brakes hard, at a time to collision that is then the least
     /// (`min_ttc_s`), or nobody has to, and one is shortly after the other where they cross (`pet_s`). Until then they accelerate with half of -4
-    /// to 2.5 m/s² at most, and nobody else is in the way.
+    /// to 2.5 m/s² at most, and nobody else is in the way. Each was tried: were the two alone, the event would be found.
     pub(super) fn plans(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Plan> {
         let config = self.config();
         let takes_part = |agent_idx: &usize| {
@@ -63,17 +77,54 @@ impl NearMiss {
             return Vec::new();
         }
         let Some(search) = Search::new(self, scene, agents) else { return Vec::new() };
-        let mut plans = search.plans();
-        plans.sort_by(|a, b| a.outcome.effort().total_cmp(&b.outcome.effort()));
-        let mut n_alike: BTreeMap<(bool, i64), usize> = BTreeMap::new();
-        plans.retain(|plan| {
-            let (pet_s, ttc_s) = (plan.outcome.get("pet_s"), plan.outcome.get("min_ttc_s"));
-            let time_s = pet_s.or(ttc_s).unwrap_or_default();
-            let n = n_alike.entry((pet_s.is_some(), (time_s / ALIKE_S + 1e-6) as i64)).or_default();
-            *n += 1;
-            *n <= N_ALIKE
+        let alone = Scene { tracks: agents.map(|agent_idx| scene.tracks[agent_idx].clone()).into(), ..scene.clone() };
+        let mut drafts = search.drafts();
+        drafts.sort_by(|a, b| a.effort.total_cmp(&b.effort));
+        let mut n_alike: BTreeMap<Kind, [usize; 2]> = BTreeMap::new();
+        let tried = drafts.into_iter().filter_map(|draft| {
+            let [n_tried, n_found] = n_alike.entry(draft.kind).or_default();
+            if *n_tried == N_TRIED || *n_found == N_ALIKE {
+                return None;
+            }
+            *n_tried += 1;
+            let plan = self.tried(&alone, draft)?;
+            *n_found += 1;
+            Some(plan)
         });
-        plans
+        tried.collect()
+    }
+
+    /// The plan that a draft is for two who are `alone`; `None` where no near miss comes of it after all.
+    fn tried(&self, alone: &Scene, draft: Draft) -> Option<Plan> {
+        let mut plan = Plan { outcome: Outcome::default().at_effort(draft.effort), positions: draft.positions };
+        let mut driven = alone.clone();
+        let templates = plan.templates(alone, [0, 1]);
+        if !templates.iter().all(|template| template.is_within(alone, MOST_MPS2)) {
+            return None;
+        }
+        templates.iter().for_each(|template| template.apply(&mut driven));
+        let event = self.detect(&driven).into_iter().find(|event| event.label == EventLabel::Positive)?;
+        for name in [if draft.kind.is_some() { "min_ttc_s" } else { "pet_s" }, "heading_difference_rad"] {
+            plan.outcome = plan.outcome.with(name, event.parameters.get(name).copied());
+        }
+        Some(plan)
+    }
+}
+
+impl Plan {
+    /// How both drive. Empty where one of them cannot.
+    pub(super) fn templates(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Template> {
+        let template = |(agent_idx, positions): (usize, &Vec<Vec2>)| {
+            let place = |elapsed_s: f64| {
+                let step = elapsed_s / scene.dt_s;
+                let before = (step as usize).min(positions.len() - 1);
+                let after = (before + 1).min(positions.len() - 1);
+                Some(positions[before].lerp(positions[after], step - before as f64))
+            };
+            Template::new(scene, agent_idx, place)
+        };
+        let templates: Option<Vec<Template>> = agents.into_iter().zip(&self.positions).map(template).collect();
+        templates.unwrap_or_default()
     }
 }
 
@@ -90,25 +141,25 @@ impl<'a> Search<'a> {
         Some(Self { behavior, drivers, others, dt_s: scene.dt_s })
     }
 
-    fn plans(&self) -> Vec<Plan> {
+    fn drafts(&self) -> Vec<Draft> {
         let courses = [0, 1].map(|who| -> Vec<Course> {
             let rails = 0..self.drivers[who].rails.len();
             let tried = rails.flat_map(|rail| ORDINARY_MPS2.map(|acceleration_mps2| (rail, acceleration_mps2)));
             tried.map(|(rail, acceleration_mps2)| self.course(who, rail, acceleration_mps2, None)).collect()
         });
-        let mut plans = Vec::new();
+        let mut drafts = Vec::new();
         for own in &courses[0] {
             for others in &courses[1] {
                 match own.drive.meets(&others.drive) {
-                    None => plans.extend(self.crossed([own, others])),
+                    None => drafts.extend(self.crossed([own, others])),
                     Some(step) => {
                         let solved = |evader| BRAKES_AT_S.map(|at_s| self.avoided([own, others], step, evader, at_s));
-                        plans.extend([0, 1].into_iter().flat_map(solved).flatten());
+                        drafts.extend([0, 1].into_iter().flat_map(solved).flatten());
                     }
                 }
             }
         }
-        plans
+        drafts
     }
 
     fn course(&self, who: usize, rail: usize, acceleration_mps2: f64, brake: Option<Brake>) -> Course {
@@ -121,9 +172,10 @@ impl<'a> Search<'a> {
 
     /// Two who would meet at `meets`, of whom one brakes at a time to collision of `at_s`, so that they do not. `None` where that is not urgent,
     /// or does not help.
-    fn avoided(&self, courses: [&Course; 2], meets: usize, evader: usize, at_s: f64) -> Option<Plan> {
+    fn avoided(&self, courses: [&Course; 2], meets: usize, evader: usize, at_s: f64) -> Option<Draft> {
         let (own, other) = (courses[evader], courses[1 - evader]);
-        let begins = meets.checked_sub((at_s / self.dt_s).round() as usize)?;
+        let n_before = (at_s / self.dt_s).round() as usize;
+        let begins = meets.checked_sub(n_before)?;
         let from_s = (begins + 1) as f64 * self.dt_s;
         if from_s < SOONEST_S || own.clear <= begins || other.clear < other.drive.outer.len() {
             return None;
@@ -140,12 +192,12 @@ impl<'a> Search<'a> {
             let braked = self.course(evader, own.rail, own.acceleration_mps2, brake);
             let helps = braked.clear == braked.drive.outer.len() && braked.drive.keeps(&other.drive, APART_M);
             let pair = if evader == 0 { [&braked, other] } else { [other, &braked] };
-            helps.then(|| self.plan(pair, "min_ttc_s", min_ttc_s(pair.map(|course| &course.drive))))
+            helps.then(|| self.draft(Some((evader, n_before)), pair))
         })
     }
 
     /// Two who cross shortly after each other. `None` where they do not.
-    fn crossed(&self, courses: [&Course; 2]) -> Option<Plan> {
+    fn crossed(&self, courses: [&Course; 2]) -> Option<Draft> {
         let config = self.behavior.config();
         let [one, other] = courses.map(|course| &course.drive);
         let n_steps = one.outer.len();
@@ -161,39 +213,14 @@ impl<'a> Search<'a> {
                 && one.inner[t].overlaps(&other.inner[u])
         };
         let is_crossed = (1..=most_delay).any(|delay| pairs(delay).any(crosses));
-        let touches = |(t, u): (usize, usize)| one.outer[t].overlaps(&other.outer[u]);
-        let delay = (1..=most_delay).find(|delay| is_crossed && pairs(*delay).any(touches))?;
-        one.keeps(other, APART_M).then(|| self.plan(courses, "pet_s", Some(delay as f64 * self.dt_s)))
+        (is_crossed && one.keeps(other, APART_M)).then(|| self.draft(None, courses))
     }
 
-    fn plan(&self, courses: [&Course; 2], name: &'static str, value: Option<f64>) -> Plan {
-        let [one, other] = courses.map(|course| &course.drive);
-        let [first, second] = &self.drivers;
-        let outcome =
-            Outcome::default().with(name, value).with("heading_difference_rad", heading_difference_rad([one, other]));
-        Plan {
-            outcome: outcome.at_effort(one.effort.max(other.effort)),
-            positions: [
-                first.positions(courses[0].rail, &courses[0].drive),
-                second.positions(courses[1].rail, &courses[1].drive),
-            ],
-        }
+    fn draft(&self, kind: Kind, courses: [&Course; 2]) -> Draft {
+        let positions = |who: usize| self.drivers[who].positions(courses[who].rail, &courses[who].drive);
+        let effort = courses[0].drive.effort.max(courses[1].drive.effort);
+        Draft { kind, effort, positions: [0, 1].map(positions) }
     }
-}
-
-/// The least time to collision of two who both keep their velocities, seconds.
-fn min_ttc_s([one, other]: [&Drive; 2]) -> Option<f64> {
-    let at = |step: usize| {
-        time_to_collision_s(&one.outer[step], one.velocity(step), &other.outer[step], other.velocity(step))
-    };
-    (0..one.outer.len()).filter_map(at).reduce(f64::min)
-}
-
-/// By how much the headings of two differ when they are closest, radians.
-fn heading_difference_rad([one, other]: [&Drive; 2]) -> Option<f64> {
-    let boxes = one.outer.iter().zip(&other.outer);
-    let (own, others) = boxes.min_by(|a, b| a.0.distance_m(a.1).total_cmp(&b.0.distance_m(b.1)))?;
-    Some(own.forward.dot(others.forward).clamp(-1.0, 1.0).acos())
 }
 
 /// The boxes of everybody else at each timestep after the present, if they go straight on. Who drives behind `driver` reacts to it.
