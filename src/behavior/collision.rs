@@ -106,6 +106,11 @@ impl Behavior for Collision {
         self.config.agents.admits(class)
     }
 
+    /// Events name the two in the order of tracks, and so must who asks for one.
+    fn completed(&self, _scene: &Scene, pair: [usize; 2]) -> Option<Vec<usize>> {
+        (pair[0] < pair[1]).then(|| pair.to_vec())
+    }
+
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         agents.try_into().map_or_else(|_| Vec::new(), |pair| self.outcomes(scene, pair))
     }

@@ -78,6 +78,15 @@ impl Template {
         })
     }
 
+    /// Whether nobody accelerates harder than this in any direction, from the present on, m/s².
+    pub(super) fn is_within(&self, scene: &Scene, limit_mps2: f64) -> bool {
+        self.motions.iter().all(|Motion { agent_idx, states }| {
+            let now = scene.state(*agent_idx, scene.current_timestep());
+            let velocities: Vec<Vec2> = now.into_iter().chain(states).map(|state| state.velocity).collect();
+            velocities.windows(2).all(|pair| (pair[1] - pair[0]).norm() <= limit_mps2 * scene.dt_s)
+        })
+    }
+
     /// Puts it into a scene in the place of what was recorded.
     pub fn apply(self, scene: &mut Scene) {
         let n_kept = scene.current_timestep() + 1;

@@ -137,6 +137,8 @@ pub(super) struct Conditioned {
     pub(super) mask: ObservationMask,
     /// The requested agents; the first is at the center.
     pub(super) agents: (usize, usize),
+    /// Who follows a template.
+    performers: Vec<usize>,
 }
 
 impl Conditioned {
@@ -144,10 +146,12 @@ impl Conditioned {
         SceneView { scene: &self.scene, ego_idx: self.agents.0, mask: &self.mask }
     }
 
-    /// Which states of a scenario that continues it were observed.
+    /// Which states of a scenario that continues it were observed. What the denoiser was shown of a template was made, like what it sampled.
     pub(super) fn observed(&self, generated: &Scene) -> ObservationMask {
         ObservationMask::from_fn(generated.tracks.len(), generated.n_timesteps, |agent_idx, timestep| {
-            timestep < self.mask.n_timesteps()
+            let is_made = timestep >= generated.n_history && self.performers.contains(&agent_idx);
+            !is_made
+                && timestep < self.mask.n_timesteps()
                 && self.mask.is_observed(agent_idx, timestep)
                 && generated.state(agent_idx, timestep).is_some()
         })
@@ -200,7 +204,7 @@ impl Generator<'_> {
             let is_of_template = performers.contains(&agent_idx) && scene.state(agent_idx, timestep).is_some();
             is_of_template || mask.is_observed(agent_idx, timestep)
         });
-        Ok(Conditioned { scene, mask, agents })
+        Ok(Conditioned { scene, mask, agents, performers })
     }
 
     /// Puts the template of a sample into `scene`: one that comes to the sample's target, or else to anything. Returns who follows it; nobody
@@ -231,7 +235,7 @@ impl Generator<'_> {
         samples: std::ops::Range<usize>,
         (base, row): (&SceneBatch, usize),
     ) -> Result<Vec<Wanted>, Error> {
-        let Conditioned { scene, mask, agents } = given;
+        let Conditioned { scene, mask, agents, .. } = given;
         let subject = Subject { scene, ego_idx: agents.0, roles: &cell.roles };
         let extra = rule_mask(&config.extra, &subject, self.mask_seed("extra", cell));
         let latent = base.latent.get(row)?.to_vec2::<f32>()?;

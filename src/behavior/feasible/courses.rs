@@ -10,7 +10,7 @@ use crate::scene::{Extent, Scene};
 /// The accelerations that are tried, m/s²: the limits, half of them, and coasting.
 const TRIED_MPS2: [f64; 5] = [*ACCELERATIONS_MPS2.start(), -2.0, 0.0, 1.25, *ACCELERATIONS_MPS2.end()];
 /// Spacing of the times that are tried, seconds.
-pub(super) const SPACING_S: f64 = 0.25;
+const SPACING_S: f64 = 0.25;
 /// Nobody evades farther than this, meters.
 const MOST_ASIDE_M: f64 = 1.75;
 /// Where an agent could be if it went on along one of its ways with one acceleration.
@@ -75,7 +75,7 @@ pub(super) fn meetings([own, others]: &[Vec<Course>; 2], extents: [Extent; 2], n
 
 /// What it takes two agents to touch at these places, `elapsed_s` from now, if one of them moves across to the other: the share of the way that it
 /// can move across. `None` where they cannot.
-pub(super) fn evasion_effort(
+fn evasion_effort(
     [one, other]: [Place; 2],
     [extent, other_extent]: [Extent; 2],
     near_m: f64,

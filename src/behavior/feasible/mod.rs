@@ -1,19 +1,19 @@
 //! Which events could agents still show? Told from what was observed, the map, and the limits of driving; never from the recorded future.
 //!
-//! One behavior a file; that of the cut-in is in its own folder.
+//! One behavior a file; those of the cut-in and the near miss are in their own folders.
 
 mod collision;
 mod courses;
 mod cut_out;
 mod hard_brake;
 mod lane_change;
-mod near_miss;
 mod pedestrian_steps_out;
 mod tailgating;
 mod turn;
 mod ways;
 
 pub(super) use turn::outcomes as turn_outcomes;
+pub(super) use ways::{Way, ways};
 
 /// How hard vehicles may brake and accelerate, m/s².
 pub(super) const ACCELERATIONS_MPS2: std::ops::RangeInclusive<f64> = -4.0..=2.5;
@@ -40,7 +40,7 @@ pub(super) fn horizon_s(scene: &crate::scene::Scene) -> f64 {
 
 /// A behavior in a scene with 4 s of future.
 #[cfg(test)]
-fn outcomes(
+pub(super) fn outcomes(
     behavior: &dyn super::Behavior,
     drives: &[crate::scene::testing::Drive],
     lanes: crate::scene::LaneGraph,

@@ -11,7 +11,7 @@ use std::f64::consts::FRAC_PI_6;
 /// Steps in which agents are moved on along their paths, seconds.
 const PATH_STEP_S: f64 = 0.1;
 /// Who is where the other was, heading within this of it, follows it, radians.
-pub(in crate::behavior) const FOLLOWING_RAD: f64 = FRAC_PI_6;
+pub(super) const FOLLOWING_RAD: f64 = FRAC_PI_6;
 
 /// One road user.
 pub(super) struct Body<'a> {
@@ -33,12 +33,7 @@ impl<'a> Body<'a> {
         if !config.agents.admits(track.class) || (config.recorded_sizes && track.extent.is_none()) {
             return None;
         }
-        let nominal = track.extent_or_nominal();
-        let half = Extent { length_m: nominal.length_m / 2.0, width_m: nominal.width_m / 2.0 };
-        let extent = track.extent.unwrap_or(half);
-        // Each of two boxes gives way by half of the overlap.
-        let inside = |side_m: f64| (side_m - config.min_overlap_m / 2.0).max(side_m / 2.0);
-        let inner_extent = Extent { length_m: inside(extent.length_m), width_m: inside(extent.width_m) };
+        let [extent, inner_extent] = extents(track, config);
         let sweep = |extent: Extent| Sweep::new(&Track { extent: Some(extent), ..track.clone() });
         let (first, _) = track.trajectory.valid().find(|(_, state)| state.is_finite())?;
         Some(Self {
@@ -96,6 +91,16 @@ impl<'a> Body<'a> {
         let along = self.path.project(place.center).map(|projection| Vec2::from_angle(projection.heading_rad));
         along.is_none_or(|along| is_another_course(along, place.forward))
     }
+}
+
+/// The box of an agent, of half the usual size where none is recorded, and the inner part of it.
+pub(super) fn extents(track: &Track, config: &NearMissConfig) -> [Extent; 2] {
+    let nominal = track.extent_or_nominal();
+    let half = Extent { length_m: nominal.length_m / 2.0, width_m: nominal.width_m / 2.0 };
+    let extent = track.extent.unwrap_or(half);
+    // Each of two boxes gives way by half of the overlap.
+    let inside = |side_m: f64| (side_m - config.min_overlap_m / 2.0).max(side_m / 2.0);
+    [extent, Extent { length_m: inside(extent.length_m), width_m: inside(extent.width_m) }]
 }
 
 fn is_another_course(one: Vec2, other: Vec2) -> bool {

@@ -2,16 +2,19 @@
 
 mod body;
 mod config;
+mod drive;
+mod feasible;
+mod plan;
 
-pub(super) use body::FOLLOWING_RAD;
 pub use config::NearMissConfig;
 
 use self::body::Body;
 use super::sweep::Sweep;
 use super::time_to_collision::time_to_collision_s;
-use super::{Behavior, BehaviorEvent, EventLabel, Outcome};
+use super::{Behavior, BehaviorEvent, EventLabel, Outcome, Template};
 use crate::geometry::angle_difference;
 use crate::scene::{AgentClass, Scene};
+use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 /// Name of the behavior in configs and tables.
@@ -77,7 +80,7 @@ impl NearMiss {
     }
 
     /// Its options.
-    pub(super) const fn config(&self) -> &NearMissConfig {
+    const fn config(&self) -> &NearMissConfig {
         &self.config
     }
 
@@ -193,8 +196,27 @@ impl Behavior for NearMiss {
         self.config.agents.admits(class)
     }
 
+    /// Events name the two in the order of tracks, and so must who asks for one.
+    fn completed(&self, _scene: &Scene, pair: [usize; 2]) -> Option<Vec<usize>> {
+        (pair[0] < pair[1]).then(|| pair.to_vec())
+    }
+
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         agents.try_into().map_or_else(|_| Vec::new(), |pair| self.outcomes(scene, pair))
+    }
+
+    fn template_parameters(&self) -> &'static [&'static str] {
+        &["min_ttc_s", "pet_s", "heading_difference_rad"]
+    }
+
+    fn template(
+        &self,
+        scene: &Scene,
+        agents: &[usize],
+        wanted: &BTreeMap<String, [f64; 2]>,
+        variant: usize,
+    ) -> Option<Template> {
+        self.solved(scene, agents.try_into().ok()?, wanted, variant)
     }
 
     fn needs_sizes(&self) -> bool {

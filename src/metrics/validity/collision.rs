@@ -9,7 +9,8 @@ use std::borrow::Cow;
 /// The collision with the highest relative speed, as the collision rate counts them: boxes that overlap at a future timestep and did
 /// not at present, of two of whom at least one moves. One of the two must be generated there; the two that were asked are excused
 /// where a collision was asked for or the limits say so. Where the recording gives no size, nothing is claimed that the smallest of
-/// its kind would not do ([`Track::extent_or_least`]); the metrics of collisions take usual sizes.
+/// its kind would not do ([`Track::extent_or_least`]), and nothing of two who are in each other at present by a usual size of one of them:
+/// trackers follow some vehicles twice. The metrics of collisions take usual sizes.
 pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Violation> {
     let scene = judged.scene;
     let asked: Vec<usize> = judged.asked.tracks().filter_map(|track| scene.track_idx(track)).collect();
@@ -19,7 +20,7 @@ pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Viol
         let may_collide = judged.may_collide || config.asked_may_collide;
         let is_excused = may_collide && asked.contains(&first) && asked.contains(&second);
         let is_generated = collision.pair.iter().any(|i| judged.is_generated(*i, collision.timestep));
-        if is_excused || !is_generated {
+        if is_excused || !is_generated || may_be_one(scene, collision.pair) {
             continue;
         }
         let velocity = |agent_idx: usize| scene.state(agent_idx, collision.timestep).map_or(Vec2::ZERO, |s| s.velocity);
@@ -30,11 +31,25 @@ pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Viol
     worst
 }
 
+/// Whether the smallest box of one of the two is in the usual box of the other at present.
+fn may_be_one(scene: &Scene, pair: [usize; 2]) -> bool {
+    let boxes = pair.map(|agent_idx| {
+        let track = &scene.tracks[agent_idx];
+        let state = track.trajectory.get(scene.current_timestep())?;
+        Some([track.clone(), sized(track)].map(|track| track.footprint(state)))
+    });
+    let [Some([usual, least]), Some([other_usual, other_least])] = boxes else { return false };
+    usual.overlaps(&other_least) || least.overlaps(&other_usual)
+}
+
 /// The scene with agents of unknown size as small as any of their kind.
 fn at_least_size(scene: &Scene) -> Cow<'_, Scene> {
     if scene.tracks.iter().all(|track| track.extent.is_some()) {
         return Cow::Borrowed(scene);
     }
-    let sized = |track: &Track| Track { extent: Some(track.extent_or_least()), ..track.clone() };
     Cow::Owned(Scene { tracks: scene.tracks.iter().map(sized).collect(), ..scene.clone() })
+}
+
+fn sized(track: &Track) -> Track {
+    Track { extent: Some(track.extent_or_least()), ..track.clone() }
 }

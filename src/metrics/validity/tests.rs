@@ -208,6 +208,22 @@ fn who_has_no_known_size_collides_as_the_smallest_of_its_kind_would() {
 }
 
 #[test]
+fn nothing_is_claimed_of_two_tracks_that_may_be_of_one_vehicle() {
+    // One comes up from behind at 1 m/s more, from this distance at present, after 0.9 s.
+    let catching_up = |present_m: f64| {
+        let start_m = present_m + 0.9;
+        let mut scene = built(&format!(
+            "{{ id = \"a\", start = {{ x_m = {start_m:?}, y_m = 0, speed_mps = 10 }} }}, {{ id = \"b\", start = {{ x_m = 0, y_m = 0.1, speed_mps = 11 }} }}"
+        ));
+        scene.tracks.iter_mut().for_each(|track| (track.class, track.extent) = (AgentClass::Unknown, None));
+        checks(&scene, &defaults())
+    };
+    // A usual car is 4.6 m long: from its middle to its end are 2.3 m, to the end of 0.3 m there 2.45 m.
+    assert_eq!(catching_up(2.4), [""; 0]);
+    assert_eq!(catching_up(2.5), ["collision"]);
+}
+
+#[test]
 fn leaving_the_road_is_measured_in_meters() {
     // The road ends 2 m to the left.
     let leaving =
