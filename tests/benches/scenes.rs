@@ -2,7 +2,7 @@
 
 use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneGraph, LaneId, Scene, SceneSource, Split, State, Track, TrackId, TrackRole,
+    AgentClass, Dataset, Extent, Lane, LaneGraph, Scene, SceneSource, Split, State, Track, TrackId, TrackRole,
     Trajectory,
 };
 use std::sync::Arc;
