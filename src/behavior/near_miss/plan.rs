@@ -8,7 +8,7 @@ use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::outcome::Outcome;
 use crate::behavior::template::Template;
 use crate::behavior::time_to_collision::time_to_collision_s;
-use crate::behavior::{Behavior, EventLabel};
+use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::{Scene, State};
 use std::collections::BTreeMap;
@@ -99,11 +99,14 @@ impl NearMiss {
         let mut plan = Plan { outcome: Outcome::default().at_effort(draft.effort), positions: draft.positions };
         let mut driven = alone.clone();
         let templates = plan.templates(alone, [0, 1]);
-        if !templates.iter().all(|template| template.is_within(alone, MOST_MPS2)) {
+        if templates.len() < 2 || !templates.iter().all(|template| template.is_within(alone, MOST_MPS2)) {
             return None;
         }
         templates.iter().for_each(|template| template.apply(&mut driven));
-        let event = self.detect(&driven).into_iter().find(|event| event.label == EventLabel::Positive)?;
+        // One that is over at present is none that they come to.
+        let is_meant =
+            |event: &BehaviorEvent| event.label == EventLabel::Positive && event.end_timestep >= alone.n_history;
+        let event = self.detect(&driven).into_iter().find(is_meant)?;
         for name in [if draft.kind.is_some() { "min_ttc_s" } else { "pet_s" }, "heading_difference_rad"] {
             plan.outcome = plan.outcome.with(name, event.parameters.get(name).copied());
         }
