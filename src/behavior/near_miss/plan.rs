@@ -8,7 +8,7 @@ use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::outcome::Outcome;
 use crate::behavior::template::Template;
 use crate::behavior::time_to_collision::time_to_collision_s;
-use crate::behavior::{Behavior, EventLabel};
+use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::{Scene, State};
 use std::collections::BTreeMap;
@@ -100,7 +100,10 @@ impl NearMiss {
         let mut driven = alone.clone();
         let template = plan.template(alone, [0, 1]).filter(|template| template.is_within(alone, MOST_MPS2))?;
         template.apply(&mut driven);
-        let event = self.detect(&driven).into_iter().find(|event| event.label == EventLabel::Positive)?;
+        // One that is over at present is none that they come to.
+        let is_meant =
+            |event: &BehaviorEvent| event.label == EventLabel::Positive && event.end_timestep >= alone.n_history;
+        let event = self.detect(&driven).into_iter().find(is_meant)?;
         for name in [if draft.kind.is_some() { "min_ttc_s" } else { "pet_s" }, "heading_difference_rad"] {
             plan.outcome = plan.outcome.with(name, event.parameters.get(name).copied());
         }
