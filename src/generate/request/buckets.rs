@@ -134,6 +134,11 @@ impl Buckets {
         self.dimensions.iter().zip(self.part_indices(bucket)).filter_map(interval).collect()
     }
 
+    /// The bucket of which this is the target.
+    pub(super) fn with_target(&self, target: &Target) -> Option<usize> {
+        (0..self.wanted().len()).find(|bucket| self.target(*bucket) == *target)
+    }
+
     /// Whether an outcome lies in a bucket, as far as it names the bucket's parameters.
     pub(super) fn allows(&self, bucket: usize, outcome: &Outcome) -> bool {
         self.dimensions.iter().zip(self.part_indices(bucket)).all(|((name, divisions), part)| {

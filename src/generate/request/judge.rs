@@ -112,13 +112,14 @@ impl ResolvedRequest {
         placed: &[PlacedScenario],
     ) -> (ShardTally, Vec<RequestTag>) {
         let n_samples = self.arms[shard.arm].n_samples;
-        let cell_tally = |cell: &usize| CellTally {
+        let cell_tally = |(cell, planned): (&usize, &Cell)| CellTally {
             cell: *cell,
+            aimed: planned.targets.first().and_then(|target| self.buckets.with_target(target)),
             n_samples: n_samples as u64,
             next_sample: shard.plan.first_sample + n_samples,
             ..CellTally::default()
         };
-        let mut cells: Vec<CellTally> = shard.members.iter().map(cell_tally).collect();
+        let mut cells: Vec<CellTally> = shard.members.iter().zip(&shard.plan.cells).map(cell_tally).collect();
         let mut accepted = ledger.accepted.clone();
         let mut tags = Vec::new();
         for PlacedScenario { cell, placement } in placed {

@@ -25,6 +25,9 @@ pub struct CellTally {
     pub cell: usize,
     /// Samples drawn, including those without a scenario.
     pub n_samples: u64,
+    /// The bucket that they aimed at.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub aimed: Option<usize>,
     /// The number after that of the last sample.
     pub next_sample: usize,
     /// Samples that show the behavior with the requested agents.
@@ -69,6 +72,16 @@ pub(super) struct ArmCounts {
     pub(super) n_outside: u64,
     pub(super) n_beyond_limits: u64,
     pub(super) hits: Vec<Hits>,
+    /// By bucket: samples that aimed at it.
+    pub(super) aimed: Vec<Aimed>,
+}
+
+/// Samples that aimed at a bucket.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct Aimed {
+    pub(super) n_samples: u64,
+    /// Those of them that fell into it.
+    pub(super) n_hits: u64,
 }
 
 /// Counts of one cell over all arms.
@@ -84,8 +97,8 @@ pub(super) struct CellCounts {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Ledger {
     pub(super) wanted: Vec<u64>,
-    /// Whether any cell can fall into the bucket.
-    pub(super) is_feasible: Vec<bool>,
+    /// How many scenarios the cells that can fall into a bucket have room for.
+    pub(super) room: Vec<u64>,
     pub(super) max_per_scene: u64,
     pub(super) accepted: Vec<u64>,
     /// Samples and evaluations spent while a bucket was not full.
@@ -102,11 +115,13 @@ impl Ledger {
     pub fn new(request: &ResolvedRequest, pool: &Pool) -> Self {
         let n_cells = pool.cells.len();
         let (n_buckets, n_arms) = (request.buckets.len(), request.arms.len());
-        let counts = ArmCounts { hits: vec![Hits::default(); n_buckets], ..ArmCounts::default() };
+        let (hits, aimed) = (vec![Hits::default(); n_buckets], vec![Aimed::default(); n_buckets]);
+        let counts = ArmCounts { hits, aimed, ..ArmCounts::default() };
+        let max_per_scene = request.config.max_per_scene;
         Self {
             wanted: request.buckets.wanted().to_vec(),
-            is_feasible: (0..n_buckets).map(|bucket| pool.n_feasible(bucket) > 0).collect(),
-            max_per_scene: request.config.max_per_scene,
+            room: (0..n_buckets).map(|bucket| max_per_scene.saturating_mul(pool.n_feasible(bucket) as u64)).collect(),
+            max_per_scene,
             accepted: vec![0; n_buckets],
             spent_while_open: vec![(0, 0); n_buckets],
             arms: vec![counts.clone(); n_arms],
@@ -144,7 +159,7 @@ impl Ledger {
 
     /// Whether a bucket has fewer scenarios than wanted, and can get more.
     pub fn is_open(&self, bucket: usize) -> bool {
-        self.is_feasible[bucket] && self.accepted[bucket] < self.wanted[bucket]
+        self.accepted[bucket] < self.wanted[bucket].min(self.room[bucket])
     }
 
     /// Whether no bucket is open.
@@ -165,15 +180,19 @@ impl Ledger {
         self.accepted.iter().sum()
     }
 
-    /// Samples of an arm that fell into buckets.
-    pub(super) fn hits_of_arm(&self, arm: usize) -> u64 {
-        self.arms[arm].hits.iter().map(Hits::n).sum()
-    }
-
     /// Samples of an arm that fell into buckets which are still open.
     pub(super) fn open_hits_of_arm(&self, arm: usize) -> u64 {
         let hits = self.arms[arm].hits.iter().enumerate();
         hits.filter(|(bucket, _)| self.is_open(*bucket)).map(|(_, hits)| hits.n()).sum()
+    }
+
+    /// Samples of an arm that aimed at these buckets.
+    pub(super) fn aimed_of_arm(&self, arm: usize, is_counted: impl Fn(usize) -> bool) -> Aimed {
+        let counted = self.arms[arm].aimed.iter().enumerate().filter(|(bucket, _)| is_counted(*bucket));
+        counted.fold(Aimed::default(), |sum, (_, aimed)| Aimed {
+            n_samples: sum.n_samples + aimed.n_samples,
+            n_hits: sum.n_hits + aimed.n_hits,
+        })
     }
 
     /// Samples of a cell that fell into buckets which are still open, and of which the cell does not have enough yet.
@@ -200,6 +219,10 @@ impl ArmCounts {
             if let Some(own) = self.hits.get_mut(*bucket) {
                 own.add(*hits);
             }
+        }
+        if let Some((bucket, aimed)) = cell.aimed.and_then(|bucket| Some((bucket, self.aimed.get_mut(bucket)?))) {
+            aimed.n_samples += cell.n_samples;
+            aimed.n_hits += cell.hits.get(&bucket).map_or(0, Hits::n);
         }
     }
 }

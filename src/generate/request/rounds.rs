@@ -137,22 +137,23 @@ impl ResolvedRequest {
             return self.even_shard(round, slot) % self.arms.len();
         }
         let seed = self.slot_seed(context, slot);
-        // The rate of hits in open buckets is that of all hits, times the share of them that is in open buckets. Of an arm of which
-        // little is known the share is taken to be that of all arms: the fewer buckets are open, the less is left to hope for.
-        let arms = 0..self.arms.len();
-        let (n_hits, n_open) = (arms.clone())
-            .map(|arm| (ledger.hits_of_arm(arm) as f64, ledger.open_hits_of_arm(arm) as f64))
-            .fold((0.0, 0.0), |sums, arm| (sums.0 + arm.0, sums.1 + arm.1));
-        let usual_share = (0.5 + n_open) / (1.0 + n_hits);
+        // How often a sample falls into an open bucket. That of an arm that aims is taken to be, for buckets at which it did not aim yet, as
+        // for those at which it did.
         let draw = |arm: usize| {
-            let (n, n_hits) = (ledger.arms[arm].n_samples as f64, ledger.hits_of_arm(arm) as f64);
-            let n_open = ledger.open_hits_of_arm(arm) as f64;
             let mut rng = seed.derive("arm", &[arm as u64]).rng();
-            let rate = beta(&mut rng, 1.0 + n_hits, 1.0 + (n - n_hits).max(0.0));
-            let share = beta(&mut rng, usual_share + n_open, 1.0 - usual_share + n_hits - n_open);
-            rate * share / self.config.budget.cost(self.arms[arm].n_evaluations)
+            let rate = if self.arms[arm].aims {
+                let (all, open) =
+                    (ledger.aimed_of_arm(arm, |_| true), ledger.aimed_of_arm(arm, |bucket| ledger.is_open(bucket)));
+                let usual = (1.0 + all.n_hits as f64) / (2.0 + all.n_samples as f64);
+                let n_missed = (open.n_samples - open.n_hits) as f64;
+                beta(&mut rng, 2.0 * usual + open.n_hits as f64, 2.0 * (1.0 - usual) + n_missed)
+            } else {
+                let (n, n_open) = (ledger.arms[arm].n_samples as f64, ledger.open_hits_of_arm(arm) as f64);
+                beta(&mut rng, 0.5 + n_open, 1.0 + (n - n_open).max(0.0))
+            };
+            rate / self.config.budget.cost(self.arms[arm].n_evaluations)
         };
-        let draws: Vec<f64> = arms.map(draw).collect();
+        let draws: Vec<f64> = (0..self.arms.len()).map(draw).collect();
         // The first of equal ones.
         (0..draws.len()).rev().max_by(|a, b| draws[*a].total_cmp(&draws[*b])).unwrap_or(0)
     }
