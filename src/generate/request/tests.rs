@@ -74,7 +74,7 @@ fn fulfil(
         for shard in &round.shards {
             let n_samples = request.arms[shard.arm].n_samples;
             let mut accepted = ledger.accepted.clone();
-            let cells = shard.members.iter().map(|cell| {
+            let cells = shard.members.iter().zip(&shard.plan.cells).map(|(cell, planned)| {
                 let first = shard.plan.first_sample;
                 let mut hits: BTreeMap<usize, Hits> = BTreeMap::new();
                 for bucket in (first..first + n_samples).filter_map(|sample| hit(shard.arm, *cell, sample)) {
@@ -92,6 +92,7 @@ fn fulfil(
                 CellTally {
                     cell: *cell,
                     n_samples: n_samples_drawn,
+                    aimed: planned.targets.first().and_then(|target| request.buckets.with_target(target)),
                     next_sample: first + n_samples,
                     n_found,
                     hits,
@@ -276,6 +277,27 @@ fn cheap_arms_are_preferred_where_evaluations_are_counted() {
 }
 
 #[test]
+fn an_arm_that_misses_the_open_bucket_is_left_for_one_that_hits_what_it_aims_at() {
+    let other = "[[arms]]\nname = 'other'\nn_samples = 3\nstrengths = [5.0]\nclassifier_scope = 'none'\nobjectives = [{ kind = 'cut_in' }]\n";
+    let more = "arms = ['aimed', 'other']\nper_bucket = 5\nbudget = { n_samples = 9000 }";
+    let request = resolve(&format!("{other}{}", request(more))).unwrap().requests.remove(0);
+    let pool = pool(30);
+    let mut ledger = Ledger::new(&request, &pool);
+    let mut add = |arm: usize, aimed: usize, n_samples: u64, hits: Hits| {
+        let hits = BTreeMap::from([(aimed, hits)]);
+        let cell = CellTally { n_samples, aimed: Some(aimed), hits, ..CellTally::default() };
+        ledger.add(&ShardTally { request: "tight".to_owned(), round: 0, arm, cells: vec![cell] });
+    };
+    // One arm has hit what is still open now and then, the other has not been tried on it.
+    add(0, 3, 1000, Hits { n_accepted: 2, ..Hits::default() });
+    (0..3).for_each(|bucket| add(1, bucket, 30, Hits { n_accepted: 5, n_surplus: 22, n_repeated: 0 }));
+    let context =
+        RoundContext { pool: &pool, ledger: &ledger, round: 1, next_idx: 4, cells_per_shard: 4, seed: Seed(1) };
+    let round = request.next_round(&context).unwrap();
+    assert!(round.shards.len() > 1 && round.shards.iter().all(|shard| shard.arm == 1), "{round:?}");
+}
+
+#[test]
 fn buckets_that_nobody_can_reach_cost_nothing_and_the_others_decide_the_end() {
     let request = tight("per_bucket = 2\nbudget = { n_samples = 3000 }");
     let pool = Pool {
@@ -343,4 +365,10 @@ fn buckets_cost_what_is_spent_while_they_are_open() {
     assert_eq!(ledger.open_hits_of_cell(0), 2);
     ledger.add(&tally(1, 1));
     assert_eq!(ledger.open_hits_of_cell(0), 0);
+    // When all who can fall into it have, it is closed, although it wanted more.
+    let narrow = Pool { feasible: vec![BTreeMap::from([(1, 0.0)]), BTreeMap::from([(2, 0.0)])], ..pool(2) };
+    let mut ledger = Ledger::new(&request, &narrow);
+    assert_eq!([0, 1, 2, 3].map(|bucket| ledger.is_open(bucket)), [false, true, true, false]);
+    ledger.add(&tally(0, 1));
+    assert_eq!([1, 2].map(|bucket| ledger.is_open(bucket)), [false, true]);
 }
