@@ -45,8 +45,8 @@ container, retries, further lines of the scripts; image and volumes for Kubernet
 
 Examples:
   djinn submit pipelines/quickstart.toml --engine slurm --workers 100 --dry-run
-  djinn submit pipelines/quickstart.toml --engine kubernetes --set cluster.image=registry.example.org/djinn:0.1 \\
-    --set 'cluster.volumes={ traffic = \"/data\" }' --dry-run
+  djinn submit pipelines/quickstart.toml --engine kubernetes --dry-run \\
+    --set cluster.image=registry.example.org/djinn:0.1 --set 'cluster.volumes={ traffic = \"/data\" }'
   djinn submit pipelines/quickstart.toml --engine json | jq -r '.jobs[].command | join(\" \")'";
 
 /// Of `status`.
