@@ -24,7 +24,7 @@ djinn="$(realpath "${1:-${CARGO_TARGET_DIR:-target}/debug/djinn}")"
 for program in apt-get dpkg-deb unshare strip; do
     command -v "$program" > /dev/null || missing "$program is not installed"
 done
-unshare --mount --pid --net --ipc --uts --fork true 2> /dev/null || missing "a root of our own needs root"
+unshare --mount --pid --net --ipc --uts --fork --kill-child --mount-proc true 2> /dev/null || missing "a root of our own needs root"
 
 folder="$(mktemp -d)"
 trap 'rm -rf "$folder"' EXIT
@@ -45,6 +45,12 @@ inside() {
     env -i PATH=/usr/local/bin HOME=/home/nonroot "$(command -v unshare)" --mount --pid --net --ipc --uts --fork --kill-child --mount-proc \
         --root "$root" --wd /home/nonroot --setgid 65532 --setuid 65532 /usr/local/bin/djinn "$@"
 }
+if ! said="$(inside --version 2>&1)"; then
+    case "$said" in
+        *"shared librar"* | *GLIBC*) echo "$said" >&2; exit 1 ;;
+        *) missing "nothing can be started in a root of our own: $said" ;;
+    esac
+fi
 inside run pipelines/quickstart.toml --quiet
 inside corpus validate output/quickstart/main/corpus
 echo "the quickstart ran as the image would run it, in a root of $(du -sm --exclude=home --exclude=proc "$root" | cut -f 1) MB"
