@@ -1,5 +1,6 @@
 //! Collision: do two road users drive into each other?
 
+use super::maneuver::Maneuver;
 use super::sweep::Sweep;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::geometry::angle_difference;
@@ -115,6 +116,14 @@ impl Behavior for Collision {
         agents.try_into().map_or_else(|_| Vec::new(), |pair| self.outcomes(scene, pair))
     }
 
+    fn template_parameters(&self) -> &'static [&'static str] {
+        &["relative_speed_mps", "heading_difference_rad", "bearing_rad"]
+    }
+
+    fn maneuvers(&self, scene: &Scene, agents: &[usize]) -> Vec<Maneuver> {
+        agents.try_into().map_or_else(|_| Vec::new(), |pair| self.crashes(scene, pair))
+    }
+
     /// At most one event a pair, in the order of tracks.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let cores = with_cores(scene);
@@ -130,15 +139,17 @@ impl Behavior for Collision {
     }
 }
 
-/// The scene with agents whose size is not recorded at half their nominal one: whole boxes touch where nobody does.
+/// The scene with agents whose size is not recorded at half their nominal one.
 fn with_cores(scene: &Scene) -> Cow<'_, Scene> {
     if scene.tracks.iter().all(|track| track.extent.is_some()) {
         return Cow::Borrowed(scene);
     }
-    let core = |track: &Track| {
-        let Extent { length_m, width_m } = track.extent_or_nominal();
-        let half = Extent { length_m: length_m / 2.0, width_m: width_m / 2.0 };
-        Track { extent: track.extent.or(Some(half)), ..track.clone() }
-    };
+    let core = |track: &Track| Track { extent: Some(core_or_recorded(track)), ..track.clone() };
     Cow::Owned(Scene { tracks: scene.tracks.iter().map(core).collect(), ..scene.clone() })
+}
+
+/// The recorded size of an agent, or half the nominal one: whole boxes touch where nobody does.
+pub(super) fn core_or_recorded(track: &Track) -> Extent {
+    let Extent { length_m, width_m } = track.extent_or_nominal();
+    track.extent.unwrap_or(Extent { length_m: length_m / 2.0, width_m: width_m / 2.0 })
 }

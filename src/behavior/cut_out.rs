@@ -2,6 +2,7 @@
 
 use super::following::{Ahead, Follower};
 use super::lane_relation::SceneLanes;
+use super::maneuver::Maneuver;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
@@ -201,6 +202,14 @@ impl Behavior for CutOut {
 
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         agents.try_into().map_or_else(|_| Vec::new(), |agents| self.outcomes(scene, agents).unwrap_or_default())
+    }
+
+    fn template_parameters(&self) -> &'static [&'static str] {
+        &["ttc_s", "gap_m", "relative_speed_mps", "side"]
+    }
+
+    fn maneuvers(&self, scene: &Scene, agents: &[usize]) -> Vec<Maneuver> {
+        agents.try_into().map_or_else(|_| Vec::new(), |agents| self.reveals_by(scene, agents))
     }
 
     /// At most one event an ego, in the order of tracks.

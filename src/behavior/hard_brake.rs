@@ -1,5 +1,6 @@
 //! Hard braking: does an agent slow down faster than comfortable traffic does?
 
+use super::maneuver::Maneuver;
 use super::speed_profile::smoothed_accelerations_mps2;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::scene::{Scene, Track};
@@ -121,6 +122,14 @@ impl Behavior for HardBrake {
 
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         agents.first().map_or_else(Vec::new, |agent_idx| self.outcomes(scene, *agent_idx))
+    }
+
+    fn template_parameters(&self) -> &'static [&'static str] {
+        &["max_deceleration_mps2"]
+    }
+
+    fn maneuvers(&self, scene: &Scene, agents: &[usize]) -> Vec<Maneuver> {
+        agents.first().map_or_else(Vec::new, |agent_idx| self.brakings(scene, *agent_idx))
     }
 
     /// Agents in the order of tracks; of each agent first its positive, then its negative events, by time.

@@ -3,7 +3,7 @@
 use super::lane_relation::{HALF_NOMINAL_WIDTH_M, IndexedLane, SceneLanes};
 use crate::geometry::{Polyline, Projection, Vec2, angle_difference};
 use crate::scene::{Lane, LaneId, Scene, State, Trajectory};
-use std::f64::consts::FRAC_PI_4;
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
 /// An agent keeps only a lane whose direction differs from its heading by less than this, radians.
 const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
@@ -36,6 +36,11 @@ impl KeptLane {
     /// The lane as far as the past tells it. `None` where the agent is not tracked at present or in no lane then.
     pub(super) fn as_observed(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
         Self::among(scene, lanes, agent_idx, scene.n_history)
+    }
+
+    /// The lane that begins with this one, and goes on straight where the road forks.
+    pub(super) fn from_lane(lanes: &SceneLanes<'_>, lane: &IndexedLane<'_>) -> Self {
+        Self::along(&route(lanes, lane, &[], &[]))
     }
 
     /// The line on which an agent in this state goes straight on.
@@ -77,6 +82,13 @@ impl KeptLane {
     /// The point so far along the center line.
     pub(super) fn point_at(&self, station_m: f64) -> Option<Vec2> {
         self.center.point_at(station_m)
+    }
+
+    /// The point so far along the center line and beside it, to the left where positive.
+    pub(super) fn beside(&self, station_m: f64, offset_m: f64) -> Option<Vec2> {
+        let point = self.point_at(station_m)?;
+        let heading_rad = self.project(point)?.heading_rad;
+        Some(point + Vec2::from_angle(heading_rad).rotated(FRAC_PI_2) * offset_m)
     }
 
     /// Where `point` is along the center line and beside it.

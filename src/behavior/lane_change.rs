@@ -2,6 +2,7 @@
 
 use super::lane_relation::SceneLanes;
 use super::lane_tracker::{LaneMove, LaneTrace};
+use super::maneuver::Maneuver;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::geometry::Vec2;
 use crate::scene::Scene;
@@ -155,6 +156,14 @@ impl Behavior for LaneChange {
 
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         agents.first().map_or_else(Vec::new, |agent_idx| self.outcomes(scene, *agent_idx))
+    }
+
+    fn template_parameters(&self) -> &'static [&'static str] {
+        &["side"]
+    }
+
+    fn maneuvers(&self, scene: &Scene, agents: &[usize]) -> Vec<Maneuver> {
+        agents.first().map_or_else(Vec::new, |agent_idx| self.changes(scene, *agent_idx))
     }
 
     /// Agents in the order of tracks; of each agent by time.

@@ -3,6 +3,7 @@
 pub(super) use super::turn::{PARAMETERS, ROLES};
 
 use super::feasible::turn_outcomes as outcomes;
+use super::maneuver::{Maneuver, turn_maneuvers};
 use super::turn::{TurnConfig, TurnSide, turns};
 use super::{Behavior, BehaviorEvent, Outcome};
 use crate::scene::Scene;
@@ -48,6 +49,15 @@ impl Behavior for LeftTurn {
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         let outcomes = |agent_idx: &usize| outcomes(TurnSide::Left, &self.config, scene, *agent_idx);
         agents.first().map_or_else(Vec::new, outcomes)
+    }
+
+    fn template_parameters(&self) -> &'static [&'static str] {
+        &["mean_speed_mps"]
+    }
+
+    fn maneuvers(&self, scene: &Scene, agents: &[usize]) -> Vec<Maneuver> {
+        let maneuvers = |agent_idx: &usize| turn_maneuvers(&self.config, scene, *agent_idx);
+        agents.first().map_or_else(Vec::new, maneuvers)
     }
 
     /// At most one event an agent, in the order of tracks.

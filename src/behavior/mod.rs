@@ -20,6 +20,7 @@ mod lane_change;
 pub(crate) mod lane_relation;
 mod lane_tracker;
 mod left_turn;
+mod maneuver;
 mod near_miss;
 mod outcome;
 mod pairs;
@@ -43,6 +44,7 @@ pub use event::{BehaviorEvent, EventLabel};
 pub use hard_brake::{HardBrake, HardBrakeConfig};
 pub use lane_change::{LaneChange, LaneChangeConfig};
 pub use left_turn::LeftTurn;
+pub use maneuver::Maneuver;
 pub use near_miss::{NearMiss, NearMissConfig};
 pub use outcome::Outcome;
 pub use pedestrian_steps_out::{PedestrianStepsOut, PedestrianStepsOutConfig};
@@ -89,16 +91,20 @@ pub trait Behavior: Send + Sync {
     fn template_parameters(&self) -> &'static [&'static str] {
         &[]
     }
+    /// How `agents`, in the order of the roles, might drive to show the behavior, told from what was observed and the map alone.
+    fn maneuvers(&self, _scene: &Scene, _agents: &[usize]) -> Vec<Maneuver> {
+        Vec::new()
+    }
     /// A maneuver by which `agents`, in the order of the roles, come to an outcome whose parameters are as `wanted`, each from a least to a
     /// most, told as outcomes are: the `variant`-th easiest, counted around. `None` where there is none.
     fn template(
         &self,
-        _scene: &Scene,
-        _agents: &[usize],
-        _wanted: &BTreeMap<String, [f64; 2]>,
-        _variant: usize,
+        scene: &Scene,
+        agents: &[usize],
+        wanted: &BTreeMap<String, [f64; 2]>,
+        variant: usize,
     ) -> Option<Template> {
-        None
+        maneuver::template(self, scene, agents, wanted, variant)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::following::Follower;
 use super::lane_relation::SceneLanes;
+use super::maneuver::Maneuver;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::geometry::Vec2;
 use crate::scene::{AgentClass, Scene, State};
@@ -162,6 +163,14 @@ impl Behavior for PedestrianStepsOut {
 
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         agents.try_into().map_or_else(|_| Vec::new(), |pair| self.outcomes(scene, pair).unwrap_or_default())
+    }
+
+    fn template_parameters(&self) -> &'static [&'static str] {
+        &["time_to_arrival_s", "gap_m", "ego_speed_mps", "side"]
+    }
+
+    fn maneuvers(&self, scene: &Scene, agents: &[usize]) -> Vec<Maneuver> {
+        agents.try_into().map_or_else(|_| Vec::new(), |agents| self.steps_across(scene, agents))
     }
 
     /// At most one event a pair, in the order of the tracks of vehicles, then of pedestrians.

@@ -2,6 +2,7 @@
 
 use super::following::Follower;
 use super::lane_relation::SceneLanes;
+use super::maneuver::Maneuver;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::scene::Scene;
 use schemars::JsonSchema;
@@ -179,6 +180,14 @@ impl Behavior for Tailgating {
 
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         agents.try_into().map_or_else(|_| Vec::new(), |pair| self.outcomes(scene, pair))
+    }
+
+    fn template_parameters(&self) -> &'static [&'static str] {
+        &["time_headway_s", "mean_speed_mps"]
+    }
+
+    fn maneuvers(&self, scene: &Scene, agents: &[usize]) -> Vec<Maneuver> {
+        agents.try_into().map_or_else(|_| Vec::new(), |agents| self.approaches(scene, agents))
     }
 
     /// At most one event an ordered pair, in the order of the tracks of followers, then of leaders.

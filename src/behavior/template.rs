@@ -3,6 +3,7 @@
 //! A template says what the agents of the event do; the denoiser makes everybody else live with it. It is told from the past and the map
 //! alone.
 
+use super::lane_relation::SceneLanes;
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
 use crate::scene::{STANDING_STEP_M, Scene, State, Track, Trajectory};
 
@@ -10,6 +11,9 @@ use crate::scene::{STANDING_STEP_M, Scene, State, Track, Trajectory};
 const FADE_S: f64 = 1.0;
 /// Passes of the filter that rounds the corners of center lines off.
 const N_ROUNDINGS: usize = 3;
+/// The most that vehicles accelerate along their way and across it, m/s².
+const MOST_ALONG_MPS2: f64 = 8.0;
+const MOST_ACROSS_MPS2: f64 = 4.5;
 /// Timesteps between those at which a template is compared with where others would be.
 const STRIDE: usize = 2;
 
@@ -26,6 +30,15 @@ struct Motion {
     agent_idx: usize,
     /// Its state at each timestep after the present, in the scene frame.
     states: Vec<State>,
+}
+
+/// Who can be in the way of those who take part, among all the others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum InTheWay {
+    /// Everybody.
+    Everybody,
+    /// All but those who drive behind, and react to whom they follow.
+    Ahead,
 }
 
 impl Template {
@@ -57,33 +70,63 @@ impl Template {
         self.motions.iter().map(|motion| motion.agent_idx)
     }
 
-    /// Whether nobody is in the way of those who take part, if all the others go straight on at their speed.
-    pub(super) fn is_clear(&self, scene: &Scene) -> bool {
-        let others =
-            scene.tracks.iter().enumerate().filter(|(idx, _)| self.agents().all(|agent_idx| agent_idx != *idx));
-        let others: Vec<(&Track, State)> =
-            others.filter_map(|(_, track)| Some((track, *track.trajectory.get(scene.current_timestep())?))).collect();
+    /// Whether those who take part do not run into each other.
+    pub(super) fn keeps_apart(&self, scene: &Scene) -> bool {
+        let footprint = |motion: &Motion, step: usize| scene.tracks[motion.agent_idx].footprint(&motion.states[step]);
+        let n_steps = self.motions.iter().map(|motion| motion.states.len()).min().unwrap_or(0);
         self.motions.iter().enumerate().all(|(i, motion)| {
-            let own = &scene.tracks[motion.agent_idx];
-            (0..motion.states.len()).step_by(STRIDE).all(|step| {
-                let elapsed_s = (step + 1) as f64 * scene.dt_s;
-                let footprint = own.footprint(&motion.states[step]);
-                let meets = |track: &Track, state: &State| footprint.overlaps(&track.footprint(state));
-                let mut beside = self.motions[..i].iter();
-                beside.all(|other| !meets(&scene.tracks[other.agent_idx], &other.states[step]))
-                    && others.iter().all(|(track, now)| {
-                        !meets(track, &State { position: now.position + now.velocity * elapsed_s, ..*now })
-                    })
+            (0..n_steps).step_by(STRIDE).all(|step| {
+                let own = footprint(motion, step);
+                self.motions[..i].iter().all(|other| !own.overlaps(&footprint(other, step)))
             })
         })
     }
 
-    /// Whether nobody accelerates harder than this in any direction, from the present on, m/s².
-    pub(super) fn is_within(&self, scene: &Scene, limit_mps2: f64) -> bool {
+    /// Whether nobody is in the way of those who take part, if all the others go straight on at their speed.
+    pub(super) fn is_clear(&self, scene: &Scene, in_the_way: InTheWay) -> bool {
+        let others =
+            scene.tracks.iter().enumerate().filter(|(idx, _)| self.agents().all(|agent_idx| agent_idx != *idx));
+        let others = others.filter_map(|(_, track)| Some((track, *track.trajectory.get(scene.current_timestep())?)));
+        let others: Vec<(&Track, State)> = others.filter(|(_, now)| now.is_finite()).collect();
+        self.motions.iter().all(|motion| {
+            let own = &scene.tracks[motion.agent_idx];
+            let reacts = |now: &State| {
+                in_the_way == InTheWay::Ahead
+                    && scene.state(motion.agent_idx, scene.current_timestep()).is_some_and(|own| follows(now, own))
+            };
+            let others: Vec<_> = others.iter().filter(|(_, now)| !reacts(now)).collect();
+            (0..motion.states.len()).step_by(STRIDE).all(|step| {
+                let elapsed_s = (step + 1) as f64 * scene.dt_s;
+                let footprint = own.footprint(&motion.states[step]);
+                others.iter().all(|(track, now)| {
+                    let then = State { position: now.position + now.velocity * elapsed_s, ..*now };
+                    !footprint.overlaps(&track.footprint(&then))
+                })
+            })
+        })
+    }
+
+    /// Whether everybody who is in a lane at present stays in lanes.
+    pub(super) fn keeps_road(&self, scene: &Scene, lanes: &SceneLanes<'_>) -> bool {
+        let is_on_road = |state: &State| lanes.lanes_at(state.position).next().is_some();
+        self.motions.iter().all(|Motion { agent_idx, states }| {
+            let is_bound = scene.state(*agent_idx, scene.current_timestep()).is_some_and(is_on_road);
+            !is_bound || states.iter().step_by(STRIDE).chain(states.last()).all(is_on_road)
+        })
+    }
+
+    /// Whether nobody brakes or accelerates harder along the way or across it than vehicles do: who turns off at present does not go on around a
+    /// roundabout, nor fast around a bend.
+    pub(super) fn is_drivable(&self, scene: &Scene) -> bool {
         self.motions.iter().all(|Motion { agent_idx, states }| {
             let now = scene.state(*agent_idx, scene.current_timestep());
             let velocities: Vec<Vec2> = now.into_iter().chain(states).map(|state| state.velocity).collect();
-            velocities.windows(2).all(|pair| (pair[1] - pair[0]).norm() <= limit_mps2 * scene.dt_s)
+            velocities.windows(2).all(|pair| {
+                let (change, mean) = (pair[1] - pair[0], pair[0] + pair[1]);
+                let along = mean * (1.0 / mean.norm().max(f64::MIN_POSITIVE));
+                change.dot(along).abs() <= MOST_ALONG_MPS2 * scene.dt_s
+                    && along.cross(change).abs() <= MOST_ACROSS_MPS2 * scene.dt_s
+            })
         })
     }
 
@@ -96,6 +139,13 @@ impl Template {
             *trajectory = Trajectory::new(kept.chain(states.into_iter().map(Some)).collect());
         }
     }
+}
+
+/// Whether someone who is there drives behind `leader`, heading as it does.
+pub(super) fn follows(follower: &State, leader: &State) -> bool {
+    let forward = Vec2::from_angle(leader.heading_rad);
+    (follower.position - leader.position).dot(forward) < 0.0
+        && Vec2::from_angle(follower.heading_rad).dot(forward) > 0.0
 }
 
 /// The states of an agent that is `now` somewhere and will be at `positions`. Velocities are those since the timestep before, headings turn
@@ -189,7 +239,7 @@ mod tests {
         // Half a meter aside, and 1 m/s slower than it drives.
         let place = |t: f64| Some(now.position + Vec2::new(9.0 * t, 0.5));
         let template = Template::empty().with(&scene, 0, place).unwrap();
-        assert!(template.is_clear(&scene), "the one ahead drives on");
+        assert!(template.is_clear(&scene, InTheWay::Everybody), "the one ahead drives on");
         let before = scene.tracks[0].trajectory.clone();
         template.apply(&mut scene);
         let after = &scene.tracks[0].trajectory;
@@ -210,9 +260,8 @@ mod tests {
             let place = move |t: f64| Some(theirs.position + Vec2::new(10.0 * t, aside_m * quintic(t / 0.6)));
             over.clone().with(&scene, 1, place).unwrap()
         };
-        assert_eq!(
-            [over.clone(), beside(0.0), beside(2.5)].map(|template| template.is_clear(&scene)),
-            [false, false, true]
-        );
+        let is_free =
+            |template: Template| template.is_clear(&scene, InTheWay::Everybody) && template.keeps_apart(&scene);
+        assert_eq!([over.clone(), beside(0.0), beside(2.5)].map(is_free), [false, false, true]);
     }
 }

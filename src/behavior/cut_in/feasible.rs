@@ -1,6 +1,7 @@
 //! Which cut-ins could a pair of vehicles still show?
 
 use super::CutIn;
+use super::template::STYLES;
 use crate::behavior::feasible::{ACCELERATIONS_MPS2, LATERAL_ACCELERATION_MPS2, effort, horizon_s};
 use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::lane_relation::SceneLanes;
@@ -62,7 +63,7 @@ impl CutIn {
     ///
     /// Empty where the ego is in no lane, and where the other is in the ego's lane or path already, does not head along it, or is too far to the side, ahead or behind.
     pub(super) fn outcomes(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Vec<Outcome>> {
-        let ways = self.ways(scene, [ego_idx, other_idx], |_| true)?;
+        let ways = self.ways(scene, [ego_idx, other_idx], |_| true, STYLES[0])?;
         Some(ways.into_iter().map(|(outcome, _)| outcome).collect())
     }
 

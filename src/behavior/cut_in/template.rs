@@ -4,8 +4,9 @@
 use super::CutIn;
 use super::feasible::{Pair, Plan};
 use crate::behavior::Outcome;
-use crate::behavior::kept_lane::KeptLane;
-use crate::behavior::template::{QUINTIC_PEAK, Template, quintic, quintic_inverse};
+use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::maneuver::spread;
+use crate::behavior::template::{InTheWay, QUINTIC_PEAK, Template, quintic, quintic_inverse};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::collections::BTreeMap;
@@ -27,8 +28,7 @@ const IN_LANE_S: f64 = 0.2;
 const MOST_OFFSET_M: f64 = 0.6;
 /// Below this nobody has to come over, meters.
 const NOTHING_M: f64 = 0.01;
-/// How the ego brakes if it can, and the most it does, m/s².
-const GENTLE_MPS2: f64 = 2.0;
+/// The ego brakes no harder, m/s².
 const HARDEST_MPS2: f64 = 5.0;
 /// What it leaves to the other of the gap, of the most seconds and meters.
 const LEFT_S: f64 = 0.5;
@@ -41,8 +41,8 @@ const IN_PLACE_M: f64 = 0.5;
 const CHANGE_PEAK: f64 = 1.5;
 
 impl CutIn {
-    /// The `variant`-th easiest way, counted around, in which `other` cuts in before `ego` so that every parameter of the outcome that is `wanted` lies in its
-    /// range. `None` where there is none.
+    /// A way in which `other` cuts in before `ego` so that every parameter of the outcome that is `wanted` lies in its range: the `variant`-th
+    /// of them all, counted around, then the same in another style. `None` where there is none.
     pub(super) fn solved(
         &self,
         scene: &Scene,
@@ -56,10 +56,15 @@ impl CutIn {
             };
             wanted.iter().all(is_in)
         };
-        let mut ways = self.ways(scene, pair, is_wanted)?;
-        ways.sort_by(|a, b| a.0.effort().total_cmp(&b.0.effort()));
+        let mut ways = self.ways(scene, pair, is_wanted, STYLES[0])?;
         let n_ways = ways.len().max(1);
-        ways.into_iter().nth(variant % n_ways).map(|(_, template)| template)
+        if let Some(style) = STYLES.get(variant / n_ways % STYLES.len()).filter(|_| variant >= n_ways) {
+            let styled = self.ways(scene, pair, is_wanted, *style)?;
+            ways = if styled.is_empty() { ways } else { styled };
+        }
+        ways.sort_by(|a, b| a.0.effort().total_cmp(&b.0.effort()));
+        let variant = spread(variant, ways.len());
+        ways.into_iter().nth(variant).map(|(_, template)| template)
     }
 
     /// The ways in which `other` can cut in before `ego`, nobody being in the way, with what comes of each: those of the plans whose outcome
@@ -69,18 +74,39 @@ impl CutIn {
         scene: &Scene,
         [ego_idx, other_idx]: [usize; 2],
         is_wanted: impl Fn(&Outcome) -> bool,
+        style: Style,
     ) -> Option<Vec<(Outcome, Template)>> {
         let pair = self.pair(scene, ego_idx, other_idx)?;
+        let lanes = SceneLanes::new(&scene.lanes);
         let way = |plan: Plan| {
-            let braking = pair.braking(&plan, self.config.max_delay_s)?;
-            let over = pair.coming_over(&plan)?;
+            let braking = pair.braking(&plan, self.config.max_delay_s, style)?;
+            let over = pair.coming_over(&plan, style)?;
             let template = Template::empty().with(scene, other_idx, |elapsed_s| pair.place(&plan, over, elapsed_s))?;
             let template = template.with(scene, ego_idx, |elapsed_s| pair.own_place(&plan, braking, elapsed_s))?;
-            template.is_clear(scene).then_some((plan.outcome, template))
+            let is_possible = template.is_drivable(scene)
+                && template.keeps_road(scene, &lanes)
+                && template.keeps_apart(scene)
+                && template.is_clear(scene, InTheWay::Everybody);
+            is_possible.then_some((plan.outcome, template))
         };
         Some(self.plans(&pair)?.into_iter().filter(|plan| is_wanted(&plan.outcome)).filter_map(way).collect())
     }
 }
+
+/// How much of the comfortable time drivers take to come over, and how hard they brake if they can, m/s².
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Style {
+    hurry: f64,
+    brakes_mps2: f64,
+}
+
+/// The ordinary one first.
+pub(super) const STYLES: [Style; 4] = [
+    Style { hurry: 1.0, brakes_mps2: 2.0 },
+    Style { hurry: 0.8, brakes_mps2: 3.0 },
+    Style { hurry: 1.2, brakes_mps2: 1.2 },
+    Style { hurry: 0.9, brakes_mps2: 4.0 },
+];
 
 /// When the other comes over, seconds after the present.
 #[derive(Clone, Copy)]
@@ -97,15 +123,15 @@ struct Braking {
 }
 
 impl Pair {
-    /// How the ego brakes for the other: gently, or as hard as it must to keep away. `None` where it would have to brake too hard, or is not
+    /// How the ego brakes for the other: as it likes, or as hard as it must to keep away. `None` where it would have to brake too hard, or is not
     /// where the other came in before the scene ends, or too late to be cut off.
-    fn braking(&self, plan: &Plan, max_delay_s: f64) -> Option<Braking> {
+    fn braking(&self, plan: &Plan, max_delay_s: f64, style: Style) -> Option<Braking> {
         let less_mps = (self.own_mps - plan.then_mps).max(0.0);
         let gap_m = plan.outcome.get("gap_m")?;
         let least_m = LEFT_M.min(LEFT_S * plan.then_mps).min(gap_m / 2.0);
         // While it brakes it comes nearer by half of what it is faster.
         let most_s = if less_mps > 0.0 { 2.0 * (gap_m - least_m) / less_mps } else { f64::INFINITY };
-        let takes_s = most_s.min(CHANGE_PEAK * less_mps / GENTLE_MPS2);
+        let takes_s = most_s.min(CHANGE_PEAK * less_mps / style.brakes_mps2);
         let braking = Braking { takes_s, less_mps };
         let reached_s = max_delay_s.min(self.horizon_s - IN_LANE_S - plan.time_s);
         let driven_m = self.own_driven_m(plan, braking, plan.time_s + reached_s) - self.own_mps * plan.time_s;
@@ -121,19 +147,19 @@ impl Pair {
 
     /// Where the ego is by the plan, `elapsed_s` after the present.
     fn own_place(&self, plan: &Plan, braking: Braking, elapsed_s: f64) -> Option<Vec2> {
-        beside(&self.lane, self.own_station_m + self.own_driven_m(plan, braking, elapsed_s), self.own_offset_m)
+        self.lane.beside(self.own_station_m + self.own_driven_m(plan, braking, elapsed_s), self.own_offset_m)
     }
 
     /// When the other comes over so that its box is in the ego's path at the time of the plan, and its center in the lane before the scene
     /// ends: comfortably, but for what it needs for that. `None` where that is too hard.
-    fn coming_over(&self, plan: &Plan) -> Option<ComingOver> {
+    fn coming_over(&self, plan: &Plan, style: Style) -> Option<ComingOver> {
         let aside_m = self.aside_m(plan);
         if plan.aside_m.min(aside_m) < NOTHING_M {
             return Some(ComingOver { begins_s: 0.0, takes_s: plan.time_s });
         }
         let share = quintic_inverse((plan.shift_m / aside_m).min(1.0));
         let most_s = if share > 0.0 { plan.time_s / share } else { f64::INFINITY };
-        let comfortable_s = (QUINTIC_PEAK * aside_m / COMFORTABLE_MPS2).sqrt();
+        let comfortable_s = style.hurry * (QUINTIC_PEAK * aside_m / COMFORTABLE_MPS2).sqrt();
         HURRIES.into_iter().find_map(|hurry| {
             let takes_s = most_s.min(comfortable_s * hurry);
             if QUINTIC_PEAK * aside_m / (takes_s * takes_s) > MOST_MPS2 {
@@ -183,9 +209,9 @@ impl Pair {
         let driven_m = self.their_mps * until_s
             + (plan.then_mps - self.their_mps) * changed_s(until_s, plan.time_s)
             + plan.then_mps * (elapsed_s - until_s);
-        let on_own = beside(&self.their_lane, self.their_station_m + driven_m, self.their_offset_m)?;
+        let on_own = self.their_lane.beside(self.their_station_m + driven_m, self.their_offset_m)?;
         let station_m = self.lane.project(on_own)?.station_m;
-        let on_egos = beside(&self.lane, station_m, self.kept_offset_m())?;
+        let on_egos = self.lane.beside(station_m, self.kept_offset_m())?;
         Some(on_own.lerp(on_egos, quintic((elapsed_s - over.begins_s) / over.takes_s)))
     }
 }
@@ -199,50 +225,23 @@ fn changed_s(elapsed_s: f64, takes_s: f64) -> f64 {
     takes_s * u * u * u * (1.0 - u / 2.0)
 }
 
-/// The point so far along a lane and beside its center line.
-fn beside(lane: &KeptLane, station_m: f64, offset_m: f64) -> Option<Vec2> {
-    let point = lane.point_at(station_m)?;
-    let heading_rad = lane.project(point)?.heading_rad;
-    Some(point + Vec2::from_angle(heading_rad).rotated(std::f64::consts::FRAC_PI_2) * offset_m)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::behavior::testing::lane_graph;
+    use crate::behavior::testing::{going_on, two_lanes};
     use crate::behavior::{Behavior, BehaviorEvent, CutInConfig, EventLabel};
     use crate::scene::Trajectory;
-    use crate::scene::testing::{Drive, scene};
+    use crate::scene::testing::Drive;
 
-    /// Two lanes; the ego in one, another car ahead in the other, with 4 s of future.
-    fn two_lanes(other: Drive) -> Scene {
-        let road = lane_graph(
-            "lanes = [
-                { id = 1, centerline = [[-100, 0], [200, 0]], width_m = 3.5 },
-                { id = 2, centerline = [[-100, 3.5], [200, 3.5]], width_m = 3.5 },
-            ]",
-        );
-        let mut recorded = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), other]);
-        recorded.lanes = road.into();
-        let (n_history, step_s) = (recorded.n_history, 0.1);
-        // The same drive at ten states a second.
-        recorded.dt_s = step_s;
-        recorded.n_timesteps = n_history + 40;
-        for track in &mut recorded.tracks {
-            let now = *track.trajectory.get(n_history - 1).unwrap();
-            let at = |timestep: usize| {
-                let elapsed_s = (timestep as f64 - (n_history - 1) as f64) * step_s;
-                Some(crate::scene::State { position: now.position + now.velocity * elapsed_s, ..now })
-            };
-            track.trajectory = Trajectory::new((0..recorded.n_timesteps).map(at).collect());
-        }
-        recorded
+    /// Two lanes; the ego in one, another car ahead in the other.
+    fn beside(other: Drive) -> Scene {
+        going_on(&[Drive::straight(0.0, 0.0, 0.0, 10.0), other], two_lanes())
     }
 
     #[test]
     fn the_miner_finds_the_cut_in_that_a_template_was_solved_for() {
         let behavior = CutIn::new(CutInConfig::default());
-        let scene = two_lanes(Drive::straight(16.0, 3.5, 0.0, 9.0));
+        let scene = beside(Drive::straight(16.0, 3.5, 0.0, 9.0));
         let outcomes = behavior.feasible(&scene, &[0, 1]);
         let (mut n_found, mut n_braked) = (0, 0);
         for outcome in &outcomes {
@@ -277,7 +276,7 @@ mod tests {
     #[test]
     fn who_would_drive_into_somebody_has_no_template() {
         let behavior = CutIn::new(CutInConfig::default());
-        let free = two_lanes(Drive::straight(12.0, 3.5, 0.0, 10.0));
+        let free = beside(Drive::straight(12.0, 3.5, 0.0, 10.0));
         assert!(behavior.template(&free, &[0, 1], &BTreeMap::new(), 0).is_some());
         let mut taken = free.clone();
         // A queue in the lane of the ego, just ahead of it.

@@ -93,27 +93,9 @@ fn needed_effort(bend: &Bend, speed_mps: f64, horizon_s: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::super::outcomes;
-    use crate::behavior::testing::lane_graph;
+    use crate::behavior::testing::fork;
     use crate::behavior::{LeftTurn, RightTurn, TurnConfig};
-    use crate::scene::LaneGraph;
     use crate::scene::testing::Drive;
-
-    /// A lane along x that forks at x = 20 m: straight on, and to the left on a quarter of a circle of 10 m.
-    fn fork() -> LaneGraph {
-        let bend: Vec<String> = (0..=9)
-            .map(|i| (f64::from(i) * 10.0).to_radians())
-            .map(|angle| format!("[{}, {}]", 20.0 + 10.0 * angle.sin(), 10.0 - 10.0 * angle.cos()))
-            .collect();
-        let text = format!(
-            "lanes = [
-                {{ id = 1, centerline = [[-50.0, 0.0], [20.0, 0.0]], successors = [2, 3] }},
-                {{ id = 2, centerline = [[20.0, 0.0], [100.0, 0.0]] }},
-                {{ id = 3, centerline = [{}] }},
-            ]",
-            bend.join(", ")
-        );
-        lane_graph(&text)
-    }
 
     #[test]
     fn only_where_a_way_turns_and_neither_too_fast_nor_too_far() {

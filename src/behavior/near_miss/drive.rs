@@ -1,135 +1,30 @@
-//! An agent that goes on along one of its ways: evenly, until it may brake.
+//! A drive along a way, as near misses look at it.
 
-use crate::behavior::feasible::{Way, effort, ways};
 use crate::behavior::footprint::Footprint;
-use crate::behavior::lane_relation::SceneLanes;
-use crate::geometry::{OrientedBox, Vec2};
-use crate::scene::{Extent, Scene, State};
-
-/// How drivers accelerate until one of them brakes, m/s²: with no more than half of what they could.
-pub(super) const ORDINARY_MPS2: [f64; 5] = [-2.0, -1.0, 0.0, 0.6, 1.25];
-/// Spacing of the places that are kept of a way, meters.
-const SPACING_M: f64 = 0.5;
-/// Ways that end within this of each other, as far as anybody can get, are the same, meters.
-const SAME_M: f64 = 1.0;
-/// Every so many places it is looked whether a way that begins on the road stays on it.
-const ROAD_STRIDE: usize = 4;
-/// How long a pedal takes to be pressed, and who brakes to come to a halt gently, seconds.
-const PEDAL_S: f64 = 0.3;
-/// Steps of a timestep in which speeds are summed up.
-const N_STEPS: usize = 5;
-
-/// Who begins to brake when, and how hard.
-#[derive(Clone, Copy)]
-pub(super) struct Brake {
-    /// Seconds after the present.
-    pub(super) from_s: f64,
-    pub(super) deceleration_mps2: f64,
-}
-
-/// An agent at present with the places that it can reach, on each way that the map leaves it.
-pub(super) struct Driver {
-    pub(super) state: State,
-    /// Its box, and the inner part of it.
-    pub(super) extents: [Extent; 2],
-    pub(super) rails: Vec<Rail>,
-    dt_s: f64,
-    n_steps: usize,
-}
-
-/// Positions and directions along a way, from the present place on.
-pub(super) struct Rail(Vec<(Vec2, Vec2)>);
+use crate::behavior::maneuver::{Driver, Pace};
+use crate::geometry::Vec2;
+use crate::scene::Extent;
 
 /// A drive along a rail; one entry a timestep after the present.
 pub(super) struct Drive {
     /// The share of what driving allows that it takes before anybody brakes.
     pub(super) effort: f64,
-    /// Speeds, m/s, and boxes: the whole, and the inner parts.
+    /// How far it leads, meters, and speeds, m/s.
+    pub(super) driven_m: Vec<f64>,
     pub(super) speeds_mps: Vec<f64>,
+    /// Boxes: the whole, and the inner parts.
     pub(super) outer: Vec<Footprint>,
     pub(super) inner: Vec<Footprint>,
 }
 
-impl Driver {
-    /// An agent with its box and the inner part of it. `None` where it is not tracked at present.
-    pub(super) fn new(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, extents: [Extent; 2]) -> Option<Self> {
-        let state = *scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
-        let n_steps = scene.n_timesteps - scene.n_history;
-        let horizon_s = n_steps as f64 * scene.dt_s;
-        let hardest_mps2 = ORDINARY_MPS2.into_iter().fold(0.0, f64::max);
-        let reach_m = (state.speed_mps() + hardest_mps2 * horizon_s / 2.0) * horizon_s;
-        let mut rails: Vec<Rail> = Vec::new();
-        let is_on_road = |point: Vec2| lanes.lanes_at(point).next().is_some();
-        let keeps_road = is_on_road(state.position);
-        for rail in ways(lanes, &state).iter().filter_map(|way| Rail::new(way, reach_m)) {
-            let is_new = rails.iter().all(|other| other.end().distance(rail.end()) > SAME_M);
-            if is_new && !(keeps_road && rail.0.iter().step_by(ROAD_STRIDE).any(|(point, _)| !is_on_road(*point))) {
-                rails.push(rail);
-            }
-        }
-        Some(Self { state, extents, rails, dt_s: scene.dt_s, n_steps })
-    }
-
-    /// The drive along one of its rails with this acceleration, until it may brake.
-    pub(super) fn drive(&self, rail: usize, acceleration_mps2: f64, brake: Option<Brake>) -> Drive {
-        let (mut driven_m, mut speed_mps, step_s) = (0.0, self.state.speed_mps(), self.dt_s / N_STEPS as f64);
-        let mut motion = Vec::with_capacity(self.n_steps);
-        for step in 0..self.n_steps * N_STEPS {
-            let braked_s = brake.map_or(0.0, |brake| (step as f64 * step_s - brake.from_s).max(0.0));
-            let pressed = (braked_s / PEDAL_S).min(1.0);
-            let least_mps2 = -brake.map_or(0.0, |brake| brake.deceleration_mps2);
-            let wanted_mps2 = acceleration_mps2 + (least_mps2 - acceleration_mps2) * pressed;
-            let then_mps = (speed_mps + wanted_mps2.max(-speed_mps / PEDAL_S) * step_s).max(0.0);
-            driven_m += f64::midpoint(speed_mps, then_mps) * step_s;
-            speed_mps = then_mps;
-            if step % N_STEPS == N_STEPS - 1 {
-                motion.push((driven_m, speed_mps));
-            }
-        }
-        let boxes = |extent: Extent| {
-            let footprint = |(driven_m, _): &(f64, f64)| {
-                let (center, along) = self.rails[rail].at(*driven_m);
-                let Extent { length_m, width_m } = extent;
-                Footprint::new(&OrientedBox { center, heading_rad: along.angle(), length_m, width_m })
-            };
-            motion.iter().map(footprint).collect()
-        };
-        let [outer, inner] = self.extents.map(boxes);
-        Drive {
-            effort: effort(acceleration_mps2),
-            speeds_mps: motion.iter().map(|(_, mps)| *mps).collect(),
-            outer,
-            inner,
-        }
-    }
-
-    /// Its positions on a drive: at present, and at each timestep after it.
-    pub(super) fn positions(&self, rail: usize, drive: &Drive) -> Vec<Vec2> {
-        let start = self.rails[rail].at(0.0).0;
-        std::iter::once(start).chain(drive.outer.iter().map(|footprint| footprint.center)).collect()
-    }
-}
-
-impl Rail {
-    fn new(way: &Way, reach_m: f64) -> Option<Self> {
-        let n_places = (reach_m / SPACING_M).ceil() as usize + 2;
-        let places: Option<Vec<(Vec2, Vec2)>> = (0..n_places).map(|i| way.place(i as f64 * SPACING_M)).collect();
-        places.map(Self)
-    }
-
-    fn end(&self) -> Vec2 {
-        self.0[self.0.len() - 1].0
-    }
-
-    fn at(&self, driven_m: f64) -> (Vec2, Vec2) {
-        let before = ((driven_m / SPACING_M) as usize).min(self.0.len() - 2);
-        let share = driven_m / SPACING_M - before as f64;
-        let ((from, along), (to, then_along)) = (self.0[before], self.0[before + 1]);
-        (from.lerp(to, share), along.lerp(then_along, share))
-    }
-}
-
 impl Drive {
+    /// The drive along one of an agent's rails at this pace. `extents` are its box and the inner part of it.
+    pub(super) fn new(driver: &Driver, rail: usize, pace: &Pace, extents: [Extent; 2]) -> Self {
+        let progress = driver.progress(pace);
+        let [outer, inner] = extents.map(|extent| driver.boxes(rail, &progress.driven_m, extent));
+        Self { effort: pace.effort(), driven_m: progress.driven_m, speeds_mps: progress.speeds_mps, outer, inner }
+    }
+
     /// Its velocity at a step.
     pub(super) fn velocity(&self, step: usize) -> Vec2 {
         self.outer[step].forward * self.speeds_mps[step]

@@ -3,18 +3,19 @@
 mod body;
 mod config;
 mod drive;
-mod feasible;
 mod plan;
+#[cfg(test)]
+mod plan_tests;
 
 pub use config::NearMissConfig;
 
 use self::body::Body;
+use super::maneuver::{Maneuver, plans};
 use super::sweep::Sweep;
 use super::time_to_collision::time_to_collision_s;
-use super::{Behavior, BehaviorEvent, EventLabel, Outcome, Template};
+use super::{Behavior, BehaviorEvent, EventLabel, Outcome};
 use crate::geometry::angle_difference;
 use crate::scene::{AgentClass, Scene};
-use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 /// Name of the behavior in configs and tables.
@@ -201,22 +202,17 @@ impl Behavior for NearMiss {
         (pair[0] < pair[1]).then(|| pair.to_vec())
     }
 
+    /// Those that were planned, and tried.
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        agents.try_into().map_or_else(|_| Vec::new(), |pair| self.outcomes(scene, pair))
+        plans(self, scene, agents).into_iter().map(|plan| plan.outcome).collect()
     }
 
     fn template_parameters(&self) -> &'static [&'static str] {
         &["min_ttc_s", "pet_s", "heading_difference_rad"]
     }
 
-    fn template(
-        &self,
-        scene: &Scene,
-        agents: &[usize],
-        wanted: &BTreeMap<String, [f64; 2]>,
-        variant: usize,
-    ) -> Option<Template> {
-        self.solved(scene, agents.try_into().ok()?, wanted, variant)
+    fn maneuvers(&self, scene: &Scene, agents: &[usize]) -> Vec<Maneuver> {
+        agents.try_into().map_or_else(|_| Vec::new(), |pair| self.drafts(scene, pair))
     }
 
     fn needs_sizes(&self) -> bool {

@@ -2,54 +2,35 @@
 
 use super::NearMiss;
 use super::body::{FOLLOWING_RAD, extents};
-use super::drive::{Brake, Drive, Driver, ORDINARY_MPS2};
+use super::drive::Drive;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::outcome::Outcome;
-use crate::behavior::template::Template;
+use crate::behavior::maneuver::{Driver, Maneuver, ORDINARY_MPS2, Pace};
+use crate::behavior::template::follows;
 use crate::behavior::time_to_collision::time_to_collision_s;
-use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
-use crate::geometry::Vec2;
-use crate::scene::{Scene, State};
-use std::collections::BTreeMap;
+use crate::scene::{Extent, Scene, State};
 
 /// The times to collision at which one brakes, and how hard, seconds and m/s².
 const BRAKES_AT_S: [f64; 5] = [0.6, 0.8, 1.0, 1.2, 1.4];
 const BRAKES_MPS2: [f64; 2] = [5.0, 7.0];
-/// Nobody accelerates harder in any direction, m/s²: who turns off at present does not go on around a roundabout, nor fast around a bend.
-const MOST_MPS2: f64 = 8.0;
 /// Nobody brakes sooner after the present, seconds.
 const SOONEST_S: f64 = 0.3;
 /// By so much a time to collision is shorter than it would have to be, since who is driven there does so by other means, seconds.
 const SPARE_S: f64 = 0.1;
 /// How far apart the boxes stay, meters: of who brakes, and of those who cross.
 const APART_M: f64 = 0.4;
-/// So many plans are kept of those in which the same one brakes as late, or of those in which nobody does, and so many are tried for it.
-const N_ALIKE: usize = 4;
-const N_TRIED: usize = 8;
+/// The kind of those in which nobody brakes; the others are of a kind where the same one, the first or the second, brakes so many timesteps before
+/// they would meet.
+const NOBODY_BRAKES: [usize; 2] = [2, 0];
 /// Every so many timesteps it is looked whether somebody is in the way.
 const STRIDE: usize = 2;
-
-/// What two come to, and where they are from the present on, a position a timestep.
-pub(super) struct Plan {
-    pub(super) outcome: Outcome,
-    positions: [Vec<Vec2>; 2],
-}
-
-/// A plan that was not tried yet. Plans of one kind are alike.
-struct Draft {
-    kind: Kind,
-    effort: f64,
-    positions: [Vec<Vec2>; 2],
-}
-
-/// Whether one of the two, the first or the second, brakes so many timesteps before they would meet.
-type Kind = Option<(usize, usize)>;
 
 /// A pair as the past and the map tell it.
 struct Search<'a> {
     behavior: &'a NearMiss,
     drivers: [Driver; 2],
+    /// Of each the box, and the inner part of it.
+    extents: [[Extent; 2]; 2],
     /// Everybody else who may be in the way of each of the two: their boxes if they go straight on, a list for each timestep.
     others: [Vec<Vec<Footprint>>; 2],
     dt_s: f64,
@@ -64,81 +45,31 @@ struct Course {
 }
 
 impl NearMiss {
-    /// The near misses that two can still come to, the easiest first: one brakes hard, at a time to collision that is then the least
-    /// (`min_ttc_s`), or nobody has to, and one is shortly after the other where they cross (`pet_s`). Until then they accelerate with half of -4
-    /// to 2.5 m/s² at most, and nobody else is in the way. Each was tried: were the two alone, the event would be found.
-    pub(super) fn plans(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Plan> {
+    /// How two may still come to a near miss: one brakes hard, at a time to collision that is then the least (`min_ttc_s`), or nobody has to,
+    /// and one is shortly after the other where they cross (`pet_s`). Until then they accelerate with half of -4 to 2.5 m/s² at most, and nobody
+    /// else is in the way.
+    pub(super) fn drafts(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
         let config = self.config();
         let takes_part = |agent_idx: &usize| {
             let track = &scene.tracks[*agent_idx];
             config.agents.admits(track.class) && (!config.recorded_sizes || track.extent.is_some())
         };
-        if !agents.iter().all(takes_part) {
-            return Vec::new();
-        }
-        let Some(search) = Search::new(self, scene, agents) else { return Vec::new() };
-        let alone = Scene { tracks: agents.map(|agent_idx| scene.tracks[agent_idx].clone()).into(), ..scene.clone() };
-        let mut drafts = search.drafts();
-        drafts.sort_by(|a, b| a.effort.total_cmp(&b.effort));
-        let mut n_alike: BTreeMap<Kind, [usize; 2]> = BTreeMap::new();
-        let tried = drafts.into_iter().filter_map(|draft| {
-            let [n_tried, n_found] = n_alike.entry(draft.kind).or_default();
-            if *n_tried == N_TRIED || *n_found == N_ALIKE {
-                return None;
-            }
-            *n_tried += 1;
-            let plan = self.tried(&alone, draft)?;
-            *n_found += 1;
-            Some(plan)
-        });
-        tried.collect()
-    }
-
-    /// The plan that a draft is for two who are `alone`; `None` where no near miss comes of it after all.
-    fn tried(&self, alone: &Scene, draft: Draft) -> Option<Plan> {
-        let mut plan = Plan { outcome: Outcome::default().at_effort(draft.effort), positions: draft.positions };
-        let mut driven = alone.clone();
-        let template = plan.template(alone, [0, 1]).filter(|template| template.is_within(alone, MOST_MPS2))?;
-        template.apply(&mut driven);
-        // One that is over at present is none that they come to.
-        let is_meant =
-            |event: &BehaviorEvent| event.label == EventLabel::Positive && event.end_timestep >= alone.n_history;
-        let event = self.detect(&driven).into_iter().find(is_meant)?;
-        for name in [if draft.kind.is_some() { "min_ttc_s" } else { "pet_s" }, "heading_difference_rad"] {
-            plan.outcome = plan.outcome.with(name, event.parameters.get(name).copied());
-        }
-        Some(plan)
-    }
-}
-
-impl Plan {
-    /// How both drive. `None` where one of them cannot.
-    pub(super) fn template(&self, scene: &Scene, agents: [usize; 2]) -> Option<Template> {
-        agents.into_iter().zip(&self.positions).try_fold(Template::empty(), |template, (agent_idx, positions)| {
-            template.with(scene, agent_idx, |elapsed_s| {
-                let step = elapsed_s / scene.dt_s;
-                let before = (step as usize).min(positions.len() - 1);
-                let after = (before + 1).min(positions.len() - 1);
-                Some(positions[before].lerp(positions[after], step - before as f64))
-            })
-        })
+        let search = agents.iter().all(takes_part).then(|| Search::new(self, scene, agents)).flatten();
+        search.map_or_else(Vec::new, |search| search.drafts())
     }
 }
 
 impl<'a> Search<'a> {
     fn new(behavior: &'a NearMiss, scene: &Scene, agents: [usize; 2]) -> Option<Self> {
         let lanes = SceneLanes::new(&scene.lanes);
-        let driver = |agent_idx: usize| {
-            let extents = extents(&scene.tracks[agent_idx], behavior.config());
-            Driver::new(scene, &lanes, agent_idx, extents)
-        };
-        let [first, second] = agents.map(driver);
+        let [first, second] = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
         let drivers = [first?, second?];
         let others = [&drivers[0], &drivers[1]].map(|driver| others(scene, agents, driver));
-        Some(Self { behavior, drivers, others, dt_s: scene.dt_s })
+        let extents = agents.map(|agent_idx| extents(&scene.tracks[agent_idx], behavior.config()));
+        Some(Self { behavior, drivers, extents, others, dt_s: scene.dt_s })
     }
 
-    fn drafts(&self) -> Vec<Draft> {
+    fn drafts(&self) -> Vec<Maneuver> {
         let courses = [0, 1].map(|who| -> Vec<Course> {
             let rails = 0..self.drivers[who].rails.len();
             let tried = rails.flat_map(|rail| ORDINARY_MPS2.map(|acceleration_mps2| (rail, acceleration_mps2)));
@@ -159,8 +90,10 @@ impl<'a> Search<'a> {
         drafts
     }
 
-    fn course(&self, who: usize, rail: usize, acceleration_mps2: f64, brake: Option<Brake>) -> Course {
-        let drive = self.drivers[who].drive(rail, acceleration_mps2, brake);
+    fn course(&self, who: usize, rail: usize, acceleration_mps2: f64, brake: Option<(f64, f64)>) -> Course {
+        let pace = Pace::steady(acceleration_mps2);
+        let pace = brake.into_iter().fold(pace, |pace, (from_s, mps2)| pace.then(from_s, -mps2));
+        let drive = Drive::new(&self.drivers[who], rail, &pace, self.extents[who]);
         let steps = (0..drive.outer.len()).step_by(STRIDE);
         let is_blocked = |step: &usize| self.others[who][*step].iter().any(|other| other.overlaps(&drive.outer[*step]));
         let clear = steps.into_iter().find(is_blocked).unwrap_or(drive.outer.len());
@@ -169,7 +102,7 @@ impl<'a> Search<'a> {
 
     /// Two who would meet at `meets`, of whom one brakes at a time to collision of `at_s`, so that they do not. `None` where that is not urgent,
     /// or does not help.
-    fn avoided(&self, courses: [&Course; 2], meets: usize, evader: usize, at_s: f64) -> Option<Draft> {
+    fn avoided(&self, courses: [&Course; 2], meets: usize, evader: usize, at_s: f64) -> Option<Maneuver> {
         let (own, other) = (courses[evader], courses[1 - evader]);
         let n_before = (at_s / self.dt_s).round() as usize;
         let begins = meets.checked_sub(n_before)?;
@@ -185,16 +118,15 @@ impl<'a> Search<'a> {
             return None;
         }
         BRAKES_MPS2.into_iter().find_map(|deceleration_mps2| {
-            let brake = Some(Brake { from_s, deceleration_mps2 });
-            let braked = self.course(evader, own.rail, own.acceleration_mps2, brake);
+            let braked = self.course(evader, own.rail, own.acceleration_mps2, Some((from_s, deceleration_mps2)));
             let helps = braked.clear == braked.drive.outer.len() && braked.drive.keeps(&other.drive, APART_M);
             let pair = if evader == 0 { [&braked, other] } else { [other, &braked] };
-            helps.then(|| self.draft(Some((evader, n_before)), pair))
+            helps.then(|| self.draft([evader, n_before], &["min_ttc_s", "heading_difference_rad"], pair))
         })
     }
 
     /// Two who cross shortly after each other. `None` where they do not.
-    fn crossed(&self, courses: [&Course; 2]) -> Option<Draft> {
+    fn crossed(&self, courses: [&Course; 2]) -> Option<Maneuver> {
         let config = self.behavior.config();
         let [one, other] = courses.map(|course| &course.drive);
         let n_steps = one.outer.len();
@@ -210,26 +142,23 @@ impl<'a> Search<'a> {
                 && one.inner[t].overlaps(&other.inner[u])
         };
         let is_crossed = (1..=most_delay).any(|delay| pairs(delay).any(crosses));
-        (is_crossed && one.keeps(other, APART_M)).then(|| self.draft(None, courses))
+        let parameters = &["pet_s", "heading_difference_rad"];
+        (is_crossed && one.keeps(other, APART_M)).then(|| self.draft(NOBODY_BRAKES, parameters, courses))
     }
 
-    fn draft(&self, kind: Kind, courses: [&Course; 2]) -> Draft {
-        let positions = |who: usize| self.drivers[who].positions(courses[who].rail, &courses[who].drive);
+    fn draft(&self, kind: [usize; 2], parameters: &'static [&'static str], courses: [&Course; 2]) -> Maneuver {
+        let positions = |who: usize| self.drivers[who].positions(courses[who].rail, &courses[who].drive.driven_m);
         let effort = courses[0].drive.effort.max(courses[1].drive.effort);
-        Draft { kind, effort, positions: [0, 1].map(positions) }
+        Maneuver { kind, effort, parameters, in_the_way: None, positions: [0, 1].map(positions).into() }
     }
 }
 
 /// The boxes of everybody else at each timestep after the present, if they go straight on. Who drives behind `driver` reacts to it.
 fn others(scene: &Scene, agents: [usize; 2], driver: &Driver) -> Vec<Vec<Footprint>> {
     let now = &driver.state;
-    let forward = Vec2::from_angle(now.heading_rad);
-    let is_behind = |state: &State| {
-        (state.position - now.position).dot(forward) < 0.0 && Vec2::from_angle(state.heading_rad).dot(forward) > 0.0
-    };
     let tracks = scene.tracks.iter().enumerate().filter(|(idx, _)| !agents.contains(idx));
     let present = tracks.filter_map(|(_, track)| Some((track, *track.trajectory.get(scene.current_timestep())?)));
-    let in_the_way: Vec<_> = present.filter(|(_, state)| state.is_finite() && !is_behind(state)).collect();
+    let in_the_way: Vec<_> = present.filter(|(_, state)| state.is_finite() && !follows(state, now)).collect();
     let at = |step: usize| {
         let elapsed_s = step as f64 * scene.dt_s;
         let boxes = in_the_way.iter().map(|(track, state)| {

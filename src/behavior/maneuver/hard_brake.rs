@@ -1,0 +1,47 @@
+//! Braking hard along the lane: how hard, when and for how long.
+
+use super::{Driver, Maneuver, Pace};
+use crate::behavior::hard_brake::HardBrake;
+use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::template::InTheWay;
+use crate::scene::Scene;
+
+/// What is added to the least deceleration: it is pressed up and smoothed, and never lasts as long as it is asked for. And the hardest that is tried, m/s².
+const MORE_MPS2: [f64; 4] = [0.5, 1.25, 2.25, 3.25];
+const HARDEST_MPS2: f64 = 7.75;
+/// When it may begin, and how long it may last, seconds; who is slow stands sooner.
+const BEGINS_S: [f64; 4] = [0.4, 0.9, 1.4, 1.9];
+const LASTS_S: [f64; 3] = [0.9, 1.5, 2.5];
+
+impl HardBrake {
+    /// Brakings of an agent that goes on at its speed until then.
+    pub(in crate::behavior) fn brakings(&self, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
+        let config = self.config();
+        let driver = config.agents.admits(scene.tracks[agent_idx].class).then(|| SceneLanes::new(&scene.lanes));
+        let driver = driver.and_then(|lanes| Driver::new(scene, &lanes, agent_idx));
+        let Some(driver) = driver.filter(|driver| driver.state.speed_mps() >= config.min_speed_mps) else {
+            return Vec::new();
+        };
+        let mut maneuvers = Vec::new();
+        for (i, more_mps2) in MORE_MPS2.into_iter().enumerate() {
+            let deceleration_mps2 = config.min_deceleration_mps2 + more_mps2;
+            if deceleration_mps2 > config.max_deceleration_mps2.min(HARDEST_MPS2) {
+                continue;
+            }
+            for (rail, from_s) in (0..driver.rails.len()).flat_map(|rail| BEGINS_S.map(|from_s| (rail, from_s))) {
+                for lasts_s in LASTS_S {
+                    let pace = Pace::steady(0.0).then(from_s, -deceleration_mps2).then(from_s + lasts_s, 0.0);
+                    let positions = vec![driver.positions(rail, &driver.progress(&pace).driven_m)];
+                    maneuvers.push(Maneuver {
+                        kind: [i, (from_s * 10.0) as usize],
+                        effort: deceleration_mps2 / HARDEST_MPS2,
+                        parameters: &["max_deceleration_mps2"],
+                        in_the_way: Some(InTheWay::Ahead),
+                        positions,
+                    });
+                }
+            }
+        }
+        maneuvers
+    }
+}

@@ -1,0 +1,170 @@
+//! How could agents drive to show a behavior? Maneuvers along the lanes are drawn up, and tried by the behavior's own miner before one becomes a
+//! template.
+//!
+//! One behavior a file; those of the near miss are in its own folder, and the cut-in, whose templates are solved directly, has none.
+
+mod collision;
+mod cut_out;
+mod driver;
+mod hard_brake;
+mod moving_over;
+mod pedestrian_steps_out;
+mod tailgating;
+#[cfg(test)]
+mod tests;
+mod turn;
+
+pub(super) use driver::{Driver, ORDINARY_MPS2, Pace};
+pub(super) use turn::maneuvers as turn_maneuvers;
+
+use super::lane_relation::SceneLanes;
+use super::outcome::Outcome;
+use super::template::{InTheWay, Template};
+use super::{Behavior, BehaviorEvent, EventLabel};
+use crate::geometry::Vec2;
+use crate::scene::Scene;
+use std::collections::BTreeMap;
+
+/// So many maneuvers of a kind are kept, and so many are tried for it.
+const N_ALIKE: usize = 4;
+const N_TRIED: usize = 8;
+/// Values within this of each other are the same.
+const SAME: f64 = 1e-9;
+/// The share of all plans by which one variant is ahead of the one before: by the golden ratio, so that few variants are spread over all plans.
+const STRIDE: f64 = 0.618;
+
+/// How those who take part in an event might drive. Nothing says yet that the event comes of it.
+#[derive(Debug, Clone)]
+pub struct Maneuver {
+    /// Those of a kind are much alike.
+    pub(super) kind: [usize; 2],
+    /// The share of the limits of driving that it takes.
+    pub(super) effort: f64,
+    /// The parameters of the event that are its outcome.
+    pub(super) parameters: &'static [&'static str],
+    /// Who else may be in the way; `None` where it is known that nobody is.
+    pub(super) in_the_way: Option<InTheWay>,
+    /// Where each of those who take part is, in the order of the roles: at present, and at each timestep after it.
+    pub(super) positions: Vec<Vec<Vec2>>,
+}
+
+/// A maneuver of which the event comes, and what it comes to.
+#[derive(Debug, Clone)]
+pub(super) struct Plan {
+    pub(super) outcome: Outcome,
+    positions: Vec<Vec<Vec2>>,
+}
+
+/// The plans by which `agents` show `behavior`, the easiest first: maneuvers in which nobody leaves the road, accelerates too hard or runs into others who
+/// go straight on, and of which the miner finds the event where the agents are alone.
+pub(super) fn plans(behavior: &(impl Behavior + ?Sized), scene: &Scene, agents: &[usize]) -> Vec<Plan> {
+    let mut maneuvers = behavior.maneuvers(scene, agents);
+    if maneuvers.is_empty() {
+        return Vec::new();
+    }
+    maneuvers.sort_by(|a, b| a.effort.total_cmp(&b.effort));
+    let tracks = agents.iter().map(|agent_idx| scene.tracks[*agent_idx].clone()).collect();
+    let trial = Trial { scene, agents, lanes: SceneLanes::new(&scene.lanes), alone: Scene { tracks, ..scene.clone() } };
+    let mut n_alike: BTreeMap<[usize; 2], [usize; 2]> = BTreeMap::new();
+    let tried = maneuvers.into_iter().filter_map(|maneuver| {
+        let [n_tried, n_found] = n_alike.entry(maneuver.kind).or_default();
+        if *n_tried == N_TRIED || *n_found == N_ALIKE {
+            return None;
+        }
+        *n_tried += 1;
+        let plan = trial.plan(behavior, maneuver)?;
+        *n_found += 1;
+        Some(plan)
+    });
+    tried.collect()
+}
+
+/// How `agents` drive so that every parameter of the outcome that is `wanted` lies in its range: as in the plan that is in the middle of all
+/// ranges, where there is one, else as in the `variant`-th of those that do, counted around. `None` where none does.
+pub(super) fn template(
+    behavior: &(impl Behavior + ?Sized),
+    scene: &Scene,
+    agents: &[usize],
+    wanted: &BTreeMap<String, [f64; 2]>,
+    variant: usize,
+) -> Option<Template> {
+    let mut plans = plans(behavior, scene, agents);
+    let beside = |plan: &Plan, most: &dyn Fn(f64) -> f64| {
+        wanted.iter().all(|(name, [least, greatest])| {
+            let (middle, half) = (f64::midpoint(*least, *greatest), (greatest - least) / 2.0);
+            plan.outcome.get(name).is_some_and(|value| (value - middle).abs() <= most(half))
+        })
+    };
+    let meant = plans.iter().position(|plan| !wanted.is_empty() && beside(plan, &|_| SAME));
+    if let Some(plan) = meant {
+        return plans.swap_remove(plan).template(scene, agents);
+    }
+    plans.retain(|plan| beside(plan, &|half| half));
+    plans.get(spread(variant, plans.len()))?.template(scene, agents)
+}
+
+/// Of `n` in a row the `variant`-th: each once before any comes again, and the first few all over the row.
+pub(super) fn spread(variant: usize, n: usize) -> usize {
+    let divides = |a: usize, b: usize| {
+        let (mut a, mut b) = (a, b);
+        while b > 0 {
+            (a, b) = (b, a % b);
+        }
+        a
+    };
+    let nearest = (n as f64 * STRIDE) as usize;
+    let stride = (1..=nearest).rev().find(|stride| divides(*stride, n) == 1).unwrap_or(1);
+    if n == 0 { 0 } else { variant % n * stride % n }
+}
+
+/// Where maneuvers are tried.
+struct Trial<'a> {
+    scene: &'a Scene,
+    agents: &'a [usize],
+    lanes: SceneLanes<'a>,
+    /// The scene with nobody else in it.
+    alone: Scene,
+}
+
+impl Trial<'_> {
+    /// The plan that a maneuver is; `None` where no event comes of it after all.
+    fn plan(&self, behavior: &(impl Behavior + ?Sized), maneuver: Maneuver) -> Option<Plan> {
+        let mut plan = Plan { outcome: Outcome::default().at_effort(maneuver.effort), positions: maneuver.positions };
+        let alone = &self.alone;
+        let among_all = plan.template(self.scene, self.agents)?;
+        let is_possible = among_all.is_drivable(self.scene)
+            && among_all.keeps_road(self.scene, &self.lanes)
+            && maneuver.in_the_way.is_none_or(|who| among_all.is_clear(self.scene, who));
+        if !is_possible {
+            return None;
+        }
+        let mut driven = alone.clone();
+        let own: Vec<usize> = (0..alone.tracks.len()).collect();
+        plan.template(alone, &own)?.apply(&mut driven);
+        // One that is over at present is none that they come to.
+        let is_meant = |event: &BehaviorEvent| {
+            event.label == EventLabel::Positive
+                && event.end_timestep >= alone.n_history
+                && event.roles.tracks().eq(alone.tracks.iter().map(|track| &track.id))
+        };
+        let event = behavior.detect(&driven).into_iter().find(is_meant)?;
+        for name in maneuver.parameters {
+            plan.outcome = plan.outcome.with(name, event.parameters.get(*name).copied());
+        }
+        Some(plan)
+    }
+}
+
+impl Plan {
+    /// How all of them drive. `None` where one of them cannot.
+    fn template(&self, scene: &Scene, agents: &[usize]) -> Option<Template> {
+        agents.iter().zip(&self.positions).try_fold(Template::empty(), |template, (agent_idx, positions)| {
+            template.with(scene, *agent_idx, |elapsed_s| {
+                let step = elapsed_s / scene.dt_s;
+                let before = (step as usize).min(positions.len() - 1);
+                let after = (before + 1).min(positions.len() - 1);
+                Some(positions[before].lerp(positions[after], step - before as f64))
+            })
+        })
+    }
+}

@@ -1,0 +1,93 @@
+//! Moving over from one lane to the lane beside it.
+
+use super::{Driver, Maneuver, Pace};
+use crate::behavior::feasible::effort;
+use crate::behavior::kept_lane::KeptLane;
+use crate::behavior::lane_change::LaneChange;
+use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::template::{InTheWay, QUINTIC_PEAK, quintic};
+use crate::geometry::{Vec2, angle_difference};
+use crate::scene::Scene;
+use std::f64::consts::FRAC_PI_4;
+
+/// A vehicle is in a lane that leads its way but for this angle, radians.
+const ALONG_RAD: f64 = FRAC_PI_4;
+/// Nobody moves over at less than this, m/s.
+const LEAST_SPEED_MPS: f64 = 2.0;
+/// When one may begin to move over, and how long it may take, seconds.
+const BEGINS_S: [f64; 3] = [0.0, 0.5, 1.0];
+const TAKES_S: [f64; 3] = [2.4, 3.0, 3.8];
+/// None takes more across, m/s².
+const MOST_ACROSS_MPS2: f64 = 3.0;
+/// How the agent goes on meanwhile, m/s².
+const ALONG_MPS2: [f64; 3] = [0.0, 0.8, -1.0];
+
+/// One way to move over.
+pub(super) struct MovingOver {
+    /// To which side: 1 for the left, -1 for the right.
+    pub(super) side: f64,
+    /// When the center is midway, seconds after the present.
+    pub(super) midway_s: f64,
+    /// The share of the limits of driving that it takes.
+    pub(super) effort: f64,
+    /// Positions at present and at each timestep after it.
+    pub(super) positions: Vec<Vec2>,
+}
+
+/// The ways in which an agent could move over to a lane beside its own. Empty where it is in none, or too slow.
+pub(super) fn ways_over(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Vec<MovingOver> {
+    let Some(driver) = Driver::new(scene, lanes, agent_idx) else { return Vec::new() };
+    let now = driver.state;
+    if now.speed_mps() < LEAST_SPEED_MPS {
+        return Vec::new();
+    }
+    let is_along = |heading_rad: f64| angle_difference(heading_rad, now.heading_rad).abs() < ALONG_RAD;
+    let own = lanes.lanes_at(now.position).filter(|(_, place)| is_along(place.heading_rad));
+    let mut beside: Vec<_> = own.flat_map(|(own, _)| lanes.beside(own, now.position)).collect();
+    beside.sort_by_key(|(lane, side)| (lane.lane.id, *side > 0.0));
+    beside.dedup_by_key(|(lane, side)| (lane.lane.id, *side > 0.0));
+    let mut found = Vec::new();
+    for (lane, side) in beside {
+        let target = KeptLane::from_lane(lanes, lane);
+        let Some(aside_m) = target.project(now.position).map(|place| place.offset_m.abs()) else { continue };
+        for along_mps2 in ALONG_MPS2 {
+            let driven_m = driver.progress(&Pace::steady(along_mps2)).driven_m;
+            for rail in 0..driver.rails.len() {
+                let on_own = driver.positions(rail, &driven_m);
+                let on_target: Option<Vec<Vec2>> =
+                    on_own.iter().map(|at| target.point_at(target.project(*at)?.station_m)).collect();
+                let Some(on_target) = on_target else { continue };
+                for (begins_s, takes_s) in BEGINS_S.iter().flat_map(|b| TAKES_S.map(|t| (*b, t))) {
+                    let across_mps2 = QUINTIC_PEAK * aside_m / (takes_s * takes_s);
+                    if across_mps2 > MOST_ACROSS_MPS2 {
+                        continue;
+                    }
+                    let share = |step: usize| quintic((step as f64 * scene.dt_s - begins_s) / takes_s);
+                    let both = on_own.iter().zip(&on_target).enumerate();
+                    let positions = both.map(|(step, (own, there))| own.lerp(*there, share(step))).collect();
+                    let effort = effort(along_mps2).max(across_mps2 / MOST_ACROSS_MPS2);
+                    found.push(MovingOver { side, midway_s: begins_s + takes_s / 2.0, effort, positions });
+                }
+            }
+        }
+    }
+    found
+}
+
+impl LaneChange {
+    /// The ways in which an agent could move over in time.
+    pub(in crate::behavior) fn changes(&self, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
+        if !self.config().agents.admits(scene.tracks[agent_idx].class) {
+            return Vec::new();
+        }
+        let ways = ways_over(scene, &SceneLanes::new(&scene.lanes), agent_idx).into_iter();
+        let maneuver = |way: MovingOver| Maneuver {
+            kind: [usize::from(way.side > 0.0), (way.midway_s * 10.0) as usize],
+            effort: way.effort,
+            parameters: &["side"],
+            in_the_way: Some(InTheWay::Everybody),
+            positions: vec![way.positions],
+        };
+        ways.map(maneuver).collect()
+    }
+}

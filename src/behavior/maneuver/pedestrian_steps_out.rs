@@ -1,0 +1,76 @@
+//! Stepping out: somebody on foot walks across to the lane of a vehicle, which brakes.
+
+use super::{Driver, Maneuver, Pace};
+use crate::behavior::AgentFilter;
+use crate::behavior::feasible::effort;
+use crate::behavior::following::Follower;
+use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::pedestrian_steps_out::PedestrianStepsOut;
+use crate::behavior::template::InTheWay;
+use crate::geometry::Vec2;
+use crate::scene::Scene;
+
+/// How fast people walk across, m/s, within how long they walk, and when they begin, seconds.
+const WALKS_MPS: [f64; 4] = [1.0, 1.4, 1.8, 2.3];
+const STARTING_S: f64 = 0.6;
+const BEGINS_S: [f64; 6] = [0.0, 0.4, 0.8, 1.2, 1.6, 2.0];
+/// So far inside of the lane they are seen, meters.
+const INSIDE_M: f64 = 0.1;
+/// How the vehicle goes on until then, m/s², and so long after it brakes, seconds, and so hard, m/s².
+const EGO_MPS2: [f64; 3] = [0.0, 1.0, -1.0];
+const REACTION_S: f64 = 0.4;
+const BRAKES_MPS2: [f64; 4] = [0.0, 3.0, 5.0, 7.0];
+
+impl PedestrianStepsOut {
+    /// How the pedestrian could walk straight across the lane, ahead of a vehicle that brakes for it as gently as it can.
+    pub(in crate::behavior) fn steps_across(&self, scene: &Scene, pair: [usize; 2]) -> Vec<Maneuver> {
+        self.across(scene, pair).unwrap_or_default()
+    }
+
+    fn across(&self, scene: &Scene, [ego_idx, walker_idx]: [usize; 2]) -> Option<Vec<Maneuver>> {
+        let (config, lanes) = (self.config(), SceneLanes::new(&scene.lanes));
+        let is_possible = scene.tracks[ego_idx].class.is_motorized()
+            && self.is_beside_road(scene, &lanes, walker_idx, scene.n_history);
+        let ego = is_possible.then(|| Follower::as_observed(scene, &lanes, AgentFilter::Motorized, ego_idx))??;
+        let present = scene.current_timestep();
+        let (own, theirs) = (ego.state_in_lane(ego_idx, present)?, scene.state(walker_idx, present)?);
+        let (place, there) = (ego.lane.project(own.position)?, ego.lane.project(theirs.position)?);
+        let side = if there.offset_m < 0.0 { -1.0 } else { 1.0 };
+        let toward = Vec2::from_angle(there.heading_rad).rotated(-side * std::f64::consts::FRAC_PI_2);
+        let to_lane_m = ego.lane.beyond_m(theirs.position, side)? + INSIDE_M;
+        let half_m = |idx: usize| scene.tracks[idx].extent_or_nominal().length_m / 2.0;
+        let gap_m = there.station_m - place.station_m - half_m(ego_idx) - half_m(walker_idx);
+        let driver = Driver::new(scene, &lanes, ego_idx)?;
+        let n_steps = scene.n_timesteps - scene.n_history;
+        let mut maneuvers = Vec::new();
+        for (i, walks_mps) in WALKS_MPS.into_iter().enumerate() {
+            for begins_s in BEGINS_S {
+                // It gets to its speed evenly.
+                let walked_m = |elapsed_s: f64| {
+                    let since_s = (elapsed_s - begins_s).max(0.0);
+                    let starting_s = since_s.min(STARTING_S);
+                    walks_mps * (starting_s * starting_s / (2.0 * STARTING_S) + since_s - starting_s)
+                };
+                let seen_s = begins_s + STARTING_S / 2.0 + to_lane_m / walks_mps;
+                let walked: Vec<Vec2> =
+                    (0..=n_steps).map(|step| theirs.position + toward * walked_m(step as f64 * scene.dt_s)).collect();
+                for own_mps2 in EGO_MPS2 {
+                    let at_speed = |mps2: f64| Pace::steady(own_mps2).then(seen_s + REACTION_S, -mps2);
+                    let stops = |pace: &Pace| driver.progress(pace).driven_m.iter().all(|driven_m| *driven_m < gap_m);
+                    let Some(pace) = BRAKES_MPS2.into_iter().map(at_speed).find(stops) else { continue };
+                    let driven_m = driver.progress(&pace).driven_m;
+                    for rail in 0..driver.rails.len() {
+                        maneuvers.push(Maneuver {
+                            kind: [i, (begins_s * 10.0) as usize],
+                            effort: effort(own_mps2).max(walks_mps / config.max_pedestrian_mps),
+                            parameters: &["time_to_arrival_s", "gap_m", "ego_speed_mps", "side"],
+                            in_the_way: Some(InTheWay::Ahead),
+                            positions: vec![driver.positions(rail, &driven_m), walked.clone()],
+                        });
+                    }
+                }
+            }
+        }
+        Some(maneuvers)
+    }
+}

@@ -1,0 +1,135 @@
+//! Maneuvers of all behaviors against their miners.
+
+use super::spread;
+use crate::behavior::testing::{fork, going_on, two_lanes};
+use crate::behavior::{BehaviorConfig, EventLabel};
+use crate::geometry::Vec2;
+use crate::scene::testing::Drive;
+use crate::scene::{AgentClass, LaneGraph, Scene, State, Trajectory};
+use std::collections::{BTreeMap, BTreeSet};
+
+fn drive(x: f64, y: f64, speed_mps: f64) -> Drive {
+    Drive::straight(x, y, 0.0, speed_mps)
+}
+
+/// Of each behavior a scene in which the agents can show it, in the order of the roles.
+fn possible() -> Vec<(&'static str, Scene, Vec<usize>)> {
+    let alone = || vec![drive(0.0, 0.0, 10.0)];
+    let mut beside_the_road = going_on(&[drive(0.0, 0.0, 10.0), drive(32.0, -3.0, 0.0)], two_lanes());
+    beside_the_road.tracks[1].class = AgentClass::Pedestrian;
+    beside_the_road.tracks[1].extent = None;
+    let crossing = [drive(0.0, 0.0, 8.0), Drive::straight(20.0, -20.0, std::f64::consts::FRAC_PI_2, 8.0)];
+    vec![
+        ("hard_brake", going_on(&alone(), LaneGraph::default()), vec![0]),
+        ("lane_change", going_on(&alone(), two_lanes()), vec![0]),
+        ("left_turn", going_on(&[drive(8.0, 0.0, 7.0)], fork()), vec![0]),
+        ("tailgating", going_on(&[drive(0.0, 0.0, 11.0), drive(17.0, 0.0, 10.0)], two_lanes()), vec![0, 1]),
+        ("collision", going_on(&crossing, LaneGraph::default()), vec![0, 1]),
+        (
+            "cut_out",
+            going_on(&[drive(0.0, 0.0, 12.0), drive(58.0, 0.0, 0.0), drive(15.0, 0.0, 12.0)], two_lanes()),
+            vec![0, 1, 2],
+        ),
+        ("pedestrian_steps_out", beside_the_road, vec![0, 1]),
+    ]
+}
+
+#[test]
+fn the_miner_finds_what_templates_were_made_for_and_as_it_was_wanted() {
+    for (id, scene, agents) in possible() {
+        let behavior = BehaviorConfig::from_id(id).unwrap().build();
+        let plans = super::plans(&*behavior, &scene, &agents);
+        assert!(!plans.is_empty(), "{id}: nothing is planned");
+        assert!(plans.windows(2).all(|pair| pair[0].outcome.effort() <= pair[1].outcome.effort()), "{id}");
+        for plan in &plans {
+            let named = behavior.template_parameters().iter();
+            let wanted: BTreeMap<String, [f64; 2]> = named
+                .filter_map(|name| Some(((*name).to_owned(), plan.outcome.get(name)?)))
+                .map(|(name, value)| (name, [value - 1e-6, value + 1e-6]))
+                .collect();
+            assert!(!wanted.is_empty(), "{id}: {plan:?}");
+            let template = behavior.template(&scene, &agents, &wanted, 3).unwrap();
+            assert_eq!(template.agents().collect::<Vec<_>>(), agents, "{id}");
+            let mut changed = scene.clone();
+            template.apply(&mut changed);
+            let tracks = agents.iter().map(|agent_idx| &scene.tracks[*agent_idx].id);
+            let is_meant = |event: &crate::behavior::BehaviorEvent| {
+                event.label == EventLabel::Positive && event.roles.tracks().eq(tracks.clone())
+            };
+            let event = behavior.detect(&changed).into_iter().find(is_meant).unwrap_or_else(|| panic!("{id}: nothing"));
+            for (name, [least, most]) in &wanted {
+                assert!(
+                    (least..=most).contains(&&event.parameters[name]),
+                    "{id}: {name} of {event:?}, wanted {wanted:?}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn who_cannot_show_a_behavior_has_no_template() {
+    let impossible = [
+        ("hard_brake", going_on(&[drive(0.0, 0.0, 2.0)], LaneGraph::default()), vec![0]),
+        ("lane_change", going_on(&[drive(0.0, 0.0, 10.0)], LaneGraph::default()), vec![0]),
+        // Somebody drives beside.
+        ("lane_change", going_on(&[drive(0.0, 0.0, 10.0), drive(0.0, 3.5, 10.0)], two_lanes()), vec![0]),
+        ("left_turn", going_on(&[drive(8.0, 0.0, 22.0)], fork()), vec![0]),
+        ("right_turn", going_on(&[drive(8.0, 0.0, 7.0)], fork()), vec![0]),
+        ("tailgating", going_on(&[drive(0.0, 0.0, 5.0), drive(17.0, 0.0, 5.0)], two_lanes()), vec![0, 1]),
+        ("collision", going_on(&[drive(0.0, 0.0, 10.0), drive(60.0, 0.0, 20.0)], LaneGraph::default()), vec![0, 1]),
+        ("pedestrian_steps_out", going_on(&[drive(0.0, 0.0, 10.0), drive(32.0, -3.0, 0.0)], two_lanes()), vec![0, 1]),
+        ("cut_in_paper", going_on(&[drive(0.0, 0.0, 10.0), drive(12.0, 3.5, 10.0)], two_lanes()), vec![0, 1]),
+    ];
+    for (id, scene, agents) in impossible {
+        let behavior = BehaviorConfig::from_id(id).unwrap().build();
+        assert_eq!(behavior.template(&scene, &agents, &BTreeMap::new(), 0), None, "{id}");
+    }
+}
+
+#[test]
+fn the_recorded_future_is_not_looked_at() {
+    for (id, scene, agents) in possible() {
+        let mut unknown = scene.clone();
+        for track in &mut unknown.tracks {
+            let known = |(t, state): (usize, &Option<State>)| state.filter(|_| t < scene.n_history);
+            track.trajectory = Trajectory::new(track.trajectory.entries().iter().enumerate().map(known).collect());
+        }
+        let behavior = BehaviorConfig::from_id(id).unwrap().build();
+        let template = |scene: &Scene| behavior.template(scene, &agents, &BTreeMap::new(), 1);
+        assert_eq!(template(&scene), template(&unknown), "{id}");
+    }
+}
+
+#[test]
+fn templates_stay_on_the_road_and_within_what_vehicles_can() {
+    for (id, scene, agents) in possible().into_iter().filter(|(id, ..)| *id != "collision") {
+        let behavior = BehaviorConfig::from_id(id).unwrap().build();
+        for variant in 0..5 {
+            let mut changed = scene.clone();
+            behavior.template(&scene, &agents, &BTreeMap::new(), variant).unwrap().apply(&mut changed);
+            for agent_idx in &agents {
+                let states = changed.tracks[*agent_idx].trajectory.entries();
+                let velocities: Vec<Vec2> = states.iter().flatten().map(|state| state.velocity).collect();
+                let hardest = velocities.windows(2).map(|pair| (pair[1] - pair[0]).norm() / scene.dt_s);
+                let hardest = hardest.fold(0.0, f64::max);
+                assert!(hardest < 8.0f64.hypot(4.5), "{id}: {hardest} m/s²");
+                let farthest = states.iter().flatten().map(|state| state.position.y).fold(0.0, f64::max);
+                assert!(["left_turn", "pedestrian_steps_out"].contains(&id) || farthest < 5.3, "{id}: {farthest} m beside");
+            }
+        }
+    }
+}
+
+#[test]
+fn variants_are_spread_over_all_and_come_back_after_them() {
+    for n in 1..60 {
+        let all: BTreeSet<usize> = (0..n).map(|variant| spread(variant, n)).collect();
+        assert_eq!(all.len(), n);
+        assert_eq!((spread(0, n), spread(n, n)), (0, 0));
+    }
+    let first: Vec<usize> = (0..4).map(|variant| spread(variant, 40)).collect();
+    let nearest = first.iter().flat_map(|a| first.iter().map(|b| a.abs_diff(*b))).filter(|gap| *gap > 0).min();
+    assert!(nearest.is_some_and(|gap| gap >= 5), "{first:?}");
+    assert_eq!(spread(7, 0), 0);
+}
