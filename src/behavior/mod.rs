@@ -96,7 +96,7 @@ pub trait Behavior: Send + Sync {
         Vec::new()
     }
     /// A maneuver by which `agents`, in the order of the roles, come to an outcome whose parameters are as `wanted`, each from a least to a
-    /// most, told as outcomes are: the `variant`-th easiest, counted around. `None` where there is none.
+    /// most, told as outcomes are; another one for each `variant`, counted around. `None` where there is none.
     fn template(
         &self,
         scene: &Scene,

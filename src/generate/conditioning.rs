@@ -218,10 +218,13 @@ impl Generator<'_> {
     ) -> Vec<usize> {
         let Some(behavior) = self.behavior(sweep).filter(|_| sweep.uses_template()) else { return Vec::new() };
         let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
-        let solved = |target: &Target| behavior.template(recorded, &asked, target, sample_idx);
-        let Some(template) = solved(&cell.target(sample_idx)).or_else(|| solved(&Target::new())) else {
-            return Vec::new();
-        };
+        // How often the same was asked of the pair before.
+        let variant = sample_idx / cell.targets.len().max(1);
+        let target = cell.target(sample_idx);
+        let template = behavior.template(recorded, &asked, &target, variant);
+        // Anything rather than nothing.
+        let other = || (!target.is_empty()).then(|| behavior.template(recorded, &asked, &Target::new(), sample_idx))?;
+        let Some(template) = template.or_else(other) else { return Vec::new() };
         let performers = template.agents().collect();
         template.apply(scene);
         performers

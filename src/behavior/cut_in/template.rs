@@ -5,7 +5,7 @@ use super::CutIn;
 use super::feasible::{Pair, Plan};
 use crate::behavior::Outcome;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::maneuver::spread;
+use crate::behavior::maneuver::{is_as_wanted, spread};
 use crate::behavior::template::{InTheWay, QUINTIC_PEAK, Template, quintic, quintic_inverse};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
@@ -50,12 +50,7 @@ impl CutIn {
         wanted: &BTreeMap<String, [f64; 2]>,
         variant: usize,
     ) -> Option<Template> {
-        let is_wanted = |outcome: &Outcome| {
-            let is_in = |(name, [least, most]): (&String, &[f64; 2])| {
-                outcome.get(name).is_none_or(|value| (*least..=*most).contains(&value))
-            };
-            wanted.iter().all(is_in)
-        };
+        let is_wanted = |outcome: &Outcome| is_as_wanted(outcome, wanted);
         let mut ways = self.ways(scene, pair, is_wanted, STYLES[0])?;
         let n_ways = ways.len().max(1);
         if let Some(style) = STYLES.get(variant / n_ways % STYLES.len()).filter(|_| variant >= n_ways) {

@@ -28,8 +28,6 @@ use std::collections::BTreeMap;
 /// So many maneuvers of a kind are kept, and so many are tried for it.
 const N_ALIKE: usize = 4;
 const N_TRIED: usize = 8;
-/// Values within this of each other are the same.
-const SAME: f64 = 1e-9;
 /// The share of all plans by which one variant is ahead of the one before: by the golden ratio, so that few variants are spread over all plans.
 const STRIDE: f64 = 0.618;
 
@@ -79,8 +77,8 @@ pub(super) fn plans(behavior: &(impl Behavior + ?Sized), scene: &Scene, agents: 
     tried.collect()
 }
 
-/// How `agents` drive so that every parameter of the outcome that is `wanted` lies in its range: as in the plan that is in the middle of all
-/// ranges, where there is one, else as in the `variant`-th of those that do, counted around. `None` where none does.
+/// How `agents` drive so that every parameter of the outcome that is `wanted` lies in its range: the `variant`-th time differently, counted around. Those
+/// in the middle of the ranges come first. `None` where there is no such plan.
 pub(super) fn template(
     behavior: &(impl Behavior + ?Sized),
     scene: &Scene,
@@ -88,19 +86,25 @@ pub(super) fn template(
     wanted: &BTreeMap<String, [f64; 2]>,
     variant: usize,
 ) -> Option<Template> {
-    let mut plans = plans(behavior, scene, agents);
-    let beside = |plan: &Plan, most: &dyn Fn(f64) -> f64| {
-        wanted.iter().all(|(name, [least, greatest])| {
-            let (middle, half) = (f64::midpoint(*least, *greatest), (greatest - least) / 2.0);
-            plan.outcome.get(name).is_some_and(|value| (value - middle).abs() <= most(half))
-        })
+    // How far beside the middles, as a share of the way to the ends.
+    let beside = |plan: &Plan| {
+        let shares = wanted.iter().map(|(name, [least, most])| {
+            let (middle, half) = (f64::midpoint(*least, *most), (most - least) / 2.0);
+            plan.outcome.get(name).map(|value| (value - middle).abs() / half)
+        });
+        shares.sum::<Option<f64>>().filter(|_| is_as_wanted(&plan.outcome, wanted))
     };
-    let meant = plans.iter().position(|plan| !wanted.is_empty() && beside(plan, &|_| SAME));
-    if let Some(plan) = meant {
-        return plans.swap_remove(plan).template(scene, agents);
-    }
-    plans.retain(|plan| beside(plan, &|half| half));
-    plans.get(spread(variant, plans.len()))?.template(scene, agents)
+    let within = plans(behavior, scene, agents).into_iter().filter_map(|plan| Some((beside(&plan)?, plan)));
+    let mut within: Vec<(f64, Plan)> = within.collect();
+    within.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let n = within.len().max(1);
+    let chosen = if wanted.is_empty() { spread(variant, n) } else { variant % n };
+    within.get(chosen)?.1.template(scene, agents)
+}
+
+/// Whether every parameter that is wanted, and that the outcome names, lies in its range.
+pub(super) fn is_as_wanted(outcome: &Outcome, wanted: &BTreeMap<String, [f64; 2]>) -> bool {
+    wanted.iter().all(|(name, [least, most])| outcome.get(name).is_none_or(|value| (*least..=*most).contains(&value)))
 }
 
 /// Of `n` in a row the `variant`-th: each once before any comes again, and the first few all over the row.

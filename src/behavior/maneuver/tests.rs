@@ -115,7 +115,10 @@ fn templates_stay_on_the_road_and_within_what_vehicles_can() {
                 let hardest = hardest.fold(0.0, f64::max);
                 assert!(hardest < 8.0f64.hypot(4.5), "{id}: {hardest} m/s²");
                 let farthest = states.iter().flatten().map(|state| state.position.y).fold(0.0, f64::max);
-                assert!(["left_turn", "pedestrian_steps_out"].contains(&id) || farthest < 5.3, "{id}: {farthest} m beside");
+                assert!(
+                    ["left_turn", "pedestrian_steps_out"].contains(&id) || farthest < 5.3,
+                    "{id}: {farthest} m beside"
+                );
             }
         }
     }
