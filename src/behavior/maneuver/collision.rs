@@ -1,13 +1,16 @@
-//! Driving into each other: two who go on as drivers do until they meet, and brake then.
+//! Driving into each other: two who go on as drivers do, and perhaps drift aside, until they meet, and brake then.
 
-use super::{Driver, Maneuver, ORDINARY_MPS2, Pace};
+use super::{Driver, Maneuver, Pace};
 use crate::behavior::collision::{Collision, core_or_recorded};
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::template::InTheWay;
-use crate::geometry::{Vec2, angle_difference};
-use crate::scene::Scene;
+use crate::behavior::template::{InTheWay, quintic};
+use crate::geometry::{OrientedBox, Vec2, angle_difference};
+use crate::scene::{Extent, Scene};
 
+/// How the two go on, m/s², and how far they drift aside meanwhile, to the left, meters.
+const ACCELERATIONS_MPS2: [f64; 6] = [-3.0, -1.5, 0.0, 0.6, 1.25, 2.0];
+const DRIFTS_M: [f64; 3] = [0.0, 1.2, -1.2];
 /// How hard vehicles that have met come to a halt, m/s².
 const AFTERWARD_MPS2: f64 = 6.0;
 /// Maneuvers are alike whose relative speeds and angles differ by less than this, m/s and radians.
@@ -17,10 +20,11 @@ const ANGLE_SPACING_RAD: f64 = 0.5;
 /// A drive along a rail until the end of the scene.
 struct Course {
     rail: usize,
-    mps2: f64,
+    pace: Pace,
+    drift_m: f64,
     effort: f64,
+    positions: Vec<Vec2>,
     boxes: Vec<Footprint>,
-    speeds_mps: Vec<f64>,
 }
 
 impl Collision {
@@ -30,47 +34,71 @@ impl Collision {
         if !agents.iter().all(|idx| self.config().agents.admits(scene.tracks[*idx].class)) {
             return Vec::new();
         }
-        let [Some(one), Some(other)] = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx)) else {
-            return Vec::new();
-        };
+        let drivers = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
+        let [Some(one), Some(other)] = drivers else { return Vec::new() };
         let extents = agents.map(|agent_idx| core_or_recorded(&scene.tracks[agent_idx]));
         let (ones, others) = (courses(&one, extents[0]), courses(&other, extents[1]));
         let mut maneuvers = Vec::new();
         for (a, b) in ones.iter().flat_map(|a| others.iter().map(move |b| (a, b))) {
             let meets = a.boxes.iter().zip(&b.boxes).position(|(own, theirs)| own.overlaps(theirs));
             let Some(step) = meets else { continue };
-            let velocity = |course: &Course| course.boxes[step].forward * course.speeds_mps[step];
-            let relative_mps = (velocity(a) - velocity(b)).norm();
-            let angle = |forward: Vec2| forward.angle();
-            let turned_rad = angle_difference(angle(a.boxes[step].forward), angle(b.boxes[step].forward)).abs();
+            let relative_mps = (a.velocity(step, scene.dt_s) - b.velocity(step, scene.dt_s)).norm();
+            let [own_rad, their_rad] = [a, b].map(|course| course.boxes[step].forward.angle());
+            let turned_rad = angle_difference(own_rad, their_rad).abs();
             if relative_mps < self.config().min_relative_mps {
                 continue;
             }
             let from_s = (step + 1) as f64 * scene.dt_s;
-            let driven_m = |driver: &Driver, course: &Course| {
-                let pace = Pace::steady(course.mps2).then(from_s, -AFTERWARD_MPS2);
-                driver.positions(course.rail, &driver.progress(&pace).driven_m)
+            let stopping = |driver: &Driver, course: &Course| {
+                let pace = course.pace.clone().then(from_s, -AFTERWARD_MPS2);
+                drifting(driver, (course.rail, &pace, course.drift_m)).0
             };
             maneuvers.push(Maneuver {
                 kind: [(relative_mps / SPEED_SPACING_MPS) as usize, (turned_rad / ANGLE_SPACING_RAD) as usize],
                 effort: a.effort.max(b.effort),
                 parameters: &["relative_speed_mps", "heading_difference_rad", "bearing_rad"],
                 in_the_way: Some(InTheWay::Ahead),
-                positions: vec![driven_m(&one, a), driven_m(&other, b)],
+                positions: vec![stopping(&one, a), stopping(&other, b)],
             });
         }
         maneuvers
     }
 }
 
-/// Along each of its ways with each ordinary acceleration.
-fn courses(driver: &Driver, extent: crate::scene::Extent) -> Vec<Course> {
-    let tried = (0..driver.rails.len()).flat_map(|rail| ORDINARY_MPS2.map(|mps2| (rail, mps2)));
-    let course = |(rail, mps2): (usize, f64)| {
+impl Course {
+    /// Its velocity at a timestep after the present, m/s.
+    fn velocity(&self, step: usize, dt_s: f64) -> Vec2 {
+        (self.positions[step + 1] - self.positions[step]) * (1.0 / dt_s)
+    }
+}
+
+/// Along each of its ways with each acceleration and each drift.
+fn courses(driver: &Driver, extent: Extent) -> Vec<Course> {
+    let tried = (0..driver.rails.len()).flat_map(|rail| ACCELERATIONS_MPS2.map(|mps2| (rail, mps2)));
+    let tried = tried.flat_map(|(rail, mps2)| DRIFTS_M.map(|drift_m| (rail, mps2, drift_m)));
+    let course = |(rail, mps2, drift_m): (usize, f64, f64)| {
         let pace = Pace::steady(mps2);
-        let progress = driver.progress(&pace);
-        let boxes = driver.boxes(rail, &progress.driven_m, extent);
-        Course { rail, mps2, effort: pace.effort(), boxes, speeds_mps: progress.speeds_mps }
+        let (positions, boxes) = drifting(driver, (rail, &pace, drift_m));
+        let boxes = boxes.into_iter().map(|(center, heading_rad)| {
+            let Extent { length_m, width_m } = extent;
+            Footprint::new(&OrientedBox { center, heading_rad, length_m, width_m })
+        });
+        let effort = pace.effort().max(drift_m.abs() / 2.0);
+        Course { rail, drift_m, effort, positions, boxes: boxes.collect(), pace }
     };
     tried.map(course).collect()
+}
+
+/// Positions at present and at each timestep after it, and the poses at the latter, of who drifts aside to the end of the scene.
+fn drifting(driver: &Driver, (rail, pace, drift_m): (usize, &Pace, f64)) -> (Vec<Vec2>, Vec<(Vec2, f64)>) {
+    let driven_m = driver.progress(rail, pace).driven_m;
+    let n_steps = driven_m.len().max(1) as f64;
+    let aside = |step: usize, (at, along): (Vec2, Vec2)| {
+        at + Vec2::from_angle(along.angle()).rotated(std::f64::consts::FRAC_PI_2)
+            * (drift_m * quintic(step as f64 / n_steps))
+    };
+    let places = driver.places(rail, &driven_m);
+    let positions: Vec<Vec2> = places.iter().enumerate().map(|(step, place)| aside(step, *place)).collect();
+    let poses = positions.iter().zip(&places).skip(1).map(|(at, (_, along))| (*at, along.angle())).collect();
+    (positions, poses)
 }

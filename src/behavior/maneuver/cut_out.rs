@@ -4,14 +4,16 @@ use super::moving_over::ways_over;
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::cut_out::CutOut;
 use crate::behavior::feasible::effort;
-use crate::behavior::following::Follower;
+use crate::behavior::following::{Ahead, Follower};
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::template::InTheWay;
 use crate::scene::Scene;
 
 /// How the ego and the revealed vehicle go on, m/s².
-const EGO_MPS2: [f64; 3] = [0.0, 1.0, -1.0];
-const REVEALED_MPS2: [f64; 3] = [0.0, -1.0, -2.5];
+const EGO_MPS2: [f64; 4] = [0.0, 1.0, -1.0, 2.0];
+const REVEALED_MPS2: [f64; 4] = [0.0, -1.0, -2.0, -3.5];
+/// The leader is out of the lane about so long after it is midway, seconds.
+const REVEALED_AT_S: [f64; 3] = [0.0, 0.3, 0.6];
 /// So long after the leader is midway between the lanes the ego brakes, seconds, and so hard, m/s².
 const REACTION_S: f64 = 0.6;
 const BRAKES_MPS2: [f64; 3] = [2.0, 4.0, 6.0];
@@ -30,27 +32,42 @@ impl CutOut {
         let are_asked = [leader.agent_idx, next.agent_idx] == [leader_idx, revealed_idx];
         let ways = if are_asked { ways_over(scene, &lanes, leader_idx) } else { Vec::new() };
         let (ego, revealed) = (Driver::new(scene, &lanes, ego_idx)?, Driver::new(scene, &lanes, revealed_idx)?);
+        let rails = (0..ego.rails.len()).flat_map(|own| (0..revealed.rails.len()).map(move |theirs| (own, theirs)));
+        let paces = EGO_MPS2.iter().flat_map(|own| REVEALED_MPS2.map(|theirs| (*own, theirs)));
+        let tried: Vec<_> = rails.flat_map(|rails| paces.clone().map(move |paces| (rails, paces))).collect();
         let mut maneuvers = Vec::new();
         for way in &ways {
-            for (own_mps2, their_mps2) in EGO_MPS2.iter().flat_map(|own| REVEALED_MPS2.map(|theirs| (*own, theirs))) {
-                let theirs = revealed.progress(&Pace::steady(their_mps2)).driven_m;
+            for ((own_rail, their_rail), (own_mps2, their_mps2)) in &tried {
+                let theirs = revealed.progress(*their_rail, &Pace::steady(*their_mps2));
+                let coasting = ego.progress(*own_rail, &Pace::steady(*own_mps2));
+                let is_reached = REVEALED_AT_S.iter().any(|after_s| {
+                    let step = (((way.midway_s + after_s) / scene.dt_s) as usize).min(theirs.driven_m.len() - 1);
+                    self.is_reached(&Ahead {
+                        gap_m: next.gap_m + theirs.driven_m[step] - coasting.driven_m[step],
+                        own_mps: coasting.speeds_mps[step],
+                        their_mps: theirs.speeds_mps[step],
+                        ..next
+                    })
+                });
                 // The gap along the way is what both drive of it.
                 let keeps = |pace: &Pace| {
-                    let own = ego.progress(pace).driven_m;
-                    own.iter().zip(&theirs).all(|(own, theirs)| own - theirs < next.gap_m)
+                    let own = ego.progress(*own_rail, pace).driven_m;
+                    own.iter().zip(&theirs.driven_m).all(|(own, theirs)| own - theirs < next.gap_m)
                 };
-                let braking = |mps2: f64| Pace::steady(own_mps2).then(way.midway_s + REACTION_S, -mps2);
-                let Some(pace) = BRAKES_MPS2.into_iter().map(braking).find(keeps) else { continue };
-                let own = ego.progress(&pace).driven_m;
-                for (a, b) in (0..ego.rails.len()).flat_map(|a| (0..revealed.rails.len()).map(move |b| (a, b))) {
-                    maneuvers.push(Maneuver {
-                        kind: [usize::from(way.side > 0.0), (way.midway_s * 10.0) as usize],
-                        effort: way.effort.max(effort(own_mps2)).max(effort(their_mps2)),
-                        parameters: &["ttc_s", "gap_m", "relative_speed_mps", "side"],
-                        in_the_way: Some(InTheWay::Everybody),
-                        positions: vec![ego.positions(a, &own), revealed.positions(b, &theirs), way.positions.clone()],
-                    });
-                }
+                let braking = |mps2: f64| Pace::steady(*own_mps2).then(way.midway_s + REACTION_S, -mps2);
+                let pace = if is_reached { BRAKES_MPS2.into_iter().map(braking).find(keeps) } else { None };
+                let Some(pace) = pace else { continue };
+                maneuvers.push(Maneuver {
+                    kind: [usize::from(way.side > 0.0), (way.midway_s * 10.0) as usize],
+                    effort: way.effort.max(effort(*own_mps2)).max(effort(*their_mps2)),
+                    parameters: &["ttc_s", "gap_m", "relative_speed_mps", "side"],
+                    in_the_way: Some(InTheWay::Everybody),
+                    positions: vec![
+                        ego.positions(*own_rail, &ego.progress(*own_rail, &pace).driven_m),
+                        revealed.positions(*their_rail, &theirs.driven_m),
+                        way.positions.clone(),
+                    ],
+                });
             }
         }
         Some(maneuvers)

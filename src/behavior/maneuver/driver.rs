@@ -3,7 +3,7 @@
 use crate::behavior::feasible::{Way, effort, ways};
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::geometry::{OrientedBox, Vec2};
+use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::scene::{Extent, Scene, State};
 
 /// How drivers ordinarily accelerate, m/s²: with no more than half of what they could.
@@ -14,6 +14,12 @@ const SPACING_M: f64 = 0.5;
 const SAME_M: f64 = 1.0;
 /// How long a pedal takes to be pressed, and who brakes to come to a halt gently, seconds.
 const PEDAL_S: f64 = 0.3;
+/// What drivers accelerate across in a bend, how they brake for one, and how hard where they are late, m/s².
+const ACROSS_MPS2: f64 = 3.0;
+const EASES_MPS2: f64 = 2.0;
+const BRAKES_MPS2: f64 = 3.5;
+/// Bends are looked at over so many places on either side.
+const BEND_PLACES: usize = 4;
 /// Steps of a timestep in which speeds are summed up.
 const N_STEPS: usize = 5;
 
@@ -33,8 +39,13 @@ pub(in crate::behavior) struct Driver {
     n_steps: usize,
 }
 
-/// Positions and directions along a way, from the present place on.
-pub(in crate::behavior) struct Rail(Vec<(Vec2, Vec2)>);
+/// A way from the present place on.
+pub(in crate::behavior) struct Rail {
+    /// Positions and directions, evenly spaced.
+    places: Vec<(Vec2, Vec2)>,
+    /// The speed there that leaves time to brake for the bends ahead, m/s.
+    allowed_mps: Vec<f64>,
+}
 
 /// How far an agent has come, meters, and its speed, m/s, at each timestep after the present.
 pub(in crate::behavior) struct Progress {
@@ -84,13 +95,16 @@ impl Driver {
         Some(Self { state, rails, dt_s: scene.dt_s, n_steps })
     }
 
-    /// How far it gets at this pace. Who comes to a halt stands.
-    pub(in crate::behavior) fn progress(&self, pace: &Pace) -> Progress {
+    /// How far it gets along a rail at this pace. Who comes to a halt stands, and who is too fast for a bend brakes for it.
+    pub(in crate::behavior) fn progress(&self, rail: usize, pace: &Pace) -> Progress {
         let (mut driven_m, mut speed_mps, step_s) = (0.0, self.state.speed_mps(), self.dt_s / N_STEPS as f64);
         let mut progress =
             Progress { driven_m: Vec::with_capacity(self.n_steps), speeds_mps: Vec::with_capacity(self.n_steps) };
         for step in 0..self.n_steps * N_STEPS {
-            let then_mps = (speed_mps + pace.at(step as f64 * step_s).max(-speed_mps / PEDAL_S) * step_s).max(0.0);
+            let least_mps = speed_mps - BRAKES_MPS2 * step_s;
+            let allowed_mps = self.rails[rail].allowed_mps(driven_m).max(least_mps);
+            let wanted_mps2 = pace.at(step as f64 * step_s).max(-speed_mps / PEDAL_S);
+            let then_mps = (speed_mps + wanted_mps2 * step_s).min(allowed_mps).max(0.0);
             driven_m += f64::midpoint(speed_mps, then_mps) * step_s;
             speed_mps = then_mps;
             if step % N_STEPS == N_STEPS - 1 {
@@ -103,7 +117,12 @@ impl Driver {
 
     /// Its positions along a rail: at present, and at each timestep after it.
     pub(in crate::behavior) fn positions(&self, rail: usize, driven_m: &[f64]) -> Vec<Vec2> {
-        std::iter::once(&0.0).chain(driven_m).map(|driven_m| self.rails[rail].at(*driven_m).0).collect()
+        self.places(rail, driven_m).into_iter().map(|(at, _)| at).collect()
+    }
+
+    /// The same, with the direction of the way there.
+    pub(in crate::behavior) fn places(&self, rail: usize, driven_m: &[f64]) -> Vec<(Vec2, Vec2)> {
+        std::iter::once(&0.0).chain(driven_m).map(|driven_m| self.rails[rail].at(*driven_m)).collect()
     }
 
     /// The boxes of this size along a rail at each timestep after the present.
@@ -121,18 +140,43 @@ impl Rail {
     fn new(way: &Way, reach_m: f64) -> Option<Self> {
         let n_places = (reach_m / SPACING_M).ceil() as usize + 2;
         let places: Option<Vec<(Vec2, Vec2)>> = (0..n_places).map(|i| way.place(i as f64 * SPACING_M)).collect();
-        places.map(Self)
+        let places = places?;
+        let mut allowed_mps: Vec<f64> = (0..n_places).map(|i| bend_mps(&places, i)).collect();
+        for i in (1..n_places).rev() {
+            let before_mps = (allowed_mps[i].powi(2) + 2.0 * EASES_MPS2 * SPACING_M).sqrt();
+            allowed_mps[i - 1] = allowed_mps[i - 1].min(before_mps);
+        }
+        Some(Self { places, allowed_mps })
     }
 
     fn end(&self) -> Vec2 {
-        self.0[self.0.len() - 1].0
+        self.places[self.places.len() - 1].0
     }
 
     /// Where it is after so many meters, and its direction there.
-    pub(in crate::behavior) fn at(&self, driven_m: f64) -> (Vec2, Vec2) {
-        let before = ((driven_m / SPACING_M) as usize).min(self.0.len() - 2);
-        let share = driven_m / SPACING_M - before as f64;
-        let ((from, along), (to, then_along)) = (self.0[before], self.0[before + 1]);
+    fn at(&self, driven_m: f64) -> (Vec2, Vec2) {
+        let (before, share) = self.before(driven_m);
+        let ((from, along), (to, then_along)) = (self.places[before], self.places[before + 1]);
         (from.lerp(to, share), along.lerp(then_along, share))
     }
+
+    fn allowed_mps(&self, driven_m: f64) -> f64 {
+        let (before, share) = self.before(driven_m);
+        let (from, to) = (self.allowed_mps[before], self.allowed_mps[before + 1]);
+        from + (to - from) * share.clamp(0.0, 1.0)
+    }
+
+    /// The place before, and the share of the way to the next one.
+    fn before(&self, driven_m: f64) -> (usize, f64) {
+        let before = ((driven_m / SPACING_M) as usize).min(self.places.len() - 2);
+        (before, driven_m / SPACING_M - before as f64)
+    }
+}
+
+/// The speed at which a bend takes what drivers accelerate across, m/s: by the change of direction over some meters around a place.
+fn bend_mps(places: &[(Vec2, Vec2)], i: usize) -> f64 {
+    let (first, last) = (i.saturating_sub(BEND_PLACES), (i + BEND_PLACES).min(places.len() - 1));
+    let turned_rad = angle_difference(places[last].1.angle(), places[first].1.angle()).abs();
+    let curvature_1pm = turned_rad / ((last - first) as f64 * SPACING_M);
+    (ACROSS_MPS2 / curvature_1pm.max(f64::MIN_POSITIVE)).sqrt()
 }

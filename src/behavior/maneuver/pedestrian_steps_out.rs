@@ -54,20 +54,19 @@ impl PedestrianStepsOut {
                 let seen_s = begins_s + STARTING_S / 2.0 + to_lane_m / walks_mps;
                 let walked: Vec<Vec2> =
                     (0..=n_steps).map(|step| theirs.position + toward * walked_m(step as f64 * scene.dt_s)).collect();
-                for own_mps2 in EGO_MPS2 {
+                for (rail, own_mps2) in (0..driver.rails.len()).flat_map(|rail| EGO_MPS2.map(|mps2| (rail, mps2))) {
                     let at_speed = |mps2: f64| Pace::steady(own_mps2).then(seen_s + REACTION_S, -mps2);
-                    let stops = |pace: &Pace| driver.progress(pace).driven_m.iter().all(|driven_m| *driven_m < gap_m);
-                    let Some(pace) = BRAKES_MPS2.into_iter().map(at_speed).find(stops) else { continue };
-                    let driven_m = driver.progress(&pace).driven_m;
-                    for rail in 0..driver.rails.len() {
-                        maneuvers.push(Maneuver {
-                            kind: [i, (begins_s * 10.0) as usize],
-                            effort: effort(own_mps2).max(walks_mps / config.max_pedestrian_mps),
-                            parameters: &["time_to_arrival_s", "gap_m", "ego_speed_mps", "side"],
-                            in_the_way: Some(InTheWay::Ahead),
-                            positions: vec![driver.positions(rail, &driven_m), walked.clone()],
-                        });
-                    }
+                    let driven_m = |pace: Pace| driver.progress(rail, &pace).driven_m;
+                    let stops = |driven_m: &Vec<f64>| driven_m.iter().all(|driven_m| *driven_m < gap_m);
+                    let stopping = BRAKES_MPS2.into_iter().map(|mps2| driven_m(at_speed(mps2))).find(stops);
+                    let Some(driven_m) = stopping else { continue };
+                    maneuvers.push(Maneuver {
+                        kind: [i, (begins_s * 10.0) as usize],
+                        effort: effort(own_mps2).max(walks_mps / config.max_pedestrian_mps),
+                        parameters: &["time_to_arrival_s", "gap_m", "ego_speed_mps", "side"],
+                        in_the_way: Some(InTheWay::Ahead),
+                        positions: vec![driver.positions(rail, &driven_m), walked.clone()],
+                    });
                 }
             }
         }

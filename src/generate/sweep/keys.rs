@@ -83,7 +83,7 @@ pub(super) struct SweepKeys {
     edit: Option<EditConfig>,
     /// Whether those who take part in the event follow a template: a maneuver along the lanes that was solved for what the event shall be like
     /// and is observed to its end, while everybody else is sampled. Where none comes to a sample's target, it follows another; where there is
-    /// none at all, it is sampled freely. `cut_in` and `near_miss` have templates. Left out: no.
+    /// none at all, it is sampled freely. Every behavior but `cut_in_paper` has templates. Left out: no.
     #[serde(skip_serializing_if = "Option::is_none")]
     template: Option<bool>,
     /// Which samples become scenarios. Left out: all.
