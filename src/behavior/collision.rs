@@ -2,7 +2,7 @@
 
 use super::maneuver::Maneuver;
 use super::sweep::Sweep;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::angle_difference;
 use crate::scene::{AgentClass, Extent, Scene, Track};
 use schemars::JsonSchema;
@@ -110,10 +110,6 @@ impl Behavior for Collision {
     /// Events name the two in the order of tracks, and so must who asks for one.
     fn completed(&self, _scene: &Scene, pair: [usize; 2]) -> Option<Vec<usize>> {
         (pair[0] < pair[1]).then(|| pair.to_vec())
-    }
-
-    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        agents.try_into().map_or_else(|_| Vec::new(), |pair| self.outcomes(scene, pair))
     }
 
     fn template_parameters(&self) -> &'static [&'static str] {

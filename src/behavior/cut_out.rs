@@ -3,7 +3,7 @@
 use super::following::{Ahead, Follower};
 use super::lane_relation::SceneLanes;
 use super::maneuver::Maneuver;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use schemars::JsonSchema;
@@ -198,10 +198,6 @@ impl Behavior for CutOut {
         let ego = Follower::as_observed(scene, &lanes, self.config.agents, ego_idx)?;
         let [leader, next] = self.queue(&ego, scene.current_timestep())?;
         (next.agent_idx == revealed_idx).then(|| vec![ego_idx, revealed_idx, leader.agent_idx])
-    }
-
-    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        agents.try_into().map_or_else(|_| Vec::new(), |agents| self.outcomes(scene, agents).unwrap_or_default())
     }
 
     fn template_parameters(&self) -> &'static [&'static str] {

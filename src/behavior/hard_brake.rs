@@ -2,7 +2,7 @@
 
 use super::maneuver::Maneuver;
 use super::speed_profile::smoothed_accelerations_mps2;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
 use crate::scene::{Scene, Track};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -118,10 +118,6 @@ impl HardBrake {
 impl Behavior for HardBrake {
     fn id(&self) -> &'static str {
         ID
-    }
-
-    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        agents.first().map_or_else(Vec::new, |agent_idx| self.outcomes(scene, *agent_idx))
     }
 
     fn template_parameters(&self) -> &'static [&'static str] {

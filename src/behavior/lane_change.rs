@@ -3,7 +3,7 @@
 use super::lane_relation::SceneLanes;
 use super::lane_tracker::{LaneMove, LaneTrace};
 use super::maneuver::Maneuver;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::Scene;
 use schemars::JsonSchema;
@@ -152,10 +152,6 @@ impl LaneChange {
 impl Behavior for LaneChange {
     fn id(&self) -> &'static str {
         ID
-    }
-
-    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        agents.first().map_or_else(Vec::new, |agent_idx| self.outcomes(scene, *agent_idx))
     }
 
     fn template_parameters(&self) -> &'static [&'static str] {

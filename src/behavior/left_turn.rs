@@ -2,10 +2,9 @@
 
 pub(super) use super::turn::{PARAMETERS, ROLES};
 
-use super::feasible::turn_outcomes as outcomes;
 use super::maneuver::{Maneuver, turn_maneuvers};
 use super::turn::{TurnConfig, TurnSide, turns};
-use super::{Behavior, BehaviorEvent, Outcome};
+use super::{Behavior, BehaviorEvent};
 use crate::scene::Scene;
 
 /// Name of the behavior in configs and tables.
@@ -44,11 +43,6 @@ impl LeftTurn {
 impl Behavior for LeftTurn {
     fn id(&self) -> &'static str {
         ID
-    }
-
-    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        let outcomes = |agent_idx: &usize| outcomes(TurnSide::Left, &self.config, scene, *agent_idx);
-        agents.first().map_or_else(Vec::new, outcomes)
     }
 
     fn template_parameters(&self) -> &'static [&'static str] {

@@ -10,7 +10,6 @@ mod cut_in_paper;
 mod cut_out;
 pub(crate) mod driven_path;
 mod event;
-mod feasible;
 mod following;
 pub(crate) mod footprint;
 mod hard_brake;
@@ -20,6 +19,7 @@ mod lane_change;
 pub(crate) mod lane_relation;
 mod lane_tracker;
 mod left_turn;
+mod limits;
 mod maneuver;
 mod near_miss;
 mod outcome;
@@ -83,9 +83,12 @@ pub trait Behavior: Send + Sync {
         Some(pair.to_vec())
     }
     /// What `agents`, in the order of the roles, could still come to, told from what was observed and the map alone; empty where they
-    /// cannot show the behavior. Where nothing speaks against it, one outcome that names no parameter.
-    fn feasible(&self, _scene: &Scene, _agents: &[usize]) -> Vec<Outcome> {
-        vec![Outcome::default()]
+    /// cannot show the behavior: what its templates come to, and where it has none, one outcome that names no parameter.
+    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
+        match self.template_parameters() {
+            [] => vec![Outcome::default()],
+            _ => maneuver::outcomes(self, scene, agents),
+        }
     }
     /// The parameters of outcomes for which its templates are solved; none where it has no templates.
     fn template_parameters(&self) -> &'static [&'static str] {

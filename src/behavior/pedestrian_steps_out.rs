@@ -3,7 +3,7 @@
 use super::following::Follower;
 use super::lane_relation::SceneLanes;
 use super::maneuver::Maneuver;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::{AgentClass, Scene, State};
 use schemars::JsonSchema;
@@ -159,10 +159,6 @@ impl Behavior for PedestrianStepsOut {
 
     fn admits(&self, class: AgentClass) -> bool {
         class.is_motorized() || is_on_foot(class)
-    }
-
-    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        agents.try_into().map_or_else(|_| Vec::new(), |pair| self.outcomes(scene, pair).unwrap_or_default())
     }
 
     fn template_parameters(&self) -> &'static [&'static str] {

@@ -3,7 +3,7 @@
 use super::following::Follower;
 use super::lane_relation::SceneLanes;
 use super::maneuver::Maneuver;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome};
+use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
 use crate::scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -176,10 +176,6 @@ impl Tailgating {
 impl Behavior for Tailgating {
     fn id(&self) -> &'static str {
         ID
-    }
-
-    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        agents.try_into().map_or_else(|_| Vec::new(), |pair| self.outcomes(scene, pair))
     }
 
     fn template_parameters(&self) -> &'static [&'static str] {

@@ -2,9 +2,9 @@
 
 use super::CutIn;
 use super::template::STYLES;
-use crate::behavior::feasible::{ACCELERATIONS_MPS2, LATERAL_ACCELERATION_MPS2, effort, horizon_s};
 use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::limits::{ACCELERATIONS_MPS2, LATERAL_ACCELERATION_MPS2, effort, horizon_s};
 use crate::behavior::outcome::Outcome;
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, Track};

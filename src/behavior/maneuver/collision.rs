@@ -9,7 +9,7 @@ use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::scene::{Extent, Scene};
 
 /// How the two go on, m/s², and how far they drift aside meanwhile, to the left, meters.
-const ACCELERATIONS_MPS2: [f64; 6] = [-3.0, -1.5, 0.0, 0.6, 1.25, 2.0];
+const ACCELERATIONS_MPS2: [f64; 4] = [-2.5, -1.0, 0.0, 1.25];
 const DRIFTS_M: [f64; 3] = [0.0, 1.2, -1.2];
 /// How hard vehicles that have met come to a halt, m/s².
 const AFTERWARD_MPS2: f64 = 6.0;

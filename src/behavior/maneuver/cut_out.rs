@@ -3,9 +3,9 @@
 use super::moving_over::ways_over;
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::cut_out::CutOut;
-use crate::behavior::feasible::effort;
 use crate::behavior::following::{Ahead, Follower};
 use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::limits::effort;
 use crate::behavior::template::InTheWay;
 use crate::scene::Scene;
 

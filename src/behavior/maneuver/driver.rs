@@ -1,8 +1,9 @@
 //! An agent that goes on along one of its ways: evenly, until it may change its pace.
 
-use crate::behavior::feasible::{Way, effort, ways};
+use super::ways::{Way, ways};
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::limits::effort;
 use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::scene::{Extent, Scene, State};
 
@@ -29,6 +30,8 @@ pub(in crate::behavior) struct Pace {
     first_mps2: f64,
     /// Seconds after the present, and the acceleration to which a pedal is pressed then, m/s²; by ascending times.
     changes: Vec<(f64, f64)>,
+    /// How fast bends are driven beside what is ordinary.
+    briskness: f64,
 }
 
 /// An agent at present with the places that it can reach, on each way that the map leaves it.
@@ -56,7 +59,7 @@ pub(in crate::behavior) struct Progress {
 impl Pace {
     /// One acceleration all the time, m/s².
     pub(in crate::behavior) const fn steady(first_mps2: f64) -> Self {
-        Self { first_mps2, changes: Vec::new() }
+        Self { first_mps2, changes: Vec::new(), briskness: 1.0 }
     }
 
     /// Another one from so many seconds after the present on, later than all before.
@@ -64,6 +67,12 @@ impl Pace {
     pub(in crate::behavior) fn then(mut self, from_s: f64, acceleration_mps2: f64) -> Self {
         self.changes.push((from_s, acceleration_mps2));
         self
+    }
+
+    /// The same, with bends driven by so much faster than is ordinary: what is accelerated across grows with the square.
+    #[must_use]
+    pub(in crate::behavior) fn brisk(self, briskness: f64) -> Self {
+        Self { briskness, ..self }
     }
 
     /// The share of what driving allows that it takes at first.
@@ -102,7 +111,7 @@ impl Driver {
             Progress { driven_m: Vec::with_capacity(self.n_steps), speeds_mps: Vec::with_capacity(self.n_steps) };
         for step in 0..self.n_steps * N_STEPS {
             let least_mps = speed_mps - BRAKES_MPS2 * step_s;
-            let allowed_mps = self.rails[rail].allowed_mps(driven_m).max(least_mps);
+            let allowed_mps = (pace.briskness * self.rails[rail].allowed_mps(driven_m)).max(least_mps);
             let wanted_mps2 = pace.at(step as f64 * step_s).max(-speed_mps / PEDAL_S);
             let then_mps = (speed_mps + wanted_mps2 * step_s).min(allowed_mps).max(0.0);
             driven_m += f64::midpoint(speed_mps, then_mps) * step_s;

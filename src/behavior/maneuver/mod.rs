@@ -13,6 +13,7 @@ mod tailgating;
 #[cfg(test)]
 mod tests;
 mod turn;
+mod ways;
 
 pub(super) use driver::{Driver, ORDINARY_MPS2, Pace};
 pub(super) use turn::maneuvers as turn_maneuvers;
@@ -25,8 +26,9 @@ use crate::geometry::Vec2;
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
-/// So many maneuvers of a kind are kept, and so many are tried for it.
-const N_ALIKE: usize = 4;
+/// So many maneuvers of a kind are kept to tell what there is, and to choose from, and so many are tried for it.
+const N_TO_TELL: usize = 2;
+const N_TO_CHOOSE: usize = 4;
 const N_TRIED: usize = 8;
 /// The share of all plans by which one variant is ahead of the one before: by the golden ratio, so that few variants are spread over all plans.
 const STRIDE: f64 = 0.618;
@@ -55,7 +57,7 @@ pub(super) struct Plan {
 
 /// The plans by which `agents` show `behavior`, the easiest first: maneuvers in which nobody leaves the road, accelerates too hard or runs into others who
 /// go straight on, and of which the miner finds the event where the agents are alone.
-pub(super) fn plans(behavior: &(impl Behavior + ?Sized), scene: &Scene, agents: &[usize]) -> Vec<Plan> {
+fn plans(behavior: &(impl Behavior + ?Sized), scene: &Scene, agents: &[usize], n_alike: usize) -> Vec<Plan> {
     let mut maneuvers = behavior.maneuvers(scene, agents);
     if maneuvers.is_empty() {
         return Vec::new();
@@ -63,10 +65,10 @@ pub(super) fn plans(behavior: &(impl Behavior + ?Sized), scene: &Scene, agents: 
     maneuvers.sort_by(|a, b| a.effort.total_cmp(&b.effort));
     let tracks = agents.iter().map(|agent_idx| scene.tracks[*agent_idx].clone()).collect();
     let trial = Trial { scene, agents, lanes: SceneLanes::new(&scene.lanes), alone: Scene { tracks, ..scene.clone() } };
-    let mut n_alike: BTreeMap<[usize; 2], [usize; 2]> = BTreeMap::new();
+    let mut counts: BTreeMap<[usize; 2], [usize; 2]> = BTreeMap::new();
     let tried = maneuvers.into_iter().filter_map(|maneuver| {
-        let [n_tried, n_found] = n_alike.entry(maneuver.kind).or_default();
-        if *n_tried == N_TRIED || *n_found == N_ALIKE {
+        let [n_tried, n_found] = counts.entry(maneuver.kind).or_default();
+        if *n_tried == N_TRIED || *n_found == n_alike {
             return None;
         }
         *n_tried += 1;
@@ -75,6 +77,11 @@ pub(super) fn plans(behavior: &(impl Behavior + ?Sized), scene: &Scene, agents: 
         Some(plan)
     });
     tried.collect()
+}
+
+/// What the plans of `agents` come to.
+pub(super) fn outcomes(behavior: &(impl Behavior + ?Sized), scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
+    plans(behavior, scene, agents, N_TO_TELL).into_iter().map(|plan| plan.outcome).collect()
 }
 
 /// How `agents` drive so that every parameter of the outcome that is `wanted` lies in its range: the `variant`-th time differently, counted around. Those
@@ -94,7 +101,8 @@ pub(super) fn template(
         });
         shares.sum::<Option<f64>>().filter(|_| is_as_wanted(&plan.outcome, wanted))
     };
-    let within = plans(behavior, scene, agents).into_iter().filter_map(|plan| Some((beside(&plan)?, plan)));
+    let within =
+        plans(behavior, scene, agents, N_TO_CHOOSE).into_iter().filter_map(|plan| Some((beside(&plan)?, plan)));
     let mut within: Vec<(f64, Plan)> = within.collect();
     within.sort_by(|a, b| a.0.total_cmp(&b.0));
     let n = within.len().max(1);

@@ -1,10 +1,10 @@
 //! Moving over from one lane to the lane beside it.
 
 use super::{Driver, Maneuver, Pace};
-use crate::behavior::feasible::effort;
 use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::lane_change::LaneChange;
 use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::limits::effort;
 use crate::behavior::template::{InTheWay, QUINTIC_PEAK, quintic};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
@@ -81,7 +81,7 @@ impl LaneChange {
         }
         let ways = ways_over(scene, &SceneLanes::new(&scene.lanes), agent_idx).into_iter();
         let maneuver = |way: MovingOver| Maneuver {
-            kind: [usize::from(way.side > 0.0), (way.midway_s * 10.0) as usize],
+            kind: [usize::from(way.side > 0.0), (way.midway_s * 2.0) as usize],
             effort: way.effort,
             parameters: &["side"],
             in_the_way: Some(InTheWay::Everybody),

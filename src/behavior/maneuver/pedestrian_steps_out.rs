@@ -2,9 +2,9 @@
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::AgentFilter;
-use crate::behavior::feasible::effort;
 use crate::behavior::following::Follower;
 use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::limits::effort;
 use crate::behavior::pedestrian_steps_out::PedestrianStepsOut;
 use crate::behavior::template::InTheWay;
 use crate::geometry::Vec2;

@@ -1,9 +1,9 @@
 //! Closing in on the vehicle ahead, and staying close behind it.
 
 use super::{Driver, Maneuver, Pace};
-use crate::behavior::feasible::effort;
 use crate::behavior::following::{Ahead, Follower};
 use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::limits::effort;
 use crate::behavior::tailgating::Tailgating;
 use crate::behavior::template::InTheWay;
 use crate::scene::Scene;
@@ -45,7 +45,7 @@ impl Tailgating {
                     continue;
                 }
                 let maneuver = |own_rail: usize| Maneuver {
-                    kind: [(gap.to * 2.0) as usize, (gap.within * 10.0) as usize],
+                    kind: [(gap.to * 2.0) as usize, 0],
                     effort,
                     parameters: &["time_headway_s", "mean_speed_mps"],
                     in_the_way: Some(InTheWay::Ahead),

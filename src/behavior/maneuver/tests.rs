@@ -38,7 +38,7 @@ fn possible() -> Vec<(&'static str, Scene, Vec<usize>)> {
 fn the_miner_finds_what_templates_were_made_for_and_as_it_was_wanted() {
     for (id, scene, agents) in possible() {
         let behavior = BehaviorConfig::from_id(id).unwrap().build();
-        let plans = super::plans(&*behavior, &scene, &agents);
+        let plans = super::plans(&*behavior, &scene, &agents, 4);
         assert!(!plans.is_empty(), "{id}: nothing is planned");
         assert!(plans.windows(2).all(|pair| pair[0].outcome.effort() <= pair[1].outcome.effort()), "{id}");
         for plan in &plans {
@@ -84,6 +84,7 @@ fn who_cannot_show_a_behavior_has_no_template() {
     for (id, scene, agents) in impossible {
         let behavior = BehaviorConfig::from_id(id).unwrap().build();
         assert_eq!(behavior.template(&scene, &agents, &BTreeMap::new(), 0), None, "{id}");
+        assert_eq!(behavior.feasible(&scene, &agents).is_empty(), id != "cut_in_paper", "{id}");
     }
 }
 
@@ -98,6 +99,7 @@ fn the_recorded_future_is_not_looked_at() {
         let behavior = BehaviorConfig::from_id(id).unwrap().build();
         let template = |scene: &Scene| behavior.template(scene, &agents, &BTreeMap::new(), 1);
         assert_eq!(template(&scene), template(&unknown), "{id}");
+        assert_eq!(behavior.feasible(&scene, &agents), behavior.feasible(&unknown, &agents), "{id}");
     }
 }
 

@@ -1,8 +1,8 @@
 //! Turning where a lane turns: along it, as fast as the bend allows.
 
 use super::{Driver, Maneuver, Pace};
-use crate::behavior::feasible::effort;
 use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::limits::effort;
 use crate::behavior::template::InTheWay;
 use crate::behavior::turn::TurnConfig;
 use crate::scene::Scene;
@@ -10,17 +10,21 @@ use crate::scene::Scene;
 /// How drivers accelerate until they brake for the bend, m/s²; they brake harder than these where they must.
 const ACCELERATIONS_MPS2: [f64; 6] = [-2.0, -1.0, 0.0, 0.8, 1.6, 2.4];
 
+/// How fast they drive through it, beside what is ordinary.
+const BRISKNESS: [f64; 2] = [1.0, 1.15];
+
 /// The ways on from where an agent is; which of them turn is for the miner to say.
 pub(in crate::behavior) fn maneuvers(config: &TurnConfig, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
     let lanes = config.agents.admits(scene.tracks[agent_idx].class).then(|| SceneLanes::new(&scene.lanes));
     let Some(driver) = lanes.and_then(|lanes| Driver::new(scene, &lanes, agent_idx)) else { return Vec::new() };
     let tried = (0..driver.rails.len()).flat_map(|rail| ACCELERATIONS_MPS2.map(|mps2| (rail, mps2)));
-    let maneuver = |(rail, mps2): (usize, f64)| Maneuver {
-        kind: [rail, 0],
-        effort: effort(mps2),
+    let tried = tried.flat_map(|(rail, mps2)| BRISKNESS.map(|briskness| (rail, mps2, briskness)));
+    let maneuver = |(rail, mps2, briskness): (usize, f64, f64)| Maneuver {
+        kind: [rail, (10.0 * briskness) as usize],
+        effort: effort(mps2).max(briskness - 1.0),
         parameters: &["mean_speed_mps"],
         in_the_way: Some(InTheWay::Ahead),
-        positions: vec![driver.positions(rail, &driver.progress(rail, &Pace::steady(mps2)).driven_m)],
+        positions: vec![driver.positions(rail, &driver.progress(rail, &Pace::steady(mps2).brisk(briskness)).driven_m)],
     };
     tried.map(maneuver).collect()
 }

@@ -10,10 +10,10 @@ mod plan_tests;
 pub use config::NearMissConfig;
 
 use self::body::Body;
-use super::maneuver::{Maneuver, plans};
+use super::maneuver::Maneuver;
 use super::sweep::Sweep;
 use super::time_to_collision::time_to_collision_s;
-use super::{Behavior, BehaviorEvent, EventLabel, Outcome};
+use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::angle_difference;
 use crate::scene::{AgentClass, Scene};
 use std::ops::RangeInclusive;
@@ -200,11 +200,6 @@ impl Behavior for NearMiss {
     /// Events name the two in the order of tracks, and so must who asks for one.
     fn completed(&self, _scene: &Scene, pair: [usize; 2]) -> Option<Vec<usize>> {
         (pair[0] < pair[1]).then(|| pair.to_vec())
-    }
-
-    /// Those that were planned, and tried.
-    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        plans(self, scene, agents).into_iter().map(|plan| plan.outcome).collect()
     }
 
     fn template_parameters(&self) -> &'static [&'static str] {

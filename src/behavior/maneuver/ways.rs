@@ -13,15 +13,15 @@ const AHEAD_M: f64 = 150.0;
 const N_WAYS: usize = 12;
 
 /// A way, and the agent's place on it at present.
-pub(in crate::behavior) struct Way {
-    pub(super) line: Polyline,
-    pub(super) station_m: f64,
+pub(super) struct Way {
+    line: Polyline,
+    station_m: f64,
     offset_m: f64,
 }
 
 impl Way {
     /// Where the agent is after `driven_m` along the way, as far beside its line as now, and the direction of the way there.
-    pub(in crate::behavior) fn place(&self, driven_m: f64) -> Option<(Vec2, Vec2)> {
+    pub(super) fn place(&self, driven_m: f64) -> Option<(Vec2, Vec2)> {
         let on_line = self.line.point_at(self.station_m + driven_m)?;
         let along = Vec2::from_angle(self.line.project(on_line)?.heading_rad);
         Some((on_line + Vec2::new(-along.y, along.x) * self.offset_m, along))
@@ -29,7 +29,7 @@ impl Way {
 }
 
 /// The ways on from where an agent is: along the lanes that it is in, with every choice at a fork; straight on where it is in none.
-pub(in crate::behavior) fn ways(lanes: &SceneLanes<'_>, state: &State) -> Vec<Way> {
+pub(super) fn ways(lanes: &SceneLanes<'_>, state: &State) -> Vec<Way> {
     let own = lanes
         .lanes_at(state.position)
         .filter(|(_, place)| angle_difference(place.heading_rad, state.heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD);

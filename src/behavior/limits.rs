@@ -1,0 +1,19 @@
+//! What driving allows.
+
+use crate::scene::Scene;
+
+/// How hard vehicles may brake and accelerate, m/s².
+pub(super) const ACCELERATIONS_MPS2: std::ops::RangeInclusive<f64> = -4.0..=2.5;
+/// How hard they may accelerate across, m/s².
+pub(super) const LATERAL_ACCELERATION_MPS2: f64 = 2.0;
+
+/// The share of the limits that an acceleration takes.
+pub(super) fn effort(acceleration_mps2: f64) -> f64 {
+    let limit = if acceleration_mps2 < 0.0 { *ACCELERATIONS_MPS2.start() } else { *ACCELERATIONS_MPS2.end() };
+    acceleration_mps2 / limit
+}
+
+/// The time from the present to the end of a scene, seconds.
+pub(super) fn horizon_s(scene: &Scene) -> f64 {
+    scene.n_timesteps.saturating_sub(scene.n_history) as f64 * scene.dt_s
+}
