@@ -9,6 +9,10 @@ use crate::scene::{STANDING_STEP_M, Scene, State, Track, Trajectory};
 
 /// What a recorded motion has and a template does not, such as a drift across, fades within this time, seconds.
 const FADE_S: f64 = 1.0;
+/// Who is slower stands, m/s.
+const STANDING_MPS: f64 = 0.5;
+/// Templates are alike where agents are nearer to each other than this in the mean, meters.
+const ALIKE_M: f64 = 0.4;
 /// Passes of the filter that rounds the corners of center lines off.
 const N_ROUNDINGS: usize = 3;
 /// The most that vehicles accelerate along their way and across it, m/s².
@@ -56,8 +60,17 @@ impl Template {
         let drift = state.velocity - (soon - start) * (2.0 / scene.dt_s);
         let fading =
             |elapsed_s: f64| (missing + (drift + missing * (1.0 / FADE_S)) * elapsed_s) * (-elapsed_s / FADE_S).exp();
-        let times_s = (1..scene.n_timesteps - scene.current_timestep()).map(|step| step as f64 * scene.dt_s);
-        let positions: Option<Vec<Vec2>> = times_s.map(|t| Some(place(t)? + fading(t))).collect();
+        let speed_mps = state.speed_mps();
+        let (mut before, mut driven_m) = (start, 0.0);
+        let position = |step: usize| {
+            let (elapsed_s, at) = (step as f64 * scene.dt_s, place(step as f64 * scene.dt_s)?);
+            driven_m += at.distance(before);
+            before = at;
+            // Who comes to a halt does not slide on.
+            let moved_s = if speed_mps > STANDING_MPS { elapsed_s.min(driven_m / speed_mps) } else { elapsed_s };
+            Some(at + fading(moved_s))
+        };
+        let positions: Option<Vec<Vec2>> = (1..scene.n_timesteps - scene.current_timestep()).map(position).collect();
         let past = scene.tracks[agent_idx].trajectory.entries()[..=scene.current_timestep()].iter().flatten();
         let past: Vec<Vec2> = past.map(|state| state.position).collect();
         let states = states(state, scene.dt_s, &rounded(&past, positions?));
@@ -75,7 +88,7 @@ impl Template {
         let footprint = |motion: &Motion, step: usize| scene.tracks[motion.agent_idx].footprint(&motion.states[step]);
         let n_steps = self.motions.iter().map(|motion| motion.states.len()).min().unwrap_or(0);
         self.motions.iter().enumerate().all(|(i, motion)| {
-            (0..n_steps).step_by(STRIDE).all(|step| {
+            (0..n_steps).all(|step| {
                 let own = footprint(motion, step);
                 self.motions[..i].iter().all(|other| !own.overlaps(&footprint(other, step)))
             })
@@ -130,6 +143,15 @@ impl Template {
         })
     }
 
+    /// How far those who take part are from where they would be by another template of the same agents, meters: the mean over them and the future.
+    fn distance_m(&self, other: &Self) -> f64 {
+        let states = |template: &Self| -> Vec<Vec2> {
+            template.motions.iter().flat_map(|motion| &motion.states).map(|state| state.position).collect()
+        };
+        let (own, others) = (states(self), states(other));
+        own.iter().zip(&others).map(|(a, b)| a.distance(*b)).sum::<f64>() / own.len().max(1) as f64
+    }
+
     /// Puts it into a scene in the place of what was recorded.
     pub fn apply(self, scene: &mut Scene) {
         let n_kept = scene.current_timestep() + 1;
@@ -139,6 +161,17 @@ impl Template {
             *trajectory = Trajectory::new(kept.chain(states.into_iter().map(Some)).collect());
         }
     }
+}
+
+/// Those that are not much like one before.
+pub(super) fn distinct(templates: impl IntoIterator<Item = Template>) -> Vec<Template> {
+    let mut kept: Vec<Template> = Vec::new();
+    for template in templates {
+        if kept.iter().all(|other| template.distance_m(other) >= ALIKE_M) {
+            kept.push(template);
+        }
+    }
+    kept
 }
 
 /// Whether someone who is there drives behind `leader`, heading as it does.

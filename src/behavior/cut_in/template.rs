@@ -6,7 +6,7 @@ use super::feasible::{Pair, Plan};
 use crate::behavior::Outcome;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::maneuver::{is_as_wanted, spread};
-use crate::behavior::template::{InTheWay, QUINTIC_PEAK, Template, quintic, quintic_inverse};
+use crate::behavior::template::{InTheWay, QUINTIC_PEAK, Template, distinct, quintic, quintic_inverse};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::collections::BTreeMap;
@@ -41,8 +41,8 @@ const IN_PLACE_M: f64 = 0.5;
 const CHANGE_PEAK: f64 = 1.5;
 
 impl CutIn {
-    /// A way in which `other` cuts in before `ego` so that every parameter of the outcome that is `wanted` lies in its range: the `variant`-th
-    /// of them all, counted around, then the same in another style. `None` where there is none.
+    /// A way in which `other` cuts in before `ego` so that every parameter of the outcome that is `wanted` lies in its range: another one for each
+    /// `variant`, first of all those in one style, then in others, counted around. `None` where there is none.
     pub(super) fn solved(
         &self,
         scene: &Scene,
@@ -51,15 +51,20 @@ impl CutIn {
         variant: usize,
     ) -> Option<Template> {
         let is_wanted = |outcome: &Outcome| is_as_wanted(outcome, wanted);
-        let mut ways = self.ways(scene, pair, is_wanted, STYLES[0])?;
-        let n_ways = ways.len().max(1);
-        if let Some(style) = STYLES.get(variant / n_ways % STYLES.len()).filter(|_| variant >= n_ways) {
-            let styled = self.ways(scene, pair, is_wanted, *style)?;
-            ways = if styled.is_empty() { ways } else { styled };
+        let mut templates: Vec<Template> = Vec::new();
+        for style in STYLES {
+            let mut ways = self.ways(scene, pair, is_wanted, style)?;
+            ways.sort_by(|a, b| a.0.effort().total_cmp(&b.0.effort()));
+            // Those of one style first, each all over what there is.
+            let n = ways.len();
+            let order = (0..n).map(|i| ways[spread(i, n)].1.clone());
+            templates = distinct(templates.into_iter().chain(order));
+            if variant < templates.len() {
+                break;
+            }
         }
-        ways.sort_by(|a, b| a.0.effort().total_cmp(&b.0.effort()));
-        let variant = spread(variant, ways.len());
-        ways.into_iter().nth(variant).map(|(_, template)| template)
+        let n = templates.len().max(1);
+        templates.into_iter().nth(variant % n)
     }
 
     /// The ways in which `other` can cut in before `ego`, nobody being in the way, with what comes of each: those of the plans whose outcome

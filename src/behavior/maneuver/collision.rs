@@ -7,6 +7,7 @@ use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::template::{InTheWay, quintic};
 use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::scene::{Extent, Scene};
+use std::f64::consts::FRAC_PI_2;
 
 /// How the two go on, m/s², and how far they drift aside meanwhile, to the left, meters.
 const ACCELERATIONS_MPS2: [f64; 4] = [-2.5, -1.0, 0.0, 1.25];
@@ -89,13 +90,13 @@ fn courses(driver: &Driver, extent: Extent) -> Vec<Course> {
     tried.map(course).collect()
 }
 
-/// Positions at present and at each timestep after it, and the poses at the latter, of who drifts aside to the end of the scene.
+/// Positions at present and at each timestep after it, and the poses at the latter, of who drifts aside over the way that it drives without braking.
 fn drifting(driver: &Driver, (rail, pace, drift_m): (usize, &Pace, f64)) -> (Vec<Vec2>, Vec<(Vec2, f64)>) {
     let driven_m = driver.progress(rail, pace).driven_m;
-    let n_steps = driven_m.len().max(1) as f64;
+    let way_m = driver.progress(rail, &pace.unchanged()).driven_m.last().copied().unwrap_or_default().max(1.0);
     let aside = |step: usize, (at, along): (Vec2, Vec2)| {
-        at + Vec2::from_angle(along.angle()).rotated(std::f64::consts::FRAC_PI_2)
-            * (drift_m * quintic(step as f64 / n_steps))
+        let share = if step == 0 { 0.0 } else { quintic(driven_m[step - 1] / way_m) };
+        at + Vec2::from_angle(along.angle()).rotated(FRAC_PI_2) * (drift_m * share)
     };
     let places = driver.places(rail, &driven_m);
     let positions: Vec<Vec2> = places.iter().enumerate().map(|(step, place)| aside(step, *place)).collect();

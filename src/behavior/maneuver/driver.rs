@@ -69,6 +69,12 @@ impl Pace {
         self
     }
 
+    /// The same without its changes.
+    #[must_use]
+    pub(in crate::behavior) fn unchanged(&self) -> Self {
+        Self { changes: Vec::new(), ..self.clone() }
+    }
+
     /// The same, with bends driven by so much faster than is ordinary: what is accelerated across grows with the square.
     #[must_use]
     pub(in crate::behavior) fn brisk(self, briskness: f64) -> Self {

@@ -20,8 +20,8 @@ pub(super) use turn::maneuvers as turn_maneuvers;
 
 use super::lane_relation::SceneLanes;
 use super::outcome::Outcome;
-use super::template::{InTheWay, Template};
-use super::{Behavior, BehaviorEvent, EventLabel};
+use super::template::{InTheWay, Template, distinct};
+use super::{Behavior, BehaviorEntry, BehaviorEvent, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::Scene;
 use std::collections::BTreeMap;
@@ -64,7 +64,13 @@ fn plans(behavior: &(impl Behavior + ?Sized), scene: &Scene, agents: &[usize], n
     }
     maneuvers.sort_by(|a, b| a.effort.total_cmp(&b.effort));
     let tracks = agents.iter().map(|agent_idx| scene.tracks[*agent_idx].clone()).collect();
-    let trial = Trial { scene, agents, lanes: SceneLanes::new(&scene.lanes), alone: Scene { tracks, ..scene.clone() } };
+    let trial = Trial {
+        scene,
+        agents,
+        lanes: SceneLanes::new(&scene.lanes),
+        alone: Scene { tracks, ..scene.clone() },
+        touches: BehaviorEntry::is_collision(Some(behavior.id())),
+    };
     let mut counts: BTreeMap<[usize; 2], [usize; 2]> = BTreeMap::new();
     let tried = maneuvers.into_iter().filter_map(|maneuver| {
         let [n_tried, n_found] = counts.entry(maneuver.kind).or_default();
@@ -105,9 +111,10 @@ pub(super) fn template(
         plans(behavior, scene, agents, N_TO_CHOOSE).into_iter().filter_map(|plan| Some((beside(&plan)?, plan)));
     let mut within: Vec<(f64, Plan)> = within.collect();
     within.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let n = within.len().max(1);
+    let templates = distinct(within.iter().filter_map(|(_, plan)| plan.template(scene, agents)));
+    let n = templates.len().max(1);
     let chosen = if wanted.is_empty() { spread(variant, n) } else { variant % n };
-    within.get(chosen)?.1.template(scene, agents)
+    templates.into_iter().nth(chosen)
 }
 
 /// Whether every parameter that is wanted, and that the outcome names, lies in its range.
@@ -136,6 +143,8 @@ struct Trial<'a> {
     lanes: SceneLanes<'a>,
     /// The scene with nobody else in it.
     alone: Scene,
+    /// Whether those who take part are to touch.
+    touches: bool,
 }
 
 impl Trial<'_> {
@@ -146,6 +155,7 @@ impl Trial<'_> {
         let among_all = plan.template(self.scene, self.agents)?;
         let is_possible = among_all.is_drivable(self.scene)
             && among_all.keeps_road(self.scene, &self.lanes)
+            && (self.touches || among_all.keeps_apart(self.scene))
             && maneuver.in_the_way.is_none_or(|who| among_all.is_clear(self.scene, who));
         if !is_possible {
             return None;

@@ -41,7 +41,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        6
+        7
     }
 
     fn check(&self) -> Result<()> {
