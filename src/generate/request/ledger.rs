@@ -1,9 +1,14 @@
 //! What has come of a request so far? Counts by bucket, arm and cell, from the tallies of finished shards in order.
 
+use super::config::PlanKind;
 use super::resolve::ResolvedRequest;
 use super::rounds::Pool;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+
+/// A bucket is given up after so many samples in a row that aimed at it and of which none was accepted: if one in fifty were, one would have been, in 98 of
+/// 100 cases.
+const N_FRUITLESS: u64 = 200;
 
 /// The results of a finished shard of a request.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -101,6 +106,10 @@ pub struct Ledger {
     pub(super) room: Vec<u64>,
     pub(super) max_per_scene: u64,
     pub(super) accepted: Vec<u64>,
+    /// By bucket: samples that aimed at it since the last one that was accepted in it.
+    fruitless: Vec<u64>,
+    /// Whether buckets are given up at all.
+    gives_up: bool,
     /// Samples and evaluations spent while a bucket was not full.
     pub(super) spent_while_open: Vec<(u64, u64)>,
     pub(super) arms: Vec<ArmCounts>,
@@ -123,6 +132,8 @@ impl Ledger {
             room: (0..n_buckets).map(|bucket| max_per_scene.saturating_mul(pool.n_feasible(bucket) as u64)).collect(),
             max_per_scene,
             accepted: vec![0; n_buckets],
+            fruitless: vec![0; n_buckets],
+            gives_up: request.config.plan == PlanKind::Adaptive,
             spent_while_open: vec![(0, 0); n_buckets],
             arms: vec![counts.clone(); n_arms],
             first_round: vec![counts; n_arms],
@@ -146,9 +157,15 @@ impl Ledger {
             let Some(counts) = self.cells.get_mut(cell.cell) else { continue };
             counts.n_samples[tally.arm] += cell.n_samples;
             counts.next_sample = counts.next_sample.max(cell.next_sample);
+            if let Some(fruitless) = cell.aimed.and_then(|bucket| self.fruitless.get_mut(bucket)) {
+                *fruitless += cell.n_samples;
+            }
             for (bucket, hits) in cell.hits.iter().filter(|(bucket, _)| **bucket < self.wanted.len()) {
                 counts.hits.entry(*bucket).or_default().add(*hits);
                 self.accepted[*bucket] += hits.n_accepted;
+                if hits.n_accepted > 0 {
+                    self.fruitless[*bucket] = 0;
+                }
             }
             self.arms[tally.arm].add(cell);
             if tally.round == 0 {
@@ -157,13 +174,22 @@ impl Ledger {
         }
     }
 
-    /// Whether a bucket has fewer scenarios than wanted, and can get more.
+    /// Whether a bucket has fewer scenarios than wanted, can get more, and is not given up.
     pub fn is_open(&self, bucket: usize) -> bool {
+        self.lacks(bucket) && !self.is_given_up(bucket)
+    }
+
+    /// Whether nothing more is spent on a bucket that could get more, since nothing came of it.
+    pub fn is_given_up(&self, bucket: usize) -> bool {
+        self.gives_up && self.lacks(bucket) && self.fruitless[bucket] >= N_FRUITLESS
+    }
+
+    fn lacks(&self, bucket: usize) -> bool {
         self.accepted[bucket] < self.wanted[bucket].min(self.room[bucket])
     }
 
     /// Whether no bucket is open.
-    pub fn is_full(&self) -> bool {
+    pub fn is_closed(&self) -> bool {
         (0..self.wanted.len()).all(|bucket| !self.is_open(bucket))
     }
 

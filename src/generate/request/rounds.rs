@@ -92,7 +92,7 @@ impl ResolvedRequest {
     /// The next round. `None` when every bucket that can be filled is full, or nothing more can be paid for.
     pub fn next_round(&self, context: &RoundContext<'_>) -> Option<Round> {
         let RoundContext { ledger, round, .. } = *context;
-        if ledger.is_full() || context.pool.cells.is_empty() {
+        if ledger.is_closed() || context.pool.cells.is_empty() {
             return None;
         }
         let mut spent = ledger.spent();

@@ -14,6 +14,8 @@ use serde::{Deserialize, Serialize};
 pub enum Ended {
     /// Every bucket that any pair can fall into is full.
     Full,
+    /// The others were given up: many samples aimed at them, and none was accepted.
+    GivenUp,
     /// The budget is spent; some buckets stayed short.
     Budget,
 }
@@ -95,6 +97,9 @@ pub struct BucketSummary {
     /// Pairs of agents that can fall into it; 0: nothing was spent on it.
     #[serde(default)]
     pub n_feasible: usize,
+    /// Whether it was given up: many samples aimed at it in a row, and none was accepted.
+    #[serde(default)]
+    pub is_given_up: bool,
     /// Scenarios wanted.
     pub n_wanted: u64,
     /// Scenarios accepted.
@@ -143,6 +148,7 @@ impl RequestSummary {
                 idx,
                 parts: request.buckets.parts(idx),
                 n_feasible: pool.n_feasible(idx),
+                is_given_up: ledger.is_given_up(idx),
                 n_wanted: ledger.wanted[idx],
                 n_accepted: ledger.accepted[idx],
                 n_surplus: sum(|hits| hits.n_surplus),
@@ -157,7 +163,11 @@ impl RequestSummary {
         Self {
             name: request.config.name.clone(),
             behavior: request.config.behavior.clone(),
-            ended: if ledger.is_full() { Ended::Full } else { Ended::Budget },
+            ended: match (0..request.buckets.len()).any(|bucket| ledger.is_given_up(bucket)) {
+                _ if !ledger.is_closed() => Ended::Budget,
+                true => Ended::GivenUp,
+                false => Ended::Full,
+            },
             budget: request.config.budget,
             n_rounds,
             n_samples,
@@ -175,6 +185,11 @@ impl RequestSummary {
     /// Buckets that no pair can fall into.
     pub fn infeasible(&self) -> impl Iterator<Item = &BucketSummary> {
         self.buckets.iter().filter(|bucket| bucket.n_feasible == 0)
+    }
+
+    /// Buckets that were given up.
+    pub fn given_up(&self) -> impl Iterator<Item = &BucketSummary> {
+        self.buckets.iter().filter(|bucket| bucket.is_given_up)
     }
 
     /// Buckets that stayed short, infeasible ones among them.

@@ -231,7 +231,7 @@ fn the_adaptive_plan_goes_where_open_buckets_fill_and_needs_less_than_the_grid()
         let (_, _, adaptive) = fulfil(&tight("per_bucket = 5\nbudget = { n_samples = 6000 }"), &pool, seed, world);
         let (_, _, even) =
             fulfil(&tight("plan = 'even'\nper_bucket = 5\nbudget = { n_samples = 6000 }"), &pool, seed, world);
-        assert!(adaptive.is_full() && even.is_full());
+        assert!(adaptive.is_closed() && even.is_closed());
         by_best_arm += adaptive.arms[2].n_samples;
         adaptive_total += adaptive.spent().0;
         even_total += even.spent().0;
@@ -252,11 +252,11 @@ fn the_budget_is_never_exceeded_and_what_is_full_ends() {
         let request = tight(&format!("per_bucket = 50\nbudget = {{ {budget} }}"));
         let (_, _, ledger) = fulfil(&request, &pool(30), 1, world);
         let (n_samples, n_evaluations) = ledger.spent();
-        assert!(!ledger.is_full() && n_samples <= most.0 && n_evaluations <= most.1);
+        assert!(!ledger.is_closed() && n_samples <= most.0 && n_evaluations <= most.1);
         assert!(n_samples + 12 > most.0 || n_evaluations + 12 * 39 > most.1, "nothing is left unused");
     }
     let (rounds, _, ledger) = fulfil(&tight("per_bucket = 1\nbudget = { n_samples = 4000 }"), &pool(30), 1, world);
-    assert!(ledger.is_full() && rounds.len() < 20);
+    assert!(ledger.is_closed() && rounds.len() < 20);
     let request = tight("per_bucket = 1\nbudget = { n_samples = 4000 }");
     let summary = RequestSummary::new(&request, &pool(30), &ledger, rounds.len());
     assert_eq!((summary.ended, summary.n_accepted, summary.short().count()), (Ended::Full, 4, 0));
@@ -308,10 +308,28 @@ fn buckets_that_nobody_can_reach_cost_nothing_and_the_others_decide_the_end() {
     assert_eq!((0..4).map(|bucket| pool.n_feasible(bucket)).collect::<Vec<_>>(), [4, 4, 4, 0]);
     let (_, _, ledger) = fulfil(&request, &pool, 1, |_, cell, _| Some(cell % 3));
     assert_eq!(ledger.accepted, [2, 2, 2, 0]);
-    assert!(ledger.is_full() && ledger.spent().0 < 300, "{:?}", ledger.spent());
+    assert!(ledger.is_closed() && ledger.spent().0 < 300, "{:?}", ledger.spent());
     let summary = RequestSummary::new(&request, &pool, &ledger, 1);
     assert_eq!((summary.ended, summary.n_infeasible), (Ended::Full, 5));
     assert_eq!(summary.infeasible().map(|bucket| bucket.idx).collect::<Vec<_>>(), [3]);
+}
+
+#[test]
+fn a_bucket_of_which_nothing_comes_is_given_up() {
+    // Bucket 3 seems to be in reach of every cell, and is never hit; the others are.
+    let request = tight("arms = ['plain', 'aimed']\nper_bucket = 2\nbudget = { n_samples = 30000 }");
+    let pool = pool(12);
+    let (_, _, ledger) = fulfil(&request, &pool, 1, |_, cell, sample| Some((cell + sample) % 3));
+    assert_eq!(ledger.accepted, [2, 2, 2, 0]);
+    assert!(ledger.is_closed() && ledger.is_given_up(3) && !ledger.is_given_up(0));
+    assert!((200..3000).contains(&ledger.spent().0), "{:?}", ledger.spent());
+    let summary = RequestSummary::new(&request, &pool, &ledger, 1);
+    assert_eq!(summary.ended, Ended::GivenUp);
+    assert_eq!(summary.given_up().map(|bucket| bucket.idx).collect::<Vec<_>>(), [3]);
+    // A grid spends what it may.
+    let even = tight("arms = ['plain', 'aimed']\nplan = 'even'\nper_bucket = 2\nbudget = { n_samples = 3000 }");
+    let (_, _, ledger) = fulfil(&even, &pool, 1, |_, cell, sample| Some((cell + sample) % 3));
+    assert!(!ledger.is_closed() && ledger.spent().0 > 2900, "{:?}", ledger.spent());
 }
 
 #[test]

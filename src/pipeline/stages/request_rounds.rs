@@ -31,12 +31,11 @@ impl Fulfilment<'_> {
             let n_short = summary.short().count();
             if n_short > 0 {
                 let n_infeasible = summary.infeasible().count();
-                let infeasible = match n_infeasible {
-                    0 => String::new(),
-                    n => format!("; no pair can reach {n} of them"),
-                };
+                let told = |n: usize, what: &str| if n == 0 { String::new() } else { format!("; {what} {n} of them") };
+                let given_up = told(summary.given_up().count(), "nothing came of 200 samples in a row that aimed at");
+                let infeasible = told(n_infeasible, "no pair can reach");
                 self.context.progress.warn(&format!(
-                    "request {}: {n_short} of {} buckets stayed short ({} of {} scenarios){infeasible}; the report says which. Raise its \
+                    "request {}: {n_short} of {} buckets stayed short ({} of {} scenarios){infeasible}{given_up}; the report says which. Raise its \
                      budget, add arms that reach them, or add scenes",
                     summary.name,
                     summary.buckets.len(),
@@ -120,7 +119,7 @@ impl Rounds<'_> {
             shards.begin((request, pool), &round)?;
             for shard in &round.shards {
                 // Whether the rest of a round is wanted depends on its earlier shards, which are the same in every attempt.
-                if ledger.is_full() {
+                if ledger.is_closed() {
                     break;
                 }
                 let Some(tally) = shards.tally((request, pool), n_rounds, shard, &ledger)? else { return Ok(None) };

@@ -74,6 +74,7 @@ mod tests {
             idx,
             parts: ranges.iter().enumerate().map(part).collect(),
             n_feasible,
+            is_given_up: false,
             n_wanted: 5,
             n_accepted,
             n_surplus: 0,

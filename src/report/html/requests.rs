@@ -19,6 +19,9 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
 fn one(request: &RequestSummary, cards: &[SceneCard]) -> Markup {
     let ended = match request.ended {
         Ended::Full => "all reachable buckets were full",
+        Ended::GivenUp => {
+            "all reachable buckets were full or given up, after 200 samples in a row without one that was accepted"
+        }
         Ended::Budget => "its budget was spent",
     };
     html! {
@@ -56,7 +59,7 @@ fn buckets(request: &RequestSummary) -> Markup {
                 @for part in &bucket.parts { td { (range(&part.range)) } }
                 td class="n" { (count(bucket.n_feasible as u64)) }
                 td class="n" { (count(bucket.n_wanted)) }
-                td class="n" { strong { (count(bucket.n_accepted)) } @if bucket.n_accepted < bucket.n_wanted { small { " short" } } }
+                td class="n" { strong { (count(bucket.n_accepted)) } @if bucket.n_accepted < bucket.n_wanted { small { (if bucket.is_given_up { " given up" } else { " short" }) } } }
                 @for n in &bucket.accepted_by_arm { td class="n" { (count(*n)) } }
                 td class="n" { (count(bucket.n_surplus)) }
                 td class="n" { (count(bucket.n_repeated)) }

@@ -191,7 +191,7 @@ fn short_buckets(request: &RequestSummary) -> Option<String> {
     let n_short = request.short().count();
     (n_short > 0).then(|| {
         format!(
-            "Request {} stayed short in {n_short} of {} buckets: {} of {} scenarios were accepted before its budget was spent.",
+            "Request {} stayed short in {n_short} of {} buckets: {} of {} scenarios were accepted before it ended.",
             request.name,
             request.buckets.len(),
             request.n_accepted,

@@ -71,6 +71,7 @@ pub(super) fn request(name: &str) -> RequestSummary {
         n_feasible: 9,
         idx,
         parts: vec![BucketPart { parameter: "gap_m".into(), range: range.into() }],
+        is_given_up: false,
         n_wanted: 10,
         n_accepted: by_arm.iter().sum(),
         n_surplus: 3,
