@@ -1,19 +1,20 @@
-//! A maneuver that was solved for what is wanted of it: who takes part, and where each is from the present on.
+//! A maneuver that is solved for a wanted event: the agents that take part, and their states after the present.
 //!
-//! A template says what the agents of the event do; the denoiser makes everybody else live with it. It is told from the past and the map
-//! alone.
+//! A template fixes the motion of the agents of the event; the denoiser samples everybody else around them. It depends
+//! on the past and the map alone.
 
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
 use crate::scene::{STANDING_STEP_M, Scene, State, Track, Trajectory};
 
-/// What a recorded motion has and a template does not, such as a drift across, fades within this time, seconds.
+/// The difference between the recorded motion at present and the template, such as a lateral drift, fades within this
+/// time, seconds.
 const FADE_S: f64 = 1.0;
-/// Passes of the filter that rounds the corners of center lines off.
+/// Passes of the filter that rounds off the corners of center lines.
 const N_ROUNDINGS: usize = 3;
-/// Timesteps between those at which a template is compared with where others would be.
+/// Spacing of the timesteps at which a template is compared with the positions of others.
 const STRIDE: usize = 2;
 
-/// The futures of those who take part.
+/// The futures of the agents that take part.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Template {
     motions: Vec<Motion>,
@@ -29,13 +30,14 @@ struct Motion {
 }
 
 impl Template {
-    /// A maneuver in which nobody takes part yet.
+    /// A maneuver without agents yet.
     pub(crate) const fn empty() -> Self {
         Self { motions: Vec::new() }
     }
 
-    /// The same with an agent that would be at `place` so many seconds after the present. It begins where the agent is, as the agent
-    /// moves, and comes to be as `place` says within a second. `None` where the agent is not tracked at present, or has no place at some time.
+    /// The same with one more agent, which follows `place`, its position by the seconds after the present. The motion
+    /// starts at the agent's present position and velocity and joins `place` within a second. `None` if the agent is
+    /// not tracked at present, or `place` is undefined at some time.
     pub(crate) fn with(mut self, scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let (start, soon) = (place(0.0)?, place(scene.dt_s / 2.0)?);
@@ -57,7 +59,7 @@ impl Template {
         self.motions.iter().map(|motion| motion.agent_idx)
     }
 
-    /// Whether nobody is in the way of those who take part, if all the others go straight on at their speed.
+    /// Whether nobody is in the way of the agents, if all others continue straight at their speed.
     pub(super) fn is_clear(&self, scene: &Scene) -> bool {
         let others =
             scene.tracks.iter().enumerate().filter(|(idx, _)| self.agents().all(|agent_idx| agent_idx != *idx));
@@ -78,7 +80,7 @@ impl Template {
         })
     }
 
-    /// Whether nobody accelerates harder than this in any direction, from the present on, m/s².
+    /// Whether no agent accelerates harder than this in any direction after the present, m/s².
     pub(super) fn is_within(&self, scene: &Scene, limit_mps2: f64) -> bool {
         self.motions.iter().all(|Motion { agent_idx, states }| {
             let now = scene.state(*agent_idx, scene.current_timestep());
@@ -87,7 +89,7 @@ impl Template {
         })
     }
 
-    /// Puts it into a scene in the place of what was recorded.
+    /// Replaces the recorded futures of its agents in a scene.
     pub fn apply(self, scene: &mut Scene) {
         let n_kept = scene.current_timestep() + 1;
         for Motion { agent_idx, states } in self.motions {
@@ -98,10 +100,10 @@ impl Template {
     }
 }
 
-/// The states of an agent that is `now` somewhere and will be at `positions`. Velocities are those since the timestep before, headings turn
-/// with the motion; where the agent stands, they stay.
+/// The states of an agent that moves from `now` through `positions`. Velocities are differences to the timestep before;
+/// headings turn with the motion and stay while the agent stands.
 fn states(now: &State, dt_s: f64, positions: &[Vec2]) -> Vec<State> {
-    // A vehicle may be recorded as turned against its motion.
+    // A vehicle may be recorded with a heading that differs from its motion.
     let slip_rad = match now.speed_mps() * dt_s < STANDING_STEP_M {
         true => 0.0,
         false => angle_difference(now.heading_rad, now.velocity.angle()),
@@ -129,7 +131,7 @@ pub(super) fn quintic(u: f64) -> f64 {
 /// The largest second derivative of [`quintic`]: 10 / √3.
 pub(super) const QUINTIC_PEAK: f64 = 5.773_502_691_896_258;
 
-/// Where [`quintic`] has a value from 0 to 1, by bisection.
+/// The inverse of [`quintic`] for a value from 0 to 1, by bisection.
 pub(super) fn quintic_inverse(value: f64) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..60 {

@@ -1,4 +1,4 @@
-//! Could two road users still drive into each other, and how fast?
+//! Can two road users still drive into each other, and how fast?
 
 use super::courses::{both_courses, meetings};
 use crate::behavior::collision::Collision;
@@ -6,20 +6,21 @@ use crate::behavior::outcome::Outcome;
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
-/// Two who both creep at present do not come to drive into each other in earnest, m/s.
+/// Smallest speed of the faster one at present, m/s: two creeping agents cannot collide seriously.
 const LEAST_SPEED_MPS: f64 = 1.5;
-/// Collisions that pairs can come to are told apart by these: m/s of the relative speed, and radians of the angle.
+/// Resolution of outcomes: m/s of the relative speed, and radians of the angle.
 const SPEED_SPACING_MPS: f64 = 2.0;
 const ANGLE_SPACING_RAD: f64 = 0.5;
 
 impl Collision {
-    /// Relative speeds and angles at which two could drive into each other if each goes on along a lane with -4 to 2.5 m/s² along and at most 2 m/s² across.
+    /// Relative speeds and angles at which two agents could collide if each continues along a lane with -4 to 2.5 m/s²
+    /// along it and at most 2 m/s² across.
     pub(in crate::behavior) fn outcomes(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Outcome> {
         let Some(courses) = both_courses(scene, agents, self.config().agents, LEAST_SPEED_MPS) else {
             return Vec::new();
         };
         let extents = agents.map(|agent_idx| scene.tracks[agent_idx].extent_or_nominal());
-        // The easiest of those that are much alike.
+        // The easiest of similar outcomes.
         let mut easiest: BTreeMap<(u64, u64), Outcome> = BTreeMap::new();
         for meeting in meetings(&courses, extents, 0.0) {
             if meeting.relative_mps < self.config().min_relative_mps {

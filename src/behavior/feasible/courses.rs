@@ -1,4 +1,4 @@
-//! Where could two road users go, and where would they meet?
+//! Where can two road users go, and where would they meet?
 
 use super::ways::ways;
 use super::{ACCELERATIONS_MPS2, LATERAL_ACCELERATION_MPS2, effort, horizon_s};
@@ -13,10 +13,10 @@ const TRIED_MPS2: [f64; 5] = [*ACCELERATIONS_MPS2.start(), -2.0, 0.0, 1.25, *ACC
 const SPACING_S: f64 = 0.25;
 /// Nobody evades farther than this, meters.
 const MOST_ASIDE_M: f64 = 1.75;
-/// Where an agent could be if it went on along one of its ways with one acceleration.
+/// The positions of an agent that continues along one of its ways with one acceleration.
 pub(super) struct Course {
     pub(super) effort: f64,
-    /// Where it is at the times that are tried.
+    /// Its positions at the tried times.
     pub(super) places: Vec<Place>,
 }
 
@@ -30,16 +30,16 @@ pub(super) struct Place {
 
 /// Two agents at one place at one time.
 pub(super) struct Meeting {
-    /// The speed of one as seen from the other, m/s.
+    /// Their relative speed, m/s.
     pub(super) relative_mps: f64,
     /// By how much their courses differ, radians.
     pub(super) heading_difference_rad: f64,
-    /// What it takes them to meet, from 0 to 1.
+    /// The effort of meeting, from 0 to 1.
     pub(super) effort: f64,
 }
 
-/// The courses of two agents that `filter` admits, of whom one moves with at least `least_mps` at present; `None` where one of them is not
-/// tracked then.
+/// The courses of two agents that `filter` admits, one of which moves at `least_mps` or faster at present; `None` if
+/// one of them is not tracked then.
 pub(super) fn both_courses(
     scene: &Scene,
     agents: [usize; 2],
@@ -57,7 +57,7 @@ pub(super) fn both_courses(
     Some([first?, second?])
 }
 
-/// Wherever boxes of these sizes come within `near_m` of each other on any two courses.
+/// All encounters in which boxes of these sizes come within `near_m` of each other on any two courses.
 pub(super) fn meetings([own, others]: &[Vec<Course>; 2], extents: [Extent; 2], near_m: f64) -> Vec<Meeting> {
     let mut found = Vec::new();
     for (one, other) in own.iter().flat_map(|one| others.iter().map(move |other| (one, other))) {
@@ -73,15 +73,15 @@ pub(super) fn meetings([own, others]: &[Vec<Course>; 2], extents: [Extent; 2], n
     found
 }
 
-/// What it takes two agents to touch at these places, `elapsed_s` from now, if one of them moves across to the other: the share of the way that it
-/// can move across. `None` where they cannot.
+/// The effort for two agents to touch at these places, `elapsed_s` from now, if one of them moves across to the other:
+/// the share of its largest lateral motion. `None` if they cannot.
 fn evasion_effort(
     [one, other]: [Place; 2],
     [extent, other_extent]: [Extent; 2],
     near_m: f64,
     elapsed_s: f64,
 ) -> Option<f64> {
-    // The other's box as seen from the one: half of what it takes up along and across.
+    // Half the extent of the other's box along and across the first one's direction.
     let along = one.along;
     let (cos, sin) = (along.dot(other.along).abs(), along.cross(other.along).abs());
     let (length_m, width_m) = (other_extent.length_m / 2.0, other_extent.width_m / 2.0);
@@ -93,7 +93,7 @@ fn evasion_effort(
     (ahead_m <= 0.0 && aside_m <= most_m).then(|| if aside_m > 0.0 { aside_m / most_m } else { 0.0 })
 }
 
-/// The courses of an agent; `None` where it is not tracked at present.
+/// The courses of an agent; `None` if it is not tracked at present.
 fn courses(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, n_times: usize) -> Option<Vec<Course>> {
     let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
     let speed_mps = state.speed_mps();

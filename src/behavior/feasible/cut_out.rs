@@ -1,4 +1,4 @@
-//! Could the vehicle ahead still leave the lane and reveal a slow one?
+//! Can the vehicle ahead still leave the lane and reveal a slow one?
 
 use super::{ACCELERATIONS_MPS2, LATERAL_ACCELERATION_MPS2, driven, effort, horizon_s};
 use crate::behavior::cut_out::CutOut;
@@ -10,15 +10,16 @@ use std::collections::BTreeMap;
 
 /// Spacing of the accelerations and of the times that are tried, m/s² and seconds.
 const SPACING: f64 = 0.5;
-/// How far beyond the side of the lane the leader's center shall be, meters.
+/// How far beyond the side of the lane the leader's center must be, meters.
 const BEYOND_M: f64 = 0.5;
-/// Outcomes are told apart by these: times to collision in seconds, speeds in m/s.
+/// Resolution of outcomes: times to collision in seconds, speeds in m/s.
 const TTC_SPACING_S: f64 = 0.25;
 const SPEED_SPACING_MPS: f64 = 2.0;
 
 impl CutOut {
-    /// What the ego could come to behind the revealed vehicle if the leader moves over to a lane beside with at most 2 m/s² across, and the two
-    /// drive on with -4 to 2.5 m/s² each. Empty where the leader is not between the two or slow itself, or no lane lies beside its own.
+    /// The outcomes of the ego behind the revealed vehicle if the leader moves over to a lane beside its own with at
+    /// most 2 m/s² across, and the other two continue with -4 to 2.5 m/s² each. Empty if the leader is not between the
+    /// two or is slow itself, or if there is no lane beside its own.
     pub(in crate::behavior) fn outcomes(
         &self,
         scene: &Scene,
@@ -39,7 +40,7 @@ impl CutOut {
             lanes.lanes_at(position).flat_map(|(own, _)| lanes.beside(own, position)).map(|(_, side)| side).collect();
         sides.sort_by(f64::total_cmp);
         sides.dedup();
-        // The easiest of those that are much alike.
+        // The easiest of similar outcomes.
         let mut easiest: BTreeMap<(bool, u64, u64), Outcome> = BTreeMap::new();
         for side in sides {
             let aside_m = (BEYOND_M - ego.lane.beyond_m(position, side)?).max(0.0);
@@ -67,7 +68,7 @@ impl CutOut {
         Some(easiest.into_values().collect())
     }
 
-    /// How the revealed vehicle could stand to the ego after which time, with the effort that it takes.
+    /// The possible relations of the revealed vehicle to the ego with their times, each with its effort.
     fn reveals(&self, now: Ahead, horizon_s: f64) -> Vec<(Ahead, f64, f64)> {
         let n = |range: f64| (range / SPACING).floor().max(0.0) as usize;
         let tried = || {

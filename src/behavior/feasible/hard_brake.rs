@@ -1,18 +1,18 @@
-//! How hard could a vehicle still brake?
+//! How hard can a vehicle still brake?
 
 use crate::behavior::hard_brake::HardBrake;
 use crate::behavior::outcome::Outcome;
 use crate::scene::Scene;
 
-/// The hardest braking that is asked for, m/s².
+/// The hardest braking that can be requested, m/s².
 const HARDEST_MPS2: f64 = 8.0;
 /// Spacing of the decelerations, m/s².
 const SPACING_MPS2: f64 = 0.5;
-/// A hard braking takes at least so long with the smoothing of speeds, seconds.
+/// The shortest duration of hard braking, including the smoothing of speeds, seconds.
 const LEAST_S: f64 = 0.6;
 
 impl HardBrake {
-    /// Decelerations that the agent's present speed allows for long enough. Empty for who is too slow.
+    /// Decelerations that the agent can keep up long enough from its present speed. Empty if it is too slow.
     pub(in crate::behavior) fn outcomes(&self, scene: &Scene, agent_idx: usize) -> Vec<Outcome> {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite());
         let Some(speed_mps) = state.map(crate::scene::State::speed_mps) else { return Vec::new() };

@@ -1,4 +1,4 @@
-//! To which side could a vehicle still change lanes?
+//! To which side can a vehicle still change lanes?
 
 use super::{LATERAL_ACCELERATION_MPS2, horizon_s};
 use crate::behavior::lane_change::LaneChange;
@@ -8,13 +8,13 @@ use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::f64::consts::FRAC_PI_4;
 
-/// Below this speed nobody gets sideways, m/s.
+/// The lowest speed at which a vehicle can change lanes, m/s.
 const LEAST_SPEED_MPS: f64 = 2.0;
-/// A vehicle is in a lane that leads its way but for this angle, radians.
+/// The largest angle between a vehicle and its lane, radians.
 const ALONG_RAD: f64 = FRAC_PI_4;
 
 impl LaneChange {
-    /// The sides on which there is a lane that the agent could reach, and stay in for long enough, with at most 2 m/s² across.
+    /// The sides with a lane that the agent can reach, and stay in for long enough, with at most 2 m/s² across.
     pub(in crate::behavior) fn outcomes(&self, scene: &Scene, agent_idx: usize) -> Vec<Outcome> {
         let config = self.config();
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite());
@@ -28,7 +28,7 @@ impl LaneChange {
         for (own, place) in lanes.lanes_at(state.position).filter(|(_, place)| is_along(place.heading_rad)) {
             for (lane, side) in lanes.beside(own, state.position) {
                 let Some(there) = lane.lane.centerline.project(state.position) else { continue };
-                // To beyond the line between the two, from where it is and as it drifts.
+                // From its present position and lateral speed to beyond the line between the two lanes.
                 let between_centers_m = there.offset_m.abs() + side * place.offset_m;
                 let to_line_m = (between_centers_m / 2.0 - side * place.offset_m + config.hysteresis_m).max(0.0);
                 let across = Vec2::from_angle(there.heading_rad);
@@ -46,7 +46,7 @@ impl LaneChange {
     }
 }
 
-/// The time to get so far across, beginning with a speed across.
+/// The time to move this far sideways, given the initial lateral speed.
 fn crossing_s(way_m: f64, speed_mps: f64) -> f64 {
     let a = LATERAL_ACCELERATION_MPS2;
     ((speed_mps * speed_mps + 2.0 * a * way_m).sqrt() - speed_mps) / a

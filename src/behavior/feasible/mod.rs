@@ -1,6 +1,7 @@
-//! Which events could agents still show? Told from what was observed, the map, and the limits of driving; never from the recorded future.
+//! Which events can agents still show? Judged from the past, the map and the limits of driving, never from the recorded
+//! future.
 //!
-//! One behavior a file; those of the cut-in and the near miss are in their own folders.
+//! One behavior per file; cut-in and near miss have theirs in their own folders.
 
 mod collision;
 mod courses;
@@ -15,9 +16,9 @@ mod ways;
 pub(super) use turn::outcomes as turn_outcomes;
 pub(super) use ways::{Way, ways};
 
-/// How hard vehicles may brake and accelerate, m/s².
+/// The limits of braking and accelerating, m/s².
 pub(super) const ACCELERATIONS_MPS2: std::ops::RangeInclusive<f64> = -4.0..=2.5;
-/// How hard they may accelerate across, m/s².
+/// The limit of lateral acceleration, m/s².
 pub(super) const LATERAL_ACCELERATION_MPS2: f64 = 2.0;
 
 /// The share of the limits that an acceleration takes.
@@ -26,7 +27,7 @@ pub(super) fn effort(acceleration_mps2: f64) -> f64 {
     acceleration_mps2 / limit
 }
 
-/// Way and speed of one that accelerates or brakes, and stands then.
+/// Distance and speed of an agent that accelerates or brakes; once it stands, it stays.
 pub(super) fn driven(speed_mps: f64, acceleration_mps2: f64, time_s: f64) -> (f64, f64) {
     let moving_s = if acceleration_mps2 < 0.0 { time_s.min(-speed_mps / acceleration_mps2) } else { time_s };
     let then_mps = speed_mps + acceleration_mps2 * moving_s;

@@ -1,4 +1,4 @@
-//! Could somebody on foot still step out ahead of a vehicle?
+//! Can a pedestrian still step out ahead of a vehicle?
 
 use super::{ACCELERATIONS_MPS2, driven, effort, horizon_s};
 use crate::behavior::AgentFilter;
@@ -12,16 +12,17 @@ use std::collections::BTreeMap;
 
 /// Spacing of the accelerations and of the times that are tried, m/s² and seconds.
 const SPACING: f64 = 0.5;
-/// How fast people walk onto a road at most, m/s.
+/// The highest speed of pedestrians that step onto a road, m/s.
 const MOST_MPS: f64 = 2.5;
-/// How far inside the lane the pedestrian shall be, meters.
+/// How far inside the lane the pedestrian must be, meters.
 const INSIDE_M: f64 = 0.2;
-/// Outcomes are told apart by this, seconds.
+/// Resolution of outcomes, seconds.
 const TIME_SPACING_S: f64 = 0.2;
 
 impl PedestrianStepsOut {
-    /// Times to arrival of the vehicle when the pedestrian steps into its lane, if it walks across to it with up to 2.5 m/s, keeps its speed along it, and the
-    /// vehicle drives on with -4 to 2.5 m/s². Empty where the pedestrian is on the road already, or too fast to be one.
+    /// Times to arrival of the vehicle when the pedestrian steps into its lane, if it walks across to it with up to 2.5
+    /// m/s, keeps its speed along it, and the vehicle continues with -4 to 2.5 m/s². Empty if the pedestrian is on the
+    /// road already, or too fast to be a pedestrian.
     pub(in crate::behavior) fn outcomes(
         &self,
         scene: &Scene,
@@ -41,7 +42,7 @@ impl PedestrianStepsOut {
         let now_m = there.station_m - place.station_m - half_m(ego_idx) - half_m(pedestrian_idx);
         let along_mps = theirs.velocity.dot(Vec2::from_angle(there.heading_rad));
         let n = |range: f64| (range / SPACING).floor().max(0.0) as usize;
-        // The easiest of those that are much alike.
+        // The easiest of similar outcomes.
         let mut easiest: BTreeMap<u64, Outcome> = BTreeMap::new();
         for time_s in (1..=n(horizon_s(scene))).map(|i| i as f64 * SPACING) {
             let across_mps = across_m / time_s;

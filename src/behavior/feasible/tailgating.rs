@@ -1,26 +1,26 @@
-//! Could a vehicle still come too close behind another, and stay there?
+//! Can a vehicle still come too close behind another, and stay there?
 
 use super::{ACCELERATIONS_MPS2, effort};
 use crate::behavior::following::{Ahead, Follower};
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::outcome::Outcome;
-use crate::behavior::tailgating::{Moment, Tailgating, means};
+use crate::behavior::tailgating::{FollowingMoment, Tailgating, means};
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
 /// Spacing of the accelerations that are tried, m/s².
 const SPACING_MPS2: f64 = 0.5;
-/// Headways that pairs can come to are told apart by this, seconds.
+/// Resolution of outcomes: headways in seconds.
 const HEADWAY_SPACING_S: f64 = 0.1;
-/// Who comes nearer than this does not keep a distance, meters.
+/// The smallest gap, meters.
 const LEAST_GAP_M: f64 = 1.0;
-/// Farther ahead is nobody whom one could catch up with in a scene, meters.
+/// The largest gap that a vehicle could close within a scene, meters.
 const REACH_M: f64 = 60.0;
 
 impl Tailgating {
-    /// Mean headways at which the follower could drive behind the leader for long enough if that one keeps its speed: with one of
-    /// -4 to 2.5 m/s² over the first half of the time that is left, and another over the second. Empty where the leader is not the nearest ahead in the
-    /// lane of the follower at present.
+    /// Mean headways at which the follower could drive behind the leader for long enough, if the leader keeps its speed
+    /// and the follower uses one acceleration of -4 to 2.5 m/s² over the first half of the remaining time and another
+    /// over the second. Empty if the leader is not the nearest vehicle ahead in the follower's lane at present.
     pub(in crate::behavior) fn outcomes(&self, scene: &Scene, [follower_idx, leader_idx]: [usize; 2]) -> Vec<Outcome> {
         let config = self.config();
         let lanes = SceneLanes::new(&scene.lanes);
@@ -32,11 +32,11 @@ impl Tailgating {
         let past = self.moments(&follower, 0..scene.n_history).remove(&leader_idx).unwrap_or_default();
         let n = ((ACCELERATIONS_MPS2.end() - ACCELERATIONS_MPS2.start()) / SPACING_MPS2).floor() as usize;
         let tried = || (0..=n).map(|i| ACCELERATIONS_MPS2.start() + i as f64 * SPACING_MPS2);
-        // The easiest of those that are much alike.
+        // The easiest of similar outcomes.
         let mut easiest: BTreeMap<u64, Outcome> = BTreeMap::new();
         for accelerations_mps2 in tried().flat_map(|first| tried().map(move |second| [first, second])) {
             let future = self.driven(scene, now, accelerations_mps2);
-            let moments: Vec<Moment> = past.iter().copied().chain(future).collect();
+            let moments: Vec<FollowingMoment> = past.iter().copied().chain(future).collect();
             let Some(run) = self.longest(&moments, config.max_headway_s, scene.dt_s) else { continue };
             let ((headway_s, speed_mps), most) =
                 (means(&run), accelerations_mps2.map(effort).into_iter().fold(0.0, f64::max));
@@ -49,8 +49,8 @@ impl Tailgating {
         easiest.into_values().collect()
     }
 
-    /// The timesteps to come if the follower drives so, as long as both are fast enough and the gap is one.
-    fn driven(&self, scene: &Scene, now: Ahead, accelerations_mps2: [f64; 2]) -> Vec<Moment> {
+    /// The future moments if the follower drives like this, as long as both are fast enough and there is a gap.
+    fn driven(&self, scene: &Scene, now: Ahead, accelerations_mps2: [f64; 2]) -> Vec<FollowingMoment> {
         let halfway = usize::midpoint(scene.n_history, scene.n_timesteps);
         let (mut gap_m, mut own_mps) = (now.gap_m, now.own_mps);
         let mut moments = Vec::new();
@@ -62,7 +62,7 @@ impl Tailgating {
                 return Vec::new();
             }
             if own_mps.min(now.their_mps) >= self.config().min_speed_mps {
-                moments.push(Moment { timestep, gap_m, own_mps });
+                moments.push(FollowingMoment { timestep, gap_m, own_mps });
             }
         }
         moments

@@ -8,21 +8,21 @@ use crate::behavior::turn::{TurnConfig, TurnSide, is_at_roundabout};
 use crate::geometry::angle_difference;
 use crate::scene::Scene;
 
-/// How hard a vehicle is turned at most, m/s² across.
+/// The largest lateral acceleration in a turn, m/s².
 const TURNING_MPS2: f64 = 4.0;
 /// More than the least change of heading of a turn, radians.
 const MARGIN_RAD: f64 = 0.05;
 
 /// Where a way turns.
 struct Bend {
-    /// Way from the agent to where it begins and to where it has turned far enough, meters.
+    /// Distance from the agent to the beginning of the turn, and to the place where it has turned far enough, meters.
     begins_m: f64,
     ends_m: f64,
     radius_m: f64,
 }
 
-/// One outcome, without parameters, if a way on from the lanes that the agent is in turns to `side`, and the agent gets through within the
-/// limits of driving before the scene ends.
+/// One outcome, without parameters, if a way from the agent's lanes turns to `side`, and the agent can complete the
+/// turn within the limits of driving before the scene ends.
 pub(in crate::behavior) fn outcomes(
     side: TurnSide,
     config: &TurnConfig,
@@ -75,13 +75,14 @@ fn bend(way: &Way, side: TurnSide, config: &TurnConfig, (first_rad, now_rad): (f
     None
 }
 
-/// What getting through takes of the limits: braking before the bend, or accelerating to come to its end in time. `None` where it is too much.
+/// The effort of the turn: braking before the bend, or accelerating to reach its end in time. `None` if it exceeds the
+/// limits.
 fn needed_effort(bend: &Bend, speed_mps: f64, horizon_s: f64) -> Option<f64> {
     let most_mps = (TURNING_MPS2 * bend.radius_m.max(1.0)).sqrt();
     let too_fast = (speed_mps.powi(2) - most_mps.powi(2)).max(0.0);
     let braking_mps2 = if too_fast > 0.0 { -too_fast / (2.0 * bend.begins_m.max(0.1)) } else { 0.0 };
     let in_time_mps2 = (2.0 * (bend.ends_m - speed_mps * horizon_s) / horizon_s.powi(2)).max(0.0);
-    // Who has to brake for the bend drives through it at the speed that it allows.
+    // An agent that must brake for the bend drives through it at the speed that the bend allows.
     let slowed_s =
         (bend.ends_m - bend.begins_m) / most_mps.min(speed_mps.max(1.0)) + bend.begins_m / speed_mps.max(1.0);
     let is_possible = ACCELERATIONS_MPS2.contains(&braking_mps2)

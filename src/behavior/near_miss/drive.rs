@@ -1,4 +1,4 @@
-//! An agent that goes on along one of its ways: evenly, until it may brake.
+//! An agent that continues along one of its ways at constant acceleration, until it may brake.
 
 use crate::behavior::feasible::{Way, effort, ways};
 use crate::behavior::footprint::Footprint;
@@ -6,20 +6,20 @@ use crate::behavior::lane_relation::SceneLanes;
 use crate::geometry::{OrientedBox, Vec2};
 use crate::scene::{Extent, Scene, State};
 
-/// How drivers accelerate until one of them brakes, m/s²: with no more than half of what they could.
+/// The accelerations that are tried until one of the two brakes, m/s²: at most half of the limits of driving.
 pub(super) const ORDINARY_MPS2: [f64; 5] = [-2.0, -1.0, 0.0, 0.6, 1.25];
-/// Spacing of the places that are kept of a way, meters.
+/// Spacing of the stored places of a way, meters.
 const SPACING_M: f64 = 0.5;
-/// Ways that end within this of each other, as far as anybody can get, are the same, meters.
+/// Ways whose reachable parts end within this of each other are the same, meters.
 const SAME_M: f64 = 1.0;
-/// Every so many places it is looked whether a way that begins on the road stays on it.
+/// Spacing of the places at which a way that begins on the road is checked for staying on it.
 const ROAD_STRIDE: usize = 4;
-/// How long a pedal takes to be pressed, and who brakes to come to a halt gently, seconds.
+/// How long it takes to press a pedal, and to ease a stop, seconds.
 const PEDAL_S: f64 = 0.3;
-/// Steps of a timestep in which speeds are summed up.
+/// Integration steps per timestep.
 const N_STEPS: usize = 5;
 
-/// Who begins to brake when, and how hard.
+/// When and how hard an agent brakes.
 #[derive(Clone, Copy)]
 pub(super) struct Brake {
     /// Seconds after the present.
@@ -27,7 +27,7 @@ pub(super) struct Brake {
     pub(super) deceleration_mps2: f64,
 }
 
-/// An agent at present with the places that it can reach, on each way that the map leaves it.
+/// An agent at present, with the places that it can reach along each way in the map.
 pub(super) struct Driver {
     pub(super) state: State,
     /// Its box, and the inner part of it.
@@ -40,9 +40,9 @@ pub(super) struct Driver {
 /// Positions and directions along a way, from the present place on.
 pub(super) struct Rail(Vec<(Vec2, Vec2)>);
 
-/// A drive along a rail; one entry a timestep after the present.
+/// A drive along a rail; one entry per timestep after the present.
 pub(super) struct Drive {
-    /// The share of what driving allows that it takes before anybody brakes.
+    /// The share of the limits of driving that it takes before anybody brakes.
     pub(super) effort: f64,
     /// Speeds, m/s, and boxes: the whole, and the inner parts.
     pub(super) speeds_mps: Vec<f64>,
@@ -51,7 +51,7 @@ pub(super) struct Drive {
 }
 
 impl Driver {
-    /// An agent with its box and the inner part of it. `None` where it is not tracked at present.
+    /// An agent with its box and the inner part of it. `None` if it is not tracked at present.
     pub(super) fn new(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, extents: [Extent; 2]) -> Option<Self> {
         let state = *scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let n_steps = scene.n_timesteps - scene.n_history;
@@ -103,7 +103,7 @@ impl Driver {
         }
     }
 
-    /// Its positions on a drive: at present, and at each timestep after it.
+    /// Its positions on a drive, at present and at each timestep after it.
     pub(super) fn positions(&self, rail: usize, drive: &Drive) -> Vec<Vec2> {
         let start = self.rails[rail].at(0.0).0;
         std::iter::once(start).chain(drive.outer.iter().map(|footprint| footprint.center)).collect()
@@ -140,7 +140,7 @@ impl Drive {
         self.inner.iter().zip(&other.inner).position(|(own, others)| own.overlaps(others))
     }
 
-    /// Whether the boxes of the two always stay so far apart.
+    /// Whether the boxes of the two always stay this far apart.
     pub(super) fn keeps(&self, other: &Self, distance_m: f64) -> bool {
         !self.outer.iter().zip(&other.outer).any(|(own, others)| own.is_closer_than(others, distance_m))
     }

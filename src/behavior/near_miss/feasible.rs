@@ -1,24 +1,23 @@
-//! Could two road users still come close to each other, and how do they have to drive for it?
+//! Which near misses can two road users still show, and how do they have to drive?
 
 use super::NearMiss;
-use super::plan::Plan;
 use crate::behavior::outcome::Outcome;
 use crate::behavior::template::Template;
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
-/// Values within this of each other are the same.
+/// Values within this of each other count as equal.
 const SAME: f64 = 1e-9;
 
 impl NearMiss {
-    /// The least time to collision of near misses that one of the two can still brake to avoid, and the post-encroachment times of those where
-    /// they cross. Empty for pairs that have no [`Plan`].
+    /// The outcomes of all plans: the smallest time to collision where one of the two brakes, the post-encroachment
+    /// time where they cross. Empty for pairs without a plan.
     pub(super) fn outcomes(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Outcome> {
         self.plans(scene, agents).into_iter().map(|plan| plan.outcome).collect()
     }
 
-    /// How both drive so that every parameter of the outcome that is `wanted` lies in its range: as in the plan that is in the middle of all
-    /// ranges, where there is one, else the `variant`-th easiest way, counted around. `None` where there is none.
+    /// How both drive so that every `wanted` parameter lies in its range: the plan in the middle of all ranges if there
+    /// is one, otherwise the `variant`-th easiest, cyclically. `None` if there is none.
     pub(super) fn solved(
         &self,
         scene: &Scene,
@@ -27,17 +26,16 @@ impl NearMiss {
         variant: usize,
     ) -> Option<Template> {
         let mut plans = self.plans(scene, agents);
-        let beside = |plan: &Plan, most: &dyn Fn(f64) -> f64| {
-            wanted.iter().all(|(name, [least, greatest])| {
-                let (middle, half) = (f64::midpoint(*least, *greatest), (greatest - least) / 2.0);
-                plan.outcome.get(name).is_some_and(|value| (value - middle).abs() <= most(half))
-            })
+        let around_middle = |[low, high]: &[f64; 2]| {
+            let middle = f64::midpoint(*low, *high);
+            [middle - SAME, middle + SAME]
         };
-        let meant = plans.iter().position(|plan| !wanted.is_empty() && beside(plan, &|_| SAME));
+        let middles = wanted.iter().map(|(name, range)| (name.clone(), around_middle(range))).collect();
+        let meant = plans.iter().position(|plan| !wanted.is_empty() && plan.outcome.is_within(&middles));
         if let Some(plan) = meant {
             return plans.swap_remove(plan).template(scene, agents);
         }
-        plans.retain(|plan| beside(plan, &|half| half));
+        plans.retain(|plan| plan.outcome.is_within(wanted));
         let n_plans = plans.len().max(1);
         plans.get(variant % n_plans)?.template(scene, agents)
     }

@@ -1,4 +1,5 @@
-//! Near misses of two who go on along their lanes: solved for when they would meet, and for who avoids it.
+//! Near misses of two agents that continue along their lanes: solved for the time at which they would meet, and for the
+//! one that avoids it.
 
 use super::NearMiss;
 use super::body::{FOLLOWING_RAD, extents};
@@ -13,44 +14,46 @@ use crate::geometry::Vec2;
 use crate::scene::{Scene, State};
 use std::collections::BTreeMap;
 
-/// The times to collision at which one brakes, and how hard, seconds and m/s².
+/// The times to collision at which one brakes, seconds, and the decelerations, m/s².
 const BRAKES_AT_S: [f64; 5] = [0.6, 0.8, 1.0, 1.2, 1.4];
 const BRAKES_MPS2: [f64; 2] = [5.0, 7.0];
-/// Nobody accelerates harder in any direction, m/s²: who turns off at present does not go on around a roundabout, nor fast around a bend.
+/// The largest acceleration in any direction, m/s²: it excludes agents that leave a roundabout but would continue
+/// around it, and fast bends.
 const MOST_MPS2: f64 = 8.0;
-/// Nobody brakes sooner after the present, seconds.
+/// The earliest time of braking after the present, seconds.
 const SOONEST_S: f64 = 0.3;
-/// By so much a time to collision is shorter than it would have to be, since who is driven there does so by other means, seconds.
+/// Safety margin of the time to collision, seconds: the simulated drive and the template differ slightly.
 const SPARE_S: f64 = 0.1;
-/// How far apart the boxes stay, meters: of who brakes, and of those who cross.
+/// How far apart the boxes stay, whether one brakes or they cross, meters.
 const APART_M: f64 = 0.4;
-/// So many plans are kept of those in which the same one brakes as late, or of those in which nobody does, and so many are tried for it.
+/// How many plans of one kind are kept, and how many drafts are tried for them.
 const N_ALIKE: usize = 4;
 const N_TRIED: usize = 8;
-/// Every so many timesteps it is looked whether somebody is in the way.
+/// Spacing of the timesteps at which others in the way are looked for.
 const STRIDE: usize = 2;
 
-/// What two come to, and where they are from the present on, a position a timestep.
-pub(super) struct Plan {
+/// The outcome of two agents, and their positions from the present on, one per timestep.
+pub(super) struct NearMissPlan {
     pub(super) outcome: Outcome,
     positions: [Vec<Vec2>; 2],
 }
 
-/// A plan that was not tried yet. Plans of one kind are alike.
+/// A plan that was not tried yet. Plans of one kind resemble each other.
 struct Draft {
     kind: Kind,
     effort: f64,
     positions: [Vec<Vec2>; 2],
 }
 
-/// Whether one of the two, the first or the second, brakes so many timesteps before they would meet.
+/// The one that brakes (0 or 1), and how many timesteps before they would meet; `None` if nobody brakes.
 type Kind = Option<(usize, usize)>;
 
-/// A pair as the past and the map tell it.
+/// A pair, known from the past and the map.
 struct Search<'a> {
     behavior: &'a NearMiss,
     drivers: [Driver; 2],
-    /// Everybody else who may be in the way of each of the two: their boxes if they go straight on, a list for each timestep.
+    /// All others that may be in the way of each of the two: their boxes if they continue straight, one list per
+    /// timestep.
     others: [Vec<Vec<Footprint>>; 2],
     dt_s: f64,
 }
@@ -64,10 +67,11 @@ struct Course {
 }
 
 impl NearMiss {
-    /// The near misses that two can still come to, the easiest first: one brakes hard, at a time to collision that is then the least
-    /// (`min_ttc_s`), or nobody has to, and one is shortly after the other where they cross (`pet_s`). Until then they accelerate with half of -4
-    /// to 2.5 m/s² at most, and nobody else is in the way. Each was tried: were the two alone, the event would be found.
-    pub(super) fn plans(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Plan> {
+    /// The near misses that two agents can still reach, easiest first. Either one brakes hard, at a time to collision
+    /// that is then the smallest (`min_ttc_s`), or nobody brakes and one crosses shortly after the other (`pet_s`).
+    /// Until then they accelerate with at most half of -4 to 2.5 m/s², and nobody else is in the way. Each plan was
+    /// checked: with the two agents alone, the event is found.
+    pub(super) fn plans(&self, scene: &Scene, agents: [usize; 2]) -> Vec<NearMissPlan> {
         let config = self.config();
         let takes_part = |agent_idx: &usize| {
             let track = &scene.tracks[*agent_idx];
@@ -94,13 +98,13 @@ impl NearMiss {
         tried.collect()
     }
 
-    /// The plan that a draft is for two who are `alone`; `None` where no near miss comes of it after all.
-    fn tried(&self, alone: &Scene, draft: Draft) -> Option<Plan> {
-        let mut plan = Plan { outcome: Outcome::default().at_effort(draft.effort), positions: draft.positions };
+    /// The plan of a draft for two agents that are `alone`; `None` if it does not lead to a near miss.
+    fn tried(&self, alone: &Scene, draft: Draft) -> Option<NearMissPlan> {
+        let mut plan = NearMissPlan { outcome: Outcome::default().at_effort(draft.effort), positions: draft.positions };
         let mut driven = alone.clone();
         let template = plan.template(alone, [0, 1]).filter(|template| template.is_within(alone, MOST_MPS2))?;
         template.apply(&mut driven);
-        // One that is over at present is none that they come to.
+        // A near miss that is over at present does not count.
         let is_meant =
             |event: &BehaviorEvent| event.label == EventLabel::Positive && event.end_timestep >= alone.n_history;
         let event = self.detect(&driven).into_iter().find(is_meant)?;
@@ -111,8 +115,8 @@ impl NearMiss {
     }
 }
 
-impl Plan {
-    /// How both drive. `None` where one of them cannot.
+impl NearMissPlan {
+    /// The template of both agents. `None` if one of them cannot follow it.
     pub(super) fn template(&self, scene: &Scene, agents: [usize; 2]) -> Option<Template> {
         agents.into_iter().zip(&self.positions).try_fold(Template::empty(), |template, (agent_idx, positions)| {
             template.with(scene, agent_idx, |elapsed_s| {
@@ -167,8 +171,8 @@ impl<'a> Search<'a> {
         Course { rail, acceleration_mps2, drive, clear }
     }
 
-    /// Two who would meet at `meets`, of whom one brakes at a time to collision of `at_s`, so that they do not. `None` where that is not urgent,
-    /// or does not help.
+    /// Two agents that would meet at `meets`; the evader brakes at a time to collision of `at_s` and avoids it. `None`
+    /// if that is not urgent, or does not help.
     fn avoided(&self, courses: [&Course; 2], meets: usize, evader: usize, at_s: f64) -> Option<Draft> {
         let (own, other) = (courses[evader], courses[1 - evader]);
         let n_before = (at_s / self.dt_s).round() as usize;
@@ -193,7 +197,7 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Two who cross shortly after each other. `None` where they do not.
+    /// Two agents that cross shortly after each other. `None` if they do not.
     fn crossed(&self, courses: [&Course; 2]) -> Option<Draft> {
         let config = self.behavior.config();
         let [one, other] = courses.map(|course| &course.drive);
@@ -220,7 +224,8 @@ impl<'a> Search<'a> {
     }
 }
 
-/// The boxes of everybody else at each timestep after the present, if they go straight on. Who drives behind `driver` reacts to it.
+/// The boxes of all others at each timestep after the present, if they continue straight. Agents behind `driver` are
+/// left out, because they react to it.
 fn others(scene: &Scene, agents: [usize; 2], driver: &Driver) -> Vec<Vec<Footprint>> {
     let now = &driver.state;
     let forward = Vec2::from_angle(now.heading_rad);
