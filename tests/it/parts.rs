@@ -203,7 +203,7 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     fs_err::write(dir.join("parts.json"), identity.replace("\"program\": \"", "\"program\": \"other ")).unwrap();
     says(
         work(&[]).expect(1),
-        &["program: the plan's is other ", "0 of 7 finished shards: plan again with --part plan --redo generate"],
+        &["program: the plan's is other ", "0 finished shards of 7: plan again with --part plan --redo generate"],
     );
     fs_err::write(dir.join("parts.json"), identity).unwrap();
     assert_same(&before, &files(dir));
