@@ -7,7 +7,7 @@
 Of the recorded scenes every ordered pair is looked at that events.parquet names as a cut-in or as near one; of a corpus every verified scenario
 of which a cut-in was asked, for the pair that was asked. The exit code is 1 where the two disagree on more than 1 % of the cut-ins: states are
 stored in single precision, so that a case on the edge may fall to either side. `--collisions` is for runs whose `[mine]` lets cut-ins end in a
-collision; the carried pipelines do not.
+collision; the bundled pipelines do not.
 """
 
 import argparse

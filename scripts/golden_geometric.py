@@ -4,7 +4,7 @@
     DJINN_UPDATE_GOLDEN=1 cargo test --test it pytorch      # only where batches changed: writes tests/golden/geometric_scene.safetensors
     python scripts/golden_geometric.py                      # writes tests/golden/{geometric_network,carried_geometric}.safetensors
 
-The first file is a network with random weights on a batch that is made here. The second is the carried checkpoint on scenes that the
+The first file is a network with random weights on a batch that is made here. The second is the bundled checkpoint on scenes that the
 crate collated, of which the changes of variables along time, their covariances and modes are worked out anew, from the masks.
 """
 

@@ -231,7 +231,7 @@ def random_network():
 
 
 def carried_denoiser():
-    """The carried checkpoint: clean estimates at four noise levels, and the gradients of sum(D * probe) by x."""
+    """The bundled checkpoint: clean estimates at four noise levels, and the gradients of sum(D * probe) by x."""
     denoiser = Denoiser.load(ROOT / "pipelines/models/simulated_places.safetensors", torch.float64)
     rng = np.random.default_rng(21)
     n_history, n_timesteps = denoiser.spec["n_history"], denoiser.spec["n_timesteps"]

@@ -23,7 +23,7 @@ pub(super) const PARAMETERS: &[&str] =
 pub struct CollisionConfig {
     /// Road users that take part. Default `road_users`: includes pedestrians, excludes static objects.
     pub agents: AgentFilter,
-    /// Least speed of one as seen from the other before they touch, m/s. Default 0.5: less is a flaw of boxes and tracks.
+    /// Smallest relative speed before they touch, m/s. Default 0.5: below it, overlaps are errors of boxes and tracks.
     #[schemars(range(min = 0.0))]
     pub min_relative_mps: f64,
     /// Boxes that come closer than this without touching are a hard negative, meters. Default 1.
@@ -39,12 +39,12 @@ impl Default for CollisionConfig {
 
 /// Two road users (`first` and `second`) drive into each other.
 ///
-/// **Positive**: the boxes overlap at a timestep and did not at the one before, at which one of the two moved with at least 0.5 m/s as seen from
-/// the other. The event starts and is complete at the first such timestep. Of agents whose size is not recorded half the length and width that
-/// are usual for them count.
+/// **Positive**: the boxes overlap at a timestep but not at the one before, at which the relative speed was at least
+/// 0.5 m/s. The event starts and is complete at the first such timestep. An agent without a recorded size counts with
+/// half its nominal length and width.
 ///
-/// *What does not count*: boxes that overlap already when both are first tracked, or at present: recordings hold such pairs; static objects.
-/// What two agents do after they touched is theirs: nothing here knows what a collision does to vehicles.
+/// *What does not count*: boxes that overlap already when both are first tracked, or at present, as in some recordings;
+/// static objects. The motion after the contact is meaningless: nothing here models what a collision does to vehicles.
 ///
 /// **Negative**: boxes that come closer than 1 m and never touch.
 ///
@@ -107,7 +107,7 @@ impl Behavior for Collision {
         self.config.agents.admits(class)
     }
 
-    /// Events name the two in the order of tracks, and so must who asks for one.
+    /// Events name the two in the order of tracks, so requests must do the same.
     fn completed(&self, _scene: &Scene, pair: [usize; 2]) -> Option<Vec<usize>> {
         (pair[0] < pair[1]).then(|| pair.to_vec())
     }
@@ -135,7 +135,8 @@ impl Behavior for Collision {
     }
 }
 
-/// The scene with agents whose size is not recorded at half their nominal one.
+/// The scene with agents of unrecorded size at half their nominal size: boxes of nominal size would overlap where no
+/// agents touch.
 fn with_cores(scene: &Scene) -> Cow<'_, Scene> {
     if scene.tracks.iter().all(|track| track.extent.is_some()) {
         return Cow::Borrowed(scene);
@@ -144,7 +145,7 @@ fn with_cores(scene: &Scene) -> Cow<'_, Scene> {
     Cow::Owned(Scene { tracks: scene.tracks.iter().map(core).collect(), ..scene.clone() })
 }
 
-/// The recorded size of an agent, or half the nominal one: whole boxes touch where nobody does.
+/// The recorded size of an agent, or half the nominal one: boxes of nominal size would overlap where no agents touch.
 pub(super) fn core_or_recorded(track: &Track) -> Extent {
     let Extent { length_m, width_m } = track.extent_or_nominal();
     track.extent.unwrap_or(Extent { length_m: length_m / 2.0, width_m: width_m / 2.0 })

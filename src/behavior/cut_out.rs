@@ -12,7 +12,7 @@ use std::f64::consts::FRAC_PI_6;
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "cut_out";
-/// Who follows, who is revealed, and who leaves from between them.
+/// The follower, the revealed vehicle, and the one that leaves from between them.
 pub(super) const ROLES: &[&str] = &["ego", "revealed", "leader"];
 /// What events say beyond their times; [`CutOut`] has the definitions.
 pub(super) const PARAMETERS: &[&str] =
@@ -36,11 +36,12 @@ pub struct CutOutConfig {
     /// The ego drives at least this fast at the reveal, m/s. Default 4.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_speed_mps: f64,
-    /// The leader is at most this far ahead of the ego at present, as a time headway, seconds. Default 4: who is farther ahead hides nothing.
+    /// The leader is at most this far ahead of the ego at present, as a time headway, seconds. Default 4: a leader
+    /// farther ahead hides nothing.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_headway_s: f64,
-    /// Until it is out of the lane the leader heads along it within this, radians; who turns off reveals what anybody expects. Default π/6 (30
-    /// degrees).
+    /// Until it is out of the lane, the leader heads along it within this, radians; a leader that turns off surprises
+    /// nobody. Default π/6 (30 degrees).
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 6.3))]
     pub max_heading_difference_rad: f64,
 }
@@ -74,9 +75,11 @@ impl Default for CutOutConfig {
 /// The event *starts* when the leader's box begins to reach over the side of the lane for good, and is *complete* at the reveal. UN Regulation No. 157 (annex 3)
 /// knows the cut-out as one of three scenarios that a system must master, with the time to collision at the reveal and a standing vehicle.
 ///
-/// *What does not count*: leaders that turn off, or that are slow themselves (the ego has to brake for them anyway); vehicles that come into the lane later than the present; who is in no lane at present.
+/// *What does not count*: leaders that turn off, or that are slow themselves (the ego has to brake for them anyway);
+/// vehicles that come into the lane after the present; agents that are in no lane at present.
 ///
-/// **Negative**: a leader that leaves the lane likewise, where the next one ahead is too fast or too far away, or the leader too slow.
+/// **Negative**: a leader that leaves the lane in the same way, but the next one ahead is too fast or too far away, or
+/// the leader is too slow.
 ///
 /// Parameters, all at the reveal: `ttc_s` (gap per relative speed; absent where they do not close in), `gap_m` (from the ego's front to the revealed vehicle, along the lane), `relative_speed_mps` (positive
 /// when closing), `ego_speed_mps` and `revealed_speed_mps` (along the lane), `side` (to which the leader leaves: +1 left, -1 right).
@@ -103,25 +106,25 @@ impl CutOut {
         &self.config
     }
 
-    /// Whom the ego follows at present, and the next vehicle beyond.
+    /// The vehicle that the ego follows at present, and the next one beyond it.
     pub(super) fn queue(&self, ego: &Follower<'_>, present: usize) -> Option<[Ahead; 2]> {
         let speed_mps = ego.speed_mps(present);
         if speed_mps < self.config.min_speed_mps {
             return None;
         }
-        // What is to be reached in time at the reveal is as far away now, and what the ego drives until then.
+        // To be reached in time at the reveal, it can be at most this far away now, plus the way of the ego until then.
         match ego.ahead(present, (self.config.max_headway_s + self.config.max_ttc_s) * speed_mps)[..] {
             [leader, revealed, ..] if leader.gap_m <= self.config.max_headway_s * speed_mps => Some([leader, revealed]),
             _ => None,
         }
     }
 
-    /// Whether who drives so is slow beside an ego that is as fast as this.
+    /// Whether a vehicle at this speed is slow compared with an ego at that speed.
     pub(super) fn is_slow(&self, speed_mps: f64, ego_mps: f64) -> bool {
         speed_mps <= self.config.max_speed_share * ego_mps
     }
 
-    /// Whether the ego reaches in time who is so far ahead.
+    /// Whether the ego reaches a vehicle at this gap in time.
     pub(super) fn is_reached(&self, revealed: &Ahead) -> bool {
         let closing_mps = revealed.own_mps - revealed.their_mps;
         revealed.own_mps >= self.config.min_speed_mps

@@ -35,7 +35,7 @@ impl DrivenPath {
         Some(Self { polyline: Polyline(points), half_length_m: track.extent_or_nominal().length_m / 2.0 })
     }
 
-    /// Where `point` stands relative to the path.
+    /// The position of `point` relative to the path.
     pub(crate) fn project(&self, point: Vec2) -> Option<Projection> {
         self.polyline.project(point)
     }

@@ -5,13 +5,13 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
-/// Whether an event is an example of the behavior or one that only looks like it.
+/// Whether an event is an example of the behavior or only resembles it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EventLabel {
     /// The behavior happens.
     Positive,
-    /// A hard negative: close to the behavior without being it.
+    /// A hard negative: close to the behavior without showing it.
     Negative,
 }
 
@@ -40,8 +40,8 @@ pub struct BehaviorEvent {
     pub start_timestep: usize,
     /// Last timestep of the event.
     pub end_timestep: usize,
-    /// What a safety engineer asks for; names end in their unit, such as `gap_m`. A parameter that is not defined
-    /// for an event, such as the time to a collision that does not come, is absent.
+    /// The figures of interest to a safety engineer; names end in their unit, such as `gap_m`. A parameter that is not
+    /// defined for an event, such as the time to collision without a collision course, is absent.
     pub parameters: BTreeMap<String, f64>,
 }
 
@@ -66,7 +66,7 @@ impl BehaviorEvent {
         }
     }
 
-    /// The event with a parameter more; a value that is absent or not finite adds none.
+    /// The event with one more parameter; a value that is absent or not finite adds none.
     pub(crate) fn with(mut self, name: &str, value: impl Into<Option<f64>>) -> Self {
         if let Some(value) = value.into().filter(|v| v.is_finite()) {
             self.parameters.insert(name.to_owned(), value);

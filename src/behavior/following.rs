@@ -1,4 +1,4 @@
-//! Who is in the way of a vehicle in the lane that it keeps, and how far ahead?
+//! Which agents are in the way of a vehicle in its lane, and how far ahead?
 
 use super::AgentFilter;
 use super::footprint::Footprint;
@@ -8,7 +8,7 @@ use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, State};
 use std::f64::consts::FRAC_PI_4;
 
-/// Who is in a lane drives or stands along it within this, radians.
+/// An agent in a lane points along it within this, radians.
 const ALONG_RAD: f64 = FRAC_PI_4;
 
 /// A vehicle and the lane that it keeps.
@@ -20,7 +20,7 @@ pub(super) struct Follower<'a> {
     pub(super) lane: KeptLane,
 }
 
-/// Someone ahead in that lane at some timestep.
+/// An agent ahead in that lane at some timestep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Ahead {
     pub(super) agent_idx: usize,
@@ -32,13 +32,14 @@ pub(super) struct Ahead {
 }
 
 impl<'a> Follower<'a> {
-    /// The agent with the lane that it turns out to keep, among others that `agents` admits. `None` for who is in no lane at present.
+    /// The agent with the lane that it turns out to keep, among others that `agents` admits. `None` if it is in no lane
+    /// at present.
     pub(super) fn of(scene: &'a Scene, lanes: &SceneLanes<'_>, agents: AgentFilter, agent_idx: usize) -> Option<Self> {
         let lane = KeptLane::of(scene, lanes, agent_idx)?;
         Some(Self { scene, agent_idx, agents, lane })
     }
 
-    /// The same as far as the past tells the lane.
+    /// The same, with the lane predicted from the past alone.
     pub(super) fn as_observed(
         scene: &'a Scene,
         lanes: &SceneLanes<'_>,
@@ -49,13 +50,14 @@ impl<'a> Follower<'a> {
         Some(Self { scene, agent_idx, agents, lane })
     }
 
-    /// How fast it drives, m/s; 0 where it is not tracked.
+    /// Its speed, m/s; 0 where it is not tracked.
     pub(super) fn speed_mps(&self, timestep: usize) -> f64 {
         self.state(self.agent_idx, timestep).map_or(0.0, State::speed_mps)
     }
 
-    /// Those ahead in the lane at `timestep` within `reach_m`, the nearest first, who are in the follower's way: the boxes overlap across the lane by at least half
-    /// the width of the narrower one, since two may drive beside each other in one lane. Nobody where the follower itself is not in it.
+    /// The agents ahead in the lane at `timestep` within `reach_m` that are in the follower's way, nearest first.
+    /// Because two may drive beside each other in one lane, the boxes must overlap across it by at least half the width
+    /// of the narrower one. Empty if the follower itself is not in the lane.
     pub(super) fn ahead(&self, timestep: usize, reach_m: f64) -> Vec<Ahead> {
         let Some(own) = self.state_in_lane(self.agent_idx, timestep) else { return Vec::new() };
         let Some(place) = self.lane.project(own.position) else { return Vec::new() };
@@ -73,7 +75,7 @@ impl<'a> Follower<'a> {
             let way_m = theirs.station_m - place.station_m;
             let body = Footprint::new(&track.footprint(state));
             let gap_m = way_m - half_length_m - body.half_extent_m(along);
-            // Half of both widths less what of the narrower one has to overlap is half of the wider one.
+            // Half of both widths, less the required overlap of half the narrower one, is half of the wider one.
             let their_half_m = body.half_extent_m(Vec2::new(-along.y, along.x));
             let is_in_way = (theirs.offset_m - place.offset_m).abs() <= half_width_m.max(their_half_m);
             if way_m > 0.0 && gap_m <= reach_m && is_in_way {

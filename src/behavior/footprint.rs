@@ -1,4 +1,4 @@
-//! An agent's box made ready for many tests: do two boxes overlap, and how far apart are they?
+//! An agent's box, prepared for many tests: do two boxes overlap, and how far apart are they?
 
 use crate::geometry::{OrientedBox, Vec2};
 

@@ -58,17 +58,18 @@ impl Default for HardBrakeConfig {
 
 /// One agent (`agent`) brakes hard.
 ///
-/// **Positive**: the agent's smoothed deceleration is at least 4 m/s² over at least 0.3 s without a break, beginning
-/// at a speed of at least 3 m/s. The deceleration at a timestep is the slope of the least-squares line through the
-/// speeds in the 0.4 s around it, so it is not known within 0.2 s of the ends of a track and of its gaps; nor in the second after the present
-/// where positions are smoothed: what was observed is smoothed without the rest, and its error is made good then.
+/// **Positive**: the agent's smoothed deceleration is at least 4 m/s² over at least 0.3 s without a break, beginning at
+/// a speed of at least 3 m/s. The deceleration at a timestep is the slope of the least-squares line through the speeds
+/// in the 0.4 s around it, so it is not known within 0.2 s of the ends of a track and of its gaps. Where positions are
+/// smoothed, it is not known in the second after the present either: observed positions are smoothed without the later
+/// ones, and the motion of that second makes up for their error.
 ///
 /// - The event *starts* at the first timestep with that deceleration and is *complete* at the last one.
-/// - *What does not count*: single noisy speeds; decelerations beyond 12 m/s², which no tire gives; the last moments of a stop from walking speed; braking that lies
-///   within a gap of the track.
+/// - *What does not count*: single noisy speeds; decelerations beyond 12 m/s², which no tire can achieve; the last
+///   moments of a stop from walking speed; braking within a gap of the track.
 ///
-/// **Negative**: a deceleration of at least 2.5 m/s² over at least 0.3 s during which no hard braking happens, be it
-/// that it is too weak, too short or from too low a speed.
+/// **Negative**: a deceleration of at least 2.5 m/s² over at least 0.3 s without hard braking, because it is too weak,
+/// too short or begins at too low a speed.
 ///
 /// Parameters: `speed_mps` and `end_speed_mps` (at start and end), `max_deceleration_mps2`, `mean_deceleration_mps2`,
 /// `duration_s`.
@@ -128,7 +129,8 @@ impl Behavior for HardBrake {
         agents.first().map_or_else(Vec::new, |agent_idx| self.brakings(scene, *agent_idx))
     }
 
-    /// Agents in the order of tracks; of each agent first its positive, then its negative events, by time.
+    /// Agents come in the order of tracks; for each agent, positive events come first, then negative ones, each by
+    /// time.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let considered = scene.tracks.iter().enumerate().filter(|(_, track)| self.config.agents.admits(track.class));
         considered.flat_map(|(agent_idx, track)| self.detect_agent(scene, agent_idx, track)).collect()

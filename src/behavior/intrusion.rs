@@ -5,11 +5,11 @@ use super::driven_path::DrivenPath;
 use crate::geometry::Vec2;
 use crate::scene::Scene;
 
-/// Speeds below this count as standing where a quotient by the speed would lose its meaning, m/s.
+/// Speeds below this count as standing, m/s: a quotient by them would have no meaning.
 const STANDING_MPS: f64 = 0.1;
 
-/// How two agents stand to each other when one intrudes on the path of the other. The parameters of the same names
-/// of [`super::CutIn`] and [`super::CutInPaper`] say what the fields mean.
+/// The relation of two agents when one intrudes on the path of the other. The fields are the parameters of the same
+/// names of [`super::CutIn`] and [`super::CutInPaper`].
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Intrusion {
     pub(super) ego_speed_mps: f64,
@@ -24,7 +24,8 @@ pub(super) struct Intrusion {
 }
 
 impl Intrusion {
-    /// The intrusion of `other` at `timestep` into the path that the ego goes on to drive. `None` where either of the two is not tracked then.
+    /// The intrusion of `other` at `timestep` into the future path of the ego. `None` if either of the two is not
+    /// tracked then.
     pub(super) fn at(scene: &Scene, [ego_idx, other_idx]: [usize; 2], timestep: usize) -> Option<Self> {
         let (ego, other) = (&scene.tracks[ego_idx], &scene.tracks[other_idx]);
         let (ego_state, other_state) = (ego.trajectory.get(timestep)?, other.trajectory.get(timestep)?);

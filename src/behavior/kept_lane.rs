@@ -9,49 +9,50 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
 /// An agent is still in its lane when its center is beyond a side by no more than this, meters.
 const HYSTERESIS_M: f64 = 0.3;
-/// The lane is followed so far ahead of and behind the lane in which the agent is at present, meters: farther than anybody of interest.
+/// How far the lane is followed ahead of and behind the agent's present lane, meters: farther than any agent of
+/// interest.
 const AHEAD_M: f64 = 200.0;
 const BEHIND_M: f64 = 100.0;
 /// How far its lines run straight on where the map ends, meters.
 const EXTENSION_M: f64 = 100.0;
-/// Points closer together than this are one, meters: lanes that follow on repeat the last point.
+/// Points closer together than this are merged, meters: lanes that follow on repeat the last point.
 const MIN_SPACING_M: f64 = 0.05;
 
-/// The lane in which an agent is at present, with those that lead to it and those that follow on: where the road forks, those that the
-/// agent drives, or else the straightest.
+/// The lane in which an agent is at present, with the lanes that lead to it and those that follow on. Where the road
+/// forks, it continues in the lanes that the agent drives, or else in the straightest.
 pub(super) struct KeptLane {
     center: Polyline,
-    /// Left and right boundary, where all of its lanes have them.
+    /// Left and right boundaries, if all of its lanes have them.
     sides: Option<[Polyline; 2]>,
     /// The lanes in driving direction. Empty for a straight line.
     lanes: Vec<LaneId>,
 }
 
 impl KeptLane {
-    /// That of an agent. `None` where it is not tracked at present or in no lane then.
+    /// The lane that an agent keeps. `None` if the agent is not tracked at present or is in no lane.
     pub(super) fn of(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
         Self::among(scene, lanes, agent_idx, scene.n_timesteps)
     }
 
-    /// The lane as far as the past tells it. `None` where the agent is not tracked at present or in no lane then.
+    /// The lane predicted from the past alone. `None` if the agent is not tracked at present or is in no lane.
     pub(super) fn as_observed(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
         Self::among(scene, lanes, agent_idx, scene.n_history)
     }
 
-    /// The lane that begins with this one, and goes on straight where the road forks.
+    /// The lane that starts with this one and continues with the straightest successor at each fork.
     pub(super) fn from_lane(lanes: &SceneLanes<'_>, lane: &IndexedLane<'_>) -> Self {
         Self::along(&route(lanes, lane, &[], &[]))
     }
 
-    /// The line on which an agent in this state goes straight on.
+    /// The straight line ahead of an agent in this state.
     pub(super) fn straight_on(state: &State) -> Self {
         let ahead = Vec2::from_angle(state.heading_rad);
         let center = extended([state.position, state.position + ahead].iter());
         Self { center, sides: None, lanes: Vec::new() }
     }
 
-    /// Of the lanes in which the agent is at present, the one that holds most of its places up to `end`; of equal ones that whose center line is nearest
-    /// to them.
+    /// Of the lanes in which the agent is at present, the one that contains most of its positions up to `end`; among
+    /// equals, the one whose center line is nearest to them.
     fn among(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, end: usize) -> Option<Self> {
         let trajectory = &scene.tracks[agent_idx].trajectory;
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
@@ -79,24 +80,24 @@ impl KeptLane {
         }
     }
 
-    /// The point so far along the center line.
+    /// The point at this distance along the center line.
     pub(super) fn point_at(&self, station_m: f64) -> Option<Vec2> {
         self.center.point_at(station_m)
     }
 
-    /// The point so far along the center line and beside it, to the left where positive.
+    /// The point at this distance along the center line and this offset from it, positive to the left.
     pub(super) fn beside(&self, station_m: f64, offset_m: f64) -> Option<Vec2> {
         let point = self.point_at(station_m)?;
         let heading_rad = self.project(point)?.heading_rad;
         Some(point + Vec2::from_angle(heading_rad).rotated(FRAC_PI_2) * offset_m)
     }
 
-    /// Where `point` is along the center line and beside it.
+    /// The position of `point` along the center line and beside it.
     pub(super) fn project(&self, point: Vec2) -> Option<Projection> {
         self.center.project(point)
     }
 
-    /// How far `point` is beyond the side of the lane on the left (+1) or right (-1), meters; negative on this side of it.
+    /// How far `point` is beyond the left (+1) or right (-1) side of the lane, meters; negative inside it.
     pub(super) fn beyond_m(&self, point: Vec2, side: f64) -> Option<f64> {
         match &self.sides {
             Some([left, right]) => {
@@ -112,7 +113,7 @@ impl KeptLane {
         [1.0, -1.0].into_iter().all(|side| self.beyond_m(point, side).is_some_and(|beyond_m| beyond_m <= HYSTERESIS_M))
     }
 
-    /// Whether the two lead into each other.
+    /// Whether the two lanes lead into each other.
     pub(super) fn joins(&self, other: &Self) -> bool {
         self.lanes.iter().any(|lane| other.lanes.contains(lane))
     }

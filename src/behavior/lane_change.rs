@@ -56,7 +56,7 @@ impl Default for LaneChangeConfig {
 /// neighbor by the map, or a parallel lane at its side) and stays there for at least 1 s. It has left a lane
 /// when it is more than 0.3 m beyond its side, and not before.
 ///
-/// - The event *starts* when the center is more than 0.5 m off the old center line and keeps being so until it crosses.
+/// - The event *starts* when the center is more than 0.5 m off the old center line and stays so until it crosses.
 /// - It is *complete* when the center has been in the new lane for 1 s. Crossing several lanes, each in less than
 ///   that, is one event: the last crossing.
 /// - *What does not count*: going on to a lane that follows, forks or merges (unless the map names it as a neighbor);
@@ -162,7 +162,7 @@ impl Behavior for LaneChange {
         agents.first().map_or_else(Vec::new, |agent_idx| self.changes(scene, *agent_idx))
     }
 
-    /// Agents in the order of tracks; of each agent by time.
+    /// Agents come in the order of tracks; the events of each agent come by time.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         if scene.lanes.is_empty() {
             return Vec::new();

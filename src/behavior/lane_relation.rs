@@ -1,4 +1,4 @@
-//! Which lanes is a point on, and how do two lanes lie to each other?
+//! Which lanes is a point on, and how are two lanes related?
 
 use super::footprint::Bounds;
 use crate::geometry::{Polyline, Vec2, angle_difference};
@@ -25,7 +25,7 @@ pub(crate) struct LanePlace {
     pub(crate) heading_rad: f64,
 }
 
-/// A lane with what is asked of it again and again.
+/// A lane with precomputed values for repeated queries.
 #[derive(Debug)]
 pub(crate) struct IndexedLane<'a> {
     pub(crate) lane: &'a Lane,
@@ -73,7 +73,7 @@ pub(crate) fn is_in_polygon(polygon: &[Vec2], point: Vec2) -> bool {
     })
 }
 
-/// How another lane lies to a lane, seen from a point at its edge.
+/// The relation of another lane to a lane, at a point on its edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum LaneRelation {
     /// One follows the other, or both fork from one lane, or both end in one.
@@ -84,7 +84,7 @@ pub(crate) enum LaneRelation {
     Elsewhere,
 }
 
-/// The lanes of a scene, with rectangles that say quickly which of them a point cannot be on.
+/// The lanes of a scene, with rectangles that quickly exclude lanes a point cannot be on.
 pub(crate) struct SceneLanes<'a> {
     graph: &'a LaneGraph,
     lanes: Vec<IndexedLane<'a>>,
@@ -110,7 +110,7 @@ impl<'a> SceneLanes<'a> {
             .filter(|(_, place)| place.margin_m >= 0.0)
     }
 
-    /// How `to` lies to `from` at `point`, a point on `to` and next to `from`.
+    /// The relation of `to` to `from` at `point`, which is on `to` and next to `from`.
     pub(crate) fn relation(&self, from: &IndexedLane<'_>, to: &IndexedLane<'_>, point: Vec2) -> LaneRelation {
         self.connection(from.lane, to.lane).unwrap_or_else(|| {
             let is_beside = from.place(point).zip(to.place(point)).is_some_and(|(old, new)| {
@@ -144,7 +144,7 @@ impl<'a> SceneLanes<'a> {
 
     /// Whether `start` leads back to itself within `length_m`, as on a roundabout.
     pub(crate) fn is_on_loop(&self, start: &Lane, length_m: f64) -> bool {
-        // Lanes with the least length from the end of `start` to theirs at which they were reached.
+        // Lanes, with the shortest distance from the end of `start` to their own end.
         let mut reached: BTreeMap<LaneId, f64> = BTreeMap::new();
         let mut open = vec![(start.id, 0.0)];
         while let Some((id, before_m)) = open.pop() {
@@ -164,7 +164,7 @@ impl<'a> SceneLanes<'a> {
         false
     }
 
-    /// What the map says of two lanes. `None` if nothing.
+    /// The relation of two lanes according to the map, if it has one.
     fn connection(&self, from: &Lane, to: &Lane) -> Option<LaneRelation> {
         let (ahead, behind) = (self.reachable(from, |l| &l.successors), self.reachable(from, |l| &l.predecessors));
         let names = |lane: &Lane, id: LaneId| lane.left_neighbor == Some(id) || lane.right_neighbor == Some(id);
@@ -173,7 +173,7 @@ impl<'a> SceneLanes<'a> {
         if family.any(|lane| names(lane, to.id) || names(to, lane.id)) {
             return Some(LaneRelation::Beside);
         }
-        // A lane that follows on, or leads here, is among its own.
+        // A lane that follows on or leads here counts as the agent's own.
         let forks = self.reachable(to, |l| &l.predecessors).intersection(&behind).next().is_some();
         let merges = self.reachable(to, |l| &l.successors).intersection(&ahead).next().is_some();
         (forks || merges).then_some(LaneRelation::Along)

@@ -7,7 +7,7 @@ use std::f64::consts::FRAC_PI_4;
 
 /// An agent is only in lanes whose direction differs from its heading by less than this, radians.
 const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
-/// How far into the next lane a point is set to ask which lane is there, meters.
+/// How far into the next lane a point is placed to find that lane, meters.
 const PROBE_M: f64 = 0.5;
 
 /// A move from one lane to one beside it.
@@ -19,7 +19,7 @@ pub(crate) struct LaneMove<'a> {
     pub(crate) side: f64,
     /// Direction of the new lane there, radians.
     pub(crate) heading_rad: f64,
-    /// The last timestep up to which the agent is followed on without losing it.
+    /// The last timestep up to which the agent is tracked without being lost.
     pub(crate) last_followed: usize,
     lane: &'a IndexedLane<'a>,
 }
@@ -86,7 +86,7 @@ impl<'a> LaneTrace<'a> {
         trace
     }
 
-    /// The lane in which an agent goes on that has left `from`; notes a crossing if that lane is beside `from`.
+    /// The lane of an agent that has left `from`; notes a crossing if that lane is beside `from`.
     fn leave(
         &mut self,
         lanes: &'a SceneLanes<'a>,
@@ -97,7 +97,8 @@ impl<'a> LaneTrace<'a> {
         let mut found: Vec<_> = candidates(lanes, state)
             .map(|(lane, place)| (lanes.relation(from, lane, state.position), lane, place))
             .collect();
-        // The deepest inside comes first, and any that follows on comes before any that lies beside.
+        // Lanes that follow on come before lanes beside; among these, the one with the agent deepest inside comes
+        // first.
         found.sort_by(|a, b| b.2.margin_m.total_cmp(&a.2.margin_m));
         let best_of = |wanted: LaneRelation| found.iter().find(|(relation, _, _)| *relation == wanted);
         let (relation, lane, place) = best_of(LaneRelation::Along)

@@ -1,10 +1,10 @@
-//! What driving allows.
+//! The limits of driving.
 
 use crate::scene::Scene;
 
-/// How hard vehicles may brake and accelerate, m/s².
+/// The accelerations of vehicles along their way, m/s².
 pub(super) const ACCELERATIONS_MPS2: std::ops::RangeInclusive<f64> = -4.0..=2.5;
-/// How hard they may accelerate across, m/s².
+/// Their largest lateral acceleration, m/s².
 pub(super) const LATERAL_ACCELERATION_MPS2: f64 = 2.0;
 
 /// The share of the limits that an acceleration takes.

@@ -1,7 +1,7 @@
-//! Behaviors worth finding in traffic: does this scene hold a cut-in, and who took part?
+//! Behaviors worth finding in traffic: does this scene contain a cut-in, and which agents take part?
 //!
-//! One behavior a file. A new one needs its file, an entry in the list `behaviors!`, and example
-//! scenes in `tests/fixtures/behavior/<id>/`, at least one with a positive and one with a negative event.
+//! One behavior per file. A new one needs its file, an entry in the list `behaviors!`, and example scenes in
+//! `tests/fixtures/behavior/<id>/`, at least one with a positive and one with a negative event.
 
 mod agent_filter;
 mod collision;
@@ -69,37 +69,40 @@ pub trait Behavior: Send + Sync {
     }
     /// All events of the scene, positive and (where the behavior defines them) hard negative, in a fixed order.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent>;
-    /// Whether agents of this class may be asked to show it.
+    /// Whether agents of this class can take part.
     fn admits(&self, class: AgentClass) -> bool {
         class.is_motorized()
     }
-    /// Whether it is found among agents whose size is recorded alone.
+    /// Whether it is found only among agents of recorded size.
     fn needs_sizes(&self) -> bool {
         false
     }
-    /// All who would take part in an event of which `pair` has the first two roles, told from what was observed and the map alone. `None`
-    /// where nobody has another role that there is.
+    /// All agents of an event in which `pair` has the first two roles, found from the observed past and the map alone.
+    /// `None` if the behavior has a further role and no agent can take it.
     fn completed(&self, _scene: &Scene, pair: [usize; 2]) -> Option<Vec<usize>> {
         Some(pair.to_vec())
     }
-    /// What `agents`, in the order of the roles, could still come to, told from what was observed and the map alone; empty where they
-    /// cannot show the behavior: what its templates come to, and where it has none, one outcome that names no parameter.
+    /// The outcomes that `agents`, in the order of the roles, can still reach, judged from the observed past and the
+    /// map alone. Empty if they cannot show the behavior. By default the outcomes of its planned maneuvers; without
+    /// templates, one outcome without parameters, which allows anything.
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         match self.template_parameters() {
             [] => vec![Outcome::default()],
             _ => maneuver::outcomes(self, scene, agents),
         }
     }
-    /// The parameters of outcomes for which its templates are solved; none where it has no templates.
+    /// The parameters for which its templates are solved; empty if it has no templates.
     fn template_parameters(&self) -> &'static [&'static str] {
         &[]
     }
-    /// How `agents`, in the order of the roles, might drive to show the behavior, told from what was observed and the map alone.
+    /// Ways in which `agents`, in the order of the roles, may drive to show the behavior, drawn up from the observed
+    /// past and the map alone. Each is tried before it is used.
     fn maneuvers(&self, _scene: &Scene, _agents: &[usize]) -> Vec<Maneuver> {
         Vec::new()
     }
-    /// A maneuver by which `agents`, in the order of the roles, come to an outcome whose parameters are as `wanted`, each from a least to a
-    /// most, told as outcomes are; another one for each `variant`, counted around. `None` where there is none.
+    /// A maneuver that brings `agents`, in the order of the roles, to an outcome with each `wanted` parameter in its
+    /// range (from, to), ends included: a different one for each `variant`, cyclically. Uses the observed past and the
+    /// map alone. `None` if there is no such maneuver.
     fn template(
         &self,
         scene: &Scene,
@@ -185,7 +188,7 @@ behaviors! {
 }
 
 impl BehaviorConfig {
-    /// Refuses options by which nothing could be found, or what is found would not be what the behavior says.
+    /// Refuses options with which nothing could be found, or with which the events would contradict the definition.
     ///
     /// # Errors
     /// Names the option.
@@ -225,7 +228,7 @@ impl BehaviorConfig {
     }
 }
 
-/// What there is to say of a behavior without a scene.
+/// The facts about a behavior that do not depend on a scene.
 #[derive(Debug, Clone, Copy)]
 pub struct BehaviorEntry {
     /// Its name in configs and tables.
@@ -236,9 +239,9 @@ pub struct BehaviorEntry {
     pub parameters: &'static [&'static str],
     /// What it is, in a line.
     pub description: &'static str,
-    /// Whether those who show it touch, which nobody else may.
+    /// Whether its agents touch each other, which no other agents may.
     pub is_collision: bool,
-    /// Whether it is found along lanes, and so not at all in scenes without any.
+    /// Whether it is defined by lanes, so that scenes without lanes have no events.
     pub needs_lanes: bool,
     /// Its default options.
     pub default_config: fn() -> BehaviorConfig,
@@ -250,7 +253,7 @@ impl BehaviorEntry {
         ALL.iter().find(|entry| entry.id == id)
     }
 
-    /// Whether those of whom the behavior of this name is asked are to touch.
+    /// Whether the agents of the behavior of this name are meant to touch.
     pub fn is_collision(id: Option<&str>) -> bool {
         id.and_then(Self::of).is_some_and(|entry| entry.is_collision)
     }

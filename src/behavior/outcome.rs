@@ -1,9 +1,9 @@
-//! What could still come of a scene, told from what was observed and from the map alone?
+//! Which events can agents still reach, judged from their past and the map alone?
 
 use std::collections::BTreeMap;
 
-/// Parameters of an event that agents could still show, by the names under which the event would report them. A parameter that is not
-/// named may come out as anything.
+/// The parameters of an event that agents can still show, under the names that the event would have. Parameters that
+/// are not named can take any value.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Outcome {
     parameters: BTreeMap<&'static str, f64>,
@@ -11,7 +11,7 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// The same with one parameter more; what is not defined (`None`) is left out.
+    /// The same with one more parameter; an undefined one (`None`) is left out.
     #[must_use]
     pub(crate) fn with(mut self, name: &'static str, value: impl Into<Option<f64>>) -> Self {
         if let Some(value) = value.into() {
@@ -20,19 +20,33 @@ impl Outcome {
         self
     }
 
-    /// The value of a parameter, where it is named.
+    /// The value of a parameter, if it is named.
     pub fn get(&self, name: &str) -> Option<f64> {
         self.parameters.get(name).copied()
     }
 
-    /// The same, said to take so much of what the limits of driving allow.
+    /// Whether it names every parameter in `ranges` with a value in its range, ends included.
+    pub(super) fn is_within(&self, ranges: &BTreeMap<String, [f64; 2]>) -> bool {
+        self.may_be_within(ranges) && ranges.keys().all(|name| self.get(name).is_some())
+    }
+
+    /// Whether all parameters in `ranges` that it names lie in their ranges. Those that it does not name can still come
+    /// to lie there.
+    pub(super) fn may_be_within(&self, ranges: &BTreeMap<String, [f64; 2]>) -> bool {
+        let is_in = |(name, [low, high]): (&String, &[f64; 2])| {
+            self.get(name).is_none_or(|value| (*low..=*high).contains(&value))
+        };
+        ranges.iter().all(is_in)
+    }
+
+    /// The same with this effort.
     #[must_use]
     pub(crate) const fn at_effort(mut self, effort: f64) -> Self {
         self.effort = effort;
         self
     }
 
-    /// How much of the limits of driving it takes, from 0 to 1.
+    /// The share of the limits of driving that it takes, from 0 to 1.
     pub const fn effort(&self) -> f64 {
         self.effort
     }

@@ -1,4 +1,4 @@
-//! Ordered pairs of agents: who does something to whom, and who only comes close?
+//! Ordered pairs of agents: which of them show a behavior, and which only come close?
 
 use super::sweep::Sweep;
 use super::{AgentFilter, BehaviorEvent, EventLabel};
@@ -11,18 +11,20 @@ pub(super) struct PairSearch<'a> {
     /// Name and roles of the behavior.
     pub(super) names: (&'static str, &'static [&'static str]),
     pub(super) agents: AgentFilter,
-    /// Pairs without the behavior are hard negatives if their boxes come closer than this, meters. No others are looked at.
+    /// Pairs without the behavior are hard negatives if their boxes come closer than this, meters. Pairs that stay
+    /// farther apart are skipped.
     pub(super) negative_distance_m: f64,
-    /// When that counts; start and end of hard negatives.
+    /// The timesteps at which that counts; also the start and end of hard negatives.
     pub(super) judged: Range<usize>,
-    /// Whether it counts between states at the same time alone.
+    /// Whether only states at the same time are compared.
     pub(super) same_time: bool,
 }
 
 impl PairSearch<'_> {
-    /// The events of all pairs: `positive` makes that of a pair (the first role, the second one), or else it may be a hard negative.
-    /// Pairs in the order of tracks, each first with the earlier track in the first role, then with the later one. All have
-    /// `min_distance_m`, that of the boxes at the same time from the present on.
+    /// The events of all pairs. `positive` makes the event of a pair (first role, second role); a pair without one may
+    /// be a hard negative. Pairs come in the order of tracks, each first with the earlier track in the first role, then
+    /// with the later one. All events have `min_distance_m`, the smallest distance of the boxes at the same time, from
+    /// the present on.
     pub(super) fn events(
         &self,
         positive: impl Fn([usize; 2], &Sweep, &Sweep) -> Option<BehaviorEvent>,
@@ -49,7 +51,7 @@ impl PairSearch<'_> {
                 let pairs = [[*first_idx, *second_idx], [*second_idx, *first_idx]];
                 let found = [positive(pairs[0], first, second), positive(pairs[1], second, first)];
                 let is_near = found.iter().any(Option::is_none) && self.is_near(first, second);
-                // The distance costs more than all else, so it is left out where no event comes of it.
+                // The distance is the most expensive part, so it is computed only for events.
                 let min_distance_m = (is_near || found.iter().any(Option::is_some))
                     .then(|| first.min_distance_m(second, present..scene.n_timesteps))
                     .flatten()

@@ -1,4 +1,4 @@
-//! Pedestrian steps out: does somebody on foot enter the lane of a vehicle, shortly ahead of it?
+//! Pedestrian steps out: does a pedestrian enter the lane of a vehicle, shortly ahead of it?
 
 use super::following::Follower;
 use super::lane_relation::SceneLanes;
@@ -26,10 +26,11 @@ pub struct PedestrianStepsOutConfig {
     /// Up to this time to arrival it is a hard negative, seconds. Default 5.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub negative_time_to_arrival_s: f64,
-    /// The vehicle drives at least this fast then, m/s. Default 3: who is slower waits.
+    /// The vehicle drives at least this fast then, m/s. Default 3: a slower one is waiting.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_speed_mps: f64,
-    /// Who is ever faster than this is no pedestrian but a cyclist, of which some recordings do not tell them apart, m/s. Default 3.
+    /// An agent that is ever faster than this is a cyclist, m/s: some recordings do not separate pedestrians from
+    /// cyclists. Default 3.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_pedestrian_mps: f64,
 }
@@ -45,7 +46,8 @@ impl Default for PedestrianStepsOutConfig {
     }
 }
 
-/// Somebody on foot (`pedestrian`) steps from beside the road into the lane that a vehicle (`ego`) keeps, shortly ahead of it.
+/// A pedestrian (`pedestrian`) steps from beside the road into the lane that a vehicle (`ego`) keeps, shortly ahead of
+/// it.
 ///
 /// The lane of the ego is the one it is in at present, with those that lead to it and follow on. The future is every timestep after the present.
 ///
@@ -61,8 +63,8 @@ impl Default for PedestrianStepsOutConfig {
 /// typology (Najm et al. 2007, "pedestrian crash without prior vehicle maneuver"); Euro NCAP's tests of crossing pedestrians begin at 4 s and have them
 /// walk at 5 km/h.
 ///
-/// *What does not count*: who crosses another lane first, and so is on the road and seen; vehicles that wait or creep; who steps out beside or behind the
-/// vehicle; agents that are in no lane at present.
+/// *What does not count*: pedestrians who cross another lane first and are therefore visible on the road; vehicles that
+/// wait or creep; pedestrians who step out beside or behind the vehicle; egos that are in no lane at present.
 ///
 /// **Negative**: the same with a time to arrival below 5 s, or with a slower vehicle.
 ///
@@ -73,7 +75,7 @@ pub struct PedestrianStepsOut {
     config: PedestrianStepsOutConfig,
 }
 
-/// How a vehicle and a pedestrian stand to each other.
+/// The relation of a vehicle and a pedestrian at a timestep.
 #[derive(Debug, Clone, Copy)]
 struct Step {
     timestep: usize,
@@ -93,7 +95,7 @@ impl PedestrianStepsOut {
         &self.config
     }
 
-    /// Whether the agent is on foot, as far as its timesteps before `end` tell, and beside the road at present.
+    /// Whether the agent is on foot, judged from its timesteps before `end`, and beside the road at present.
     pub(super) fn is_beside_road(&self, scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, end: usize) -> bool {
         let track = &scene.tracks[agent_idx];
         let mut states = track.trajectory.valid().filter(|(t, state)| *t < end && state.is_finite());

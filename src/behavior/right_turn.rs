@@ -17,10 +17,10 @@ pub(super) const ID: &str = "right_turn";
 ///
 /// - The event *starts* when the heading has changed by 10 % of that for good, and is *complete* when it has changed
 ///   by 90 % for the first time.
-/// - *What does not count*: changes that the agent undoes within the scene, since the net change decides; headings
-///   that jump while the agent creeps or stands (less than 3 m of path between start and end) or that no vehicle can
-///   steer (a mean radius below 3 m). Nor who enters a roundabout, drives around it or leaves it:
-///   lanes that lead back to themselves within 250 m, those beside them, and those that lead there or come from there.
+/// - *What does not count*: changes that the agent undoes within the scene, since the net change decides; headings that
+///   jump while the agent creeps or stands (less than 3 m of path between start and end) or that no vehicle can steer
+///   (a mean radius below 3 m). Agents that enter, circle or leave a roundabout do not count either: lanes that lead
+///   back to themselves within 250 m, the lanes beside them, and those that lead there or come from there.
 ///
 /// **Negative**: a net change between 30 and 60 degrees to the right, or a larger one on a wider radius, as where
 /// the road itself bends.

@@ -2,13 +2,14 @@
 
 use crate::scene::Trajectory;
 
-/// For so long after the present a smoothed trajectory makes good what was not known before, seconds.
+/// How long after the present a smoothed trajectory still corrects the error of its observed part, seconds.
 const SETTLING_S: f64 = 1.0;
 
-/// The acceleration at every timestep, m/s² along the motion: the slope of the least-squares line through the
-/// speeds in a window of at least `window_s` (and at least three timesteps) centered there.
-/// `None` where the window reaches beyond the trajectory or over a timestep that is not tracked, and of a trajectory that was smoothed where it
-/// holds states of the second after `present`: those before were smoothed without what follows, and their error is made good in that second.
+/// The acceleration at every timestep, m/s² along the motion: the slope of the least-squares line through the speeds in
+/// a window of at least `window_s` (and at least three timesteps) centered there. `None` where the window reaches
+/// beyond the trajectory or over a timestep that is not tracked. For a smoothed trajectory also where the window holds
+/// states of the second after `present`: earlier states were smoothed without later ones, and that second corrects
+/// their error.
 pub(crate) fn smoothed_accelerations_mps2(
     trajectory: &Trajectory,
     present: usize,

@@ -89,7 +89,7 @@ impl Sweep {
         if !self.may_come_within(other, limit_m) {
             return false;
         }
-        // Pairs that are close at all are mostly close at the same time, which is the quicker question.
+        // Pairs that are close at all are mostly close at the same time, which is faster to test.
         self.comes_within_at_same_time(other, timesteps.clone(), limit_m)
             || self.near(timesteps.clone(), other.bounds, limit_m).any(|(_, own)| {
                 other

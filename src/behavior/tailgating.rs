@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "tailgating";
-/// Who drives too close, and who is ahead of it.
+/// The one that drives too close, and the one ahead of it.
 pub(super) const ROLES: &[&str] = &["follower", "leader"];
 /// What events say beyond their times; [`Tailgating`] has the definitions.
 pub(super) const PARAMETERS: &[&str] = &["time_headway_s", "mean_speed_mps", "duration_s"];
@@ -25,13 +25,13 @@ pub struct TailgatingConfig {
     /// Time headways below this are too short, seconds. Default 0.9.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 10.0))]
     pub max_headway_s: f64,
-    /// Headways below this over as long are a hard negative, seconds. Default 1.4.
+    /// Headways below this over the same duration are a hard negative, seconds. Default 1.4.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 10.0))]
     pub negative_headway_s: f64,
     /// Both drive at least this fast, m/s. Default 8 (29 km/h): slower is dense traffic.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_speed_mps: f64,
-    /// For so long without a break, from the first to the last timestep, seconds. Default 2.
+    /// How long this lasts without a break, from the first to the last timestep, seconds. Default 2.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub min_duration_s: f64,
 }
@@ -58,12 +58,14 @@ impl Default for TailgatingConfig {
 /// - The time headway, that is the gap from the follower's front to the leader's rear along the lane by the follower's speed, is below 0.9 s.
 /// - Both drive along the lane with at least 8 m/s.
 ///
-/// The event is the longest such stretch of a pair; what happens before and after the scene is not known. 0.9 s is half of the distance that German
-/// drivers learn to keep ("half the speedometer"), below which they are fined (BKatV no. 12), passing moments excepted; Vogel (2003, Accident
-/// Analysis and Prevention 35) has headways below 1 s as dangerous, and UN Regulation No. 157 keeps 1.0 to 1.6 s from 2 to 17 m/s.
+/// The event is the longest such stretch of a pair; what happens before and after the scene is not known. 0.9 s is half
+/// of the distance that German drivers learn to keep ("half the speedometer"); below it they are fined (BKatV no. 12),
+/// except for brief moments. Vogel (2003, Accident Analysis and Prevention 35) calls headways below 1 s dangerous, and
+/// UN Regulation No. 157 requires 1.0 to 1.6 s at 2 to 17 m/s.
 ///
-/// *What does not count*: queues and their ends, where one of the two is slow; short gaps after merging that are opened again within 2 s; boxes that
-/// overlap; two who drive staggered beside each other in one lane; agents that are in no lane at present.
+/// *What does not count*: queues and their ends, where one of the two is slow; short gaps after merging that open again
+/// within 2 s; boxes that overlap; two vehicles that drive staggered in one lane; agents that are in no lane at
+/// present.
 ///
 /// **Negative**: any other pair with headways below 1.4 s by the same rules.
 ///
@@ -75,22 +77,25 @@ pub struct Tailgating {
 
 /// A timestep at which one vehicle follows another fast enough.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Moment {
+pub(super) struct FollowingMoment {
     pub(super) timestep: usize,
     pub(super) gap_m: f64,
     pub(super) own_mps: f64,
 }
 
-impl Moment {
+impl FollowingMoment {
     pub(super) fn headway_s(&self) -> f64 {
         self.gap_m / self.own_mps
     }
 }
 
 /// The means over some moments of the headway, seconds, and of the follower's speed, m/s.
-pub(super) fn means(moments: &[Moment]) -> (f64, f64) {
+pub(super) fn means(moments: &[FollowingMoment]) -> (f64, f64) {
     let n = moments.len().max(1) as f64;
-    (moments.iter().map(Moment::headway_s).sum::<f64>() / n, moments.iter().map(|m| m.own_mps).sum::<f64>() / n)
+    (
+        moments.iter().map(FollowingMoment::headway_s).sum::<f64>() / n,
+        moments.iter().map(|m| m.own_mps).sum::<f64>() / n,
+    )
 }
 
 impl Tailgating {
@@ -104,20 +109,20 @@ impl Tailgating {
         &self.config
     }
 
-    /// When the agent follows whom, at which of `timesteps`.
+    /// The vehicles that the agent follows at `timesteps`.
     pub(super) fn moments(
         &self,
         follower: &Follower<'_>,
         timesteps: std::ops::Range<usize>,
-    ) -> BTreeMap<usize, Vec<Moment>> {
-        let mut by_leader: BTreeMap<usize, Vec<Moment>> = BTreeMap::new();
+    ) -> BTreeMap<usize, Vec<FollowingMoment>> {
+        let mut by_leader: BTreeMap<usize, Vec<FollowingMoment>> = BTreeMap::new();
         for timestep in timesteps {
             let Some(nearest) = follower.ahead(timestep, self.reach_m(follower.speed_mps(timestep))).first().copied()
             else {
                 continue;
             };
             if nearest.gap_m > 0.0 && nearest.own_mps.min(nearest.their_mps) >= self.config.min_speed_mps {
-                let moment = Moment { timestep, gap_m: nearest.gap_m, own_mps: nearest.own_mps };
+                let moment = FollowingMoment { timestep, gap_m: nearest.gap_m, own_mps: nearest.own_mps };
                 by_leader.entry(nearest.agent_idx).or_default().push(moment);
             }
         }
@@ -125,8 +130,9 @@ impl Tailgating {
     }
 
     /// The longest stretch of timesteps without a break in which headways are below `limit_s`, if it is long enough.
-    pub(super) fn longest(&self, moments: &[Moment], limit_s: f64, dt_s: f64) -> Option<Vec<Moment>> {
-        let short: Vec<Moment> = moments.iter().copied().filter(|moment| moment.headway_s() < limit_s).collect();
+    pub(super) fn longest(&self, moments: &[FollowingMoment], limit_s: f64, dt_s: f64) -> Option<Vec<FollowingMoment>> {
+        let short: Vec<FollowingMoment> =
+            moments.iter().copied().filter(|moment| moment.headway_s() < limit_s).collect();
         let runs = short.chunk_by(|a, b| b.timestep == a.timestep + 1);
         // Of equally long ones the first.
         let longest = runs.rev().max_by_key(|run| run.len())?;
@@ -134,12 +140,12 @@ impl Tailgating {
         (duration_s >= self.config.min_duration_s - 1e-9).then(|| longest.to_vec())
     }
 
-    /// Beyond this gap nobody follows at this speed, meters.
+    /// The gap beyond which a vehicle at this speed follows nobody, meters.
     fn reach_m(&self, speed_mps: f64) -> f64 {
         self.config.max_headway_s.max(self.config.negative_headway_s) * speed_mps
     }
 
-    /// Whether anybody is ever near enough ahead of the agent for it to follow: quicker to tell than by the lanes.
+    /// Whether any agent is ever near enough ahead for this one to follow it; faster than a test by lanes.
     fn may_follow(&self, scene: &Scene, agent_idx: usize) -> bool {
         let length_m = |idx: usize| scene.tracks[idx].extent_or_nominal().length_m;
         let finite = |idx: usize, timestep: usize| scene.state(idx, timestep).filter(|state| state.is_finite());
@@ -155,7 +161,7 @@ impl Tailgating {
     }
 
     fn events_of(&self, scene: &Scene, follower: &Follower<'_>, agent_idx: usize) -> Vec<BehaviorEvent> {
-        let event = |(leader_idx, moments): (usize, Vec<Moment>)| {
+        let event = |(leader_idx, moments): (usize, Vec<FollowingMoment>)| {
             let run = |limit_s: f64| self.longest(&moments, limit_s, scene.dt_s);
             let positive = run(self.config.max_headway_s).map(|run| (EventLabel::Positive, run));
             let negative = || run(self.config.negative_headway_s).map(|run| (EventLabel::Negative, run));

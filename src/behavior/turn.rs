@@ -1,4 +1,4 @@
-//! Turning by a large angle in little room: what left and right turns have in common.
+//! Turning by a large angle in a small space: what left and right turns have in common.
 
 use super::lane_relation::SceneLanes;
 use super::{AgentFilter, BehaviorEvent, EventLabel};
@@ -131,7 +131,7 @@ fn turn(
         return None;
     }
     let halfway = (start..=end).find(|at| 2.0 * poses[*at].turned_rad >= turned_rad).unwrap_or(end);
-    // Who comes to a roundabout may reach it after the turn, who leaves it may have been on it before.
+    // An agent may reach a roundabout after the turn, or may have left it before.
     let looked_at = [0, start, halfway, end, poses.len() - 1];
     let is_turn = turned_rad >= config.min_heading_change_rad
         && radius_m <= config.max_radius_m
@@ -154,7 +154,7 @@ struct TurnedPose {
     timestep: usize,
     position: Vec2,
     heading_rad: f64,
-    /// Unwrapped change of heading since the first tracked timestep, positive to the side asked for.
+    /// Unwrapped change of heading since the first tracked timestep, positive toward `side`.
     turned_rad: f64,
 }
 

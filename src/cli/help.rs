@@ -3,7 +3,7 @@
 /// Of the program.
 pub(super) const TOP: &str = "\
 Examples:
-  djinn run pipelines/quickstart.toml                 run all stages on the carried recordings
+  djinn run pipelines/quickstart.toml                 run all stages on the bundled recordings
   djinn run pipelines/quickstart.toml --dry-run       show what would run
   djinn inspect output/quickstart/main                show the results
 

@@ -83,7 +83,7 @@ pub(super) fn watch() {
                 let _ = emulate_default_handler(signal);
             } else if !MUST_STOP.swap(true, Ordering::Relaxed) {
                 if LISTENS.load(Ordering::Relaxed) {
-                    tell(format!("{name}: stopping as soon as what is done is saved"));
+                    tell(format!("{name}: stopping as soon as finished work is saved"));
                 }
                 std::thread::spawn(move || end_unless_listening(ended));
             }

@@ -151,7 +151,7 @@ impl Condition {
         };
         let is_flag = *field.data_type() == DataType::Boolean;
         if matches!(self.test, Test::Flag(_)) != values.is_empty() || (values.is_empty() && !is_flag) {
-            return Err(wrong(format!("{} is no flag: compare it with a value", self.column)));
+            return Err(wrong(format!("{} is not a flag; compare it with a value", self.column)));
         }
         let is_order = matches!(&self.test, Test::Compare(operator, _) if !matches!(operator, Operator::Equal | Operator::NotEqual));
         match field.data_type() {
@@ -165,7 +165,7 @@ impl Condition {
             },
             data_type if data_type.is_numeric() => {
                 match values.iter().find(|value| !value.parse::<f64>().is_ok_and(f64::is_finite)) {
-                    Some(value) => Err(wrong(format!("{} is a number, and {value:?} is none", self.column))),
+                    Some(value) => Err(wrong(format!("{} is a number, but {value:?} is not", self.column))),
                     None => Ok(()),
                 }
             }
@@ -332,9 +332,9 @@ mod tests {
         for (text, part) in [
             ("gap < 5", "did you mean gap_m?"),
             ("temperature_of_the_sea < 5", "they have requested_behavior, verified, gap_m"),
-            ("gap_m < five", "gap_m is a number, and \"five\" is none"),
-            ("gap_m < nan", "is none"),
-            ("gap_m", "is no flag"),
+            ("gap_m < five", "gap_m is a number, but \"five\" is not"),
+            ("gap_m < nan", "is not"),
+            ("gap_m", "is not a flag"),
             ("verified > false", "not more or less"),
             ("verified = yes", "true or false, not yes"),
             ("gap_m ~ 5", "after the column comes"),

@@ -114,42 +114,9 @@ pub fn diff(a: &Path, b: &Path, progress: &dyn Progress) -> Result<DiffReport> {
     let schema = united(&schemas);
     let n_all: u64 = scans.iter().map(|scan| scan.manifest().n_scenarios).sum();
     progress.start("compare", n_all, "scenarios");
-
-    let mut summaries: [BTreeMap<String, Summary>; 2] = Default::default();
-    let mut in_a: BTreeMap<Fingerprint, Content> = BTreeMap::new();
-    each(&scans[0], &schema, progress, |chunk, ids, contents| {
-        summarize(chunk, &mut summaries[0])?;
-        in_a.extend(ids.iter().copied().zip(contents.iter().copied()));
-        Ok(())
-    })?;
-    let (mut n_same, mut changed, mut only_b) = (0, BTreeSet::new(), Listing::default());
-    let mut seen: BTreeSet<Fingerprint> = BTreeSet::new();
-    each(&scans[1], &schema, progress, |chunk, ids, contents| {
-        summarize(chunk, &mut summaries[1])?;
-        let names = texts(&chunk.scenarios, "scenario_id", &chunk.path)?;
-        for (row, (id, content)) in ids.iter().zip(contents).enumerate() {
-            match in_a.get(id) {
-                Some(known) if known == content => n_same += 1,
-                Some(_) => {
-                    changed.insert(*id);
-                }
-                None => only_b.add(names.value(row)),
-            }
-            seen.insert(*id);
-        }
-        Ok(())
-    })?;
+    let matched = matched(&scans, &schema, progress)?;
     progress.finish();
-
-    let mut only_a = Listing::default();
-    if in_a.keys().any(|id| !seen.contains(id)) {
-        each_id(&scans[0], |id| {
-            if !seen.contains(&fingerprint(id.as_bytes())) {
-                only_a.add(id);
-            }
-        })?;
-    }
-    let (changed_ids, changed_by_column) = columns_that_changed(&scans, &schema, &changed)?;
+    let (changed_ids, changed_by_column) = columns_that_changed(&scans, &schema, &matched.changed)?;
     let only = |own: &SchemaRef, other: &SchemaRef| {
         let names = own.fields().iter().map(|field| field.name());
         names.filter(|name| other.field_with_name(name).is_err()).cloned().collect()
@@ -161,14 +128,60 @@ pub fn diff(a: &Path, b: &Path, progress: &dyn Progress) -> Result<DiffReport> {
             &scans[1].manifest().scenarios_by_partition,
         ),
         columns_only_in: [only(&schemas[0], &schemas[1]), only(&schemas[1], &schemas[0])],
-        n_same,
-        n_only_in: [only_a.n, only_b.n],
-        only_in: [only_a.first, only_b.first],
-        n_changed: changed.len() as u64,
+        n_same: matched.n_same,
+        n_only_in: matched.only_in.each_ref().map(|ids| ids.n),
+        only_in: matched.only_in.map(|ids| ids.first),
+        n_changed: matched.changed.len() as u64,
         changed: changed_ids,
         changed_by_column,
-        shifts: shifts(summaries),
+        shifts: shifts(matched.summaries),
     })
+}
+
+/// Which scenarios of two corpora are the same, by their ids and contents.
+#[derive(Default)]
+struct Matched {
+    n_same: u64,
+    /// Ids in both corpora with different contents.
+    changed: BTreeSet<Fingerprint>,
+    only_in: [Listing; 2],
+    /// The numbers of each corpus, by column.
+    summaries: [BTreeMap<String, Summary>; 2],
+}
+
+/// Matches the scenarios of both corpora, in columns that both share. Reads the first one again if some of its ids are not in the second.
+fn matched(scans: &[CorpusScan; 2], schema: &SchemaRef, progress: &dyn Progress) -> Result<Matched> {
+    let mut matched = Matched::default();
+    let mut in_a: BTreeMap<Fingerprint, Content> = BTreeMap::new();
+    each(&scans[0], schema, progress, |chunk, ids, contents| {
+        summarize(chunk, &mut matched.summaries[0])?;
+        in_a.extend(ids.iter().copied().zip(contents.iter().copied()));
+        Ok(())
+    })?;
+    let mut seen: BTreeSet<Fingerprint> = BTreeSet::new();
+    each(&scans[1], schema, progress, |chunk, ids, contents| {
+        summarize(chunk, &mut matched.summaries[1])?;
+        let names = texts(&chunk.scenarios, "scenario_id", &chunk.path)?;
+        for (row, (id, content)) in ids.iter().zip(contents).enumerate() {
+            match in_a.get(id) {
+                Some(known) if known == content => matched.n_same += 1,
+                Some(_) => {
+                    matched.changed.insert(*id);
+                }
+                None => matched.only_in[1].add(names.value(row)),
+            }
+            seen.insert(*id);
+        }
+        Ok(())
+    })?;
+    if in_a.keys().any(|id| !seen.contains(id)) {
+        each_id(&scans[0], |id| {
+            if !seen.contains(&fingerprint(id.as_bytes())) {
+                matched.only_in[0].add(id);
+            }
+        })?;
+    }
+    Ok(matched)
 }
 
 /// Ids: the first ones, and how many there are.

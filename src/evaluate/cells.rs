@@ -1,4 +1,4 @@
-//! Samples of one scene, beside the recording and the baseline: what are their figures?
+//! The figures of the samples of one scene, beside those of the recording and the baseline.
 
 use super::judge::{Judge, ReferenceJudgment};
 use super::measures::{Measures, Requested};
@@ -12,14 +12,14 @@ use serde::{Deserialize, Serialize};
 pub(super) struct CellSamples<'a> {
     /// The samples, in order.
     pub(super) records: Vec<&'a ScenarioRecord>,
-    /// Whether the recording and the baseline are measured too: once for each scene and roles of a sweep.
+    /// Whether the recording and the baseline are measured, too: once per scene and roles of a sweep.
     pub(super) with_references: bool,
 }
 
 /// The figures of a cell, each in the order of the measures.
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct CellFigures {
-    /// The recording, seen as its own only sample.
+    /// The recording, measured as its own only sample.
     pub(super) recorded: Option<Vec<Option<f64>>>,
     /// The constant-velocity baseline.
     pub(super) constant_velocity: Option<Vec<Option<f64>>>,
@@ -29,16 +29,16 @@ pub(super) struct CellFigures {
     pub(super) alone: Vec<Vec<Option<f64>>>,
     /// What is said of each sample.
     pub(super) assessments: Vec<Assessment>,
-    /// What would be said of the recording and of the baseline, where they are measured.
+    /// The judgments of the recording and of the baseline, if they are measured.
     pub(super) references_judged: Option<[ReferenceJudgment; 2]>,
     /// How everybody moves.
     pub(super) motion: CellMotion,
 }
 
-/// How everybody moves in the futures of a cell.
+/// The motion of all agents in the futures of a cell.
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct CellMotion {
-    /// In the recording and the baseline, where they are measured.
+    /// In the recording and the baseline, if they are measured.
     pub(super) references: Option<[MotionHistograms; 2]>,
     /// In all samples together.
     pub(super) together: MotionHistograms,
@@ -76,12 +76,12 @@ impl CellSamples<'_> {
         SeriesKey::of(sweep, &self.records[0].scenario.provenance)
     }
 
-    /// How likely each sample is, where their model says so.
+    /// The probability of each sample, if the model gives one.
     pub(super) fn probabilities(&self) -> Option<Vec<f64>> {
         self.records.iter().map(|record| record.scenario.provenance.probability).collect()
     }
 
-    /// From which the reduction of its samples to modes starts.
+    /// The seed of the reduction of its samples to modes.
     pub(super) fn mode_seed(&self) -> Seed {
         let provenance = &self.records[0].scenario.provenance;
         Seed(provenance.seed).derive_named("modes", &provenance.scene_id.0)

@@ -1,4 +1,4 @@
-//! The `[evaluate]` section: what is measured, what is kept, what must hold.
+//! The `[evaluate]` section: what to measure, what to keep, and which gates to check.
 
 use super::error::{Error, Result};
 use super::gates::GatesConfig;
@@ -24,7 +24,7 @@ pub struct EvaluateConfig {
     pub predictions: Vec<Dataset>,
     /// Which scenarios become the corpus.
     pub keep: Keep,
-    /// The limits that a valid scenario keeps.
+    /// The limits for valid scenarios.
     pub validity: ValidityConfig,
     /// The careful driver in place of the agent that is cut off: could a collision have been prevented?
     pub careful_driver: CarefulDriverConfig,
@@ -52,7 +52,7 @@ impl Default for EvaluateConfig {
     }
 }
 
-/// Which scenarios become the corpus. Whatever is left out is counted by reason.
+/// Which scenarios become the corpus. All others are counted by reason.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Keep {

@@ -14,10 +14,10 @@ pub enum Error {
         /// What to do about it.
         advice: String,
     },
-    /// A sample of a scene that the store does not hold.
+    /// A sample continues a scene that the store does not have.
     #[error("scene {0} of the samples is not in the scene store; pass the scenes that the samples were generated from")]
     UnknownScene(SceneId),
-    /// Figures that were not measured of the shard that they are put beside.
+    /// Figures belong to a different shard.
     #[error(
         "figures of {found} cells belong to another shard than the one with {expected}; measure it again with --redo evaluate"
     )]

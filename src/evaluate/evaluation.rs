@@ -1,4 +1,4 @@
-//! From measured shards of scenarios to everything that is said of them.
+//! Merges measured shards of scenarios into the results of an evaluation.
 
 use super::config::EvaluateConfig;
 use super::error::Result;
@@ -20,14 +20,14 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The metrics that a person asks for first: the content of `metrics.json`.
+/// The figures that people look at first: the content of `metrics.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EvaluationSummary {
     /// Number of generated scenarios.
     pub n_scenarios: u64,
     /// How many of them show the requested behavior.
     pub n_verified: u64,
-    /// How many of the verified ones the recording does not hold already.
+    /// How many of the verified ones the recording does not already show.
     pub n_new: u64,
     /// How many pass every check of validity.
     #[serde(default)]
@@ -45,7 +45,7 @@ pub struct EvaluationSummary {
     pub docs: Vec<MetricDoc>,
     /// Means over scenes: of all places together, then of each.
     pub aggregates: Vec<MetricRow>,
-    /// How far the motion of whole sweeps is from that of the recording.
+    /// How far the motion of whole sweeps is from the recordings.
     pub realism: Vec<RealismRow>,
     /// The verdicts on the scenarios of each sweep at each strength.
     #[serde(default)]
@@ -53,10 +53,10 @@ pub struct EvaluationSummary {
     /// Why samples are not accepted, or not even scenarios.
     #[serde(default)]
     pub left_out: Vec<LeftOutRow>,
-    /// How many scenarios, and how many of the recordings they continue, fail which check.
+    /// How many scenarios, and how many of the recordings that they continue, fail each check.
     #[serde(default)]
     pub validity: Vec<ValidityRow>,
-    /// At which places the map allows to judge departures from the road.
+    /// The places where the map is good enough to judge departures from the road.
     #[serde(default)]
     pub maps: Vec<MapFitRow>,
 }
@@ -68,7 +68,7 @@ pub struct Evaluated {
     pub summary: EvaluationSummary,
     /// Scenes with predictions for benchmarks.
     pub n_predicted_scenes: usize,
-    /// Tracks that a benchmark asks for and that could not be predicted.
+    /// Tracks that a benchmark requires and that could not be predicted.
     pub n_tracks_left_out: usize,
     rows: FinishedRows,
 }
@@ -90,7 +90,7 @@ impl Evaluated {
         Ok(self.aggregates().chain(self.rows.of_scenarios()?))
     }
 
-    /// Removes the files of the rows. Returns what is read first.
+    /// Removes the files of the rows. Returns the summary.
     ///
     /// # Errors
     /// Those of the file system.
@@ -104,7 +104,7 @@ impl Evaluated {
     }
 }
 
-/// What of a shard becomes part of the corpus.
+/// The part of a shard that becomes the corpus.
 pub struct KeptScenarios {
     /// The scenarios, judged, in their order.
     pub records: Vec<ScenarioRecord>,
@@ -114,16 +114,16 @@ pub struct KeptScenarios {
 
 /// Where an evaluation writes.
 pub struct EvaluationFiles<'a> {
-    /// The folder of predictions for benchmarks, if any are asked for.
+    /// The folder of predictions for benchmarks, if any are requested.
     pub predictions: &'a Path,
     /// The table of verdicts.
     pub verdicts: &'a Path,
-    /// The folder in which rows of metrics wait.
+    /// The folder for the files of metric rows.
     pub scratch: &'a Path,
 }
 
-/// Puts measured shards together and decides on their scenarios. What it keeps in memory does not grow with scenarios, but for the
-/// paths of accepted ones, which tell near-duplicates.
+/// Merges measured shards and decides on their scenarios. Its memory does not grow with scenarios, except for the paths
+/// of accepted ones, which recognize near-duplicates.
 pub struct Evaluation<'a> {
     config: &'a EvaluateConfig,
     docs: Vec<MetricDoc>,
@@ -168,8 +168,8 @@ impl<'a> Evaluation<'a> {
         }
     }
 
-    /// Adds the next shard and gives back what of it is kept. Shards must come in the order of the samples: of
-    /// near-duplicates the first is accepted.
+    /// Adds the next shard and returns the part to keep. Shards must come in the order of the samples, because the
+    /// first of several near-duplicates is accepted.
     ///
     /// # Errors
     /// When rows or predictions cannot be written.
@@ -205,7 +205,7 @@ impl<'a> Evaluation<'a> {
         Ok(KeptScenarios { records: kept, recordings })
     }
 
-    /// Closes the tables, judges the gates, and gives the files of verdicts and predictions their names.
+    /// Closes the tables, checks the gates, and renames the files of verdicts and predictions to their final names.
     ///
     /// # Errors
     /// When files cannot be written.

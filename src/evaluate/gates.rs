@@ -1,4 +1,4 @@
-//! Do the results keep the bounds that the configuration sets? What cannot be judged does not.
+//! Do the results meet the bounds of the configuration? A bound that cannot be judged is not met.
 
 use super::error::{Error, Result};
 use super::evaluation::EvaluationSummary;
@@ -50,7 +50,7 @@ pub struct GateResult {
     pub detail: String,
 }
 
-/// A bound that the mean of a metric must keep in every series.
+/// A bound on the mean of a metric, for every series.
 #[derive(Clone, Copy)]
 struct RateGate {
     name: &'static str,
@@ -86,7 +86,7 @@ impl GatesConfig {
         Ok(())
     }
 
-    /// Refuses gates for which what is generated leaves nothing to judge.
+    /// Refuses gates that the generated samples cannot decide.
     ///
     /// # Errors
     /// [`Error::Config`] with the gate and the sweep.
@@ -147,11 +147,11 @@ impl GatesConfig {
     }
 }
 
-/// Everything that gates look at, over all places.
+/// The data that gates look at, over all places.
 struct Measured<'a> {
     /// The series of generated traffic, measured or not.
     generated: Vec<SeriesKey>,
-    /// The sweeps that ask for a behavior.
+    /// The sweeps that request a behavior.
     asking: Vec<&'a str>,
     means: Vec<&'a MetricRow>,
 }
@@ -205,7 +205,7 @@ impl<'a> Measured<'a> {
         or_not_judged(name, "no sweep has unguided samples", unguided.map(of_series).collect())
     }
 
-    /// A result for each sweep that asks for a behavior at several strengths.
+    /// A result for each sweep that requests a behavior at several strengths.
     fn guidance_raises_rate(&self) -> Vec<GateResult> {
         let name = "guidance_raises_rate";
         let mut sweeps: Vec<&str> = Vec::new();
@@ -246,7 +246,7 @@ fn not_judged(gate: impl Into<String>, why: impl fmt::Display) -> GateResult {
     GateResult { gate: gate.into(), met: false, detail: format!("cannot be judged: {why}") }
 }
 
-/// The results; where there are none, that the gate cannot be judged.
+/// The results, or, if there are none, a failure because the gate cannot be judged.
 fn or_not_judged(gate: &str, why: &str, results: Vec<GateResult>) -> Vec<GateResult> {
     if results.is_empty() { vec![not_judged(gate, why)] } else { results }
 }

@@ -1,5 +1,4 @@
-//! How is a single scenario judged, apart from its requested behavior: could it have happened, how critical is it, is
-//! it new?
+//! Judges single scenarios, apart from their requested behavior: could it have happened, how critical is it, is it new?
 
 use super::config::EvaluateConfig;
 use super::error::Result;
@@ -14,9 +13,10 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Recorded scenes from which the ranges of motion are taken: enough for a thousandth at either end, few enough to be quick.
+/// Number of recorded scenes for the ranges of motion: enough to estimate a thousandth at either end, few enough to be
+/// fast.
 const N_REFERENCE_SCENES: usize = 400;
-/// The behaviors that the careful driver is about.
+/// The behaviors to which the careful driver applies.
 const CUT_INS: [&str; 2] = ["cut_in", "cut_in_paper"];
 
 /// Everything that scenarios are judged by.
@@ -25,11 +25,11 @@ pub(super) struct Judge<'a> {
     ranges: RecordedRanges,
     /// The table of recorded events.
     events: Option<&'a Path>,
-    /// Those of the behaviors that were asked for so far.
+    /// The recorded events of the behaviors requested so far.
     spaces: BTreeMap<String, Option<EventSpace>>,
 }
 
-/// What the recording of a cell, or a baseline, would be found to be if it had been generated.
+/// The judgment of the recording of a cell, or of a baseline, as if it had been generated.
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct ReferenceJudgment {
     /// The checks that it fails.
@@ -39,8 +39,8 @@ pub(super) struct ReferenceJudgment {
 }
 
 impl<'a> Judge<'a> {
-    /// A judge who knows the recorded scenes, of which at most 400 count, evenly spread over the store, and can learn the recorded
-    /// `events`.
+    /// A judge with ranges from at most 400 recorded scenes, evenly spread over the store, and with access to the
+    /// recorded `events`.
     pub(super) fn new(config: &'a EvaluateConfig, store: &SceneStore, events: Option<&'a Path>) -> Result<Self> {
         let n_scenes = store.len().min(N_REFERENCE_SCENES);
         let motion: Vec<MotionHistograms> = (0..n_scenes)
@@ -52,7 +52,7 @@ impl<'a> Judge<'a> {
         Ok(Self { config, ranges: RecordedRanges::of(&all), events, spaces: BTreeMap::new() })
     }
 
-    /// Reads the recorded events of these behaviors, once for each. Those of others take no memory.
+    /// Reads the recorded events of these behaviors, once each. Events of other behaviors take no memory.
     pub(super) fn learn_events<'b>(&mut self, behaviors: impl Iterator<Item = &'b str>) -> Result<()> {
         let Some(events) = self.events else { return Ok(()) };
         for behavior in behaviors {
@@ -65,13 +65,13 @@ impl<'a> Judge<'a> {
         Ok(())
     }
 
-    /// A judge who knows nothing of recorded traffic.
+    /// A judge without recorded traffic.
     #[cfg(test)]
     pub(super) fn without_recordings(config: &'a EvaluateConfig) -> Self {
         Self { config, ranges: RecordedRanges::of(&MotionHistograms::default()), events: None, spaces: BTreeMap::new() }
     }
 
-    /// The judgment of a scenario, but for its neighbors in the corpus.
+    /// The judgment of a scenario, except for its neighbors in the corpus.
     pub(super) fn assess(&self, record: &ScenarioRecord) -> Assessment {
         let (scene, observed) = (&record.scenario.scene, &record.scenario.observed);
         let roles = &record.scenario.provenance.guidance.roles;
@@ -99,7 +99,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// What would be said of `scene` if its whole future had been generated.
+    /// The judgment of `scene` as if its whole future had been generated.
     pub(super) fn judge_reference(&self, scene: &Scene) -> ReferenceJudgment {
         ReferenceJudgment {
             violations: Judged::future_of(scene, Roles::none()).violations(&self.config.validity),

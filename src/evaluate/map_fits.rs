@@ -1,4 +1,4 @@
-//! At which places does the map allow to judge departures from the road?
+//! At which places is the map good enough to judge departures from the road?
 
 use super::error::Result;
 use crate::metrics::{MapFit, ValidityConfig};
@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Recorded scenes of a place that are looked at, evenly spread over them.
+/// Number of recorded scenes per place that are examined, evenly spread.
 const SCENES_PER_PLACE: usize = 100;
 
 /// How well the map of a place fits its recordings.
@@ -23,7 +23,7 @@ pub struct MapFitRow {
 }
 
 impl MapFitRow {
-    /// What a user must know of a map that does not allow the check. `None` where it does.
+    /// A warning about a map that does not allow the check; `None` if it does.
     pub fn caution(&self) -> Option<String> {
         let Self { place, fit, allows_offroad } = self;
         let percent = |n: u64, of: u64| format!("{:.1} %", 100.0 * n as f64 / of.max(1) as f64);

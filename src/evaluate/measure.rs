@@ -1,4 +1,4 @@
-//! What is said of a shard of scenarios by itself: it depends on no other shard.
+//! The figures of one shard of scenarios, which depend on no other shard.
 
 use super::cells::{CellFigures, CellSamples, into_cells};
 use super::config::EvaluateConfig;
@@ -19,14 +19,14 @@ use std::path::Path;
 pub struct Shard<'a> {
     /// The sweep.
     pub sweep: &'a str,
-    /// Calls of the denoiser for one sample.
+    /// Evaluations of the denoiser for one sample.
     pub n_evaluations: u64,
     /// The scenarios, in order.
     pub records: Vec<ScenarioRecord>,
 }
 
-/// What takes time to find out of a shard, and is written down where others put the shards together: neither the samples and recordings
-/// nor what these say themselves.
+/// The results of measuring a shard, to be saved if another process merges the shards: without the samples and
+/// recordings themselves.
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShardFigures {
     /// The cells, in order of first appearance.
@@ -40,7 +40,7 @@ struct CellFindings {
     not_checked: Vec<Check>,
 }
 
-/// A shard with its figures, which [`Evaluation`](super::Evaluation) puts beside those of others.
+/// A shard with its figures, for [`Evaluation`](super::Evaluation) to merge with others.
 pub struct MeasuredShard {
     pub(super) n_evaluations: u64,
     /// The scenarios, in order.
@@ -63,14 +63,14 @@ pub(super) struct MeasuredCell {
     pub(super) sampled: SampledCell,
     /// The figures.
     pub(super) figures: CellFigures,
-    /// The checks of validity that were not made of it.
+    /// The checks of validity that were not made.
     pub(super) not_checked: Vec<Check>,
     /// The predictions for a benchmark, if requested.
     pub(super) prediction: Option<Modes>,
 }
 
 impl MeasuredShard {
-    /// The shard with its figures. Cells are put together in parallel.
+    /// The shard with its figures. Cells are assembled in parallel.
     ///
     /// # Errors
     /// When the figures are of another shard, or a scene is missing or damaged.
@@ -104,7 +104,7 @@ fn scene_idx(cell: &CellSamples<'_>, store: &SceneStore) -> Result<usize> {
     store.position(scene_id).ok_or_else(|| Error::UnknownScene(scene_id.clone()))
 }
 
-/// What is measured by such a configuration, for reading the tables.
+/// The descriptions of the measures of a configuration, for reading the tables.
 pub fn metric_docs(config: &EvaluateConfig, behaviors: &[Box<dyn Behavior>]) -> Vec<MetricDoc> {
     Measures::new(config, behaviors).docs()
 }
@@ -134,7 +134,7 @@ impl<'a> Measurer<'a> {
         Ok(Self { config, store, measures, judge, offroad })
     }
 
-    /// Measures the cells of a shard in parallel. What is read for it of recorded events stays for the next one.
+    /// Measures the cells of a shard in parallel. Recorded events that it reads are kept for the next shard.
     ///
     /// # Errors
     /// When a scene is missing or damaged, or the events are.

@@ -1,4 +1,4 @@
-//! What is measured on each group of samples: the metrics, and how often the miner finds the behaviors.
+//! The measures of each group of samples: the metrics, and how often the miner finds the behaviors.
 
 use super::config::EvaluateConfig;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
@@ -63,7 +63,7 @@ impl<'a> Measures<'a> {
         Self { metrics, modes: config.modes.as_ref(), behaviors }
     }
 
-    /// What is measured, for reading the tables.
+    /// The descriptions of the measures, for reading the tables.
     pub(super) fn docs(&self) -> Vec<MetricDoc> {
         let metrics = self.metrics.iter().map(|metric| MetricDoc::from(metric.spec()));
         let requested = rate(
@@ -77,8 +77,8 @@ impl<'a> Measures<'a> {
         metrics.chain([requested]).chain(of_anybody).chain(self.docs_of_modes()).collect()
     }
 
-    /// The values of a group, in the order of [`Measures::docs`]. `None` where one is not defined. Figures over modes are only
-    /// taken with `mode_seed`, from which the reduction starts, and where there are more samples than modes.
+    /// The values of a group, in the order of [`Measures::docs`]; `None` for undefined ones. Figures over modes need
+    /// `mode_seed`, the seed of the reduction, and more samples than modes.
     pub(super) fn evaluate(
         &self,
         group: &SampleGroup<'_>,

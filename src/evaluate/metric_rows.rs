@@ -1,7 +1,7 @@
-//! From the figures of cells to rows: one for each scene, each scenario, each place, and all places together.
+//! Turns the figures of cells into rows: one for each scene, each scenario, each place, and all places together.
 //!
-//! Rows wait in files until their place in the table has come: aggregates are first in it and known last. What is in memory grows with
-//! series, places and metrics, not with scenes.
+//! Rows are spooled to files, because aggregates come first in the table but are known last. Memory grows with series,
+//! places and metrics, not with scenes.
 
 use super::cells::CellFigures;
 use super::error::Result;
@@ -12,7 +12,7 @@ use crate::store::{self, MetricRow, MetricSpool, SpooledMetrics};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// A scene and those of its scenarios that are a cell.
+/// A scene, and its scenarios that form a cell.
 pub(super) struct CellNames<'a> {
     /// The series of the scenarios.
     pub(super) series: &'a SeriesKey,
@@ -24,7 +24,7 @@ pub(super) struct CellNames<'a> {
     pub(super) scenario_ids: &'a [String],
 }
 
-/// Collects figures as rows, in files of their own: one for each series of scenes, and one for the scenarios.
+/// Collects figures as rows in files: one for each series of scenes, and one for the scenarios.
 pub(super) struct MetricRows {
     docs: Vec<MetricDoc>,
     scratch: PathBuf,
@@ -33,7 +33,8 @@ pub(super) struct MetricRows {
 }
 
 impl MetricRows {
-    /// No rows yet of these metrics. Files that last until the rows are removed are made in the folder `scratch`.
+    /// Starts without rows of these metrics. Creates files in the folder `scratch`, which last until the rows are
+    /// removed.
     pub(super) fn create(docs: Vec<MetricDoc>, scratch: &Path) -> Result<Self> {
         let of_scenarios = MetricSpool::create(&scratch.join("metrics.scenarios.spool"))?;
         Ok(Self { docs, scratch: scratch.to_owned(), series: Vec::new(), of_scenarios })
@@ -75,7 +76,7 @@ impl MetricRows {
         })
     }
 
-    /// Which file is that of a series; it is made where there is none.
+    /// The index of the file of a series; creates the file if there is none.
     fn spool_of(&mut self, key: &SeriesKey) -> Result<usize> {
         if let Some(at) = self.series.iter().position(|(known, _)| known == key) {
             return Ok(at);

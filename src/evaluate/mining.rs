@@ -1,4 +1,4 @@
-//! Which behaviors do the recordings hold, and how often? Mined events counted by behavior, split and place.
+//! Which behaviors do the recordings show, and how often? Counts mined events by behavior, split and place.
 
 use crate::behavior::{ALL, BehaviorEntry, BehaviorEvent, EventLabel};
 use crate::scene::SceneId;
@@ -66,7 +66,7 @@ pub struct MiningTally<'a> {
 type Part<'a> = (&'a str, &'a str);
 
 impl<'a> MiningTally<'a> {
-    /// Nothing found yet of `behaviors` in the `scenes` that are searched.
+    /// Starts without events of `behaviors` in the searched `scenes`.
     pub fn new(behaviors: &[&'a str], scenes: impl IntoIterator<Item = &'a SceneIndexEntry>) -> Self {
         let part = |scene: &'a SceneIndexEntry| (&scene.id, (scene.split.name(), scene.place.as_str()));
         let part_of: BTreeMap<_, _> = scenes.into_iter().map(part).collect();
@@ -76,7 +76,7 @@ impl<'a> MiningTally<'a> {
         Self { behaviors, part_of, n_scenes, labels: BTreeMap::new(), with: BTreeMap::new(), n_events: 0 }
     }
 
-    /// Counts an event; one of another behavior, or of a scene that is not searched, only among all.
+    /// Counts an event. An event of another behavior, or of a scene that was not searched, counts only in the total.
     pub fn add(&mut self, event: &BehaviorEvent) {
         self.n_events += 1;
         let behavior = self.behaviors.iter().find(|behavior| **behavior == event.behavior);
@@ -95,7 +95,7 @@ impl<'a> MiningTally<'a> {
         self.n_events
     }
 
-    /// The counts: one row for each behavior and part, also where nothing was found.
+    /// The counts: one row for each behavior and part, even if nothing was found.
     pub fn finish(&self) -> MiningSummary {
         let row = |behavior: &'a str, (part, n_scenes): (&Part<'a>, &u64)| {
             let [n_positive, n_negative] = self.labels.get(&(behavior, *part)).copied().unwrap_or_default();

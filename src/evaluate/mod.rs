@@ -1,9 +1,10 @@
-//! Generated scenarios to figures and verdicts: how good are they, which are accepted, and do they pass?
+//! Turns generated scenarios into figures and verdicts: how good are they, which are accepted, and do the gates pass?
 //!
-//! [`Measurer`] measures scenarios shard by shard, each shard by itself. The samples of one scene at one strength are a cell (`cells`),
-//! measured as a whole and one by one (`measures`); each scenario is judged by itself (`judge`). [`Evaluation`] puts the shards
-//! together in their order: scenarios are decided on (`verdicts`), rows of metrics and verdicts go to files, and what stays in memory
-//! are counts and histograms of series. [`EvaluationSummary`] is what people and gates read.
+//! [`Measurer`] measures each shard of scenarios by itself. The samples of one scene at one strength are a cell
+//! (`cells`); some measures take a cell as a whole, others each sample (`measures`). Each scenario is judged by itself
+//! (`judge`). [`Evaluation`] merges the shards in their order: it decides on scenarios (`verdicts`), writes rows of
+//! metrics and verdicts to files, and keeps only counts and histograms of series in memory. [`EvaluationSummary`] is
+//! for people and gates.
 
 mod cells;
 mod config;

@@ -1,4 +1,4 @@
-//! Which samples become the predictions that a benchmark is sent?
+//! Which samples become the predictions for a benchmark?
 
 use super::cells::CellSamples;
 use super::config::EvaluateConfig;
@@ -9,8 +9,8 @@ use crate::scene::{Benchmark, Dataset, Scene};
 use crate::store::{ArgoversePredictions, InteractionPredictions, SceneSet};
 use std::path::Path;
 
-/// The predictions of each requested dataset. Of a scene the first unguided samples count, in the order of sweeps: a
-/// benchmark takes one answer.
+/// The predictions for each requested dataset. A benchmark takes one answer per scene: the first unguided samples, in
+/// the order of sweeps.
 pub(super) struct Predictions {
     interaction: Option<InteractionPredictions>,
     argoverse: Vec<(Dataset, ArgoversePredictions)>,
@@ -18,9 +18,9 @@ pub(super) struct Predictions {
     n_tracks_left_out: usize,
 }
 
-/// The modes that a cell offers as its scene's prediction: those of the ego where the benchmark predicts one agent, of
-/// everybody jointly else. Where there are no more samples than modes, the samples themselves. `None` for cells that
-/// are not forecasts and for datasets that were not requested.
+/// The modes that a cell offers as its scene's prediction: of the ego if the benchmark predicts one agent, otherwise of
+/// all agents jointly. With no more samples than modes, these are the samples themselves. `None` for cells that are not
+/// forecasts and for datasets that were not requested.
 pub(super) fn of_cell(cell: &CellSamples<'_>, config: &EvaluateConfig) -> Option<Modes> {
     let first = &cell.records[0].scenario;
     let dataset = first.scene.source.dataset;
@@ -45,8 +45,8 @@ pub(super) fn of_cell(cell: &CellSamples<'_>, config: &EvaluateConfig) -> Option
 }
 
 impl Predictions {
-    /// Begins the files in `dir`, from which what an interrupted attempt left is removed. Nothing is written, and nothing
-    /// removed, where no dataset is asked for.
+    /// Begins the files in `dir`, and removes the remains of an interrupted attempt from it. Without requested datasets
+    /// it writes and removes nothing.
     pub(super) fn create(dir: &Path, datasets: &[Dataset]) -> Result<Self> {
         if !datasets.is_empty() {
             clear(dir)?;
@@ -81,7 +81,8 @@ impl Predictions {
         Ok(())
     }
 
-    /// Gives the files their names. Returns the number of scenes, and of tracks to predict that had to be left out.
+    /// Renames the files to their final names. Returns the number of scenes, and of tracks to predict that had to be
+    /// left out.
     pub(super) fn finish(self) -> Result<(usize, usize)> {
         if let Some(interaction) = self.interaction {
             interaction.finish()?;

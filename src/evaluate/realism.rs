@@ -1,4 +1,5 @@
-//! Do road users in a sweep move as in the recordings it continues? Distances between their distributions.
+//! Do road users in a sweep move as in the recordings that it continues? Measures distances between distributions of
+//! motion.
 
 use super::cells::CellMotion;
 use crate::metrics::{Group, MotionHistograms, SeriesKey};
@@ -8,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// How far the distribution of a quantity of motion over a sweep is from that over its recordings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RealismRow {
-    /// Whose motion is compared with the recorded one.
+    /// The series whose motion is compared with the recordings.
     pub group: Group,
     /// The sweep that continues these recordings.
     pub sweep: String,
@@ -64,7 +65,7 @@ impl RealismTable {
         }
     }
 
-    /// A row for each quantity of each series but the recording's, in order of first appearance.
+    /// A row for each quantity of each series except the recording, in order of first appearance.
     pub(super) fn finish(&self) -> Vec<RealismRow> {
         let of_recording = |sweep: &str| {
             let is_it = |(key, _): &&(SeriesKey, _)| key.group == Group::Recorded && key.sweep == sweep;

@@ -1,4 +1,5 @@
-//! How many scenarios of each sweep, place and strength are there, verified, new, colliding, off the road?
+//! How many scenarios does each sweep have by place and strength, and how many are verified, new, colliding or off the
+//! road?
 
 use super::cells::CellSamples;
 use crate::metrics::{CollisionRate, Metric, OffroadRate, SampleGroup, SeriesKey};
@@ -6,7 +7,7 @@ use crate::scene::{GuidanceLevel, Scene};
 use crate::store::{ScenarioRecord, SceneSet};
 use serde::{Deserialize, Serialize};
 
-/// What one sweep gave at one level of guidance.
+/// The yield of one sweep at one level of guidance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SamplingRow {
     /// The sweep's name in the configuration.
@@ -26,17 +27,17 @@ pub struct SamplingRow {
     pub n_scenarios: u64,
     /// Scenarios in which the miner finds the requested behavior in the requested roles.
     pub n_verified: u64,
-    /// Verified scenarios whose recording does not hold the behavior for the same roles.
+    /// Verified scenarios whose recording does not show the behavior for the same roles.
     pub n_new: u64,
     /// Scenarios in which agents collide, as the metric `collision_rate` defines it.
     pub n_collision: u64,
     /// Share of vehicles that leave the road, as the metric `offroad_rate` defines it; `None` without lanes.
     pub offroad_rate: Option<f64>,
-    /// Denoiser evaluations of one scenario; the classifier is evaluated as often where it guides.
+    /// Evaluations of the denoiser per scenario; if the classifier guides, it is evaluated as often.
     pub n_evaluations: u64,
 }
 
-/// What is counted of the scenarios of a cell.
+/// The counts of the scenarios of a cell.
 pub(super) struct SampledCell {
     behavior: Option<String>,
     sampler: String,
@@ -60,7 +61,7 @@ pub(super) struct Conduct {
 }
 
 impl Conduct {
-    /// That of each sample of a cell which continues `recorded`.
+    /// The share for each sample of a cell that continues `recorded`.
     pub(super) fn of(cell: &CellSamples<'_>, recorded: &Scene, offroad: &OffroadRate) -> Vec<Self> {
         let of_sample = |record: &&ScenarioRecord| {
             let group = SampleGroup::equally_likely(recorded, std::slice::from_ref(&record.scenario.scene));
@@ -74,7 +75,7 @@ impl Conduct {
 }
 
 impl SampledCell {
-    /// That of a cell whose samples drive so, in order.
+    /// The share of a cell with these samples, in order.
     pub(super) fn new(cell: &CellSamples<'_>, conduct: Vec<Conduct>) -> Self {
         let scenario = |(record, conduct): (&&ScenarioRecord, Conduct)| SampledScenario {
             verified: record.verified,

@@ -1,4 +1,5 @@
-//! How many scenarios of each sweep are valid, and how many of the recordings they continue are? Counted by check.
+//! How many scenarios of each sweep are valid, and how many of the recordings that they continue? Counts failures by
+//! check.
 
 use super::judge::ReferenceJudgment;
 use crate::metrics::{Check, Group, SeriesKey, Violation};
@@ -25,7 +26,7 @@ pub struct ValidityRow {
     pub n_valid: u64,
     /// Check → how many fail it; checks without failures are missing.
     pub violations: BTreeMap<String, u64>,
-    /// Check → of how many it was not made; those that were made of all are missing.
+    /// Check → how many it was not made for; checks that were made for all are missing.
     #[serde(default)]
     pub not_checked: BTreeMap<String, u64>,
     /// Mean share of motion within the recorded ranges.
@@ -48,7 +49,7 @@ pub(super) struct ValidityTable {
 }
 
 impl ValidityTable {
-    /// Counts the scenarios of a cell, which are of `series` and continue a scene of `place`, and its recording and baseline where
+    /// Counts the scenarios of a cell of `series` that continue a scene of `place`, and its recording and baseline if
     /// they are measured.
     pub(super) fn add(
         &mut self,

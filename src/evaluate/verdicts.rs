@@ -1,10 +1,11 @@
-//! Which scenarios are accepted, which become the corpus, and why are the others left out? Decided one by one, in the order of the samples.
+//! Which scenarios are accepted, which become the corpus, and why are the others left out? Decides on one after the
+//! other, in the order of the samples.
 
 use super::config::{EvaluateConfig, Keep};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, PairPath, PathIndex};
 use crate::scene::GuidanceLevel;
-use crate::store::{RequestOutcome, ScenarioRecord, VerdictRow};
+use crate::store::{Assessment, RequestOutcome, ScenarioRecord, VerdictRow};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -12,9 +13,9 @@ use std::collections::BTreeMap;
 const NOTHING_ASKED: &str = "nothing_asked";
 /// The reason not to accept a scenario in which the miner does not find the requested behavior.
 const NOT_VERIFIED: &str = "not_verified";
-/// Why a scenario is not accepted that is like one before it.
+/// The reason not to accept a scenario that resembles an earlier one.
 const NEAR_DUPLICATE: &str = "near_duplicate";
-/// Why a sample is no scenario.
+/// The reason why a sample is not a scenario.
 const NOT_FINITE: &str = "not_finite";
 
 /// The verdicts on the scenarios of one sweep at one level.
@@ -57,7 +58,7 @@ pub struct LeftOutRow {
     pub n_found: u64,
 }
 
-/// Of each sweep why samples of it are not in the corpus, and how many, each for its first reason.
+/// For each sweep, how many samples are not in the corpus, by their first reason.
 pub fn left_out_by_sweep(rows: &[LeftOutRow]) -> BTreeMap<String, BTreeMap<String, u64>> {
     let mut by_sweep: BTreeMap<String, BTreeMap<String, u64>> = BTreeMap::new();
     for row in rows.iter().filter(|row| row.n_left_out > 0) {
@@ -90,12 +91,12 @@ impl<'a> Verdicts<'a> {
         self.count(("generate", sweep, None), &format!("selection: {reason}"), n, true);
     }
 
-    /// Completes the judgment of a record and says what was decided, such as whether it becomes part of the corpus. Records must come in the order of the samples:
-    /// of near-duplicates the first is accepted. `not_checked` are the checks of validity that were not made of it.
+    /// Completes the judgment of a record and returns the verdict. Records must come in the order of the samples,
+    /// because the first of several near-duplicates is accepted. `not_checked` lists the checks of validity that were
+    /// not made.
     pub(super) fn decide(&mut self, record: &mut ScenarioRecord, not_checked: &[Check]) -> VerdictRow {
         let path = PairPath::of(&record.scenario.scene, &record.scenario.provenance.guidance.roles);
         let (scenario_id, level) = (record.scenario.id.clone(), record.scenario.provenance.guidance.level);
-        let (sweep, verified) = (record.sweep.clone(), record.verified);
         let asked = record.requested_behavior.clone();
         let mut assessment = record.assessment.take().unwrap_or_default();
         if let Some((behavior, path)) = asked.as_deref().zip(path.as_ref())
@@ -105,32 +106,16 @@ impl<'a> Verdicts<'a> {
             let is_near = distance_m < self.config.duplicate_distance_m;
             assessment.near_duplicate_of = is_near.then(|| nearest.to_owned());
         }
-        let mut reasons: Vec<&str> = Vec::new();
-        if !verified {
-            reasons.push(if asked.is_some() { NOT_VERIFIED } else { NOTHING_ASKED });
-        }
-        // What a request did not take is named by its outcome; that nothing was found is said already.
-        let outcome = record.request.as_ref().map(|tag| tag.outcome);
-        let is_wanted = outcome.is_none_or(|outcome| outcome == RequestOutcome::Accepted);
-        reasons.extend(outcome.filter(|_| verified && !is_wanted).map(RequestOutcome::name));
-        reasons.extend(assessment.violations.iter().map(|violation| violation.check.id()));
-        reasons.extend(assessment.near_duplicate_of.as_ref().map(|_| NEAR_DUPLICATE));
+        let reasons = reasons_against(record, &assessment);
         assessment.accepted = reasons.is_empty();
         let is_kept = match self.config.keep {
             Keep::Accepted => assessment.accepted,
-            Keep::Verified => verified && is_wanted,
+            Keep::Verified => record.verified && unwanted_outcome(record).is_none(),
             Keep::All => true,
         };
-        let is_valid = assessment.is_valid();
-        let row = self.row(&sweep, level);
-        row.n_scenarios += 1;
-        row.n_verified += u64::from(verified);
-        row.n_valid += u64::from(is_valid);
-        row.n_verified_valid += u64::from(verified && is_valid);
-        row.n_accepted += u64::from(assessment.accepted);
-        row.n_kept += u64::from(is_kept);
+        self.count_judged((&record.sweep, level), record.verified, &assessment, is_kept);
         for (i, reason) in reasons.iter().enumerate() {
-            self.count(("evaluate", &sweep, Some(level)), reason, 1, i == 0 && !is_kept);
+            self.count(("evaluate", &record.sweep, Some(level)), reason, 1, i == 0 && !is_kept);
         }
         if let (true, Some(behavior), Some(path)) = (assessment.accepted, asked, path) {
             self.accepted.insert(&behavior, path, &scenario_id);
@@ -141,7 +126,7 @@ impl<'a> Verdicts<'a> {
             reasons: reasons.into_iter().map(str::to_owned).collect(),
             not_checked: not_checked.iter().map(|check| check.id().to_owned()).collect(),
             scenario_id,
-            sweep,
+            sweep: record.sweep.clone(),
             level,
         };
         record.assessment = Some(assessment);
@@ -151,6 +136,24 @@ impl<'a> Verdicts<'a> {
     /// The counts, in the order of first appearance.
     pub(super) fn finish(self) -> (Vec<AcceptanceRow>, Vec<LeftOutRow>) {
         (self.rows, self.left_out)
+    }
+
+    /// Counts a scenario among those of its sweep and level.
+    fn count_judged(
+        &mut self,
+        (sweep, level): (&str, GuidanceLevel),
+        verified: bool,
+        assessment: &Assessment,
+        is_kept: bool,
+    ) {
+        let is_valid = assessment.is_valid();
+        let row = self.row(sweep, level);
+        row.n_scenarios += 1;
+        row.n_verified += u64::from(verified);
+        row.n_valid += u64::from(is_valid);
+        row.n_verified_valid += u64::from(verified && is_valid);
+        row.n_accepted += u64::from(assessment.accepted);
+        row.n_kept += u64::from(is_kept);
     }
 
     fn row(&mut self, sweep: &str, level: GuidanceLevel) -> &mut AcceptanceRow {
@@ -179,4 +182,22 @@ impl<'a> Verdicts<'a> {
         self.left_out[at].n_found += n;
         self.left_out[at].n_left_out += if is_first { n } else { 0 };
     }
+}
+
+/// Why a scenario is not accepted; empty if it is.
+fn reasons_against(record: &ScenarioRecord, assessment: &Assessment) -> Vec<&'static str> {
+    let mut reasons = Vec::new();
+    if !record.verified {
+        reasons.push(if record.requested_behavior.is_some() { NOT_VERIFIED } else { NOTHING_ASKED });
+    }
+    // What a request did not take is named by its outcome, unless nothing was found: that is a reason already.
+    reasons.extend(unwanted_outcome(record).filter(|_| record.verified).map(RequestOutcome::name));
+    reasons.extend(assessment.violations.iter().map(|violation| violation.check.id()));
+    reasons.extend(assessment.near_duplicate_of.as_ref().map(|_| NEAR_DUPLICATE));
+    reasons
+}
+
+/// The outcome of a scenario that its request did not take. `None` if the request took it, or there is none.
+fn unwanted_outcome(record: &ScenarioRecord) -> Option<RequestOutcome> {
+    record.request.as_ref().map(|tag| tag.outcome).filter(|outcome| *outcome != RequestOutcome::Accepted)
 }

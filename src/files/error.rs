@@ -40,7 +40,7 @@ pub enum Error {
     },
     /// A symbolic link in the place of an output.
     #[error(
-        "cannot write {}: it is a symbolic link, which djinn did not make; nothing was changed; remove the link, or choose another output",
+        "cannot write {}: it is a symbolic link, which djinn did not create; nothing was changed; remove the link, or choose another output",
         .path.display()
     )]
     Link {

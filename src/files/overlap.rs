@@ -36,7 +36,7 @@ fn relation(output: &Path, input: &Path) -> Option<PathRelation> {
 /// exist: what is not there yet is no link.
 ///
 /// # Errors
-/// When links go round in circles, or there is no current folder.
+/// When links form a loop, or there is no current folder.
 pub fn resolve(path: &Path) -> io::Result<PathBuf> {
     let mut at = std::env::current_dir()?;
     let mut pending: Vec<Part> = parts(path);
@@ -50,10 +50,7 @@ pub fn resolve(path: &Path) -> io::Result<PathBuf> {
                 let Ok(target) = fs_err::read_link(&at) else { continue };
                 n_links += 1;
                 if n_links > MAX_LINKS {
-                    return Err(io::Error::other(format!(
-                        "{}: its symbolic links go round in circles",
-                        path.display()
-                    )));
+                    return Err(io::Error::other(format!("{}: its symbolic links form a loop", path.display())));
                 }
                 at.pop();
                 pending.extend(parts(&target));

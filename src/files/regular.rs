@@ -16,7 +16,7 @@ pub fn regular(path: &Path) -> io::Result<Metadata> {
         return Ok(metadata);
     }
     let what =
-        format!("{} is neither a file nor a folder; write what it gives to a file, and name that", path.display());
+        format!("{} is neither a file nor a folder; write its content to a file, and pass that file", path.display());
     Err(io::Error::new(io::ErrorKind::InvalidInput, what))
 }
 

@@ -1,4 +1,4 @@
-//! What are the events of a pair's samples asked to be like? Outcomes that the pair can come to, one a sample.
+//! Which event does each sample of a pair aim at? One of the outcomes that the pair can reach.
 
 use super::pairs::CandidatePair;
 use super::{Aim, Generator, ResolvedSweep};
@@ -7,15 +7,16 @@ use crate::guidance::Target;
 use crate::scene::SceneId;
 use crate::seed::Seed;
 
-/// How far from an outcome an event may be and still be like it: seconds for times, else in the parameter's unit.
+/// How far from its target a parameter of the event may be: in seconds for times, otherwise in the parameter's unit.
 const HALF_WIDTH_S: f64 = 0.15;
 const HALF_WIDTH: f64 = 0.5;
-/// How much less often what takes all that the limits of driving allow is asked for than what takes nothing.
+/// The weight of an outcome that takes everything the limits of driving allow; one that takes nothing has this weight
+/// plus 1.
 const LEAST_EASE: f64 = 0.1;
 
 impl Generator<'_> {
-    /// What the samples of `pair` aim at, one after the other: as many as the sweep has samples, or as the pair has outcomes. Empty where
-    /// the sweep does not aim.
+    /// The targets of the samples of `pair`, in order: as many as the sweep has samples, or as the pair has outcomes.
+    /// Empty if the sweep does not aim.
     pub(super) fn targets(&self, sweep: &ResolvedSweep, scene: &SceneId, pair: &CandidatePair) -> Vec<Target> {
         let parameters = match sweep.aim {
             Aim::Anything => return Vec::new(),

@@ -1,4 +1,4 @@
-//! Sweeps of the baseline: its joint futures as samples, the likeliest first.
+//! Sweeps of the baseline: its joint futures as samples, the most likely first.
 
 use super::conditioning::Conditioned;
 use super::{Error, Generator, ResolvedSweep};
@@ -20,7 +20,8 @@ impl<'g> Generator<'g> {
         })
     }
 
-    /// Refuses a baseline that has too few futures, or was trained on scenes of another kind than the denoiser.
+    /// Refuses a baseline that has too few futures, or that was trained on a different kind of scenes than the
+    /// denoiser.
     pub(super) fn check_baseline(&self, sweep: &ResolvedSweep) -> Result<(), Error> {
         if !sweep.uses_baseline() {
             return Ok(());
@@ -41,8 +42,8 @@ impl<'g> Generator<'g> {
         Ok(())
     }
 
-    /// Futures `samples`, counted from the likeliest, of each of the given scenes, with their probabilities: all of the first
-    /// scene, then all of the next.
+    /// The futures with these numbers, counted from the most likely, for each of the given scenes, with their
+    /// probabilities: all of the first scene, then all of the next.
     pub(super) fn predict(
         &self,
         sweep: &ResolvedSweep,

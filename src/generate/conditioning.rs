@@ -1,4 +1,5 @@
-//! What is a sample conditioned on? The states it is shown, those it leans toward, and the edited recording it starts from.
+//! What is a sample conditioned on? The states that it observes, those it leans toward, and the edited recording it
+//! starts from.
 
 use super::observe::{MaskRule, Subject, rule_mask, validate_rules};
 use super::{Cell, Error, Generator, ResolvedSweep};
@@ -21,12 +22,12 @@ pub struct ClassifierFreeConfig {
     /// `[{ agents = "all", times = "goal" }]`. They are recorded (or edited) states; those that are not generated are
     /// ignored.
     pub extra: Vec<MaskRule>,
-    /// Weights λ, each of which is sampled: 0 ignores the wanted states, 1 observes them, more exaggerates. The sampler
-    /// has to follow how wanted states are approached, the faster the larger λ is: with 20 steps up to about 1.5, with
-    /// 50 up to 4. A sweep varies either its strengths or its weights.
+    /// Weights λ, each of which is sampled: 0 ignores the wanted states, 1 observes them, more exaggerates. The larger
+    /// λ is, the faster samples approach the wanted states, and the more steps the sampler needs to follow: 20 steps
+    /// suffice up to about 1.5, 50 up to 4. A sweep varies either its strengths or its weights.
     #[serde(default = "one_weight")]
     pub weights: Vec<f64>,
-    /// Standard deviation of what is added to the wanted positions, meters in each direction; drawn once for each agent and
+    /// Standard deviation of the noise on wanted positions, meters in each direction; drawn once for each agent and
     /// sample.
     #[serde(default = "one_meter")]
     #[schemars(range(min = 0.0, max = 1000.0))]
@@ -74,22 +75,22 @@ const fn default_tau() -> f64 {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EditNoise {
-    /// Of standard deviation τ, as everywhere else at diffusion time τ.
+    /// Standard deviation τ, as everywhere else at diffusion time τ.
     #[default]
     Tau,
-    /// Of variance τ, as the paper prints it.
+    /// Variance τ, as printed in the paper.
     SqrtTau,
 }
 
 impl ClassifierFreeConfig {
-    /// Rejects wanted states that name other agents than a behavior with these roles has.
+    /// Rejects wanted states of agents that a behavior with these roles does not have.
     pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
         validate_rules("extra", &self.extra, roles)
     }
 }
 
 impl EditConfig {
-    /// Rejects edits that cannot be made, or that name other agents than a behavior with these roles has.
+    /// Rejects edits that are impossible, or whose agents a behavior with these roles does not have.
     pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
         for (i, edit) in self.edits.iter().enumerate() {
             let key = format!("edits.{i}");
@@ -128,7 +129,7 @@ impl EditConfig {
     }
 }
 
-/// A cell's scene as the denoiser is given it.
+/// A cell's scene as the denoiser sees it.
 #[derive(Debug)]
 pub(super) struct Conditioned {
     /// The recording, edited if the sweep says so.
@@ -146,7 +147,8 @@ impl Conditioned {
         SceneView { scene: &self.scene, ego_idx: self.agents.0, mask: &self.mask }
     }
 
-    /// Which states of a scenario that continues it were observed. What the denoiser was shown of a template was made, like what it sampled.
+    /// The observed states of a scenario that continues it. States of a template count as generated, although the
+    /// denoiser observes them.
     pub(super) fn observed(&self, generated: &Scene) -> ObservationMask {
         ObservationMask::from_fn(generated.tracks.len(), generated.n_timesteps, |agent_idx, timestep| {
             let is_made = timestep >= generated.n_history && self.performers.contains(&agent_idx);
@@ -197,7 +199,7 @@ impl Generator<'_> {
             }
         }
         if edit.is_some() {
-            // A guide has to say something of every state that is generated.
+            // A guide needs a value for every generated state.
             scene = scene.completed(|agent_idx, timestep| !mask.is_observed(agent_idx, timestep));
         }
         let mask = ObservationMask::from_fn(mask.n_agents(), mask.n_timesteps(), |agent_idx, timestep| {
@@ -207,8 +209,8 @@ impl Generator<'_> {
         Ok(Conditioned { scene, mask, agents, performers })
     }
 
-    /// Puts the template of a sample into `scene`: one that comes to the sample's target, or else to anything. Returns who follows it; nobody
-    /// where there is none.
+    /// Puts the template of a sample into `scene`: one that reaches the sample's target, or else any. Returns the
+    /// agents that follow it; none if there is no template.
     fn follow_template(
         &self,
         sweep: &ResolvedSweep,
@@ -218,19 +220,19 @@ impl Generator<'_> {
     ) -> Vec<usize> {
         let Some(behavior) = self.behavior(sweep).filter(|_| sweep.uses_template()) else { return Vec::new() };
         let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
-        // How often the same was asked of the pair before.
+        // How often the pair had the same target before.
         let variant = sample_idx / cell.targets.len().max(1);
         let target = cell.target(sample_idx);
         let template = behavior.template(recorded, &asked, &target, variant);
-        // Anything rather than nothing.
-        let other = || (!target.is_empty()).then(|| behavior.template(recorded, &asked, &Target::new(), sample_idx))?;
-        let Some(template) = template.or_else(other) else { return Vec::new() };
+        let anything =
+            || (!target.is_empty()).then(|| behavior.template(recorded, &asked, &Target::new(), sample_idx))?;
+        let Some(template) = template.or_else(anything) else { return Vec::new() };
         let performers = template.agents().collect();
         template.apply(scene);
         performers
     }
 
-    /// The wanted states of some samples of a cell, given which of its states `base` (row `row`) generates.
+    /// The wanted states of some samples of a cell, among the states that `base` generates in row `row`.
     pub(super) fn wanted(
         &self,
         config: &ClassifierFreeConfig,

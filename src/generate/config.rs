@@ -11,25 +11,25 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
-/// Enough to bring nearly all overlaps apart, and little enough to leave everything else where it is.
+/// Strong enough to separate nearly all overlaps, and weak enough to leave everything else in place.
 const DEFAULT_VALIDITY_STRENGTH: f64 = 200.0;
 
 /// What to generate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GenerateConfig {
-    /// Splits whose scenes are continued; empty means `val`, or everything unsplit where there is no such split.
+    /// Splits whose scenes are continued. Empty: `val`, or all unsplit scenes if there is no such split.
     pub splits: Vec<Split>,
-    /// Places whose scenes are continued; empty means all.
+    /// Places whose scenes are continued. Empty: all.
     pub places: Vec<String>,
-    /// The sampler of sweeps without one of their own.
+    /// The sampler of sweeps that set none.
     pub sampler: SamplerConfig,
     /// How strongly samples are kept apart and on the road while they are denoised (the objectives `no_collision`,
-    /// `stay_on_road` and `slip_limit`), for sweeps without one of their own; 0: not at all, as in the paper. It costs
-    /// no evaluations of the network.
+    /// `stay_on_road` and `slip_limit`), for sweeps that do not set it. 0: not at all, as in the paper. It costs no
+    /// evaluations of the network.
     #[schemars(range(min = 0.0, max = 1e6))]
     pub validity_strength: f64,
-    /// Samples that are denoised together. Memory grows with it; results depend on it in the last digits only.
+    /// Number of samples that are denoised together. Memory grows with it; it affects only the last digits of results.
     #[schemars(range(min = 1, max = 10_000))]
     pub batch_size: usize,
     /// Scenes of a shard, the unit in which generation is resumed.
@@ -79,8 +79,8 @@ pub struct PairSelectionConfig {
     pub only_feasible: bool,
     /// Which of the possible pairs come first.
     pub ranking: PairRanking,
-    /// Number of scenes to rank; those with the best pairs are used. Left out: the first scenes, in random order, that
-    /// have a possible pair.
+    /// Number of scenes to rank; those with the best pairs are used. Left out: scenes are taken in random order, if
+    /// they have a possible pair.
     #[schemars(range(min = 1))]
     pub n_scenes_ranked: Option<usize>,
 }
@@ -110,8 +110,8 @@ pub enum PairRanking {
 }
 
 impl GenerateConfig {
-    /// The section as it is generated, where these behaviors are mined: checked, with what sweeps leave out, and with sweeps
-    /// in place of requests.
+    /// Checks and resolves the section for these mined behaviors: fills in what sweeps leave out, and turns requests
+    /// into sweeps.
     ///
     /// # Errors
     /// [`Error::Setting`] names the key that cannot work, its value and what is allowed.
@@ -147,7 +147,7 @@ impl GenerateConfig {
         Ok(resolved)
     }
 
-    /// Whether sweeps select, or requests accept, by metrics of which `is_such` holds.
+    /// Whether sweeps select, or requests accept, by metrics for which `is_such` holds.
     pub fn selects_by(&self, is_such: impl Fn(&str) -> bool) -> bool {
         let mut of_sweeps = self.sweeps.iter().filter_map(|sweep| sweep.select.as_ref());
         of_sweeps.any(|select| select.names_metric(&is_such))
@@ -155,14 +155,15 @@ impl GenerateConfig {
     }
 }
 
-/// Refuses names that cannot be printed, that come twice, or that tables have for other traffic. `what` bears them.
+/// Refuses names that cannot be printed, are used twice, or mean other traffic in tables. `what` is the kind of thing
+/// that is named.
 fn distinct_names<'a>(names: impl Iterator<Item = &'a String>, what: &str) -> settings::Result {
     let mut known = BTreeSet::new();
     for (i, name) in names.enumerate() {
         let key = format!("{i}.name");
         settings::printable_name(&key, name)?;
         let other = match name.as_str() {
-            // Tables name groups of traffic by one word, which is a sweep's name for what it guides or edits.
+            // Tables name each group of traffic by one word; for guided or edited samples it is the name of the sweep.
             name if what == "sweep" && Group::RESERVED.contains(&name) => "which tables call other traffic".to_owned(),
             _ if known.insert(name) => continue,
             _ => format!("the name of another {what}"),

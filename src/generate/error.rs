@@ -20,7 +20,7 @@ pub enum Error {
         /// The behavior.
         behavior: String,
     },
-    /// A classifier does not belong to the denoiser.
+    /// A classifier was not trained for the denoiser.
     #[error("the classifier for {behavior} was trained with a different {what} than the denoiser; retrain it")]
     Mismatch {
         /// The behavior.
@@ -28,7 +28,7 @@ pub enum Error {
         /// What differs.
         what: &'static str,
     },
-    /// A scene is not of the kind that the denoiser was trained on.
+    /// A scene has a different length than those that the denoiser was trained on.
     #[error(
         "scene {scene_id} has {found} timesteps, but the denoiser was trained on {expected}; ingest scenes of that length"
     )]
@@ -50,7 +50,7 @@ pub enum Error {
         /// What to change.
         hint: &'static str,
     },
-    /// Nothing that a request asks for can happen.
+    /// No pair can reach any bucket of a request.
     #[error(
         "request {request}: none of {n_pairs} pairs in {n_scenes} scenes can reach any of its buckets, given their past and the limits of \
          driving; widen buckets or where, choose other splits or places, or set pairs.only_feasible = false"
@@ -71,7 +71,7 @@ pub enum Error {
         /// Why.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// A scene does not hold what the plan says.
+    /// A scene differs from the plan.
     #[error("scene {scene_id} has changed since the plan was made ({detail}); plan again")]
     Stale {
         /// The scene.
@@ -79,7 +79,7 @@ pub enum Error {
         /// What differs.
         detail: String,
     },
-    /// Generation was asked to stop within a shard, which begins anew.
+    /// Generation had to stop within a shard, which starts again next time.
     #[error("stopped within a shard")]
     Stopped,
     /// A tensor operation failed.

@@ -10,7 +10,7 @@ use crate::seed::Seed;
 use crate::tensor::Normalizer;
 use candle_core::Device;
 
-/// Loads the scene of an index, such as a store's.
+/// Loads the scene with this index, for example from a store.
 pub type SceneLoader<'a> = dyn Fn(usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> + Sync + 'a;
 
 /// The trained models.
@@ -20,9 +20,9 @@ pub struct Models<'a> {
     pub denoiser: &'a TrainedDenoiser,
     /// Classifiers, at most one for each behavior.
     pub classifiers: &'a [TrainedClassifier],
-    /// The distilled denoiser, for the sweeps that ask for it; of the same shape and scales.
+    /// The distilled denoiser, for the sweeps that use it; of the same shape and scales.
     pub distilled: Option<&'a TrainedDenoiser>,
-    /// The baseline, for the sweeps that ask for it.
+    /// The baseline, for the sweeps that use it.
     pub baseline: Option<&'a TrainedSceneTransformer>,
 }
 
@@ -83,13 +83,13 @@ impl<'a> Generator<'a> {
         }
     }
 
-    /// The behavior that a sweep asks for.
+    /// The behavior that a sweep requests.
     pub(super) fn behavior(&self, sweep: &ResolvedSweep) -> Option<&'a dyn Behavior> {
         let id = sweep.behavior.as_deref()?;
         self.behaviors.iter().find(|behavior| behavior.id() == id).map(AsRef::as_ref)
     }
 
-    /// The classifier of the behavior that a sweep asks for.
+    /// The classifier of the behavior that a sweep requests.
     pub(super) fn classifier(&self, sweep: &ResolvedSweep) -> Option<&'a TrainedClassifier> {
         let id = sweep.behavior.as_deref()?;
         self.models.classifiers.iter().find(|classifier| classifier.spec.behavior == id)
@@ -119,8 +119,8 @@ impl<'a> Generator<'a> {
         Ok(scene)
     }
 
-    /// Refuses a distilled denoiser that is not of the denoiser's kind, to which scenes would mean something else, and one in the place of
-    /// the other.
+    /// Refuses a distilled denoiser with other scales or timesteps than the denoiser, and either of the two in the
+    /// place of the other.
     fn check_distilled(&self, sweep: &ResolvedSweep) -> Result<(), Error> {
         let (own, spec) = (&self.denoiser(sweep)?.spec, self.spec());
         let is_alike = own.edm == spec.edm
@@ -145,7 +145,7 @@ impl<'a> Generator<'a> {
         }
     }
 
-    /// Refuses noise levels above those that the denoiser knows.
+    /// Refuses noise levels above the denoiser's largest.
     fn check_noise_levels(&self, name: &str, Diffusion { sampler, edit, .. }: &Diffusion) -> Result<(), Error> {
         let refuse = |why: String| Err(Error::Config(format!("sweep {name}: {why}")));
         let edm = &self.spec().edm;

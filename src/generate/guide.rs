@@ -1,4 +1,4 @@
-//! How is a batch's denoiser guided as its sweep says? By the classifier and the objectives, nested.
+//! Guides the denoiser of a batch as its sweep says: by the classifier and the objectives, nested.
 
 use super::pairs::{possible_pairs, slots};
 use super::{
@@ -17,18 +17,17 @@ use crate::tensor::{FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
 use std::ops::Range;
 
-/// Pairs of a scene that guidance toward any pair looks at: those that can show the behavior most easily.
+/// Number of pairs per scene that guidance toward any pair considers: those that can show the behavior most easily.
 const MAX_ANY_PAIRS: usize = 32;
-/// The noise level that clean estimates have for a classifier: low enough to leave a maneuver as it is, and yet among those
-/// that classifiers are trained on.
+/// The noise level at which a classifier sees clean estimates: low enough to preserve a maneuver, but within its
+/// training range.
 const ESTIMATE_SIGMA: f64 = 0.1;
 
 /// The kind and value of each objective, for one sample.
 pub(super) type Wishes = Vec<(&'static str, f64)>;
 
-/// What every sample shall keep to: boxes apart by a hand's breadth (recordings have no more), centers on the road, vehicles that point where
-/// they drive.
-/// Agents of the roles that `may_collide` may touch each other.
+/// The rules of traffic for every sample: boxes a hand's breadth apart (recordings have no more), centers on the road,
+/// vehicles that point where they drive. Agents with roles in `may_collide` may touch each other.
 fn rules_of_traffic(may_collide: Option<[&str; 2]>) -> [ObjectiveConfig; 3] {
     let agents = AgentSelector::default();
     [
@@ -60,7 +59,7 @@ pub(super) struct Guided<'a> {
     pub(super) level: GuidanceLevel,
     /// The cells with their scenes.
     pub(super) cells: &'a [(&'a Cell, &'a Scene)],
-    /// The agents that each cell asks; the first is at the center.
+    /// The requested agents of each cell; the first is at the center.
     pub(super) agents: &'a [(usize, usize)],
     /// One row for each cell.
     pub(super) batch: &'a SceneBatch,
@@ -70,14 +69,14 @@ pub(super) struct Guided<'a> {
     pub(super) samples: Range<usize>,
 }
 
-/// Scenes as the classifier knows them, and the way there from what is sampled.
+/// Scenes as the classifier was trained on them, and the change of coordinates from the sampled states.
 struct Classified {
     batch: SceneBatch,
     change: MaskChange,
 }
 
 impl Guided<'_> {
-    /// What objectives know of the batch that is sampled.
+    /// The context of the sampled batch for objectives.
     fn objective_context(&self) -> Result<SceneContext, Error> {
         let rows: Vec<ContextRow<'_>> = (self.cells.iter().zip(self.agents))
             .map(|((cell, scene), agents)| ContextRow { scene, ego_idx: agents.0, roles: &cell.roles })
@@ -87,7 +86,8 @@ impl Guided<'_> {
         Ok(context.aiming_at(targets.collect())?)
     }
 
-    /// The value of each objective with its kind for each of the samples `x`, where the sweep selects by them; else nothing.
+    /// The value of each objective with its kind for each of the samples `x`, if the sweep selects by them; otherwise
+    /// empty.
     pub(super) fn wishes(&self, x: &Tensor) -> Result<Vec<Wishes>, Error> {
         let n_rows = x.dim(0)?;
         if !self.sweep.select.as_ref().is_some_and(SelectConfig::names_objectives) {
@@ -105,7 +105,7 @@ impl Guided<'_> {
 }
 
 impl<'g> Generator<'g> {
-    /// The classifier that guides samples of this strength, if one does.
+    /// The classifier that guides samples of this strength, if any.
     pub(super) fn guiding_classifier(&self, sweep: &ResolvedSweep, strength: f64) -> Option<&'g TrainedClassifier> {
         let guides = |diffusion: &Diffusion| diffusion.guidance.classifier_scope != ClassifierScope::None;
         self.classifier(sweep).filter(|_| strength != 0.0 && sweep.diffusion().is_some_and(guides))
@@ -131,9 +131,9 @@ impl<'g> Generator<'g> {
         if parts.is_empty() { GuidanceTag::NONE.to_owned() } else { parts.join("+") }
     }
 
-    /// Calls `sample` with `inner`, guided as the sweep says. The strength multiplies classifier and objectives alike; each
-    /// of the two shifts is limited on its own, and objectives judge the estimate that the classifier has shifted. The rules of traffic
-    /// have the last word, at a strength of their own.
+    /// Calls `sample` with `inner`, guided as the sweep says. The strength multiplies classifier and objectives alike;
+    /// each of the two shifts is limited on its own, and objectives judge the estimate that the classifier has shifted.
+    /// The rules of traffic come last, with a strength of their own.
     pub(super) fn guided<T>(
         &self,
         guided: &Guided<'_>,
@@ -168,7 +168,7 @@ impl<'g> Generator<'g> {
         self.guided_by_objectives(guided, inner, sample)
     }
 
-    /// The same with the objectives of the sweep and the rules of traffic alone.
+    /// The same with only the objectives of the sweep and the rules of traffic.
     fn guided_by_objectives<T>(
         &self,
         guided: &Guided<'_>,
@@ -220,8 +220,8 @@ impl<'g> Generator<'g> {
         }
     }
 
-    /// The scenes as the classifier knows them, with their histories observed and no more, where the sweep observes
-    /// otherwise.
+    /// The scenes as the classifier was trained on them, with only their histories observed, if the sweep observes
+    /// other states.
     fn classified_batch(&self, guided: &Guided<'_>) -> Result<Option<Classified>, Error> {
         if guided.sweep.observe == ObserveConfig::default() {
             return Ok(None);
@@ -238,7 +238,7 @@ impl<'g> Generator<'g> {
         Ok(Some(Classified { batch, change }))
     }
 
-    /// The guidance of `classifier`, over the states of `batch` where that is not the one that is sampled.
+    /// The guidance of `classifier` over the states of `batch`, or over the sampled ones without it.
     fn classifier_guidance<'a>(
         &self,
         guided: &Guided<'_>,
@@ -259,7 +259,8 @@ impl<'g> Generator<'g> {
         Ok(Box::new(ClassifierGuidance { classifier: &classifier.network, pairs }))
     }
 
-    /// The pairs of a cell's scene that may perform the behavior, those first that can most easily, as places on the agent axis of its row.
+    /// The pairs of a cell's scene that may perform the behavior, easiest first, as places on the agent axis of its
+    /// row.
     fn any_pairs(&self, guided: &Guided<'_>, row: usize) -> Vec<(usize, usize)> {
         let Some(behavior) = self.behavior(guided.sweep) else { return Vec::new() };
         let mut candidates = possible_pairs(guided.sweep, behavior, guided.cells[row].1);

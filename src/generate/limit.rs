@@ -1,4 +1,4 @@
-//! Between which values must a metric or an objective of a sample be?
+//! Limits on a metric or an objective of a sample.
 
 use crate::settings::{self, Issue};
 use schemars::JsonSchema;
@@ -10,11 +10,12 @@ use std::fmt;
 /// A limit of a metric or objective. Its ends are included.
 ///
 /// A plain number is the worst value to keep, for metrics with a direction: the maximum if lower is better
-/// (`collision_rate = 0.0`), the minimum if higher is better (`validity_rate = 1.0`). An undefined value meets it.
+/// (`collision_rate = 0.0`), the minimum if higher is better (`validity_rate = 1.0`). An undefined value satisfies it.
 ///
-/// A range says its sides itself and serves every metric, also those of which neither more nor less is better, such as times
-/// to collision: `[1.0, 2.5]`, `{ at_least = 1.0 }` or `{ at_most = 2.5 }`. A value that is not defined, such as the time to a collision to
-/// which no course leads, counts as beyond every number: it keeps `at_least` and breaks `at_most`.
+/// A range states its sides and works for every metric, including those without a direction, such as times to
+/// collision: `[1.0, 2.5]`, `{ at_least = 1.0 }` or `{ at_most = 2.5 }`. An undefined value, such as the time to
+/// collision without a collision course, counts as larger than every number: it satisfies `at_least` and violates
+/// `at_most`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Limit {
@@ -39,7 +40,8 @@ pub struct LimitRange {
 }
 
 impl Limit {
-    /// Rejects a limit under this key that nothing can keep or break. `has_direction` tells whether more or less of the value is better.
+    /// Rejects a limit under this key that no value can satisfy, or none can violate. `has_direction` tells whether
+    /// higher or lower values are better.
     pub(super) fn validate(&self, key: &str, has_direction: bool) -> settings::Result {
         let refuse = |why: String| Err(Issue::new(key, why));
         let range = match self {
@@ -66,8 +68,8 @@ impl Limit {
         }
     }
 
-    /// Why a value breaks the limit, in words that follow its name; `None` where it keeps it. `higher_is_better` decides what a
-    /// plain number means.
+    /// Why a value violates the limit, in words that follow its name; `None` if it satisfies it. `higher_is_better`
+    /// decides what a plain number means.
     pub(super) fn broken_by(&self, value: Option<f64>, higher_is_better: bool) -> Option<String> {
         let range = match (*self, value) {
             (Self::Worst(worst), Some(value)) => {
@@ -95,7 +97,7 @@ impl<'de> Deserialize<'de> for Limit {
     }
 }
 
-/// Reads what is written and, unlike an untagged enum, says what is wrong with it.
+/// Reads a limit and, unlike an untagged enum, reports what is wrong with it.
 struct LimitVisitor;
 
 impl<'de> Visitor<'de> for LimitVisitor {

@@ -1,4 +1,4 @@
-//! Which states of a scene are given to the denoiser? A training task by name, or a mask that is written as rules.
+//! Which states of a scene does the denoiser observe? A training task by name, or a mask written as rules.
 
 use crate::scene::{AgentRef, ObservationMask, Roles, Scene, UnfitScene};
 use crate::seed::Seed;
@@ -11,8 +11,8 @@ use serde::{Deserialize as DeserializeDerive, Serialize};
 
 /// Which states are observed; everything else is generated.
 ///
-/// TaskOrRules the name of a training task, drawn for each scene and pair: `observe = "windowed"`; or rules, of which later ones
-/// have precedence: `observe = [{ agents = "all", times = "history" }, { agents = "ego", times = "goal" }]`.
+/// TaskOrRules the name of a training task, drawn for each scene and pair: `observe = "windowed"`; or rules, of which
+/// later ones take precedence: `observe = [{ agents = "all", times = "history" }, { agents = "ego", times = "goal" }]`.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum ObserveConfig {
@@ -30,7 +30,7 @@ pub struct MaskRule {
     pub agents: AgentChoice,
     /// The times.
     pub times: TimeChoice,
-    /// Whether the states are hidden instead, though an earlier rule observes them.
+    /// Whether to hide the states instead, even if an earlier rule observes them.
     #[serde(default)]
     pub hide: bool,
 }
@@ -116,7 +116,7 @@ impl Default for ObserveConfig {
 }
 
 impl<'de> Deserialize<'de> for ObserveConfig {
-    /// By hand, so that a mistake within a rule is reported as such.
+    /// Written by hand, so that a mistake within a rule is reported as such.
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct TaskOrRules;
         impl<'de> Visitor<'de> for TaskOrRules {
@@ -156,7 +156,7 @@ impl ObserveConfig {
         }
     }
 
-    /// The mask of a scene. What is random in it follows from `seed` alone.
+    /// The mask of a scene. Its randomness comes from `seed` alone.
     pub(super) fn mask(&self, subject: &Subject<'_>, seed: Seed) -> Result<ObservationMask, UnfitScene> {
         let scene = subject.scene;
         let mask = match self {
@@ -180,7 +180,8 @@ impl ObserveConfig {
     }
 }
 
-/// Refuses rules under the key `key` that observe nothing, or of which one cannot work where the behavior has these roles.
+/// Refuses rules under the key `key` that observe nothing, and rules that cannot work in a sweep whose behavior has
+/// these roles.
 pub(super) fn validate_rules(key: &str, rules: &[MaskRule], roles: &[&str]) -> settings::Result {
     if rules.iter().all(|rule| rule.hide) {
         return Err(Issue::new(key, "has no rule that observes states; add one without hide"));
@@ -223,7 +224,7 @@ pub(super) fn rule_mask(rules: &[MaskRule], subject: &Subject<'_>, seed: Seed) -
 }
 
 impl AgentChoice {
-    /// The chosen agents of a scene, given the timesteps that are meant.
+    /// The chosen agents of a scene, given the chosen timesteps.
     fn of(&self, subject: &Subject<'_>, timesteps: &[usize], seed: Seed) -> Vec<usize> {
         let Subject { scene, ego_idx, roles } = *subject;
         let one = |agent: &AgentRef| agent.resolve(scene, ego_idx, roles).into_iter().collect();
@@ -242,7 +243,7 @@ impl AgentChoice {
 }
 
 impl TimeChoice {
-    /// Whether a timestep of a scene is meant.
+    /// Whether a timestep of a scene is chosen.
     fn holds(&self, scene: &Scene, timestep: usize) -> bool {
         match self {
             Self::All => true,
@@ -255,7 +256,8 @@ impl TimeChoice {
                     && (timestep - range.from).is_multiple_of(range.every)
             }
             Self::Seconds(range) => {
-                // Times are written with few digits: a timestep belongs to a range that ends a rounding error before it.
+                // Times are written with few digits, so a range includes a timestep that lies a rounding error beyond
+                // its end.
                 let elapsed_s = (timestep as f64 - scene.current_timestep() as f64) * scene.dt_s;
                 let tolerance_s = 1e-3 * scene.dt_s;
                 (range.from_s - tolerance_s..=range.to_s + tolerance_s).contains(&elapsed_s)

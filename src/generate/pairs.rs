@@ -1,4 +1,4 @@
-//! Which agents of a scene could perform a behavior, and which of them most likely?
+//! Which agents of a scene can show a behavior, and which of them most likely?
 
 use super::{Error, Generator, PairRanking, ResolvedSweep};
 use crate::behavior::{Behavior, Outcome};
@@ -9,10 +9,10 @@ use crate::seed::Seed;
 use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
 
-/// The noise level at which histories are ranked: well above σ_data, so that the future is hidden, yet within what
-/// classifiers are trained on.
+/// The noise level at which histories are ranked: well above σ_data, so that the future is hidden, but within the
+/// training range of classifiers.
 const RANKING_SIGMA: f64 = 2.0;
-/// A distance beside which that of any pair is small, meters: it decides where all else is equal.
+/// A distance that is large compared with that of any pair, meters, so that distances only break ties.
 const FAR_M: f64 = 1e4;
 /// Noise draws that a rank is averaged over.
 const N_RANKING_DRAWS: u64 = 8;
@@ -20,7 +20,7 @@ const N_RANKING_DRAWS: u64 = 8;
 /// A pair that may be requested to show a behavior.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct CandidatePair {
-    /// The agents of the first two roles; the same one twice for behaviors of a single agent.
+    /// The agents with the first two roles; the same one twice for behaviors of a single agent.
     pub(super) agents: (usize, usize),
     /// The roles with their tracks.
     pub(super) roles: Roles,
@@ -39,7 +39,7 @@ impl Generator<'_> {
         scene: &Scene,
     ) -> Result<Vec<CandidatePair>, Error> {
         let mut candidates = possible_pairs(sweep, behavior, scene);
-        // All with a role must be among those that the denoiser sees when the first one is at the center.
+        // All agents with a role must be among those that the denoiser sees when the first one is at the center.
         let max_agents = self.spec().sampling_collator().max_agents;
         let is_seen = |pair: &CandidatePair, track: &TrackId| {
             scene.track_idx(track).is_some_and(|idx| proximity_rank(scene, pair.agents.0, idx) < max_agents)
@@ -53,7 +53,7 @@ impl Generator<'_> {
         Ok(candidates)
     }
 
-    /// Scores candidates by the classifier's mean log odds under pure noise: what their history says of the behavior.
+    /// Scores candidates by the classifier's mean log odds under pure noise, which depend on the history alone.
     fn score(
         &self,
         classifier: &TrainedClassifier,
@@ -89,8 +89,8 @@ impl Generator<'_> {
     }
 }
 
-/// Agents of the classes that the behavior admits, tracked over the whole history, near each other, that can still show
-/// the behavior, given their past. Scored by how easily they can; where that says nothing, by their distance.
+/// Agents of the classes that the behavior admits, tracked over the whole history and near each other, that can still
+/// show the behavior, given their past. Scored by how easily they can, or by their distance if that is undefined.
 pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
     let eligible: Vec<usize> = (0..scene.tracks.len())
         .filter(|agent_idx| {
@@ -146,7 +146,7 @@ fn distance_m(scene: &Scene, a: usize, b: usize) -> f64 {
     position(a).zip(position(b)).map_or(f64::INFINITY, |(a, b)| a.distance(b))
 }
 
-/// The seed by which scenes of a sweep are put in order; it depends on nothing but the run's seed and the scene.
+/// The seed that orders the scenes of a sweep; it depends only on the run's seed and the scene.
 pub(super) fn order_seed(seed: Seed, scene_id: &str) -> u64 {
     seed.derive_named("order", scene_id).0
 }

@@ -25,10 +25,10 @@ pub struct ShardPlan {
     pub idx: usize,
     /// Index of its sweep in the configuration.
     pub sweep_idx: usize,
-    /// What is sampled: each cell at every strength (or weight) of the sweep, as often as the sweep says. A scene's strengths stay in one
-    /// shard, so that they can be compared even if the sweep is stopped early.
+    /// The cells to sample, each at every strength (or weight) of the sweep, as often as the sweep says. All strengths
+    /// of a scene are in one shard, so that they can be compared even if the sweep stops early.
     pub cells: Vec<Cell>,
-    /// The number of the first sample of each cell: 0 but for requests, which come back to their cells.
+    /// The number of the first sample of each cell: 0 except for requests, which return to their cells.
     #[serde(default)]
     pub first_sample: usize,
 }
@@ -40,9 +40,9 @@ pub struct Cell {
     pub scene_idx: usize,
     /// The scene.
     pub scene_id: SceneId,
-    /// The requested agents; none if no behavior or no particular pair is requested. The same at strength 0.
+    /// The requested agents, the same at strength 0; none if no behavior or no particular pair is requested.
     pub roles: Roles,
-    /// The targets of its samples' events: one after the other, then the first again. Empty if nothing in particular is requested.
+    /// The targets of its samples' events, used in turn. Empty if the samples have no target.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub targets: Vec<Target>,
 }
@@ -67,7 +67,7 @@ pub struct Shortfall {
 }
 
 impl Plan {
-    /// Number of samples in all, if no sweep is stopped early.
+    /// Total number of samples, if no sweep stops early.
     pub fn n_samples(&self, config: &ResolvedGeneration) -> usize {
         self.shards.iter().map(|shard| shard.n_samples(config)).sum()
     }
@@ -80,7 +80,7 @@ impl ShardPlan {
         self.cells.len() * sweep.levels().len() * sweep.n_samples
     }
 
-    /// Whether the shard is to be generated when the sweep's earlier shards hold `n_verified` verified scenarios.
+    /// Whether the shard is needed if the sweep's earlier shards have `n_verified` verified scenarios.
     pub fn is_wanted(&self, config: &ResolvedGeneration, n_verified: usize) -> bool {
         config.sweeps[self.sweep_idx].stop_after_verified.is_none_or(|enough| n_verified < enough)
     }
@@ -93,8 +93,8 @@ struct RankedScene {
 }
 
 impl Generator<'_> {
-    /// The plan for the scenes of `index`. The same configuration, models and scenes give the same plan, in whatever order
-    /// the scenes come (but for the indices).
+    /// The plan for the scenes of `index`. The same configuration, models and scenes give the same plan, whatever the
+    /// order of the scenes (except for their indices).
     ///
     /// # Errors
     /// When no scene fits a sweep, or a scene cannot be loaded.
@@ -102,7 +102,7 @@ impl Generator<'_> {
         self.plan_first(self.config.sweeps.len(), index)
     }
 
-    /// The plan for the first `n_sweeps` sweeps alone: those after them are of requests, which plan as they go.
+    /// The plan for the first `n_sweeps` sweeps: the later ones belong to requests, which plan round by round.
     ///
     /// # Errors
     /// As [`Generator::plan`].
@@ -137,7 +137,8 @@ impl Generator<'_> {
         Ok(plan)
     }
 
-    /// The cells of a sweep that asks for a behavior, scene by scene, among the chosen scenes that are possible.
+    /// The cells of a sweep that requests a behavior, scene by scene, among the possible scenes of the chosen splits
+    /// and places.
     pub(super) fn cells_by_scene(
         &self,
         sweep: &ResolvedSweep,
@@ -174,7 +175,7 @@ impl Generator<'_> {
         scenes.into_iter().map(|(_, scene)| scene).collect()
     }
 
-    /// The cells of the scenes that a behavior sweep asks, scene by scene.
+    /// The cells of the scenes that a sweep with a behavior uses, scene by scene.
     fn scenes_with_pairs(
         &self,
         sweep: &ResolvedSweep,
@@ -183,7 +184,8 @@ impl Generator<'_> {
     ) -> Result<Vec<Vec<Cell>>, Error> {
         let order = &order[..order.len().min(sweep.pairs.n_scenes_ranked.unwrap_or(usize::MAX))];
         let mut found: Vec<RankedScene> = Vec::new();
-        // Scenes are looked at in parallel, a batch at a time, and counted in order. On a GPU the classifier is asked one after the other.
+        // Scenes are examined in parallel, a batch at a time, and counted in order. On a GPU the classifier ranks one
+        // scene after the other.
         let rank = |scene: &ListedScene<'_>| self.rank(sweep, behavior, scene);
         for batch in order.chunks(sweep.n_scenes.clamp(8, 64)) {
             let ranked: Vec<Option<RankedScene>> = match self.device.is_cuda() {

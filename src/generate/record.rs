@@ -1,4 +1,4 @@
-//! How does a sample become a scenario: what it came from, what is found in it, and under which id?
+//! How does a sample become a scenario with its provenance, its events and its id?
 
 use super::{Cell, Error, Generator, ResolvedSweep, Verification, verify};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
@@ -35,7 +35,7 @@ impl Generator<'_> {
             sampler: sweep.sampler_name(),
             settings: sweep.settings(level),
         };
-        // What is verified must be what is written.
+        // The verified states must be the written ones.
         let scene = as_stored(generated);
         let verdict = match self.behavior(sweep) {
             Some(behavior) => verify(behavior, &cell.roles, recorded, &scene),
@@ -72,7 +72,7 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
         settings,
     } = provenance;
     let mut hasher = blake3::Hasher::new();
-    // Every part ends in a zero byte, which no name holds: different parts cannot make the same text.
+    // Every part ends in a zero byte, which no name contains, so different parts cannot make the same text.
     let mut add = |part: &str| {
         hasher.update(part.as_bytes());
         hasher.update(&[0]);
@@ -93,7 +93,7 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
         add(role);
         add(&track.0);
     }
-    // Where both numbers of the level act, the settings name both.
+    // The settings name both numbers of the level if both act.
     let GuidanceLevel { strength, weight } = guidance.level;
     let level = if strength == 0.0 { weight } else { strength };
     add(&format!("{seed} {sample_idx} {level} {edit_tau:?}"));

@@ -1,4 +1,4 @@
-//! How is one scenario generated again? With the batch that it was denoised in, and nothing else.
+//! How is one scenario generated again? By denoising its original batch, and nothing else.
 
 use super::{Error, Generator, ShardPlan};
 use crate::progress::Silent;
@@ -30,11 +30,11 @@ impl SampleKey {
 }
 
 impl Generator<'_> {
-    /// Generates one sample of a shard as it was generated with the whole shard, to the last digit: products of few rows
-    /// round differently from those of many, so that the samples it was denoised with are denoised again. What a selection
-    /// compares with samples of other batches is not decided again: a sample that was kept is kept.
+    /// Generates one sample of a shard exactly as with the whole shard, to the last digit. Matrix products of few rows
+    /// round differently from those of many, so the other samples of its batch are denoised again, too. A selection
+    /// that compares samples of several batches is not repeated: a sample that was kept stays kept.
     ///
-    /// `None` if the shard has no such sample, or the sample gave no scenario.
+    /// `None` if the shard has no such sample, or the sample did not become a scenario.
     ///
     /// # Errors
     /// As [`Generator::generate`].

@@ -1,4 +1,5 @@
-//! How does a shard of the plan become scenarios? Batches of like scenes, denoised, decoded, checked.
+//! How does a shard of the plan become scenarios? Scenes of similar size form batches, which are denoised, decoded and
+//! checked.
 
 use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_velocities};
 use super::guide::{Guided, Wishes};
@@ -46,7 +47,7 @@ pub struct RejectedSample {
     pub reason: String,
 }
 
-/// Cells of one batch with what they are conditioned on, the samples wanted of each, and the strength or weight.
+/// The cells of one batch with their conditioning, the samples of each, and the strength or weight.
 struct Batch<'a> {
     sweep: &'a ResolvedSweep,
     cells: Vec<(&'a Cell, &'a Conditioned)>,
@@ -60,11 +61,11 @@ struct Draw {
     scene: Scene,
     /// Its probability, where it has one.
     probability: Option<f64>,
-    /// What the objectives find of it, where samples are selected by them.
+    /// The values of the objectives, if samples are selected by them.
     wishes: Wishes,
 }
 
-/// One of the samples of a cell; or why there is none.
+/// One of the samples of a cell, or why there is none.
 #[derive(Debug, Clone)]
 struct Sampled {
     level: GuidanceLevel,
@@ -74,7 +75,7 @@ struct Sampled {
 
 /// What samples are conditioned on.
 struct Given {
-    /// Of each cell: one for all of its samples or, with templates, one for each.
+    /// For each cell one conditioning for all samples or, with templates, one for each sample.
     of_cells: Vec<Vec<Conditioned>>,
     first_sample: usize,
 }
@@ -86,21 +87,20 @@ impl Given {
     }
 }
 
-/// Whether a batch is generated: of this level, these cells and samples.
+/// Decides, from its level, cells and samples, whether a batch is generated.
 type BatchChoice<'a> = dyn Fn(GuidanceLevel, &[usize], &Range<usize>) -> bool + 'a;
 
 impl Generator<'_> {
     /// Generates a shard. Progress advances by one for each sample.
     ///
     /// # Errors
-    /// When a scene cannot be loaded or is not the planned one, or a tensor operation fails. Samples that are no finite
-    /// numbers are not errors: they are rejected. [`Error::Stopped`] when it is asked to stop between two batches.
+    /// When a scene cannot be loaded or is not the planned one, or a tensor operation fails. Samples that are not
+    /// finite are not errors: they are rejected. [`Error::Stopped`] when the process must stop between two batches.
     pub fn generate(&self, shard: &ShardPlan, progress: &dyn Progress) -> Result<ShardOutput, Error> {
         self.generate_part(shard, &|_, _, _| true, progress)
     }
 
-    /// Generates those batches of a shard that are chosen by level, cells and samples; a batch is what it is
-    /// whatever else is generated.
+    /// Generates the batches of a shard that `is_chosen` picks. A batch does not depend on which others are generated.
     pub(super) fn generate_part(
         &self,
         shard: &ShardPlan,
@@ -152,7 +152,7 @@ impl Generator<'_> {
         Ok(output)
     }
 
-    /// What the samples of each cell of a shard are conditioned on.
+    /// The conditioning of the samples of each cell of a shard.
     fn given(&self, sweep: &ResolvedSweep, shard: &ShardPlan, scenes: &[Scene]) -> Result<Given, Error> {
         let n_own = if sweep.uses_template() { sweep.n_samples } else { 1 };
         let of_cells = shard.cells.iter().zip(scenes).map(|(cell, scene)| {
@@ -163,9 +163,9 @@ impl Generator<'_> {
         Ok(Given { of_cells: of_cells.collect::<Result<_, Error>>()?, first_sample: shard.first_sample })
     }
 
-    /// Cells (by index) and samples that are denoised together: scenes of like size, so that little is padding, and all
-    /// samples of a scene where they fit, so that it is encoded once. With templates samples of a scene share nothing, and one of each
-    /// scene is in a batch.
+    /// Cells (by index) and samples that are denoised together. Scenes of similar size share a batch, so that there is
+    /// little padding, and so do all samples of a scene if they fit, so that the scene is encoded once. With templates
+    /// the samples of a scene share nothing, and a batch has one sample per scene.
     fn batches(&self, sweep: &ResolvedSweep, scenes: &[Scene]) -> Vec<(Vec<usize>, Range<usize>)> {
         let mut order: Vec<usize> = (0..scenes.len()).collect();
         order.sort_by_key(|at| scenes[*at].tracks.len());
@@ -306,7 +306,7 @@ impl Generator<'_> {
         Ok(sampler.sample(edm, denoiser, row_dims, &tensors.x0, &mut noise, &mut observer)?)
     }
 
-    /// The samples of one cell without those that the sweep's selection leaves out, strength by strength.
+    /// The samples of one cell that the sweep's selection keeps, strength by strength.
     fn select(
         &self,
         sweep: &ResolvedSweep,
@@ -342,8 +342,8 @@ impl Generator<'_> {
     }
 }
 
-/// The seed of a sample's noise. It depends on the run's seed, the scene and the sample alone: the strengths of a scene start
-/// from the same noise, and neither batches nor shards matter.
+/// The seed of a sample's noise. It depends only on the run's seed, the scene and the sample: all strengths of a scene
+/// start from the same noise, whatever the batches and shards.
 fn sample_seed(scene_seed: Seed, sample_idx: usize) -> Seed {
     scene_seed.derive("sample", &[sample_idx as u64])
 }
@@ -364,7 +364,7 @@ fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
     }
 }
 
-/// A scene whose every state is a number.
+/// The scene, if all of its states are finite.
 fn checked(scene: Scene) -> Result<Scene, UnfitScene> {
     for track in &scene.tracks {
         if let Some((timestep, _)) = track.trajectory.valid().find(|(_, state)| !state.is_finite()) {

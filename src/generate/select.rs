@@ -1,4 +1,4 @@
-//! Which samples become scenarios? Rejection by limits of metrics and objectives, and the best of many.
+//! Which samples become scenarios? Those within limits of metrics and objectives, and of these the best.
 
 use super::Limit;
 use crate::metrics::{ALL, Direction, MetricSettings, SampleGroup, by_id};
@@ -10,31 +10,32 @@ use std::collections::BTreeMap;
 
 /// Which samples of a scene at one strength to keep as scenarios.
 ///
-/// Samples are judged by metrics of the evaluation, each sample on its own, or by the sweep's objectives: by one of them,
-/// under the name of its kind such as `no_collision` (of several of a kind the sum), or by the sum of all, `objectives`. The
-/// value of an objective is its weight times its log potential, so at most 0, and more is better.
+/// Samples are judged by metrics of the evaluation, each sample on its own, or by the sweep's objectives: by one kind
+/// under its name, such as `no_collision` (the sum if there are several), or by the sum of all, `objectives`. The value
+/// of an objective is its weight times its log potential: at most 0, and higher is better.
 ///
-/// A metric that looks at the recording, such as `min_scene_ade_m`, makes the corpus repeat what was recorded.
+/// A metric that compares with the recording, such as `min_scene_ade_m`, makes the corpus repeat the recordings.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SelectConfig {
-    /// Limits by metric or objective. `{ collision_rate = 0.0 }` keeps what has no collision, `{ pair_min_ttc_s = [0.5, 2.0] }` what
-    /// comes that close to one, `{ pair_min_distance_m = { at_least = 1.0 } }` what stays that far apart.
+    /// Limits by metric or objective. `{ collision_rate = 0.0 }` keeps samples without a collision,
+    /// `{ pair_min_ttc_s = [0.5, 2.0] }` those that come this close to one,
+    /// `{ pair_min_distance_m = { at_least = 1.0 } }` those that stay this far apart.
     #[serde(default)]
     pub limits: BTreeMap<String, Limit>,
-    /// How many of those within the limits to keep: the best. Left out: all.
+    /// How many of the samples within the limits to keep, best first. Left out: all.
     #[serde(default)]
     #[schemars(range(min = 1))]
     pub best: Option<usize>,
-    /// The metrics and objectives by which samples are better: the first decides, each further one among equals, and at last
-    /// the order of sampling.
+    /// The metrics and objectives that rank samples: the first decides, each further one breaks ties, and finally the
+    /// order of sampling.
     #[serde(default)]
     pub by: Vec<String>,
 }
 
 /// The sum of all objectives, as selections name it.
 const ALL_OBJECTIVES: &str = "objectives";
-/// With what the names of metrics begin that look at the two agents that were asked.
+/// The prefix of metrics that look at the requested pair.
 const PAIR_PREFIX: &str = "pair_";
 
 /// A sample that may become a scenario.
@@ -46,12 +47,12 @@ pub(super) struct Candidate<'a> {
     pub(super) objectives: &'a [(&'static str, f64)],
     /// The requested agents.
     pub(super) asked: &'a Roles,
-    /// Whether what was requested of them is a collision.
+    /// Whether the requested event is a collision.
     pub(super) asked_to_collide: bool,
 }
 
 impl Candidate<'_> {
-    /// The value of what a selection names; `None` where it is not defined for the sample.
+    /// The value of a metric or objective; `None` if it is undefined for the sample.
     fn value(&self, id: &str, recorded: &Scene, settings: &MetricSettings) -> Option<f64> {
         if let Some(metric) = settings.by_id(id) {
             let alone = SampleGroup::equally_likely(recorded, std::slice::from_ref(self.scene));
@@ -62,7 +63,7 @@ impl Candidate<'_> {
         Some(named.map(|(_, value)| value).sum())
     }
 
-    /// The same, turned so that less is better; what is not defined is the worst.
+    /// The same, with its sign such that lower is better; undefined values are the worst.
     fn cost(&self, id: &str, recorded: &Scene, settings: &MetricSettings) -> f64 {
         let sign = if direction(id) == Direction::HigherIsBetter { -1.0 } else { 1.0 };
         self.value(id, recorded, settings).map_or(f64::INFINITY, |value| sign * value)
@@ -75,7 +76,7 @@ impl SelectConfig {
         self.ids().any(|id| by_id(id).is_none())
     }
 
-    /// Whether it judges by metrics of which `is_such` holds.
+    /// Whether it judges by metrics for which `is_such` holds.
     pub(super) fn names_metric(&self, is_such: impl Fn(&str) -> bool) -> bool {
         self.ids().any(|id| is_such(id))
     }
@@ -85,7 +86,7 @@ impl SelectConfig {
     }
 
     /// Rejects metrics and objectives that cannot judge samples of a sweep with objectives of these kinds. `asks_pairs`
-    /// says whether a pair is requested, which metrics of pairs need.
+    /// tells whether the sweep requests a pair, as metrics of pairs need.
     ///
     /// # Errors
     /// Names the key.
@@ -142,8 +143,8 @@ impl SelectConfig {
         }
     }
 
-    /// For each sample of one recorded scene why it is left out; `None` where it is kept. Metrics judge by `settings`. A metric that is not defined for a
-    /// sample makes it the worst; [`Limit`] says what that means to limits.
+    /// For each sample of one recorded scene, why it is left out; `None` if it is kept. Metrics use `settings`. A
+    /// sample for which a metric is undefined ranks last; [`Limit`] defines what that means for limits.
     pub(super) fn verdicts(
         &self,
         recorded: &Scene,
@@ -177,7 +178,7 @@ impl SelectConfig {
     }
 }
 
-/// Which way a metric is better; of objectives, more is.
+/// Whether higher values of a metric are better; for objectives they are.
 fn direction(id: &str) -> Direction {
     by_id(id).map_or(Direction::HigherIsBetter, |metric| metric.spec().direction)
 }

@@ -3,7 +3,7 @@
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
 use crate::scene::{Roles, Scene};
 
-/// What the miner says of a scenario.
+/// The miner's findings on a scenario.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Verification {
     /// Whether the behavior happens with the requested roles.
@@ -14,7 +14,8 @@ pub struct Verification {
     pub recorded_event: bool,
 }
 
-/// Checks `generated`, a continuation of `recorded`, for `behavior` with the requested `roles`; without roles, of anybody.
+/// Checks `generated`, a continuation of `recorded`, for `behavior` with the requested `roles`; without roles, for any
+/// agents.
 pub fn verify(behavior: &dyn Behavior, roles: &Roles, recorded: &Scene, generated: &Scene) -> Verification {
     let is_requested = |event: &BehaviorEvent| roles.is_empty() || event.roles == *roles;
     let (mut events, others): (Vec<_>, Vec<_>) =

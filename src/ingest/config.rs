@@ -68,7 +68,7 @@ pub struct IngestConfig {
     #[serde(default)]
     #[schemars(range(min = 1))]
     pub limit: Option<u64>,
-    /// Seed of the choice of an ego where the recording marks none.
+    /// Seed of the choice of an ego if the recording marks none.
     #[serde(default)]
     pub seed: u64,
 }

@@ -58,7 +58,7 @@ pub struct GeometryConfig {
     /// Features of a neighbor, and of a lane, at a token.
     #[schemars(range(min = 1, max = 4_096))]
     pub relation_width: usize,
-    /// Whether a token is told the pose that its agent's estimate has there.
+    /// Whether a token contains the pose of its agent's estimate there.
     pub own_pose: bool,
     /// Whether agents attend to each other as they lie in the frame of the one that attends.
     pub relative_attention: bool,

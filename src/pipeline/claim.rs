@@ -37,10 +37,10 @@ pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Res
     Ok(())
 }
 
-/// Refuses a folder in which a file that every command writes is somebody else's.
+/// Refuses a folder with a file of somebody else's under a name that every command writes.
 pub(super) fn check_root(root: &Path) -> Result<()> {
     if let Some(file) = root.ancestors().find(|path| path.exists()).filter(|path| !path.is_dir()) {
-        let message = format!("{} is no folder, which output is written into", file.display());
+        let message = format!("{} is not a folder; output is written into a folder", file.display());
         return Err(Failure::input_message(message).with_hint("name another folder with --output"));
     }
     let has_keys = |name: &str, keys: &[&str]| {
@@ -119,7 +119,7 @@ pub(super) fn check_outputs(root: &Path, stage: StageId, outputs: &[&str]) -> Re
     Ok(())
 }
 
-/// What is said of an output with files that no list names: older versions kept none.
+/// The error for an output with files on no list: older versions kept none.
 fn foreign_output(root: &Path, stage: StageId, error: Error) -> Failure {
     let Error::Foreign { path, .. } = &error else { return error.into() };
     let place = path.display();

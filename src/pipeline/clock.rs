@@ -23,7 +23,7 @@ fn format_utc(seconds: u64) -> String {
     format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z")
 }
 
-/// The most memory the process ever held, bytes; `None` where the system does not say.
+/// Peak memory of the process, bytes; `None` if the system does not report it.
 pub(super) fn peak_memory_bytes() -> Option<u64> {
     let status = fs_err::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

@@ -1,4 +1,4 @@
-//! What do two run folders hold that can be compared?
+//! Collects the comparable contents of two run folders.
 
 use super::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use super::run::{CONFIG_FILE, RUN_FILE, RunManifest};
@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-/// What of a page is read to find its title.
+/// How much of a page is read to find its title.
 const HEAD_BYTES: u64 = 1 << 20;
 
 /// Writes a page that sets the runs in two folders side by side.
@@ -30,7 +30,7 @@ pub fn write_comparison(a: &Path, b: &Path, page: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Refuses a page in the place of what is compared, or of a file that is no page of ours.
+/// Refuses to write the page over a compared folder, or over a file that is not one of our pages.
 fn check_page(a: &Path, b: &Path, page: &Path) -> Result<()> {
     check_overlap(page, [("run", a), ("run", b)])?;
     if is_link(page) {
@@ -53,7 +53,7 @@ fn check_page(a: &Path, b: &Path, page: &Path) -> Result<()> {
     Ok(())
 }
 
-/// What is compared of the run in a folder; of stages that did not run, nothing.
+/// The comparable contents of the run in a folder; empty for stages that did not run.
 fn read_run(root: &Path) -> Result<ComparedRun> {
     let has_stages = StageId::ALL.into_iter().any(|stage| StageRecord::done(root, stage).is_some());
     let manifest = root.join(RUN_FILE);
@@ -101,7 +101,8 @@ fn read_run(root: &Path) -> Result<ComparedRun> {
     Ok(run)
 }
 
-/// Every value by its path. Tables of an array go by their names where they have any: sweeps stay themselves when one is added.
+/// Every value by its path. Tables in an array are identified by their names, if they have any, so that adding a sweep
+/// does not change the paths of others.
 fn flatten(path: &str, value: &toml::Value, settings: &mut BTreeMap<String, String>) {
     let below = |key: &str| if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") };
     match value {

@@ -1,4 +1,4 @@
-//! On what do the networks compute, and how exactly?
+//! The device and the precision of networks.
 
 use super::failure::{Failure, Result};
 use crate::nn::{Compute, Precision};
@@ -36,7 +36,8 @@ impl DeviceChoice {
         match self {
             Self::Cpu => Ok(Device::Cpu),
             Self::Cuda(ordinal) if candle_core::utils::cuda_is_available() => {
-                // One stream for all threads: candle's usual one is another in each, and nothing would keep them in order.
+                // One stream for all threads: candle's default has one per thread, and nothing would keep them in
+                // order.
                 Device::new_cuda_with_stream(ordinal).map_err(|error| {
                     // What follows the first line is a backtrace.
                     let text = error.to_string();
@@ -111,8 +112,8 @@ impl ComputeChoice {
 }
 
 impl ComputeChoice {
-    /// What decides the last digits of results: the kind of device, and how exactly products are taken. Of a processor, the widest
-    /// vectors that it knows; of GPUs, the models that the driver lists.
+    /// What decides the last digits of results: the kind of device and the precision of products. The kind of a
+    /// processor is its widest vector instructions, the kind of a GPU its model as listed by the driver.
     pub fn class(self) -> String {
         let kind = match self.device {
             DeviceChoice::Cpu => processor_class(self.precision),

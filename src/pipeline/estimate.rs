@@ -1,4 +1,5 @@
-//! What will generation cost? Samples and evaluations by sweep and request, and the time where a denoiser can be asked.
+//! The cost of generation: samples and evaluations by sweep and request, and the time if there is a denoiser to
+//! measure.
 
 use super::config::PipelineConfig;
 use super::layout::Layout;
@@ -19,13 +20,13 @@ use candle_core::{DType, Tensor};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Evaluations that are timed, after one that is not.
+/// Number of timed evaluations, after one that is not timed.
 const N_TIMED: usize = 3;
-/// Agents and lanes of the scene that stands for recordings that are not ingested yet.
+/// Agents and lanes of the made-up scene that is used before recordings are ingested.
 const N_AGENTS: usize = 16;
 const N_LANES: usize = 64;
 
-/// The plan of generation in lines for people, with the most it may cost; empty where nothing is generated.
+/// The plan of generation as lines for people, with its maximal cost; empty if nothing is generated.
 ///
 /// # Errors
 /// When the section makes no sense, or a tensor operation fails.
@@ -64,7 +65,7 @@ pub fn estimate(config: &PipelineConfig, layout: &Layout) -> Result<Vec<String>>
     Ok(lines)
 }
 
-/// Adds the lines of a request, of which the pairs are known where there is a `pool`. Returns its most evaluations.
+/// Adds the lines of a request, with its pairs if there is a `pool`. Returns its maximal number of evaluations.
 fn describe(
     request: &ResolvedRequest,
     resolved: &ResolvedGeneration,
@@ -86,9 +87,9 @@ fn describe(
         wanted.len()
     ));
     lines.push(match pool {
-        None => "    pairs that can fall into a bucket are counted once scenes and models are there".to_owned(),
+        None => "    pairs that can reach a bucket are counted once scenes and models exist".to_owned(),
         Some(pool) => format!(
-            "    {} pairs of {} scenes; {} more can fall into no bucket",
+            "    {} pairs of {} scenes; {} more can reach no bucket",
             pool.cells.len(),
             pool.n_scenes,
             pool.n_infeasible
@@ -96,21 +97,22 @@ fn describe(
     });
     for arm in &request.arms {
         let sampler = resolved.sweeps[arm.sweep_idx].sampler_name();
-        lines.push(format!("    arm {}: {sampler}, {} evaluations a sample", arm.name, arm.n_evaluations));
+        lines.push(format!("    arm {}: {sampler}, {} evaluations per sample", arm.name, arm.n_evaluations));
     }
     for (bucket, n) in wanted.iter().enumerate() {
         let pairs = match pool.map(|pool| pool.n_feasible(bucket)) {
             None => String::new(),
-            Some(0) => ", but no pair can fall into it".to_owned(),
-            Some(1) => ", 1 pair can fall into it".to_owned(),
-            Some(n) => format!(", {n} pairs can fall into it"),
+            Some(0) => ", but no pair can reach it".to_owned(),
+            Some(1) => ", 1 pair can reach it".to_owned(),
+            Some(n) => format!(", {n} pairs can reach it"),
         };
         lines.push(format!("    bucket {bucket}: {}: {n} wanted{pairs}", request.buckets.ranges(bucket)));
     }
     most_evaluations
 }
 
-/// How fast the denoiser is, in network calls for one sample each, and what it was tried on. `None` without a denoiser.
+/// The speed of the denoiser in evaluations of single samples per second, and the scene it was measured on. `None`
+/// without a denoiser.
 fn evaluations_per_second(
     config: &PipelineConfig,
     generate: &GenerateConfig,
@@ -227,7 +229,7 @@ mod tests {
         for part in [
             "sweep plain: 12 samples, 60 evaluations",
             "request tight: 4 scenarios in 2 buckets; 100 samples, 3900 evaluations",
-            "arm long: heun-20, 39 evaluations a sample",
+            "arm long: heun-20, 39 evaluations per sample",
             "bucket 1: gap_m 5..10: 2 wanted",
             "in all 3960 evaluations: time unknown",
         ] {

@@ -1,4 +1,4 @@
-//! Who has to act when something fails: the user, or the people who look after the program and the machine?
+//! Who has to act when something fails: the user, or those who maintain the program and the machine?
 
 use super::stage::StageId;
 use std::fmt;
@@ -12,7 +12,7 @@ pub enum Blame {
     Fault,
     /// Everything ran, but a quality gate that the user set was not met.
     Gate,
-    /// Nobody: the work was asked to stop, or waits for other work. The same command goes on later.
+    /// Nobody: the work had to stop, or waits for other work. The same command continues later.
     Later,
 }
 
@@ -30,7 +30,7 @@ pub struct Failure {
 pub type Result<T, E = Failure> = std::result::Result<T, E>;
 
 impl Failure {
-    /// A failure that the user can mend.
+    /// A failure that the user can fix.
     pub fn input(error: impl Into<anyhow::Error>) -> Self {
         Self { blame: Blame::Input, error: error.into(), hint: None }
     }
@@ -40,7 +40,7 @@ impl Failure {
         Self { blame: Blame::Fault, error: error.into(), hint: None }
     }
 
-    /// A failure that the user can mend, from a message.
+    /// A failure that the user can fix, from a message.
     pub fn input_message(message: impl fmt::Display) -> Self {
         Self::input(anyhow::anyhow!("{message}"))
     }
@@ -50,7 +50,7 @@ impl Failure {
         Self { blame: Blame::Gate, error: anyhow::anyhow!("{message}"), hint: None }
     }
 
-    /// Work that goes on later, with the same command.
+    /// Work that continues later, with the same command.
     pub fn later(message: impl fmt::Display) -> Self {
         Self { blame: Blame::Later, error: anyhow::anyhow!("{message}"), hint: None }
     }
@@ -69,7 +69,7 @@ impl Failure {
         self
     }
 
-    /// The same failure, said from one step further out.
+    /// The same failure with more context.
     #[must_use]
     pub fn context(mut self, context: impl fmt::Display + Send + Sync + 'static) -> Self {
         self.error = self.error.context(context);
@@ -97,7 +97,7 @@ impl From<std::io::Error> for Failure {
     }
 }
 
-/// Says whose failure an error of another layer is.
+/// Assigns the blame for an error of another layer.
 pub trait Classify<T> {
     /// The user's.
     fn blame_input(self) -> Result<T>;

@@ -129,7 +129,7 @@ fn short_hex(hash: &blake3::Hash) -> String {
 fn list_files(folder: &Path, files: &mut Vec<PathBuf>) -> Result<()> {
     for entry in fs_err::read_dir(folder)? {
         let entry = entry?;
-        // A link to a folder counts by the file it names, if any: following it could go round in circles.
+        // A link to a folder counts by its target's name alone: following it could lead into a loop.
         if entry.file_type()?.is_dir() {
             list_files(&entry.path(), files)?;
         } else if fs_err::metadata(entry.path()).map_or(true, |metadata| metadata.is_file()) {

@@ -1,4 +1,4 @@
-//! Which stages must run, which can be reused, which taken up where they stopped; and then: run them.
+//! Decides which stages must run, which can be reused and which resume, and runs them.
 
 use super::claim;
 use super::failure::{Failure, Result};
@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 
-/// A stage with what is to be done about it.
+/// A stage with its action.
 pub struct PlannedStage<'a> {
     /// The stage.
     pub stage: Box<dyn Stage + 'a>,
@@ -31,7 +31,7 @@ pub struct PlannedStage<'a> {
 }
 
 impl PlannedStage<'_> {
-    /// What becomes of results that are there, where the stage is done again: why, and what stays.
+    /// For a stage that is done again: why, and what happens to its earlier results.
     pub fn redone(&self) -> Option<String> {
         let Action::Run(why) = &self.action else { return None };
         let kept = self.kept.iter().map(|Kept { name, as_name }| format!("; the current {name} is moved to {as_name}"));
@@ -43,9 +43,9 @@ impl PlannedStage<'_> {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Action {
-    /// Nothing: its outputs are there, from the same configuration and inputs.
+    /// Nothing: its outputs exist, from the same configuration and inputs.
     Reuse,
-    /// Go on with what an interrupted run left.
+    /// Continue an interrupted run.
     Resume,
     /// Run it from the start, for this reason.
     Run(String),
@@ -68,7 +68,7 @@ impl fmt::Display for Action {
 /// When a section cannot work, an input is missing, an output overlaps an input or holds files that the stage did not write,
 /// or a trained model would be replaced unasked.
 pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId]) -> Result<Vec<PlannedStage<'a>>> {
-    // All sections are looked at before recordings are: their mistakes are found at once.
+    // All sections are checked before recordings are read, so that mistakes are found at once.
     stages.iter().try_for_each(|stage| stage.check())?;
     if let Some(stage) = redo.iter().find(|id| !stages.iter().any(|stage| stage.id() == **id)) {
         return Err(Failure::input_message(format_args!("--redo {stage}: the pipeline has no such stage")));
@@ -77,23 +77,8 @@ pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId])
     claim::check_root(root)?;
     let mut planned: Vec<PlannedStage<'a>> = Vec::new();
     for stage in stages {
-        let mut inputs = BTreeMap::new();
         let earlier = StageRecord::done(root, stage.id());
-        let mut missing = None;
-        for input in stage.inputs() {
-            let record = match identify(root, &planned, &input, earlier.as_ref()) {
-                Ok(record) => record,
-                // What was made of recordings stays when they are taken away.
-                Err(failure) => match earlier.as_ref().and_then(|earlier| earlier.missing_input(&input)) {
-                    Some(record) => {
-                        missing.get_or_insert(failure);
-                        record
-                    }
-                    None => return Err(failure),
-                },
-            };
-            inputs.insert(input.name, record);
-        }
+        let (inputs, missing) = identify_inputs(root, &planned, stage.as_ref(), earlier.as_ref())?;
         let mut expected = StageRecord::expected(stage.as_ref(), inputs)?;
         // Work on the same contents keeps its fingerprint when files were moved, and so do the stages after it.
         let begun = Work::started(root, stage.id());
@@ -106,29 +91,66 @@ pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId])
             return Err(failure);
         }
         let is_redone = StageRecord::done(root, stage.id()).is_some();
-        let kept = match &action {
-            Action::Reuse => Vec::new(),
-            // That it was begun says that it was asked for.
-            Action::Resume => {
-                Work::check_ours(root, stage.id())?;
-                match StageRecord::started_in_place(root, stage.id()) {
-                    Some(_) => drop(older::unfinished(root, stage.outputs())?),
-                    None => claim::check_outputs(root, stage.id(), stage.outputs())?,
-                }
-                kept(root, &expected, "", true)?
-            }
-            Action::Run(why) => {
-                Work::check_ours(root, stage.id())?;
-                claim::check_outputs(root, stage.id(), stage.outputs())?;
-                kept(root, &expected, why, is_asked)?
-            }
-        };
+        let kept = check_writable(root, stage.as_ref(), &expected, &action, is_asked)?;
         planned.push(PlannedStage { stage, expected, action, is_redone, kept });
     }
     Ok(planned)
 }
 
-/// Those of the planned stages that are `selected`, and those before them that are done.
+/// The inputs of a stage, by name. If recordings were removed, their record of an earlier run replaces them, and the
+/// second value is the failure to find them.
+fn identify_inputs(
+    root: &Path,
+    planned: &[PlannedStage<'_>],
+    stage: &dyn Stage,
+    earlier: Option<&StageRecord>,
+) -> Result<(BTreeMap<String, InputRecord>, Option<Failure>)> {
+    let (mut inputs, mut missing) = (BTreeMap::new(), None);
+    for input in stage.inputs() {
+        let record = match identify(root, planned, &input, earlier) {
+            Ok(record) => record,
+            // Results stay valid when their recordings are removed.
+            Err(failure) => match earlier.and_then(|earlier| earlier.missing_input(&input)) {
+                Some(record) => {
+                    missing.get_or_insert(failure);
+                    record
+                }
+                None => return Err(failure),
+            },
+        };
+        inputs.insert(input.name, record);
+    }
+    Ok((inputs, missing))
+}
+
+/// Checks that a stage with this action overwrites no files of others. Returns the trained models that are kept.
+fn check_writable(
+    root: &Path,
+    stage: &dyn Stage,
+    expected: &StageRecord,
+    action: &Action,
+    is_asked: bool,
+) -> Result<Vec<Kept>> {
+    match action {
+        Action::Reuse => Ok(Vec::new()),
+        // Whoever began it has requested it already.
+        Action::Resume => {
+            Work::check_ours(root, stage.id())?;
+            match StageRecord::started_in_place(root, stage.id()) {
+                Some(_) => drop(older::unfinished(root, stage.outputs())?),
+                None => claim::check_outputs(root, stage.id(), stage.outputs())?,
+            }
+            kept(root, expected, "", true)
+        }
+        Action::Run(why) => {
+            Work::check_ours(root, stage.id())?;
+            claim::check_outputs(root, stage.id(), stage.outputs())?;
+            kept(root, expected, why, is_asked)
+        }
+    }
+}
+
+/// The planned stages that are `selected`, and the done ones before them.
 ///
 /// # Errors
 /// When one is selected that the pipeline does not have, or that reads from one which is neither done nor selected
@@ -151,7 +173,7 @@ pub fn select<'a>(planned: Vec<PlannedStage<'a>>, selected: &[StageId]) -> Resul
     Ok(planned.into_iter().filter(is_ready).collect())
 }
 
-/// What `stage` alone would be run on in the folder `root`.
+/// The record that `stage` would have if it ran alone in the folder `root`.
 ///
 /// # Errors
 /// When an input is missing.
@@ -205,7 +227,7 @@ pub enum Moment {
     End,
 }
 
-/// Puts the stage before the names of its phases.
+/// Prefixes the names of phases with the stage.
 struct Named<'a> {
     stage: StageId,
     inner: &'a dyn Progress,
@@ -311,7 +333,7 @@ fn identify(
     Ok(InputRecord::Path { path: input.path.clone(), content })
 }
 
-/// What is to be done about a stage. If nothing is, `expected` learns when its outputs were seen whole.
+/// The action for a stage. If it is reused, `expected` learns when its outputs were last verified.
 fn decide(root: &Path, expected: &mut StageRecord, is_asked: bool) -> Action {
     let stage = expected.stage;
     let done = StageRecord::done(root, stage);

@@ -1,4 +1,5 @@
-//! What becomes of a trained model when its stage is run again? It is moved aside, and hours are not spent anew unasked.
+//! Keeps trained models when their stage runs again: they are moved aside, and long trainings are repeated only on
+//! request.
 
 use super::failure::{Failure, Result};
 use super::record::StageRecord;
@@ -7,11 +8,11 @@ use super::stage::StageId;
 use crate::store::write_json_atomically;
 use std::path::Path;
 
-/// Training that took longer is repeated only when it is asked for, seconds.
+/// Training that took longer is repeated only on request, seconds.
 const PRECIOUS_S: f64 = 600.0;
 /// The file in which training keeps its state: whoever has it has begun.
 const STATE_FILE: &str = "state.safetensors";
-/// What a model that was moved aside is the result of: the record of its stage.
+/// The record of the stage of a model that was moved aside.
 const RECORD_FILE: &str = "record.json";
 
 /// An output that is moved aside.
@@ -26,8 +27,8 @@ pub struct Kept {
 /// Decides about the trained models that running a stage would replace.
 ///
 /// # Errors
-/// When a training that took long would be repeated although nobody asked for it: neither `is_asked` nor a setting of the
-/// stage's own section.
+/// When a long training would be repeated without a request: neither by `is_asked` nor by a setting of the stage's own
+/// section.
 pub(super) fn kept(root: &Path, expected: &StageRecord, why: &str, is_asked: bool) -> Result<Vec<Kept>> {
     let stage = expected.stage;
     let Some(earlier) = StageRecord::done(root, stage).filter(|_| stage.facts().trains) else { return Ok(Vec::new()) };
@@ -60,7 +61,7 @@ fn refusal(root: &Path, stage: StageId, why: &str, seconds: Option<f64>) -> Fail
     ))
 }
 
-/// Leaves with a model that was moved to `dir` what it is the result of.
+/// Writes the record of its stage beside a model that was moved to `dir`.
 pub(super) fn leave_record(earlier: &StageRecord, dir: &Path) -> Result<()> {
     let path = dir.join(RECORD_FILE);
     if !path.exists() {

@@ -63,7 +63,7 @@ pub const SAMPLES: &str = "samples";
 pub const CORPUS: &str = "corpus";
 /// The metric rows.
 pub const METRICS: &str = "metrics.parquet";
-/// The metrics that a person asks for first, and the gates.
+/// The figures that people look at first, and the gates.
 pub const METRICS_SUMMARY: &str = "metrics.json";
 /// What became of each scenario, beside the metric rows.
 pub const VERDICTS: &str = "verdicts.parquet";

@@ -1,7 +1,8 @@
-//! What memory does training or sampling take, and does the machine have it?
+//! How much memory does training or sampling take, and does the machine have it?
 //!
-//! An estimate of batches: numbers of four bytes that networks, optimizer and the results of their operations are, from the closed forms of
-//! [`NumberCounts`], times what was measured to come on top. pipelines/README.md compares it with measured peaks.
+//! The estimate counts the numbers of four bytes in networks, optimizer and results of operations by the closed forms
+//! of [`NumberCounts`], and multiplies them with a measured overhead. pipelines/README.md compares it with measured
+//! peaks.
 
 use super::config::PipelineConfig;
 use super::graph::{Action, PlannedStage};
@@ -29,9 +30,9 @@ const N_AGENTS: usize = 16;
 pub struct StageMemory {
     /// The stage.
     pub stage: StageId,
-    /// What it takes whatever its batches are.
+    /// Bytes that do not depend on the batch.
     fixed: f64,
-    /// What each row of a batch adds.
+    /// Bytes per row of a batch.
     per_row: f64,
     /// Rows of a batch.
     batch_size: usize,
@@ -92,7 +93,7 @@ struct Limit {
     whose: &'static str,
 }
 
-/// What those of the stages take that train or sample on the processor, in their order.
+/// The estimates of the stages that train or sample on the processor, in order.
 ///
 /// # Errors
 /// When the section of one of them makes no sense.
@@ -121,7 +122,7 @@ impl<'a> Sizes<'a> {
         Self { config, layout, largest }
     }
 
-    /// What a stage takes; `None` where it neither trains nor samples.
+    /// The estimate of a stage; `None` if it neither trains nor samples.
     fn memory(&self, stage: StageId) -> Result<Option<StageMemory>> {
         let train = &self.config.train;
         let trained = |counts, batch_size, scene| Some(StageMemory::trained(stage, counts, batch_size, scene));
@@ -189,7 +190,7 @@ impl<'a> Sizes<'a> {
             },
             None => checkpoint_file(&self.layout.denoiser),
         };
-        // Whether it can be read, the stage that reads it says.
+        // The stage that reads it reports errors.
         let Ok(TrainedModel { spec, .. }) = TrainedModel::<DenoiserSpec>::read(&path, &Compute::cpu()) else {
             return Ok(None);
         };
@@ -243,7 +244,7 @@ fn memory_limit(read: &dyn Fn(&str) -> Option<String>) -> Option<u64> {
             "memory" => ("/sys/fs/cgroup/memory", "memory.limit_in_bytes"),
             _ => continue,
         };
-        // A group has no more than those around it. "max", which is no number, is no limit.
+        // A group has no more memory than those around it. "max" is not a number and means no limit.
         let mut path = path.trim_end_matches('/');
         loop {
             limits.extend(read(&format!("{root}{path}/{file}")).and_then(|text| text.trim().parse::<u64>().ok()));

@@ -1,4 +1,4 @@
-//! What did versions that kept no lists leave unfinished, and may it be taken up?
+//! Unfinished work of versions that kept no lists: may it be resumed?
 //!
 //! They worked in the places of outputs. What they left is taken up if all of it has names that they gave; otherwise somebody
 //! else may have put it there, and the user has to say.

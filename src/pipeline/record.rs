@@ -1,4 +1,4 @@
-//! What does a stage leave behind so that the next run knows whether to redo it?
+//! The record of a stage, by which the next run decides whether to redo it.
 //!
 //! `<stage>.done.json` is written after its outputs are whole; [`work`](super::work) keeps the same of a stage at work. Both
 //! hold what the fingerprint was made from, so that a later run can say what changed, and the former every file that the
@@ -14,7 +14,7 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// What a stage was run on and, once it is done, what came of it.
+/// What a stage was run on and, once it is done, its results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StageRecord {
     /// Which stage.
@@ -221,7 +221,8 @@ impl StageRecord {
         Self { times, ..self }
     }
 
-    /// Whether the output of this name is what was written, to its last byte. What is no output of the stage is.
+    /// Whether the output of this name is as it was written, to its last byte. True for names that are not outputs of
+    /// the stage.
     pub(super) fn is_whole(&self, root: &Path, name: &str) -> bool {
         let is_as = |written| self.found(root, name, None).is_some_and(|now| now.agrees_with(written));
         self.outputs.get(name).is_none_or(is_as)

@@ -1,4 +1,4 @@
-//! Is a scenario what its row says it came from? It is generated again, and every column is compared.
+//! Generates a scenario again from its provenance and compares every column.
 
 use super::layout::Layout;
 use super::stages::{
@@ -11,7 +11,7 @@ use crate::nn::Compute;
 use crate::store::{CorpusReader, Difference, ScenarioRecord, SceneStore, differences, sample_ids};
 use std::path::Path;
 
-/// A scenario as it was stored, and as it came out again.
+/// A scenario as it was stored, and as it was generated again.
 #[derive(Debug)]
 pub struct Regenerated {
     /// As it was stored.
@@ -57,7 +57,7 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, compute: &Co
     };
     let wanted = SampleKey::of(plan, &row.scenario.provenance).ok_or_else(|| {
         Failure::fault(anyhow::anyhow!(
-            "the plan of shard {} no longer has the cell of scenario {id}; it was changed",
+            "the plan of shard {} no longer has the cell of scenario {id}; the plan was changed",
             row.shard
         ))
     })?;
@@ -67,7 +67,8 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, compute: &Co
         ))
     })?;
     if let FoundShard::OfRequest { request, round, pool, shard } = &found {
-        // Whether there was room for it depends on what came before it: the shards, and the rows of its own.
+        // Whether a request had room for it depends on all earlier scenarios: those of earlier shards, and the earlier
+        // rows of its own.
         let request = &resolved.requests[*request];
         let mut ledger = Ledger::new(request, pool);
         let earlier = manifest.shards[..shard_at].iter().filter_map(|shard| shard.request.as_ref());
@@ -142,7 +143,7 @@ fn open_models(
     Ok(models)
 }
 
-/// What is missing is no fault of the scenario.
+/// A missing input is not the scenario's fault.
 fn require(path: &Path, name: &str) -> Result<()> {
     if path.exists() {
         return Ok(());

@@ -117,7 +117,9 @@ pub fn run_stages(
         logged.line(&format!("{}: {action}", expected.stage));
     }
     if !folder.lock.is_enforced() {
-        logged.warn("the file system of the run folder knows no locks: see to it that no other process writes there");
+        logged.warn(
+            "the file system of the run folder does not support locks: make sure that no other process writes there",
+        );
     }
     let mut manifest = config.map(|config| RunManifest::new(config, &planned));
     if let Some(config) = config {

@@ -1,124 +1,16 @@
 //! Does running stages again lose anything: files of others, earlier outputs, trained models? On stages that write a few lines.
 
-use super::graph::{Action, PlannedStage, execute, plan};
-use super::record::StageRecord;
-use super::run::{RunFolder, StageTiming, TIMINGS_FILE, Timings};
-use super::{Blame, Failure, Result, Stage, StageContext, StageId, StageInput};
+mod toy;
+
+use super::graph::Action;
+use super::{Blame, StageId, StageInput};
 use crate::files::write_atomically;
-use crate::progress::Silent;
-use crate::store::write_json_atomically;
 use fs_err as fs;
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::collections::BTreeMap;
 use std::io::Write;
-use std::path::{Path, PathBuf};
-
-/// Trains a "model": a folder of two files, and a file beside it.
-#[derive(Clone, Default)]
-struct Toy {
-    text: String,
-    inputs: Vec<StageInput>,
-    fails: bool,
-    /// A file that somebody puts somewhere while the stage is at work.
-    put_meanwhile: Option<PathBuf>,
-    is_cheap: bool,
-}
-
-const OUTPUTS: &[&str] = &["denoiser", "mine.json"];
-
-impl Stage for Toy {
-    fn id(&self) -> StageId {
-        StageId::TrainDenoiser
-    }
-
-    fn version(&self) -> u32 {
-        1
-    }
-
-    fn check(&self) -> Result<()> {
-        Ok(())
-    }
-
-    fn config(&self) -> anyhow::Result<Value> {
-        Ok(json!({ "text": self.text }))
-    }
-
-    fn inputs(&self) -> Vec<StageInput> {
-        self.inputs.clone()
-    }
-
-    fn outputs(&self) -> &'static [&'static str] {
-        OUTPUTS
-    }
-
-    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
-        for name in ["denoiser/state.safetensors", "denoiser/deep/model.safetensors", "mine.json"] {
-            let path = context.root.join(name);
-            fs::create_dir_all(path.parent().unwrap())?;
-            write_atomically::<std::io::Error>(&path, |file| file.write_all(self.text.as_bytes()))?;
-            if self.fails {
-                return Err(Failure::input_message("broken off"));
-            }
-        }
-        if let Some(path) = &self.put_meanwhile {
-            put(path, FOREIGN);
-        }
-        Ok(json!({ "trained": !self.is_cheap }))
-    }
-}
-
-const FOREIGN: &str = "years of work";
-
-fn put(path: &Path, text: &str) {
-    fs::create_dir_all(path.parent().unwrap()).unwrap();
-    fs::write(path, text).unwrap();
-}
-
-fn toy(text: &str) -> Toy {
-    Toy { text: text.to_owned(), ..Toy::default() }
-}
-
-/// What was planned.
-struct Planned {
-    action: Action,
-    redone: Option<String>,
-}
-
-/// Runs the stage as the program does.
-fn run(root: &Path, toy: &Toy, redo: &[StageId]) -> Result<Planned> {
-    let _folder = RunFolder::open(root)?;
-    let mut planned: Vec<PlannedStage<'_>> = plan(root, vec![Box::new(toy.clone())], redo)?;
-    let first = planned.first_mut().unwrap();
-    let plan = Planned { action: first.action.clone(), redone: first.redone() };
-    let context = StageContext { root, compute: &crate::nn::Compute::cpu(), progress: &Silent };
-    execute(planned, &context, &mut |_| Ok(()), &mut |_, _| Ok(()))?;
-    Ok(plan)
-}
-
-/// Every file by its name, except the lock.
-fn snapshot(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let names = crate::files::files_below(root).unwrap().into_iter().filter(|name| name != Path::new(".lock"));
-    names.map(|name| (name.clone(), fs::read(root.join(&name)).unwrap())).collect()
-}
-
-fn text(root: &Path, name: &str) -> String {
-    fs::read_to_string(root.join(name)).unwrap()
-}
-
-/// Writes how long the stage took.
-fn took(root: &Path, seconds: Option<f64>) {
-    let timing = StageTiming { started: String::new(), finished: None, seconds, n_threads: 1, peak_memory_bytes: None };
-    let timings =
-        Timings { stages: BTreeMap::from([("train_denoiser".to_owned(), vec![timing])]), outputs: BTreeMap::new() };
-    write_json_atomically(&root.join(TIMINGS_FILE), &timings).unwrap();
-}
-
-/// Makes a folder look as versions without lists left it.
-fn forget_list(root: &Path) {
-    let mut record = StageRecord::done(root, StageId::TrainDenoiser).unwrap();
-    record.files = None;
-    write_json_atomically(&root.join("train_denoiser.done.json"), &record).unwrap();
-}
+use std::path::Path;
+use toy::{FOREIGN, Toy, forget_list, put, run, snapshot, text, took, toy};
 
 /// A state in which a folder may be found: its name, and what brings a new folder into it.
 type State = (&'static str, fn(&Path));

@@ -73,7 +73,7 @@ impl fmt::Display for StageId {
 /// Something a stage reads.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StageInput {
-    /// What it is to the stage, such as `scenes`; unique within the stage.
+    /// Its name within the stage, such as `scenes`; unique there.
     pub name: String,
     /// Where it is.
     pub path: PathBuf,
@@ -96,7 +96,7 @@ impl StageInput {
 /// One step of the pipeline.
 ///
 /// A stage must write the same bytes whenever its configuration, its inputs and its version are the same; when it finds
-/// its own unfinished work in place it may take it up, because that work is from the same fingerprint.
+/// unfinished work of its own, it may resume it, because that work has the same fingerprint.
 pub trait Stage {
     /// Which stage this is.
     fn id(&self) -> StageId;
@@ -117,7 +117,7 @@ pub trait Stage {
     fn run(&self, context: &StageContext<'_>) -> Result<serde_json::Value>;
 }
 
-/// What a running stage is given.
+/// The context of a running stage.
 pub struct StageContext<'a> {
     /// The folder in which it writes its outputs: not the run folder, to which they come once they are whole.
     pub root: &'a Path,

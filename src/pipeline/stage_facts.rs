@@ -1,11 +1,11 @@
-//! What is known of each stage, in one table: names, its section, what it makes for others.
+//! The facts about each stage in one table: its names, its section, its output for other stages.
 
 use super::config::PipelineConfig;
 use super::layout::Layout;
 use super::stage::StageId;
 use std::path::Path;
 
-/// What is known of a stage, apart from what it does ([`Stage`](super::Stage)).
+/// The facts about a stage, apart from its work ([`Stage`](super::Stage)).
 pub struct StageFacts {
     /// The name in file names and messages.
     pub name: &'static str,
@@ -17,9 +17,9 @@ pub struct StageFacts {
     pub trains: bool,
     /// Whether a configuration has its section.
     pub is_configured: fn(&PipelineConfig) -> bool,
-    /// What other stages call what it makes, and where that is; `None` where it is for people.
+    /// The name and place of its output for other stages; `None` if its output is for people.
     pub output: Option<StageOutput>,
-    /// The shards that several processes can make of it at once; `None` where one process does it all.
+    /// The shards that several processes can make at once; `None` if one process does all the work.
     pub parts: Option<PartFacts>,
 }
 
@@ -144,7 +144,7 @@ impl StageId {
         self.facts().trains || matches!(self, Self::Generate)
     }
 
-    /// Where what it makes for other stages is, and what they call it.
+    /// The name and place of its output for other stages.
     pub fn output(self, layout: &Layout) -> Option<(&'static str, &Path)> {
         self.facts().output.map(|output| (output.name, (output.path)(layout)))
     }

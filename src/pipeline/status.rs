@@ -1,4 +1,4 @@
-//! How far is a run, told from its folder alone?
+//! The progress of a run, judged from its folder alone.
 
 use super::layout::Layout;
 use super::parts::{ShardStatus, shard_status};
@@ -15,28 +15,28 @@ use std::path::Path;
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Status {
     /// The stages that it has or will have, as far as that is known.
-    pub stages: Vec<StageStatus>,
+    pub stages: Vec<StageProgress>,
     /// The shards of the stage that workers are at, if they are at one.
     pub shards: Option<ShardStatus>,
 }
 
 /// How far a stage is.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct StageStatus {
+pub struct StageProgress {
     /// The stage.
     pub stage: StageId,
     /// What can be said of it.
-    pub state: State,
-    /// Of a training, the steps that its statistics know of.
+    pub state: ProgressState,
+    /// For a training, the steps in its statistics.
     pub steps: Option<u64>,
     /// Steps in all.
     pub of_steps: Option<u64>,
 }
 
-/// What can be said of a stage.
+/// The state of a stage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum State {
+pub enum ProgressState {
     /// Its outputs are whole.
     Done,
     /// It was begun, and is at work or was interrupted.
@@ -57,9 +57,9 @@ pub fn status(root: &Path) -> Result<Status> {
         let begun = Work::started(root, stage);
         let is_in_parts = shards.as_ref().is_some_and(|shards| shards.stage == stage);
         let state = match () {
-            () if begun.is_some() || is_in_parts => State::Begun,
-            () if StageRecord::done(root, stage).is_some() => State::Done,
-            () if is_planned => State::Missing,
+            () if begun.is_some() || is_in_parts => ProgressState::Begun,
+            () if StageRecord::done(root, stage).is_some() => ProgressState::Done,
+            () if is_planned => ProgressState::Missing,
             () => return None,
         };
         let steps = begun.as_ref().and_then(|_| steps(root, stage));
@@ -67,9 +67,9 @@ pub fn status(root: &Path) -> Result<Status> {
             let named = ["/resolved/common/fit/steps", "/steps"].iter().find_map(|key| begun.config.pointer(key));
             named?.as_u64().filter(|_| stage.facts().trains)
         });
-        Some(StageStatus { stage, state, steps, of_steps })
+        Some(StageProgress { stage, state, steps, of_steps })
     });
-    let stages: Vec<StageStatus> = stages.collect();
+    let stages: Vec<StageProgress> = stages.collect();
     if stages.is_empty() {
         return Err(Failure::input_message(format_args!("{} is not a run folder", root.display()))
             .with_hint("`djinn run` and `djinn submit` print the folder of their results"));
@@ -91,11 +91,11 @@ impl Status {
     /// As lines for people.
     pub fn text(&self) -> String {
         let mut text = String::new();
-        for StageStatus { stage, state, steps, of_steps } in &self.stages {
+        for StageProgress { stage, state, steps, of_steps } in &self.stages {
             let state = match state {
-                State::Done => "done".to_owned(),
-                State::Missing => "not begun".to_owned(),
-                State::Begun => match (steps, of_steps) {
+                ProgressState::Done => "done".to_owned(),
+                ProgressState::Missing => "not begun".to_owned(),
+                ProgressState::Begun => match (steps, of_steps) {
                     (Some(steps), Some(of)) => format!("begun, {steps} of {of} steps"),
                     (Some(steps), None) => format!("begun, {steps} steps"),
                     _ => "begun".to_owned(),

@@ -1,10 +1,10 @@
-//! Where does a stage work, and how do its outputs come to their places?
+//! The folder in which a stage works, and the exchange of its outputs with earlier ones.
 //!
-//! A stage works in `<stage>.partial` in the output folder, which keeps a list of every file that is begun in it. Earlier
-//! outputs stay in their places meanwhile. Once the new ones are whole, `done.json` in the work folder says so: from then on
-//! they will come to their places, if not now, then when the folder is opened the next time ([`Work::complete_all`]). Folders
-//! change places by one call where the system has it, so that whatever moment a process is killed at, each output is in its
-//! place: the old one or the new one.
+//! A stage works in `<stage>.partial` in the output folder, which keeps a list of every file that is begun in it.
+//! Earlier outputs stay in their places meanwhile. Once the new ones are complete, `done.json` is written in the work
+//! folder. From then on they are put in place, at the latest when the folder is opened the next time
+//! ([`Work::complete_all`]). Folders are exchanged by one system call where there is one, so that each output, old or
+//! new, is always in place, whenever the process is killed.
 
 use super::claim;
 use super::failure::Result;
@@ -29,7 +29,7 @@ const STARTED_FILE: &str = "started.json";
 const DONE_FILE: &str = "done.json";
 /// What becomes of earlier outputs that are kept.
 const KEEP_FILE: &str = "keep.json";
-/// What tells a new folder from the one whose place it takes, while it does so.
+/// Marks a new folder during the exchange, to tell it from the one that it replaces.
 const NEW_FILE: &str = ".djinn-new";
 /// Earlier outputs that made place and are about to be removed.
 const REPLACED: &str = "replaced";

@@ -1,9 +1,9 @@
-//! What is known of each dataset, in one table: names, terms, what it records, and by which rules its benchmark judges.
+//! The facts about each dataset in one table: its name and terms, what it records, and the rules of its benchmark.
 
 use serde::{Deserialize, Serialize};
 
-/// The datasets that can be ingested. What differs between them beyond their formats is in [`Dataset::facts`]: code asks for the fact,
-/// never for the dataset.
+/// The datasets that can be ingested. Their differences other than formats are in [`Dataset::facts`]: code looks up the
+/// fact and never matches the dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Dataset {
@@ -15,7 +15,7 @@ pub enum Dataset {
     Argoverse2,
 }
 
-/// What is known of a dataset.
+/// The facts about a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DatasetFacts {
     /// The name in tables, ids and configurations.
@@ -62,7 +62,7 @@ impl Dataset {
     /// Every dataset.
     pub const ALL: [Self; 3] = [Self::Interaction, Self::Argoverse1, Self::Argoverse2];
 
-    /// What is known of it.
+    /// The facts about it.
     pub const fn facts(self) -> &'static DatasetFacts {
         match self {
             Self::Interaction => &DatasetFacts {

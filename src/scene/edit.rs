@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 pub enum SceneEdit {
     /// The agent goes the same way earlier or later.
     ShiftTime(ShiftTime),
-    /// The agent goes beside, before or behind its recorded course.
+    /// The agent is shifted sideways, forward or backward from its recorded course.
     Shift(Shift),
     /// The agent goes the same way faster or slower.
     ScaleSpeed(ScaleSpeed),

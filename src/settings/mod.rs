@@ -1,7 +1,7 @@
-//! What is wrong with a setting: which one is it, what does it say, and what was expected?
+//! Errors of settings: which setting is wrong, what is its value, and what was expected?
 //!
 //! The range of a single number stands beside its field, as an attribute of its JSON schema: published, and checked by
-//! [`check_ranges`]. What settings must be to each other, their sections say with the helpers here.
+//! [`check_ranges`]. Rules that involve several settings are in their sections, which use the helpers here.
 
 mod ranges;
 #[cfg(test)]
@@ -21,7 +21,7 @@ pub struct Issue {
     pub message: String,
 }
 
-/// A value that cannot be read from its text. Whoever knows its key says it.
+/// A value that cannot be read from its text. The caller, which knows the key, adds it.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Unreadable(pub String);
@@ -32,11 +32,11 @@ impl<T: Into<String>> From<T> for Unreadable {
     }
 }
 
-/// Whether settings can work.
+/// The result of checking settings.
 pub type Result<T = (), E = Issue> = std::result::Result<T, E>;
 
 impl Issue {
-    /// The setting `key` is wrong in this way.
+    /// An issue with the setting `key`.
     pub fn new(key: impl Into<String>, message: impl Display) -> Self {
         Self { key: key.into(), message: message.to_string() }
     }
@@ -70,7 +70,7 @@ pub fn distinct<T: PartialEq + Display>(key: &str, entries: &[T]) -> Result {
     }
 }
 
-/// Refuses what cannot name a thing in tables, on pages and on terminals.
+/// Refuses names that cannot be shown in tables, on pages and on terminals.
 ///
 /// # Errors
 /// When it is empty, or holds line breaks or other control characters.

@@ -64,22 +64,12 @@ impl PairFeatures {
         for row in 0..n_rows {
             let last_observed = observed[row * 2].iter().rposition(|o| *o > 0.0).unwrap_or(0);
             let origin = &base[row * 2][last_observed];
-            let row_from_pair =
-                Transform2::from_pose(Vec2::new(f64::from(origin[0]), f64::from(origin[1])), f64::from(origin[2]));
-            let pair_from_row = row_from_pair.inverse();
+            let pair_from_row = pose(origin).inverse();
             for agent in [row * 2, row * 2 + 1] {
                 headings.push(wrap_angle(-f64::from(origin[2])) as f32);
                 for timestep in 0..n_timesteps {
-                    let (is_observed, is_latent) = (observed[agent][timestep], latent_entries[agent][timestep]);
-                    if is_observed + is_latent == 0.0 {
-                        fixed.extend([0.0; FIXED]);
-                        continue;
-                    }
-                    let state = &base[agent][timestep];
-                    let position = pair_from_row.point(Vec2::new(f64::from(state[0]), f64::from(state[1])));
-                    let (sin, cos) = pair_from_row.heading(f64::from(state[2])).sin_cos();
-                    let (x, y) = (position.x as f32 / POSITION_UNIT_M, position.y as f32 / POSITION_UNIT_M);
-                    fixed.extend([x, y, cos as f32, sin as f32, is_observed, is_latent]);
+                    let masks = [observed[agent][timestep], latent_entries[agent][timestep]];
+                    fixed.extend(fixed_features(&pair_from_row, &base[agent][timestep], masks));
                 }
             }
         }
@@ -122,4 +112,20 @@ impl PairFeatures {
         let x = x.reshape((self.n_pairs, 2 * n_timesteps * state_dim))?.broadcast_mul(&c_in.unsqueeze(1)?)?;
         Tensor::cat(&[&self.fixed, &x], 1)
     }
+}
+
+/// The transform from the frame at a base state (x, y, heading) to the row's frame.
+fn pose(state: &[f32]) -> Transform2 {
+    Transform2::from_pose(Vec2::new(f64::from(state[0]), f64::from(state[1])), f64::from(state[2]))
+}
+
+/// What is known of an agent at a timestep, in the pair's frame; zeros where it is neither observed nor latent.
+fn fixed_features(pair_from_row: &Transform2, base: &[f32], [observed, latent]: [f32; 2]) -> [f32; FIXED] {
+    if observed + latent == 0.0 {
+        return [0.0; FIXED];
+    }
+    let position = pair_from_row.point(Vec2::new(f64::from(base[0]), f64::from(base[1])));
+    let (sin, cos) = pair_from_row.heading(f64::from(base[2])).sin_cos();
+    let (x, y) = (position.x as f32 / POSITION_UNIT_M, position.y as f32 / POSITION_UNIT_M);
+    [x, y, cos as f32, sin as f32, observed, latent]
 }

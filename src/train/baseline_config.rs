@@ -17,7 +17,7 @@ scene_training_section! {
         pub network: Option<SceneTransformerConfig>,
         /// What the network puts out: `scene`, `residual` or `motion`.
         pub state_parametrization: Option<StateParametrization>,
-        /// Weight of -ln p of the best future in the loss, beside its mean error.
+        /// Weight of -ln p of the best future in the loss, relative to its mean error.
         #[schemars(extend("exclusiveMinimum" = 0))]
         pub mode_loss: f64,
         /// Maximum number of agents per scene, nearest to the ego agent.

@@ -16,7 +16,7 @@ const EVALUATION_SIGMAS: [f64; 3] = [0.2, 0.8, 10.0];
 /// The gap of the last stage is at least such a part of the noise level, lest single precision lose it.
 const MAX_SHRINKING: f64 = 1e5;
 
-/// Consistency tuning: answers at two noise levels of one noise shall agree.
+/// Consistency tuning: predictions at two levels of the same noise are trained to agree.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConsistencyTuning {
@@ -52,7 +52,7 @@ impl ConsistencyTuning {
     }
 }
 
-/// The gap between the two noise levels at which predictions shall agree.
+/// The gap between the two noise levels at which predictions are trained to agree.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LevelGap {

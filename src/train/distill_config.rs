@@ -69,11 +69,12 @@ scene_training_section! {
         /// Below about this disagreement the loss is quadratic, above it linear; 0: linear throughout.
         #[schemars(range(min = 0.0))]
         pub huber: f64,
-        /// Weight of the squared disagreement of what diffused motion adds up to (motion parametrization only).
+        /// Weight of the squared disagreement of the paths to which diffused motion adds up (motion parametrization
+        /// only).
         #[schemars(range(min = 0.0))]
         pub path_loss: f64,
-        /// Objectives that samples are trained toward, besides matching the denoiser (method `steps` only): each counts
-        /// by its weight and a cost of √(1 - 2 J) - 1 a scene, beyond that of the recording.
+        /// Objectives for samples, in addition to matching the denoiser (method `steps` only): each adds its weight
+        /// times its cost beyond that of the recording, √(1 - 2 J) - 1 per scene.
         pub objectives: Vec<ObjectiveConfig>,
         /// A checkpoint of the same denoiser, distilled to the same steps, to start from: to train it toward other
         /// objectives.
@@ -134,7 +135,7 @@ impl DistillTrainingConfig {
         self.method.validate()?;
         check_objectives("train.distill.objectives", &self.objectives)?;
         if !self.objectives.is_empty() && !matches!(self.method, DistillMethod::Steps(_)) {
-            let message = "train.distill.objectives need method = { kind = \"steps\" }: they judge where its steps end";
+            let message = "train.distill.objectives need method = { kind = \"steps\" }: they apply where its steps end";
             return Err(Error::Config(message.to_owned()));
         }
         Ok(DistillTraining {

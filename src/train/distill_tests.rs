@@ -144,7 +144,7 @@ fn every_parameter_receives_a_gradient_in_every_stage() {
         with_context: false,
         seed: Seed(2),
         device: &Device::Cpu,
-        ahead: Ahead::default(),
+        ahead: Prefetched::default(),
     };
     let (denoiser, frozen, training) = (&denoiser, &frozen, &training);
     let tuning = ConsistencyTuning::default();

@@ -49,7 +49,7 @@ pub use fit::{FitConfig, FitOutcome, FitStatistics, LearningRateDecay, TrainTask
 pub use joint_futures::{JointFuturesTask, JointLoss};
 pub use pair_examples::{MinedEvent, PairExample, PairExamples};
 pub use preset::{Balance, DenoiserTraining, DenoiserTrainingConfig, Preset};
-pub use scene_draws::{Ahead, DrawnBatch, SceneDataset, SceneDraws, WeightedGroups};
+pub use scene_draws::{DrawnBatch, Prefetched, SceneDataset, SceneDraws, WeightedGroups};
 pub use section::{MoreScenes, SceneChoice, SceneTraining};
 pub use step_distillation::{StepDistillation, StepDistillationTask};
 use trainable::Trainable;

@@ -55,19 +55,19 @@ scene_training_section! {
         pub noise: Option<NoiseDistribution>,
         /// Weight of the noise levels in the loss: `edm` or `unit`.
         pub loss_weight: LossWeight,
-        /// Weight of the squared error of what diffused motion adds up to, beside that of the motion itself (motion
-        /// parametrization only). The optimal denoiser is the same at any weight; the weight decides what a network
-        /// learns first.
+        /// Weight of the squared error of the path to which diffused motion adds up, relative to that of the motion
+        /// itself (motion parametrization only). The optimal denoiser is the same at any weight; the weight decides
+        /// what a network learns first.
         #[schemars(range(min = 0.0))]
         pub path_loss: Option<f64>,
-        /// Objectives that clean estimates are trained toward at low noise, beside the loss: each counts by its weight and a cost
-        /// of √(1 - 2 J) - 1 a scene, beyond that of the recording.
+        /// Objectives for clean estimates at low noise, in addition to the loss: each adds its weight times its cost
+        /// beyond that of the recording, √(1 - 2 J) - 1 per scene.
         pub objectives: Vec<ObjectiveConfig>,
         /// The noise level σ up to which they count (default 0.3): above it an estimate is a mean of futures, to which
         /// the rules of traffic do not apply.
         #[schemars(extend("exclusiveMinimum" = 0))]
         pub objectives_below_sigma: Option<f64>,
-        /// What has equal weight in training: `scenes` or `places`.
+        /// What is drawn with equal weight in training: `scenes` or `places`.
         pub balance: Option<Balance>,
         /// Maximum number of agents per scene, nearest to the ego agent.
         #[schemars(range(min = 1, max = 10_000))]
@@ -204,9 +204,8 @@ impl Preset {
         }
     }
 
-    /// Everything that it decides for the denoiser.
-    pub(super) fn settings(self) -> DenoiserTraining {
-        let Size { layers, width, n_heads, max_agents, max_lanes } = self.size();
+    /// The schedule and the scenes of its trainings.
+    fn common(self) -> SceneTraining {
         let Schedule { steps, batch, rate, warmup, ema, every, n_eval } = self.schedule();
         let fit = FitConfig {
             steps,
@@ -217,7 +216,13 @@ impl Preset {
             save_every: every / 2,
             ..FitConfig::default()
         };
-        let common = SceneTraining { batch_size: batch, n_eval_scenes: n_eval, fit, ..SceneTraining::default() };
+        SceneTraining { batch_size: batch, n_eval_scenes: n_eval, fit, ..SceneTraining::default() }
+    }
+
+    /// Everything that it decides for the denoiser.
+    pub(super) fn settings(self) -> DenoiserTraining {
+        let Size { layers, width, n_heads, max_agents, max_lanes } = self.size();
+        let common = self.common();
         let layers = layers.to_owned();
         let network = NetworkConfig { layers, width, n_heads, feed_forward: 4 * width, ..NetworkConfig::default() };
         let geometry = GeometryConfig { relation_width: width / 2, ..GeometryConfig::default() };

@@ -49,7 +49,7 @@ pub struct SceneDraws<'a> {
     /// Where tensors live.
     pub device: &'a Device,
     /// What is kept from step to step; empty at first.
-    pub ahead: Ahead,
+    pub ahead: Prefetched,
 }
 
 /// Scenes to train on, by index, in groups that count the same.
@@ -70,7 +70,7 @@ impl WeightedGroups {
 
 /// Batches made in advance. This changes when things are computed, never what.
 #[derive(Default)]
-pub struct Ahead {
+pub struct Prefetched {
     /// The last epoch of each group and its shuffle.
     shuffles: Mutex<BTreeMap<usize, Shuffle>>,
     /// A step and its batch.

@@ -101,9 +101,9 @@ macro_rules! training_section {
         #[serde(deny_unknown_fields, default)]
         pub struct $name {
             $($own)*
-            /// Splits to train on; empty means `train`, or everything unsplit where there is no such split.
+            /// Splits to train on. Empty: `train`, or all unsplit scenes if there is no such split.
             pub splits: Vec<crate::scene::Split>,
-            /// Places to train on; empty means all.
+            /// Places to train on. Empty: all.
             pub places: Vec<String>,
             /// Optimizer steps in all.
             #[schemars(range(min = 1, max = 1_000_000_000))]
@@ -182,7 +182,7 @@ macro_rules! scene_training_section {
                 /// Ingested scenes of other runs to train on as well, each with a weight.
                 #[serde(skip_serializing_if = "Vec::is_empty")]
                 pub data: Vec<crate::train::MoreScenes>,
-                /// How often one of the run's own scenes is drawn beside those of `data` (default 1); 0: never.
+                /// How often one of the run's own scenes is drawn relative to those of `data` (default 1); 0: never.
                 #[serde(skip_serializing_if = "Option::is_none")]
                 #[schemars(range(min = 0.0))]
                 pub own_weight: Option<f64>,

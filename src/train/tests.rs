@@ -172,7 +172,7 @@ fn draws_of_four<'a>(
         with_context: false,
         seed: Seed(3),
         device: &Device::Cpu,
-        ahead: Ahead::default(),
+        ahead: Prefetched::default(),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::section::SceneTraining;
 use super::training_data::TrainingData;
-use super::{Ahead, Balance, Error, FitOutcome, FitStatistics, SceneDraws, WeightedGroups};
+use super::{Balance, Error, FitOutcome, FitStatistics, Prefetched, SceneDraws, WeightedGroups};
 use crate::model::ModelSpec;
 use crate::nn::{Checkpoint, Compute, Params};
 use crate::progress::Progress;
@@ -110,7 +110,7 @@ impl<'a> ScenesOfFit<'a> {
             with_context,
             seed: job.seed,
             device: &job.compute.device,
-            ahead: Ahead::default(),
+            ahead: Prefetched::default(),
         }
     }
 }

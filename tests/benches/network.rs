@@ -14,7 +14,9 @@ use djinn::scene::{ObservationMask, Split};
 use djinn::seed::Seed;
 use djinn::store::SceneStore;
 use djinn::tensor::{FutureValidity, MaskSampler, NormalizerFit, SceneBatch, SceneView};
-use djinn::train::{Ahead, DenoiserTraining, DenoiserTrainingConfig, DrawnBatch, Preset, SceneDraws, WeightedGroups};
+use djinn::train::{
+    DenoiserTraining, DenoiserTrainingConfig, DrawnBatch, Prefetched, Preset, SceneDraws, WeightedGroups,
+};
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -139,7 +141,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
         with_context: false,
         seed: SEED,
         device: &Device::Cpu,
-        ahead: Ahead::default(),
+        ahead: Prefetched::default(),
     };
     // The first round warms both up and checks that they agree; it is not counted.
     let batches: Vec<Noisy> = (0..=options.n_rounds as u64)

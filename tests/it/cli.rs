@@ -60,7 +60,7 @@ fn exit_codes_tell_whose_fault_it_is() {
 
     for output in ["Cargo.toml", "Cargo.toml/below", "/dev/null"] {
         let outcome = djinn(&["report", "--from", "output", "--output", output]).expect(1);
-        assert!(outcome.stderr.contains("is no folder"), "{}", outcome.stderr);
+        assert!(outcome.stderr.contains("is not a folder"), "{}", outcome.stderr);
     }
 
     // A damaged file of ours is a fault of ours or of the machine.

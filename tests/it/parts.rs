@@ -118,7 +118,7 @@ fn one_process_goes_on(workspace: &Workspace, expected: &BTreeMap<String, Vec<u8
         worker.kill().unwrap();
         worker.wait().unwrap();
         let said = run(workspace, "taken", &["--stage", stage]).expect(0).stderr;
-        assert!(said.contains(" of 7 shards are taken over from workers"), "{said}");
+        assert!(said.contains("took over ") && said.contains(" of 7 shards from workers"), "{said}");
         assert!(!folder.join(format!("{stage}.parts")).exists());
     }
     run(workspace, "taken", &["--stage", "report"]).expect(0);
@@ -187,10 +187,8 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     let before = files(dir);
     // Other settings, another checkpoint, another program.
     let more_samples = ["--set", "generate.sweeps.0.n_samples=3"];
-    let differs = [
-        "the plan of stage generate in this run folder is another one: changed: generate.sweeps",
-        "nothing was changed",
-    ];
+    let differs =
+        ["this run folder holds another plan of stage generate: changed: generate.sweeps", "nothing was changed"];
     says(work(&more_samples).expect(1), &differs);
     says(part(&workspace, "out", "plan", &more_samples).expect(1), &differs);
     says(part(&workspace, "out", "seal", &more_samples).expect(1), &differs);
@@ -199,13 +197,13 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     let mut other: serde_json::Value = serde_json::from_str(&record).unwrap();
     other["fingerprint"] = "0".repeat(32).into();
     fs_err::write(&done, other.to_string()).unwrap();
-    says(work(&[]).expect(1), &["is another one: changed: input denoiser"]);
+    says(work(&[]).expect(1), &["another plan of stage generate: changed: input denoiser"]);
     fs_err::write(&done, record).unwrap();
     let identity = fs_err::read_to_string(dir.join("parts.json")).unwrap();
     fs_err::write(dir.join("parts.json"), identity.replace("\"program\": \"", "\"program\": \"other ")).unwrap();
     says(
         work(&[]).expect(1),
-        &["program: the plan's is other ", "0 of 7 finished shards: plan again with --part plan --redo generate"],
+        &["program: the plan's is other ", "0 finished shards of 7: plan again with --part plan --redo generate"],
     );
     fs_err::write(dir.join("parts.json"), identity).unwrap();
     assert_same(&before, &files(dir));
@@ -215,10 +213,10 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     for number in 1..=10 {
         fs_err::write(dir.join(format!("samples-00002.try-{number}")), "").unwrap();
     }
-    says(work(&[]).expect(0), &["shard 2 is given up: 10 workers died in it"]);
+    says(work(&[]).expect(0), &["giving up shard 2: 10 workers died in it"]);
     says(
         part(&workspace, "out", "seal", &[]).expect(2),
-        &["1 of 7 shards are given up: samples-00002", "remove the marks"],
+        &["1 of 7 shards were given up: samples-00002", "remove the marks"],
     );
 
     // A worker that is asked to stop leaves no mark, and says that it goes on.
@@ -241,7 +239,7 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     assert!(plans().len() == 1 && !dir.exists());
     // One process with other settings does not take the shards of that plan.
     let said = run(&workspace, "out", &["--stage", "generate"]).expect(0);
-    says(said, &["generate.parts are of another plan and are not used: changed: generate.sweeps"]);
+    says(said, &["generate.parts belong to another plan and are not used: changed: generate.sweeps"]);
     assert_eq!(plans().len(), 1);
     run(&workspace, "out", &["--stage", "generate", "--redo", "generate"]).expect(0);
     assert!(!folder.exists(), "what is done anew gives up what workers had begun");

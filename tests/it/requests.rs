@@ -79,7 +79,7 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
         "request tight: 12 scenarios in 4 buckets; 72 samples, 432 evaluations",
         "arm guided@20",
         "time unknown",
-        "are counted once scenes and models are there",
+        "are counted once scenes and models exist",
     ] {
         assert!(plan.contains(part), "`{part}` is not in\n{plan}");
     }
@@ -106,7 +106,7 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
         }
         let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
         assert!(plan.contains("#   generate          fresh (resumes"), "{plan}");
-        assert!(plan.contains(&format!("3 wanted, {n_pairs} pairs can fall into it")), "{plan}");
+        assert!(plan.contains(&format!("3 wanted, {n_pairs} pairs can reach it")), "{plan}");
         workspace.run("out", &[]).expect(0);
         assert_same(&before, &files(&root));
     }

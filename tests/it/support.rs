@@ -21,7 +21,7 @@ impl Outcome {
     }
 }
 
-/// The program in the root of the repository, where the paths of the carried pipelines lead.
+/// The program in the root of the repository, where the paths of the bundled pipelines lead.
 pub(crate) fn command(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_djinn"));
     command.args(args).current_dir(env!("CARGO_MANIFEST_DIR")).env("NO_COLOR", "1");

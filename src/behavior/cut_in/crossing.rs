@@ -1,4 +1,5 @@
-//! One who crosses into the lane of another: when, how far does either move over, and is the other one still cut off if it drives straight?
+//! A vehicle crosses into the lane of another: when, how far does each move over, and would the ego still be cut off if
+//! it drove straight?
 
 use super::CutInConfig;
 use crate::behavior::footprint::Footprint;
@@ -10,7 +11,7 @@ use std::f64::consts::FRAC_PI_2;
 
 /// How long the other must stay in the lane, and how long after it has come in the two may move on, seconds.
 const SETTLING_S: f64 = 1.0;
-/// Both must move at least this fast, m/s: whoever stands is not cut off, and its heading may be noise.
+/// Both must move at least this fast, m/s: a standing agent is not cut off, and its heading may be noise.
 const MIN_SPEED_MPS: f64 = 1.0;
 
 /// A pair (ego, other), relative to the lane that the ego keeps.
@@ -31,7 +32,7 @@ pub(super) struct Crossing {
     pub(super) crossing: usize,
     /// How far the ego moves toward it, meters.
     pub(super) ego_shift_m: f64,
-    /// How they stand to each other at the intrusion.
+    /// Their relation at the intrusion.
     pub(super) moment: Intrusion,
 }
 
@@ -49,7 +50,7 @@ struct Place {
 }
 
 impl LaneCrossing<'_> {
-    /// The cut-in, if there is one. `others_lane` is asked for the lane that the other keeps.
+    /// The cut-in, if there is one. `others_lane` returns the lane that the other keeps.
     pub(super) fn find<'l>(&self, others_lane: impl Fn() -> Option<&'l KeptLane>) -> Option<Crossing> {
         let scene = self.scene;
         let [ego, other] = self.pair.map(|agent_idx| &scene.tracks[agent_idx]);
@@ -73,7 +74,7 @@ impl LaneCrossing<'_> {
         if shift_m < self.config.min_shift_m || shift_m <= ego_shift_m {
             return None;
         }
-        // Where the two lanes are one ahead, each is as far from the other as the other from it.
+        // Where the two lanes merge ahead, the offsets of both vehicles are the same.
         let is_mutual = others_lane().is_some_and(|others| {
             let keeps = |t: usize| state(other, t).is_none_or(|state| others.holds(state.position));
             self.lane.joins(others) && (present..=crossing).all(keeps)
@@ -119,7 +120,7 @@ impl LaneCrossing<'_> {
             && (self.scene.current_timestep()..=come_in).all(keeps)
     }
 
-    /// How the two stand to each other at a timestep. `None` where one of them stands still.
+    /// The relation of the two at a timestep. `None` if one of them stands still.
     fn moment(&self, timestep: usize, places: &[Option<Place>; 2], side: f64, shift_m: f64) -> Option<Intrusion> {
         let [ego, other] = self.pair.map(|agent_idx| &self.scene.tracks[agent_idx]);
         let (own, theirs) = (places[0]?, places[1]?);

@@ -1,4 +1,4 @@
-//! Which cut-ins could a pair of vehicles still show?
+//! Which cut-ins can a pair of vehicles still show?
 
 use super::CutIn;
 use super::template::STYLES;
@@ -9,23 +9,25 @@ use crate::behavior::outcome::Outcome;
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, Track};
 
-/// Spacing of the accelerations and of the times that are tried, m/s² and seconds.
+/// Spacing of the tried accelerations, m/s², and times, seconds.
 const SPACING: f64 = 0.5;
-/// How far the boxes shall share a path, and the least gap, meters.
+/// How far the boxes must overlap across the path, and the smallest gap, meters.
 const SHARE_M: f64 = 0.3;
-/// The ego shall be where the other came in by so long before the scene ends, whatever it does about it, seconds.
+/// How long before the end of the scene the ego must reach the place where the other came in, even if it brakes,
+/// seconds.
 const TO_SPARE_S: f64 = 0.5;
-/// How fast the other is taken to cross into the lane once it is in the ego's path, m/s: about the mean of a lane change of three seconds.
+/// The assumed lateral speed of the other once it is in the ego's path, m/s: about the mean of a lane change of three
+/// seconds.
 const CROSSING_MPS: f64 = 1.2;
-/// Below this speed somebody stands, m/s, and no cut-in is found.
+/// Below this speed an agent stands, m/s, and there is no cut-in.
 const STANDING_MPS: f64 = 1.0;
 
-/// A pair of which one could cut in before the other, as the past tells it.
+/// A pair in which one could cut in before the other, judged from the past.
 pub(super) struct Pair {
     /// The lane that the ego keeps, and how far beside its center line the ego drives, meters.
     pub(super) lane: KeptLane,
     pub(super) own_offset_m: f64,
-    /// The lane that the other keeps, and where it is there, meters.
+    /// The lane that the other keeps, and its position there, meters.
     pub(super) their_lane: KeptLane,
     pub(super) their_station_m: f64,
     pub(super) their_offset_m: f64,
@@ -36,38 +38,40 @@ pub(super) struct Pair {
     /// Sizes of the ego and the other, meters.
     pub(super) widths_m: [f64; 2],
     pub(super) lengths_m: [f64; 2],
-    /// From where the other comes: 1 for the left, -1 for the right.
+    /// The side from which the other comes: 1 for the left, -1 for the right.
     pub(super) side: f64,
     /// From the present to the end of the scene, seconds.
     pub(super) horizon_s: f64,
 }
 
 /// One way to cut in.
-pub(super) struct Plan {
+pub(super) struct CutInPlan {
     /// When the boxes begin to share a path, seconds after the present.
     pub(super) time_s: f64,
-    /// The other's speed then, m/s; it changes evenly.
+    /// The other's speed then, m/s; it changes at a constant rate.
     pub(super) then_mps: f64,
-    /// How far the other's way leads beside the ego's path then, and how much of it the other has to come over, meters.
+    /// How far the other's lane is from the ego's path then, and how far the other has to move over, meters.
     pub(super) aside_m: f64,
     pub(super) shift_m: f64,
-    /// What comes of it.
+    /// The outcome.
     pub(super) outcome: Outcome,
 }
 
 impl CutIn {
-    /// What `other` could come to before `ego`: the outcomes for which a maneuver can be solved. The other leaves the lane that it keeps, with
-    /// at most 2 m/s² across in the mean and -4 to 2.5 m/s² along the way; the ego keeps its lane and brakes for it with at most 5 m/s²; nobody
-    /// is in the way, if all the others go straight on; and before the scene ends the other's center is in the lane, and the ego where the
-    /// other came in. Nothing but what was observed and the map is looked at.
+    /// The outcomes of a cut-in of `other` before `ego` for which a maneuver can be solved. The other leaves its lane
+    /// with at most 2 m/s² across on average and -4 to 2.5 m/s² along the lane. The ego keeps its lane and brakes for
+    /// the other with at most 5 m/s². Nobody is in the way, if all others continue straight. Before the scene ends, the
+    /// other's center is in the lane and the ego reaches the place where the other came in. Only the past and the map
+    /// are used.
     ///
-    /// Empty where the ego is in no lane, and where the other is in the ego's lane or path already, does not head along it, or is too far to the side, ahead or behind.
+    /// Empty if the ego is in no lane, or if the other is in the ego's lane or path already, does not head along it, or
+    /// is too far to the side, ahead or behind.
     pub(super) fn outcomes(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Vec<Outcome>> {
         let ways = self.ways(scene, [ego_idx, other_idx], |_| true, STYLES[0])?;
         Some(ways.into_iter().map(|(outcome, _)| outcome).collect())
     }
 
-    /// The pair, where the other could cut in at all.
+    /// The pair, if the other could cut in at all.
     pub(super) fn pair(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Pair> {
         let lanes = SceneLanes::new(&scene.lanes);
         let (ego, other) = (scene.tracks.get(ego_idx)?, scene.tracks.get(other_idx)?);
@@ -87,7 +91,7 @@ impl CutIn {
             && own_mps.min(their_mps) >= STANDING_MPS
             && !lane.holds(theirs.position);
         let (own_extent, their_extent) = (ego.extent_or_nominal(), other.extent_or_nominal());
-        // Who is partly in the ego's path already does not come into it.
+        // A vehicle that is partly in the ego's path already cannot cut into it.
         let across_m = their_extent.length_m * turned_rad.sin() + their_extent.width_m * turned_rad.cos();
         let is_aside = (place.offset_m - own_place.offset_m).abs() > (own_extent.width_m + across_m) / 2.0;
         (is_possible && is_aside).then(|| Pair {
@@ -106,8 +110,8 @@ impl CutIn {
         })
     }
 
-    /// The ways to cut in, at a grid of times and accelerations.
-    pub(super) fn plans(&self, pair: &Pair) -> Option<Vec<Plan>> {
+    /// The plans on a grid of times and accelerations.
+    pub(super) fn plans(&self, pair: &Pair) -> Option<Vec<CutInPlan>> {
         let n = |range: f64| (range / SPACING).floor().max(0.0) as usize;
         let mut plans = Vec::new();
         for time_s in (1..=n(pair.horizon_s)).map(|i| i as f64 * SPACING) {
@@ -119,12 +123,13 @@ impl CutIn {
         Some(plans)
     }
 
-    /// The way to cut in after `time_s` with this acceleration; `Some(None)` where it takes more than the limits, or the ego does not come to where it was.
-    fn plan(&self, pair: &Pair, time_s: f64, acceleration_mps2: f64) -> Option<Option<Plan>> {
+    /// The plan to cut in after `time_s` with this acceleration. `Some(None)` if it exceeds the limits, or the ego does
+    /// not reach the place where the other came in.
+    fn plan(&self, pair: &Pair, time_s: f64, acceleration_mps2: f64) -> Option<Option<CutInPlan>> {
         let Pair { own_mps, lengths_m: [own_length_m, their_length_m], .. } = *pair;
         let then_mps = pair.their_mps + acceleration_mps2 * time_s;
         let driven_m = (pair.their_mps + then_mps) / 2.0 * time_s;
-        // Where its lane leads it, beside its center line as far as now.
+        // Its position in its own lane, at the present offset from the center line.
         let on_lane = pair.their_lane.point_at(pair.their_station_m + driven_m)?;
         let then = pair.lane.project(on_lane)?;
         let aside_m = (then.offset_m + pair.their_offset_m - pair.own_offset_m).abs();
@@ -157,7 +162,7 @@ impl CutIn {
             .with("ego_length_m", own_length_m)
             .with("other_length_m", their_length_m)
             .at_effort(effort(acceleration_mps2).max((least_s / time_s).powi(2)));
-        Some(Some(Plan { time_s, then_mps, aside_m, shift_m, outcome }))
+        Some(Some(CutInPlan { time_s, then_mps, aside_m, shift_m, outcome }))
     }
 }
 

@@ -23,7 +23,7 @@ use std::f64::consts::FRAC_PI_6;
 pub(super) const ID: &str = "cut_in";
 /// `ego` is cut off, `other` cuts in.
 pub(super) const ROLES: &[&str] = &["ego", "other"];
-/// What events say beyond their times; [`CutIn`] has the definitions.
+/// The parameters of events; [`CutIn`] has the definitions.
 pub(super) const PARAMETERS: &[&str] = &[
     "intrusion_timestep",
     "crossing_timestep",
@@ -93,18 +93,19 @@ impl Default for CutInConfig {
 ///   and stays beyond it for a second (or to the end of the scene), heading along the lane throughout (within 30 degrees).
 /// - It moves over by at least 0.5 m, and by more than the ego moves toward it, from the present to a second after it has come in.
 /// - The ego keeps its lane until the other has come in (its center is at most 0.3 m beyond a side).
-/// - The event is still there when the ego is replayed straight along its lane, that is at its offset of the present and with its own progress:
-///   at a future time t_other the other's box is in the strip that the replayed ego sweeps, and at t_ego with t_other < t_ego < t_other + 3 s the
-///   ego's box is where the other's was.
+/// - The event remains when the ego is replayed straight along its lane, that is at its present offset and with its own
+///   progress: at a future time t_other the other's box is in the strip that the replayed ego sweeps, and at t_ego with
+///   t_other < t_ego < t_other + 3 s the ego's box is where the other's was.
 /// - The other's center is ahead of the ego's then and when it crosses, its whole box when both have happened; and both move, with at least
 ///   1 m/s at t_other.
 ///
 /// The event *starts* at the intrusion, the first such t_other, and is *complete* at the first such t_ego.
 ///
-/// *What does not count*: an ego that moves in behind the other or changes lanes itself; boxes that graze while both keep their lanes; crossing,
-/// turning and oncoming traffic; agents not tracked at present; an ego who is in no lane of the map, or without a map: of two paths that meet,
-/// nothing tells then which one is kept. Where the two lanes lead into each other and each keeps its own, as on a ramp, offsets do not tell who gives
-/// way: then the one who moves more across the mean of its headings at the two ends does.
+/// *What does not count*: an ego that moves in behind the other or changes lanes itself; boxes that graze while both
+/// keep their lanes; crossing, turning and oncoming traffic; agents not tracked at present; an ego that is in no lane
+/// of the map, or a scene without a map: of two paths that meet, it is then unknown which one is kept. Where the two
+/// lanes lead into each other and both vehicles keep theirs, as on a ramp, offsets do not show which one cuts in: it is
+/// the one that moves more across the mean of its headings at both ends.
 ///
 /// **Negative**: any other ordered pair whose boxes come closer than 5 m at any two timesteps of the scene. Start and end are the first and the
 /// last timestep of the scene.

@@ -1,48 +1,48 @@
-//! Cut-ins that are solved for a gap and a relative speed: the other follows its lane and comes over to the path of the ego, who keeps its
-//! lane, and its speed until it has to brake for the other.
+//! Cut-ins that are solved for a gap and a relative speed. The other follows its lane and then moves over to the path
+//! of the ego. The ego keeps its lane, and its speed until it has to brake for the other.
 
 use super::CutIn;
-use super::feasible::{Pair, Plan};
+use super::feasible::{CutInPlan, Pair};
 use crate::behavior::Outcome;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::maneuver::{is_as_wanted, spread};
+use crate::behavior::maneuver::spread;
 use crate::behavior::template::{InTheWay, QUINTIC_PEAK, Template, distinct, quintic, quintic_inverse};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
-/// Lane changes that have the time for it take no more than this across, m/s².
+/// The lateral acceleration of a comfortable lane change, m/s².
 const COMFORTABLE_MPS2: f64 = 1.5;
-/// None takes more, m/s².
+/// The largest lateral acceleration, m/s².
 const MOST_MPS2: f64 = 3.0;
-/// Spacing of the times at which the box is looked for in the path, seconds, how many are passed over at first, and how often its coming is
-/// corrected.
+/// The search for the time at which the box enters the path: spacing of times in seconds, how many of them the coarse
+/// search skips, and how often the start is corrected.
 const STEP_S: f64 = 0.02;
 const N_FINE: usize = 5;
 const N_CORRECTIONS: usize = 2;
-/// How much of the comfortable time it may take who is in a hurry.
+/// Durations of the lane change that are tried, as shares of the comfortable one.
 const HURRIES: [f64; 3] = [1.0, 0.85, 0.7];
-/// The other is in the lane by so long before the scene ends, seconds.
+/// How long before the end of the scene the other must be in the lane, seconds.
 const IN_LANE_S: f64 = 0.2;
-/// Nobody drives farther beside the center line in the end, meters.
+/// The largest final offset from the center line, meters.
 const MOST_OFFSET_M: f64 = 0.6;
-/// Below this nobody has to come over, meters.
+/// Distances below this need no lane change, meters.
 const NOTHING_M: f64 = 0.01;
-/// The ego brakes no harder, m/s².
+/// The hardest deceleration of the ego, m/s².
 const HARDEST_MPS2: f64 = 5.0;
-/// What it leaves to the other of the gap, of the most seconds and meters.
+/// The gap that the ego keeps to the other while braking, seconds and meters: the smaller one counts.
 const LEFT_S: f64 = 0.5;
 const LEFT_M: f64 = 2.0;
-/// The box may be in the path by so much later than planned, seconds.
+/// How much later than planned the box may enter the path, seconds.
 const LATE_S: f64 = 0.1;
-/// The ego is so far beyond where the other came in, meters: both are places at timesteps.
+/// How far the ego must pass the place where the other came in, meters, because positions are known only at timesteps.
 const IN_PLACE_M: f64 = 0.5;
 /// The largest slope of the smooth change of speed from 0 to 1.
 const CHANGE_PEAK: f64 = 1.5;
 
 impl CutIn {
-    /// A way in which `other` cuts in before `ego` so that every parameter of the outcome that is `wanted` lies in its range: another one for each
-    /// `variant`, first of all those in one style, then in others, counted around. `None` where there is none.
+    /// A way in which `other` cuts in before `ego` with every `wanted` parameter in its range: a different one for each
+    /// `variant`, cyclically, through the styles one after the other. `None` if there is none.
     pub(super) fn solved(
         &self,
         scene: &Scene,
@@ -50,12 +50,12 @@ impl CutIn {
         wanted: &BTreeMap<String, [f64; 2]>,
         variant: usize,
     ) -> Option<Template> {
-        let is_wanted = |outcome: &Outcome| is_as_wanted(outcome, wanted);
+        let is_wanted = |outcome: &Outcome| outcome.may_be_within(wanted);
         let mut templates: Vec<Template> = Vec::new();
         for style in STYLES {
             let mut ways = self.ways(scene, pair, is_wanted, style)?;
             ways.sort_by(|a, b| a.0.effort().total_cmp(&b.0.effort()));
-            // Those of one style first, each all over what there is.
+            // The first few variants spread over all ways of a style.
             let n = ways.len();
             let order = (0..n).map(|i| ways[spread(i, n)].1.clone());
             templates = distinct(templates.into_iter().chain(order));
@@ -67,8 +67,8 @@ impl CutIn {
         templates.into_iter().nth(variant % n)
     }
 
-    /// The ways in which `other` can cut in before `ego`, nobody being in the way, with what comes of each: those of the plans whose outcome
-    /// is wanted. `None` where the pair cannot show a cut-in at all.
+    /// The ways in which `other` can cut in before `ego` with nobody in the way, each with its outcome, for the plans
+    /// whose outcome is wanted. `None` if the pair cannot show a cut-in at all.
     pub(super) fn ways(
         &self,
         scene: &Scene,
@@ -78,7 +78,7 @@ impl CutIn {
     ) -> Option<Vec<(Outcome, Template)>> {
         let pair = self.pair(scene, ego_idx, other_idx)?;
         let lanes = SceneLanes::new(&scene.lanes);
-        let way = |plan: Plan| {
+        let way = |plan: CutInPlan| {
             let braking = pair.braking(&plan, self.config.max_delay_s, style)?;
             let over = pair.coming_over(&plan, style)?;
             let template = Template::empty().with(scene, other_idx, |elapsed_s| pair.place(&plan, over, elapsed_s))?;
@@ -93,14 +93,16 @@ impl CutIn {
     }
 }
 
-/// How much of the comfortable time drivers take to come over, and how hard they brake if they can, m/s².
+/// How drivers perform a maneuver.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Style {
+    /// Duration of the lane change, as a share of the comfortable one.
     hurry: f64,
+    /// Preferred deceleration of the ego, m/s².
     brakes_mps2: f64,
 }
 
-/// The ordinary one first.
+/// Styles, the ordinary one first.
 pub(super) const STYLES: [Style; 4] = [
     Style { hurry: 1.0, brakes_mps2: 2.0 },
     Style { hurry: 0.8, brakes_mps2: 3.0 },
@@ -108,14 +110,14 @@ pub(super) const STYLES: [Style; 4] = [
     Style { hurry: 0.9, brakes_mps2: 4.0 },
 ];
 
-/// When the other comes over, seconds after the present.
+/// When the other moves over, seconds after the present.
 #[derive(Clone, Copy)]
 struct ComingOver {
     begins_s: f64,
     takes_s: f64,
 }
 
-/// How the ego comes to the speed of the other, from the intrusion on.
+/// How the ego slows down to the speed of the other, from the intrusion on.
 #[derive(Clone, Copy)]
 struct Braking {
     takes_s: f64,
@@ -123,13 +125,13 @@ struct Braking {
 }
 
 impl Pair {
-    /// How the ego brakes for the other: as it likes, or as hard as it must to keep away. `None` where it would have to brake too hard, or is not
-    /// where the other came in before the scene ends, or too late to be cut off.
-    fn braking(&self, plan: &Plan, max_delay_s: f64, style: Style) -> Option<Braking> {
+    /// How the ego brakes for the other: as in `style`, or as hard as it must to keep its distance. `None` if it would
+    /// have to brake too hard, or would reach the place where the other came in too late.
+    fn braking(&self, plan: &CutInPlan, max_delay_s: f64, style: Style) -> Option<Braking> {
         let less_mps = (self.own_mps - plan.then_mps).max(0.0);
         let gap_m = plan.outcome.get("gap_m")?;
         let least_m = LEFT_M.min(LEFT_S * plan.then_mps).min(gap_m / 2.0);
-        // While it brakes it comes nearer by half of what it is faster.
+        // While it brakes, it closes the gap at half of the speed difference on average.
         let most_s = if less_mps > 0.0 { 2.0 * (gap_m - least_m) / less_mps } else { f64::INFINITY };
         let takes_s = most_s.min(CHANGE_PEAK * less_mps / style.brakes_mps2);
         let braking = Braking { takes_s, less_mps };
@@ -139,20 +141,20 @@ impl Pair {
         is_possible.then_some(braking)
     }
 
-    /// How far the ego has come, meters.
-    fn own_driven_m(&self, plan: &Plan, Braking { takes_s, less_mps }: Braking, elapsed_s: f64) -> f64 {
+    /// How far the ego has driven, meters.
+    fn own_driven_m(&self, plan: &CutInPlan, Braking { takes_s, less_mps }: Braking, elapsed_s: f64) -> f64 {
         let since_s = (elapsed_s - plan.time_s).max(0.0);
         self.own_mps * elapsed_s - less_mps * (changed_s(since_s, takes_s) + (since_s - takes_s).max(0.0))
     }
 
     /// Where the ego is by the plan, `elapsed_s` after the present.
-    fn own_place(&self, plan: &Plan, braking: Braking, elapsed_s: f64) -> Option<Vec2> {
+    fn own_place(&self, plan: &CutInPlan, braking: Braking, elapsed_s: f64) -> Option<Vec2> {
         self.lane.beside(self.own_station_m + self.own_driven_m(plan, braking, elapsed_s), self.own_offset_m)
     }
 
-    /// When the other comes over so that its box is in the ego's path at the time of the plan, and its center in the lane before the scene
-    /// ends: comfortably, but for what it needs for that. `None` where that is too hard.
-    fn coming_over(&self, plan: &Plan, style: Style) -> Option<ComingOver> {
+    /// When the other moves over so that its box enters the ego's path at the time of the plan and its center is in the
+    /// lane before the scene ends: as comfortably as that allows. `None` if it takes too much acceleration.
+    fn coming_over(&self, plan: &CutInPlan, style: Style) -> Option<ComingOver> {
         let aside_m = self.aside_m(plan);
         if plan.aside_m.min(aside_m) < NOTHING_M {
             return Some(ComingOver { begins_s: 0.0, takes_s: plan.time_s });
@@ -165,7 +167,7 @@ impl Pair {
             if QUINTIC_PEAK * aside_m / (takes_s * takes_s) > MOST_MPS2 {
                 return None;
             }
-            // Who comes over is turned, so that a corner of its box is there first.
+            // A vehicle that moves over is turned, so a corner of its box enters the path first.
             let mut over = ComingOver { begins_s: plan.time_s - share * takes_s, takes_s };
             for _ in 0..N_CORRECTIONS {
                 over.begins_s = (over.begins_s + plan.time_s - self.intrusion_s(plan, over)?).max(0.0);
@@ -176,18 +178,19 @@ impl Pair {
         })
     }
 
-    /// How far the other comes over in all, meters.
-    fn aside_m(&self, plan: &Plan) -> f64 {
+    /// How far the other moves over in total, meters.
+    fn aside_m(&self, plan: &CutInPlan) -> f64 {
         plan.aside_m + self.side * (self.own_offset_m - self.kept_offset_m())
     }
 
-    /// Where the other drives in the end beside the center line of the lane, meters: as the ego, where that is well within the lane.
+    /// The final offset of the other from the center line of the lane, meters: that of the ego, limited to stay well
+    /// within the lane.
     fn kept_offset_m(&self) -> f64 {
         self.own_offset_m.clamp(-MOST_OFFSET_M, MOST_OFFSET_M)
     }
 
-    /// When the other's box first is in the path of the ego.
-    fn intrusion_s(&self, plan: &Plan, over: ComingOver) -> Option<f64> {
+    /// When the other's box first enters the path of the ego.
+    fn intrusion_s(&self, plan: &CutInPlan, over: ComingOver) -> Option<f64> {
         let is_in_path = |elapsed_s: f64| {
             let (at, soon) = (self.place(plan, over, elapsed_s)?, self.place(plan, over, elapsed_s + STEP_S)?);
             let place = self.lane.project(at)?;
@@ -203,8 +206,8 @@ impl Pair {
     }
 
     /// Where the other is by the plan, `elapsed_s` after the present.
-    fn place(&self, plan: &Plan, over: ComingOver, elapsed_s: f64) -> Option<Vec2> {
-        // Its speed changes smoothly, by as much and over as long a way as if it changed evenly.
+    fn place(&self, plan: &CutInPlan, over: ComingOver, elapsed_s: f64) -> Option<Vec2> {
+        // Its speed changes smoothly, by the same amount and over the same distance as at a constant rate.
         let until_s = elapsed_s.min(plan.time_s);
         let driven_m = self.their_mps * until_s
             + (plan.then_mps - self.their_mps) * changed_s(until_s, plan.time_s)

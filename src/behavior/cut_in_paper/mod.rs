@@ -1,4 +1,5 @@
-//! Cut-in as the DJINN paper has it: does one vehicle get into the path of another shortly before that one gets there?
+//! Cut-in as defined by the DJINN paper: does one vehicle get into the path of another shortly before that one gets
+//! there?
 
 #[cfg(test)]
 mod tests;
@@ -16,7 +17,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ID: &str = "cut_in_paper";
 /// `ego` is cut off, `other` cuts in.
 pub(super) const ROLES: &[&str] = &["ego", "other"];
-/// What events say beyond their times; [`CutInPaper`] has the definitions.
+/// The parameters of events; [`CutInPaper`] has the definitions.
 pub(super) const PARAMETERS: &[&str] = &[
     "intrusion_timestep",
     "t_other_s",
@@ -80,8 +81,8 @@ impl Default for CutInPaperConfig {
     }
 }
 
-/// One vehicle (`other`) merges into the path of another (`ego`), whoever of the two changes course: the definition of the DJINN paper.
-/// [`CutIn`](super::CutIn) is what safety engineers call so.
+/// One vehicle (`other`) merges into the path of another (`ego`), whichever of the two changes course: the definition
+/// of the DJINN paper. [`CutIn`](super::CutIn) is what safety engineers call a cut-in.
 ///
 /// **Positive** (DJINN, "Conditional Generation from Behavior Classes"): the box of `other` at a future time t_other
 /// overlaps the box of `ego` at a future time t_ego, with t_ego - 3 s < t_other < t_ego (both strict).

@@ -1,4 +1,4 @@
-//! Driving into each other: two who go on as drivers do, and perhaps drift aside, until they meet, and brake then.
+//! Driving into each other: two agents continue along their ways, perhaps drifting aside, until they meet, and then brake.
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::collision::{Collision, core_or_recorded};
@@ -9,12 +9,12 @@ use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::scene::{Extent, Scene};
 use std::f64::consts::FRAC_PI_2;
 
-/// How the two go on, m/s², and how far they drift aside meanwhile, to the left, meters.
+/// Accelerations of the two, m/s², and how far they drift to the left, meters.
 const ACCELERATIONS_MPS2: [f64; 4] = [-2.5, -1.0, 0.0, 1.25];
 const DRIFTS_M: [f64; 3] = [0.0, 1.2, -1.2];
-/// How hard vehicles that have met come to a halt, m/s².
+/// Deceleration after the collision, m/s².
 const AFTERWARD_MPS2: f64 = 6.0;
-/// Maneuvers are alike whose relative speeds and angles differ by less than this, m/s and radians.
+/// Spacing of relative speeds and of angles by which maneuvers are told apart, m/s and radians.
 const SPEED_SPACING_MPS: f64 = 2.0;
 const ANGLE_SPACING_RAD: f64 = 0.5;
 
@@ -29,7 +29,7 @@ struct Course {
 }
 
 impl Collision {
-    /// How two drive into each other, each along one of its ways with one acceleration.
+    /// Maneuvers in which two agents collide, each along one of its ways with one acceleration.
     pub(in crate::behavior) fn crashes(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
         let lanes = SceneLanes::new(&scene.lanes);
         if !agents.iter().all(|idx| self.config().agents.admits(scene.tracks[*idx].class)) {
@@ -73,7 +73,7 @@ impl Course {
     }
 }
 
-/// Along each of its ways with each acceleration and each drift.
+/// Courses along each way of an agent, with each acceleration and each drift.
 fn courses(driver: &Driver, extent: Extent) -> Vec<Course> {
     let tried = (0..driver.rails.len()).flat_map(|rail| ACCELERATIONS_MPS2.map(|mps2| (rail, mps2)));
     let tried = tried.flat_map(|(rail, mps2)| DRIFTS_M.map(|drift_m| (rail, mps2, drift_m)));
@@ -90,7 +90,8 @@ fn courses(driver: &Driver, extent: Extent) -> Vec<Course> {
     tried.map(course).collect()
 }
 
-/// Positions at present and at each timestep after it, and the poses at the latter, of who drifts aside over the way that it drives without braking.
+/// The positions of a drifting agent at present and at each timestep after it, and its poses at the latter. It drifts over
+/// the distance that it would drive without braking, so that it does not slide aside while it stops.
 fn drifting(driver: &Driver, (rail, pace, drift_m): (usize, &Pace, f64)) -> (Vec<Vec2>, Vec<(Vec2, f64)>) {
     let driven_m = driver.progress(rail, pace).driven_m;
     let way_m = driver.progress(rail, &pace.unchanged()).driven_m.last().copied().unwrap_or_default().max(1.0);

@@ -1,4 +1,4 @@
-//! Cutting out: the leader moves over to a lane beside, and the ego brakes for whom that reveals.
+//! Cutting out: the leader moves over to the lane beside, and the ego brakes for the vehicle that this reveals.
 
 use super::moving_over::ways_over;
 use super::{Driver, Maneuver, Pace};
@@ -9,17 +9,17 @@ use crate::behavior::limits::effort;
 use crate::behavior::template::InTheWay;
 use crate::scene::Scene;
 
-/// How the ego and the revealed vehicle go on, m/s².
+/// Accelerations of the ego and of the revealed vehicle, m/s².
 const EGO_MPS2: [f64; 4] = [0.0, 1.0, -1.0, 2.0];
 const REVEALED_MPS2: [f64; 4] = [0.0, -1.0, -2.0, -3.5];
-/// The leader is out of the lane about so long after it is midway, seconds.
+/// How long after it is midway the leader may be out of the lane, seconds.
 const REVEALED_AT_S: [f64; 3] = [0.0, 0.3, 0.6];
-/// So long after the leader is midway between the lanes the ego brakes, seconds, and so hard, m/s².
+/// How long after the leader is midway the ego brakes, seconds, and how hard, m/s².
 const REACTION_S: f64 = 0.6;
 const BRAKES_MPS2: [f64; 3] = [2.0, 4.0, 6.0];
 
 impl CutOut {
-    /// How the leader could leave the lane, with an ego that brakes as gently as it can for the revealed vehicle.
+    /// Maneuvers in which the leader leaves the lane and the ego brakes as gently as it can for the revealed vehicle.
     pub(in crate::behavior) fn reveals_by(&self, scene: &Scene, agents: [usize; 3]) -> Vec<Maneuver> {
         self.among(scene, agents).unwrap_or_default()
     }
@@ -49,7 +49,7 @@ impl CutOut {
                         ..next
                     })
                 });
-                // The gap along the way is what both drive of it.
+                // Both drive along the same way, so the difference of their distances closes the gap.
                 let keeps = |pace: &Pace| {
                     let own = ego.progress(*own_rail, pace).driven_m;
                     own.iter().zip(&theirs.driven_m).all(|(own, theirs)| own - theirs < next.gap_m)

@@ -1,4 +1,4 @@
-//! An agent that goes on along one of its ways: evenly, until it may change its pace.
+//! An agent that continues along one of its ways, with accelerations that change at given times.
 
 use super::ways::{Way, ways};
 use crate::behavior::footprint::Footprint;
@@ -7,34 +7,34 @@ use crate::behavior::limits::effort;
 use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::scene::{Extent, Scene, State};
 
-/// How drivers ordinarily accelerate, m/s²: with no more than half of what they could.
+/// Ordinary accelerations, at most half of the limits, m/s².
 pub(in crate::behavior) const ORDINARY_MPS2: [f64; 5] = [-2.0, -1.0, 0.0, 0.6, 1.25];
-/// Spacing of the places that are kept of a way, meters.
+/// Spacing of the places along a way, meters.
 const SPACING_M: f64 = 0.5;
-/// Ways that end within this of each other, as far as anybody can get, are the same, meters.
+/// Ways whose reachable parts end within this of each other are the same, meters.
 const SAME_M: f64 = 1.0;
-/// How long a pedal takes to be pressed, and who brakes to come to a halt gently, seconds.
+/// How long it takes to press a pedal, and to ease a stop, seconds.
 const PEDAL_S: f64 = 0.3;
-/// What drivers accelerate across in a bend, how they brake for one, and how hard where they are late, m/s².
+/// The lateral acceleration in bends, the deceleration before them, and the hardest one if it is late for that, m/s².
 const ACROSS_MPS2: f64 = 3.0;
 const EASES_MPS2: f64 = 2.0;
 const BRAKES_MPS2: f64 = 3.5;
-/// Bends are looked at over so many places on either side.
+/// The curvature of a bend is taken over this many places on either side.
 const BEND_PLACES: usize = 4;
-/// Steps of a timestep in which speeds are summed up.
+/// Integration steps per timestep.
 const N_STEPS: usize = 5;
 
-/// How an agent accelerates: with one acceleration at first, and with others later.
+/// The accelerations of an agent over time.
 #[derive(Debug, Clone)]
 pub(in crate::behavior) struct Pace {
     first_mps2: f64,
-    /// Seconds after the present, and the acceleration to which a pedal is pressed then, m/s²; by ascending times.
+    /// Seconds after the present, and the acceleration from then on, m/s²; in ascending order of time.
     changes: Vec<(f64, f64)>,
-    /// How fast bends are driven beside what is ordinary.
+    /// Speed in bends, as a multiple of the ordinary one.
     briskness: f64,
 }
 
-/// An agent at present with the places that it can reach, on each way that the map leaves it.
+/// An agent at present, with the places that it can reach along each way in the map.
 pub(in crate::behavior) struct Driver {
     pub(in crate::behavior) state: State,
     pub(in crate::behavior) rails: Vec<Rail>,
@@ -42,51 +42,51 @@ pub(in crate::behavior) struct Driver {
     n_steps: usize,
 }
 
-/// A way from the present place on.
+/// A way, from the present place on.
 pub(in crate::behavior) struct Rail {
     /// Positions and directions, evenly spaced.
     places: Vec<(Vec2, Vec2)>,
-    /// The speed there that leaves time to brake for the bends ahead, m/s.
+    /// The largest speed at each place that still allows braking for the bends ahead, m/s.
     allowed_mps: Vec<f64>,
 }
 
-/// How far an agent has come, meters, and its speed, m/s, at each timestep after the present.
+/// The distance driven, meters, and the speed, m/s, at each timestep after the present.
 pub(in crate::behavior) struct Progress {
     pub(in crate::behavior) driven_m: Vec<f64>,
     pub(in crate::behavior) speeds_mps: Vec<f64>,
 }
 
 impl Pace {
-    /// One acceleration all the time, m/s².
+    /// A constant acceleration, m/s².
     pub(in crate::behavior) const fn steady(first_mps2: f64) -> Self {
         Self { first_mps2, changes: Vec::new(), briskness: 1.0 }
     }
 
-    /// Another one from so many seconds after the present on, later than all before.
+    /// The same with another acceleration from `from_s` seconds after the present on, later than all other changes.
     #[must_use]
     pub(in crate::behavior) fn then(mut self, from_s: f64, acceleration_mps2: f64) -> Self {
         self.changes.push((from_s, acceleration_mps2));
         self
     }
 
-    /// The same without its changes.
+    /// The same without the changes.
     #[must_use]
     pub(in crate::behavior) fn unchanged(&self) -> Self {
         Self { changes: Vec::new(), ..self.clone() }
     }
 
-    /// The same, with bends driven by so much faster than is ordinary: what is accelerated across grows with the square.
+    /// The same with this multiple of the ordinary speed in bends; the lateral acceleration grows with its square.
     #[must_use]
     pub(in crate::behavior) fn brisk(self, briskness: f64) -> Self {
         Self { briskness, ..self }
     }
 
-    /// The share of what driving allows that it takes at first.
+    /// The share of the limits of driving that the first acceleration takes.
     pub(in crate::behavior) fn effort(&self) -> f64 {
         effort(self.first_mps2)
     }
 
-    /// The acceleration so many seconds after the present, m/s².
+    /// The acceleration at this time after the present, m/s².
     fn at(&self, elapsed_s: f64) -> f64 {
         let pressed = |from_s: f64| ((elapsed_s - from_s).max(0.0) / PEDAL_S).min(1.0);
         self.changes.iter().fold(self.first_mps2, |before, (from_s, then)| before + (then - before) * pressed(*from_s))
@@ -94,7 +94,7 @@ impl Pace {
 }
 
 impl Driver {
-    /// An agent that accelerates as drivers ordinarily do at most. `None` where it is not tracked at present.
+    /// `None` if the agent is not tracked at present.
     pub(in crate::behavior) fn new(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
         let state = *scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let n_steps = scene.n_timesteps - scene.n_history;
@@ -110,7 +110,7 @@ impl Driver {
         Some(Self { state, rails, dt_s: scene.dt_s, n_steps })
     }
 
-    /// How far it gets along a rail at this pace. Who comes to a halt stands, and who is too fast for a bend brakes for it.
+    /// Its progress along a rail at this pace. It never reverses, and it brakes for bends.
     pub(in crate::behavior) fn progress(&self, rail: usize, pace: &Pace) -> Progress {
         let (mut driven_m, mut speed_mps, step_s) = (0.0, self.state.speed_mps(), self.dt_s / N_STEPS as f64);
         let mut progress =
@@ -130,17 +130,17 @@ impl Driver {
         progress
     }
 
-    /// Its positions along a rail: at present, and at each timestep after it.
+    /// Its positions along a rail, at present and at each timestep after it.
     pub(in crate::behavior) fn positions(&self, rail: usize, driven_m: &[f64]) -> Vec<Vec2> {
         self.places(rail, driven_m).into_iter().map(|(at, _)| at).collect()
     }
 
-    /// The same, with the direction of the way there.
+    /// The same, with the directions of the way.
     pub(in crate::behavior) fn places(&self, rail: usize, driven_m: &[f64]) -> Vec<(Vec2, Vec2)> {
         std::iter::once(&0.0).chain(driven_m).map(|driven_m| self.rails[rail].at(*driven_m)).collect()
     }
 
-    /// The boxes of this size along a rail at each timestep after the present.
+    /// Its boxes, of this size, along a rail at each timestep after the present.
     pub(in crate::behavior) fn boxes(&self, rail: usize, driven_m: &[f64], extent: Extent) -> Vec<Footprint> {
         let footprint = |driven_m: &f64| {
             let (center, along) = self.rails[rail].at(*driven_m);
@@ -168,7 +168,7 @@ impl Rail {
         self.places[self.places.len() - 1].0
     }
 
-    /// Where it is after so many meters, and its direction there.
+    /// The position after `driven_m`, and the direction there.
     fn at(&self, driven_m: f64) -> (Vec2, Vec2) {
         let (before, share) = self.before(driven_m);
         let ((from, along), (to, then_along)) = (self.places[before], self.places[before + 1]);
@@ -181,14 +181,14 @@ impl Rail {
         from + (to - from) * share.clamp(0.0, 1.0)
     }
 
-    /// The place before, and the share of the way to the next one.
+    /// The index of the last place before, and the share of the distance to the next one.
     fn before(&self, driven_m: f64) -> (usize, f64) {
         let before = ((driven_m / SPACING_M) as usize).min(self.places.len() - 2);
         (before, driven_m / SPACING_M - before as f64)
     }
 }
 
-/// The speed at which a bend takes what drivers accelerate across, m/s: by the change of direction over some meters around a place.
+/// The speed at which the bend around a place takes the ordinary lateral acceleration, m/s.
 fn bend_mps(places: &[(Vec2, Vec2)], i: usize) -> f64 {
     let (first, last) = (i.saturating_sub(BEND_PLACES), (i + BEND_PLACES).min(places.len() - 1));
     let turned_rad = angle_difference(places[last].1.angle(), places[first].1.angle()).abs();

@@ -1,4 +1,4 @@
-//! Braking hard along the lane: how hard, when and for how long.
+//! Braking hard along the lane, with different decelerations, times and durations.
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::hard_brake::HardBrake;
@@ -6,15 +6,16 @@ use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::template::InTheWay;
 use crate::scene::Scene;
 
-/// What is added to the least deceleration: it is pressed up and smoothed, and never lasts as long as it is asked for. And the hardest that is tried, m/s².
+/// Decelerations that are tried, above the least one of an event, because the measured one is smoothed; and the hardest,
+/// m/s².
 const MORE_MPS2: [f64; 4] = [0.5, 1.25, 2.25, 3.25];
 const HARDEST_MPS2: f64 = 7.75;
-/// When it may begin, and how long it may last, seconds; who is slow stands sooner.
+/// When braking begins and how long it lasts, seconds.
 const BEGINS_S: [f64; 4] = [0.4, 0.9, 1.4, 1.9];
 const LASTS_S: [f64; 3] = [0.9, 1.5, 2.5];
 
 impl HardBrake {
-    /// Brakings of an agent that goes on at its speed until then.
+    /// Maneuvers of an agent that keeps its speed and then brakes.
     pub(in crate::behavior) fn brakings(&self, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
         let config = self.config();
         let driver = config.agents.admits(scene.tracks[agent_idx].class).then(|| SceneLanes::new(&scene.lanes));

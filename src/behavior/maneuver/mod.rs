@@ -1,7 +1,7 @@
-//! How could agents drive to show a behavior? Maneuvers along the lanes are drawn up, and tried by the behavior's own miner before one becomes a
-//! template.
+//! How could agents drive to show a behavior? Candidates along the lanes are drawn up, and tried with the behavior's own
+//! miner before one becomes a template.
 //!
-//! One behavior a file; those of the near miss are in its own folder, and the cut-in, whose templates are solved directly, has none.
+//! One behavior per file. Those of the near miss are in its own folder; the templates of the cut-in are solved directly.
 
 mod collision;
 mod cut_out;
@@ -26,37 +26,38 @@ use crate::geometry::Vec2;
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
-/// So many maneuvers of a kind are kept to tell what there is, and to choose from, and so many are tried for it.
+/// How many plans of one kind are kept to list outcomes and to choose a template from, and how many candidates are tried
+/// for them.
 const N_TO_TELL: usize = 2;
 const N_TO_CHOOSE: usize = 4;
 const N_TRIED: usize = 8;
-/// The share of all plans by which one variant is ahead of the one before: by the golden ratio, so that few variants are spread over all plans.
+/// The share of all plans between one variant and the next. With the golden ratio, few variants spread over all plans.
 const STRIDE: f64 = 0.618;
 
-/// How those who take part in an event might drive. Nothing says yet that the event comes of it.
+/// A way in which agents may drive to show a behavior. It was not tried yet.
 #[derive(Debug, Clone)]
 pub struct Maneuver {
-    /// Those of a kind are much alike.
+    /// Maneuvers of one kind resemble each other.
     pub(super) kind: [usize; 2],
-    /// The share of the limits of driving that it takes.
+    /// The share of the limits of driving that it takes, from 0 to 1.
     pub(super) effort: f64,
-    /// The parameters of the event that are its outcome.
+    /// The parameters of the event that its outcome names.
     pub(super) parameters: &'static [&'static str],
-    /// Who else may be in the way; `None` where it is known that nobody is.
+    /// Which others may be in the way; `None` if it is known that nobody is.
     pub(super) in_the_way: Option<InTheWay>,
-    /// Where each of those who take part is, in the order of the roles: at present, and at each timestep after it.
+    /// The positions of each agent, in the order of the roles: at present, and at each timestep after it.
     pub(super) positions: Vec<Vec<Vec2>>,
 }
 
-/// A maneuver of which the event comes, and what it comes to.
+/// A maneuver that works, with its outcome.
 #[derive(Debug, Clone)]
 pub(super) struct Plan {
     pub(super) outcome: Outcome,
     positions: Vec<Vec<Vec2>>,
 }
 
-/// The plans by which `agents` show `behavior`, the easiest first: maneuvers in which nobody leaves the road, accelerates too hard or runs into others who
-/// go straight on, and of which the miner finds the event where the agents are alone.
+/// The plans by which `agents` show `behavior`, easiest first: maneuvers in which nobody leaves the road, accelerates too
+/// hard or collides with others that continue straight, and in which the miner finds the event with the agents alone.
 fn plans(behavior: &(impl Behavior + ?Sized), scene: &Scene, agents: &[usize], n_alike: usize) -> Vec<Plan> {
     let mut maneuvers = behavior.maneuvers(scene, agents);
     if maneuvers.is_empty() {
@@ -85,13 +86,13 @@ fn plans(behavior: &(impl Behavior + ?Sized), scene: &Scene, agents: &[usize], n
     tried.collect()
 }
 
-/// What the plans of `agents` come to.
+/// The outcomes of the plans of `agents`.
 pub(super) fn outcomes(behavior: &(impl Behavior + ?Sized), scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
     plans(behavior, scene, agents, N_TO_TELL).into_iter().map(|plan| plan.outcome).collect()
 }
 
-/// How `agents` drive so that every parameter of the outcome that is `wanted` lies in its range: the `variant`-th time differently, counted around. Those
-/// in the middle of the ranges come first. `None` where there is no such plan.
+/// The template of a plan whose outcome has every `wanted` parameter in its range: a different one for each `variant`,
+/// cyclically, those in the middle of the ranges first. `None` if there is no such plan.
 pub(super) fn template(
     behavior: &(impl Behavior + ?Sized),
     scene: &Scene,
@@ -99,13 +100,13 @@ pub(super) fn template(
     wanted: &BTreeMap<String, [f64; 2]>,
     variant: usize,
 ) -> Option<Template> {
-    // How far beside the middles, as a share of the way to the ends.
+    // The sum of the distances from the middles of the ranges, as shares of half their widths.
     let beside = |plan: &Plan| {
         let shares = wanted.iter().map(|(name, [least, most])| {
             let (middle, half) = (f64::midpoint(*least, *most), (most - least) / 2.0);
             plan.outcome.get(name).map(|value| (value - middle).abs() / half)
         });
-        shares.sum::<Option<f64>>().filter(|_| is_as_wanted(&plan.outcome, wanted))
+        shares.sum::<Option<f64>>().filter(|_| plan.outcome.is_within(wanted))
     };
     let within =
         plans(behavior, scene, agents, N_TO_CHOOSE).into_iter().filter_map(|plan| Some((beside(&plan)?, plan)));
@@ -117,12 +118,7 @@ pub(super) fn template(
     templates.into_iter().nth(chosen)
 }
 
-/// Whether every parameter that is wanted, and that the outcome names, lies in its range.
-pub(super) fn is_as_wanted(outcome: &Outcome, wanted: &BTreeMap<String, [f64; 2]>) -> bool {
-    wanted.iter().all(|(name, [least, most])| outcome.get(name).is_none_or(|value| (*least..=*most).contains(&value)))
-}
-
-/// Of `n` in a row the `variant`-th: each once before any comes again, and the first few all over the row.
+/// The index of the `variant`-th of `n`: each index once before any is repeated, and the first few spread over all.
 pub(super) fn spread(variant: usize, n: usize) -> usize {
     let divides = |a: usize, b: usize| {
         let (mut a, mut b) = (a, b);
@@ -136,19 +132,19 @@ pub(super) fn spread(variant: usize, n: usize) -> usize {
     if n == 0 { 0 } else { variant % n * stride % n }
 }
 
-/// Where maneuvers are tried.
+/// A scene in which maneuvers are tried.
 struct Trial<'a> {
     scene: &'a Scene,
     agents: &'a [usize],
     lanes: SceneLanes<'a>,
-    /// The scene with nobody else in it.
+    /// The scene without anybody else.
     alone: Scene,
-    /// Whether those who take part are to touch.
+    /// Whether the agents are to touch.
     touches: bool,
 }
 
 impl Trial<'_> {
-    /// The plan that a maneuver is; `None` where no event comes of it after all.
+    /// The plan of a maneuver; `None` if it does not lead to the event.
     fn plan(&self, behavior: &(impl Behavior + ?Sized), maneuver: Maneuver) -> Option<Plan> {
         let mut plan = Plan { outcome: Outcome::default().at_effort(maneuver.effort), positions: maneuver.positions };
         let alone = &self.alone;
@@ -163,7 +159,7 @@ impl Trial<'_> {
         let mut driven = alone.clone();
         let own: Vec<usize> = (0..alone.tracks.len()).collect();
         plan.template(alone, &own)?.apply(&mut driven);
-        // One that is over at present is none that they come to.
+        // An event that is over at present does not count.
         let is_meant = |event: &BehaviorEvent| {
             event.label == EventLabel::Positive
                 && event.end_timestep >= alone.n_history
@@ -178,7 +174,7 @@ impl Trial<'_> {
 }
 
 impl Plan {
-    /// How all of them drive. `None` where one of them cannot.
+    /// The template of all agents. `None` if one of them cannot follow it.
     fn template(&self, scene: &Scene, agents: &[usize]) -> Option<Template> {
         agents.iter().zip(&self.positions).try_fold(Template::empty(), |template, (agent_idx, positions)| {
             template.with(scene, *agent_idx, |elapsed_s| {

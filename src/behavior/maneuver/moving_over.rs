@@ -1,4 +1,4 @@
-//! Moving over from one lane to the lane beside it.
+//! Moving over to the lane beside.
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::kept_lane::KeptLane;
@@ -10,31 +10,31 @@ use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::f64::consts::FRAC_PI_4;
 
-/// A vehicle is in a lane that leads its way but for this angle, radians.
+/// A vehicle is in a lane only if it heads along it within this angle, radians.
 const ALONG_RAD: f64 = FRAC_PI_4;
-/// Nobody moves over at less than this, m/s.
+/// The least speed at which vehicles move over, m/s.
 const LEAST_SPEED_MPS: f64 = 2.0;
-/// When one may begin to move over, and how long it may take, seconds.
+/// When moving over begins and how long it takes, seconds.
 const BEGINS_S: [f64; 3] = [0.0, 0.5, 1.0];
 const TAKES_S: [f64; 3] = [2.4, 3.0, 3.8];
-/// None takes more across, m/s².
+/// The largest lateral acceleration, m/s².
 const MOST_ACROSS_MPS2: f64 = 3.0;
-/// How the agent goes on meanwhile, m/s².
+/// Accelerations along the lane, m/s².
 const ALONG_MPS2: [f64; 3] = [0.0, 0.8, -1.0];
 
 /// One way to move over.
 pub(super) struct MovingOver {
     /// To which side: 1 for the left, -1 for the right.
     pub(super) side: f64,
-    /// When the center is midway, seconds after the present.
+    /// When the center is midway between the lanes, seconds after the present.
     pub(super) midway_s: f64,
     /// The share of the limits of driving that it takes.
     pub(super) effort: f64,
-    /// Positions at present and at each timestep after it.
+    /// The positions at present and at each timestep after it.
     pub(super) positions: Vec<Vec2>,
 }
 
-/// The ways in which an agent could move over to a lane beside its own. Empty where it is in none, or too slow.
+/// The ways in which an agent can move over to a lane beside its own. Empty if it is in no lane, or too slow.
 pub(super) fn ways_over(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Vec<MovingOver> {
     let Some(driver) = Driver::new(scene, lanes, agent_idx) else { return Vec::new() };
     let now = driver.state;
@@ -74,7 +74,7 @@ pub(super) fn ways_over(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize)
 }
 
 impl LaneChange {
-    /// The ways in which an agent could move over in time.
+    /// Maneuvers of an agent that moves over.
     pub(in crate::behavior) fn changes(&self, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
         if !self.config().agents.admits(scene.tracks[agent_idx].class) {
             return Vec::new();

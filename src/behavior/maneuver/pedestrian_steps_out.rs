@@ -1,4 +1,4 @@
-//! Stepping out: somebody on foot walks across to the lane of a vehicle, which brakes.
+//! Stepping out: a pedestrian walks into the lane of a vehicle, which brakes.
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::AgentFilter;
@@ -10,19 +10,19 @@ use crate::behavior::template::InTheWay;
 use crate::geometry::Vec2;
 use crate::scene::Scene;
 
-/// How fast people walk across, m/s, within how long they walk, and when they begin, seconds.
+/// Walking speeds, m/s; how long it takes to reach them, and when walking begins, seconds.
 const WALKS_MPS: [f64; 4] = [1.0, 1.4, 1.8, 2.3];
 const STARTING_S: f64 = 0.6;
 const BEGINS_S: [f64; 6] = [0.0, 0.4, 0.8, 1.2, 1.6, 2.0];
-/// So far inside of the lane they are seen, meters.
+/// How far inside the lane the pedestrian is when the vehicle notices it, meters.
 const INSIDE_M: f64 = 0.1;
-/// How the vehicle goes on until then, m/s², and so long after it brakes, seconds, and so hard, m/s².
+/// Accelerations of the vehicle until then, m/s²; how long after it brakes, seconds, and how hard, m/s².
 const EGO_MPS2: [f64; 3] = [0.0, 1.0, -1.0];
 const REACTION_S: f64 = 0.4;
 const BRAKES_MPS2: [f64; 4] = [0.0, 3.0, 5.0, 7.0];
 
 impl PedestrianStepsOut {
-    /// How the pedestrian could walk straight across the lane, ahead of a vehicle that brakes for it as gently as it can.
+    /// Maneuvers in which the pedestrian walks straight across the lane and the vehicle brakes as gently as it can.
     pub(in crate::behavior) fn steps_across(&self, scene: &Scene, pair: [usize; 2]) -> Vec<Maneuver> {
         self.across(scene, pair).unwrap_or_default()
     }
@@ -45,7 +45,7 @@ impl PedestrianStepsOut {
         let mut maneuvers = Vec::new();
         for (i, walks_mps) in WALKS_MPS.into_iter().enumerate() {
             for begins_s in BEGINS_S {
-                // It gets to its speed evenly.
+                // The speed rises evenly.
                 let walked_m = |elapsed_s: f64| {
                     let since_s = (elapsed_s - begins_s).max(0.0);
                     let starting_s = since_s.min(STARTING_S);

@@ -8,19 +8,19 @@ use crate::behavior::tailgating::Tailgating;
 use crate::behavior::template::InTheWay;
 use crate::scene::Scene;
 
-/// Headways, as shares of the longest that is too short.
+/// Final headways, as shares of the longest one that counts as tailgating.
 const SHARES: [f64; 5] = [0.4, 0.55, 0.7, 0.8, 0.9];
-/// Within how long the follower comes to one, seconds, and how fast it still closes in then, m/s.
+/// How long the follower takes to reach it, seconds, and how fast it still closes in then, m/s.
 const COMES_S: [f64; 5] = [0.8, 1.2, 1.6, 2.0, 2.6];
 const CLOSES_MPS: [f64; 3] = [0.0, 1.0, 2.0];
-/// How the leader goes on, m/s².
+/// Accelerations of the leader, m/s².
 const LEADER_MPS2: [f64; 3] = [0.0, 0.3, -0.3];
-/// Farther ahead is nobody whom one could catch up with in a scene, meters; and nobody drives closer behind another, meters.
+/// The largest gap that can be closed within a scene, and the smallest that is left, meters.
 const REACH_M: f64 = 60.0;
 const LEAST_GAP_M: f64 = 2.0;
 
 impl Tailgating {
-    /// How the follower closes in on the leader, or falls back, to a short headway.
+    /// Maneuvers in which the follower closes in on the leader, or falls back, to a short headway.
     pub(in crate::behavior) fn approaches(&self, scene: &Scene, [own_idx, leader_idx]: [usize; 2]) -> Vec<Maneuver> {
         let (config, lanes) = (self.config(), SceneLanes::new(&scene.lanes));
         let is_admitted = [own_idx, leader_idx].iter().all(|idx| config.agents.admits(scene.tracks[*idx].class));
@@ -58,7 +58,7 @@ impl Tailgating {
     }
 }
 
-/// How the gap could become short, meters over seconds.
+/// Ways in which the gap becomes short, in meters over seconds.
 fn gaps(now: &Ahead, max_headway_s: f64) -> Vec<Cubic> {
     let to = SHARES.map(|share| share * max_headway_s * now.their_mps);
     let tried = to.into_iter().flat_map(|to| COMES_S.map(|within| (to, within)));
@@ -67,7 +67,7 @@ fn gaps(now: &Ahead, max_headway_s: f64) -> Vec<Cubic> {
     tried.map(|(to, within, closes_mps)| Cubic { from: now.gap_m, slope, to, then: -closes_mps, within }).collect()
 }
 
-/// A value that changes from one to another within some time, with one slope at first and another in the end, with which it goes on.
+/// A cubic with given values and slopes at time 0 and `within`, continued with its final slope.
 #[derive(Clone, Copy)]
 struct Cubic {
     from: f64,
@@ -85,7 +85,7 @@ impl Cubic {
         self.from + (self.to - self.from) * smooth + self.within * slopes + self.then * (time - self.within).max(0.0)
     }
 
-    /// Its second derivatives at both ends of that time, of which one is the largest.
+    /// Its second derivatives at both ends, the larger of which is the largest in between.
     fn second_derivatives(&self) -> [f64; 2] {
         let (change, start, end) =
             ((self.to - self.from) / self.within.powi(2), self.slope / self.within, self.then / self.within);

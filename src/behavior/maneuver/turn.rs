@@ -1,4 +1,4 @@
-//! Turning where a lane turns: along it, as fast as the bend allows.
+//! Turning along a lane that turns, as fast as the bend allows.
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::lane_relation::SceneLanes;
@@ -7,13 +7,13 @@ use crate::behavior::template::InTheWay;
 use crate::behavior::turn::TurnConfig;
 use crate::scene::Scene;
 
-/// How drivers accelerate until they brake for the bend, m/s²; they brake harder than these where they must.
+/// Accelerations until the agent brakes for the bend, m/s².
 const ACCELERATIONS_MPS2: [f64; 6] = [-2.0, -1.0, 0.0, 0.8, 1.6, 2.4];
 
-/// How fast they drive through it, beside what is ordinary.
+/// Speeds in the bend, as multiples of the ordinary one.
 const BRISKNESS: [f64; 2] = [1.0, 1.15];
 
-/// The ways on from where an agent is; which of them turn is for the miner to say.
+/// Drives along all ways ahead of an agent. The miner decides which of them turn.
 pub(in crate::behavior) fn maneuvers(config: &TurnConfig, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
     let lanes = config.agents.admits(scene.tracks[agent_idx].class).then(|| SceneLanes::new(&scene.lanes));
     let Some(driver) = lanes.and_then(|lanes| Driver::new(scene, &lanes, agent_idx)) else { return Vec::new() };

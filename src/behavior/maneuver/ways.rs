@@ -1,4 +1,4 @@
-//! The ways that the map leaves an agent, and where it could be on them.
+//! The ways ahead of an agent in the map, and its possible positions on them.
 
 use crate::behavior::kept_lane::extended;
 use crate::behavior::lane_relation::SceneLanes;
@@ -8,7 +8,7 @@ use std::f64::consts::FRAC_PI_4;
 
 /// An agent is only in lanes whose direction differs from its heading by less than this, radians.
 const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
-/// How far ways lead on, meters: farther than anybody drives in a scene. And how many there may be.
+/// The length of ways, meters: farther than any agent drives in a scene. And the largest number of ways.
 const AHEAD_M: f64 = 150.0;
 const N_WAYS: usize = 12;
 
@@ -20,7 +20,8 @@ pub(super) struct Way {
 }
 
 impl Way {
-    /// Where the agent is after `driven_m` along the way, as far beside its line as now, and the direction of the way there.
+    /// The agent's position after `driven_m` along the way, at its present offset from the line, and the direction of
+    /// the way there.
     pub(super) fn place(&self, driven_m: f64) -> Option<(Vec2, Vec2)> {
         let on_line = self.line.point_at(self.station_m + driven_m)?;
         let along = Vec2::from_angle(self.line.project(on_line)?.heading_rad);
@@ -28,7 +29,7 @@ impl Way {
     }
 }
 
-/// The ways on from where an agent is: along the lanes that it is in, with every choice at a fork; straight on where it is in none.
+/// The ways ahead of an agent: along its lanes, with every choice at a fork; straight on if it is in no lane.
 pub(super) fn ways(lanes: &SceneLanes<'_>, state: &State) -> Vec<Way> {
     let own = lanes
         .lanes_at(state.position)

@@ -1,4 +1,4 @@
-//! A road user over a scene, as near misses see it: where its box is, where the inner part of it is, and which way it drives.
+//! A road user in the analysis of near misses: its box, the inner part of the box, and the path that it drives.
 
 use super::config::NearMissConfig;
 use crate::behavior::driven_path::DrivenPath;
@@ -8,18 +8,18 @@ use crate::geometry::{OrientedBox, Vec2};
 use crate::scene::{Extent, Scene, State, Track};
 use std::f64::consts::FRAC_PI_6;
 
-/// Steps in which agents are moved on along their paths, seconds.
+/// Step of the motion of agents along their paths, seconds.
 const PATH_STEP_S: f64 = 0.1;
-/// Who is where the other was, heading within this of it, follows it, radians.
+/// An agent that is where another was, with a heading within this of it, follows it, radians.
 pub(super) const FOLLOWING_RAD: f64 = FRAC_PI_6;
 
 /// One road user.
 pub(super) struct Body<'a> {
     pub(super) agent_idx: usize,
     pub(super) track: &'a Track,
-    /// Its boxes; of half the usual size where none is recorded, since whole ones touch where nobody does.
+    /// Its boxes; of half the nominal size where none is recorded, because whole ones overlap where no agents touch.
     pub(super) outer: Sweep,
-    /// The same, smaller: others reach into it or it into them, and do not graze it.
+    /// The inner parts of the boxes: if these overlap, the agents do more than graze.
     pub(super) inner: Sweep,
     inner_extent: Extent,
     /// The way that it drives over the whole scene.
@@ -27,7 +27,7 @@ pub(super) struct Body<'a> {
 }
 
 impl<'a> Body<'a> {
-    /// The agent at this index. `None` for who takes no part.
+    /// The agent at this index. `None` if it cannot take part.
     pub(super) fn new(scene: &'a Scene, agent_idx: usize, config: &NearMissConfig) -> Option<Self> {
         let track = &scene.tracks[agent_idx];
         if !config.agents.admits(track.class) || (config.recorded_sizes && track.extent.is_none()) {
@@ -56,7 +56,7 @@ impl<'a> Body<'a> {
         self.track.trajectory.valid().next_back().map(|(timestep, _)| timestep)
     }
 
-    /// Where its inner part is if it goes on from `timestep` along the path that it drives, at its speed then.
+    /// Its inner part if it continues from `timestep` along the path that it drives, at its speed of that time.
     fn moved_on(&self, timestep: usize) -> Option<impl Fn(f64) -> OrientedBox> {
         let speed_mps = self.state(timestep)?.speed_mps();
         let path = DrivenPath::from(self.track, timestep)?;
@@ -67,16 +67,16 @@ impl<'a> Body<'a> {
         })
     }
 
-    /// When the inner parts of the two first touch if both go on along the paths that they drive, at their speeds of `timestep`, seconds;
-    /// `None` where they do not within `limit_s`.
+    /// When the inner parts of the two first touch if both continue along the paths that they drive, at their speeds of
+    /// `timestep`, seconds; `None` if they do not within `limit_s`.
     pub(super) fn time_along_paths_s(&self, other: &Self, timestep: usize, limit_s: f64) -> Option<f64> {
         let (own, others) = (self.moved_on(timestep)?, other.moved_on(timestep)?);
         let times_s = (0..=(limit_s / PATH_STEP_S).floor() as usize).map(|step| step as f64 * PATH_STEP_S);
         times_s.into_iter().find(|time_s| own(*time_s).overlaps(&others(*time_s)))
     }
 
-    /// Whether its inner part at `timestep` is where that of the other is at `later`, and neither comes there as the other does: on another
-    /// course, and not on the other's path, around a bend or into a lane.
+    /// Whether its inner part at `timestep` overlaps that of the other at `later`, and the two cross: on different
+    /// courses, and neither along the path that the other drives through this place.
     pub(super) fn crosses(&self, timestep: usize, other: &Self, later: usize) -> bool {
         self.inner.at(timestep).zip(other.inner.at(later)).is_some_and(|(own, others)| {
             own.overlaps(others)
@@ -86,19 +86,19 @@ impl<'a> Body<'a> {
         })
     }
 
-    /// Whether someone there is on another course than the path that the agent drives by that place.
+    /// Whether an agent there is on a different course than the path that this agent drives through that place.
     fn is_passed_across(&self, place: &Footprint) -> bool {
         let along = self.path.project(place.center).map(|projection| Vec2::from_angle(projection.heading_rad));
         along.is_none_or(|along| is_another_course(along, place.forward))
     }
 }
 
-/// The box of an agent, of half the usual size where none is recorded, and the inner part of it.
+/// The box of an agent, of half the nominal size where none is recorded, and its inner part.
 pub(super) fn extents(track: &Track, config: &NearMissConfig) -> [Extent; 2] {
     let nominal = track.extent_or_nominal();
     let half = Extent { length_m: nominal.length_m / 2.0, width_m: nominal.width_m / 2.0 };
     let extent = track.extent.unwrap_or(half);
-    // Each of two boxes gives way by half of the overlap.
+    // Each of the two boxes shrinks by half of the required overlap.
     let inside = |side_m: f64| (side_m - config.min_overlap_m / 2.0).max(side_m / 2.0);
     [extent, Extent { length_m: inside(extent.length_m), width_m: inside(extent.width_m) }]
 }

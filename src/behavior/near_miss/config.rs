@@ -10,34 +10,37 @@ use serde::{Deserialize, Serialize};
 pub struct NearMissConfig {
     /// Road users that take part. Default `road_users`: includes pedestrians, excludes static objects.
     pub agents: AgentFilter,
-    /// Whether only road users take part whose size is recorded. Default true; false takes half the length and width that are usual for
-    /// the others, by whose tracks nobody can tell a near miss from noise.
+    /// Whether only road users of recorded size take part. Default true. If false, the others take part with half their
+    /// nominal length and width; their tracks usually cannot separate near misses from noise.
     pub recorded_sizes: bool,
-    /// Boxes that pass each other closer than this are a near miss, meters. Default 0.2: mirrors touch; in dense traffic 1 m is usual.
-    /// Not of road users whose size the recording does not give.
+    /// Boxes that pass each other closer than this are a near miss, meters. Default 0.2, at which mirrors touch; in
+    /// dense traffic 1 m is usual. Applies only to road users of recorded size.
     #[schemars(range(min = 0.0))]
     pub max_distance_m: f64,
-    /// Whoever passes so closely differs in velocity by at least this, m/s. Default 8: less is overtaking in the next lane.
+    /// Smallest difference of velocities of two that pass this closely, m/s. Default 8: less is overtaking in the next
+    /// lane.
     #[schemars(range(min = 0.0))]
     pub min_passing_mps: f64,
-    /// Boxes on a course to touch in less than this are a near miss, seconds. Default 1.5.
+    /// Boxes on a collision course with less time to collision than this are a near miss, seconds. Default 1.5.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_ttc_s: f64,
-    /// So hard must one of the two brake on that course to avoid it, m/s². Default 3.4: less is how people stop behind each other.
+    /// Smallest deceleration that avoids the collision on that course, m/s². Default 3.4: less is ordinary stopping
+    /// behind each other.
     #[schemars(range(min = 0.0))]
     pub min_drac_mps2: f64,
-    /// Being where the other was less than this before, on another course, is a near miss, seconds. Default 0.5: turning off a second
-    /// behind an oncoming vehicle is usual.
+    /// Crossing a place less than this after the other, on a different course, is a near miss, seconds. Default 0.5:
+    /// turning off a second behind an oncoming vehicle is usual.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_pet_s: f64,
-    /// So far must boxes reach into each other, on a course to touch or where two cross, meters; no more than half their size. Default 0.5:
-    /// less is grazing, of whose courses nobody can be so sure.
+    /// How far boxes must overlap on a collision course or in a crossing, meters; at most half their size. Default 0.5:
+    /// less is grazing, for which courses are not known precisely enough.
     #[schemars(range(min = 0.0, max = 10.0))]
     pub min_overlap_m: f64,
     /// Boxes that come closer than this without a near miss are a hard negative, meters. Default 2.
     #[schemars(range(min = 0.0))]
     pub negative_distance_m: f64,
-    /// Boxes on a course to touch in less than this without a near miss are a hard negative, seconds. Default 3.
+    /// Boxes on a collision course with less time to collision than this, without a near miss, are a hard negative,
+    /// seconds. Default 3.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub negative_ttc_s: f64,
     /// One of the two must move at least this fast, m/s. Default 1.
@@ -64,7 +67,7 @@ impl Default for NearMissConfig {
 }
 
 impl NearMissConfig {
-    /// Whether a collision in `time_s` is soon, and hard to avoid for road users with this relative speed.
+    /// Whether a collision in `time_s` is imminent, and hard to avoid at this relative speed.
     pub(in crate::behavior) fn is_urgent(&self, time_s: f64, relative_mps: f64) -> bool {
         time_s < self.max_ttc_s && relative_mps >= 2.0 * time_s * self.min_drac_mps2
     }

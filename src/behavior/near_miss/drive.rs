@@ -1,15 +1,15 @@
-//! A drive along a way, as near misses look at it.
+//! An agent that continues along one of its ways at constant acceleration, until it may brake.
 
 use crate::behavior::footprint::Footprint;
 use crate::behavior::maneuver::{Driver, Pace};
 use crate::geometry::Vec2;
 use crate::scene::Extent;
 
-/// A drive along a rail; one entry a timestep after the present.
+/// A drive along a rail; one entry per timestep after the present.
 pub(super) struct Drive {
-    /// The share of what driving allows that it takes before anybody brakes.
+    /// The share of the limits of driving that it takes before anybody brakes.
     pub(super) effort: f64,
-    /// How far it leads, meters, and speeds, m/s.
+    /// Distances driven, meters, and speeds, m/s.
     pub(super) driven_m: Vec<f64>,
     pub(super) speeds_mps: Vec<f64>,
     /// Boxes: the whole, and the inner parts.
@@ -18,7 +18,7 @@ pub(super) struct Drive {
 }
 
 impl Drive {
-    /// The drive along one of an agent's rails at this pace. `extents` are its box and the inner part of it.
+    /// The drive along one of an agent's rails at this pace. `extents` are its box and the inner part of the box.
     pub(super) fn new(driver: &Driver, rail: usize, pace: &Pace, extents: [Extent; 2]) -> Self {
         let progress = driver.progress(rail, pace);
         let [outer, inner] = extents.map(|extent| driver.boxes(rail, &progress.driven_m, extent));
@@ -35,7 +35,7 @@ impl Drive {
         self.inner.iter().zip(&other.inner).position(|(own, others)| own.overlaps(others))
     }
 
-    /// Whether the boxes of the two always stay so far apart.
+    /// Whether the boxes of the two always stay this far apart.
     pub(super) fn keeps(&self, other: &Self, distance_m: f64) -> bool {
         !self.outer.iter().zip(&other.outer).any(|(own, others)| own.is_closer_than(others, distance_m))
     }

@@ -22,7 +22,7 @@ use std::ops::RangeInclusive;
 pub(super) const ID: &str = "near_miss";
 /// The two road users, in the order of tracks.
 pub(super) const ROLES: &[&str] = &["first", "second"];
-/// What events say beyond their times; [`NearMiss`] has the definitions.
+/// The parameters of events; [`NearMiss`] has the definitions.
 pub(super) const PARAMETERS: &[&str] = &[
     "min_distance_m",
     "min_ttc_s",
@@ -33,44 +33,48 @@ pub(super) const PARAMETERS: &[&str] = &[
     "heading_difference_rad",
 ];
 
-/// Times to collision beyond this say nothing: nobody keeps course and speed for so long, seconds.
+/// Times to collision beyond this are meaningless, seconds: nobody keeps course and speed for so long.
 const MAX_TTC_S: f64 = 10.0;
 /// Two road users (`first` and `second`) barely avoid each other.
 ///
 /// **Positive**: at some timestep of the scene, any of
 ///
-/// - The boxes would reach into each other by 0.5 m if both kept their velocities and headings, also if both went on at these speeds along the
-///   paths that they drive (who waits beside a bend is in nobody's way), and would touch in less than 1.5 s. To avoid it takes a deceleration
-///   of at least 3.4 m/s² (DRAC: their relative speed by twice that time), and both are tracked until then: what comes after the last state is
-///   not known. At least one of the two moves with 1 m/s or more.
-/// - One is where the other was less than 0.5 s before, so that the boxes of these timesteps overlap by 0.5 m, both with 1 m/s or more. Their
-///   courses differ by at least 30 degrees there, and each from the path that the other drives by the same place: who follows around a bend or
-///   merges behind another crosses nobody.
+/// - The boxes would overlap by 0.5 m if both kept their velocities and headings, and also if both continued at these
+///   speeds along the paths that they drive (an agent that waits beside a bend is in nobody's way), and would touch in
+///   less than 1.5 s. Avoiding it takes a deceleration of at least 3.4 m/s² (DRAC: the relative speed divided by twice
+///   that time). Both are tracked until then, because the motion after the last state is unknown. At least one of the
+///   two moves at 1 m/s or more.
+/// - One is where the other was less than 0.5 s before: the boxes of these two timesteps overlap by 0.5 m, and both
+///   move at 1 m/s or more. Their courses differ there by at least 30 degrees, and so does each course from the path
+///   that the other drives through this place: an agent that follows another around a bend or merges behind it does not
+///   cross it.
 /// - The boxes are less than 0.2 m apart, their velocities differ by at least 8 m/s, and the sizes of both are recorded.
 ///
 /// The event *starts* at the first such timestep and is *complete* at the last one, with or without breaks between.
 ///
-/// *What does not count*: pairs whose boxes overlap at any timestep, which collide; two that stand; static objects; following and driving side
-/// by side, however long; passing in the next lane; courses that graze; stopping in good time, however near; agents whose size is not recorded.
+/// *What does not count*: pairs whose boxes overlap at any timestep, which are collisions; two standing agents; static
+/// objects; following and driving side by side, however long; passing in the next lane; grazing courses; stopping in
+/// good time, however close; agents of unrecorded size.
 ///
-/// **Negative**: boxes that come closer than 2 m, or whose time to collision in the first sense is less than 3 s, where nothing meets the
-/// stricter limits.
+/// **Negative**: boxes that come closer than 2 m, or whose time to collision in the first sense is less than 3 s,
+/// without meeting the stricter limits.
 ///
-/// Parameters over the whole scene: `min_distance_m`, `min_ttc_s` (absent where the courses do not meet within 10 s), `pet_s` (post-encroachment
-/// time: the least time between the two being on the same place; absent where they never are). At the closest timestep:
-/// `relative_speed_mps`, `first_speed_mps`, `second_speed_mps`, `heading_difference_rad` (0 to π: following, crossing, oncoming).
+/// Parameters over the whole scene: `min_distance_m`, `min_ttc_s` (absent where the courses do not meet within 10 s),
+/// `pet_s` (post-encroachment time: the shortest time between one and the other covering the same place; absent if they
+/// never do). At the closest timestep: `relative_speed_mps`, `first_speed_mps`, `second_speed_mps`,
+/// `heading_difference_rad` (0 to π: following, crossing, oncoming).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct NearMiss {
     config: NearMissConfig,
 }
 
-/// One timestep at which two agents are close by the wider limits.
+/// One timestep at which two agents are close by the limits of hard negatives.
 struct Encounter {
     timestep: usize,
     distance_m: f64,
     relative_mps: f64,
     ttc_s: Option<f64>,
-    /// The time to collision, or that along the paths where it is longer. `None` where either is too long for any limit.
+    /// The longer of the time to collision and that along the paths. `None` if either exceeds all limits.
     conflict_s: Option<f64>,
 }
 
@@ -128,7 +132,7 @@ impl NearMiss {
         Some(event)
     }
 
-    /// The timesteps at which the pair could meet the wider limits. `None` when the boxes ever overlap.
+    /// The timesteps at which the pair could meet the limits of hard negatives. `None` if the boxes ever overlap.
     fn encounters(&self, scene: &Scene, first: &Body<'_>, second: &Body<'_>) -> Option<Vec<Encounter>> {
         let config = &self.config;
         let wide_distance_m = config.max_distance_m.max(config.negative_distance_m);
@@ -159,7 +163,8 @@ impl NearMiss {
         Some(encounters)
     }
 
-    /// The timesteps at which one leaves and the other reaches a place that both cover within the longest time, on different courses.
+    /// The timesteps at which one leaves and the other reaches a place that both cover within the longest allowed time,
+    /// on different courses.
     fn crossing(&self, scene: &Scene, first: &Body<'_>, second: &Body<'_>) -> Option<RangeInclusive<usize>> {
         if !first.inner.may_come_within(&second.inner, 0.0) {
             return None;
@@ -178,7 +183,7 @@ impl NearMiss {
         (0..=max_delay).find_map(|delay| timesteps.clone().find(|t| found(*t, t + delay)).map(|t| t..=t + delay))
     }
 
-    /// Farther apart than this, over the whole scene, no two agents have an encounter.
+    /// Agents that stay farther apart than this over the whole scene have no encounter.
     fn reach_m(&self, scene: &Scene) -> f64 {
         let config = &self.config;
         let states = scene.tracks.iter().flat_map(|track| track.trajectory.valid());
@@ -197,7 +202,7 @@ impl Behavior for NearMiss {
         self.config.agents.admits(class)
     }
 
-    /// Events name the two in the order of tracks, and so must who asks for one.
+    /// Events name the two in the order of tracks, so requests must do the same.
     fn completed(&self, _scene: &Scene, pair: [usize; 2]) -> Option<Vec<usize>> {
         (pair[0] < pair[1]).then(|| pair.to_vec())
     }
@@ -231,7 +236,7 @@ impl Behavior for NearMiss {
     }
 }
 
-/// The least time between the two agents covering the same place, seconds. `None` where they never do.
+/// The shortest time between one agent and the other covering the same place, seconds. `None` if they never do.
 fn post_encroachment_s(scene: &Scene, first: &Sweep, second: &Sweep) -> Option<f64> {
     let timesteps = 0..scene.n_timesteps;
     if !first.may_come_within(second, 0.0) {

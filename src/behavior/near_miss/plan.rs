@@ -1,4 +1,5 @@
-//! Near misses of two who go on along their lanes: solved for when they would meet, and for who avoids it.
+//! Near misses of two agents that continue along their lanes: solved for the time at which they would meet, and for the
+//! one that avoids it.
 
 use super::NearMiss;
 use super::body::{FOLLOWING_RAD, extents};
@@ -10,28 +11,29 @@ use crate::behavior::template::follows;
 use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::scene::{Extent, Scene, State};
 
-/// The times to collision at which one brakes, and how hard, seconds and m/s².
+/// The times to collision at which one brakes, seconds, and the decelerations, m/s².
 const BRAKES_AT_S: [f64; 5] = [0.6, 0.8, 1.0, 1.2, 1.4];
 const BRAKES_MPS2: [f64; 2] = [5.0, 7.0];
-/// Nobody brakes sooner after the present, seconds.
+/// The earliest time of braking after the present, seconds.
 const SOONEST_S: f64 = 0.3;
-/// By so much a time to collision is shorter than it would have to be, since who is driven there does so by other means, seconds.
+/// Safety margin of the time to collision, seconds: the simulated drive and the template differ slightly.
 const SPARE_S: f64 = 0.1;
-/// How far apart the boxes stay, meters: of who brakes, and of those who cross.
+/// How far apart the boxes stay, whether one brakes or they cross, meters.
 const APART_M: f64 = 0.4;
-/// The kind of those in which nobody brakes; the others are of a kind where the same one, the first or the second, brakes so many timesteps before
-/// they would meet.
+/// The kind of maneuvers in which nobody brakes. The kind of all others is the one that brakes (0 or 1), and how many
+/// timesteps before they would meet.
 const NOBODY_BRAKES: [usize; 2] = [2, 0];
-/// Every so many timesteps it is looked whether somebody is in the way.
+/// Spacing of the timesteps at which others in the way are looked for.
 const STRIDE: usize = 2;
 
-/// A pair as the past and the map tell it.
+/// A pair, known from the past and the map.
 struct Search<'a> {
     behavior: &'a NearMiss,
     drivers: [Driver; 2],
-    /// Of each the box, and the inner part of it.
+    /// The box of each, and the inner part of it.
     extents: [[Extent; 2]; 2],
-    /// Everybody else who may be in the way of each of the two: their boxes if they go straight on, a list for each timestep.
+    /// All others that may be in the way of each of the two: their boxes if they continue straight, one list per
+    /// timestep.
     others: [Vec<Vec<Footprint>>; 2],
     dt_s: f64,
 }
@@ -45,9 +47,9 @@ struct Course {
 }
 
 impl NearMiss {
-    /// How two may still come to a near miss: one brakes hard, at a time to collision that is then the least (`min_ttc_s`), or nobody has to,
-    /// and one is shortly after the other where they cross (`pet_s`). Until then they accelerate with half of -4 to 2.5 m/s² at most, and nobody
-    /// else is in the way.
+    /// Ways in which two agents may come to a near miss. Either one brakes hard, at a time to collision that is then the
+    /// smallest (`min_ttc_s`), or nobody brakes and one crosses shortly after the other (`pet_s`). Until then they
+    /// accelerate with at most half of -4 to 2.5 m/s², and nobody else is in the way.
     pub(super) fn drafts(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
         let config = self.config();
         let takes_part = |agent_idx: &usize| {
@@ -100,8 +102,8 @@ impl<'a> Search<'a> {
         Course { rail, acceleration_mps2, drive, clear }
     }
 
-    /// Two who would meet at `meets`, of whom one brakes at a time to collision of `at_s`, so that they do not. `None` where that is not urgent,
-    /// or does not help.
+    /// Two agents that would meet at `meets`; the evader brakes at a time to collision of `at_s` and avoids it. `None`
+    /// if that is not urgent, or does not help.
     fn avoided(&self, courses: [&Course; 2], meets: usize, evader: usize, at_s: f64) -> Option<Maneuver> {
         let (own, other) = (courses[evader], courses[1 - evader]);
         let n_before = (at_s / self.dt_s).round() as usize;
@@ -125,7 +127,7 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Two who cross shortly after each other. `None` where they do not.
+    /// Two agents that cross shortly after each other. `None` if they do not.
     fn crossed(&self, courses: [&Course; 2]) -> Option<Maneuver> {
         let config = self.behavior.config();
         let [one, other] = courses.map(|course| &course.drive);
@@ -153,7 +155,8 @@ impl<'a> Search<'a> {
     }
 }
 
-/// The boxes of everybody else at each timestep after the present, if they go straight on. Who drives behind `driver` reacts to it.
+/// The boxes of all others at each timestep after the present, if they continue straight. Agents behind `driver` are
+/// left out, because they react to it.
 fn others(scene: &Scene, agents: [usize; 2], driver: &Driver) -> Vec<Vec<Footprint>> {
     let now = &driver.state;
     let tracks = scene.tracks.iter().enumerate().filter(|(idx, _)| !agents.contains(idx));

@@ -1,4 +1,4 @@
-//! Example scenes as TOML files: a scene in a few lines, and what is to be found in it.
+//! Example scenes as TOML files: a scene in a few lines, and the events to be found in it.
 //!
 //! See `tests/fixtures/behavior/README.md` for the format.
 

@@ -2,7 +2,9 @@
 
 use crate::cli::help;
 use crate::pipeline::layout::Layout;
+use crate::scene::Dataset;
 use clap::Subcommand;
+use clap::builder::PossibleValuesParser;
 use std::path::PathBuf;
 
 #[derive(Debug, Subcommand)]
@@ -45,8 +47,8 @@ pub(in crate::cli) struct StageArgs {
 pub(in crate::cli) struct IngestArgs {
     /// Folders, archives or files with recordings [default: ingest.inputs of the configuration]
     pub(in crate::cli) inputs: Vec<PathBuf>,
-    /// The dataset they belong to: interaction, argoverse1 or argoverse2
-    #[arg(long)]
+    /// The dataset they belong to
+    #[arg(long, value_parser = PossibleValuesParser::new(Dataset::ALL.map(Dataset::name)))]
     pub(in crate::cli) dataset: Option<String>,
     #[command(flatten)]
     pub(in crate::cli) stage: StageArgs,

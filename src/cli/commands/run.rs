@@ -78,11 +78,11 @@ fn take_over(
     match stage.take_over(folder, planned, compute)? {
         TakenOver::Nothing => return Ok(None),
         TakenOver::Shards(n, of) => {
-            printer.message(format_args!("{id}: {n} of {of} shards are taken over from workers"));
+            printer.message(format_args!("{id}: took over {n} of {of} shards from workers"));
         }
         TakenOver::Refused(difference) => {
             printer.message(printer.warning_line(&format!(
-                "{id}: the shards of workers in {id}.parts are of another plan and are not used: {difference}; give them up with \
+                "{id}: the shards of workers in {id}.parts belong to another plan and are not used: {difference}; discard them with \
                  --stage {id} --part plan --redo {id}"
             )));
             return Ok(None);

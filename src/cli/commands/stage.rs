@@ -1,7 +1,7 @@
 //! The commands that run one stage alone, on explicit inputs and into an explicit folder.
 
 use super::{announce, print_dry_run, refuse_too_large, resumes_in, use_threads};
-use crate::cli::args::{Command, OutputArgs, StageArgs, TrainCommand};
+use crate::cli::args::{Command, IngestArgs, OutputArgs, StageArgs, TrainCommand};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::pipeline::config::PipelineConfig;
@@ -49,17 +49,19 @@ impl<'a> Request<'a> {
         Self { id, args, layout: Layout::below(&args.output), overrides: Vec::new() }
     }
 
+    fn ingest(args: &'a IngestArgs) -> Self {
+        let mut request = Self::new(StageId::Ingest, &args.stage);
+        if !args.inputs.is_empty() {
+            let inputs = args.inputs.iter().map(|path| quoted(path)).collect::<Vec<_>>().join(", ");
+            request.overrides.push(format!("ingest.inputs=[{inputs}]"));
+        }
+        request.overrides.extend(args.dataset.iter().map(|dataset| format!("ingest.dataset={dataset}")));
+        request
+    }
+
     fn from_command(command: &'a Command) -> Option<Self> {
         let request = match command {
-            Command::Ingest(args) => {
-                let mut request = Self::new(StageId::Ingest, &args.stage);
-                if !args.inputs.is_empty() {
-                    let inputs = args.inputs.iter().map(|path| quoted(path)).collect::<Vec<_>>().join(", ");
-                    request.overrides.push(format!("ingest.inputs=[{inputs}]"));
-                }
-                request.overrides.extend(args.dataset.iter().map(|dataset| format!("ingest.dataset={dataset}")));
-                request
-            }
+            Command::Ingest(args) => Self::ingest(args),
             Command::Mine(args) => Self::new(StageId::Mine, &args.stage).scenes(&args.scenes.scenes),
             Command::Train(TrainCommand::Denoiser(args)) => {
                 Self::new(StageId::TrainDenoiser, &args.stage).scenes(&args.scenes.scenes)

@@ -36,8 +36,8 @@ pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()>
             printer.data(&kubernetes::submit(&graph, &cluster)?)?;
             let (name, root) = (kubernetes::name(&graph), root.display());
             printer.message(format_args!(
-                "results will be in {root}, what jobs print in `kubectl logs --selector jobset.sigs.k8s.io/jobset-name={name}`; \
-                 see how far they are with `djinn status {root}`"
+                "results will be in {root}, the output of jobs in `kubectl logs --selector jobset.sigs.k8s.io/jobset-name={name}`; \
+                 follow their progress with `djinn status {root}`"
             ));
             Ok(())
         }
@@ -48,7 +48,7 @@ pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()>
             }
             let outputs = slurm::outputs(&graph);
             printer.message(format_args!(
-                "results will be in {}, what jobs print in {}; see how far they are with `djinn status {}`",
+                "results will be in {}, the output of jobs in {}; follow their progress with `djinn status {}`",
                 root.display(),
                 outputs.display(),
                 root.display()

@@ -144,7 +144,12 @@ pub(super) fn non_finite(batch: &RecordBatch, file: &str, first_row: usize, repo
             continue;
         }
         for row in (0..batch.num_rows()).filter(|row| is_wrong(*row)) {
-            report.damage("not_a_number", file, Some(first_row + row), format!("{} is no finite number", field.name()));
+            report.damage(
+                "not_a_number",
+                file,
+                Some(first_row + row),
+                format!("{} is not a finite number", field.name()),
+            );
         }
     }
 }

@@ -19,7 +19,7 @@ pub struct HeunConfig {
     /// Lowest noise level S_tmin at which noise is added.
     #[schemars(range(min = 0.0))]
     pub s_tmin: f64,
-    /// Highest noise level S_tmax at which noise is added; without it there is no upper end.
+    /// Highest noise level S_tmax at which noise is added. Left out: no upper limit.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub s_tmax: Option<f64>,
     /// Standard deviation S_noise of the added noise relative to what would keep the marginals.

@@ -1,4 +1,4 @@
-//! How does noise become a sample? The list of samplers, and what they have in common.
+//! Turns noise into samples: the list of samplers, and what they have in common.
 
 mod consistency;
 mod dpmpp_2m;
@@ -59,7 +59,7 @@ pub struct Step<'a> {
     pub x0_hat: &'a Tensor,
 }
 
-/// Told of every step, for progress and for looking inside.
+/// Called after every step, for progress and for inspection.
 pub type Observer<'a> = dyn FnMut(&Step<'_>) + 'a;
 
 impl SamplerConfig {
@@ -73,7 +73,7 @@ impl SamplerConfig {
         }
     }
 
-    /// Number of calls of the denoiser for one sample. Heun's last step, to σ = 0, needs only one.
+    /// Number of evaluations of the denoiser for one sample. Heun's last step, to σ = 0, needs only one.
     pub const fn n_evaluations(&self) -> usize {
         match self {
             Self::Heun(config) => (2 * config.n_steps).saturating_sub(1),
@@ -81,10 +81,10 @@ impl SamplerConfig {
         }
     }
 
-    /// Says what makes no sense in the settings.
+    /// Checks the settings.
     ///
     /// # Errors
-    /// When something does.
+    /// Names the setting that is invalid.
     pub fn validate(&self) -> settings::Result {
         settings::check_ranges(self)?;
         match self {
@@ -127,7 +127,8 @@ impl SamplerConfig {
         }
     }
 
-    /// The name for provenance: the kind, the number of steps, and the grid where it is another: such as `heun-50`.
+    /// The name for provenance: the kind, the number of steps and, if it is not the default, the grid: such as
+    /// `heun-50`.
     pub fn name(&self) -> String {
         let name = match self {
             Self::Heun(config) if config.s_churn > 0.0 => format!("heun-{}-churn-{}", config.n_steps, config.s_churn),

@@ -7,7 +7,7 @@ use crate::guidance::Target;
 use crate::settings::{self, Issue};
 use serde::{Deserialize, Serialize};
 
-/// How far inside of a bucket's edges samples aim: a share of its width, and at most so much, in the unit of the parameter.
+/// How far inside a bucket's edges samples aim: a share of its width, and at most this much in the parameter's unit.
 const INSET_SHARE: f64 = 0.15;
 const MAX_INSET: f64 = 0.5;
 
@@ -18,7 +18,7 @@ pub struct Buckets {
     wanted: Vec<u64>,
 }
 
-/// What a bucket holds of one parameter.
+/// The part of one parameter that belongs to a bucket.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BucketPart {
     /// The parameter.
@@ -85,7 +85,7 @@ impl Buckets {
         self.wanted.len()
     }
 
-    /// Whether there are none, which no request that was checked has.
+    /// Whether there are none; a checked request has at least one.
     pub fn is_empty(&self) -> bool {
         self.wanted.is_empty()
     }
@@ -95,7 +95,7 @@ impl Buckets {
         &self.wanted
     }
 
-    /// What bucket `bucket` holds, parameter by parameter.
+    /// The parts of bucket `bucket`, parameter by parameter.
     pub fn parts(&self, bucket: usize) -> Vec<BucketPart> {
         let part = |((parameter, divisions), part): (&(String, Divisions), usize)| BucketPart {
             parameter: parameter.clone(),
@@ -110,14 +110,14 @@ impl Buckets {
         parts.collect::<Vec<_>>().join(", ")
     }
 
-    /// The bucket of an event. `None` where it falls between or beyond them, or lacks one of their parameters.
+    /// The bucket of an event. `None` if it falls into none, or lacks one of the parameters.
     pub(super) fn place(&self, facts: &Facts<'_>) -> Option<usize> {
         self.dimensions
             .iter()
             .try_fold(0, |bucket, (name, divisions)| Some(bucket * divisions.len() + facts.part(name, divisions)?))
     }
 
-    /// The intervals of a bucket's parameters, a little inside of its edges: what samples aim at.
+    /// The target of a bucket: the intervals of its parameters, a little inside its edges.
     pub(super) fn target(&self, bucket: usize) -> Target {
         let interval = |((name, divisions), part): (&(String, Divisions), usize)| match divisions {
             Divisions::Edges(edges) => {
@@ -125,7 +125,7 @@ impl Buckets {
                 let inset = (INSET_SHARE * (most - least)).min(MAX_INSET);
                 Some((name.clone(), [least + inset, most - inset]))
             }
-            // The one parameter whose texts stand for numbers.
+            // The only parameter whose texts stand for numbers.
             Divisions::Texts(texts) => {
                 let value = [-1.0, 1.0].into_iter().find(|value| name == SIDE && side(*value) == texts[part]);
                 value.map(|value| (name.clone(), [value - INSET_SHARE, value + INSET_SHARE]))
@@ -134,12 +134,12 @@ impl Buckets {
         self.dimensions.iter().zip(self.part_indices(bucket)).filter_map(interval).collect()
     }
 
-    /// The bucket of which this is the target.
+    /// The bucket that has this target.
     pub(super) fn with_target(&self, target: &Target) -> Option<usize> {
         (0..self.wanted().len()).find(|bucket| self.target(*bucket) == *target)
     }
 
-    /// Whether an outcome lies in a bucket, as far as it names the bucket's parameters.
+    /// Whether an outcome can lie in a bucket: all of the bucket's parameters that it names do.
     pub(super) fn allows(&self, bucket: usize, outcome: &Outcome) -> bool {
         self.dimensions.iter().zip(self.part_indices(bucket)).all(|((name, divisions), part)| {
             let Some(value) = outcome.get(name) else { return true };
@@ -150,7 +150,7 @@ impl Buckets {
         })
     }
 
-    /// Which part of each parameter a bucket holds.
+    /// The index of a bucket's part of each parameter.
     fn part_indices(&self, bucket: usize) -> Vec<usize> {
         let mut rest = bucket;
         let mut parts: Vec<usize> = Vec::new();

@@ -1,4 +1,4 @@
-//! `[[generate.requests]]`: which events are wanted, with which parameters, how many of each, and for how much work?
+//! `[[generate.requests]]`: which events are requested, with which parameters, how many of each, and on what budget?
 
 use super::super::{Limit, PairSelectionConfig};
 use schemars::JsonSchema;
@@ -14,9 +14,9 @@ pub struct RequestConfig {
     pub name: String,
     /// The mined behavior to request, such as `cut_in`.
     pub behavior: String,
-    /// The quantities that define buckets: parameters of the event, `place`, or the class of the agent in a role, such
-    /// as `other_class`. Ascending edges `[0, 5, 10]` make the intervals 0 to 5 and 5 to 10 (lower edge included, upper
-    /// not); texts `["left", "right"]` make a part each. The buckets are all combinations.
+    /// The quantities that define buckets: parameters of the event, `place`, or the class of the agent with a role,
+    /// such as `other_class`. Ascending edges `[0, 5, 10]` make the intervals 0 to 5 and 5 to 10 (lower edge included,
+    /// upper not); texts `["left", "right"]` make a part each. The buckets are all combinations.
     pub buckets: BTreeMap<String, Divisions>,
     /// Scenarios wanted in each bucket. Either this or `n_total`.
     #[serde(default)]
@@ -34,7 +34,7 @@ pub struct RequestConfig {
     /// texts, such as `side = ["left"]`, `place = […]`, `other_class = ["vehicle"]`.
     #[serde(default, rename = "where")]
     pub conditions: BTreeMap<String, Requirement>,
-    /// Validity and criticality: limits by metric, of the scenario alone, as in a sweep's `select`.
+    /// Limits on metrics of the single scenario, such as validity and criticality, as in a sweep's `select`.
     #[serde(default)]
     pub limits: BTreeMap<String, Limit>,
     /// Names of `[[generate.arms]]` that may be tried. An arm of several strengths is tried at each of them.
@@ -57,7 +57,7 @@ pub struct RequestConfig {
     #[serde(default = "default_shards_per_round")]
     #[schemars(range(min = 1, max = 10_000))]
     pub shards_per_round: usize,
-    /// The budget, after which unfilled buckets are given up.
+    /// The budget; when it is spent, unfilled buckets stay short.
     pub budget: BudgetConfig,
 }
 
@@ -118,7 +118,8 @@ pub struct BudgetConfig {
 }
 
 impl BudgetConfig {
-    /// How many more samples of `n_evaluations` evaluations each there may be when `spent` (samples, evaluations) is spent.
+    /// How many more samples of `n_evaluations` evaluations each the budget allows once `spent` (samples, evaluations)
+    /// is spent.
     pub(super) fn samples_left(&self, (n_samples, n_spent): (u64, u64), n_evaluations: u64) -> u64 {
         let by_samples = self.n_samples.map(|most| most.saturating_sub(n_samples));
         let by_evaluations = self.n_evaluations.map(|most| most.saturating_sub(n_spent) / n_evaluations.max(1));

@@ -1,4 +1,4 @@
-//! Draws from beta and gamma distributions: how high may a rate be of which so much was seen?
+//! Draws from beta and gamma distributions, the posteriors of rates.
 
 use crate::seed::SeededRng;
 

@@ -1,4 +1,4 @@
-//! What can a request ask of an event? Its parameters, the place, and the classes of those who take part.
+//! Which facts of an event can a request name? Its parameters, the place, and the classes of its agents.
 
 use super::config::{Divisions, Requirement};
 use crate::behavior::{BehaviorEntry, BehaviorEvent};
@@ -7,10 +7,10 @@ use crate::settings::{self, Issue};
 
 /// The place of a scene.
 const PLACE: &str = "place";
-/// The parameter that has words for its numbers: +1 is the left side, -1 the right one.
+/// The parameter whose numbers have names: +1 is the left side, -1 the right one.
 pub(super) const SIDE: &str = "side";
 const SIDES: [&str; 2] = ["left", "right"];
-/// What follows a role in the name of its class.
+/// The suffix of a role that names the class of its agent.
 const CLASS_SUFFIX: &str = "_class";
 
 /// Everything that a request for this behavior can name.
@@ -20,7 +20,7 @@ pub(super) fn known_names(behavior: &BehaviorEntry) -> Vec<String> {
     parameters.chain(classes).chain([PLACE.to_owned()]).collect()
 }
 
-/// Refuses a name that is unknown, or is used with numbers where it has texts.
+/// Refuses a name that is unknown, or that is used with numbers although its values are texts.
 pub(super) fn check_name(behavior: &BehaviorEntry, name: &str, texts: Option<&[String]>) -> settings::Result {
     let refuse = |why: String| Err(Issue::new(name, why));
     let known = known_names(behavior);
@@ -65,7 +65,7 @@ pub(super) struct Facts<'a> {
 }
 
 impl Facts<'_> {
-    /// The part of the divisions that the event belongs to. `None` where it belongs to none, or lacks the parameter.
+    /// The part that the event belongs to. `None` if it belongs to none, or lacks the parameter.
     pub(super) fn part(&self, name: &str, divisions: &Divisions) -> Option<usize> {
         match divisions {
             Divisions::Edges(edges) => {
@@ -79,7 +79,7 @@ impl Facts<'_> {
         }
     }
 
-    /// Whether the event satisfies a condition; one that lacks the parameter does not.
+    /// Whether the event satisfies a condition; an event without the parameter does not.
     pub(super) fn satisfies(&self, name: &str, condition: &Requirement) -> bool {
         match condition {
             Requirement::Range([least, most]) => {

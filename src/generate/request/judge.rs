@@ -1,16 +1,17 @@
-//! Is a generated scenario what the request asks for, and is there room for it?
+//! Does a generated scenario meet the request, and is there room for it?
 
 use super::facts::Facts;
 use super::ledger::{CellTally, Ledger, ShardTally};
+use super::pool::Pool;
 use super::resolve::ResolvedRequest;
-use super::rounds::{Pool, RoundShard};
+use super::rounds::RoundShard;
 use crate::generate::select::Candidate;
 use crate::generate::{Cell, Error, Generator};
 use crate::store::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// What of a scenario does not depend on other scenarios.
+/// The part of the decision that does not depend on other scenarios.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Placement {
@@ -20,7 +21,8 @@ enum Placement {
     Hit(usize),
 }
 
-/// Where a scenario of a shard falls, whatever room there is: enough to decide on it later, in its turn.
+/// The bucket of a scenario of a shard, whether or not it has room: enough to decide on the scenario later, in its
+/// turn.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PlacedScenario {
     /// The place of its cell within the shard.
@@ -47,7 +49,7 @@ impl Generator<'_> {
         Ok(tally)
     }
 
-    /// Says of the records of a finished shard of `request`, in order, where they fall.
+    /// Finds the buckets of the records of a finished shard of `request`, in order.
     ///
     /// # Errors
     /// When a recorded scene cannot be loaded.
@@ -93,7 +95,7 @@ impl Generator<'_> {
 }
 
 impl ResolvedRequest {
-    /// Whether scenarios that were placed so can be of this shard.
+    /// Whether these placements can belong to this shard.
     pub fn may_decide(&self, shard: &RoundShard, placed: &[PlacedScenario]) -> bool {
         let is_known = |placement: Placement| match placement {
             Placement::NotFound | Placement::Outside => true,
@@ -102,8 +104,9 @@ impl ResolvedRequest {
         placed.iter().all(|scenario| scenario.cell < shard.members.len() && is_known(scenario.placement))
     }
 
-    /// Decides on the scenarios of a shard in round `round`, in their order, when `ledger` holds all earlier shards. Returns the counts, and
-    /// the tag of each scenario. What was read from a file is checked by [`ResolvedRequest::may_decide`] first.
+    /// Decides on the scenarios of a shard in round `round`, in their order, when `ledger` holds all earlier shards.
+    /// Returns the counts, and the tag of each scenario. Placements from a file must pass
+    /// [`ResolvedRequest::may_decide`] first.
     pub fn decide(
         &self,
         round: usize,
@@ -135,7 +138,7 @@ impl ResolvedRequest {
     }
 }
 
-/// What becomes of a scenario of `cell`, and the bucket that it falls into; counts it.
+/// Decides on and counts a scenario of `cell`; returns its outcome and its bucket.
 fn outcome(
     placement: Placement,
     cell: &mut CellTally,

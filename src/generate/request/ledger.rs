@@ -1,13 +1,13 @@
-//! What has come of a request so far? Counts by bucket, arm and cell, from the tallies of finished shards in order.
+//! The results of a request so far: counts by bucket, arm and cell, from the tallies of finished shards in order.
 
 use super::config::PlanKind;
+use super::pool::Pool;
 use super::resolve::ResolvedRequest;
-use super::rounds::Pool;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// A bucket is given up after so many samples in a row that aimed at it and of which none was accepted: if one in fifty were, one would have been, in 98 of
-/// 100 cases.
+/// A bucket is given up after this many samples in a row that aimed at it without an accepted one. At a rate of one in
+/// fifty, this happens in 2 of 100 cases.
 const N_FRUITLESS: u64 = 200;
 
 /// The results of a finished shard of a request.
@@ -37,7 +37,7 @@ pub struct CellTally {
     pub next_sample: usize,
     /// Samples that show the behavior with the requested agents.
     pub n_found: u64,
-    /// Of those: in no bucket, or not as `where` says.
+    /// Of those: in no bucket, or outside the conditions of `where`.
     pub n_outside: u64,
     /// Of those: beyond a limit.
     pub n_beyond_limits: u64,
@@ -52,7 +52,7 @@ pub struct Hits {
     pub n_accepted: u64,
     /// Not accepted, because the bucket had enough.
     pub n_surplus: u64,
-    /// Not accepted, because the bucket had enough of the same scene and agents.
+    /// Not accepted, because the bucket had enough from the same scene and agents.
     pub n_repeated: u64,
 }
 
@@ -98,15 +98,15 @@ pub(super) struct CellCounts {
     pub(super) hits: BTreeMap<usize, Hits>,
 }
 
-/// What has come of a request so far.
+/// The results of a request so far.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Ledger {
     pub(super) wanted: Vec<u64>,
-    /// How many scenarios the cells that can fall into a bucket have room for.
+    /// How many scenarios the cells that can reach a bucket have room for.
     pub(super) room: Vec<u64>,
     pub(super) max_per_scene: u64,
     pub(super) accepted: Vec<u64>,
-    /// By bucket: samples that aimed at it since the last one that was accepted in it.
+    /// By bucket: samples that aimed at it since the last accepted one.
     fruitless: Vec<u64>,
     /// Whether buckets are given up at all.
     gives_up: bool,
@@ -120,7 +120,7 @@ pub struct Ledger {
 }
 
 impl Ledger {
-    /// That of a request of which nothing is done.
+    /// The ledger of a request that has not begun.
     pub fn new(request: &ResolvedRequest, pool: &Pool) -> Self {
         let n_cells = pool.cells.len();
         let (n_buckets, n_arms) = (request.buckets.len(), request.arms.len());
@@ -142,7 +142,7 @@ impl Ledger {
         }
     }
 
-    /// Adds a shard. A tally that names an arm, cell or bucket that there is not is passed over: it is of another request.
+    /// Adds a shard. A tally with an unknown arm, cell or bucket belongs to another request and is ignored.
     pub fn add(&mut self, tally: &ShardTally) {
         let Some(n_evaluations) = self.n_evaluations_by_arm.get(tally.arm).copied() else { return };
         let n_samples: u64 = tally.cells.iter().map(|cell| cell.n_samples).sum();
@@ -174,12 +174,12 @@ impl Ledger {
         }
     }
 
-    /// Whether a bucket has fewer scenarios than wanted, can get more, and is not given up.
+    /// Whether a bucket has fewer scenarios than wanted, can get more, and was not given up.
     pub fn is_open(&self, bucket: usize) -> bool {
         self.lacks(bucket) && !self.is_given_up(bucket)
     }
 
-    /// Whether nothing more is spent on a bucket that could get more, since nothing came of it.
+    /// Whether a bucket lacks scenarios but was given up.
     pub fn is_given_up(&self, bucket: usize) -> bool {
         self.gives_up && self.lacks(bucket) && self.fruitless[bucket] >= N_FRUITLESS
     }
@@ -221,7 +221,7 @@ impl Ledger {
         })
     }
 
-    /// Samples of a cell that fell into buckets which are still open, and of which the cell does not have enough yet.
+    /// Samples of a cell that fell into buckets which are still open and have room for this cell.
     pub(super) fn open_hits_of_cell(&self, cell: usize) -> u64 {
         let hits = self.cells[cell].hits.iter();
         hits.filter(|(bucket, hits)| self.is_open(**bucket) && hits.n_accepted < self.max_per_scene)

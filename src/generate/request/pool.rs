@@ -1,19 +1,41 @@
-//! Which scenes and pairs may a request ask?
+//! Which scenes and pairs may a request use?
 
 use super::config::Requirement;
 use super::resolve::ResolvedRequest;
-use super::rounds::Pool;
 use crate::behavior::Outcome;
 use crate::generate::{Cell, Error, Generator};
 use crate::store::SceneIndexEntry;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// The cells that a request may use, in random order; written before anything is sampled.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Pool {
+    /// Name of the request.
+    pub request: String,
+    /// Its cells: pairs of scenes.
+    pub cells: Vec<Cell>,
+    /// How many scenes they are of.
+    pub n_scenes: usize,
+    /// The buckets that each cell can still reach given its past, at least one, and the effort of each, from 0 to 1.
+    pub feasible: Vec<BTreeMap<usize, f64>>,
+    /// Pairs that were examined and can reach no bucket.
+    pub n_infeasible: usize,
+}
+
+impl Pool {
+    /// How many cells can reach a bucket.
+    pub fn n_feasible(&self, bucket: usize) -> usize {
+        self.feasible.iter().filter(|buckets| buckets.contains_key(&bucket)).count()
+    }
+}
+
 impl Generator<'_> {
-    /// The cells of a request: of the first scenes, in random order, that have a pair to ask; or of the scenes with the best
-    /// pairs, as its `pairs` say. Places and classes that `where` rules out are not among them.
+    /// The cells of a request, from scenes in random order that have a suitable pair, or from the scenes with the best
+    /// pairs, as its `pairs` say. Places and classes that `where` rules out are excluded.
     ///
     /// # Errors
-    /// When there are none, when none can fall into a bucket, or a scene cannot be loaded.
+    /// When there are none, when none can reach a bucket, or a scene cannot be loaded.
     pub fn pool(&self, request: &ResolvedRequest, index: &[SceneIndexEntry]) -> Result<Pool, Error> {
         let conditions = &request.config.conditions;
         let is_possible = |entry: &SceneIndexEntry| match conditions.get("place") {

@@ -1,4 +1,4 @@
-//! How do requests become sweeps? One for each request, arm and strength, after the sweeps that were written down.
+//! How do requests become sweeps? One for each request, arm and strength, after the configured sweeps.
 
 use super::buckets::Buckets;
 use super::config::{Divisions, RequestConfig, Requirement};
@@ -10,10 +10,10 @@ use crate::scene::{GuidanceLevel, Split};
 use crate::settings::{self, Issue};
 use std::collections::BTreeSet;
 
-/// What is generated: the section `[generate]`, checked, with sweeps in place of requests.
+/// The section `[generate]`, checked and resolved, with sweeps in place of requests.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResolvedGeneration {
-    /// Splits whose scenes are continued; empty: `val`, or everything unsplit where there is no such split.
+    /// Splits whose scenes are continued. Empty: `val`, or all unsplit scenes if there is no such split.
     pub splits: Vec<Split>,
     /// Places whose scenes are continued; empty: all.
     pub places: Vec<String>,
@@ -23,7 +23,7 @@ pub struct ResolvedGeneration {
     pub scenes_per_shard: usize,
     /// Seed of everything random.
     pub seed: u64,
-    /// First the sweeps as they were written, then those of requests.
+    /// The configured sweeps first, then those of requests.
     pub sweeps: Vec<ResolvedSweep>,
     /// How many sweeps were written.
     pub n_sweeps: usize,
@@ -47,13 +47,13 @@ pub struct ResolvedRequest {
 /// One way of sampling that a request may try.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Arm {
-    /// Its name, with the strength (or weight) where the arm has several: `guided@10`.
+    /// Its name, with the strength (or weight) if the arm has several: `guided@10`.
     pub name: String,
     /// Index of its sweep in the resolved configuration.
     pub sweep_idx: usize,
     /// Samples of a scene at a time.
     pub n_samples: usize,
-    /// Calls of the network for a sample.
+    /// Evaluations of the network for a sample.
     pub n_evaluations: u64,
     /// How strongly its samples are guided.
     pub level: GuidanceLevel,
@@ -177,7 +177,7 @@ impl RequestConfig {
 }
 
 impl Requirement {
-    /// Rejects a requirement of the parameter `key` that nothing can meet.
+    /// Rejects a condition on the parameter `key` that nothing can meet.
     fn validate(&self, key: &str) -> settings::Result {
         match self {
             Self::Range([least, most]) if !(least <= most && least.is_finite() && most.is_finite()) => {

@@ -3,40 +3,25 @@
 use super::config::PlanKind;
 use super::draws::{beta, gamma};
 use super::ledger::Ledger;
+use super::pool::Pool;
 use super::resolve::{Arm, ResolvedRequest};
-use crate::generate::{Cell, ShardPlan};
+use crate::generate::ShardPlan;
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// How far cells are from each other, of which nothing is known: their rates relative to the mean have a gamma distribution of
-/// this shape.
+/// How much untried cells are expected to differ: their rates relative to the mean have a gamma distribution of this
+/// shape.
 const CELL_SHAPE: f64 = 0.5;
-/// What is left of the chances of a cell that reaches a bucket only at the limits of driving.
+/// What is known of the hit rate of an arm before it is tried: half a hit and one miss.
+const PRIOR_HITS: f64 = 0.5;
+const PRIOR_MISSES: f64 = 1.0;
+/// How many samples the prior of an arm that aims is worth.
+const AIMED_PRIOR_SAMPLES: f64 = 2.0;
+/// The mean rate of an arm, by which cells are compared, starts from [`PRIOR_HITS`] in this many samples.
+const PRIOR_SAMPLES: f64 = 1.0;
+/// The ease of a cell that reaches a bucket only at the limits of driving; effortless cells have this plus 1.
 const LEAST_EASE: f64 = 0.1;
-
-/// The cells that a request may ask, in random order; written before anything is sampled.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Pool {
-    /// Name of the request.
-    pub request: String,
-    /// Its cells: pairs of scenes.
-    pub cells: Vec<Cell>,
-    /// How many scenes they are of.
-    pub n_scenes: usize,
-    /// The buckets into which each cell can still fall, as far as its past tells, at least one, and how much of the limits of driving each
-    /// takes, from 0 to 1.
-    pub feasible: Vec<BTreeMap<usize, f64>>,
-    /// Pairs that were looked at and can fall into no bucket.
-    pub n_infeasible: usize,
-}
-
-impl Pool {
-    /// How many cells can fall into a bucket.
-    pub fn n_feasible(&self, bucket: usize) -> usize {
-        self.feasible.iter().filter(|buckets| buckets.contains_key(&bucket)).count()
-    }
-}
 
 /// Shards that are decided together.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -60,7 +45,7 @@ pub struct RoundShard {
     pub plan: ShardPlan,
 }
 
-/// What the next round is decided by, beside the request.
+/// The basis for the decision on the next round, beside the request.
 #[derive(Debug, Clone, Copy)]
 pub struct RoundContext<'a> {
     /// The cells.
@@ -78,7 +63,7 @@ pub struct RoundContext<'a> {
 }
 
 impl RoundContext<'_> {
-    /// The buckets that still want scenarios of a cell, and that it can reach, with how easily it does: from 0.1 to 1.1.
+    /// The open buckets that a cell can reach and that have room for it, with the ease of each, from 0.1 to 1.1.
     fn open_buckets(&self, cell: usize) -> impl Iterator<Item = (usize, f64)> {
         let Self { pool, ledger, .. } = *self;
         let wants =
@@ -89,7 +74,7 @@ impl RoundContext<'_> {
 }
 
 impl ResolvedRequest {
-    /// The next round. `None` when every bucket that can be filled is full, or nothing more can be paid for.
+    /// The next round. `None` when every bucket that can be filled is full, or the budget is spent.
     pub fn next_round(&self, context: &RoundContext<'_>) -> Option<Round> {
         let RoundContext { ledger, round, .. } = *context;
         if ledger.is_closed() || context.pool.cells.is_empty() {
@@ -137,25 +122,30 @@ impl ResolvedRequest {
             return self.even_shard(round, slot) % self.arms.len();
         }
         let seed = self.slot_seed(context, slot);
-        // How often a sample falls into an open bucket. That of an arm that aims is taken to be, for buckets at which it did not aim yet, as
-        // for those at which it did.
         let draw = |arm: usize| {
-            let mut rng = seed.derive("arm", &[arm as u64]).rng();
-            let rate = if self.arms[arm].aims {
-                let (all, open) =
-                    (ledger.aimed_of_arm(arm, |_| true), ledger.aimed_of_arm(arm, |bucket| ledger.is_open(bucket)));
-                let usual = (1.0 + all.n_hits as f64) / (2.0 + all.n_samples as f64);
-                let n_missed = (open.n_samples - open.n_hits) as f64;
-                beta(&mut rng, 2.0 * usual + open.n_hits as f64, 2.0 * (1.0 - usual) + n_missed)
-            } else {
-                let (n, n_open) = (ledger.arms[arm].n_samples as f64, ledger.open_hits_of_arm(arm) as f64);
-                beta(&mut rng, 0.5 + n_open, 1.0 + (n - n_open).max(0.0))
-            };
+            let (hits, misses) = self.open_hit_rate(ledger, arm);
+            let rate = beta(&mut seed.derive("arm", &[arm as u64]).rng(), hits, misses);
             rate / self.config.budget.cost(self.arms[arm].n_evaluations)
         };
         let draws: Vec<f64> = (0..self.arms.len()).map(draw).collect();
         // The first of equal ones.
         (0..draws.len()).rev().max_by(|a, b| draws[*a].total_cmp(&draws[*b])).unwrap_or(0)
+    }
+
+    /// The posterior of how often a sample of an arm falls into an open bucket: Beta of these hits and misses, pseudo-counts included. An
+    /// arm that aims has a prior of its own: it is expected to hit the buckets at which it has not aimed as often as the others.
+    fn open_hit_rate(&self, ledger: &Ledger, arm: usize) -> (f64, f64) {
+        if self.arms[arm].aims {
+            let all = ledger.aimed_of_arm(arm, |_| true);
+            let open = ledger.aimed_of_arm(arm, |bucket| ledger.is_open(bucket));
+            // Laplace's rule of succession.
+            let usual = (1.0 + all.n_hits as f64) / (2.0 + all.n_samples as f64);
+            let n_missed = (open.n_samples - open.n_hits) as f64;
+            (AIMED_PRIOR_SAMPLES * usual + open.n_hits as f64, AIMED_PRIOR_SAMPLES * (1.0 - usual) + n_missed)
+        } else {
+            let (n, n_open) = (ledger.arms[arm].n_samples as f64, ledger.open_hits_of_arm(arm) as f64);
+            (PRIOR_HITS + n_open, PRIOR_MISSES + (n - n_open).max(0.0))
+        }
     }
 
     fn choose_cells(
@@ -174,10 +164,12 @@ impl ResolvedRequest {
             let first = self.even_shard(round, slot) / self.arms.len() * context.cells_per_shard;
             return (0..n_cells).map(|i| (first + i) % n).collect();
         }
-        // Hits of a cell are about Poisson: the rates of the arms that were tried on it, times how well it is suited. What is
-        // drawn is the latter, from its posterior.
+        // The hits of a cell are modeled as Poisson: the rates of the arms that were tried on it, times its
+        // suitability. The suitability is drawn from its posterior.
         let n_arms = self.arms.len();
-        let rate = |arm: usize| (0.5 + ledger.open_hits_of_arm(arm) as f64) / (1.0 + ledger.arms[arm].n_samples as f64);
+        let rate = |arm: usize| {
+            (PRIOR_HITS + ledger.open_hits_of_arm(arm) as f64) / (PRIOR_SAMPLES + ledger.arms[arm].n_samples as f64)
+        };
         let rates: Vec<f64> = (0..n_arms).map(rate).collect();
         let seed = self.slot_seed(context, slot);
         let draw = |cell: usize| {
@@ -186,7 +178,7 @@ impl ResolvedRequest {
             let mut rng = seed.derive("cell", &[cell as u64]).rng();
             gamma(&mut rng, CELL_SHAPE + ledger.open_hits_of_cell(cell) as f64) / (CELL_SHAPE + n_expected)
         };
-        // Cells that another shard of the round has, and those of no use to open buckets, come last.
+        // Cells of another shard of the round, and cells that reach no open bucket, come last.
         let ease = |cell: usize| context.open_buckets(cell).map(|(_, ease)| ease).fold(0.0, f64::max);
         let mut order: Vec<(bool, f64, usize)> =
             (0..n).map(|cell| (planned.contains_key(&cell), draw(cell) * ease(cell), cell)).collect();
@@ -201,8 +193,8 @@ impl ResolvedRequest {
         if round == 0 { slot } else { self.arms.len() + (round - 1) * self.config.shards_per_round + slot }
     }
 
-    /// A shard whose samples were not drawn before: in the first round all arms share their noise, so that they can be
-    /// compared; after it no noise is used twice in a scene.
+    /// A shard of new samples. In the first round all arms share their noise, so that they can be compared; afterwards
+    /// no noise is used twice in a scene.
     fn shard(
         &self,
         context: &RoundContext<'_>,
@@ -227,8 +219,8 @@ impl ResolvedRequest {
         ShardPlan { idx, sweep_idx: arm.sweep_idx, cells: cells.collect(), first_sample }
     }
 
-    /// The bucket at which the samples of a cell aim: of those that are open, one that the cell reaches easily, that lacks much, and that few
-    /// others aim at in this shard.
+    /// The bucket at which the samples of a cell aim: an open one that the cell reaches easily, that lacks many
+    /// scenarios, and at which few others of this shard aim.
     fn aim(&self, context: &RoundContext<'_>, (shard, cell): (usize, usize), aimed: &[u64]) -> Option<usize> {
         let RoundContext { ledger, .. } = *context;
         let lack = |bucket: usize| (ledger.wanted[bucket] - ledger.accepted[bucket]) as f64;

@@ -3,8 +3,8 @@
 use super::buckets::BucketPart;
 use super::config::BudgetConfig;
 use super::ledger::{ArmCounts, Hits, Ledger};
+use super::pool::Pool;
 use super::resolve::ResolvedRequest;
-use super::rounds::Pool;
 use crate::scene::GuidanceLevel;
 use serde::{Deserialize, Serialize};
 
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Ended {
-    /// Every bucket that any pair can fall into is full.
+    /// Every bucket that any pair can reach is full.
     Full,
     /// The others were given up: many samples aimed at them, and none was accepted.
     GivenUp,
@@ -31,7 +31,7 @@ pub struct RequestSummary {
     pub ended: Ended,
     /// What it might have cost.
     pub budget: BudgetConfig,
-    /// Rounds, samples and evaluations that it did cost.
+    /// Rounds, samples and evaluations that it took.
     pub n_rounds: usize,
     /// Samples drawn.
     pub n_samples: u64,
@@ -39,9 +39,9 @@ pub struct RequestSummary {
     pub n_evaluations: u64,
     /// Scenes that were tried.
     pub n_scenes: usize,
-    /// Pairs of agents (or single agents) of them that can fall into a bucket.
+    /// Pairs of agents (or single agents) in them that can reach a bucket.
     pub n_cells: usize,
-    /// Those that cannot, and were not tried.
+    /// Pairs that cannot and were not tried.
     #[serde(default)]
     pub n_infeasible: usize,
     /// Scenarios wanted in all.
@@ -64,7 +64,7 @@ pub struct ArmSummary {
     pub level: GuidanceLevel,
     /// Evaluations of the denoiser for one sample.
     pub n_evaluations_per_sample: u64,
-    /// Over all rounds, in which arms that yield more are tried more, on scenes that yield more.
+    /// Over all rounds; arms and scenes with a higher yield are tried more often.
     pub total: Yield,
     /// In the first round, in which every arm continues the same scenes from the same noise.
     pub first_round: Yield,
@@ -94,7 +94,7 @@ pub struct BucketSummary {
     pub idx: usize,
     /// What it holds.
     pub parts: Vec<BucketPart>,
-    /// Pairs of agents that can fall into it; 0: nothing was spent on it.
+    /// Pairs of agents that can reach it; 0: nothing was spent on it.
     #[serde(default)]
     pub n_feasible: usize,
     /// Whether it was given up: many samples aimed at it in a row, and none was accepted.
@@ -121,14 +121,14 @@ pub struct BucketSummary {
 }
 
 impl BucketSummary {
-    /// Evaluations for one accepted scenario: those while the bucket was open, which other buckets shared.
+    /// Evaluations per accepted scenario, counted while the bucket was open; other open buckets share them.
     pub fn n_evaluations_per_accepted(&self) -> Option<f64> {
         (self.n_accepted > 0).then(|| self.n_evaluations_while_open as f64 / self.n_accepted as f64)
     }
 }
 
 impl RequestSummary {
-    /// Of a request that has ended after `n_rounds` rounds.
+    /// The summary of a request that ended after `n_rounds` rounds.
     pub fn new(request: &ResolvedRequest, pool: &Pool, ledger: &Ledger, n_rounds: usize) -> Self {
         let (n_samples, n_evaluations) = ledger.spent();
         let arms = request.arms.iter().enumerate().map(|(i, arm)| ArmSummary {
@@ -182,7 +182,7 @@ impl RequestSummary {
         }
     }
 
-    /// Buckets that no pair can fall into.
+    /// Buckets that no pair can reach.
     pub fn infeasible(&self) -> impl Iterator<Item = &BucketSummary> {
         self.buckets.iter().filter(|bucket| bucket.n_feasible == 0)
     }

@@ -15,15 +15,15 @@ pub struct SweepConfig {
     pub name: String,
     /// Number of scenes to continue.
     pub n_scenes: usize,
-    /// Name of the mined behavior to ask for; `None`: scenes are continued as they may go on.
+    /// Name of the mined behavior to request; `None`: scenes are continued without a request.
     pub behavior: Option<String>,
     /// Which agents are to show the behavior.
     pub pairs: PairSelectionConfig,
-    /// What the events are asked to be like.
+    /// Which events the samples aim at.
     pub aim: Aim,
     /// Which samples become scenarios; `None`: all.
     pub select: Option<SelectConfig>,
-    /// Stop beginning shards once this many scenarios are verified; `None`: generate all.
+    /// Start no further shards once this many scenarios are verified; `None`: generate all.
     pub stop_after_verified: Option<usize>,
     /// How samples are drawn.
     pub sampling: SamplingConfig,
@@ -58,7 +58,7 @@ pub enum ModelConfig {
     Denoiser(DiffusionConfig),
     /// The denoiser of `[train.distill]`, in few evaluations.
     Distilled(DiffusionConfig),
-    /// Scene Transformer of `[train.baseline]`: samples are its joint futures. It predicts in one pass, in which there is
+    /// Scene Transformer of `[train.baseline]`: samples are its joint futures. It predicts in one pass, so there is
     /// nothing to guide or edit.
     Baseline,
 }
@@ -82,7 +82,7 @@ pub struct DiffusionConfig {
     pub template: bool,
 }
 
-/// What samples are pushed toward, and how.
+/// What guides samples, and how.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweepGuidance {
     /// When guidance acts and how far it may go.
@@ -115,7 +115,7 @@ pub enum ClassifierScope {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ClassifierInput {
-    /// The noisy states (paper, section 5.2): what it was trained on, at every noise level.
+    /// The noisy states (paper, section 5.2), on which it was trained, at every noise level.
     #[default]
     NoisyStates,
     /// The denoiser's clean estimate, as objectives are. Needed if more than the history is observed (`observe`): the
@@ -124,14 +124,14 @@ pub enum ClassifierInput {
     CleanEstimate,
 }
 
-/// What the events of guided samples are asked to be like.
+/// Which events guided samples aim at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Aim {
     /// As the objectives say themselves.
     #[default]
     Anything,
-    /// Each sample like another outcome that its pair can come to, as far as the past and the limits of driving tell: easy ones more
-    /// often. Samples of a pair then differ in what their objectives can aim at, such as gap and relative speed.
+    /// Each sample aims at a different outcome that its pair can still reach, given its past and the limits of driving;
+    /// easy outcomes come more often. Samples of a pair then differ in parameters such as gap and relative speed.
     Feasible,
 }

@@ -1,7 +1,7 @@
 //! The keys of sweeps and arms in TOML: one flat table.
 //!
 //! Serde reads the flat table, so it can report the line of a mistake, which it cannot for tagged or flattened types.
-//! Each kind of sweep then takes the keys that it knows; what is left over is refused.
+//! Each kind of sweep then takes the keys that it knows; the remaining keys are refused.
 
 use super::config::{
     Aim, ArmConfig, ClassifierInput, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig,
@@ -23,8 +23,8 @@ const OF_REQUESTS: [&str; 6] = ["n_scenes", "behavior", "pairs", "aim", "select"
 pub(super) struct SweepKeys {
     /// Name, unique among the sweeps or arms.
     name: String,
-    /// Where samples come from: `denoiser`, `distilled` (few evaluations), or `baseline`. The baseline has as many
-    /// samples as joint futures at most, and no keys but `n_samples` and `observe` for how it is sampled.
+    /// Where samples come from: `denoiser`, `distilled` (few evaluations), or `baseline`. The baseline has at most as
+    /// many samples as joint futures; of the keys about sampling it accepts only `n_samples` and `observe`.
     #[serde(default)]
     model: ModelKey,
     /// Number of scenes to continue.
@@ -58,7 +58,7 @@ pub(super) struct SweepKeys {
     #[serde(skip_serializing_if = "Option::is_none")]
     objectives: Option<Vec<ObjectiveConfig>>,
     /// How strongly samples are kept apart and on the road, at every guidance strength. Left out: as in the other
-    /// sweeps. Use 0 for raw samples, and where a collision is wanted.
+    /// sweeps. Use 0 for raw samples.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 1e6))]
     validity_strength: Option<f64>,
@@ -68,7 +68,7 @@ pub(super) struct SweepKeys {
     /// Which agents are to show the behavior.
     #[serde(skip_serializing_if = "Option::is_none")]
     pairs: Option<PairSelectionConfig>,
-    /// What the events of guided samples are asked to be like.
+    /// Which events guided samples aim at.
     #[serde(skip_serializing_if = "Option::is_none")]
     aim: Option<Aim>,
     /// Which states are observed: the name of a training task (`predictive`, `goal_conditioned`, `agent_conditioned`,
@@ -81,15 +81,16 @@ pub(super) struct SweepKeys {
     /// Edits of the recording that samples start from.
     #[serde(skip_serializing_if = "Option::is_none")]
     edit: Option<EditConfig>,
-    /// Whether those who take part in the event follow a template: a maneuver along the lanes that was solved for what the event shall be like
-    /// and is observed to its end, while everybody else is sampled. Where none comes to a sample's target, it follows another; where there is
-    /// none at all, it is sampled freely. Every behavior but `cut_in_paper` has templates. Left out: no.
+    /// Whether the agents of the event follow a template: a maneuver along the lanes that is solved for the sample's
+    /// target. The denoiser observes all of it and samples everybody else. If no maneuver reaches the target, the
+    /// sample follows another one; if there is none at all, it is sampled freely. `cut_in` and `near_miss` have
+    /// templates. Left out: false.
     #[serde(skip_serializing_if = "Option::is_none")]
     template: Option<bool>,
     /// Which samples become scenarios. Left out: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     select: Option<SelectConfig>,
-    /// Stop beginning shards of this sweep once this many of its scenarios are verified. Left out: generate all.
+    /// Start no further shards of this sweep once this many of its scenarios are verified. Left out: generate all.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 1))]
     stop_after_verified: Option<usize>,
@@ -105,7 +106,8 @@ enum ModelKey {
     /// The denoiser of `[train.distill]`, in few evaluations: with `sampler = { kind = "euler" }` and the `n_steps` and `grid` of
     /// `train.distill.method`, or `{ kind = "consistency", sigma_max = 24, levels = [4.0] }` for a consistency model.
     Distilled,
-    /// Scene Transformer of `[train.baseline]`: samples are its joint futures, the likeliest first, with their probabilities.
+    /// Scene Transformer of `[train.baseline]`: samples are its joint futures, the most likely first, with their
+    /// probabilities.
     Baseline,
 }
 
@@ -142,7 +144,7 @@ impl SweepKeys {
 
     /// Refuses a key that was not taken.
     fn refuse_rest(&self) -> Result {
-        // A table of plain values always becomes JSON.
+        // A table of plain values can always be converted to JSON.
         let rest = serde_json::to_value(self).unwrap_or_default();
         let keys = rest.as_object().into_iter().flatten();
         let mut left_over = keys.filter(|(key, _)| !["name", "model"].contains(&key.as_str()));

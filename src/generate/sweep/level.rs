@@ -1,12 +1,12 @@
-//! In what do the samples of one scene differ beside their noise? Strengths or weights, and not both.
+//! The levels of a sweep: strengths or weights, but not both.
 
 use super::config::DiffusionConfig;
 use crate::scene::GuidanceLevel;
 use crate::settings::{self, Issue, Result};
 
 impl DiffusionConfig {
-    /// What samples of a scene differ in beside their noise: the strengths α of guidance, or the weights λ of classifier-free
-    /// guidance. Where there are both, one of them is a single number.
+    /// The levels at which samples of a scene are drawn: strengths α of guidance, or weights λ of classifier-free
+    /// guidance. If a sweep has both, one of them is a single number.
     pub(super) fn levels(&self) -> Result<Vec<GuidanceLevel>> {
         let strengths = numbers("strengths", &self.strengths)?;
         let weights = self.classifier_free.as_ref().map(|config| numbers("classifier_free.weights", &config.weights));
@@ -28,7 +28,7 @@ impl DiffusionConfig {
     }
 }
 
-/// Refuses a list that is empty, or has a number twice or one that is not finite.
+/// Refuses a list that is empty, has duplicates, or has a number that is not finite.
 fn numbers<'a>(key: &str, numbers: &'a [f64]) -> Result<&'a [f64]> {
     if numbers.is_empty() {
         return Err(Issue::new(key, "is empty, expected at least one number"));

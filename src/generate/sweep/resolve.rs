@@ -12,9 +12,9 @@ use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
 use crate::tensor::MaskTask;
 
-/// What the parts of a sweep have to fit.
+/// What the parts of a sweep must agree with.
 struct Purpose<'a> {
-    /// The section, from which sweeps take what they leave out.
+    /// The section, which provides the defaults of sweeps.
     config: &'a GenerateConfig,
     /// The requested behavior.
     behavior: Option<&'a dyn Behavior>,
@@ -23,7 +23,7 @@ struct Purpose<'a> {
 }
 
 impl SweepConfig {
-    /// The sweep as it is sampled, where these behaviors are mined.
+    /// Resolves the sweep for these mined behaviors.
     ///
     /// # Errors
     /// Names the key that cannot work.
@@ -70,7 +70,7 @@ impl SweepConfig {
 }
 
 impl ArmConfig {
-    /// Refuses what no request could try, whatever it asks for.
+    /// Refuses settings that no request could try, whatever its behavior.
     pub(in crate::generate) fn check(&self) -> Result {
         settings::printable_name("name", &self.name)?;
         if self.name.contains(['/', '@']) {
@@ -93,7 +93,7 @@ impl ArmConfig {
         }
     }
 
-    /// The sweeps that try it for a request: one for each level.
+    /// The sweeps that try this arm for a request: one for each level.
     ///
     /// # Errors
     /// Names the key that does not fit the request's behavior.
@@ -217,7 +217,7 @@ impl DiffusionConfig {
 }
 
 impl DiffusionConfig {
-    /// The parameters for which templates are solved; empty where none are asked for.
+    /// The parameters for which templates are solved; empty without templates.
     fn template_parameters(&self, purpose: &Purpose<'_>) -> Result<&'static [&'static str]> {
         if !self.template {
             return Ok(&[]);
@@ -233,10 +233,10 @@ impl DiffusionConfig {
         }
         match purpose.behavior.map(|behavior| (behavior.id(), behavior.template_parameters())) {
             None => {
-                refuse("no behavior is asked for; add one that has templates, such as behavior = \"cut_in\"".to_owned())
+                refuse("no behavior is requested; add one that has templates, such as behavior = \"cut_in\"".to_owned())
             }
             Some((id, [])) => {
-                refuse(format!("{id} has no templates; remove it, or ask for one that has, such as \"cut_in\""))
+                refuse(format!("{id} has no templates; remove it, or request one that has, such as \"cut_in\""))
             }
             Some((_, parameters)) => Ok(parameters),
         }
@@ -295,7 +295,7 @@ impl Diffusion {
         {
             return Err(Issue::new(
                 "objective_guidance.gradient",
-                "is \"through_network\", which goes through the network once: for objectives, or for classifier_input = \
+                "is \"through_network\", which differentiates through the network once: for objectives, or for classifier_input = \
                  \"clean_estimate\"; for both use gradient = \"clean\"",
             ));
         }
@@ -305,19 +305,16 @@ impl Diffusion {
 
 /// Refuses observation masks under which a classifier cannot guide.
 fn check_classified_mask(observe: &ObserveConfig, input: ClassifierInput) -> Result {
-    // What rules hide is seen when they meet a scene.
+    // What rules hide is known only once they are applied to a scene.
     if let ObserveConfig::Task(task @ (MaskTask::Windowed | MaskTask::Upsampling | MaskTask::Imputation)) = observe {
-        let why = format_args!(
-            "is \"{}\", but guidance by a classifier, which looks at histories, needs an observe that shows them",
-            task.name()
-        );
+        let why =
+            format_args!("is \"{}\", but a classifier guides by the histories, which observe must show", task.name());
         return Err(Issue::new("observe", why));
     }
     if *observe != ObserveConfig::default() && input == ClassifierInput::NoisyStates {
         return Err(Issue::new(
             "classifier_input",
-            "is \"noisy_states\", which a classifier knows with observe = \"predictive\" alone; with other masks it needs \
-             classifier_input = \"clean_estimate\"",
+            "is \"noisy_states\", which a classifier can read only with observe = \"predictive\"; other masks need classifier_input = \"clean_estimate\"",
         ));
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! A sweep that can be sampled: nothing in it is left open, and nothing contradicts.
+//! A sweep that can be sampled: complete, and without contradictions.
 
 use super::{Aim, ClassifierScope, SweepGuidance};
 use crate::behavior::BehaviorEntry;
@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 /// A sweep that was checked. Only `GenerateConfig::resolve` makes one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResolvedSweep {
-    /// Its name; of a request's, `request/arm` with the level where the arm has several: `tight/guided@10`.
+    /// Its name. A sweep of a request is named `request/arm`, with the level if the arm has several: `tight/guided@10`.
     pub name: String,
     /// Scenes to continue, at least 1.
     pub n_scenes: usize,
@@ -21,11 +21,11 @@ pub struct ResolvedSweep {
     pub behavior: Option<String>,
     /// Which agents are to show it.
     pub pairs: PairSelectionConfig,
-    /// What the events of its guided samples are asked to be like.
+    /// Which events its guided samples aim at.
     pub aim: Aim,
     /// Which samples become scenarios; `None`: all.
     pub select: Option<SelectConfig>,
-    /// Stop beginning shards once this many scenarios are verified.
+    /// Start no further shards once this many scenarios are verified.
     pub stop_after_verified: Option<usize>,
     /// Which states are observed.
     pub observe: ObserveConfig,
@@ -49,17 +49,18 @@ pub enum SweepModel {
 pub struct Diffusion {
     /// How noise becomes a sample.
     pub sampler: SamplerConfig,
-    /// How strongly samples are kept apart and on the road, at every level; 0: not at all.
+    /// How strongly samples are kept apart and on the road, at every level. 0: not at all.
     pub validity_strength: f64,
     /// What samples of a scene differ in beside their noise; at least one.
     pub levels: Vec<GuidanceLevel>,
-    /// What guides at strengths other than 0.
+    /// The guidance at strengths other than 0.
     pub guidance: SweepGuidance,
     /// States that samples lean toward.
     pub classifier_free: Option<ClassifierFreeConfig>,
     /// Edits of the recording that samples start from.
     pub edit: Option<EditConfig>,
-    /// The parameters of the event for which a template is solved that the requested agents follow; empty: there is no template.
+    /// The parameters of the event for which the template of the requested agents is solved. Empty: there is no
+    /// template.
     pub template: &'static [&'static str],
 }
 
@@ -72,7 +73,7 @@ impl ResolvedSweep {
         }
     }
 
-    /// Whether its samples are of the distilled denoiser.
+    /// Whether its samples come from the distilled denoiser.
     pub const fn uses_distilled(&self) -> bool {
         matches!(self.model, SweepModel::Distilled(_))
     }
@@ -87,13 +88,12 @@ impl ResolvedSweep {
         self.diffusion().map_or(&[GuidanceLevel::UNGUIDED], |diffusion| &diffusion.levels)
     }
 
-    /// Whether the requested agents follow a template, which is another one for each sample.
+    /// Whether the requested agents follow a template; it differs from sample to sample.
     pub fn uses_template(&self) -> bool {
         self.diffusion().is_some_and(|diffusion| !diffusion.template.is_empty())
     }
 
-    /// Whether some of its samples are forecasts: neither guided nor leaning toward wanted states nor edited, and nobody follows a
-    /// template.
+    /// Whether some of its samples are forecasts: not guided, not edited, without wanted states and without a template.
     pub fn has_unguided(&self) -> bool {
         self.diffusion().is_none_or(|diffusion| diffusion.edit.is_none() && diffusion.template.is_empty())
             && self.levels().iter().any(|level| level.strength == 0.0 && level.weight == 0.0)
@@ -115,7 +115,7 @@ impl ResolvedSweep {
         objectives.flat_map(|objective| objective.objective().aims_at()).chain(of_template).copied().collect()
     }
 
-    /// Whether those who are asked are to collide.
+    /// Whether the requested event is a collision.
     pub(in crate::generate) fn asks_for_collision(&self) -> bool {
         BehaviorEntry::is_collision(self.behavior.as_deref())
     }
@@ -125,7 +125,7 @@ impl ResolvedSweep {
         self.diffusion().is_some_and(|diffusion| diffusion.guidance.classifier_scope == ClassifierScope::AnyPair)
     }
 
-    /// Calls of the network for one sample; classifier-free guidance asks it twice, the baseline once.
+    /// Evaluations of the network for one sample; classifier-free guidance doubles them, and the baseline needs one.
     pub fn n_evaluations(&self) -> u64 {
         self.diffusion().map_or(1, |diffusion| {
             let n_calls = if diffusion.classifier_free.is_some() { 2 } else { 1 };
@@ -138,8 +138,8 @@ impl ResolvedSweep {
         self.diffusion().map_or_else(|| "forward-1".to_owned(), |diffusion| diffusion.sampler.name())
     }
 
-    /// Refuses noise levels that the distilled denoiser was not made for: what it answers there means something else. Sweeps of
-    /// other models are not looked at.
+    /// Refuses noise levels for which the distilled denoiser was not trained; its answers there would be meaningless.
+    /// Sweeps of other models pass.
     ///
     /// # Errors
     /// When there are such.

@@ -5,8 +5,8 @@ use crate::scene::GuidanceLevel;
 use serde_json::{Value, json};
 
 impl ResolvedSweep {
-    /// The settings of a sample of this sweep at `level` as JSON: sampler, what is observed, edits, and how it is guided and
-    /// how strongly, with every option of the objectives. What has no effect at this level is left out.
+    /// The settings of a sample of this sweep at `level` as JSON: sampler, observed states, edits, and its guidance
+    /// with strengths and every option of the objectives. Settings without effect at this level are left out.
     pub(in crate::generate) fn settings(&self, level: GuidanceLevel) -> String {
         let mut settings = match &self.model {
             SweepModel::Denoiser(diffusion) | SweepModel::Distilled(diffusion) => diffusion.settings(level),

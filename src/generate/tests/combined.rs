@@ -84,8 +84,8 @@ fn a_classifier_guides_under_other_masks_by_clean_estimates() {
 #[test]
 fn masks_that_a_classifier_cannot_see_through_are_refused() {
     for (rest, part) in [
-        ("observe = 'goal_conditioned'", "needs classifier_input = \"clean_estimate\""),
-        ("observe = 'windowed'\nclassifier_input = 'clean_estimate'", "an observe that shows them"),
+        ("observe = 'goal_conditioned'", "need classifier_input = \"clean_estimate\""),
+        ("observe = 'windowed'\nclassifier_input = 'clean_estimate'", "which observe must show"),
         (
             "observe = [{ agents = 'all', times = { timesteps = { from = 1, to = 4 } } }]\nclassifier_input = 'clean_estimate'",
             "unobserved at timestep 0 of its history",

@@ -215,7 +215,7 @@ fn guidance_that_makes_no_sense_is_refused() {
         (guided(&speed(", weight = -1.0")), "generate.sweeps.0.objectives.0.weight is -1, expected a positive number"),
         (guided(&speed(", agents = 'other'")), "no agent has the role `other`, expected one of all, ego"),
         (cut_in(&speed(", agents = 'third'")), "no agent has the role `third`, expected one of all, ego, other"),
-        (sweep("template = true"), "template is true, but no behavior is asked for"),
+        (sweep("template = true"), "template is true, but no behavior is requested"),
         (sweep("behavior = 'cut_in'\ntemplate = true\nedit = { tau = 0.5 }"), "edits recordings, too"),
         (cut_in("template = true"), "the classifier does not know templates"),
         (

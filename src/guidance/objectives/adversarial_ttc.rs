@@ -25,7 +25,7 @@ pub struct AdversarialTtc {
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// One of the two: `ego` or a role (or `all`: every pair shall come close).
+    /// One of the two: `ego` or a role (or `all`: every pair comes close).
     #[serde(default = "ego")]
     pub agents: AgentSelector,
     /// The other of the two.

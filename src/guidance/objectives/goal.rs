@@ -16,7 +16,7 @@ pub struct Goal {
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// The agents that shall be there: `all`, `ego` or a role.
+    /// The agents that must be there: `all`, `ego` or a role.
     #[serde(default = "ego")]
     pub agents: AgentSelector,
     /// The frame of the place.

@@ -1,13 +1,13 @@
 //! Objectives for trajectories: goals for positions and headings, without a classifier.
 //!
-//! One objective a file: its struct is its configuration, its docstring its definition. A new one needs its file and a variant
-//! of [`ObjectiveConfig`].
+//! One objective per file: its struct is its configuration, its docstring its definition. A new one needs its file and
+//! an entry in the list `objectives!`.
 //!
-//! Common to all: a log potential J is at most 0, and 0, up to rounding, where the objective is met. It is once
+//! All have in common: a log potential J is at most 0, and is 0, up to rounding, where the objective is met. It is once
 //! continuously differentiable in the states unless its docstring says otherwise. It is summed over agents (or pairs)
 //! and integrated over time in seconds, so that neither the number of bystanders nor the time step changes how hard an
-//! agent is pushed. A term counts if all the states it reads are valid and at least one of them is generated: padding
-//! never contributes, and what is observed only as far as generated states are compared with it.
+//! agent is pushed. A term counts if all the states it reads are valid and at least one of them is generated. Padding
+//! never contributes, and observed states only in comparison with generated ones.
 
 mod acceleration_limit;
 mod adversarial_ttc;
@@ -74,10 +74,10 @@ pub trait SceneObjective {
     fn aims_at(&self) -> &'static [&'static str] {
         &[]
     }
-    /// Rejects parameters that contradict each other.
+    /// Rejects settings that contradict each other.
     ///
     /// # Errors
-    /// When some do not.
+    /// Names the setting.
     fn validate(&self) -> settings::Result {
         Ok(())
     }
@@ -85,7 +85,7 @@ pub trait SceneObjective {
     /// and headings in meters and radians of each row's ego frame. Differentiable in them, row by row.
     ///
     /// # Errors
-    /// When shapes do not fit, or nobody has a role.
+    /// When shapes do not fit, or no agent has a role.
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor>;
 }
 
@@ -163,7 +163,7 @@ pub enum InvalidObjective {
     /// One of its settings.
     #[error(transparent)]
     Setting(#[from] Issue),
-    /// It names agents that nobody is.
+    /// It names agents that do not exist.
     #[error("no agent has the role `{role}`, expected one of {known}")]
     Role {
         /// As written.
@@ -174,7 +174,7 @@ pub enum InvalidObjective {
 }
 
 impl ObjectiveConfig {
-    /// Rejects what cannot work in a sweep whose behavior has these `roles`.
+    /// Rejects settings that cannot work in a sweep whose behavior has these `roles`.
     ///
     /// # Errors
     /// When something does.

@@ -19,7 +19,7 @@ pub struct NoCollision {
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// The agents that shall not collide: `all`, `ego` or a role.
+    /// The agents that must not collide: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
     /// Two agents that may touch each other: `["first", "second"]`. Left out: none.

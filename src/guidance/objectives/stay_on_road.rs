@@ -22,10 +22,10 @@ pub struct StayOnRoad {
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// The agents that shall stay on the road: `all`, `ego` or a role.
+    /// The agents that must stay on the road: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
-    /// The points of an agent that shall be on the road.
+    /// The points of an agent that must be on the road.
     #[serde(default)]
     pub points: RoadPoints,
     /// The margin m inside the edge of the road, meters.

@@ -21,7 +21,7 @@ pub struct StopAtLine {
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// The agents that shall stop: `all`, `ego` or a role.
+    /// The agents that must stop: `all`, `ego` or a role.
     #[serde(default = "ego")]
     pub agents: AgentSelector,
     /// How far ahead of the agent's front the line lies at present, meters.

@@ -33,16 +33,10 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon, smooths: bool) -> Result<R
     let last = timestamps_s.len().min(RECORDED.n_history + horizon.n_future);
     let mut tracks = Vec::with_capacity(table.tracks.len());
     let mut heading_gaps = Vec::new();
-    let present_s = timestamps_s[RECORDED.n_history - 1];
     for (track, positions) in table.tracks.iter().zip(positions(unit, &table, &timestamps_s)?) {
-        let derived = if smooths {
-            let row = |(time_idx, position): (usize, &Option<Vec2>)| {
-                Some(Row { time_idx, time_s: timestamps_s[time_idx] - present_s, position: (*position)? })
-            };
-            let rows: Vec<Row> = positions.iter().enumerate().filter_map(row).collect();
-            smoothed_states(&rows, timestamps_s.len(), timestamps_s.len())
-        } else {
-            derive_states(&positions, &timestamps_s, RECORDED.n_history)
+        let derived = match smooths {
+            true => smoothed(&positions, &timestamps_s),
+            false => derive_states(&positions, &timestamps_s, RECORDED.n_history),
         };
         let DerivedStates { states, held_headings, headings_from, recorded } = derived;
         if headings_from > first {
@@ -77,6 +71,16 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon, smooths: bool) -> Result<R
         heading_gaps,
         own_map: None,
     })
+}
+
+/// The states of a track, smoothed and resampled to even times around the present.
+fn smoothed(positions: &[Option<Vec2>], timestamps_s: &[f64]) -> DerivedStates {
+    let present_s = timestamps_s[RECORDED.n_history - 1];
+    let row = |(time_idx, position): (usize, &Option<Vec2>)| {
+        Some(Row { time_idx, time_s: timestamps_s[time_idx] - present_s, position: (*position)? })
+    };
+    let rows: Vec<Row> = positions.iter().enumerate().filter_map(row).collect();
+    smoothed_states(&rows, timestamps_s.len(), timestamps_s.len())
 }
 
 struct Table {

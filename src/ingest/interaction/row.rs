@@ -48,48 +48,17 @@ impl<'a> Row<'a> {
             return Err(("malformed_row", format!("{n} columns, expected {}", columns.n_columns)));
         }
         let cells = cells.as_slice();
-        let number = |index: usize, name| number(cells[index], name);
-        let optional = |index: Option<usize>, name| match index {
-            Some(index) if !cells[index].trim_ascii().is_empty() => number(index, name).map(Some),
-            _ => Ok(None),
-        };
-
         let track_id = cells[columns.track_id].trim_ascii();
         if track_id.is_empty() || !track_id.iter().all(u8::is_ascii_graphic) {
             return Err(malformed("track_id", track_id, "an id"));
         }
-        let frame_id = integer(cells[columns.frame_id], "frame_id")?;
-        if !(0..=MAX_FRAME).contains(&frame_id) {
-            return Err(("out_of_range", format!("frame_id is {frame_id}")));
-        }
-        let timestamp_ms = integer(cells[columns.timestamp_ms], "timestamp_ms")?;
-        if timestamp_ms != MS_PER_FRAME * frame_id {
-            let expected = MS_PER_FRAME * frame_id;
-            let detail = format!("timestamp_ms is {timestamp_ms} at frame_id {frame_id}, expected {expected}");
-            return Err(("bad_timestamp", detail));
-        }
-        let position = Vec2::new(number(columns.x, "x")?, number(columns.y, "y")?);
-        let velocity = Vec2::new(number(columns.vx, "vx")?, number(columns.vy, "vy")?);
-        if position.x.abs().max(position.y.abs()) > MAX_COORDINATE_M
-            || velocity.dot(velocity) > MAX_SPEED_MPS * MAX_SPEED_MPS
-        {
-            let detail = format!("position ({}, {}) m, speed {} m/s", position.x, position.y, velocity.norm());
-            return Err(("out_of_range", detail));
-        }
-        let [heading_rad, length_m, width_m] = match columns.shape {
-            Some([psi, length, width]) => {
-                [optional(Some(psi), "psi_rad")?, optional(Some(length), "length")?, optional(Some(width), "width")?]
-            }
-            None => [None; 3],
+        let frame_id = frame_id(cells, columns)?;
+        let (position, velocity) = motion(cells, columns)?;
+        let (heading_rad, extent) = shape(cells, columns)?;
+        let mark = |index: Option<usize>, name| match index {
+            Some(index) => optional(cells[index], name).map(|mark| mark.is_some_and(|mark| mark != 0.0)),
+            None => Ok(false),
         };
-        for (column, size_m) in [("length", length_m), ("width", width_m)] {
-            if let Some(size_m) = size_m.filter(|size_m| !(MIN_SIZE_M..=MAX_SIZE_M).contains(size_m)) {
-                let range = format!("{MIN_SIZE_M} to {MAX_SIZE_M} m, or a blank cell where the size is unknown");
-                return Err(("out_of_range", format!("column {column} is {size_m}, expected {range}")));
-            }
-        }
-        let extent = length_m.zip(width_m).map(|(length_m, width_m)| Extent { length_m, width_m });
-        let mark = |index, name| optional(index, name).map(|mark| mark.is_some_and(|mark| mark != 0.0));
         Ok(Self {
             track_id,
             frame_id,
@@ -101,6 +70,57 @@ impl<'a> Row<'a> {
             is_interesting: mark(columns.interesting_agent, "interesting_agent")?,
             is_to_predict: mark(columns.track_to_predict, "track_to_predict")?,
         })
+    }
+}
+
+/// The number of the frame, whose timestamp must agree with it.
+fn frame_id(cells: &[&[u8]], columns: &TrackColumns) -> Result<i64, Flaw> {
+    let frame_id = integer(cells[columns.frame_id], "frame_id")?;
+    if !(0..=MAX_FRAME).contains(&frame_id) {
+        return Err(("out_of_range", format!("frame_id is {frame_id}")));
+    }
+    let timestamp_ms = integer(cells[columns.timestamp_ms], "timestamp_ms")?;
+    if timestamp_ms != MS_PER_FRAME * frame_id {
+        let expected = MS_PER_FRAME * frame_id;
+        let detail = format!("timestamp_ms is {timestamp_ms} at frame_id {frame_id}, expected {expected}");
+        return Err(("bad_timestamp", detail));
+    }
+    Ok(frame_id)
+}
+
+/// Position and velocity, meters and m/s.
+fn motion(cells: &[&[u8]], columns: &TrackColumns) -> Result<(Vec2, Vec2), Flaw> {
+    let number = |index: usize, name| number(cells[index], name);
+    let position = Vec2::new(number(columns.x, "x")?, number(columns.y, "y")?);
+    let velocity = Vec2::new(number(columns.vx, "vx")?, number(columns.vy, "vy")?);
+    if position.x.abs().max(position.y.abs()) > MAX_COORDINATE_M
+        || velocity.dot(velocity) > MAX_SPEED_MPS * MAX_SPEED_MPS
+    {
+        let detail = format!("position ({}, {}) m, speed {} m/s", position.x, position.y, velocity.norm());
+        return Err(("out_of_range", detail));
+    }
+    Ok((position, velocity))
+}
+
+/// Heading and size, where the table has them.
+fn shape(cells: &[&[u8]], columns: &TrackColumns) -> Result<(Option<f64>, Option<Extent>), Flaw> {
+    let Some([psi, length, width]) = columns.shape else { return Ok((None, None)) };
+    let heading_rad = optional(cells[psi], "psi_rad")?;
+    let (length_m, width_m) = (optional(cells[length], "length")?, optional(cells[width], "width")?);
+    for (column, size_m) in [("length", length_m), ("width", width_m)] {
+        if let Some(size_m) = size_m.filter(|size_m| !(MIN_SIZE_M..=MAX_SIZE_M).contains(size_m)) {
+            let range = format!("{MIN_SIZE_M} to {MAX_SIZE_M} m, or a blank cell where the size is unknown");
+            return Err(("out_of_range", format!("column {column} is {size_m}, expected {range}")));
+        }
+    }
+    Ok((heading_rad, length_m.zip(width_m).map(|(length_m, width_m)| Extent { length_m, width_m })))
+}
+
+/// The number in a cell, or nothing where the cell is blank.
+fn optional(cell: &[u8], column: &str) -> Result<Option<f64>, Flaw> {
+    match cell.trim_ascii() {
+        [] => Ok(None),
+        _ => number(cell, column).map(Some),
     }
 }
 

@@ -1,13 +1,14 @@
-//! From files to scenes: small tables written out here, damaged ones, and all of the development data.
+//! From files to scenes, on small tables that are written here.
+
+mod damaged;
+mod development_data;
 
 use super::*;
 use crate::ingest::archive::visit_entries;
-use crate::ingest::test_data::{self, test_data};
-use crate::ingest::{RawScene, Reject, UnitSplit};
+use crate::ingest::{RawScene, Reject};
 use crate::scene::{AgentClass, Split, TrackRole};
-use std::collections::BTreeMap;
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 const V1_2: &str = "case_id,track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n";
 const V1_1: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n";
@@ -194,28 +195,6 @@ fn windows_style_files_are_the_same() {
 }
 
 #[test]
-fn a_flaw_costs_its_case_and_no_other() {
-    let good = car("1.0,", 7, 1..=40);
-    let broken = [
-        ("malformed_row", car("2.0,", 7, 1..=40).replacen(",2,10,0,0,4.5,1.8", "", 1)),
-        ("non_finite", car("3.0,", 7, 1..=40).replacen(",2,10,", ",NaN,10,", 1)),
-        ("duplicate_frame", car("4.0,", 7, 1..=40) + &car("4.0,", 7, 3..=3)),
-        ("bad_timestamp", car("5.0,", 7, 1..=40).replacen(",100,car", ",150,car", 1)),
-        ("frame_out_of_range", car("6.0,", 7, 5..=45)),
-    ];
-    let text = [V1_2, &good, &broken.clone().map(|(_, rows)| rows).concat(), &car("7.0,", 1, 101..=140)].concat();
-    let scenes = scenes_of(&[("train/SIM_A_train.csv", &text)]);
-    let mut expected = vec!["interaction/train/SIM_A/1"];
-    expected.extend(broken.iter().map(|(reason, _)| *reason));
-    expected.push("interaction/train/SIM_A/7");
-    assert_eq!(outcomes(&scenes), expected);
-    for (scene, line) in scenes[1..].iter().zip([42, 82, 162, 163, 203]) {
-        let detail = &scene.as_ref().unwrap_err().detail;
-        assert!(detail.starts_with(&format!("train/SIM_A_train.csv:{line}: ")), "{detail}");
-    }
-}
-
-#[test]
 fn tables_sorted_by_track_are_those_sorted_by_case() {
     let by_case: String =
         (1..=3).flat_map(|case| (7..=9).map(move |track| car(&format!("{case}.0,"), track, 1..=40))).collect();
@@ -257,50 +236,11 @@ fn quoted_tables_are_those_without_quotes() {
 }
 
 #[test]
-fn tables_without_their_columns_are_rejected() {
-    let cases = [
-        ("train/SIM_A_train.csv", V1_2.replace(",psi_rad", ""), "no column psi_rad"),
-        ("train/SIM_A_train.csv", V1_2.replace(',', ";"), "not `;`"),
-        ("SIM_A/vehicle_tracks_000.csv", V1_1_PEDESTRIANS.to_owned(), "no column psi_rad, length, width"),
-        ("SIM_A/vehicle_tracks_000.csv", String::new(), "found ``"),
-        ("SIM_A/pedestrian_tracks_000.csv", V1_1_PEDESTRIANS.replace(",vy", ""), "no column vy"),
-    ];
-    for (name, text, expected) in cases {
-        let folder = folder_of(&[(name, &text)]);
-        let scenes = read_scenes(&config(folder.path()));
-        assert_eq!(outcomes(&scenes), ["bad_header"]);
-        let detail = &scenes[0].as_ref().unwrap_err().detail;
-        assert!(detail.starts_with(name) && detail.contains("line 1") && detail.contains(expected), "{detail}");
-    }
-    // What is no table at all costs nobody else anything.
-    let table = [V1_2, &car("1.0,", 7, 1..=40)].concat();
-    let scenes = scenes_of(&[("notes.csv", "to do:\n"), ("train/SIM_A_train.csv", &table)]);
-    assert_eq!(outcomes(&scenes), ["bad_header", "interaction/train/SIM_A/1"]);
-}
-
-#[test]
 fn recordings_of_one_place_are_told_apart_by_their_files() {
     let table = [V1_1, &car("", 1, 1..=40)].concat();
     let scenes = scenes_of(&[("SIM_A_train.csv", &table), ("SIM_A_val.csv", &table)]);
     let expected = ["interaction/train/SIM_A/SIM_A_train@1", "interaction/val/SIM_A/SIM_A_val@1"];
     assert_eq!(outcomes(&scenes), expected);
-}
-
-#[test]
-fn a_file_that_breaks_off_is_a_reject() {
-    use std::io::Write;
-    let text: String = (1..=50).map(|case| car(&format!("{case}.0,"), 7, 1..=40)).collect();
-    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-    encoder.write_all([V1_2, &text].concat().as_bytes()).unwrap();
-    let bytes = encoder.finish().unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    fs_err::write(folder.path().join("SIM_A_val.csv.gz"), &bytes[..bytes.len() / 2]).unwrap();
-    fs_err::write(folder.path().join("SIM_B_val.csv"), [V1_2, &car("1.0,", 7, 1..=40)].concat()).unwrap();
-    let scenes = read_scenes(&config(folder.path()));
-    let outcomes = outcomes(&scenes);
-    assert_eq!(outcomes[outcomes.len() - 2..], ["unreadable", "interaction/val/SIM_B/1"]);
-    assert!(outcomes[..outcomes.len() - 2].iter().all(|id| id.starts_with("interaction/val/SIM_A/")));
-    assert!(scenes[outcomes.len() - 2].as_ref().unwrap_err().detail.starts_with("SIM_A_val.csv"));
 }
 
 #[test]
@@ -320,104 +260,6 @@ fn only_what_is_asked_for_is_read() {
     assert_eq!(source.map_of("vehicle_tracks_000.csv"), None);
     assert_eq!(source.map_of("SIM_B/vehicle_tracks_000.csv"), Some(map_id(Dataset::Interaction, "SIM_B")));
     assert_eq!(source.map_of("train/notes.csv"), None);
-}
-
-/// Number of scenes by split and place; panics on a reject.
-fn count_scenes(inputs: Vec<PathBuf>) -> BTreeMap<String, usize> {
-    let config = IngestConfig { inputs, ..config(Path::new("")) };
-    let mut counts = BTreeMap::new();
-    for scene in read_scenes(&config) {
-        let scene = scene.unwrap();
-        assert!(scene.tracks.iter().all(|track| track.trajectory.n_timesteps() == scene.n_timesteps));
-        assert!(scene.heading_gaps.is_empty());
-        *counts.entry(format!("{}/{}", scene.source.split.name(), scene.source.place)).or_default() += 1;
-    }
-    counts
-}
-
-#[test]
-fn all_of_the_simulated_archive_is_read() {
-    let Some(archive) = test_data("archives/INTERACTION-sim-multi-v1_2.zip") else { return };
-    let counts = count_scenes(vec![archive]);
-    let total = |split: &str| counts.iter().filter(|(key, _)| key.starts_with(split)).map(|(_, n)| n).sum::<usize>();
-    assert_eq!((total("train/"), total("val/"), total("test/")), (5000, 700, 300), "{counts:?}");
-    assert_eq!((counts["train/SIM_Merging"], counts.len()), (3000, 9));
-}
-
-#[test]
-fn samples_of_both_versions_are_read() {
-    let Some(samples) = test_data("samples/interaction") else { return };
-    let counts = count_scenes(vec![samples.join("val")]);
-    assert_eq!(counts.values().sum::<usize>(), 90, "{counts:?}");
-
-    let config = IngestConfig { holdout_share: 0.0, ..config(&samples.join("recorded_trackfiles")) };
-    let units = read_units(&config).unwrap();
-    let pairs: Vec<(String, bool)> = units
-        .iter()
-        .map(|unit| unit.as_ref().unwrap())
-        .map(|unit| {
-            assert_eq!((unit.version, unit.split), ("v1.1", UnitSplit::Divided));
-            (format!("{}/{}", unit.place, unit.case_id), unit.companion.is_some())
-        })
-        .collect();
-    let n_with_pedestrians = pairs.iter().filter(|(_, has_pedestrians)| *has_pedestrians).count();
-    assert_eq!((pairs.len(), n_with_pedestrians), (7, 4), "{pairs:?}");
-    let scenes = read_scenes(&config);
-    assert!(scenes.len() > 7 * 50 && scenes.iter().all(Result::is_ok));
-    let n_pedestrians = scenes
-        .iter()
-        .flat_map(|scene| &scene.as_ref().unwrap().tracks)
-        .filter(|track| track.class == AgentClass::PedestrianOrCyclist)
-        .count();
-    assert!(n_pedestrians > 100, "{n_pedestrians}");
-}
-
-#[test]
-fn the_toy_recording_of_the_interaction_authors_is_read() {
-    let Some(samples) = test_data("samples/interaction_official") else { return };
-    let config = IngestConfig { holdout_share: 0.0, n_future: Some(5), ..config(&samples) };
-    let scenes = read_scenes(&config);
-    // The second car comes at frame 31 and drives the other way.
-    assert_eq!(outcomes(&scenes).len(), 3);
-    let scene = scenes[1].as_ref().unwrap();
-    let [first, second] = scene.tracks.as_slice() else { panic!("two cars") };
-    let state = first.trajectory.get(0).unwrap();
-    assert_eq!((state.position.x, state.position.y, state.heading_rad), (41.0, 2.5, 0.0));
-    let state = second.trajectory.get(0).unwrap();
-    assert_eq!((state.position.x, state.position.y, state.velocity.x), (90.0, 5.5, 10.0));
-    assert!((state.heading_rad - std::f64::consts::PI).abs() < 1e-4);
-}
-
-proptest::proptest! {
-    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(200))]
-
-    #[test]
-    fn damaged_tables_never_panic(
-        is_recording: bool,
-        damages in proptest::collection::vec((0..6000usize, proptest::prelude::any::<u8>(), 0..40usize), 1..6),
-    ) {
-        let cases: String = (1..4).map(|case| car(&format!("{case}.0,"), 7, 1..=40)).collect();
-        let (name, text) = if is_recording {
-            ("SIM_A/vehicle_tracks_000.csv", [V1_1, &car("", 1, 1..=100), &car("", 2, 20..=60)].concat())
-        } else {
-            ("SIM_A_val.csv", [V1_2, &cases].concat())
-        };
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join(name);
-        fs_err::create_dir_all(path.parent().unwrap()).unwrap();
-        fs_err::write(&path, test_data::damaged(text.as_bytes(), &damages)).unwrap();
-        let config = config(folder.path());
-        if let Ok(units) = read_units(&config) {
-            let source = Interaction::new(&config);
-            for unit in units.into_iter().flatten() {
-                for scene in parse(&source, unit).into_iter().flatten() {
-                    let states = || scene.tracks.iter().flat_map(|track| track.trajectory.valid());
-                    assert!(states().all(|(_, state)| state.is_finite()));
-                    assert!(scene.tracks.iter().all(|track| track.trajectory.n_timesteps() == scene.n_timesteps));
-                }
-            }
-        }
-    }
 }
 
 #[test]

@@ -54,6 +54,36 @@ impl<'a> TableReader<'a> {
 }
 
 impl TableReader<'_> {
+    /// Whether the next entry of this pass is read in it, and the entry's number.
+    fn is_due(&mut self, pass: usize, key: &RecordingKey) -> (usize, bool) {
+        let entry_idx = self.n_entries_of_pass;
+        self.n_entries_of_pass += 1;
+        let n_gathering_passes = self.surveys.get(entry_idx).map_or(0, |survey| survey.n_gathering_passes);
+        let is_due =
+            if n_gathering_passes > 0 { pass < n_gathering_passes } else { pass == self.recordings.pass_of(key) };
+        (entry_idx, is_due)
+    }
+
+    /// Reads a table of v1.1 after its header: one recording, with its counterpart, if there is one.
+    fn read_recording(
+        &mut self,
+        mut unit: RawUnit,
+        key: RecordingKey,
+        lines: &mut Lines<'_>,
+        is_pedestrians: bool,
+        emit: &mut EmitUnit<'_>,
+    ) -> ControlFlow<()> {
+        if let Err(error) = lines.read_rest(&mut unit.bytes, MAX_RECORDING_BYTES) {
+            let is_too_large = error.kind() == io::ErrorKind::FileTooLarge;
+            let reject = unit.reject(if is_too_large { "too_large" } else { "unreadable" }, error);
+            return self.leave_out(reject, &key, emit);
+        }
+        if let Cow::Owned(plain) = without_quotes(&unit.bytes) {
+            unit.bytes = plain;
+        }
+        self.recordings.add(key, unit, is_pedestrians, emit)
+    }
+
     /// Emits what is wrong with a file, and its counterpart, if there is one, alone.
     fn leave_out(&mut self, reject: Reject, key: &RecordingKey, emit: &mut EmitUnit<'_>) -> ControlFlow<()> {
         emit(Err(reject))?;
@@ -80,12 +110,8 @@ impl UnitReader for TableReader<'_> {
             self.surveys.push(survey);
             return Ok(ControlFlow::Continue(()));
         };
-        let entry_idx = self.n_entries_of_pass;
-        self.n_entries_of_pass += 1;
-        let n_gathering_passes = self.surveys.get(entry_idx).map_or(0, |survey| survey.n_gathering_passes);
         let key = RecordingKey::of(entry, &part);
-        let is_due =
-            if n_gathering_passes > 0 { pass < n_gathering_passes } else { pass == self.recordings.pass_of(&key) };
+        let (entry_idx, is_due) = self.is_due(pass, &key);
         if !is_due {
             return Ok(ControlFlow::Continue(()));
         }
@@ -119,16 +145,8 @@ impl UnitReader for TableReader<'_> {
         unit.split = file.unit_split(true);
         unit.bytes = header;
         unit.bytes.push(b'\n');
-        if let Err(error) = lines.read_rest(&mut unit.bytes, MAX_RECORDING_BYTES) {
-            let is_too_large = error.kind() == io::ErrorKind::FileTooLarge;
-            let reject = unit.reject(if is_too_large { "too_large" } else { "unreadable" }, error);
-            return Ok(self.leave_out(reject, &key, emit));
-        }
-        if let Cow::Owned(plain) = without_quotes(&unit.bytes) {
-            unit.bytes = plain;
-        }
         unit.case_id = part.number;
-        Ok(self.recordings.add(key, unit, part.is_pedestrians, emit))
+        Ok(self.read_recording(unit, key, &mut lines, part.is_pedestrians, emit))
     }
 
     fn next_pass(&mut self) -> bool {

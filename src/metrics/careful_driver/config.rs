@@ -25,7 +25,7 @@ pub struct CarefulDriverConfig {
     /// The largest deceleration, m/s². Default 7.593, that is 0.774 g.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_deceleration_mps2: f64,
-    /// Width of a lane, meters: its markings lie half of it beside the path. Default 3.5.
+    /// Width of a lane, meters: its markings are half of it from the path. Default 3.5.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub lane_width_m: f64,
     /// A vehicle this far beyond the marking intrudes, meters. Default 0.3.

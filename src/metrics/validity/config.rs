@@ -58,16 +58,16 @@ pub struct ValidityConfig {
     /// Default 0.3.
     #[schemars(range(min = 0.0))]
     pub offroad_slack_m: f64,
-    /// Where more than this share of the states of recorded vehicles lies off the road, or more than this share of the recorded scenes holds a
-    /// departure from it, the map of the place does not say where the road is: departures are not judged there, and every table says so.
-    /// Default 0.03; 1 to judge them by any map.
+    /// Where more than this share of the states of recorded vehicles lies off the road, or more than this share of the
+    /// recorded scenes holds a departure from it, the map of the place lacks parts of the road: departures are not
+    /// judged there, and every table says so. Default 0.03; 1 to judge them by any map.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_recorded_offroad: f64,
-    /// Places at which departures are not judged, beside those that are found so.
+    /// Places where departures are not judged, in addition to those that `max_recorded_offroad` excludes.
     #[serde(skip_serializing_if = "BTreeSet::is_empty")]
     pub places_without_road: BTreeSet<String>,
-    /// Whether requested agents may collide with each other whatever was asked of them; where it was a `collision`, they always may.
-    /// Default false.
+    /// Whether requested agents may collide with each other, whatever the requested behavior; if it is `collision`,
+    /// they always may. Default false.
     pub asked_may_collide: bool,
 }
 

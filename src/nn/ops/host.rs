@@ -60,9 +60,11 @@ impl<F: FnOnce(&mut [f32]) -> Result<()>> InplaceOp1 for Change<F> {
     }
 
     fn cpu_fwd(&self, storage: &mut CpuStorage, layout: &Layout) -> Result<()> {
-        let Some((start, end)) = layout.contiguous_offsets() else { bail!("only contiguous tensors change in place") };
+        let Some((start, end)) = layout.contiguous_offsets() else {
+            bail!("only contiguous tensors can be changed in place")
+        };
         let (CpuStorage::F32(values), Some(change)) = (storage, self.0.take()) else {
-            bail!("only f32 tensors change in place");
+            bail!("only f32 tensors can be changed in place");
         };
         change(&mut values[start..end])
     }

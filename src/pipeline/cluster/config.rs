@@ -12,10 +12,11 @@ pub struct ClusterConfig {
     /// Number of jobs that sample, or measure, at once.
     #[schemars(range(min = 1, max = 100_000))]
     pub workers: usize,
-    /// How often a job is started again that was stopped or died. A training that takes several of the time limits needs one for each.
+    /// How often a job that was stopped or died is started again. A training that exceeds the time limit needs one
+    /// retry for each further time limit.
     #[schemars(range(max = 1_000))]
     pub retries: u32,
-    /// The partition of Slurm, or the queue of Kueue on Kubernetes; empty: the default one, or none.
+    /// The partition of Slurm, or the queue of Kueue on Kubernetes. Empty: Slurm's default partition, or no queue.
     pub partition: String,
     /// The time limit of a job as Slurm writes it, such as `04:00:00`; empty: the partition's. Kubernetes sets none.
     pub time: String,
@@ -27,7 +28,7 @@ pub struct ClusterConfig {
     pub cpus: u32,
     /// Memory of each job as Slurm writes it, such as `16G`; empty: the partition's.
     pub memory: String,
-    /// How long before its time is up a job hears of it, seconds: enough for a step of training.
+    /// How long before the end of its time a job is notified, seconds: enough for a step of training.
     #[schemars(range(min = 10, max = 3_600))]
     pub notice_s: u32,
     /// On Slurm, what runs the program in a container, such as `apptainer exec --nv /images/djinn.sif djinn`; empty: the program that submits.
@@ -36,8 +37,8 @@ pub struct ClusterConfig {
     pub lines: Vec<String>,
     /// The container image that Kubernetes runs, such as `registry.example.org/djinn:0.1`.
     pub image: String,
-    /// PersistentVolumeClaims of Kubernetes and the folders where jobs find them, such as `{ traffic = "/data" }`: the same folders as
-    /// where the pipeline is submitted.
+    /// PersistentVolumeClaims of Kubernetes and the folders where they are mounted, such as `{ traffic = "/data" }`.
+    /// The pipeline must be submitted from a machine with the same folders.
     pub volumes: BTreeMap<String, String>,
 }
 
@@ -61,7 +62,7 @@ impl Default for ClusterConfig {
 }
 
 impl ClusterConfig {
-    /// Refuses texts that would break the scripts apart.
+    /// Refuses texts that would break the scripts.
     ///
     /// # Errors
     /// Names the setting.
@@ -77,7 +78,7 @@ impl ClusterConfig {
         for (claim, folder) in &self.volumes {
             settings::printable_name(&format!("volumes.{claim}"), folder)?;
             if !folder.starts_with('/') {
-                let found = format_args!("is \"{folder}\", expected a path from the root, such as /data");
+                let found = format_args!("is \"{folder}\", expected an absolute path, such as /data");
                 return Err(settings::Issue::new(format!("volumes.{claim}"), found));
             }
         }

@@ -1,4 +1,4 @@
-//! Which jobs does a pipeline come to, and which waits for which?
+//! Which jobs does a pipeline need, and which of them waits for which?
 
 use super::{ClusterConfig, Engine};
 use crate::generate::RequestConfig;
@@ -7,9 +7,9 @@ use crate::pipeline::{Result, StageId};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// With so many shards a round, a worker that is done waits for little of it.
+/// With this many shards per worker and round, workers wait only briefly at the end of a round.
 const SHARDS_PER_WORKER: usize = 4;
-/// Where a worker's number, from 1, stands in a command.
+/// Stands for a worker's number, from 1, in a command.
 pub(super) const WORKER: &str = "{worker}";
 
 /// What is submitted.
@@ -29,19 +29,19 @@ pub struct Submission<'a> {
     pub config: &'a PipelineConfig,
 }
 
-/// The jobs, in an order in which each comes after those that it waits for.
+/// The jobs; each comes after those that it waits for.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct JobGraph {
     /// The name of the pipeline.
     pub pipeline: String,
-    /// The folder in which the commands run: relative paths begin there.
+    /// The folder in which the commands run; relative paths are relative to it.
     pub directory: PathBuf,
     /// The folder of the run.
     pub run_folder: PathBuf,
     /// How often a job may be started again.
     pub retries: u32,
-    /// Exit codes with which a job has come to its end. With 75 it was stopped or has nothing to begin with yet; with that and all
-    /// others it is to be started again.
+    /// Exit codes that are final. 75 means that the job was stopped or that an input is not ready yet; after 75 and all
+    /// other codes the job is started again.
     pub final_exit_codes: [u8; 3],
     /// The jobs.
     pub jobs: Vec<Job>,
@@ -68,16 +68,16 @@ pub struct Dependency {
     /// Its name.
     pub job: &'static str,
     /// How it must have ended.
-    pub condition: Condition,
+    pub condition: Completion,
 }
 
 /// How a job must have ended for the next one to begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Condition {
+pub enum Completion {
     /// With exit code 0.
     Succeeded,
-    /// Anyhow: the next job looks by itself whether everything is there. One of many workers may be lost without harm.
+    /// In any way: the next job checks for itself that its inputs exist, and losing one of many workers does no harm.
     Ended,
 }
 
@@ -117,14 +117,14 @@ impl JobGraph {
     }
 }
 
-/// What of a configuration makes poor use of its workers.
+/// Warns of settings that make poor use of the workers.
 pub fn cautions(config: &PipelineConfig, cluster: &ClusterConfig) -> Vec<String> {
     let requests = config.generate.iter().flat_map(|generate| &generate.requests).enumerate();
     let enough = SHARDS_PER_WORKER * cluster.workers;
     let too_few = requests.filter(|(_, request)| cluster.workers > 1 && request.shards_per_round < enough);
     let caution = |(idx, request): (usize, &RequestConfig)| {
         format!(
-            "request {} has {} shards a round for {} workers, most of which will wait for each other; {enough} or more keep them busy \
+            "request {} has {} shards a round for {} workers, most of which will be idle; {enough} or more keep them busy \
              (generate.requests.{idx}.shards_per_round, which changes what is sampled)",
             request.name, request.shards_per_round, cluster.workers
         )
@@ -132,7 +132,7 @@ pub fn cautions(config: &PipelineConfig, cluster: &ClusterConfig) -> Vec<String>
     too_few.map(caution).collect()
 }
 
-/// What the jobs of a stage are called that is run in parts. `None` of one that one process runs.
+/// The names of the jobs of a stage that is run in parts; `None` for a stage that one process runs.
 fn names_in_parts(stage: StageId, n_workers: usize) -> Option<[&'static str; 3]> {
     match stage {
         StageId::Generate => Some(["plan", "work", "seal"]),
@@ -141,7 +141,7 @@ fn names_in_parts(stage: StageId, n_workers: usize) -> Option<[&'static str; 3]>
     }
 }
 
-/// Jobs, each of which waits for those before it.
+/// A chain of jobs, each of which waits for those before it.
 struct Jobs {
     command: Command,
     n_workers: usize,
@@ -152,10 +152,10 @@ impl Jobs {
     /// Adds the jobs of a stage in parts.
     fn add_parts(&mut self, stage: StageId, [plan, work, seal]: [&'static str; 3]) {
         let (after, number) = (self.after_last(), format!("{WORKER}/{}", self.n_workers));
-        let planned = Dependency { job: plan, condition: Condition::Succeeded };
+        let planned = Dependency { job: plan, condition: Completion::Succeeded };
         self.add(plan, &[stage], &["--part", "plan"], None, after);
         self.add(work, &[stage], &["--part", "work", "--worker", &number], Some(self.n_workers), vec![planned]);
-        let ended = Dependency { job: work, condition: Condition::Ended };
+        let ended = Dependency { job: work, condition: Completion::Ended };
         self.add(seal, &[stage], &["--part", "seal"], None, vec![planned, ended]);
     }
 
@@ -168,10 +168,10 @@ impl Jobs {
 
     fn after_last(&self) -> Vec<Dependency> {
         let last = self.jobs.last();
-        last.map(|job| Dependency { job: job.name, condition: Condition::Succeeded }).into_iter().collect()
+        last.map(|job| Dependency { job: job.name, condition: Completion::Succeeded }).into_iter().collect()
     }
 
-    /// Adds a job; without stages, of all of them.
+    /// Adds a job that runs these stages; without any, all of the pipeline.
     fn add(
         &mut self,
         name: &'static str,
@@ -187,7 +187,7 @@ impl Jobs {
     }
 }
 
-/// `djinn run` with what all jobs have in common.
+/// `djinn run` with the arguments that all jobs share.
 struct Command {
     words: Vec<String>,
 }

@@ -1,7 +1,8 @@
-//! The jobs as a JobSet of Kubernetes: one object, which says what waits for what.
+//! Renders the jobs as a JobSet of Kubernetes: one object, with the dependencies between its jobs.
 //!
-//! Needs JobSet 0.8 or later, whose jobs wait for each other, and Kubernetes 1.31 or later, where the success of one worker can be that
-//! of its job. Whoever ignores either starts jobs too early or too often, which does no harm: such a job ends with 75.
+//! Needs JobSet 0.8 or later, whose jobs can wait for each other, and Kubernetes 1.31 or later, where the success of
+//! one worker can end its job. Older versions start jobs too early or too often, which does no harm: such a job ends
+//! with 75.
 
 use super::feed::{complaint, feed};
 use super::jobs::WORKER;
@@ -10,25 +11,28 @@ use crate::pipeline::{Failure, Result};
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// The program, as the image names it, and what is called after it.
+/// The name of the program in the image, and of the objects that are named for it.
 const PROGRAM: &str = "djinn";
-/// The group of the image's user, to which volumes are opened.
+/// The group of the image's user, which gets access to the volumes.
 const GROUP: u32 = 65_532;
-/// The number of a worker, from 0: Kubernetes puts it in the place of this.
+/// The number of a worker, from 0; Kubernetes substitutes it.
 const INDEX: &str = "$(JOB_COMPLETION_INDEX)";
-/// Room for the name of a JobSet: names of pods have at most 63 letters, of which `-evaluate-work-0-99999-abcde` takes 28.
+/// The longest name of a JobSet: names of pods have at most 63 characters, of which `-evaluate-work-0-99999-abcde`
+/// takes 28.
 const NAME_LETTERS: usize = 35;
 
 /// The JobSet, as YAML.
 ///
 /// # Errors
-/// When the settings lack what pods need: an image, and the volume in which the files are.
+/// When the settings lack an image, or no volume holds the files.
 pub fn manifest(graph: &JobGraph, cluster: &ClusterConfig) -> Result<String> {
     if cluster.image.is_empty() {
         return Err(Failure::input_message(
             "cluster.image is empty, expected the container image that Kubernetes runs",
         )
-        .with_hint("build one from the Containerfile, push it where the cluster finds it, and name it here"));
+        .with_hint(
+            "build one from the Containerfile, push it to a registry that the cluster can reach, and name it here",
+        ));
     }
     let run_folder = graph.directory.join(&graph.run_folder);
     [graph.directory.as_path(), &run_folder].into_iter().try_for_each(|folder| is_mounted(folder, cluster))?;
@@ -48,18 +52,18 @@ pub fn manifest(graph: &JobGraph, cluster: &ClusterConfig) -> Result<String> {
     Ok(yaml::document(&document))
 }
 
-/// Hands the JobSet to Kubernetes. Returns what `kubectl` says of it.
+/// Submits the JobSet to Kubernetes. Returns the output of `kubectl`.
 ///
 /// # Errors
-/// Those of [`manifest`]; when `kubectl` is not there, or the cluster refuses.
+/// Those of [`manifest`]; when `kubectl` cannot be started or the cluster refuses the JobSet.
 pub fn submit(graph: &JobGraph, cluster: &ClusterConfig) -> Result<String> {
     let args = ["apply", "-f", "-"].map(str::to_owned);
     let output = feed("kubectl", "the command that talks to Kubernetes", &args, &manifest(graph, cluster)?)?;
-    let again = format!("if its jobs have ended, `kubectl delete jobset {}`, and submit again", name(graph));
+    let again = format!("if its jobs are finished, run `kubectl delete jobset {}`, and submit again", name(graph));
     let said = String::from_utf8_lossy(&output.stdout);
     if output.status.success() {
         return match said.contains("unchanged") {
-            true => Err(Failure::input_message(format_args!("{} is there already", said.trim())).with_hint(again)),
+            true => Err(Failure::input_message(format_args!("{} already exists", said.trim())).with_hint(again)),
             false => Ok(said.into_owned()),
         };
     }
@@ -72,7 +76,8 @@ pub fn submit(graph: &JobGraph, cluster: &ClusterConfig) -> Result<String> {
     })
 }
 
-/// The name of the JobSet: that of the pipeline as far as it goes, and a mark of the run folder, so that two of them never share one.
+/// The name of the JobSet: the name of the pipeline, cut to fit, and a hash of the run folder, so that no two run
+/// folders share a name.
 pub fn name(graph: &JobGraph) -> String {
     let folder = graph.directory.join(&graph.run_folder);
     let mark = &blake3::hash(folder.to_string_lossy().as_bytes()).to_hex()[..6];
@@ -86,7 +91,7 @@ pub fn name(graph: &JobGraph) -> String {
     }
 }
 
-/// A job among those of the JobSet.
+/// One job of the JobSet.
 fn replicated_job(graph: &JobGraph, job: &Job, cluster: &ClusterConfig, memory: Option<&str>) -> Value {
     let n_pods = job.workers.unwrap_or(1);
     let mut spec = json!({
@@ -101,7 +106,7 @@ fn replicated_job(graph: &JobGraph, job: &Job, cluster: &ClusterConfig, memory: 
         "template": {"spec": pod(graph, job, cluster, memory)},
     });
     match job.workers {
-        // A worker that ends with 0 has seen every shard finished or given up: nothing is left for those that were lost or are late.
+        // A worker ends with 0 once every shard is finished or given up, so nothing is left for lost or late workers.
         Some(_) => {
             spec["backoffLimitPerIndex"] = json!(graph.retries);
             spec["successPolicy"] = json!({"rules": [{"succeededCount": 1}]});
@@ -109,7 +114,8 @@ fn replicated_job(graph: &JobGraph, job: &Job, cluster: &ClusterConfig, memory: 
         None => spec["backoffLimit"] = json!(graph.retries),
     }
     let mut replicated = json!({"name": job.name, "replicas": 1, "template": {"spec": spec}});
-    // A JobSet's job waits for one other. The last one has waited for all before it.
+    // A job of a JobSet can wait for only one other. The last dependency is enough, because it has waited for the
+    // others.
     if let Some(last) = job.after.last() {
         replicated["dependsOn"] = json!([{"name": last.job, "status": "Complete"}]);
     }
@@ -145,7 +151,7 @@ fn pod(graph: &JobGraph, job: &Job, cluster: &ClusterConfig, memory: Option<&str
     })
 }
 
-/// What a pod asks for. GPUs and memory have limits there; more cores than were asked for do nobody harm.
+/// The resources of a pod. GPUs and memory get limits, cores only a request: using idle cores beyond it does no harm.
 fn resources(job: &Job, cluster: &ClusterConfig, memory: Option<&str>) -> Value {
     let (mut requests, mut limits) = (json!({}), json!({}));
     if cluster.cpus > 0 {
@@ -161,12 +167,13 @@ fn resources(job: &Job, cluster: &ClusterConfig, memory: Option<&str>) -> Value 
     json!({"requests": requests, "limits": limits})
 }
 
-/// A word of a command, in which `$` means nothing to Kubernetes but where the number of the worker stands.
+/// A word of a command, with every `$` escaped for Kubernetes except for the number of the worker.
 fn argument(word: &str) -> String {
     word.replace('$', "$$").replace(WORKER, INDEX)
 }
 
-/// Slurm's `16G` as Kubernetes writes it, `16Gi`; without a unit, Slurm means megabytes. `None` where nothing is set.
+/// Converts memory from Slurm's notation (`16G`) to that of Kubernetes (`16Gi`). Without a unit, Slurm means megabytes.
+/// `None` if nothing is set.
 fn memory(text: &str) -> Result<Option<String>> {
     if text.is_empty() {
         return Ok(None);
@@ -191,8 +198,8 @@ fn is_mounted(folder: &Path, cluster: &ClusterConfig) -> Result<()> {
     let volumes: Vec<String> = cluster.volumes.iter().map(|(claim, mounted)| format!("{claim} at {mounted}")).collect();
     let volumes = if volumes.is_empty() { "none".to_owned() } else { volumes.join(", ") };
     let message =
-        format_args!("{} is in none of the volumes that jobs find (cluster.volumes: {volumes})", folder.display());
+        format_args!("{} is in none of the volumes of the jobs (cluster.volumes: {volumes})", folder.display());
     Err(Failure::input_message(message).with_hint(
-        "submit from a folder of a volume, and name its claim and where it is: cluster.volumes = { CLAIM = \"/FOLDER\" }",
+        "submit from a folder in a volume, and name its claim and mount path: cluster.volumes = { CLAIM = \"/FOLDER\" }",
     ))
 }

@@ -42,7 +42,7 @@ fn what_pods_could_not_run_is_refused() {
         (
             "homes = '/home', ",
             "",
-            "/home/ada is in none of the volumes that jobs find (cluster.volumes: runs at /data/out)",
+            "/home/ada is in none of the volumes of the jobs (cluster.volumes: runs at /data/out)",
         ),
         ("'16G'", "'16GB'", "cluster.memory is \"16GB\", expected a whole number with K, M, G or T"),
         ("'16G'", "'1.5G'", "cluster.memory is \"1.5G\""),

@@ -1,11 +1,12 @@
 //! The jobs as scripts for Slurm's `sbatch`.
 //!
-//! A script starts the program, tells it of signals, and asks for its job to be queued again when it was stopped or died, so often as the
-//! configuration allows. Nothing depends on a signal: some sites send none, and a killed worker's shards are sampled by others.
+//! A script starts the program, passes signals on to it, and requeues its job if the program was stopped or died, as
+//! often as the configuration allows. Nothing depends on a signal: some sites send none, and other workers sample the
+//! shards of a killed one.
 
 use super::feed::{complaint, feed};
 use super::jobs::WORKER;
-use super::{ClusterConfig, Condition, Job, JobGraph};
+use super::{ClusterConfig, Completion, Job, JobGraph};
 use crate::pipeline::{Classify, Failure, Result};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -14,7 +15,7 @@ use std::path::PathBuf;
 /// The folder of the jobs' outputs, in the run folder.
 const OUTPUTS: &str = "slurm";
 
-/// What each script does: it runs the command, passes signals on, and queues its job again.
+/// The body of each script: it runs the command, passes signals on and requeues the job.
 const BODY: &str = include_str!("job.sh");
 
 /// A submitted job.
@@ -59,10 +60,10 @@ pub fn script(graph: &JobGraph, job: &Job, cluster: &ClusterConfig) -> String {
     text
 }
 
-/// Hands the jobs to Slurm, each with those that it waits for. Returns them with the numbers that Slurm gave them.
+/// Submits the jobs to Slurm, each with its dependencies. Returns them with the numbers that Slurm assigned.
 ///
 /// # Errors
-/// When `sbatch` is not there or refuses a job.
+/// When `sbatch` cannot be started or refuses a job.
 pub fn submit(graph: &JobGraph, cluster: &ClusterConfig) -> Result<Vec<Submitted>> {
     fs_err::create_dir_all(graph.directory.join(&graph.run_folder).join(OUTPUTS)).blame_input()?;
     let mut ids: BTreeMap<&str, String> = BTreeMap::new();
@@ -72,14 +73,14 @@ pub fn submit(graph: &JobGraph, cluster: &ClusterConfig) -> Result<Vec<Submitted
         if !job.after.is_empty() {
             let dependency = |after: &super::Dependency| {
                 let condition = match after.condition {
-                    Condition::Succeeded => "afterok",
-                    Condition::Ended => "afterany",
+                    Completion::Succeeded => "afterok",
+                    Completion::Ended => "afterany",
                 };
                 ids.get(after.job).map(|id| format!("{condition}:{id}"))
             };
             let dependencies: Vec<String> = job.after.iter().filter_map(dependency).collect();
             args.push(format!("--dependency={}", dependencies.join(",")));
-            // A job that can never begin would wait for ever.
+            // Without this, a job whose dependency failed would wait forever.
             args.push("--kill-on-invalid-dep=yes".to_owned());
         }
         let id = sbatch(&args, &script(graph, job, cluster)).map_err(|failure| {
@@ -87,7 +88,7 @@ pub fn submit(graph: &JobGraph, cluster: &ClusterConfig) -> Result<Vec<Submitted
             match earlier.is_empty() {
                 true => failure,
                 false => failure.with_hint(format!(
-                    "jobs were submitted before it, which `scancel {}` takes back",
+                    "jobs were submitted before it, and `scancel {}` cancels them",
                     earlier.join(" ")
                 )),
             }
@@ -111,14 +112,14 @@ fn sbatch(args: &[String], script: &str) -> Result<String> {
     Err(Failure::input_message(format_args!("sbatch {} refused a job: {}", args.join(" "), complaint(&output))))
 }
 
-/// All scripts, as a person reads them.
+/// All scripts, for people to read.
 pub fn describe(graph: &JobGraph, cluster: &ClusterConfig) -> String {
     let mut text = String::new();
     for job in &graph.jobs {
         let after: Vec<String> = (job.after.iter())
             .map(|after| match after.condition {
-                Condition::Succeeded => format!("{} has succeeded", after.job),
-                Condition::Ended => format!("{} has ended", after.job),
+                Completion::Succeeded => format!("{} has succeeded", after.job),
+                Completion::Ended => format!("{} has ended", after.job),
             })
             .collect();
         let when = if after.is_empty() { "at once".to_owned() } else { format!("when {}", after.join(" and ")) };
@@ -133,7 +134,7 @@ fn shell_word(word: &str) -> String {
     if word.contains(WORKER) { with_number.replace("''", "") } else { with_number }
 }
 
-/// A text as the shell and `sbatch` read it: as it is where nothing in it means anything to them.
+/// A text quoted for the shell and `sbatch`; unchanged if it has no special characters.
 fn quoted(text: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+%@".contains(c);
     match !text.is_empty() && text.chars().all(is_plain) {

@@ -1,4 +1,4 @@
-//! A value as YAML: block style, with texts in JSON's quotes wherever YAML could take them for anything else.
+//! A value as YAML in block style. Texts that YAML could read as anything else get JSON quotes.
 
 use serde_json::Value;
 use std::fmt::Write;
@@ -10,7 +10,7 @@ pub(super) fn document(value: &Value) -> String {
     text
 }
 
-/// Writes a value whose lines begin `indent` to the right. The first line follows what is there already.
+/// Writes a value whose lines are indented by `indent`. The first line continues the current line.
 fn block(value: &Value, indent: usize, text: &mut String) {
     let begin = |i: usize, text: &mut String| text.push_str(&" ".repeat(if i == 0 { 0 } else { indent }));
     match value {
@@ -48,7 +48,7 @@ fn is_leaf(value: &Value) -> bool {
     }
 }
 
-/// Numbers, empty lists and the like are written as in JSON, and so are texts that are not plain beyond doubt.
+/// Numbers, empty lists and the like are written as in JSON, and so are texts that might not be plain.
 fn scalar(value: &Value) -> String {
     const SPECIAL: [&str; 9] = ["true", "false", "null", "yes", "no", "on", "off", "y", "n"];
     match value {

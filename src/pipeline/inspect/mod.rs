@@ -1,7 +1,7 @@
-//! What does a file or folder of ours hold?
+//! Describes files and folders that djinn wrote.
 //!
-//! Each kind of thing has a describer; the first that recognizes the path speaks. Descriptions are ordered names and
-//! values, from which the command line makes text or JSON.
+//! Each kind of file has a describer; the first one that recognizes the path describes it. Descriptions are ordered
+//! names and values, from which the command line makes text or JSON.
 
 mod checkpoint;
 mod folders;
@@ -43,7 +43,7 @@ const DESCRIBERS: [Describer; 11] = [
 /// Says what the file or folder at `path` holds.
 ///
 /// # Errors
-/// When there is nothing, when it is none of ours, or when it is damaged.
+/// When nothing is there, when djinn did not write it, or when it is damaged.
 pub fn inspect(path: &Path) -> Result<Description> {
     regular(path).map_err(Failure::input)?;
     for describe in DESCRIBERS {

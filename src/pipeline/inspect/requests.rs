@@ -1,4 +1,4 @@
-//! Requests: what was asked, what was got, and what did it cost?
+//! Requests: what was requested, what was delivered, and at what cost?
 
 use crate::generate::{ArmSummary, BucketSummary, RequestSummary};
 use crate::pipeline::Result;

@@ -1,4 +1,4 @@
-//! Evaluation in parts: workers measure shards of samples; the process that seals puts them together and decides.
+//! Evaluation in parts: workers measure shards of samples; the process that seals merges them and decides.
 
 use super::folder::PartsFolder;
 use super::gathering::Gathering;
@@ -13,12 +13,12 @@ use crate::store::write_binary_atomically;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// What workers need not find out each by itself.
+/// Results that workers share instead of computing them one by one.
 #[derive(Serialize, Deserialize)]
 pub(super) struct EvaluationPlan {
     /// Number of shards of samples.
     n_shards: usize,
-    /// At which places the map allows to judge departures from the road.
+    /// The places where the map is good enough to judge departures from the road.
     maps: Vec<MapFitRow>,
 }
 

@@ -1,6 +1,6 @@
 //! `<stage>.parts/<plan-id>/`: the plan, and the shards that workers have finished, each with a record beside it.
 //!
-//! The plan's id is in the path, so that a worker of a plan that was given up can write nothing into another one.
+//! The plan's id is in the path, so that a worker of a discarded plan cannot write into another one.
 
 use super::PartFile;
 use super::identity::Identity;
@@ -16,7 +16,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 const PLAN_FILE: &str = "plan.json";
-/// Written after the plan: whoever sees it may begin.
+/// Written after the plan: its presence means that workers may begin.
 const ABOUT_FILE: &str = "parts.json";
 
 /// The folder of a plan.
@@ -37,7 +37,7 @@ struct About {
     n_shards: usize,
 }
 
-/// What is known of a shard that a worker has finished; written beside it, after it.
+/// The record of a finished shard; written beside the shard, after it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct PartShard<S> {
     /// The plan.
@@ -51,7 +51,7 @@ pub(super) struct PartShard<S> {
 }
 
 impl PartsFolder {
-    /// The plans of a stage in a run folder; a plan that was not written to its end is none.
+    /// The plans of a stage in a run folder; incomplete plans do not count.
     ///
     /// # Errors
     /// Those of the file system.
@@ -66,7 +66,7 @@ impl PartsFolder {
         Ok(found)
     }
 
-    /// Removes what is left of plans that a killed process had not written, or not removed, to the end.
+    /// Removes the remains of plans that a killed process had not finished writing or removing.
     ///
     /// # Errors
     /// As [`PartsFolder::discard`].
@@ -76,10 +76,10 @@ impl PartsFolder {
         remains.into_iter().try_for_each(|dir| discard(&dir, facts))
     }
 
-    /// The plan that a process of `identity` works on, if there is one.
+    /// The plan for processes of this `identity`, if there is one.
     ///
     /// # Errors
-    /// When there are only others; those of the file system.
+    /// When there are only plans of other identities; those of the file system.
     pub(super) fn of(root: &Path, identity: &Identity) -> Result<Option<Self>> {
         let mut differs = None;
         for folder in Self::all(root, identity.stage.stage)? {
@@ -94,14 +94,14 @@ impl PartsFolder {
     /// Keeps a plan.
     ///
     /// # Errors
-    /// When files of somebody else are in its place; those of the file system.
+    /// When other people's files are in its place; those of the file system.
     pub(super) fn write(root: &Path, identity: Identity, plan: &impl Serialize, n_shards: usize) -> Result<Self> {
         let stage = identity.stage.stage;
         let facts = stage.facts().parts;
         let facts = facts.ok_or_else(|| Failure::fault(anyhow::anyhow!("stage {stage} cannot be run in parts")))?;
         let dir = parts_of(root, stage).join(identity.plan_id()?);
         let folder = Self { dir, facts, about: About { identity, n_shards } };
-        // What a killed process left has no plan, and nobody has worked on it.
+        // The remains of a killed process have no plan, so no worker has used them.
         folder.discard()?;
         fs_err::create_dir_all(&folder.dir)?;
         write_json_atomically(&folder.dir.join(PLAN_FILE), plan)?;
@@ -127,7 +127,7 @@ impl PartsFolder {
         &self.about.identity
     }
 
-    /// Number of shards that the plan knew of, or that somebody has begun since.
+    /// Number of shards in the plan, or begun since.
     ///
     /// # Errors
     /// Those of the file system.
@@ -140,9 +140,9 @@ impl PartsFolder {
         Ok(begun.unwrap_or_default().max(self.about.n_shards))
     }
 
-    /// A refusal of a process that differs so to work on the plan.
+    /// The error of a process that differs from the plan in this way.
     pub(super) fn refusal(&self, difference: &str) -> Failure {
-        // Beside the refusal, that the folder cannot be read is of no interest.
+        // An unreadable folder does not matter here: the refusal is the message.
         let n_shards = self.n_shards().unwrap_or_default();
         let n_finished = (0..n_shards).filter(|idx| self.sidecar(*idx).exists()).count();
         self.identity().refusal(difference, (n_finished, n_shards))
@@ -168,7 +168,7 @@ impl PartsFolder {
         format!("{}.{}", self.shard_name(idx), self.facts.ending)
     }
 
-    /// What is known of shard `idx`, if it is finished. Its content is compared when it is published.
+    /// The record of shard `idx`, if it is finished. Its content is verified when it is published.
     pub(super) fn finished<S: PartFile>(&self, idx: usize) -> Option<PartShard<S>> {
         let shard: PartShard<S> = read_json(&self.sidecar(idx)).ok()?;
         let (file, stamp) = shard.shard.file();
@@ -176,7 +176,7 @@ impl PartsFolder {
         (is_whole && self.dir.ends_with(&shard.plan_id)).then_some(shard)
     }
 
-    /// Declares a shard finished, whose file is written.
+    /// Declares a shard finished; its file must be complete.
     ///
     /// # Errors
     /// Those of the file system.
@@ -187,7 +187,7 @@ impl PartsFolder {
         Ok(())
     }
 
-    /// Compares the content of a finished shard with its checksum. A damaged one is finished no longer.
+    /// Compares the content of a finished shard with its checksum. A damaged shard no longer counts as finished.
     ///
     /// # Errors
     /// Those of the file system, when the record of a damaged shard cannot be removed.
@@ -201,16 +201,16 @@ impl PartsFolder {
         Ok(None)
     }
 
-    /// Removes the plan and all that workers wrote for it. Workers that are still there find no plan.
+    /// Removes the plan and everything that workers wrote for it. Workers that are still running find no plan.
     ///
     /// # Errors
-    /// When somebody else put files there; those of the file system.
+    /// When other people's files are in the folder; those of the file system.
     pub(super) fn discard(&self) -> Result<()> {
         discard(&self.dir, self.facts)
     }
 
-    /// The names of shards that were tried and not finished then: a network file system lists a folder sooner than it says of many
-    /// files that they are not there.
+    /// The names of shards that were tried and are not finished. Reads the folder's list once: on a network file system
+    /// that is faster than looking for many missing files.
     ///
     /// # Errors
     /// Those of the file system.
@@ -220,7 +220,7 @@ impl PartsFolder {
         Ok(names.iter().filter_map(shard_of).collect())
     }
 
-    /// Appends what the workers logged to the log at `path`.
+    /// Appends the workers' logs to the log at `path`.
     ///
     /// # Errors
     /// Those of the file system.
@@ -246,7 +246,7 @@ impl PartsFolder {
     }
 }
 
-/// The folders of the plans of a stage, in order, written to their end or not.
+/// The folders of the plans of a stage, in order, complete or not.
 fn plan_dirs(root: &Path, stage: StageId) -> Result<Vec<PathBuf>> {
     let parts = parts_of(root, stage);
     if !parts.is_dir() {
@@ -266,7 +266,7 @@ fn discard(dir: &Path, facts: PartFacts) -> Result<()> {
     if !theirs.is_empty() {
         return Err(crate::files::Error::Foreign { path: dir.to_owned(), found: theirs }.into());
     }
-    // Who begins to work reads this first.
+    // Processes read this first.
     remove_if_present(&dir.join(ABOUT_FILE))?;
     remove_listed(dir, &ours).map_err(Failure::fault)?;
     if let Some(parts) = dir.parent() {
@@ -276,7 +276,7 @@ fn discard(dir: &Path, facts: PartFacts) -> Result<()> {
     Ok(())
 }
 
-/// Whether a file of this name is one that plans and workers write, or is a part of one.
+/// Whether plans or workers write files of this name, or temporary files for them.
 fn is_ours(name: &Path, facts: PartFacts) -> bool {
     let name = name.to_string_lossy();
     let whole = name.strip_suffix(crate::files::PARTIAL_SUFFIX).and_then(|rest| rest.rsplit_once('.'));

@@ -1,4 +1,4 @@
-//! Which shards of the workers are there, and what is said of those that are not?
+//! Which shards have the workers finished, and what does the message say of the others?
 
 use super::PartFile;
 use super::folder::PartsFolder;
@@ -9,7 +9,7 @@ use std::path::Path;
 /// The most shards that a message names.
 const SHOWN: usize = 5;
 
-/// The shards of a plan, as far as they are looked at.
+/// The shards of a plan that were examined so far.
 pub(super) struct Gathering<'a, S> {
     parts: &'a PartsFolder,
     found: Vec<(usize, S)>,
@@ -19,12 +19,12 @@ pub(super) struct Gathering<'a, S> {
 }
 
 impl<'a, S: PartFile> Gathering<'a, S> {
-    /// Nothing yet of a plan with so many shards.
+    /// Starts with none of the `n_shards` shards examined.
     pub(super) fn new(parts: &'a PartsFolder, n_shards: usize) -> Self {
         Self { parts, found: Vec::new(), missing: Vec::new(), given_up: Vec::new(), n_shards }
     }
 
-    /// Shard `idx`, if it is finished and as it was written; it is noted if it is not.
+    /// Shard `idx`, if it is finished and undamaged; otherwise notes that it is missing.
     ///
     /// # Errors
     /// Those of the file system.
@@ -45,12 +45,12 @@ impl<'a, S: PartFile> Gathering<'a, S> {
         self.parts.dir()
     }
 
-    /// There are more shards than the plan knew of.
+    /// Adds shards that the plan did not know of.
     pub(super) fn expect_more(&mut self, n_shards: usize) {
         self.n_shards += n_shards;
     }
 
-    /// Shard `idx` is one to be published.
+    /// Adds shard `idx` to those to be published.
     pub(super) fn take(&mut self, idx: usize, shard: S) {
         self.found.push((idx, shard));
     }
@@ -71,20 +71,20 @@ impl<'a, S: PartFile> Gathering<'a, S> {
         match (missing.is_empty(), given_up.is_empty()) {
             (true, true) => Ok(found),
             (true, false) => {
-                let message = format!("{} of {n_shards} shards are given up: {given_up_text}", given_up.len());
+                let message = format!("{} of {n_shards} shards were given up: {given_up_text}", given_up.len());
                 Err(Failure::fault(anyhow::anyhow!(message)).with_hint(format!(
-                    "find out why in {}, mend it, remove the marks *.try-* there, and run workers again",
+                    "find the cause in {}, fix it, remove the marks *.try-* there, and run workers again",
                     parts.dir().display()
                 )))
             }
             (false, none_given_up) => {
                 let more = match none_given_up {
                     true => String::new(),
-                    false => format!("; {} more are given up: {given_up_text}", given_up.len()),
+                    false => format!("; {} more were given up: {given_up_text}", given_up.len()),
                 };
                 let (n_missing, names) = (missing.len(), few(&missing));
                 Err(Failure::later(format_args!("{n_missing} of {n_shards} shards are missing: {names}{more}"))
-                    .with_hint("run workers until none is missing, then seal again"))
+                    .with_hint("run workers until no shard is missing, then seal again"))
             }
         }
     }

@@ -14,7 +14,7 @@ use crate::store::RequestTag;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// What is decided before any shard is sampled.
+/// The decisions made before any shard is sampled.
 #[derive(Serialize, Deserialize)]
 pub(super) struct GenerationPlan {
     /// The shards of the sweeps.
@@ -26,13 +26,13 @@ pub(super) struct GenerationPlan {
 /// A shard that a worker has sampled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct SampledShard {
-    /// What is published with it; for a request without what it came to, until that is gathered.
+    /// Published with the shard. For a request, it lacks the tally until the shards are gathered.
     #[serde(flatten)]
     pub(super) sidecar: SampleSidecar,
-    /// Where the scenarios of a request fall.
+    /// The buckets of the scenarios of a request.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) placed: Vec<PlacedScenario>,
-    /// What became of them, once they are gathered.
+    /// Their tags, once the shards are gathered.
     #[serde(skip)]
     pub(super) tags: Vec<RequestTag>,
 }
@@ -100,7 +100,7 @@ impl PartedStage for Generate<'_> {
     }
 }
 
-/// Samples the shards of the plan that may be wanted.
+/// Samples the shards of the plan that may be needed.
 pub(super) fn work_through(
     shards: &Shards<'_, SampledShard>,
     plan: &Plan,
@@ -114,7 +114,8 @@ pub(super) fn work_through(
     })
 }
 
-/// Whether one process might generate the shard: not if those before it that are finished have enough verified scenarios already.
+/// Whether one process might generate the shard: not if the finished shards before it already have enough verified
+/// scenarios.
 fn may_be_wanted(shards: &Shards<'_, SampledShard>, plan: &Plan, resolved: &ResolvedGeneration, idx: usize) -> bool {
     let shard = &plan.shards[idx];
     if shard.is_wanted(resolved, usize::MAX) {
@@ -126,8 +127,8 @@ fn may_be_wanted(shards: &Shards<'_, SampledShard>, plan: &Plan, resolved: &Reso
     shard.is_wanted(resolved, n_verified as usize)
 }
 
-/// Gathers the shards that one process would have sampled. Of a sweep that stops early, what comes after a missing shard may not be
-/// wanted: it waits.
+/// Gathers the shards that one process would have sampled. If a sweep stops early, shards after a missing one wait,
+/// because they may not be needed.
 pub(super) fn gather(
     plan: &Plan,
     resolved: &ResolvedGeneration,

@@ -1,22 +1,22 @@
-//! What must be the same in all processes that work on one plan, so that their shards fit together?
+//! What must all processes that work on one plan have in common?
 
 use crate::pipeline::fingerprint::fingerprint_value;
 use crate::pipeline::{ComputeChoice, Failure, Result, StageRecord};
 use serde::{Deserialize, Serialize};
 
-/// The work, the program and the machine: together, what decides every byte of a shard.
+/// The work, the program and the kind of machine: together they determine every byte of a shard.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Identity {
     /// The stage with its section and inputs.
     pub stage: StageRecord,
     /// Version and revision of the program.
     pub program: String,
-    /// The kind of device, and how products are rounded.
+    /// The kind of device, and the precision of matrix products.
     pub compute: String,
 }
 
 impl Identity {
-    /// That of this process, which would run `stage`. A stage that computes with no networks runs on the processor.
+    /// The identity of this process for a stage with this `record`. A stage without networks runs on the processor.
     ///
     /// # Errors
     /// When the program cannot be read.
@@ -50,21 +50,20 @@ impl Identity {
         (!differences.is_empty()).then(|| differences.join("; "))
     }
 
-    /// A refusal of a process that differs so to work on this plan, of whose shards so many of so many are finished.
+    /// The error of a process that differs from this plan in this way; it says how many shards would be lost.
     pub(super) fn refusal(&self, difference: &str, (n_finished, n_shards): (usize, usize)) -> Failure {
         let stage = self.stage.stage;
         Failure::input_message(format_args!(
-            "the plan of stage {stage} in this run folder is another one: {difference}; nothing was changed"
+            "this run folder holds another plan of stage {stage}: {difference}; nothing was changed"
         ))
         .with_hint(format!(
-            "finish it with the same pipeline file, kind of device and program ({}), or give it up with its {n_finished} of {n_shards} finished shards: plan \
-             again with --part plan --redo {stage}",
+            "finish it with the same pipeline file, kind of device and program ({}), or discard it with its {n_finished} finished shards of {n_shards}: plan again with --part plan --redo {stage}",
             self.program
         ))
     }
 }
 
-/// The version with the revision of the source. Where the build did not know that, the content of the program stands for it.
+/// The version with the revision of the source, or with a hash of the program if the build did not know the revision.
 fn program() -> Result<String> {
     let version = env!("CARGO_PKG_VERSION");
     if let Some(revision) = option_env!("DJINN_REVISION") {

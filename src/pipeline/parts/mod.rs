@@ -1,10 +1,10 @@
-//! A stage by any number of processes on a shared folder: who plans, who makes which shard, who publishes?
+//! A stage run by any number of processes on a shared folder: who plans, who makes which shard, who publishes?
 //!
-//! A shard is a function of the plan and its index alone. So there are no leases and no coordinator: a shard that two workers
-//! make costs time, never correctness. One process plans ([`plan`]), workers make shards ([`work`]) below
-//! `<stage>.parts/<plan-id>/`, and one process publishes what a single process would have written ([`seal`]). Only the first
-//! and the last hold the lock of the run folder and remove anything but their own marks. What is particular to a stage is a
-//! [`PartedStage`]: `generation`, `evaluation`.
+//! A shard is a function of the plan and its index alone, so there are no leases and no coordinator: if two workers
+//! make the same shard, that costs time but not correctness. One process plans ([`plan`]), workers make shards
+//! ([`work`]) below `<stage>.parts/<plan-id>/`, and one process publishes what a single process would have written
+//! ([`seal`]). Only the first and the last hold the lock of the run folder; workers remove nothing but their own marks.
+//! Each stage that can be divided implements [`PartedStage`]: `generation`, `evaluation`.
 
 mod evaluation;
 mod folder;
@@ -34,6 +34,7 @@ use super::stages;
 use super::{ComputeChoice, Result};
 use crate::files::FileStamp;
 use crate::progress::Progress;
+use crate::settings::Unreadable;
 use folder::PartsFolder;
 use gathering::Gathering;
 use serde::de::DeserializeOwned;
@@ -43,23 +44,22 @@ use std::path::Path;
 use std::str::FromStr;
 use work::Shards;
 
-/// What is particular to a stage that several processes can run. Its facts name its shards
-/// ([`PartFacts`](super::stage_facts::PartFacts)).
+/// A stage that several processes can run. Its facts name its shards ([`PartFacts`](super::stage_facts::PartFacts)).
 trait PartedStage: Stage {
-    /// What is decided before any shard is made.
+    /// The decisions made before any shard.
     type Plan: Serialize + DeserializeOwned;
-    /// What is known of a finished shard.
+    /// The record of a finished shard.
     type Shard: PartFile;
 
     /// Decides what shards there are.
     fn plan(&self, compute: ComputeChoice, progress: &dyn Progress) -> Result<Self::Plan>;
-    /// Number of shards that the plan knows of.
+    /// Number of shards in the plan.
     fn n_shards(plan: &Self::Plan) -> usize;
-    /// Goes about the shards until each is finished, unwanted or given up.
+    /// Works on the shards until each is finished, not needed or given up.
     fn work(&self, plan: &Self::Plan, shards: &Shards<'_, Self::Shard>, compute: ComputeChoice) -> Result<()>;
     /// Gathers the shards that one process would have made.
     fn gather(&self, plan: &Self::Plan, shards: &mut Gathering<'_, Self::Shard>) -> Result<()>;
-    /// Brings gathered shards into the folder `work`, where the stage takes them for its own.
+    /// Puts gathered shards into the folder `work`, where the stage finds them as if it had made them.
     fn publish(
         &self,
         plan: &Self::Plan,
@@ -69,13 +69,13 @@ trait PartedStage: Stage {
     ) -> Result<()>;
 }
 
-/// What is known of a shard: at least its file.
+/// The record of a shard, which names at least its file.
 trait PartFile: Clone + PartialEq + Serialize + DeserializeOwned {
     /// The name of the file, with its size and hash.
     fn file(&self) -> (&str, &FileStamp);
 }
 
-/// A shard of which nothing but its file needs to be known.
+/// The record of a shard that needs nothing but its file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct StampedFile {
     file: String,
@@ -90,10 +90,10 @@ impl PartFile for StampedFile {
 
 /// A stage that can be run in parts.
 pub trait InParts {
-    /// Plans the stage that is `planned`, for any number of workers. What is planned already stays.
+    /// Plans the stage that is `planned` for any number of workers. An existing plan of the same identity stays.
     ///
     /// # Errors
-    /// When another plan is at work in the folder and `is_redone` does not say that it is given up; those of planning.
+    /// When the folder has another plan and `is_redone` does not allow discarding it; those of planning.
     fn plan(
         &self,
         folder: &RunFolder,
@@ -103,22 +103,23 @@ pub trait InParts {
         progress: &dyn Progress,
     ) -> Result<()>;
 
-    /// Makes shards of the plan in the run folder `root` until none is left to be begun.
+    /// Makes shards of the plan in the run folder `root` until none is left to start.
     ///
     /// # Errors
-    /// When there is no plan yet ([`Blame::Later`](super::Blame::Later)), or the plan is of another configuration, program or kind of
-    /// device; those of the work.
+    /// When there is no plan yet ([`Blame::Later`](super::Blame::Later)), or the plan belongs to another configuration,
+    /// program or kind of device; those of the work.
     fn work(&self, root: &Path, worker: Worker, compute: ComputeChoice, progress: &dyn Progress) -> Result<()>;
 
-    /// Takes over the shards of the workers into the work of the stage that is `planned`, which then only finishes it: it runs next, and
-    /// [`sealed`] after it.
+    /// Moves the workers' shards into the work folder of the stage that is `planned`. The stage runs next and only has
+    /// to finish; [`sealed`] comes after it.
     ///
     /// # Errors
-    /// When shards are missing: [`Blame::Later`](super::Blame::Later) while they may still come, a fault once all of them are given
-    /// up. When there is no plan, or it is another one.
+    /// When shards are missing: [`Blame::Later`](super::Blame::Later) while they may still come, a fault once all of
+    /// them are given up. When there is no plan, or only that of another identity.
     fn seal(&self, folder: &RunFolder, planned: &mut PlannedStage<'_>, compute: ComputeChoice) -> Result<()>;
 
-    /// Takes over what workers have finished of the stage that is `planned`, which runs next by one process and does the rest.
+    /// Moves the finished shards of workers into the work folder of the stage that is `planned`. One process runs the
+    /// stage next and does the rest.
     ///
     /// # Errors
     /// Those of the file system.
@@ -160,7 +161,7 @@ impl<S: PartedStage> InParts for S {
     }
 }
 
-/// The stage, where it can be run in parts and the configuration has its section.
+/// The stage, if it can be run in parts and the configuration has its section.
 pub fn in_parts<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Option<Box<dyn InParts + 'a>> {
     Some(match id {
         StageId::Generate => Box::new(stages::generation(config, layout)?),
@@ -181,11 +182,11 @@ pub enum Part {
 }
 
 impl FromStr for Part {
-    type Err = String;
+    type Err = Unreadable;
 
-    fn from_str(name: &str) -> Result<Self, String> {
+    fn from_str(name: &str) -> Result<Self, Unreadable> {
         let known = [Self::Plan, Self::Work, Self::Seal].into_iter().find(|part| part.to_string() == name);
-        known.ok_or_else(|| "expected plan, work or seal".to_owned())
+        known.ok_or_else(|| "expected plan, work or seal".into())
     }
 }
 

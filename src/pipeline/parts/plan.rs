@@ -1,4 +1,4 @@
-//! The first part: one process decides what is done.
+//! The first part: one process decides what is to be done.
 
 use super::PartedStage;
 use super::folder::PartsFolder;

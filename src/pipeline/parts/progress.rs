@@ -9,9 +9,10 @@ use std::fmt::Write;
 use std::path::Path;
 use std::time::Duration;
 
-/// A shard that was begun longer ago than this many times what a shard takes, and than [`AT_LEAST`], is taken for one whose worker died.
+/// If a shard was begun longer ago than this many times the usual time of a shard, and longer ago than [`AT_LEAST`],
+/// its worker is presumed dead.
 const MANY: f64 = 5.0;
-/// Before any shard is done, nobody knows what one takes.
+/// Before any shard is done, its usual time is unknown.
 const AT_LEAST: Duration = Duration::from_secs(120);
 
 /// The shards of a plan.
@@ -25,13 +26,13 @@ pub struct ShardStatus {
     pub n_done: usize,
     /// Begun not long ago.
     pub n_running: usize,
-    /// Neither, and to be made yet. A sweep that stops early leaves some.
+    /// Neither done nor running. A sweep that stops early never makes some of them.
     pub n_missing: usize,
-    /// Names of those that nobody will try again, with the reason.
+    /// Names of the shards that no worker will try again, with the reason.
     pub given_up: Vec<String>,
-    /// What a shard takes one worker, seconds; `None` before one is done.
+    /// The time that one worker takes for a shard, seconds; `None` before one is done.
     pub seconds_a_shard: Option<f64>,
-    /// How long the rest takes those who are at work, seconds; `None` where that is not known or nobody is.
+    /// The time that the present workers need for the rest, seconds; `None` if it is unknown or there are no workers.
     pub seconds_left: Option<f64>,
 }
 

@@ -1,8 +1,9 @@
-//! Requests by several processes. The shards of a round depend on what was decided for it alone; workers sample them in any order.
-//! Whoever sees a round whole goes through its shards in their order and decides the next one: everybody decides the same.
+//! Requests by several processes. The shards of a round depend only on the decision for that round, so workers sample
+//! them in any order. A worker that finds a round complete reads its shards in order and decides the next one; all
+//! workers would decide the same.
 //!
-//! Whether a scenario is accepted depends on those before it. Workers say of each scenario where it falls; the process that seals
-//! decides and writes the tables anew with what it decided.
+//! Whether a scenario is accepted depends on the scenarios before it. Workers therefore only record the bucket of each
+//! scenario; the process that seals decides, and writes the tables again with its decisions.
 
 use super::folder::PartsFolder;
 use super::gathering::Gathering;
@@ -17,7 +18,7 @@ use crate::store::{RequestTag, SceneStore, read_samples};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Samples the shards of requests, round by round, until all are fulfilled or a shard is given up.
+/// Samples the shards of requests, round by round, until all requests are fulfilled or a shard is given up.
 pub(super) fn work(
     plan: &GenerationPlan,
     ready: &Ready<'_>,
@@ -37,7 +38,7 @@ pub(super) fn work(
     Ok(())
 }
 
-/// A worker at the rounds of a request.
+/// Samples the rounds of a request as a worker.
 struct Sampling<'a> {
     ready: &'a Ready<'a>,
     samples: &'a SampleFolder,
@@ -77,7 +78,7 @@ impl Sampling<'_> {
     }
 }
 
-/// Gathers the shards of requests, with what each came to.
+/// Gathers the shards of requests, with their tallies.
 pub(super) fn gather(
     plan: &GenerationPlan,
     resolved: &ResolvedGeneration,
@@ -94,7 +95,7 @@ pub(super) fn gather(
     Ok(())
 }
 
-/// The process that seals, at the rounds of a request.
+/// Decides the rounds of a request in the process that seals.
 struct Deciding<'a, 'g>(&'a mut Gathering<'g, SampledShard>);
 
 impl RoundShards for Deciding<'_, '_> {
@@ -118,7 +119,7 @@ impl RoundShards for Deciding<'_, '_> {
     }
 }
 
-/// What a shard came to, and the tags of its scenarios.
+/// The tally of a shard, and the tags of its scenarios.
 fn decided(
     request: &ResolvedRequest,
     (round, shard): (usize, &RoundShard),
@@ -127,14 +128,14 @@ fn decided(
 ) -> Result<(ShardTally, Vec<RequestTag>)> {
     let SampledShard { sidecar, placed, .. } = sampled;
     if sidecar.n_scenarios != placed.len() as u64 || !request.may_decide(shard, placed) {
-        let message = format!("what is known of {} is of another shard or damaged", sidecar.file);
+        let message = format!("the record of {} is damaged or belongs to another shard", sidecar.file);
         let hint = "plan again with --stage generate --part plan --redo generate";
         return Err(Failure::fault(anyhow::anyhow!(message)).with_hint(hint));
     }
     Ok(request.decide(round, shard, ledger, placed))
 }
 
-/// Brings what was decided, and the shards of requests with it, into the folder `samples`.
+/// Writes the pools, the rounds and the decided shards of requests into the folder `samples`.
 pub(super) fn publish(
     plan: &GenerationPlan,
     shards: &[(usize, SampledShard)],

@@ -1,4 +1,4 @@
-//! The last part: one process publishes what the workers made, as if it had made everything itself.
+//! The last part: one process publishes the workers' shards as if it had made everything itself.
 
 use super::PartedStage;
 use super::folder::PartsFolder;
@@ -10,14 +10,14 @@ use crate::pipeline::work::Work;
 use crate::pipeline::{ComputeChoice, Failure, Result, StageId};
 use std::path::Path;
 
-/// What one process took over of workers that had begun a stage.
+/// What one process took over from the workers of a stage.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum TakenOver {
     /// No workers had begun.
     Nothing,
-    /// So many of so many shards. What the workers left is to be removed by [`sealed`] once the stage is done.
+    /// So many of so many shards. [`sealed`] removes the workers' files once the stage is done.
     Shards(usize, usize),
-    /// Nothing, because the plan of the workers differs so. It stays.
+    /// Nothing, because the workers' plan differs in this way. It stays.
     Refused(String),
 }
 
@@ -66,7 +66,7 @@ pub(super) fn take_over<S: PartedStage>(
     Ok(TakenOver::Shards(shards.len(), n_shards))
 }
 
-/// Brings shards into the folder in which the stage works, so that it goes on from there.
+/// Puts shards into the work folder of the stage, which continues from there.
 fn publish<S: PartedStage>(
     stage: &S,
     root: &Path,
@@ -83,7 +83,8 @@ fn publish<S: PartedStage>(
     Ok(())
 }
 
-/// Removes the plans and shards of `stage` in `root`, once they are published. What workers logged goes to the log of the run.
+/// Removes the plans and shards of `stage` in `root`, once they are published. The workers' logs are appended to the
+/// log of the run.
 ///
 /// # Errors
 /// Those of the file system; when somebody else put files there.

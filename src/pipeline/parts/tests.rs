@@ -121,7 +121,7 @@ fn a_shard_that_crashes_is_given_up_by_name_and_the_others_are_sampled() {
     let said = format!("{failure:?}");
     assert_eq!(failure.blame, Blame::Fault);
     assert!(
-        said.contains("1 of 6 shards are given up: samples-00001 (failed 3 times, last: a bug: scene x has no lanes)")
+        said.contains("1 of 6 shards were given up: samples-00001 (failed 3 times, last: a bug: scene x has no lanes)")
     );
     assert!(said.contains("marks *.try-*"), "{said}");
     // Mended, and its marks removed, it is sampled like any other.
@@ -277,11 +277,11 @@ fn the_folder_alone_tells_how_far_the_shards_are() {
     (1..=10).for_each(|number| fs_err::write(planned.folder.try_path(4, number), "").unwrap());
     let found = status();
     assert_eq!((found.n_shards, found.n_done, found.n_running, found.n_missing), (6, 2, 2, 1));
-    assert_eq!(found.given_up, ["samples-00004 (10 workers died in it, or are at work in it)"]);
+    assert_eq!(found.given_up, ["samples-00004 (10 workers died in it, or are still at work on it)"]);
     // Three shards of 40 s by two workers.
     assert!((found.seconds_left.unwrap() - 60.0).abs() < 1e-9);
     assert_eq!(
         found.text(),
-        "shards            2 of 6 done, 2 running, 1 missing, 1 given up\ntime left         60 s\ngiven up          samples-00004 (10 workers died in it, or are at work in it)\n"
+        "shards            2 of 6 done, 2 running, 1 missing, 1 given up\ntime left         60 s\ngiven up          samples-00004 (10 workers died in it, or are still at work on it)\n"
     );
 }

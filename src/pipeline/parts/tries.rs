@@ -1,6 +1,8 @@
-//! How often was a shard tried? A mark beside the shard for each try, so that an input that crashes is given up some day.
+//! How often was a shard tried? Each try leaves a mark beside the shard, so that an input that crashes the program is
+//! given up eventually.
 //!
-//! A mark is made before the work and removed after it. Those that stay are of tries that failed or died; a failed one says why.
+//! A mark is made before the work and removed after it. Marks that stay belong to tries that failed or died; a failed
+//! try writes its reason into the mark.
 
 use super::folder::PartsFolder;
 use crate::pipeline::clock::utc_now;
@@ -11,12 +13,12 @@ use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-/// A shard that failed so often with a reason would fail again.
+/// After this many failures with a reason, a shard would fail again.
 pub(super) const MAX_FAILED: usize = 3;
-/// Tries that died without a word may have been killed for other reasons: they count less.
+/// Tries that died without a reason may have been killed from outside, so more of them are allowed.
 pub(super) const MAX_TRIES: usize = 10;
 
-/// After so long a worker in its last try has died rather than that it is at work.
+/// After this long, a worker in its last try is presumed dead.
 const LONG: Duration = Duration::from_secs(600);
 
 /// What a mark says.
@@ -26,7 +28,7 @@ pub(super) struct Try {
     pub(super) worker: String,
     /// When it began, UTC.
     pub(super) started: String,
-    /// Why it failed; `None` of one that is at work, or died.
+    /// Why the last one failed; `None` if it is at work or died.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) failed: Option<String>,
 }
@@ -38,7 +40,7 @@ pub(super) struct Tries {
     pub(super) n_tries: usize,
     /// Why those failed that say so.
     pub(super) failed: Vec<String>,
-    /// How long ago the youngest of those was made that do not say so.
+    /// Age of the youngest mark without a reason.
     pub(super) age: Option<Duration>,
 }
 
@@ -50,7 +52,7 @@ impl Tries {
             let path = folder.try_path(idx, number);
             let Ok(metadata) = fs_err::metadata(&path) else { continue };
             tries.n_tries += 1;
-            // Whoever made the mark may not have written it yet, or died doing so.
+            // The process may not have written the mark yet, or may have died while doing so.
             match read_json::<Try>(&path).ok().and_then(|mark| mark.failed) {
                 Some(failed) => tries.failed.push(failed),
                 None => {
@@ -68,16 +70,16 @@ impl Tries {
         self.failed.len() >= MAX_FAILED || self.n_tries >= MAX_TRIES
     }
 
-    /// Whether nobody tries again, and nobody is likely to be at work.
+    /// Whether the shard is given up and probably no worker is at work on it.
     pub(super) fn are_hopeless(&self) -> bool {
         self.failed.len() >= MAX_FAILED || (self.n_tries >= MAX_TRIES && self.age.is_none_or(|age| age > LONG))
     }
 
-    /// What became of the tries, in words.
+    /// The result of the tries, in words.
     pub(super) fn describe(&self) -> String {
         match self.failed.last() {
             Some(why) => format!("failed {} times, last: {why}", self.failed.len()),
-            None => format!("{} workers died in it, or are at work in it", self.n_tries),
+            None => format!("{} workers died in it, or are still at work on it", self.n_tries),
         }
     }
 }
@@ -107,7 +109,7 @@ pub(super) fn begin(folder: &PartsFolder, idx: usize, worker: &str) -> Result<Op
     Ok(None)
 }
 
-/// Says on the mark why the try failed.
+/// Writes into the mark why the try failed.
 ///
 /// # Errors
 /// Those of the file system.

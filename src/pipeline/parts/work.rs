@@ -9,6 +9,7 @@ use crate::pipeline::graph::{check_inputs, expected};
 use crate::pipeline::log::Logged;
 use crate::pipeline::{Blame, ComputeChoice, Failure, Result, StageRecord};
 use crate::progress::Progress;
+use crate::settings::Unreadable;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -19,13 +20,13 @@ use std::path::Path;
 use std::str::FromStr;
 use std::time::{Duration, Instant};
 
-/// How long workers wait for shards of others at the least, and while none is known.
+/// The shortest wait for shards of other workers, and the wait while no time of a shard is known.
 const LEAST_PATIENCE: Duration = Duration::from_secs(2);
 const UNKNOWN: Duration = Duration::from_secs(10);
-/// How often they look.
+/// How often workers look for them.
 const POLL: Duration = Duration::from_millis(200);
 
-/// Which of the workers this is. Several may bear one number: it only says where they begin.
+/// Which of the workers this is. Several may share a number: it only decides where they begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Worker {
     /// Its number, from 1.
@@ -35,17 +36,17 @@ pub struct Worker {
 }
 
 impl FromStr for Worker {
-    type Err = String;
+    type Err = Unreadable;
 
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn from_str(text: &str) -> Result<Self, Unreadable> {
         let read = || {
             let (number, of) = text.split_once('/')?;
             Some(Self { number: number.parse().ok()?, of: of.parse().ok()? })
         };
         let worker = read().filter(|worker| worker.number <= worker.of && (1..=100_000).contains(&worker.of));
-        // Engines that count from 0 have no last one.
+        // Engines that count from 0 pass 0 in place of the last number.
         let counted = worker.map(|Self { number, of }| Self { number: if number == 0 { of } else { number }, of });
-        counted.ok_or_else(|| "expected K/N with K from 1 to N, or from 0 to N - 1, such as 3/100".to_owned())
+        counted.ok_or_else(|| "expected K/N with K from 1 to N, or from 0 to N - 1, such as 3/100".into())
     }
 }
 
@@ -56,8 +57,9 @@ impl fmt::Display for Worker {
 }
 
 impl Worker {
-    /// The shards in the order in which this worker goes about them: its own ones first, then those of others from the end backward,
-    /// where those are that nobody has come to yet. Every worker begins at another one, so that they do not all take the same.
+    /// The order in which this worker takes the shards: its own first, then those of other workers from the end
+    /// backward, because those are reached last. Every worker starts at a different shard, so that they do not all take
+    /// the same one.
     pub(super) fn order(self, n_shards: usize) -> impl Iterator<Item = usize> {
         let own = (self.number - 1..n_shards).step_by(self.of);
         let others = move || (0..n_shards).rev().filter(move |idx| idx % self.of != self.number - 1);
@@ -91,10 +93,10 @@ pub(super) fn work<S: PartedStage>(
     let shards = Shards::new(&folder, worker, &logged);
     let outcome = check_inputs(stage).and_then(|()| stage.work(&folder.plan()?, &shards, compute));
     match &outcome {
-        Ok(()) => logged.line("nothing is left to be begun"),
+        Ok(()) => logged.line("no shard is left to start"),
         Err(failure) => logged.line(&format!("ended: {:#}", failure.error)),
     }
-    // Who seals or discards a plan takes the folder from its last workers.
+    // Sealing or discarding a plan removes the folder while its last workers may still run.
     outcome.map_err(|failure| if folder.is_there() { failure } else { no_plan() })
 }
 
@@ -104,12 +106,12 @@ pub(super) struct Shards<'a, S> {
     worker: Worker,
     /// Receives the progress.
     pub(super) progress: &'a dyn Progress,
-    /// Those that are known to be finished.
+    /// Records of shards that are known to be finished.
     finished: RefCell<BTreeMap<usize, PartShard<S>>>,
 }
 
 impl<'a, S: PartFile> Shards<'a, S> {
-    /// Those in `folder`, of which nothing is known yet.
+    /// The shards in `folder`; none has been looked up yet.
     pub(super) fn new(folder: &'a PartsFolder, worker: Worker, progress: &'a dyn Progress) -> Self {
         Self { folder, worker, progress, finished: RefCell::default() }
     }
@@ -124,7 +126,7 @@ impl<'a, S: PartFile> Shards<'a, S> {
         self.folder.file_name(idx)
     }
 
-    /// What is known of shard `idx`, if it is finished.
+    /// The record of shard `idx`, if it is finished.
     pub(super) fn finished(&self, idx: usize) -> Option<S> {
         Some(match self.finished.borrow_mut().entry(idx) {
             Entry::Occupied(known) => known.get().shard.clone(),
@@ -132,11 +134,11 @@ impl<'a, S: PartFile> Shards<'a, S> {
         })
     }
 
-    /// Goes about these shards in the worker's order, once. Each is then finished, unwanted or given up. `make` makes one,
-    /// advances the progress by what it is `worth`, and says what is known of it.
+    /// Tries each of these shards once, in the worker's order. Afterwards each is finished, not needed or given up.
+    /// `make` makes a shard, advances the progress by its `worth`, and returns its record.
     ///
     /// # Errors
-    /// When the process is to stop; those of making a shard, whose mark says why.
+    /// When the process must stop; those of making a shard, which its mark then records.
     pub(super) fn go_about(
         &self,
         range: Range<usize>,
@@ -145,7 +147,7 @@ impl<'a, S: PartFile> Shards<'a, S> {
         make: &mut dyn FnMut(usize) -> Result<S>,
     ) -> Result<()> {
         for idx in self.worker.order(range.len()).map(|at| range.start + at) {
-            // Whoever has asked is given the time to take back the mark of a try.
+            // Stopping here leaves time to remove the mark of a try.
             if self.progress.must_stop() {
                 return Err(Failure::later("stopped between shards"));
             }
@@ -158,8 +160,8 @@ impl<'a, S: PartFile> Shards<'a, S> {
         Ok(())
     }
 
-    /// Goes about these shards until each is finished; or given up, which returns `false`. What other workers are at is left to them for
-    /// a while.
+    /// Works on these shards until each is finished, or returns `false` once one is given up. Shards that other workers
+    /// have begun are left to them for a while.
     ///
     /// # Errors
     /// As [`Shards::go_about`].
@@ -180,7 +182,7 @@ impl<'a, S: PartFile> Shards<'a, S> {
                 return Ok(false);
             }
             if self.progress.must_stop() {
-                return Err(Failure::later("stopped while other workers were at the rest of a round"));
+                return Err(Failure::later("stopped while other workers finished the round"));
             }
             std::thread::sleep(POLL);
             if began.elapsed() > self.patience() {
@@ -190,7 +192,7 @@ impl<'a, S: PartFile> Shards<'a, S> {
         }
     }
 
-    /// How long others may take for a shard: three times what any has taken so far.
+    /// How long other workers may take for a shard: three times the longest time so far.
     fn patience(&self) -> Duration {
         let longest = self.finished.borrow().values().map(|finished| finished.seconds).fold(0.0, f64::max);
         let patience = if longest > 0.0 { Duration::from_secs_f64(3.0 * longest) } else { UNKNOWN };
@@ -201,7 +203,7 @@ impl<'a, S: PartFile> Shards<'a, S> {
         let name = self.worker.to_string();
         let Some(mark) = tries::begin(self.folder, idx, &name)? else {
             let why = Tries::of(self.folder, idx).describe();
-            self.progress.warn(&format!("shard {idx} is given up: {why}"));
+            self.progress.warn(&format!("giving up shard {idx}: {why}"));
             return Ok(());
         };
         let began = Instant::now();
@@ -209,7 +211,7 @@ impl<'a, S: PartFile> Shards<'a, S> {
         let outcome = match made {
             Ok(outcome) => outcome,
             Err(panic) => {
-                // The shard learns of it; everything else about a panic is as everywhere.
+                // The mark records the panic, which then continues as usual.
                 drop(tries::fail(&mark, &name, &panic_message(panic.as_ref())));
                 resume_unwind(panic)
             }

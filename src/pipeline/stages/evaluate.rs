@@ -1,4 +1,5 @@
-//! Generated scenarios to metrics and the corpus: the files around [`Evaluation`]. What workers have measured is not measured again.
+//! Generated scenarios to metrics and the corpus: the files around [`Evaluation`]. Shards that workers have measured
+//! are not measured again.
 
 use super::mine::MineConfig;
 use super::sample_folder::SampleManifest;
@@ -46,7 +47,7 @@ impl Stage for Evaluate<'_> {
         match self.generated {
             Some((generate, has_maps)) => match generate.resolve(&self.mine.build()?) {
                 Ok(resolved) => Ok(self.config.gates.check_generated(&resolved, has_maps)?),
-                // What is wrong with the section itself is told by its own stage.
+                // Errors of the section itself are reported by its own stage.
                 Err(_) => Ok(()),
             },
             None => Ok(()),
@@ -93,7 +94,7 @@ impl Stage for Evaluate<'_> {
         context.progress.start("evaluate", samples.n_scenarios, "scenarios");
         for idx in 0..samples.shards.len() {
             let shard = self.read(&ready, idx)?;
-            // A damaged file of figures is as good as none.
+            // A damaged file of figures counts as missing.
             let figures = match read_binary(&figures_path(context.root, idx), FIGURES_FORMAT) {
                 Ok(figures) => figures,
                 Err(_) => match &mut measurer {
@@ -129,15 +130,15 @@ impl Stage for Evaluate<'_> {
     }
 }
 
-/// The format of the files in which figures of shards are.
+/// The format of the files with figures of shards.
 pub(in crate::pipeline) const FIGURES_FORMAT: &str = "figures.v1";
 
-/// Where the stage, when it works in `work`, looks for the figures of shard `idx` that others have measured.
+/// The file in the work folder `work` in which the stage looks for figures of shard `idx` from workers.
 pub(in crate::pipeline) fn figures_path(work: &Path, idx: usize) -> PathBuf {
     work.join("figures").join(format!("figures-{idx:05}.bin"))
 }
 
-/// What shards are measured and put together with, read and checked.
+/// Everything that measuring and merging shards needs, read and checked.
 pub(in crate::pipeline) struct EvaluationReady {
     store: SceneStore,
     /// The shards.
@@ -145,12 +146,12 @@ pub(in crate::pipeline) struct EvaluationReady {
     behaviors: Vec<Box<dyn Behavior>>,
     /// How well the maps of places fit their recordings.
     pub(in crate::pipeline) maps: Vec<MapFitRow>,
-    /// The section, which knows by now what maps allow.
+    /// The section, with the places whose maps allow no check of departures.
     config: EvaluateConfig,
 }
 
 impl Evaluate<'_> {
-    /// Reads and checks what shards are measured with. How well maps fit is found out where nobody has done so.
+    /// Reads and checks everything that measuring needs. Determines how well maps fit, unless that is known already.
     pub(in crate::pipeline) fn ready(&self, maps: Option<Vec<MapFitRow>>) -> Result<EvaluationReady> {
         self.check()?;
         let store = SceneStore::open(&self.layout.scenes)?;

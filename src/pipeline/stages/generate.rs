@@ -1,4 +1,4 @@
-//! Recorded histories and models to generated scenarios, shard by shard; finished shards are kept when interrupted.
+//! Recorded histories and models to generated scenarios, shard by shard; finished shards survive an interruption.
 
 use super::mine::MineConfig;
 use super::models::{LoadedModels, needed_models};
@@ -25,7 +25,7 @@ pub struct Generate<'a> {
     pub precision: Precision,
     /// The definitions of the behaviors that scenarios are checked for.
     pub mine: MineConfig,
-    /// What the metrics of selections and limits judge by: as evaluation does.
+    /// The settings of metrics in selections and limits, as in the evaluation.
     pub metric_settings: MetricSettings,
     /// The behavior that the pipeline's classifier is trained for, where the pipeline trains one.
     pub classified_behavior: Option<&'a str>,
@@ -92,13 +92,13 @@ impl Stage for Generate<'_> {
     }
 }
 
-/// What shards are planned and sampled with, read and checked.
+/// Everything that planning and sampling shards needs, read and checked.
 pub(in crate::pipeline) struct Ready<'a> {
-    /// What is sampled, sweeps of requests among it.
+    /// The resolved section, which includes the sweeps of requests.
     pub(in crate::pipeline) resolved: &'a ResolvedGeneration,
     store: &'a SceneStore,
     models: &'a LoadedModels,
-    /// Samples shards, and places what was sampled for requests.
+    /// Samples shards, and finds the buckets of scenarios for requests.
     pub(in crate::pipeline) generator: Generator<'a>,
     decisive_settings: Option<MetricSettings>,
 }
@@ -132,7 +132,7 @@ impl Ready<'_> {
 }
 
 impl Generate<'_> {
-    /// Reads and checks what shards are sampled with, and does `work` with it.
+    /// Reads and checks everything that sampling needs, and calls `work` with it.
     pub(in crate::pipeline) fn with_ready<R>(
         &self,
         compute: &Compute,
@@ -143,7 +143,7 @@ impl Generate<'_> {
         let models = LoadedModels::read(self.layout, &resolved.sweeps, compute)?;
         let behaviors = self.mine.build()?;
         let load = |idx: usize| Ok(store.scene(idx)?);
-        // Selections and limits judge as the evaluation will: by the maps that allow it.
+        // Selections and limits judge departures only where maps allow it, as the evaluation does.
         let judged_by_maps = |settings: &MetricSettings| -> Result<MetricSettings> {
             let maps = map_fits(&store, &settings.validity)?;
             Ok(MetricSettings { validity: for_maps(&settings.validity, &maps), ..settings.clone() })
@@ -208,7 +208,7 @@ impl Generate<'_> {
         decide.then_some(settings)
     }
 
-    /// The pairs of each request, with the buckets into which they can still fall; `None` before scenes and models are there.
+    /// The pairs of each request, with the buckets that they can still reach; `None` before scenes and models exist.
     ///
     /// # Errors
     /// When no pair can fulfill a request, or scenes and models cannot be read.
@@ -222,13 +222,13 @@ impl Generate<'_> {
         })
     }
 
-    /// What is sampled, sweeps of requests among it.
+    /// The resolved section, which includes the sweeps of requests.
     pub(in crate::pipeline) fn resolve(&self) -> Result<ResolvedGeneration> {
         Ok(self.config.resolve(&self.mine.build()?)?)
     }
 }
 
-/// Generates the shards of the plan, which are those of the sweeps as they were written.
+/// Generates the shards of the plan, which belong to the configured sweeps.
 fn generate_shards(
     ready: &Ready<'_>,
     plan: &Plan,

@@ -32,7 +32,7 @@ impl MineConfig {
     /// The detectors.
     ///
     /// # Errors
-    /// When a behavior is given twice: their events could not be told apart.
+    /// When a behavior is listed twice: their events could not be told apart.
     pub fn build(&self) -> Result<Vec<Box<dyn Behavior>>> {
         let mut configs = self.behaviors.clone();
         if configs.is_empty() {
@@ -42,7 +42,7 @@ impl MineConfig {
             let within = |issue: Issue| Failure::input(issue.within(&format!("mine.behaviors.{idx}")));
             config.validate().map_err(within)?;
             if configs[..idx].iter().any(|earlier| earlier.id() == config.id()) {
-                let message = format!("mine.behaviors.{idx}: {} is given twice", config.id());
+                let message = format!("mine.behaviors.{idx}: {} is listed twice", config.id());
                 return Err(Failure::input_message(message));
             }
         }
@@ -138,12 +138,12 @@ fn warn_of_blind(behaviors: &[Box<dyn Behavior>], [has_lanes, has_sizes]: [bool;
         let id = behavior.id();
         if !has_lanes && BehaviorEntry::of(id).is_some_and(|entry| entry.needs_lanes) {
             progress.warn(&format!(
-                "{id} is found along lanes, and no scene has any: ingest with maps, or leave it out of mine.behaviors"
+                "{id} needs lanes, but no scene has any: ingest with maps, or leave it out of mine.behaviors"
             ));
         }
         if !has_sizes && behavior.needs_sizes() {
             progress.warn(&format!(
-                "{id} is found among road users of recorded size, and no scene has any: set recorded_sizes = false, or leave it out of \
+                "{id} needs road users of recorded size, but no scene has any: set recorded_sizes = false, or leave it out of \
                  mine.behaviors"
             ));
         }

@@ -131,15 +131,15 @@ pub fn evaluation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<
         mine: mine.clone().unwrap_or_default(),
         pipeline: &run.name,
         has_events: has_events(config, layout),
-        // Samples that the command line names may come of another configuration.
+        // Samples that the command line names may come from another configuration.
         generated: (generate.as_ref().zip(ingest.as_ref().map(IngestConfig::wants_maps)))
             .filter(|_| layout.samples.parent() == layout.scenes.parent()),
         layout,
     })
 }
 
-/// What decides the outputs of a stage: its section and, where it computes with networks, how products are rounded. The default
-/// precision is not named, as in records of earlier versions.
+/// The configuration that decides the outputs of a stage: its section and, if it computes with networks, the precision
+/// of products. The default precision is left out, as in records of earlier versions.
 fn with_precision(mut config: Value, precision: Option<Precision>) -> Value {
     if let Some(precision) = precision.filter(|precision| *precision != Precision::default()) {
         config["precision"] = json!(precision);
@@ -153,8 +153,7 @@ fn has_events(config: &PipelineConfig, layout: &Layout) -> bool {
         || (layout.events.parent() == layout.scenes.parent() && config.ingest.is_some() && config.mine.is_some())
 }
 
-/// The stages to report on: those of the pipeline, or where the configuration has no other section, those whose outputs
-/// are there.
+/// The stages to report on: those of the pipeline or, if the configuration has no other section, those with outputs.
 fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
     let is_configured = |id: &StageId| *id != StageId::Report && (id.facts().is_configured)(config);
     let is_there = |id: &StageId| id.output(layout).is_some_and(|(_, path)| path.exists());

@@ -1,7 +1,8 @@
-//! Requests: rounds of shards until every bucket is full or the budget is spent; what is finished is kept when interrupted.
+//! Requests: rounds of shards until every bucket is full or the budget is spent. Finished shards survive an
+//! interruption.
 //!
-//! One process samples the shards of a round one after the other. Workers sample them in any order, and go through them afterwards
-//! ([`RoundShards`]).
+//! One process samples the shards of a round one after the other. Workers sample them in any order and read them
+//! afterwards ([`RoundShards`]).
 
 use super::sample_folder::{SampleFolder, SampleSidecar};
 use crate::generate::{
@@ -23,7 +24,7 @@ pub(super) struct Fulfilment<'a> {
 }
 
 impl Fulfilment<'_> {
-    /// Fulfils all requests, one after the other, with shards from `next_idx` on. Buckets that stay short are told.
+    /// Fulfills all requests, one after the other, with shards from `next_idx` on. Warns of buckets that stay short.
     pub(super) fn all(&self, mut next_idx: usize) -> Result<(Vec<SampleSidecar>, Vec<RequestSummary>)> {
         let (mut shards, mut summaries) = (Vec::new(), Vec::new());
         for request in &self.resolved.requests {
@@ -62,7 +63,7 @@ impl Fulfilment<'_> {
         progress.finish();
         let Some((ledger, n_rounds)) = walked else {
             return Err(Failure::fault(anyhow::anyhow!(
-                "a shard of request {} is neither there nor made",
+                "a shard of request {} is missing and was not sampled",
                 request.config.name
             )));
         };
@@ -79,12 +80,12 @@ impl Fulfilment<'_> {
     }
 }
 
-/// Has the shards of rounds, or makes them.
+/// Provides the shards of rounds, or makes them.
 pub(in crate::pipeline) trait RoundShards {
-    /// Takes notice of a round before its shards are asked for one by one.
+    /// Announces a round before its shards are requested one by one.
     fn begin(&mut self, of: (&ResolvedRequest, &Pool), round: &Round) -> Result<()>;
 
-    /// What a shard of the round of this number came to, when `ledger` holds all earlier ones; `None` if it is missing.
+    /// The tally of a shard of the round of this number, when `ledger` holds all earlier ones; `None` if it is missing.
     fn tally(
         &mut self,
         of: (&ResolvedRequest, &Pool),
@@ -94,7 +95,7 @@ pub(in crate::pipeline) trait RoundShards {
     ) -> Result<Option<ShardTally>>;
 }
 
-/// The rounds of requests, which are decided where they were not yet.
+/// The rounds of requests; rounds without a file are decided.
 pub(in crate::pipeline) struct Rounds<'a> {
     /// What is sampled.
     pub(in crate::pipeline) resolved: &'a ResolvedGeneration,
@@ -105,8 +106,8 @@ pub(in crate::pipeline) struct Rounds<'a> {
 }
 
 impl Rounds<'_> {
-    /// Goes through the rounds of a request, whose shards count from `next_idx` on. Returns what it came to, and the number of rounds;
-    /// `None` when a shard is missing.
+    /// Goes through the rounds of a request, whose shards are numbered from `next_idx` on. Returns the ledger and the
+    /// number of rounds; `None` if a shard is missing.
     pub(in crate::pipeline) fn go_through(
         &self,
         (request, pool): (&ResolvedRequest, &Pool),
@@ -171,7 +172,7 @@ impl RoundShards for Alone<'_> {
         Ok(())
     }
 
-    /// That of the shard as it was finished, or generates it.
+    /// The tally of the finished shard, or generates the shard.
     fn tally(
         &mut self,
         (request, pool): (&ResolvedRequest, &Pool),

@@ -1,4 +1,4 @@
-//! What does the folder of generated scenarios hold? Shards with what is known of each, the plan, and a manifest last.
+//! The folder of generated scenarios: shards with their records, the plan, and finally a manifest.
 
 use super::mine::MineConfig;
 use crate::generate::{
@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// What is known of a finished shard; written beside it, after it.
+/// The record of a finished shard; written beside the shard, after it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SampleSidecar {
     /// Name of the shard's file.
@@ -25,7 +25,7 @@ pub struct SampleSidecar {
     pub stamp: FileStamp,
     /// Name of the sweep.
     pub sweep: String,
-    /// Calls of the denoiser for one sample.
+    /// Evaluations of the denoiser for one sample.
     pub n_evaluations: u64,
     /// Number of scenarios in it.
     pub n_scenarios: u64,
@@ -35,7 +35,7 @@ pub struct SampleSidecar {
     pub rejected: Vec<RejectedSample>,
     /// Number of samples that the sweep's selection left out, by reason.
     pub unselected: BTreeMap<String, u64>,
-    /// What it came to for its request, where it belongs to one.
+    /// Its tally, if it belongs to a request.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request: Option<ShardTally>,
 }
@@ -49,7 +49,7 @@ pub struct SampleManifest {
     pub n_scenarios: u64,
     /// How many of them are verified.
     pub n_verified: u64,
-    /// Number of samples that came to nothing.
+    /// Number of samples that did not become scenarios.
     pub n_rejected: u64,
     /// Number of samples that selections left out, by sweep and reason.
     pub unselected: BTreeMap<String, BTreeMap<String, u64>>,
@@ -71,7 +71,7 @@ pub struct SampledWith {
     pub classifier: Option<String>,
     /// Fingerprint of the baseline, where a sweep is of it.
     pub baseline: Option<String>,
-    /// Sweeps for which fewer scenes fit than were asked for.
+    /// Sweeps with fewer suitable scenes than requested.
     pub shortfalls: Vec<Shortfall>,
 }
 
@@ -82,7 +82,7 @@ pub struct SampleFolder {
 }
 
 impl SampleFolder {
-    /// Makes the folder, or takes up an unfinished one.
+    /// Creates the folder, or resumes an unfinished one.
     pub(in crate::pipeline) fn open_for_writing(dir: &Path) -> Result<Self> {
         fs_err::create_dir_all(dir)?;
         Ok(Self { dir: dir.to_owned() })
@@ -123,7 +123,7 @@ impl SampleFolder {
         Ok(())
     }
 
-    /// Keeps what was asked and what was got.
+    /// Writes the figures of requests.
     pub(super) fn write_requests(&self, requests: &[RequestSummary]) -> Result<()> {
         write_json_atomically(&self.dir.join(REQUESTS_FILE), &requests)?;
         Ok(())
@@ -135,7 +135,7 @@ impl SampleFolder {
         Ok(())
     }
 
-    /// What is known of shard `idx`, if it is finished.
+    /// The record of shard `idx`, if it is finished.
     pub(in crate::pipeline) fn finished(&self, idx: usize) -> Option<SampleSidecar> {
         let sidecar: SampleSidecar = read_json(&self.dir.join(format!("{}.json", shard_name(idx)))).ok()?;
         // A damaged shard is sampled again.
@@ -160,13 +160,13 @@ impl SampleFolder {
         Ok(sidecar)
     }
 
-    /// Declares shard `idx` finished, whose table is written.
+    /// Declares shard `idx` finished; its table must be complete.
     pub(in crate::pipeline) fn write_sidecar(&self, idx: usize, sidecar: &SampleSidecar) -> Result<()> {
         write_json_atomically(&self.dir.join(format!("{}.json", shard_name(idx))), sidecar)?;
         Ok(())
     }
 
-    /// Writes the table of shard `idx`, and says what is known of it.
+    /// Writes the table of shard `idx` and returns its record.
     pub(in crate::pipeline) fn write_table(
         &self,
         idx: usize,
@@ -243,7 +243,7 @@ impl SampleManifest {
     }
 }
 
-/// What scenarios were sampled with, as `settings.toml` in their folder.
+/// The settings that scenarios were sampled with: `settings.toml` in their folder.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct SampleSettings {
     /// The definitions of the behaviors that they are checked for.
@@ -267,7 +267,7 @@ impl SampleSettings {
     }
 }
 
-/// Requested and delivered, request by request; none where the folder has no requests.
+/// The figures of requests; none if the folder has no requests.
 ///
 /// # Errors
 /// When the file is damaged.

@@ -1,6 +1,7 @@
 //! The table of metric values: one row a value, of one scene or scenario or aggregated over many.
 
 use super::columns::{Columns, numbers, optional_numbers, optional_texts, texts};
+use super::{strength_column, weight_column};
 use crate::scene::{GuidanceLevel, SceneId};
 use crate::store::schema::{ColumnExt, TableSchema, column};
 use crate::store::{Error, MetricRow, Result};
@@ -18,15 +19,8 @@ pub(crate) fn schema() -> TableSchema {
             "What was measured: recorded, constant_velocity, unguided or a sweep (`group` is a word of SQL).",
         ),
         column("sweep", DataType::Utf8, "The sweep; empty for recorded data and baselines."),
-        column("strength", DataType::Float64, "Strength α of guidance; 0 without.").unit("1"),
-        column(
-            "weight",
-            DataType::Float64,
-            "Weight λ of classifier-free guidance; 0 without. Missing in files of version 1, whose strength holds the weight where \
-             that varied.",
-        )
-        .unit("1")
-        .optional(),
+        strength_column(),
+        weight_column(),
         column("place", DataType::Utf8, "The place; empty for all together."),
         column("scene_id", DataType::Utf8, "The recorded scene; missing for aggregates.").optional(),
         column(

@@ -1,6 +1,7 @@
 //! The table of verdicts: one row a generated scenario, with what became of it.
 
 use super::columns::{Columns, entries, flags, lists, numbers, optional_numbers, texts};
+use super::{strength_column, weight_column};
 use crate::scene::GuidanceLevel;
 use crate::store::schema::{ColumnExt, TableSchema, column, list_of};
 use crate::store::{Error, Result, VerdictRow};
@@ -13,15 +14,8 @@ pub(crate) fn schema() -> TableSchema {
     let fields = vec![
         column("scenario_id", DataType::Utf8, "The scenario, as in the samples and, where it was kept, in the corpus."),
         column("sweep", DataType::Utf8, "The sweep that asked for it."),
-        column("strength", DataType::Float64, "Strength α of guidance; 0 without.").unit("1"),
-        column(
-            "weight",
-            DataType::Float64,
-            "Weight λ of classifier-free guidance; 0 without. Missing in files of version 1, whose strength holds the weight where \
-             that varied.",
-        )
-        .unit("1")
-        .optional(),
+        strength_column(),
+        weight_column(),
         column("accepted", DataType::Boolean, "Whether it is verified, valid and no near-duplicate."),
         column("kept", DataType::Boolean, "Whether it is in the corpus."),
         column(

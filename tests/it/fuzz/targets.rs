@@ -250,7 +250,7 @@ fn tarball(_: &Path) -> Vec<Vec<u8>> {
     vec![archive.into_inner().unwrap().finish().unwrap()]
 }
 
-/// A checkpoint of a network that is as small as one can be, with what a carried model says of itself.
+/// A checkpoint of a network that is as small as one can be, with what a bundled model says of itself.
 fn small_model(folder: &Path) -> Vec<u8> {
     let compute = Compute::cpu();
     let carried = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/models/simulated_places.safetensors");

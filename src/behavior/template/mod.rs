@@ -1,27 +1,24 @@
-//! A maneuver that was solved for what is wanted of it: who takes part, and where each is from the present on.
+//! A maneuver that is solved for a wanted event: the agents that take part, and their states after the present.
 //!
-//! A template says what the agents of the event do; the denoiser makes everybody else live with it. It is told from the past and the map
-//! alone.
+//! A template fixes the motion of the agents of the event; the denoiser samples everybody else around them. It depends
+//! on the past and the map alone.
 
-use super::lane_relation::SceneLanes;
+mod checks;
+
+pub(super) use checks::{InTheWay, distinct, follows};
+
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
-use crate::scene::{STANDING_STEP_M, Scene, State, Track, Trajectory};
+use crate::scene::{STANDING_STEP_M, Scene, State, Trajectory};
 
-/// What a recorded motion has and a template does not, such as a drift across, fades within this time, seconds.
+/// The difference between the recorded motion at present and the template, such as a lateral drift, fades within this
+/// time, seconds.
 const FADE_S: f64 = 1.0;
-/// Who is slower stands, m/s.
+/// Agents below this speed stand, m/s.
 const STANDING_MPS: f64 = 0.5;
-/// Templates are alike where agents are nearer to each other than this in the mean, meters.
-const ALIKE_M: f64 = 0.4;
-/// Passes of the filter that rounds the corners of center lines off.
+/// Passes of the filter that rounds off the corners of center lines.
 const N_ROUNDINGS: usize = 3;
-/// The most that vehicles accelerate along their way and across it, m/s².
-const MOST_ALONG_MPS2: f64 = 8.0;
-const MOST_ACROSS_MPS2: f64 = 4.5;
-/// Timesteps between those at which a template is compared with where others would be.
-const STRIDE: usize = 2;
 
-/// The futures of those who take part.
+/// The futures of the agents that take part.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Template {
     motions: Vec<Motion>,
@@ -36,23 +33,15 @@ struct Motion {
     states: Vec<State>,
 }
 
-/// Who can be in the way of those who take part, among all the others.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum InTheWay {
-    /// Everybody.
-    Everybody,
-    /// All but those who drive behind, and react to whom they follow.
-    Ahead,
-}
-
 impl Template {
-    /// A maneuver in which nobody takes part yet.
+    /// A maneuver without agents yet.
     pub(crate) const fn empty() -> Self {
         Self { motions: Vec::new() }
     }
 
-    /// The same with an agent that would be at `place` so many seconds after the present. It begins where the agent is, as the agent
-    /// moves, and comes to be as `place` says within a second. `None` where the agent is not tracked at present, or has no place at some time.
+    /// The same with one more agent, which follows `place`, its position by the seconds after the present. The motion
+    /// starts at the agent's present position and velocity and joins `place` within a second. `None` if the agent is
+    /// not tracked at present, or `place` is undefined at some time.
     pub(crate) fn with(mut self, scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let (start, soon) = (place(0.0)?, place(scene.dt_s / 2.0)?);
@@ -66,7 +55,7 @@ impl Template {
             let (elapsed_s, at) = (step as f64 * scene.dt_s, place(step as f64 * scene.dt_s)?);
             driven_m += at.distance(before);
             before = at;
-            // Who comes to a halt does not slide on.
+            // The difference fades over the way, so that an agent that stops does not slide aside.
             let moved_s = if speed_mps > STANDING_MPS { elapsed_s.min(driven_m / speed_mps) } else { elapsed_s };
             Some(at + fading(moved_s))
         };
@@ -83,76 +72,7 @@ impl Template {
         self.motions.iter().map(|motion| motion.agent_idx)
     }
 
-    /// Whether those who take part do not run into each other.
-    pub(super) fn keeps_apart(&self, scene: &Scene) -> bool {
-        let footprint = |motion: &Motion, step: usize| scene.tracks[motion.agent_idx].footprint(&motion.states[step]);
-        let n_steps = self.motions.iter().map(|motion| motion.states.len()).min().unwrap_or(0);
-        self.motions.iter().enumerate().all(|(i, motion)| {
-            (0..n_steps).all(|step| {
-                let own = footprint(motion, step);
-                self.motions[..i].iter().all(|other| !own.overlaps(&footprint(other, step)))
-            })
-        })
-    }
-
-    /// Whether nobody is in the way of those who take part, if all the others go straight on at their speed.
-    pub(super) fn is_clear(&self, scene: &Scene, in_the_way: InTheWay) -> bool {
-        let others =
-            scene.tracks.iter().enumerate().filter(|(idx, _)| self.agents().all(|agent_idx| agent_idx != *idx));
-        let others = others.filter_map(|(_, track)| Some((track, *track.trajectory.get(scene.current_timestep())?)));
-        let others: Vec<(&Track, State)> = others.filter(|(_, now)| now.is_finite()).collect();
-        self.motions.iter().all(|motion| {
-            let own = &scene.tracks[motion.agent_idx];
-            let reacts = |now: &State| {
-                in_the_way == InTheWay::Ahead
-                    && scene.state(motion.agent_idx, scene.current_timestep()).is_some_and(|own| follows(now, own))
-            };
-            let others: Vec<_> = others.iter().filter(|(_, now)| !reacts(now)).collect();
-            (0..motion.states.len()).step_by(STRIDE).all(|step| {
-                let elapsed_s = (step + 1) as f64 * scene.dt_s;
-                let footprint = own.footprint(&motion.states[step]);
-                others.iter().all(|(track, now)| {
-                    let then = State { position: now.position + now.velocity * elapsed_s, ..*now };
-                    !footprint.overlaps(&track.footprint(&then))
-                })
-            })
-        })
-    }
-
-    /// Whether everybody who is in a lane at present stays in lanes.
-    pub(super) fn keeps_road(&self, scene: &Scene, lanes: &SceneLanes<'_>) -> bool {
-        let is_on_road = |state: &State| lanes.lanes_at(state.position).next().is_some();
-        self.motions.iter().all(|Motion { agent_idx, states }| {
-            let is_bound = scene.state(*agent_idx, scene.current_timestep()).is_some_and(is_on_road);
-            !is_bound || states.iter().step_by(STRIDE).chain(states.last()).all(is_on_road)
-        })
-    }
-
-    /// Whether nobody brakes or accelerates harder along the way or across it than vehicles do: who turns off at present does not go on around a
-    /// roundabout, nor fast around a bend.
-    pub(super) fn is_drivable(&self, scene: &Scene) -> bool {
-        self.motions.iter().all(|Motion { agent_idx, states }| {
-            let now = scene.state(*agent_idx, scene.current_timestep());
-            let velocities: Vec<Vec2> = now.into_iter().chain(states).map(|state| state.velocity).collect();
-            velocities.windows(2).all(|pair| {
-                let (change, mean) = (pair[1] - pair[0], pair[0] + pair[1]);
-                let along = mean * (1.0 / mean.norm().max(f64::MIN_POSITIVE));
-                change.dot(along).abs() <= MOST_ALONG_MPS2 * scene.dt_s
-                    && along.cross(change).abs() <= MOST_ACROSS_MPS2 * scene.dt_s
-            })
-        })
-    }
-
-    /// How far those who take part are from where they would be by another template of the same agents, meters: the mean over them and the future.
-    fn distance_m(&self, other: &Self) -> f64 {
-        let states = |template: &Self| -> Vec<Vec2> {
-            template.motions.iter().flat_map(|motion| &motion.states).map(|state| state.position).collect()
-        };
-        let (own, others) = (states(self), states(other));
-        own.iter().zip(&others).map(|(a, b)| a.distance(*b)).sum::<f64>() / own.len().max(1) as f64
-    }
-
-    /// Puts it into a scene in the place of what was recorded.
+    /// Replaces the recorded futures of the agents in `scene`.
     pub fn apply(self, scene: &mut Scene) {
         let n_kept = scene.current_timestep() + 1;
         for Motion { agent_idx, states } in self.motions {
@@ -163,28 +83,10 @@ impl Template {
     }
 }
 
-/// Those that are not much like one before.
-pub(super) fn distinct(templates: impl IntoIterator<Item = Template>) -> Vec<Template> {
-    let mut kept: Vec<Template> = Vec::new();
-    for template in templates {
-        if kept.iter().all(|other| template.distance_m(other) >= ALIKE_M) {
-            kept.push(template);
-        }
-    }
-    kept
-}
-
-/// Whether someone who is there drives behind `leader`, heading as it does.
-pub(super) fn follows(follower: &State, leader: &State) -> bool {
-    let forward = Vec2::from_angle(leader.heading_rad);
-    (follower.position - leader.position).dot(forward) < 0.0
-        && Vec2::from_angle(follower.heading_rad).dot(forward) > 0.0
-}
-
-/// The states of an agent that is `now` somewhere and will be at `positions`. Velocities are those since the timestep before, headings turn
-/// with the motion; where the agent stands, they stay.
+/// The states of an agent that is `now` somewhere and then at `positions`. Velocities are differences of positions.
+/// Headings follow the motion, and stay while the agent stands.
 fn states(now: &State, dt_s: f64, positions: &[Vec2]) -> Vec<State> {
-    // A vehicle may be recorded as turned against its motion.
+    // A vehicle may be recorded with a heading that differs from its motion.
     let slip_rad = match now.speed_mps() * dt_s < STANDING_STEP_M {
         true => 0.0,
         false => angle_difference(now.heading_rad, now.velocity.angle()),
@@ -212,7 +114,7 @@ pub(super) fn quintic(u: f64) -> f64 {
 /// The largest second derivative of [`quintic`]: 10 / √3.
 pub(super) const QUINTIC_PEAK: f64 = 5.773_502_691_896_258;
 
-/// Where [`quintic`] has a value from 0 to 1, by bisection.
+/// The inverse of [`quintic`] for a value from 0 to 1, by bisection.
 pub(super) fn quintic_inverse(value: f64) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..60 {

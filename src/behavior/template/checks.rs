@@ -1,0 +1,111 @@
+//! What makes a template usable: nobody in the way, on the road, within what vehicles can do, and unlike the others.
+
+use super::{Motion, Template};
+use crate::behavior::lane_relation::SceneLanes;
+use crate::geometry::Vec2;
+use crate::scene::{Scene, State, Track};
+
+/// The largest accelerations of vehicles along and across their way, m/s².
+const MOST_ALONG_MPS2: f64 = 8.0;
+const MOST_ACROSS_MPS2: f64 = 4.5;
+/// Templates whose positions differ by less than this on average resemble each other, meters.
+const ALIKE_M: f64 = 0.4;
+/// Spacing of the timesteps at which a template is compared with the positions of others.
+const STRIDE: usize = 2;
+
+/// Which of the other agents can be in the way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::behavior) enum InTheWay {
+    /// All of them.
+    Everybody,
+    /// All but those behind, which react to the agent that they follow.
+    Ahead,
+}
+
+impl Template {
+    /// Whether the agents do not collide with each other.
+    pub(in crate::behavior) fn keeps_apart(&self, scene: &Scene) -> bool {
+        let footprint = |motion: &Motion, step: usize| scene.tracks[motion.agent_idx].footprint(&motion.states[step]);
+        let n_steps = self.motions.iter().map(|motion| motion.states.len()).min().unwrap_or(0);
+        self.motions.iter().enumerate().all(|(i, motion)| {
+            (0..n_steps).all(|step| {
+                let own = footprint(motion, step);
+                self.motions[..i].iter().all(|other| !own.overlaps(&footprint(other, step)))
+            })
+        })
+    }
+
+    /// Whether nobody is in the way of the agents, if all others continue straight at their speed.
+    pub(in crate::behavior) fn is_clear(&self, scene: &Scene, in_the_way: InTheWay) -> bool {
+        let present = |idx: usize| scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());
+        let others = (0..scene.tracks.len()).filter(|idx| self.agents().all(|agent_idx| agent_idx != *idx));
+        let others: Vec<(&Track, State)> =
+            others.filter_map(|idx| Some((&scene.tracks[idx], *present(idx)?))).collect();
+        self.motions.iter().all(|motion| {
+            let own = &scene.tracks[motion.agent_idx];
+            let reacts = |now: &State| {
+                in_the_way == InTheWay::Ahead && present(motion.agent_idx).is_some_and(|own| follows(now, own))
+            };
+            let others: Vec<_> = others.iter().filter(|(_, now)| !reacts(now)).collect();
+            (0..motion.states.len()).step_by(STRIDE).all(|step| {
+                let elapsed_s = (step + 1) as f64 * scene.dt_s;
+                let footprint = own.footprint(&motion.states[step]);
+                others.iter().all(|(track, now)| {
+                    let then = State { position: now.position + now.velocity * elapsed_s, ..*now };
+                    !footprint.overlaps(&track.footprint(&then))
+                })
+            })
+        })
+    }
+
+    /// Whether all agents that are in a lane at present stay in lanes.
+    pub(in crate::behavior) fn keeps_road(&self, scene: &Scene, lanes: &SceneLanes<'_>) -> bool {
+        let is_on_road = |state: &State| lanes.lanes_at(state.position).next().is_some();
+        self.motions.iter().all(|Motion { agent_idx, states }| {
+            let is_bound = scene.state(*agent_idx, scene.current_timestep()).is_some_and(is_on_road);
+            !is_bound || states.iter().step_by(STRIDE).chain(states.last()).all(is_on_road)
+        })
+    }
+
+    /// Whether no agent accelerates harder along or across its way than vehicles do. This excludes agents that leave a
+    /// roundabout but would continue around it, and fast bends.
+    pub(in crate::behavior) fn is_drivable(&self, scene: &Scene) -> bool {
+        self.motions.iter().all(|Motion { agent_idx, states }| {
+            let now = scene.state(*agent_idx, scene.current_timestep());
+            let velocities: Vec<Vec2> = now.into_iter().chain(states).map(|state| state.velocity).collect();
+            velocities.windows(2).all(|pair| {
+                let (change, mean) = (pair[1] - pair[0], pair[0] + pair[1]);
+                let along = mean * (1.0 / mean.norm().max(f64::MIN_POSITIVE));
+                change.dot(along).abs() <= MOST_ALONG_MPS2 * scene.dt_s
+                    && along.cross(change).abs() <= MOST_ACROSS_MPS2 * scene.dt_s
+            })
+        })
+    }
+
+    /// The mean distance, over agents and timesteps, to the positions of another template of the same agents, meters.
+    fn distance_m(&self, other: &Self) -> f64 {
+        let positions = |template: &Self| -> Vec<Vec2> {
+            template.motions.iter().flat_map(|motion| &motion.states).map(|state| state.position).collect()
+        };
+        let (own, others) = (positions(self), positions(other));
+        own.iter().zip(&others).map(|(a, b)| a.distance(*b)).sum::<f64>() / own.len().max(1) as f64
+    }
+}
+
+/// The templates without those that resemble an earlier one.
+pub(in crate::behavior) fn distinct(templates: impl IntoIterator<Item = Template>) -> Vec<Template> {
+    let mut kept: Vec<Template> = Vec::new();
+    for template in templates {
+        if kept.iter().all(|other| template.distance_m(other) >= ALIKE_M) {
+            kept.push(template);
+        }
+    }
+    kept
+}
+
+/// Whether `follower` is behind `leader` and heads the same way.
+pub(in crate::behavior) fn follows(follower: &State, leader: &State) -> bool {
+    let forward = Vec2::from_angle(leader.heading_rad);
+    let is_behind = (follower.position - leader.position).dot(forward) < 0.0;
+    is_behind && Vec2::from_angle(follower.heading_rad).dot(forward) > 0.0
+}

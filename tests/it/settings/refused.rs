@@ -1,0 +1,266 @@
+//! Settings that cannot work, with what the message must say.
+
+const REQUEST: &str = "generate.arms=[{ name = \"guided\", strengths = [2.0] }]";
+
+/// Settings, and words that the message must hold.
+pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
+    // Definitions of behaviors.
+    (
+        &["mine.behaviors=[{ kind = \"hard_brake\", min_deceleration_mps2 = -4.0 }]"],
+        &["mine.behaviors.0.min_deceleration_mps2 is -4, expected a positive number"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"hard_brake\", smoothing_s = 1e9 }]"],
+        &["mine.behaviors.0.smoothing_s is 1000000000, expected 0 to 5"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"hard_brake\", min_deceleration_mps2 = 13.0 }]"],
+        &["mine.behaviors.0.min_deceleration_mps2 is 13, expected at most max_deceleration_mps2, which is 12"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"hard_brake\", negative_deceleration_mps2 = 5.0 }]"],
+        &["negative_deceleration_mps2 is 5, expected at most min_deceleration_mps2, which is 4"],
+    ),
+    (&["mine.behaviors=[{ kind = \"hard_brake\", min_speed_mps = nan }]"], &["mine.behaviors.0.min_speed_mps is NaN"]),
+    (&["mine.behaviors=[{ kind = \"cut_in\", max_delay_s = -3.0 }]"], &["mine.behaviors.0.max_delay_s is -3"]),
+    (&["mine.behaviors=[{ kind = \"cut_in\", max_delay_s = nan }]"], &["mine.behaviors.0.max_delay_s is NaN"]),
+    (
+        &["mine.behaviors=[{ kind = \"cut_in\" }, { kind = \"near_miss\", max_ttc_s = -1.0 }]"],
+        &["mine.behaviors.1.max_ttc_s is -1, expected 0 to 100"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"near_miss\", max_pet_s = -1.0 }]"],
+        &["mine.behaviors.0.max_pet_s is -1, expected 0 to 100"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"near_miss\", min_drac_mps2 = -1.0 }]"],
+        &["mine.behaviors.0.min_drac_mps2 is -1, expected a number of at least 0"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"near_miss\", min_passing_mps = -1.0 }]"],
+        &["mine.behaviors.0.min_passing_mps is -1, expected a number of at least 0"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"near_miss\", min_overlap_m = -1.0 }]"],
+        &["mine.behaviors.0.min_overlap_m is -1, expected 0 to 10"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"right_turn\", max_roundabout_m = -1.0 }]"],
+        &["mine.behaviors.0.max_roundabout_m is -1, expected 0 to 10000"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"tailgating\", max_headway_s = 2.0 }]"],
+        &["mine.behaviors.0.max_headway_s is 2, expected at most negative_headway_s, which is 1.4"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"pedestrian_steps_out\", max_time_to_arrival_s = 6.0 }]"],
+        &["max_time_to_arrival_s is 6, expected at most negative_time_to_arrival_s, which is 5"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"cut_out\", max_speed_share = 1.5 }]"],
+        &["mine.behaviors.0.max_speed_share is 1.5, expected 0 to 1"],
+    ),
+    (&["mine.behaviors=[{ kind = \"cut_in\", min_shift_m = -0.5 }]"], &["mine.behaviors.0.min_shift_m is -0.5"]),
+    (&["mine.behaviors=[{ kind = \"lane_change\", min_stay_s = -1.0 }]"], &["mine.behaviors.0.min_stay_s is -1"]),
+    (
+        &["mine.behaviors=[{ kind = \"left_turn\", min_radius_m = 60.0 }]"],
+        &["min_radius_m is 60, expected at most max_radius_m, which is 50"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"right_turn\", negative_heading_change_rad = 2.0 }]"],
+        &["negative_heading_change_rad is 2, expected at most min_heading_change_rad"],
+    ),
+    (&["mine.behaviors=[{ kind = \"cut_in\" }, { kind = \"cut_in\" }]"], &["mine.behaviors.1", "listed twice"]),
+    // Scenes of other runs.
+    (
+        &["train.denoiser.data=[{ scenes = \"a\", weight = 0.0 }]"],
+        &["train.denoiser.data.0.weight is 0, expected a positive number"],
+    ),
+    (&["train.denoiser.own_weight=0"], &["train.denoiser.own_weight is 0", "scenes of other runs"]),
+    // Networks.
+    (
+        &["train.denoiser.network.layers=TXYZ"],
+        &["train.denoiser.network.layers is \"TXYZ\", but X is not a layer", "T (time)"],
+    ),
+    (
+        &["train.denoiser.network.n_heads=3"],
+        &["train.denoiser.network.n_heads is 3, expected a divisor of width, which is 16"],
+    ),
+    (&["train.denoiser.network.latent_periods=[2.0, 1.0]"], &["train.denoiser.network.latent_periods are 2 and 1"]),
+    (
+        &[
+            "train.denoiser.network={ layers = \"TTTTTTTTTTTTTTTTTTTTTTTTTTTTTTTT\", width = 16384, feed_forward = 65536 }",
+        ],
+        &[
+            "train.denoiser.batch_size is 2, for which train_denoiser takes about",
+            "this machine has",
+            "smaller network",
+        ],
+    ),
+    (&["train.baseline.network={ encoder = \"TQ\" }"], &["train.baseline.network.encoder is \"TQ\""]),
+    (
+        &["train.baseline.network={ width = 30 }"],
+        &["train.baseline.network.n_heads is 4, expected a divisor of width, which is 30"],
+    ),
+    (
+        &["train.denoiser.diffusion={ sigma_min = 90.0 }"],
+        &["train.denoiser.diffusion.sigma_min is 90, expected at most diffusion.sigma_max"],
+    ),
+    (
+        &["train.distill.method={ kind = \"consistency\", gap = { ratio = 1.0 } }"],
+        &["train.distill.method.gap.ratio is 1, expected a number beyond 1"],
+    ),
+    (
+        &["train.distill.method={ kind = \"steps\", n_steps = 0 }"],
+        &["train.distill.method.n_steps is 0, expected 1 to 1000"],
+    ),
+    (
+        &["train.distill.method={ kind = \"steps\", teacher_steps = 1000000000000 }"],
+        &["train.distill.method.teacher_steps is 1000000000000"],
+    ),
+    (
+        &[
+            "train.denoiser.tasks={ predictive = 0.0, goal_conditioned = 0.0, agent_conditioned = 0.0, ego_conditioned = 0.0, windowed = 0.0, upsampling = 0.0, imputation = 0.0 }",
+        ],
+        &["train.denoiser.tasks"],
+    ),
+    // Sampling.
+    (
+        &["generate.sampler.s_tmin=2.0", "generate.sampler.s_tmax=1.0"],
+        &["generate.sampler.s_tmin is 2, expected at most s_tmax, which is 1"],
+    ),
+    (
+        &["generate.sampler.grid={ sigma_max = 0.001 }"],
+        &["generate.sampler.grid.sigma_max is 0.001, expected more than sigma_min"],
+    ),
+    (
+        &["generate.sweeps.1.guidance={ sigma_lo = 3.0, sigma_hi = 1.0 }"],
+        &["generate.sweeps.1.guidance.sigma_lo is 3, expected at most guidance.sigma_hi, which is 1"],
+    ),
+    (&["generate.sweeps.1.strengths=[1.0, 1.0]"], &["generate.sweeps.1.strengths.1 is 1, which is already listed"]),
+    (&["generate.sweeps.1.strengths=[0.0, nan]"], &["generate.sweeps.1.strengths.1 is NaN"]),
+    (&["generate.sweeps.1.strengths=[inf]"], &["generate.sweeps.1.strengths.0 is inf, expected a finite number"]),
+    (&["generate.sweeps.1.strengths=[]"], &["generate.sweeps.1.strengths is empty, expected at least one number"]),
+    (&["generate.sweeps.1.n_scenes=0"], &["generate.sweeps.1.n_scenes is 0, expected at least 1"]),
+    (
+        &[
+            "generate.sweeps.0.classifier_free={ extra = [{ agents = \"all\", times = \"goal\" }], weights = [0.5, 0.5] }",
+        ],
+        &["generate.sweeps.0.classifier_free.weights.1 is 0.5, which is already listed"],
+    ),
+    (
+        &["generate.sweeps.0.classifier_free={ extra = [{ agents = \"all\", times = \"goal\" }], goal_std_m = -1.0 }"],
+        &["generate.sweeps.0.classifier_free.goal_std_m is -1, expected 0 to 1000"],
+    ),
+    (
+        &["generate.sweeps.0.edit={ edits = [{ kind = \"shift\", agent = \"ego\", left_m = 1.0, onset_s = 200.0 }] }"],
+        &["generate.sweeps.0.edit.edits.0.onset_s is 200, expected more than 0 and at most 60"],
+    ),
+    (
+        &["generate.sweeps.0.edit={ edits = [{ kind = \"meet\", agent = \"ego\", with = \"ego\", at_s = 2.0 }] }"],
+        &["edit.edits.0.with is ego, the agent that is moved"],
+    ),
+    (
+        &[
+            "generate.sweeps.0.edit={ edits = [{ kind = \"meet\", agent = \"ego\", with = { track = \"7\" }, at_s = 200.0 }] }",
+        ],
+        &["edit.edits.0.at_s is 200"],
+    ),
+    (
+        &["generate.sweeps.0.edit={ edits = [{ kind = \"scale_speed\", agent = \"ego\", factor = -1.0 }] }"],
+        &["edit.edits.0.factor is -1, expected 0 to 100"],
+    ),
+    (
+        &["generate.sweeps.0.edit={ edits = [{ kind = \"shift\", agent = { role = \"third\" }, onset_s = 1.0 }] }"],
+        &["the agent with the role third"],
+    ),
+    (
+        &["generate.sweeps.1.objectives=[{ kind = \"speed_limit\", limit_mps = -1.0 }]"],
+        &["generate.sweeps.1.objectives.0.limit_mps is -1, expected a number of at least 0"],
+    ),
+    (
+        &["generate.sweeps.1.objectives=[{ kind = \"goal\", x_m = inf, y_m = 0.0 }]"],
+        &["generate.sweeps.1.objectives.0.x_m is inf"],
+    ),
+    (
+        &["generate.sweeps.1.select={ best = 0, by = [\"mfd_m\"] }"],
+        &["generate.sweeps.1.select.best is 0, expected a number of at least 1"],
+    ),
+    (
+        &["generate.sweeps.1.select={ limits = { collision_rate = nan } }"],
+        &["generate.sweeps.1.select.limits.collision_rate is NaN"],
+    ),
+    // Requests.
+    (
+        &[
+            REQUEST,
+            "generate.requests=[{ name = \"r\", behavior = \"cut_in\", buckets = { gap_m = [0, 10] }, per_bucket = 1, arms = [\"guided\", \"guided\"], budget = { n_samples = 10 } }]",
+        ],
+        &["arms.1 is guided, which is already listed"],
+    ),
+    (
+        &[
+            REQUEST,
+            "generate.requests=[{ name = \"r\", behavior = \"cut_in\", buckets = { gap_m = [0, 10] }, per_bucket = 1, arms = [\"guided\"], budget = { n_samples = 0 } }]",
+        ],
+        &["generate.requests.0.budget.n_samples is 0, expected a number of at least 1"],
+    ),
+    (
+        &[
+            REQUEST,
+            "generate.requests=[{ name = \"r\", behavior = \"cut_in\", buckets = { gap_m = [0, 10] }, per_bucket = 0, arms = [\"guided\"], budget = { n_samples = 9 } }]",
+        ],
+        &["generate.requests.0.per_bucket is 0"],
+    ),
+    (
+        &[
+            REQUEST,
+            "generate.requests=[{ name = \"r\", behavior = \"cut_in\", buckets = { gap_m = 3 }, per_bucket = 1, arms = [\"guided\"], budget = { n_samples = 9 } }]",
+        ],
+        &["expected a list of ascending numbers or a list of texts"],
+    ),
+    (
+        &[
+            REQUEST,
+            "generate.requests=[{ name = \"r\", behavior = \"cut_in\", buckets = { gap_m = [0, 10] }, where = { gap_m = 3 }, per_bucket = 1, arms = [\"guided\"], budget = { n_samples = 9 } }]",
+        ],
+        &["expected a range [least, most] or a list of texts"],
+    ),
+    (
+        &["generate.arms=[{ name = \"a\", strengths = [2.0, 2.0] }]"],
+        &["generate.arms.0.strengths.1 is 2, which is already listed"],
+    ),
+    (
+        &["generate.arms=[{ name = \"a\" }, { name = \"a\" }]"],
+        &["generate.arms.1.name", "is \"a\", the name of another arm"],
+    ),
+    // Names.
+    (&["generate.sweeps.0.name=\"\""], &["generate.sweeps.0.name is empty"]),
+    (
+        &["generate.sweeps.0.name=\"a\\u001b[31mred\""],
+        &["generate.sweeps.0.name is \"a\\u{1b}[31mred\"", "without control characters"],
+    ),
+    (&["generate.sweeps.0.name=\"two\\nlines\""], &["generate.sweeps.0.name is \"two\\nlines\""]),
+    (
+        &["generate.sweeps.1.name=as_recorded"],
+        &["generate.sweeps.1.name is \"as_recorded\", the name of another sweep"],
+    ),
+    (&["generate.arms=[{ name = \"\" }]"], &["generate.arms.0.name is empty"]),
+    (&["run.name=\"two\\nlines\""], &["run.name is \"two\\nlines\"", "without control characters"]),
+    (&["report.title=\"\\u0007\""], &["report.title is \"\\u{7}\""]),
+    (&["cluster.partition=two words"], &["cluster.partition is \"two words\", expected one word"]),
+    (&["cluster.image=two words"], &["cluster.image is \"two words\", expected one word"]),
+    (&["cluster.volumes={ data = 'data' }"], &["cluster.volumes.data is \"data\", expected an absolute path"]),
+    (&["cluster.lines=[\"\", \"a\\nb\"]"], &["cluster.lines.1 is \"a\\nb\"", "without control characters"]),
+    // Types, and where a mistake stands.
+    (&["generate.batch_size=-1"], &["--set generate.batch_size=-1", "expected a whole number of at least 0"]),
+    (&["generate.batch_size=many"], &["--set generate.batch_size=many", "expected a whole number of at least 0"]),
+    (&["ingest.holdout_share=much"], &["expected a number"]),
+    (&["generate.sampler.n_steps=many"], &["--set generate.sampler.n_steps=many", "expected a whole number"]),
+    (&["run.seed=1", "generate.sampler.n_steps=-5"], &["--set generate.sampler.n_steps=-5"]),
+    (
+        &["generate.sampler.n_steps=0", "run.seed=1"],
+        &["--set generate.sampler.n_steps=0: generate.sampler.n_steps is 0"],
+    ),
+    (&["evaluate.modes={ by = [] }"], &["evaluate.modes.by is empty"]),
+];
