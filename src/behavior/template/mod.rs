@@ -46,10 +46,11 @@ impl Template {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let (start, soon) = (place(0.0)?, place(scene.dt_s / 2.0)?);
         let missing = state.position - start;
-        let drift = state.velocity - (soon - start) * (2.0 / scene.dt_s);
+        let velocity = (soon - start) * (2.0 / scene.dt_s);
+        let drift = state.velocity - velocity;
         let fading =
             |elapsed_s: f64| (missing + (drift + missing * (1.0 / FADE_S)) * elapsed_s) * (-elapsed_s / FADE_S).exp();
-        let speed_mps = state.speed_mps();
+        let speed_mps = velocity.norm();
         let (mut before, mut driven_m) = (start, 0.0);
         let position = |step: usize| {
             let (elapsed_s, at) = (step as f64 * scene.dt_s, place(step as f64 * scene.dt_s)?);
