@@ -7,7 +7,7 @@ use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Let two agents come shortly before a collision: at some time their time to collision is below `ttc_s`.
+/// Bring two agents to the brink of a collision: at some time their time to collision is below `ttc_s`.
 ///
 /// With d(t) and u(t) their relative position and velocity, s(t) the separation of their boxes (see `no_collision`), the
 /// inverse time to collision is q = -(d · u / ‖d‖) / (max(s, 0) + ½ m), and the distance at which the centers would pass
@@ -30,7 +30,7 @@ pub struct AdversarialTtc {
     pub agents: AgentSelector,
     /// The other of the two.
     pub to: AgentSelector,
-    /// The time to collision to come below, seconds.
+    /// The time to collision to fall below, seconds.
     #[serde(default = "default_ttc_s")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub ttc_s: f64,

@@ -28,11 +28,10 @@ pub struct Collision {
     /// The other of the two.
     #[serde(default = "second")]
     pub to: AgentSelector,
-    /// The speed of one as seen from the other, least and most, m/s. Left out: that of the bucket that a request asks for
-    /// (`relative_speed_mps`), else 2 to 30.
+    /// The range of the relative speed, m/s. Left out: that of the target (`relative_speed_mps`), else 2 to 30.
     #[serde(default)]
     pub relative_speed_mps: Option<[f64; 2]>,
-    /// The distance τ_m to touching that costs ½, meters.
+    /// The remaining gap τ_m that costs ½, meters.
     #[serde(default = "half")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
@@ -44,7 +43,7 @@ pub struct Collision {
 
 /// The parameter at which it aims, as the events report it.
 const RELATIVE_SPEED: &str = "relative_speed_mps";
-/// The relative speed where none is asked for, m/s.
+/// The relative speed without a target, m/s.
 const ANY_SPEED_MPS: [f64; 2] = [2.0, 30.0];
 /// How much the boxes are to overlap, meters; their separation is up to 0.2 m less than it is for the smoothing.
 const OVERLAP_M: f64 = 0.4;

@@ -35,19 +35,19 @@ pub struct CutIn {
     /// The agent whose path it enters: a role, or `ego`.
     #[serde(default = "ego")]
     pub before: AgentSelector,
-    /// The gap when the boxes begin to share a path, least and most, from the front of the one to the rear of the
-    /// other, meters. Left out: the open bucket of a request, else 1 to 30.
+    /// The range of the gap when the boxes begin to share a path, from the front of the one to the rear of the other,
+    /// meters. Left out: that of the target, else 1 to 30.
     #[serde(default)]
     pub gap_m: Option<[f64; 2]>,
-    /// The relative speed then, least and most, positive where `before` closes in, m/s. Left out: the open bucket, else
+    /// The range of the relative speed then, positive if `before` closes in, m/s. Left out: that of the target, else
     /// any.
     #[serde(default)]
     pub relative_speed_mps: Option<[f64; 2]>,
-    /// The time after which `before` is to reach the place, at most, seconds.
+    /// The longest time after which `before` reaches the place, seconds.
     #[serde(default = "default_max_delay_s")]
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_delay_s: f64,
-    /// How far the boxes overlap sideways at the end, at least, meters.
+    /// The smallest lateral overlap of the boxes at the end, meters.
     #[serde(default = "default_overlap_m")]
     #[schemars(range(min = 0.0, max = 2.0))]
     pub overlap_m: f64,
@@ -82,11 +82,11 @@ const LATERAL_TOLERANCE_M: f64 = 0.5;
 const ANY_GAP_M: [f64; 2] = [1.0, 30.0];
 /// The default relative speed, m/s.
 const ANY_SPEED_MPS: [f64; 2] = [-1e3, 1e3];
-/// How long before the end who has moved over must stay there, seconds.
+/// How long before the end the agent must stay in its new place, seconds.
 const SETTLED_S: f64 = 1.0;
 /// The least gap at the end, meters.
 const LEAST_GAP_M: f64 = 1.0;
-/// The share of the longest delay that is made use of.
+/// The share of the longest delay that is used.
 const DELAY_SHARE: f64 = 0.9;
 
 impl SceneObjective for CutIn {

@@ -13,7 +13,7 @@ use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Move over to a lane beside one's own, so that the one behind is on course to reach the one ahead at that moment.
+/// Move over to a lane beside one's own, at a moment when the vehicle behind is on course to reach the one ahead.
 ///
 /// With a(t) how far the leader is beyond the point halfway to the center line of the lane beside it (from where it is at present), g(t) the gap between ego
 /// and revealed vehicle, u(t) by how much the ego is faster, v and w their speeds, and T the wanted times to collision, a moment costs
@@ -27,25 +27,27 @@ pub struct CutOut {
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// Who leaves the lane: `ego` or a role.
+    /// The agent that leaves the lane: `ego` or a role.
     #[serde(default = "leader")]
     pub agents: AgentSelector,
     /// Who follows: `ego` or a role.
     #[serde(default = "ego")]
     pub before: AgentSelector,
-    /// Who is revealed: `ego` or a role.
+    /// The agent that is revealed: `ego` or a role.
     #[serde(default = "revealed")]
     pub to: AgentSelector,
-    /// To which side. Left out: that of the bucket that a request asks for, else the one that costs less.
+    /// The side to which it leaves. Left out: that of the target, else the side that costs less.
     #[serde(default)]
     pub side: Option<Side>,
-    /// The time to collision at the reveal, least and most, seconds. Left out: that of the bucket (`ttc_s`), else 1 to 3.5.
+    /// The range of the time to collision at the reveal, seconds. Left out: that of the target (`ttc_s`), else 1 to
+    /// 3.5.
     #[serde(default)]
     pub ttc_s: Option<[f64; 2]>,
-    /// By how much the ego is faster then, least and most, m/s. Left out: that of the bucket (`relative_speed_mps`), else 2 or more.
+    /// The range of the speed by which the ego is faster then, m/s. Left out: that of the target
+    /// (`relative_speed_mps`), else 2 or more.
     #[serde(default)]
     pub relative_speed_mps: Option<[f64; 2]>,
-    /// The most that the revealed vehicle drives, as a share of the ego's speed.
+    /// The highest speed of the revealed vehicle, as a share of the ego's speed.
     #[serde(default = "default_speed_share")]
     #[schemars(range(min = 0.0, max = 1.0))]
     pub speed_share: f64,
@@ -70,7 +72,7 @@ const fn default_tolerance_m() -> f64 {
 /// Parameters at which it aims, as the events report them, beside the side.
 const TTC: &str = "ttc_s";
 const RELATIVE_SPEED: &str = "relative_speed_mps";
-/// The time to collision where none is asked for, seconds, and the relative speed, m/s.
+/// The time to collision, seconds, and the relative speed, m/s, without a target.
 const ANY_TTC_S: [f64; 2] = [1.0, 3.5];
 const ANY_SPEED_MPS: [f64; 2] = [2.0, 1e3];
 /// How far the leader's center is beyond the side of the lane at the reveal, meters, and the error that costs ½.

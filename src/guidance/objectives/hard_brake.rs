@@ -7,7 +7,7 @@ use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Brake hard at some moment, from a speed that deserves the name.
+/// Brake hard at some moment, from a sufficient speed.
 ///
 /// With v(t) the speed and b(t) = (v(t) - v(t + W)) / W the mean deceleration over the W = 0.6 s that follow, a moment costs
 /// ½ (\[b\] / τ)² + ½ (max(v_least - v, 0) / 1 m/s)², where \[·\] is the distance to the wanted interval. The best moment decides, smoothly:
@@ -22,11 +22,10 @@ pub struct HardBrake {
     /// The agents that brake: `all`, `ego` or a role.
     #[serde(default = "agent")]
     pub agents: AgentSelector,
-    /// The wanted deceleration, least and most, m/s². Left out: the open bucket of a request (`max_deceleration_mps2`),
-    /// else 5 to 8.
+    /// The range of the deceleration, m/s². Left out: that of the target (`max_deceleration_mps2`), else 5 to 8.
     #[serde(default)]
     pub deceleration_mps2: Option<[f64; 2]>,
-    /// The least speed v_least from which to brake, m/s.
+    /// The smallest initial speed v_least, m/s.
     #[serde(default = "default_least_speed_mps")]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub least_speed_mps: f64,
@@ -44,7 +43,8 @@ const fn default_least_speed_mps() -> f64 {
 const MAX_DECELERATION: &str = "max_deceleration_mps2";
 /// The default deceleration, m/s².
 const ANY_MPS2: [f64; 2] = [5.0, 8.0];
-/// The time over which braking is measured, seconds: what a hard braking lasts at least, and the smoothing of speeds.
+/// The time over which braking is measured, seconds: the shortest duration of hard braking plus the smoothing of
+/// speeds.
 const WINDOW_S: f64 = 0.6;
 
 impl SceneObjective for HardBrake {

@@ -25,10 +25,10 @@ pub struct KeepDistance {
     /// The agents to keep it from: `all`, `ego` or a role.
     #[serde(default)]
     pub to: AgentSelector,
-    /// The least distance d_min of the centers, meters.
+    /// The smallest distance d_min of the centers, meters.
     #[schemars(range(min = 0.0))]
     pub min_m: f64,
-    /// The largest distance d_max of the centers, meters. Left out: any.
+    /// The largest distance d_max of the centers, meters. Left out: no limit.
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub max_m: Option<f64>,

@@ -11,9 +11,10 @@ use serde::{Deserialize, Serialize};
 
 /// Be in the lane beside one's own by the end, and stay there.
 ///
-/// With d(t) the offset from the center line of the lane beside the one that the agent is in at present, carried on along its nearest
-/// successors, J = -mean of ½ (max(|d| - within, 0) / τ)² over the last seconds (`settled_s`). Of several lanes the one counts that costs least.
-/// 0 where the map has none on the wanted side: see `pairs.only_feasible`.
+/// With d(t) the offset from the center line of the lane beside the one that the agent is in at present, carried on
+/// along its nearest successors, J = -mean of ½ (max(|d| - within, 0) / τ)² over the last seconds (`settled_s`). If
+/// there are several lanes, the one that costs least counts. 0 if the map has no lane on the wanted side: see
+/// `pairs.only_feasible`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LaneChange {
@@ -21,13 +22,13 @@ pub struct LaneChange {
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub weight: f64,
-    /// Who changes lanes: `ego` or a role.
+    /// The agent that changes lanes: `ego` or a role.
     #[serde(default = "agent")]
     pub agents: AgentSelector,
-    /// To which side. Left out: that of the bucket that a request asks for, else the one that costs less.
+    /// The side to which it changes. Left out: that of the target, else the side that costs less.
     #[serde(default)]
     pub side: Option<Side>,
-    /// How long the agent is in the new lane at the end, at least, seconds.
+    /// How long the agent must be in the new lane at the end, seconds.
     #[serde(default = "default_settled_s")]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub settled_s: f64,
@@ -114,7 +115,7 @@ mod tests {
         assert!((found + 12.5).abs() < 1e-5, "{found}");
         assert_eq!(traffic().potential(&objective(Some(Side::Right))), [0.0]);
         assert_eq!(Traffic::straight(&[(0.0, 0.3, 0.0, 8.0)]).potential(&objective(None)), [0.0]);
-        // What a bucket asks for decides where the configuration leaves it open.
+        // The target decides what the configuration leaves open.
         let mut asked = traffic();
         asked.context.targets[0] = [(SIDE.to_owned(), [-1.5, -0.5])].into();
         assert_eq!(asked.potential(&objective(None)), [0.0]);

@@ -223,7 +223,7 @@ fn beyond(x: &Tensor, interval: &Tensor) -> Result<Tensor> {
     x.broadcast_sub(&least)?.neg()?.relu()? + x.broadcast_sub(&most)?.relu()?
 }
 
-/// Says what is wrong with an interval of wanted values.
+/// Checks an interval of wanted values.
 fn interval(key: &str, interval: Option<[f64; 2]>) -> settings::Result {
     match interval {
         Some([least, most]) if !(least < most && least.is_finite() && most.is_finite()) => {
@@ -233,7 +233,7 @@ fn interval(key: &str, interval: Option<[f64; 2]>) -> settings::Result {
     }
 }
 
-/// Refuses to mean everybody where one agent is meant.
+/// Refuses `all` where a single agent is required.
 fn one_agent(key: &str, selector: &AgentSelector) -> settings::Result {
     match selector.name() {
         AgentSelector::ALL => {

@@ -10,7 +10,7 @@ use candle_core::{DType, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Come shortly before a collision, and avoid it; or cross where the other was shortly before.
+/// Come to the brink of a collision and avoid it, or cross a place shortly after the other.
 ///
 /// With q(t) the inverse time to collision, b(t) the deceleration that avoids it (DRAC), a(t) how far beside each other the two would pass, both
 /// going straight on, w(t) how far beside their courses they come in the next 0.8 s, and s(t) the separation of their boxes (`adversarial_ttc`, `no_collision`), a moment on a course to collide costs
@@ -35,19 +35,19 @@ pub struct NearMiss {
     /// The other of the two.
     #[serde(default = "second")]
     pub to: AgentSelector,
-    /// The least time to collision, least and most, seconds. Left out: that of the bucket that a request asks for (`min_ttc_s`), else 0.6 to
+    /// The range of the smallest time to collision, seconds. Left out: that of the target (`min_ttc_s`), else 0.6 to
     /// 1.3.
     #[serde(default)]
     pub ttc_s: Option<[f64; 2]>,
-    /// The least deceleration by which one of the two avoids that collision (DRAC), m/s².
+    /// The smallest deceleration by which one of the two avoids that collision (DRAC), m/s².
     #[serde(default = "default_drac_mps2")]
     #[schemars(range(min = 0.0, max = 20.0))]
     pub drac_mps2: f64,
-    /// The time between the two being on the same place, least and most, seconds. Left out: that of the bucket that a request asks for
+    /// The range of the time between one and the other covering the same place, seconds. Left out: that of the target
     /// (`pet_s`), else 0.2 to 0.4.
     #[serde(default)]
     pub pet_s: Option<[f64; 2]>,
-    /// How far apart the boxes stay, at least, meters.
+    /// The smallest gap between the boxes, meters.
     #[serde(default = "default_margin_m")]
     #[schemars(range(min = 0.0, max = 10.0))]
     pub margin_m: f64,
@@ -80,9 +80,9 @@ const fn default_tolerance_m() -> f64 {
 /// The parameters at which it aims, as the events report them.
 const MIN_TTC: &str = "min_ttc_s";
 const PET: &str = "pet_s";
-/// The time to collision where none is asked for, seconds.
+/// The time to collision without a target, seconds.
 const ANY_TTC_S: [f64; 2] = [0.6, 1.3];
-/// The post-encroachment time where none is asked for, seconds.
+/// The post-encroachment time without a target, seconds.
 const ANY_PET_S: [f64; 2] = [0.2, 0.4];
 /// The lack of deceleration τ_b that costs ½, m/s².
 const DRAC_TOLERANCE_MPS2: f64 = 1.0;
@@ -90,7 +90,7 @@ const DRAC_TOLERANCE_MPS2: f64 = 1.0;
 const SWERVE_TOLERANCE_M: f64 = 0.5;
 /// How long after the present a collision may threaten at the soonest, seconds.
 const SOONEST_S: f64 = 0.6;
-/// Shorter times to collision are as good as a collision, seconds.
+/// Shorter times to collision count as a collision, seconds.
 const LEAST_TTC_S: f64 = 0.1;
 /// The lack of separation τ_s that costs ½ a second, meters.
 const SEPARATION_TOLERANCE_M: f64 = 0.3;
@@ -151,7 +151,8 @@ impl SceneObjective for NearMiss {
 }
 
 impl NearMiss {
-    /// 1 for each kind of near miss, a course to collide and crossing, that a row may show, (B, 2): both, unless one is asked for.
+    /// 1 for each kind of near miss (collision course, crossing) that a row may show, (B, 2): both, unless the target
+    /// names one.
     fn meant(&self, context: &SceneContext, like: &Tensor) -> Result<Tensor> {
         let asks = |target: &Target, name: &str, configured: Option<[f64; 2]>| {
             configured.is_some() || target.contains_key(name)
@@ -169,8 +170,8 @@ impl NearMiss {
     }
 }
 
-/// 1 at the moments at which a collision may threaten each row within its times `wanted_s`, (B, T - 1) for `like` (P, T - 1): who is asked for it
-/// sooner would have to jerk, and whether one would have collided after the last state is not known.
+/// 1 at the moments at which a collision may threaten each row within its times `wanted_s`, (B, T - 1) for `like` (P, T
+/// - 1). Earlier moments would need a jerk, and whether a collision follows the last state is not known.
 fn in_time(wanted_s: &[Vec<f64>], context: &SceneContext, like: &Tensor) -> Result<Tensor> {
     let n_steps = like.dim(1)?;
     let first = context.n_history as f64 + SOONEST_S / context.dt_s - 1.0;

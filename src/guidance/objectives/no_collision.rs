@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 
 /// Do not drive into each other: J = -½ Σ ∫ (max(m - s(t), 0) / τ)² dt over pairs of a chosen agent and any other.
 ///
-/// s is the separation of the two boxes by the separating-axis theorem, made smooth: positive where they are apart, negative
-/// where they overlap. Pairs that overlap at present already do not count: recordings hold such pairs.
+/// s is the separation of the two boxes by the separating-axis theorem, made smooth: positive where they are apart,
+/// negative where they overlap. Pairs that already overlap at present do not count: some recordings contain such pairs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoCollision {

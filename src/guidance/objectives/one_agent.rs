@@ -51,8 +51,8 @@ impl OneAgent {
         own.iter().position(|valid| *valid > 0.0).zip(own.iter().rposition(|valid| *valid > 0.0))
     }
 
-    /// The center line of a lane beside the agent's own on the `configured` side, or the one that a bucket asks for, or either: the one that the
-    /// agent is nearest to when it was last seen.
+    /// The center line of a lane beside the agent's own on the `configured` side, or on that of the target, or on
+    /// either: the one that the agent is nearest to when it was last seen.
     pub(super) fn line_beside(&self, context: &SceneContext, row: usize, configured: Option<Side>) -> Option<Polyline> {
         let sides = match (configured, context.targets[row].get(SIDE)) {
             (Some(side), _) => vec![side.sign()],

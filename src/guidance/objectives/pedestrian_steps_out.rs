@@ -30,7 +30,7 @@ pub struct PedestrianStepsOut {
     /// Whose way it is: `ego` or a role.
     #[serde(default = "ego")]
     pub before: AgentSelector,
-    /// The time to arrival, least and most, seconds. Left out: that of the bucket that a request asks for (`time_to_arrival_s`), else 0.8 to 2.6.
+    /// The range of the time to arrival, seconds. Left out: that of the target (`time_to_arrival_s`), else 0.8 to 2.6.
     #[serde(default)]
     pub time_to_arrival_s: Option<[f64; 2]>,
     /// Half the width w of the lane, meters.
@@ -57,7 +57,7 @@ const fn default_tolerance_m() -> f64 {
 
 /// The parameter at which it aims, as the events report it.
 const TIME_TO_ARRIVAL: &str = "time_to_arrival_s";
-/// The time to arrival where none is asked for, seconds.
+/// The time to arrival without a target, seconds.
 const ANY_TIME_S: [f64; 2] = [0.8, 2.6];
 /// The error of the way beside the path that costs ½, meters.
 const BESIDE_TOLERANCE_M: f64 = 0.3;

@@ -30,10 +30,10 @@ pub struct Tailgating {
     /// Who is ahead of it: `ego` or a role.
     #[serde(default = "leader")]
     pub to: AgentSelector,
-    /// The time headway, least and most, seconds. Left out: that of the bucket that a request asks for (`time_headway_s`), else 0.4 to 0.8.
+    /// The range of the time headway, seconds. Left out: that of the target (`time_headway_s`), else 0.4 to 0.8.
     #[serde(default)]
     pub headway_s: Option<[f64; 2]>,
-    /// The speed of the follower, least and most, m/s. Left out: that of the bucket (`mean_speed_mps`), else 8.5 or more.
+    /// The range of the follower's speed, m/s. Left out: that of the target (`mean_speed_mps`), else 8.5 or more.
     #[serde(default)]
     pub speed_mps: Option<[f64; 2]>,
     /// How long a stretch is, seconds.
@@ -57,7 +57,7 @@ const fn default_duration_s() -> f64 {
 /// The parameters at which it aims, as the events report them.
 const HEADWAY: &str = "time_headway_s";
 const SPEED: &str = "mean_speed_mps";
-/// The headway where none is asked for, seconds, and the speed, m/s.
+/// The headway, seconds, and the speed, m/s, without a target.
 const ANY_HEADWAY_S: [f64; 2] = [0.4, 0.8];
 const ANY_SPEED_MPS: [f64; 2] = [8.5, 1e3];
 /// The error of the speed that costs ½, m/s.
