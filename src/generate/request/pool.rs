@@ -5,7 +5,7 @@ use super::resolve::ResolvedRequest;
 use super::rounds::Pool;
 use crate::behavior::Outcome;
 use crate::generate::{Cell, Error, Generator};
-use crate::store::SceneIndexEntry;
+use crate::store::{SceneIndex, SceneIndexEntry};
 use std::collections::BTreeMap;
 
 impl Generator<'_> {
@@ -14,10 +14,10 @@ impl Generator<'_> {
     ///
     /// # Errors
     /// When there are none, when none can fall into a bucket, or a scene cannot be loaded.
-    pub fn pool(&self, request: &ResolvedRequest, index: &[SceneIndexEntry]) -> Result<Pool, Error> {
+    pub fn pool(&self, request: &ResolvedRequest, index: &SceneIndex) -> Result<Pool, Error> {
         let conditions = &request.config.conditions;
-        let is_possible = |entry: &SceneIndexEntry| match conditions.get("place") {
-            Some(Requirement::Texts(places)) => places.contains(&entry.place),
+        let is_possible = |entry: &SceneIndexEntry<'_>| match conditions.get("place") {
+            Some(Requirement::Texts(places)) => places.iter().any(|place| place == entry.place),
             _ => true,
         };
         let sweep = &self.config.sweeps[request.arms[0].sweep_idx];
