@@ -56,12 +56,13 @@ impl SceneStore {
         let opened: Vec<(MappedTable, Option<MappedTable>)> =
             manifest.shards.par_iter().map(|shard| open_shard(dir, shard)).collect::<Result<_>>()?;
 
-        let (mut shards, mut batches) = (Vec::new(), Vec::new());
+        let (mut shards, mut batches) = (Vec::<MappedTable>::new(), Vec::new());
         let (mut maps, mut index) = (MapTable::new(dir), SceneIndex::default());
-        for (shard, (entry, (scenes, lanes))) in manifest.shards.iter().zip(opened).enumerate() {
+        for (shard, (entry, (mut scenes, lanes))) in manifest.shards.iter().zip(opened).enumerate() {
             for lanes in lanes.iter() {
                 lanes.batches().try_for_each(|batch| maps.push(lanes.path(), batch?))?;
             }
+            shards.first().into_iter().for_each(|first| scenes.share_schema(first));
             let first_of_shard = index.len();
             for batch in 0..scenes.n_batches() {
                 batches.push(BatchPlace { shard, batch, first: index.len() });
@@ -235,6 +236,8 @@ mod tests {
         let store = SceneStore::open(dir.path()).unwrap();
         let n_decoded = || store.decoded.lock().unwrap().len();
         assert_eq!((store.batches.len(), n_decoded()), (N_DECODED + 3, 0));
+        let schemas = store.shards.iter().map(|shard| shard.batch(0).unwrap().schema());
+        assert!(schemas.clone().all(|schema| std::sync::Arc::ptr_eq(&schema, &schemas.clone().next().unwrap())));
         for (i, scene) in scenes.iter().enumerate().chain([(0, &scenes[0])]) {
             assert_eq!(store.scene(i).unwrap(), as_stored(scene), "scene {i}");
             assert!((1..=N_DECODED).contains(&n_decoded()), "scene {i}");
