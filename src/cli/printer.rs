@@ -31,7 +31,7 @@ impl Printer {
     /// Tells how the work goes, to stderr; nothing when quiet.
     pub(super) fn message(&self, message: impl Display) {
         if !self.quiet {
-            stderr_line(&message);
+            stderr_line(&plain(&message.to_string()));
         }
     }
 
@@ -50,15 +50,15 @@ impl Printer {
         }
         let is_later = failure.blame == Blame::Later;
         let head = if is_later { self.paint("stopped", "1;33") } else { self.paint("error", "1;31") };
-        stderr_line(&format_args!("{head}: {text}"));
+        stderr_line(&format_args!("{head}: {}", plain(&text)));
         if let Some(hint) = failure.hint.as_deref().or(left.filter(|_| is_later)) {
-            stderr_line(&format_args!("{}: {hint}", self.paint("hint", "1;36")));
+            stderr_line(&format_args!("{}: {}", self.paint("hint", "1;36"), plain(hint)));
         }
     }
 
     /// Tells of something odd that stops nothing, to stderr.
     pub(super) fn warning_line(&self, message: &str) -> String {
-        format!("{}: {message}", self.paint("warning", "1;33"))
+        format!("{}: {}", self.paint("warning", "1;33"), plain(message))
     }
 
     fn paint(&self, text: &str, code: &str) -> String {
@@ -66,7 +66,28 @@ impl Printer {
     }
 }
 
+/// The text with its control characters escaped, but for tabs and ends of lines: terminals obey them, and names of files and of entries of
+/// archives come from others.
+fn plain(text: &str) -> String {
+    let mut plain = String::with_capacity(text.len());
+    for c in text.chars() {
+        if c.is_control() && !matches!(c, '\n' | '\t') { plain.extend(c.escape_debug()) } else { plain.push(c) }
+    }
+    plain
+}
+
 /// A line on stderr. Nobody is left to be told when it cannot be written.
 pub(super) fn stderr_line(line: &dyn Display) {
     let _ = writeln!(io::stderr().lock(), "{line}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn control_characters_are_shown_and_not_obeyed() {
+        assert_eq!(plain("a\u{1b}[31mb\r\u{7}\u{9b}c"), "a\\u{1b}[31mb\\r\\u{7}\\u{9b}c");
+        assert_eq!(plain("two\n\tlines, ü and 車"), "two\n\tlines, ü and 車");
+    }
 }

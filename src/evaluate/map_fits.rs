@@ -46,7 +46,7 @@ impl MapFitRow {
 pub fn map_fits(store: &SceneStore, config: &ValidityConfig) -> Result<Vec<MapFitRow>> {
     let mut by_place: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (idx, entry) in store.index().iter().enumerate() {
-        by_place.entry(&entry.place).or_default().push(idx);
+        by_place.entry(entry.place).or_default().push(idx);
     }
     let mut rows = Vec::new();
     for (place, scenes) in by_place {

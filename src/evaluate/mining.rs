@@ -1,10 +1,9 @@
 //! Which behaviors do the recordings show, and how often? Counts mined events by behavior, split and place.
 
 use crate::behavior::{ALL, BehaviorEntry, BehaviorEvent, EventLabel};
-use crate::scene::SceneId;
 use crate::store::SceneIndexEntry;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// What the miner found in the recordings.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -49,44 +48,48 @@ pub struct BehaviorCount {
     pub n_negative: u64,
 }
 
-/// Counts mined events of each behavior by split and place, without keeping them.
+/// Counts mined events of each behavior by split and place, scene by scene, without keeping either.
 pub struct MiningTally<'a> {
     behaviors: Vec<&'a str>,
-    /// Split and place of each scene that is searched.
-    part_of: BTreeMap<&'a SceneId, Part<'a>>,
     n_scenes: BTreeMap<Part<'a>, u64>,
-    /// Positive and negative events of a behavior in a part.
-    labels: BTreeMap<(&'a str, Part<'a>), [u64; 2]>,
-    /// Scenes with positive ones.
-    with: BTreeMap<(&'a str, Part<'a>), BTreeSet<&'a SceneId>>,
+    counts: BTreeMap<(&'a str, Part<'a>), Counts>,
     n_events: u64,
 }
 
 /// Split and place.
 type Part<'a> = (&'a str, &'a str);
 
+/// What was found of a behavior in a part.
+#[derive(Debug, Clone, Copy, Default)]
+struct Counts {
+    n_scenes_with: u64,
+    n_positive: u64,
+    n_negative: u64,
+}
+
 impl<'a> MiningTally<'a> {
-    /// Starts without events of `behaviors` in the searched `scenes`.
-    pub fn new(behaviors: &[&'a str], scenes: impl IntoIterator<Item = &'a SceneIndexEntry>) -> Self {
-        let part = |scene: &'a SceneIndexEntry| (&scene.id, (scene.split.name(), scene.place.as_str()));
-        let part_of: BTreeMap<_, _> = scenes.into_iter().map(part).collect();
-        let mut n_scenes = BTreeMap::new();
-        part_of.values().for_each(|part| *n_scenes.entry(*part).or_default() += 1);
-        let behaviors = behaviors.to_vec();
-        Self { behaviors, part_of, n_scenes, labels: BTreeMap::new(), with: BTreeMap::new(), n_events: 0 }
+    /// Starts without scenes, for `behaviors`.
+    pub fn new(behaviors: &[&'a str]) -> Self {
+        Self { behaviors: behaviors.to_vec(), n_scenes: BTreeMap::new(), counts: BTreeMap::new(), n_events: 0 }
     }
 
-    /// Counts an event. An event of another behavior, or of a scene that was not searched, counts only in the total.
-    pub fn add(&mut self, event: &BehaviorEvent) {
-        self.n_events += 1;
-        let behavior = self.behaviors.iter().find(|behavior| **behavior == event.behavior);
-        let (Some(behavior), Some((scene_id, part))) = (behavior, self.part_of.get_key_value(&event.scene_id)) else {
-            return;
-        };
-        let is_positive = event.label == EventLabel::Positive;
-        self.labels.entry((*behavior, *part)).or_default()[usize::from(!is_positive)] += 1;
-        if is_positive {
-            self.with.entry((*behavior, *part)).or_default().insert(*scene_id);
+    /// Counts a scene with all events found in it. Events of other behaviors count only in the total.
+    pub fn add(&mut self, scene: SceneIndexEntry<'a>, events: &[BehaviorEvent]) {
+        let part = (scene.split.name(), scene.place);
+        *self.n_scenes.entry(part).or_default() += 1;
+        self.n_events += events.len() as u64;
+        for behavior in &self.behaviors {
+            let count = |label| {
+                let counted = |event: &&BehaviorEvent| event.behavior == *behavior && event.label == label;
+                events.iter().filter(counted).count() as u64
+            };
+            let [n_positive, n_negative] = [EventLabel::Positive, EventLabel::Negative].map(count);
+            if n_positive + n_negative > 0 {
+                let counts = self.counts.entry((*behavior, part)).or_default();
+                counts.n_scenes_with += u64::from(n_positive > 0);
+                counts.n_positive += n_positive;
+                counts.n_negative += n_negative;
+            }
         }
     }
 
@@ -98,15 +101,15 @@ impl<'a> MiningTally<'a> {
     /// The counts: one row for each behavior and part, even if nothing was found.
     pub fn finish(&self) -> MiningSummary {
         let row = |behavior: &'a str, (part, n_scenes): (&Part<'a>, &u64)| {
-            let [n_positive, n_negative] = self.labels.get(&(behavior, *part)).copied().unwrap_or_default();
+            let counts = self.counts.get(&(behavior, *part)).copied().unwrap_or_default();
             BehaviorCount {
                 behavior: behavior.to_owned(),
                 split: part.0.to_owned(),
                 place: part.1.to_owned(),
                 n_scenes: *n_scenes,
-                n_scenes_with: self.with.get(&(behavior, *part)).map_or(0, BTreeSet::len) as u64,
-                n_positive,
-                n_negative,
+                n_scenes_with: counts.n_scenes_with,
+                n_positive: counts.n_positive,
+                n_negative: counts.n_negative,
             }
         };
         let counts = self.behaviors.iter().flat_map(|behavior| self.n_scenes.iter().map(|part| row(behavior, part)));
@@ -118,23 +121,16 @@ impl<'a> MiningTally<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Dataset, Split};
+    use crate::scene::{Dataset, SceneId, Split};
 
-    fn entry(case: &str, split: Split) -> SceneIndexEntry {
-        SceneIndexEntry {
-            id: SceneId::from(case),
-            dataset: Dataset::Interaction,
-            split,
-            place: "X".to_owned(),
-            n_agents: 2,
-            n_timesteps: 40,
-        }
+    fn entry(id: &'static str, split: Split) -> SceneIndexEntry<'static> {
+        SceneIndexEntry { id, dataset: Dataset::Interaction, split, place: "X", n_agents: 2, n_timesteps: 40 }
     }
 
-    fn event(case: &str, label: EventLabel) -> BehaviorEvent {
+    fn event(behavior: &str, label: EventLabel) -> BehaviorEvent {
         BehaviorEvent {
-            behavior: "cut_in".to_owned(),
-            scene_id: SceneId::from(case),
+            behavior: behavior.to_owned(),
+            scene_id: SceneId::from("any"),
             label,
             roles: crate::scene::Roles::default(),
             start_timestep: 0,
@@ -145,15 +141,11 @@ mod tests {
 
     #[test]
     fn events_are_counted_by_part_and_parts_without_any_are_listed() {
-        let scenes = [entry("a", Split::Train), entry("b", Split::Train), entry("c", Split::Val)];
-        let events = [
-            event("a", EventLabel::Positive),
-            event("a", EventLabel::Positive),
-            event("b", EventLabel::Negative),
-            event("elsewhere", EventLabel::Positive),
-        ];
-        let mut tally = MiningTally::new(&["cut_in"], &scenes);
-        events.iter().for_each(|event| tally.add(event));
+        let mut tally = MiningTally::new(&["cut_in"]);
+        let [positive, negative] = [EventLabel::Positive, EventLabel::Negative];
+        tally.add(entry("a", Split::Train), &[event("cut_in", positive), event("cut_in", positive)]);
+        tally.add(entry("b", Split::Train), &[event("cut_in", negative), event("another", positive)]);
+        tally.add(entry("c", Split::Val), &[]);
         assert_eq!(tally.n_events(), 4);
         let summary = tally.finish();
         let rows: Vec<_> = summary

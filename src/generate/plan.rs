@@ -5,7 +5,7 @@ use super::{Error, Generator, ResolvedGeneration, ResolvedSweep};
 use crate::behavior::Behavior;
 use crate::guidance::Target;
 use crate::scene::{Roles, SceneId, Split};
-use crate::store::SceneIndexEntry;
+use crate::store::{SceneIndex, SceneIndexEntry};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -98,7 +98,7 @@ impl Generator<'_> {
     ///
     /// # Errors
     /// When no scene fits a sweep, or a scene cannot be loaded.
-    pub fn plan(&self, index: &[SceneIndexEntry]) -> Result<Plan, Error> {
+    pub fn plan(&self, index: &SceneIndex) -> Result<Plan, Error> {
         self.plan_first(self.config.sweeps.len(), index)
     }
 
@@ -106,7 +106,7 @@ impl Generator<'_> {
     ///
     /// # Errors
     /// As [`Generator::plan`].
-    pub fn plan_first(&self, n_sweeps: usize, index: &[SceneIndexEntry]) -> Result<Plan, Error> {
+    pub fn plan_first(&self, n_sweeps: usize, index: &SceneIndex) -> Result<Plan, Error> {
         let mut plan = Plan { shards: Vec::new(), shortfalls: Vec::new() };
         let order = self.scenes_in_order(index, &|_| true);
         for (sweep_idx, sweep) in self.config.sweeps.iter().enumerate().take(n_sweeps) {
@@ -125,13 +125,10 @@ impl Generator<'_> {
                 let (n_wanted, n_found) = (sweep.n_scenes, scenes.len());
                 plan.shortfalls.push(Shortfall { sweep: sweep.name.clone(), n_wanted, n_found });
             }
-            for group in scenes.chunks(self.config.scenes_per_shard) {
-                plan.shards.push(ShardPlan {
-                    idx: plan.shards.len(),
-                    sweep_idx,
-                    cells: group.concat(),
-                    first_sample: 0,
-                });
+            let mut scenes = scenes.into_iter().peekable();
+            while scenes.peek().is_some() {
+                let cells = scenes.by_ref().take(self.config.scenes_per_shard).flatten().collect();
+                plan.shards.push(ShardPlan { idx: plan.shards.len(), sweep_idx, cells, first_sample: 0 });
             }
         }
         Ok(plan)
@@ -142,8 +139,8 @@ impl Generator<'_> {
     pub(super) fn cells_by_scene(
         &self,
         sweep: &ResolvedSweep,
-        index: &[SceneIndexEntry],
-        is_possible: &dyn Fn(&SceneIndexEntry) -> bool,
+        index: &SceneIndex,
+        is_possible: &dyn Fn(&SceneIndexEntry<'_>) -> bool,
     ) -> Result<Vec<Vec<Cell>>, Error> {
         match self.behavior(sweep) {
             Some(behavior) => self.scenes_with_pairs(sweep, behavior, &self.scenes_in_order(index, is_possible)),
@@ -154,8 +151,8 @@ impl Generator<'_> {
     /// The possible scenes of the chosen splits and places, in a random order that depends on the seed and their ids alone.
     fn scenes_in_order<'i>(
         &self,
-        index: &'i [SceneIndexEntry],
-        is_possible: &dyn Fn(&SceneIndexEntry) -> bool,
+        index: &'i SceneIndex,
+        is_possible: &dyn Fn(&SceneIndexEntry<'_>) -> bool,
     ) -> Vec<ListedScene<'i>> {
         let has_val = index.iter().any(|entry| entry.split == Split::Val);
         let default_split = if has_val { Split::Val } else { Split::Unsplit };
@@ -167,9 +164,9 @@ impl Generator<'_> {
                 true => entry.split == default_split,
                 false => splits.contains(&entry.split),
             })
-            .filter(|(_, entry)| places.is_empty() || places.contains(&entry.place))
+            .filter(|(_, entry)| places.is_empty() || places.iter().any(|place| place == entry.place))
             .filter(|(_, entry)| is_possible(entry))
-            .map(|(scene_idx, entry)| (order_seed(self.seed(), &entry.id.0), ListedScene { scene_idx, id: &entry.id }))
+            .map(|(scene_idx, entry)| (order_seed(self.seed(), entry.id), ListedScene { scene_idx, id: entry.id }))
             .collect();
         scenes.sort_by(|a, b| a.0.cmp(&b.0).then_with(|| a.1.id.cmp(b.1.id)));
         scenes.into_iter().map(|(_, scene)| scene).collect()
@@ -210,7 +207,8 @@ impl Generator<'_> {
         behavior: &dyn Behavior,
         listed: &ListedScene<'_>,
     ) -> Result<Option<RankedScene>, Error> {
-        let scene = self.load(listed.scene_idx, listed.id)?;
+        let scene_id = SceneId::from(listed.id);
+        let scene = self.load(listed.scene_idx, &scene_id)?;
         let candidates = self.candidates(sweep, behavior, &scene)?;
         let Some(CandidatePair { score, .. }) = candidates.first() else { return Ok(None) };
         let score = *score;
@@ -219,7 +217,7 @@ impl Generator<'_> {
         }
         let asked = candidates.into_iter().take(sweep.pairs.per_scene);
         let cells = asked.map(|pair| {
-            let targets = self.targets(sweep, listed.id, &pair);
+            let targets = self.targets(sweep, &scene_id, &pair);
             Cell { targets, ..listed.cell(pair.roles) }
         });
         Ok(Some(RankedScene { score, cells: cells.collect() }))
@@ -230,11 +228,11 @@ impl Generator<'_> {
 #[derive(Clone, Copy)]
 struct ListedScene<'a> {
     scene_idx: usize,
-    id: &'a SceneId,
+    id: &'a str,
 }
 
 impl ListedScene<'_> {
     fn cell(&self, roles: Roles) -> Cell {
-        Cell { scene_idx: self.scene_idx, scene_id: self.id.clone(), roles, targets: Vec::new() }
+        Cell { scene_idx: self.scene_idx, scene_id: SceneId::from(self.id), roles, targets: Vec::new() }
     }
 }

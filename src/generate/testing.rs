@@ -15,7 +15,7 @@ use crate::nn::{Compute, Params};
 use crate::progress::Silent;
 use crate::scene::{Dataset, Scene, Split};
 use crate::seed::Seed;
-use crate::store::{ScenarioRecord, SceneIndexEntry};
+use crate::store::{ScenarioRecord, SceneIndex, SceneIndexEntry};
 use crate::tensor::StateParametrization;
 use candle_core::Device;
 use std::collections::BTreeMap;
@@ -159,19 +159,17 @@ pub(super) fn with_generator_result<T>(
     use_it(&Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu)?)
 }
 
-pub(super) fn index(n: usize) -> Vec<SceneIndexEntry> {
-    let entry = |idx| {
-        let scene = scene(idx);
-        SceneIndexEntry {
-            id: scene.id,
-            dataset: Dataset::Interaction,
-            split: Split::Train,
-            place: "TEST".to_owned(),
-            n_agents: 3,
-            n_timesteps: scene.n_timesteps,
-        }
-    };
-    (0..n).map(entry).collect()
+pub(super) fn index(n: usize) -> SceneIndex {
+    let scenes: Vec<Scene> = (0..n).map(scene).collect();
+    let entries = scenes.iter().map(|scene| SceneIndexEntry {
+        id: &scene.id.0,
+        dataset: Dataset::Interaction,
+        split: Split::Train,
+        place: "TEST",
+        n_agents: 3,
+        n_timesteps: scene.n_timesteps as u32,
+    });
+    entries.collect()
 }
 
 pub(super) fn generate(config: &GenerateConfig) -> Vec<ScenarioRecord> {

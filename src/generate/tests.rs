@@ -11,7 +11,7 @@ use crate::metrics::MetricSettings;
 use crate::model::{Distillation, TrainedClassifier};
 use crate::progress::Silent;
 use crate::scene::Scene;
-use crate::store::{SceneIndexEntry, as_stored};
+use crate::store::{SceneIndex, as_stored};
 use candle_core::Device;
 
 const SWEEPS: &str = "
@@ -129,11 +129,8 @@ fn the_plan_does_not_depend_on_the_order_of_scenes() {
         let ids = |plan: &Plan| -> Vec<_> {
             plan.shards.iter().flat_map(|s| s.cells.iter().map(|c| (c.scene_id.clone(), c.roles.clone()))).collect()
         };
-        let mut entries: Vec<(usize, SceneIndexEntry)> = index(12).into_iter().enumerate().collect();
-        entries.reverse();
-        let positions: Vec<usize> = entries.iter().map(|(position, _)| *position).collect();
-        let reversed: Vec<SceneIndexEntry> = entries.into_iter().map(|(_, entry)| entry).collect();
-        let moved = move |idx: usize| load(positions[idx]);
+        let reversed: SceneIndex = index(12).iter().rev().collect();
+        let moved = |idx: usize| load(11 - idx);
         let metric_settings = generator.metric_settings.clone();
         let reversed_generator = Generator { scenes: &moved, metric_settings, ..*generator };
         assert_eq!(ids(&plan), ids(&reversed_generator.plan(&reversed).unwrap()));
@@ -146,7 +143,7 @@ fn too_few_scenes_are_said_and_none_is_an_error() {
     with_generator(&config, 0, |generator| {
         let plan = generator.plan(&index(3)).unwrap();
         assert_eq!(plan.shortfalls[0], Shortfall { sweep: "plain".to_owned(), n_wanted: 5, n_found: 3 });
-        let error = generator.plan(&[]).unwrap_err().to_string();
+        let error = generator.plan(&SceneIndex::default()).unwrap_err().to_string();
         assert!(error.contains("sweep plain") && error.contains("generate.splits"), "{error}");
     });
 }

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::Path;
 
 use candle_core::{Device, Tensor};
-use safetensors::SafeTensors;
+use safetensors::{SafeTensors, View};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -67,6 +67,20 @@ pub fn read_checkpoint<M: DeserializeOwned>(path: &Path, device: &Device) -> Res
     Ok(Checkpoint { tensors: tensors.into_iter().collect(), metadata, fingerprint })
 }
 
+/// Hash of `tensors` by name, with their types and shapes, and of `metadata`; hexadecimal. Metadata can hold that of the rest of it.
+///
+/// # Errors
+/// When `metadata` cannot be serialized.
+pub fn checksum<M: Serialize>(tensors: &BTreeMap<String, Tensor>, metadata: &M) -> serde_json::Result<String> {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&serde_json::to_vec(metadata)?);
+    for (name, tensor) in tensors {
+        hasher.update(format!("\n{name} {:?} {:?}\n", tensor.dtype(), tensor.dims()).as_bytes());
+        hasher.update(&tensor.data());
+    }
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
 #[cfg(test)]
 mod tests {
     use serde::Deserialize;
@@ -113,6 +127,19 @@ mod tests {
         };
         assert_eq!(write("one", 0.1), write("two", 0.1));
         assert_ne!(write("one", 0.1), write("three", 0.2));
+    }
+
+    #[test]
+    fn a_checksum_is_of_names_shapes_values_and_metadata() {
+        let of = |tensors: &BTreeMap<String, Tensor>, scale| checksum(tensors, &Metadata { step: 3, scale }).unwrap();
+        let (whole, mut seen) = (tensors(), std::collections::BTreeSet::new());
+        assert_eq!(of(&whole, 0.1), of(&tensors(), 0.1));
+        seen.extend([of(&whole, 0.1), of(&whole, 0.2)]);
+        for other in [whole["a"].t().unwrap(), whole["a"].reshape((4, 1)).unwrap(), whole["a"].neg().unwrap()] {
+            seen.insert(of(&BTreeMap::from([("a".to_owned(), other)]), 0.1));
+        }
+        seen.insert(of(&BTreeMap::from([("b".to_owned(), whole["a"].clone())]), 0.1));
+        assert_eq!(seen.len(), 6);
     }
 
     #[test]

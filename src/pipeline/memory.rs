@@ -117,7 +117,8 @@ impl<'a> Sizes<'a> {
     fn new(config: &'a PipelineConfig, layout: &'a Layout) -> Self {
         let largest = SceneStore::open(&layout.scenes).ok().and_then(|store| {
             let index = store.index();
-            Some((index.iter().map(|scene| scene.n_agents).max()?, index.iter().map(|scene| scene.n_timesteps).max()?))
+            let n_agents = index.iter().map(|scene| scene.n_agents as usize).max()?;
+            Some((n_agents, index.iter().map(|scene| scene.n_timesteps as usize).max()?))
         });
         Self { config, layout, largest }
     }

@@ -6,11 +6,12 @@ use super::{Error, Result};
 use crate::files::{AtomicFile, FileStamp};
 use arrow::array::RecordBatch;
 use arrow::buffer::Buffer;
+use arrow::datatypes::SchemaRef;
 use arrow::error::ArrowError;
 use arrow::ipc::convert::try_fb_to_schema;
 use arrow::ipc::reader::{FileDecoder, read_footer_length};
 use arrow::ipc::writer::FileWriter;
-use arrow::ipc::{Block, root_as_footer};
+use arrow::ipc::{Block, MetadataVersion, root_as_footer};
 use fs_err as fs;
 use memmap2::Mmap;
 use std::path::{Path, PathBuf};
@@ -48,41 +49,80 @@ impl IpcFile {
     }
 }
 
-/// Maps a file of this table and decodes its batches, whose buffers stay in the mapping.
-///
-/// # Errors
-/// [`Error::Corrupt`] when the content is not what `stamp` says or is no table, [`Error::SchemaVersion`] when it is another.
-pub(crate) fn map(path: &Path, table: &TableSchema, stamp: &FileStamp) -> Result<Vec<RecordBatch>> {
-    let buffer = map_file(path)?;
-    // The checksum comes first: past it, nothing in the file can be other than what was written.
-    stamp.verify(path, &buffer)?;
-    contained(path, || decode(path, table, &buffer))
+/// A table that is mapped into memory. Batches are decoded when they are asked for: their buffers stay in the mapping, but the arrays
+/// around these take kilobytes a batch, and there are as many batches as the file has.
+pub(crate) struct MappedTable {
+    path: PathBuf,
+    buffer: Buffer,
+    schema: SchemaRef,
+    version: MetadataVersion,
+    blocks: Vec<Block>,
 }
 
-fn decode(path: &Path, table: &TableSchema, buffer: &Buffer) -> Result<Vec<RecordBatch>> {
-    let damaged = |detail: &str| Error::corrupt(path, detail);
-    let unreadable = |error: ArrowError| Error::corrupt(path, error.to_string());
+impl MappedTable {
+    /// Maps a file of this table.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when the content is not what `stamp` says or is no table, [`Error::SchemaVersion`] when it is another.
+    pub(crate) fn open(path: &Path, table: &TableSchema, stamp: &FileStamp) -> Result<Self> {
+        let buffer = map_file(path)?;
+        // The checksum comes first: past it, nothing in the file can be other than what was written.
+        stamp.verify(path, &buffer)?;
+        contained(path, || Self::with_footer(path, table, buffer))
+    }
 
-    let trailer_start = buffer.len().checked_sub(TRAILER_LEN).ok_or_else(|| damaged("it is too short"))?;
-    let mut trailer = [0; TRAILER_LEN];
-    trailer.copy_from_slice(&buffer[trailer_start..]);
-    let footer_len = read_footer_length(trailer).map_err(unreadable)?;
-    let footer_start = trailer_start.checked_sub(footer_len).ok_or_else(|| damaged("its footer is too long"))?;
-    let footer = root_as_footer(&buffer[footer_start..trailer_start])
-        .map_err(|error| damaged(&format!("its footer cannot be read: {error}")))?;
+    fn with_footer(path: &Path, table: &TableSchema, buffer: Buffer) -> Result<Self> {
+        let damaged = |detail: &str| Error::corrupt(path, detail);
+        let unreadable = |error: ArrowError| Error::corrupt(path, error.to_string());
+        let trailer_start = buffer.len().checked_sub(TRAILER_LEN).ok_or_else(|| damaged("it is too short"))?;
+        let mut trailer = [0; TRAILER_LEN];
+        trailer.copy_from_slice(&buffer[trailer_start..]);
+        let footer_len = read_footer_length(trailer).map_err(unreadable)?;
+        let footer_start = trailer_start.checked_sub(footer_len).ok_or_else(|| damaged("its footer is too long"))?;
+        let footer = root_as_footer(&buffer[footer_start..trailer_start])
+            .map_err(|error| damaged(&format!("its footer cannot be read: {error}")))?;
 
-    let schema = footer.schema().ok_or_else(|| damaged("it has no schema"))?;
-    let schema = Arc::new(try_fb_to_schema(schema).map_err(unreadable)?);
-    table.check(path, &schema)?;
-    let decoder = FileDecoder::new(schema, footer.version()).with_require_alignment(true);
-    let decode = |block: &Block| {
-        let block_buffer = block_of(buffer, block).ok_or_else(|| damaged("a batch lies outside of it"))?;
-        decoder
-            .read_record_batch(block, &block_buffer)
-            .map_err(unreadable)?
-            .ok_or_else(|| damaged("a batch has no content"))
-    };
-    footer.recordBatches().into_iter().flatten().map(decode).collect()
+        let schema = footer.schema().ok_or_else(|| damaged("it has no schema"))?;
+        let schema = Arc::new(try_fb_to_schema(schema).map_err(unreadable)?);
+        table.check(path, &schema)?;
+        let blocks = footer.recordBatches().into_iter().flatten().copied().collect();
+        Ok(Self { path: path.to_owned(), version: footer.version(), buffer, schema, blocks })
+    }
+
+    /// The file.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Uses the schema of `other` where it is the same: with what it says of each column, it takes tens of kilobytes a file.
+    pub(crate) fn share_schema(&mut self, other: &Self) {
+        if self.schema == other.schema {
+            self.schema = Arc::clone(&other.schema);
+        }
+    }
+
+    /// Number of batches.
+    pub(crate) const fn n_batches(&self) -> usize {
+        self.blocks.len()
+    }
+
+    /// Decodes the batch at `position`, which must be below [`n_batches`](Self::n_batches), without copying its content.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when it is no batch of the table.
+    pub(crate) fn batch(&self, position: usize) -> Result<RecordBatch> {
+        let damaged = |detail: &str| Error::corrupt(&self.path, detail);
+        let block = &self.blocks[position];
+        let content = block_of(&self.buffer, block).ok_or_else(|| damaged("a batch lies outside of it"))?;
+        let decoder = FileDecoder::new(Arc::clone(&self.schema), self.version).with_require_alignment(true);
+        let decoded = contained(&self.path, || Ok(decoder.read_record_batch(block, &content)))?;
+        decoded.map_err(|error| damaged(&error.to_string()))?.ok_or_else(|| damaged("a batch has no content"))
+    }
+
+    /// Decodes the batches, one after the other.
+    pub(crate) fn batches(&self) -> impl Iterator<Item = Result<RecordBatch>> {
+        (0..self.n_batches()).map(|position| self.batch(position))
+    }
 }
 
 /// The bytes of a block, without copying; `None` when it is not within the file.
@@ -133,7 +173,10 @@ mod tests {
         let mut file = IpcFile::create(&path, &table).unwrap();
         file.write(&batch).unwrap();
         let stamp = file.finish().unwrap();
-        assert_eq!(map(&path, &table, &stamp).unwrap(), [batch]);
+        let read = |path: &Path, stamp: &FileStamp| -> Result<Vec<RecordBatch>> {
+            MappedTable::open(path, &table, stamp)?.batches().collect()
+        };
+        assert_eq!(read(&path, &stamp).unwrap(), [batch]);
         let whole = fs::read(&path).unwrap();
         let mut n_refused = 0;
         for at in (0..whole.len()).step_by(5) {
@@ -141,7 +184,7 @@ mod tests {
             damaged[at] ^= 0x7f;
             let other = dir.path().join("other.arrow");
             fs::write(&other, &damaged).unwrap();
-            n_refused += usize::from(map(&other, &table, &FileStamp::of(&damaged)).is_err());
+            n_refused += usize::from(read(&other, &FileStamp::of(&damaged)).is_err());
         }
         assert!(n_refused > 100, "{n_refused} changes were noticed");
     }

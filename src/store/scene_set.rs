@@ -1,9 +1,12 @@
 //! Some scenes of a store: a bit for each, so that even of millions it takes little memory to know which were seen.
 
+use std::collections::BTreeMap;
+
 /// Scenes by their position in a [`SceneStore`](super::SceneStore).
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SceneSet {
-    words: Vec<u64>,
+    /// Bits of 64 scenes each, where there are any: the scenes of a place mostly lie together.
+    words: BTreeMap<usize, u64>,
     n: usize,
 }
 
@@ -11,18 +14,16 @@ impl SceneSet {
     /// Adds the scene at `position`. Returns whether it was not there yet.
     pub fn insert(&mut self, position: usize) -> bool {
         let (word, bit) = (position / 64, 1 << (position % 64));
-        if word >= self.words.len() {
-            self.words.resize(word + 1, 0);
-        }
-        let is_new = self.words[word] & bit == 0;
-        self.words[word] |= bit;
+        let word = self.words.entry(word).or_default();
+        let is_new = *word & bit == 0;
+        *word |= bit;
         self.n += usize::from(is_new);
         is_new
     }
 
     /// Whether the scene at `position` is there.
     pub fn contains(&self, position: usize) -> bool {
-        self.words.get(position / 64).is_some_and(|word| word & (1 << (position % 64)) != 0)
+        self.words.get(&(position / 64)).is_some_and(|word| word & (1 << (position % 64)) != 0)
     }
 
     /// How many there are.
@@ -48,5 +49,6 @@ mod tests {
         assert_eq!((were_new, set.len()), ([true, true, true, true, false, false, true], 5));
         let found: Vec<usize> = (0..2000).filter(|position| set.contains(*position)).collect();
         assert_eq!(found, [0, 63, 64, 65, 1000]);
+        assert_eq!(set.words.len(), 3, "whatever lies between them");
     }
 }

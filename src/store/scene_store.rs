@@ -1,49 +1,45 @@
 //! Reading a scene store: any scene at once, from files that are mapped into memory.
 
+use super::ipc_file::MappedTable;
 use super::maps::{MapSource, MapTable};
+use super::scene_index::{SceneIndex, SceneIndexEntry};
 use super::scene_manifest::{MANIFEST_FILE, SceneManifest, ShardEntry};
 use super::tables::columns::{Columns, entries};
 use super::tables::{lane, scene};
-use super::{Error, Result, ipc_file};
+use super::{Error, Result};
 use crate::scene::{Dataset, LaneGraph, LaneId, MapId, Scene, SceneId, Split};
-use arrow::array::RecordBatch;
+use arrow::array::{Array, RecordBatch};
 use arrow::datatypes::UInt32Type;
 use fs_err as fs;
 use rayon::prelude::*;
-use std::path::{Path, PathBuf};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
-/// What can be known of a scene without loading it.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SceneIndexEntry {
-    /// The scene.
-    pub id: SceneId,
-    /// Its dataset.
-    pub dataset: Dataset,
-    /// Its split.
-    pub split: Split,
-    /// Its place.
-    pub place: String,
-    /// Number of tracks.
-    pub n_agents: usize,
-    /// Number of timesteps.
-    pub n_timesteps: usize,
-}
+/// Batches of scenes that are kept decoded: more than there are threads, for each mostly reads a scene beside its last one.
+const N_DECODED: usize = 64;
 
-/// A finished scene store, verified and mapped into memory. It may be shared between threads.
+/// A finished scene store, verified and mapped into memory. It may be shared between threads. Beside the mapping, a scene takes 28 bytes
+/// and those of its id.
 pub struct SceneStore {
     manifest: SceneManifest,
     fingerprint: String,
-    batches: Vec<SceneBatchFile>,
+    shards: Vec<MappedTable>,
+    batches: Vec<BatchPlace>,
+    /// Batches that scenes were just read from, by position.
+    decoded: Mutex<BTreeMap<usize, RecordBatch>>,
     maps: MapTable,
-    index: Vec<SceneIndexEntry>,
+    index: SceneIndex,
     /// Positions in `index`, by scene id.
-    by_id: Vec<usize>,
+    by_id: Vec<u32>,
 }
 
-/// A batch of scenes and where it is from.
-struct SceneBatchFile {
-    path: PathBuf,
-    batch: RecordBatch,
+/// Where a batch of scenes is.
+struct BatchPlace {
+    /// Position of its shard.
+    shard: usize,
+    /// Its position there.
+    batch: usize,
     /// Position of its first scene in the store.
     first: usize,
 }
@@ -57,34 +53,31 @@ impl SceneStore {
     pub fn open(dir: &Path) -> Result<Self> {
         let manifest = SceneManifest::read(dir)?;
         let fingerprint = blake3::hash(&fs::read(dir.join(MANIFEST_FILE))?).to_hex().to_string();
-        let shards: Vec<ShardBatches> =
+        let opened: Vec<(MappedTable, Option<MappedTable>)> =
             manifest.shards.par_iter().map(|shard| open_shard(dir, shard)).collect::<Result<_>>()?;
 
-        let (mut batches, mut maps, mut index) = (Vec::new(), MapTable::new(dir), Vec::new());
-        for (shard, opened) in manifest.shards.iter().zip(shards) {
-            for (path, batch) in opened.maps {
-                maps.push(&path, batch)?;
+        let (mut shards, mut batches) = (Vec::<MappedTable>::new(), Vec::new());
+        let (mut maps, mut index) = (MapTable::new(dir), SceneIndex::default());
+        for (shard, (entry, (mut scenes, lanes))) in manifest.shards.iter().zip(opened).enumerate() {
+            for lanes in lanes.iter() {
+                lanes.batches().try_for_each(|batch| maps.push(lanes.path(), batch?))?;
             }
+            shards.first().into_iter().for_each(|first| scenes.share_schema(first));
             let first_of_shard = index.len();
-            for batch in opened.scenes {
-                let path = dir.join(&shard.file);
-                let first = index.len();
-                let columns = Columns::of_batch(&batch, &path);
-                for row in 0..batch.num_rows() {
-                    index.push(index_entry(&columns, row)?);
-                }
-                batches.push(SceneBatchFile { path, batch, first });
+            for batch in 0..scenes.n_batches() {
+                batches.push(BatchPlace { shard, batch, first: index.len() });
+                enter_all(&mut index, &Columns::of_batch(&scenes.batch(batch)?, scenes.path()))?;
             }
-            if (index.len() - first_of_shard) as u64 != shard.n_scenes {
-                return Err(Error::corrupt(
-                    &dir.join(&shard.file),
-                    "it has another number of scenes than its manifest says",
-                ));
+            if (index.len() - first_of_shard) as u64 != entry.n_scenes {
+                return Err(Error::corrupt(scenes.path(), "it has another number of scenes than its manifest says"));
             }
+            shards.push(scenes);
         }
-        let mut by_id: Vec<usize> = (0..index.len()).collect();
-        by_id.sort_by_key(|i| &index[*i].id);
-        Ok(Self { manifest, fingerprint, batches, maps, index, by_id })
+        index.shrink();
+        let mut by_id: Vec<u32> = (0..index.len() as u32).collect();
+        by_id.sort_unstable_by_key(|position| index.id(*position as usize));
+        let decoded = Mutex::default();
+        Ok(Self { manifest, fingerprint, shards, batches, decoded, maps, index, by_id })
     }
 
     /// The manifest.
@@ -108,13 +101,14 @@ impl SceneStore {
     }
 
     /// One entry a scene, in the order of ingest.
-    pub fn index(&self) -> &[SceneIndexEntry] {
+    pub const fn index(&self) -> &SceneIndex {
         &self.index
     }
 
     /// The position of a scene.
     pub fn position(&self, id: &SceneId) -> Option<usize> {
-        self.by_id.binary_search_by_key(&id, |i| &self.index[*i].id).ok().map(|i| self.by_id[i])
+        let found = self.by_id.binary_search_by_key(&id.0.as_str(), |position| self.index.id(*position as usize));
+        found.ok().map(|at| self.by_id[at] as usize)
     }
 
     /// Loads scene `i` with its lanes.
@@ -122,13 +116,29 @@ impl SceneStore {
     /// # Errors
     /// [`Error::NotFound`] when there are not as many; those of its map.
     pub fn scene(&self, i: usize) -> Result<Scene> {
-        let after = self.batches.partition_point(|file| file.first <= i);
-        let file = after.checked_sub(1).map(|before| &self.batches[before]).filter(|_| i < self.len());
-        let Some(file) = file else {
+        let after = self.batches.partition_point(|batch| batch.first <= i);
+        let Some(at) = after.checked_sub(1).filter(|_| i < self.len()) else {
             let path = self.maps.dir().join(MANIFEST_FILE);
             return Err(Error::NotFound { path, what: format!("scene {i}: there are {}", self.len()) });
         };
-        scene::decode(&Columns::of_batch(&file.batch, &file.path), i - file.first, &self.maps)
+        let BatchPlace { shard, first, .. } = self.batches[at];
+        scene::decode(&Columns::of_batch(&self.batch(at)?, self.shards[shard].path()), i - first, &self.maps)
+    }
+
+    /// The batch of this position among all.
+    fn batch(&self, at: usize) -> Result<RecordBatch> {
+        let lock = || self.decoded.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(batch) = lock().get(&at) {
+            return Ok(batch.clone());
+        }
+        let BatchPlace { shard, batch, .. } = self.batches[at];
+        let batch = self.shards[shard].batch(batch)?;
+        let mut decoded = lock();
+        if decoded.len() >= N_DECODED {
+            decoded.clear();
+        }
+        decoded.insert(at, batch.clone());
+        Ok(batch)
     }
 }
 
@@ -142,32 +152,27 @@ impl MapSource for SceneStore {
     }
 }
 
-/// The batches of a shard.
-struct ShardBatches {
-    scenes: Vec<RecordBatch>,
-    maps: Vec<(PathBuf, RecordBatch)>,
+/// The scenes of a shard, and the maps that come with it.
+fn open_shard(dir: &Path, shard: &ShardEntry) -> Result<(MappedTable, Option<MappedTable>)> {
+    let lanes = shard.maps.as_ref();
+    let lanes = lanes.map(|maps| MappedTable::open(&dir.join(&maps.file), &lane::schema(), &maps.stamp)).transpose()?;
+    Ok((MappedTable::open(&dir.join(&shard.file), &scene::schema(), &shard.stamp)?, lanes))
 }
 
-fn open_shard(dir: &Path, shard: &ShardEntry) -> Result<ShardBatches> {
-    let mut maps = Vec::new();
-    if let Some(entry) = &shard.maps {
-        let path = dir.join(&entry.file);
-        let batches = ipc_file::map(&path, &lane::schema(), &entry.stamp)?;
-        maps.extend(batches.into_iter().map(|batch| (path.clone(), batch)));
-    }
-    Ok(ShardBatches { scenes: ipc_file::map(&dir.join(&shard.file), &scene::schema(), &shard.stamp)?, maps })
-}
-
-fn index_entry(columns: &Columns<'_>, row: usize) -> Result<SceneIndexEntry> {
+/// Enters the scenes of a batch in the index.
+fn enter_all(index: &mut SceneIndex, columns: &Columns<'_>) -> Result<()> {
     let (tracks, _) = columns.of_list("tracks")?;
-    Ok(SceneIndexEntry {
-        id: SceneId::from(columns.text("scene_id", row)?),
-        dataset: columns.named("dataset", row, Dataset::from_name)?,
-        split: columns.named("split", row, Split::from_name)?,
-        place: columns.text("place", row)?.to_owned(),
-        n_agents: entries(tracks, row).len(),
-        n_timesteps: columns.number::<UInt32Type>("n_timesteps", row)? as usize,
-    })
+    for row in 0..tracks.len() {
+        index.push(SceneIndexEntry {
+            id: columns.text("scene_id", row)?,
+            dataset: columns.named("dataset", row, Dataset::from_name)?,
+            split: columns.named("split", row, Split::from_name)?,
+            place: columns.text("place", row)?,
+            n_agents: entries(tracks, row).len() as u32,
+            n_timesteps: columns.number::<UInt32Type>("n_timesteps", row)?,
+        });
+    }
+    Ok(())
 }
 
 impl std::fmt::Debug for SceneStore {
@@ -214,13 +219,29 @@ mod tests {
         assert_eq!(store.manifest().shards.len(), 3);
         for i in [10, 0, 5, 3, 4, 9] {
             assert_eq!(store.scene(i).unwrap(), as_stored(&scenes[i]), "scene {i}");
-            let entry = &store.index()[i];
-            assert_eq!((&entry.id, entry.n_agents), (&scenes[i].id, scenes[i].tracks.len()));
-            assert_eq!(store.position(&entry.id), Some(i));
+            let entry = store.index().get(i);
+            assert_eq!((entry.id, entry.n_agents as usize), (scenes[i].id.0.as_str(), scenes[i].tracks.len()));
+            assert_eq!(store.position(&scenes[i].id), Some(i));
         }
         assert_eq!(store.position(&SceneId::from("nowhere")), None);
         let error = store.scene(11).unwrap_err().to_string();
         assert!(error.contains("scene 11: there are 11"), "{error}");
+    }
+
+    #[test]
+    fn of_many_batches_few_are_kept_decoded() {
+        let dir = tempfile::tempdir().unwrap();
+        let (scenes, maps) = scenes(0..2 * N_DECODED as u64 + 6);
+        write(dir.path(), &scenes, &maps);
+        let store = SceneStore::open(dir.path()).unwrap();
+        let n_decoded = || store.decoded.lock().unwrap().len();
+        assert_eq!((store.batches.len(), n_decoded()), (N_DECODED + 3, 0));
+        let schemas = store.shards.iter().map(|shard| shard.batch(0).unwrap().schema());
+        assert!(schemas.clone().all(|schema| std::sync::Arc::ptr_eq(&schema, &schemas.clone().next().unwrap())));
+        for (i, scene) in scenes.iter().enumerate().chain([(0, &scenes[0])]) {
+            assert_eq!(store.scene(i).unwrap(), as_stored(scene), "scene {i}");
+            assert!((1..=N_DECODED).contains(&n_decoded()), "scene {i}");
+        }
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Writing a scene store: shards that are whole or absent, and where to go on after an interruption.
 
 use super::atomic::{read_json, write_json_atomically};
-use super::ipc_file::{self, IpcFile};
+use super::ipc_file::{IpcFile, MappedTable};
 use super::maps::MapTable;
 use super::scene_manifest::{MANIFEST_FILE, MapsEntry, SceneManifest, ShardEntry, ShardSidecar};
 use super::tables::columns::Columns;
@@ -95,14 +95,15 @@ impl SceneWriter {
         let mut known_maps = MapTable::new(dir);
         for maps in finished.iter().filter_map(|sidecar| sidecar.shard.maps.as_ref()) {
             let path = dir.join(&maps.file);
-            for batch in ipc_file::map(&path, &lane::schema(), &maps.stamp)? {
-                known_maps.push(&path, batch)?;
+            for batch in MappedTable::open(&path, &lane::schema(), &maps.stamp)?.batches() {
+                known_maps.push(&path, batch?)?;
             }
         }
         let mut known_scenes = BTreeSet::new();
         for sidecar in &finished {
             let path = dir.join(&sidecar.shard.file);
-            for batch in ipc_file::map(&path, &scene::schema(), &sidecar.shard.stamp)? {
+            for batch in MappedTable::open(&path, &scene::schema(), &sidecar.shard.stamp)?.batches() {
+                let batch = batch?;
                 let columns = Columns::of_batch(&batch, &path);
                 for row in 0..batch.num_rows() {
                     known_scenes.insert(hash_of(columns.text("scene_id", row)?));

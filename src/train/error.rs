@@ -24,6 +24,14 @@ pub enum Error {
         /// What the parser found.
         source: serde_json::Error,
     },
+    /// A training state that is not as it was saved.
+    #[error(
+        "{path} is not as it was saved: it was changed, or the disk is failing; restore it from a copy, or remove it to train from the start"
+    )]
+    DamagedState {
+        /// The file.
+        path: PathBuf,
+    },
     /// A scene could not be loaded.
     #[error("cannot load a training scene")]
     Scene(#[source] Box<dyn std::error::Error + Send + Sync>),

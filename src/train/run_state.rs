@@ -2,7 +2,7 @@
 
 use super::{Error, FitConfig, FitStatistics};
 use crate::files::write_atomically;
-use crate::nn::{Adam, Ema, Params, read_checkpoint, write_checkpoint};
+use crate::nn::{Adam, Ema, Params, checksum, read_checkpoint, write_checkpoint};
 use candle_core::Tensor;
 use fs_err as fs;
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// How far a run is.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Position {
     /// Steps taken.
@@ -22,6 +22,18 @@ pub(super) struct Position {
     pub(super) loss_sum: f64,
     /// Sum of the gradients' norms since then.
     pub(super) norm_sum: f64,
+    /// Hash of the rest of the state, with its tensors. `None` in states of versions that took none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) checksum: Option<String>,
+}
+
+impl Position {
+    /// The same position, sealed with the tensors of its state.
+    fn sealed(&self, tensors: &BTreeMap<String, Tensor>) -> Result<Self, Error> {
+        let unsealed = Self { checksum: None, ..self.clone() };
+        let checksum = checksum(tensors, &unsealed).map_err(std::io::Error::from)?;
+        Ok(Self { checksum: Some(checksum), ..unsealed })
+    }
 }
 
 /// The state of a run between steps.
@@ -51,6 +63,10 @@ impl Run {
         let mut averages = BTreeMap::new();
         if path.exists() {
             let checkpoint = read_checkpoint::<Position>(&path, params.device())?;
+            let position = checkpoint.metadata;
+            if position.checksum.is_some() && position != position.sealed(&checkpoint.tensors)? {
+                return Err(Error::DamagedState { path });
+            }
             let part = |prefix: &str| -> BTreeMap<String, Tensor> {
                 let named = checkpoint.tensors.iter();
                 named.filter_map(|(name, t)| Some((name.strip_prefix(prefix)?.to_owned(), t.clone()))).collect()
@@ -58,7 +74,7 @@ impl Run {
             params.load(&part("params."))?;
             run.adam.load(params, &part("adam."))?;
             averages = part("ema.");
-            run.position = checkpoint.metadata;
+            run.position = position;
         }
         if config.ema_decay > 0.0 {
             run.ema = Some(match averages.is_empty() {
@@ -109,7 +125,46 @@ impl Run {
         if let Some(ema) = &self.ema {
             put("ema", ema.tensors().clone());
         }
-        write_checkpoint(&Self::state_path(&self.dir), &tensors, &self.position)?;
+        write_checkpoint(&Self::state_path(&self.dir), &tensors, &self.position.sealed(&tensors)?)?;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nn::{Compute, Init};
+    use crate::seed::Seed;
+
+    fn params() -> Params {
+        let mut params = Params::new(&Compute::cpu());
+        params.get_or_init("x", &[3, 5], Init::KaimingUniform { fan_in: 1 }, Seed(1)).unwrap();
+        params
+    }
+
+    #[test]
+    fn a_state_is_resumed_as_it_was_saved_or_not_at_all() {
+        let dir = tempfile::tempdir().unwrap();
+        let config = FitConfig { ema_decay: 0.9, ..FitConfig::default() };
+        let mut run = Run::open(&config, &mut params(), dir.path()).unwrap();
+        run.position = Position { step: 7, ema_updates: 7, loss_sum: 0.5, norm_sum: 1e-300, checksum: None };
+        run.save(&params()).unwrap();
+        let open = || Run::open(&config, &mut params(), dir.path());
+        let resumed = open().unwrap().position;
+        assert_eq!(Position { checksum: None, ..resumed }, run.position);
+
+        let path = Run::state_path(dir.path());
+        let whole = fs::read(&path).unwrap();
+        for at in 0..whole.len() {
+            let mut damaged = whole.clone();
+            damaged[at] ^= 1;
+            fs::write(&path, &damaged).unwrap();
+            assert!(open().is_err(), "the byte at {at} of {}", whole.len());
+        }
+        let mut damaged = whole;
+        *damaged.last_mut().unwrap() ^= 1;
+        fs::write(&path, &damaged).unwrap();
+        let said = open().err().unwrap().to_string();
+        assert!(said.contains("state.safetensors is not as it was saved"), "{said}");
     }
 }

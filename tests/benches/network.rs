@@ -101,7 +101,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     let batch_size = options.batch_size.unwrap_or(own_batch_size);
     println!("the network of the preset {name}");
     let store = SceneStore::open(&options.scenes)?;
-    let train: Vec<usize> = (0..store.len()).filter(|idx| store.index()[*idx].split == Split::Train).collect();
+    let train: Vec<usize> = (0..store.len()).filter(|idx| store.index().get(*idx).split == Split::Train).collect();
     let mut fit = NormalizerFit::default();
     for idx in train.iter().take(500) {
         fit.add(&store.scene(*idx)?);

@@ -125,6 +125,27 @@ fn data_goes_to_stdout_and_everything_else_to_stderr() {
 }
 
 #[test]
+fn names_of_files_do_not_speak_to_the_terminal() {
+    let workspace = Workspace::new();
+    let name = workspace.arg("red\u{1b}[31m\r");
+    let archive = fs_err::File::create(workspace.path("hostile.zip")).unwrap();
+    let mut archive = zip::ZipWriter::new(archive);
+    archive.start_file("X/vehicle_tracks_000\u{1b}[31m.csv", zip::write::SimpleFileOptions::default()).unwrap();
+    archive.finish().unwrap();
+    let (zip, out) = (workspace.arg("hostile.zip"), workspace.arg("out"));
+    for args in [
+        vec!["inspect", &name],
+        vec!["run", &name],
+        vec!["ingest", &name, "--dataset", "interaction", "--output", &out],
+        vec!["ingest", &zip, "--dataset", "interaction", "--set", "ingest.maps=none", "--output", &out],
+    ] {
+        let said = djinn(&args).expect(1).stderr;
+        assert!(said.chars().all(|c| c == '\n' || !c.is_control()), "{said:?}");
+        assert!(said.contains("[31m"), "{said}");
+    }
+}
+
+#[test]
 fn a_reader_that_has_seen_enough_is_no_error() {
     let mut child = command(&["run", "pipelines/quickstart.toml", "--dry-run"])
         .stdout(Stdio::piped())

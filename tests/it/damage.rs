@@ -25,6 +25,27 @@ fn a_flipped_bit_of_a_model_is_a_fault_and_names_the_model() {
 }
 
 #[test]
+fn a_checkpoint_that_was_moved_is_the_same_and_another_one_is_not() {
+    let workspace = Workspace::new();
+    let out = workspace.arg("out");
+    let [here, there] = ["here.safetensors", "there.safetensors"].map(|name| workspace.path(name));
+    fs_err::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join(MODEL), &here).unwrap();
+    let train = |path: &Path, more: &[&str]| {
+        let checkpoint = format!("train.denoiser.checkpoint={}", path.display());
+        djinn(&[&["train", "denoiser", "--set", &checkpoint, "--output", &out], more].concat()).expect(0)
+    };
+    train(&here, &[]);
+    fs_err::rename(&here, &there).unwrap();
+    let plan = train(&there, &["--dry-run"]).stdout;
+    assert!(plan.contains("#   train_denoiser    cached"), "{plan}");
+    let mut bytes = fs_err::read(&there).unwrap();
+    *bytes.last_mut().unwrap() ^= 1;
+    fs_err::write(&there, bytes).unwrap();
+    let plan = train(&there, &["--dry-run"]).stdout;
+    assert!(plan.contains("fresh (changed: ") && plan.contains("input checkpoint)"), "{plan}");
+}
+
+#[test]
 fn a_changed_summary_is_not_reported() {
     let workspace = Workspace::new();
     let out = workspace.arg("out");

@@ -72,7 +72,7 @@ fn collated(spec: &DenoiserSpec) -> SceneBatch {
         scene.tracks[3].class = AgentClass::PedestrianOrCyclist;
         Scene { ego_idx: 0, ..scene }
     };
-    let mut train = (0..store.len()).filter(|i| store.index()[*i].split == Split::Train).map(scene);
+    let mut train = (0..store.len()).filter(|i| store.index().get(*i).split == Split::Train).map(scene);
     let scenes = [train.next().unwrap(), train.next().unwrap()];
     let history = ObservationMask::predictive(4, spec.n_timesteps, spec.n_history);
     let gaps = ObservationMask::from_fn(4, spec.n_timesteps, |agent, t| match agent {

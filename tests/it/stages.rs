@@ -3,6 +3,7 @@
 use crate::support::{SMALL_PIPELINE, Workspace, assert_same, djinn, files};
 use djinn::pipeline::stages::SampleManifest;
 use djinn::store::sample_ids;
+use std::path::Path;
 
 /// One run for several questions: it is the slowest part of these tests.
 #[test]
@@ -106,6 +107,8 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
         assert!(djinn(&["inspect", path]).expect(0).stdout.starts_with(kind), "{name}");
     }
 
+    damage_is_seen(&workspace, &root);
+
     // A gate that is not met ends with code 3, with all results written, and again when nothing is left to do.
     for _ in 0..2 {
         let outcome = workspace.run("out", &["--set", "evaluate.gates.min_verified=1000"]).expect(3);
@@ -125,6 +128,28 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
 }
 
 /// The small pipeline with a baseline in place of the classifier, and a sweep of it in place of the guided one.
+/// A file in which a byte is not as it was written is told by the plan, which makes it again.
+fn damage_is_seen(workspace: &Workspace, root: &Path) {
+    for (file, stage) in [
+        ("events.parquet", "mine"),
+        ("denoiser/model.safetensors", "train_denoiser"),
+        ("denoiser/state.safetensors", "train_denoiser"),
+        ("samples/samples-00001.parquet", "generate"),
+        ("corpus/lanes.parquet", "evaluate"),
+        ("verdicts.parquet", "evaluate"),
+    ] {
+        let (path, output) = (root.join(file), file.split('/').next().unwrap());
+        let whole = fs_err::read(&path).unwrap();
+        let mut damaged = whole.clone();
+        damaged[whole.len() / 2] ^= 1;
+        fs_err::write(&path, damaged).unwrap();
+        let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
+        let told = plan.lines().find(|line| line.starts_with(&format!("#   {stage} "))).unwrap();
+        assert!(told.ends_with(&format!("fresh ({output} is missing or was changed)")), "{file}: {told}");
+        fs_err::write(&path, whole).unwrap();
+    }
+}
+
 fn with_baseline() -> String {
     let (before, rest) = SMALL_PIPELINE.split_once("[train.classifier]").unwrap();
     let (_, after) = rest.split_once("[generate]").unwrap();

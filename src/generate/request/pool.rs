@@ -4,7 +4,7 @@ use super::config::Requirement;
 use super::resolve::ResolvedRequest;
 use crate::behavior::Outcome;
 use crate::generate::{Cell, Error, Generator};
-use crate::store::SceneIndexEntry;
+use crate::store::{SceneIndex, SceneIndexEntry};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -36,10 +36,10 @@ impl Generator<'_> {
     ///
     /// # Errors
     /// When there are none, when none can reach a bucket, or a scene cannot be loaded.
-    pub fn pool(&self, request: &ResolvedRequest, index: &[SceneIndexEntry]) -> Result<Pool, Error> {
+    pub fn pool(&self, request: &ResolvedRequest, index: &SceneIndex) -> Result<Pool, Error> {
         let conditions = &request.config.conditions;
-        let is_possible = |entry: &SceneIndexEntry| match conditions.get("place") {
-            Some(Requirement::Texts(places)) => places.contains(&entry.place),
+        let is_possible = |entry: &SceneIndexEntry<'_>| match conditions.get("place") {
+            Some(Requirement::Texts(places)) => places.iter().any(|place| place == entry.place),
             _ => true,
         };
         let sweep = &self.config.sweeps[request.arms[0].sweep_idx];

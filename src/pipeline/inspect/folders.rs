@@ -69,7 +69,7 @@ pub(super) fn scenes(path: &Path) -> Result<Option<Description>> {
     let manifest = SceneManifest::read(path)?;
     let store = SceneStore::open(path)?;
     let (mut by_part, mut by_dataset) = (BTreeMap::<String, u64>::new(), BTreeMap::<&str, u64>::new());
-    for entry in store.index() {
+    for entry in store.index().iter() {
         *by_part.entry(format!("{}/{}", entry.split.name(), entry.place)).or_default() += 1;
         *by_dataset.entry(entry.dataset.name()).or_default() += 1;
     }

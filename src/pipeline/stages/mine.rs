@@ -87,33 +87,34 @@ impl Stage for Mine<'_> {
         let behaviors = self.config.build()?;
         let store = SceneStore::open(&self.layout.scenes)?;
         let wanted =
-            |entry: &SceneIndexEntry| self.config.splits.is_empty() || self.config.splits.contains(&entry.split);
-        let scenes: Vec<usize> = (0..store.len()).filter(|idx| wanted(&store.index()[*idx])).collect();
+            |entry: SceneIndexEntry<'_>| self.config.splits.is_empty() || self.config.splits.contains(&entry.split);
+        let scenes: Vec<usize> = (0..store.len()).filter(|idx| wanted(store.index().get(*idx))).collect();
         if scenes.is_empty() {
             return Err(Failure::input_message("no scene is in the splits of mine.splits"));
         }
         let ids: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();
-        let mut tally = MiningTally::new(&ids, scenes.iter().map(|idx| &store.index()[*idx]));
+        let mut tally = MiningTally::new(&ids);
         let entries = behavior::ALL.iter().filter(|entry| ids.contains(&entry.id));
         let mut writer = EventWriter::new(&context.root.join(EVENTS), entries);
         context.progress.start("mine", scenes.len() as u64, "scenes");
         let [has_lanes, has_sizes] = [AtomicBool::new(false), AtomicBool::new(false)];
-        let detect = |chunk: &[usize]| -> Result<Vec<BehaviorEvent>> {
+        let detect = |chunk: &[usize]| -> Result<Vec<Vec<BehaviorEvent>>> {
             let found = chunk.par_iter().map(|idx| {
                 let scene = store.scene(*idx)?;
                 has_lanes.fetch_or(!scene.lanes.is_empty(), Ordering::Relaxed);
                 has_sizes.fetch_or(scene.tracks.iter().any(|track| track.extent.is_some()), Ordering::Relaxed);
                 Ok(behaviors.iter().flat_map(|behavior| behavior.detect(&scene)).collect::<Vec<_>>())
             });
-            Ok(found.collect::<Result<Vec<_>>>()?.into_iter().flatten().collect())
+            found.collect()
         };
         // The events of a chunk are written while the next one is searched.
-        let mut found = Vec::new();
+        let mut found: Vec<BehaviorEvent> = Vec::new();
         for chunk in scenes.chunks(SCENES_PER_CHUNK) {
             let (next, written) = rayon::join(|| detect(chunk), || writer.write(&found));
             written?;
-            found = next?;
-            found.iter().for_each(|event| tally.add(event));
+            let by_scene = next?;
+            chunk.iter().zip(&by_scene).for_each(|(idx, events)| tally.add(store.index().get(*idx), events));
+            found = by_scene.into_iter().flatten().collect();
             context.progress.advance(chunk.len() as u64);
             context.progress.note(&format!("{} events", tally.n_events()));
         }

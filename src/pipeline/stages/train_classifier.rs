@@ -71,7 +71,7 @@ fn roles(behavior: &str, events: &[BehaviorEvent]) -> Result<Vec<String>> {
 
 /// Those of the events that are in the given scenes, in the order of the event table.
 fn mined<'e>(store: &SceneStore, events: &'e [BehaviorEvent], scenes: &[usize]) -> Vec<MinedEvent<'e>> {
-    let scene_idx: BTreeMap<&str, usize> = scenes.iter().map(|idx| (store.index()[*idx].id.0.as_str(), *idx)).collect();
+    let scene_idx: BTreeMap<&str, usize> = scenes.iter().map(|idx| (store.index().get(*idx).id, *idx)).collect();
     let mined =
         |event: &'e BehaviorEvent| Some(MinedEvent { scene_idx: *scene_idx.get(event.scene_id.0.as_str())?, event });
     events.iter().filter_map(mined).collect()

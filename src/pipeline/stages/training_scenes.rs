@@ -4,7 +4,7 @@ use crate::pipeline::fingerprint::fingerprint_value;
 use crate::pipeline::layout::SCENES;
 use crate::pipeline::{Failure, Result as StageResult};
 use crate::scene::{Scene, Split};
-use crate::store::{SceneIndexEntry, SceneManifest, SceneStore};
+use crate::store::{SceneIndex, SceneIndexEntry, SceneManifest, SceneStore};
 use crate::train::{MoreScenes, SceneChoice, SceneDataset, TrainOutcome, TrainingData, TrainingSource};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -34,8 +34,8 @@ pub(super) struct TrainingScenes {
 impl TrainingScenes {
     /// Trains on the given splits (none: `train`, or everything unsplit where there is no such split) and places (none:
     /// all), and holds out the `val` scenes of these places.
-    pub(super) fn new(index: &[SceneIndexEntry], splits: &[Split], places: &[String]) -> Self {
-        let here = |entry: &SceneIndexEntry| places.is_empty() || places.contains(&entry.place);
+    pub(super) fn new(index: &SceneIndex, splits: &[Split], places: &[String]) -> Self {
+        let here = |entry: &SceneIndexEntry<'_>| places.is_empty() || places.iter().any(|place| place == entry.place);
         let of = |wanted: &dyn Fn(Split) -> bool| -> Vec<usize> {
             let chosen = index.iter().enumerate().filter(|(_, entry)| here(entry) && wanted(entry.split));
             chosen.map(|(idx, _)| idx).collect()
@@ -121,7 +121,7 @@ impl<'a> OpenedScenes<'a> {
                 let message = format_args!("{} has no scene in the splits and places of {}", source.name, self.section);
                 return Err(Failure::input_message(message));
             };
-            has_headings.push(source.store.index()[*first].dataset.facts().has_headings);
+            has_headings.push(source.store.index().get(*first).dataset.facts().has_headings);
             let n_places = sources.iter().flat_map(|source| &source.places).max().map_or(0, |last| last + 1);
             sources.push(source.training_source(chosen, n_places));
         }
@@ -180,7 +180,7 @@ impl OpenedSource<'_> {
         TrainingScenes { train, held_out }: TrainingScenes,
         first_place: usize,
     ) -> TrainingSource {
-        let place = |idx: &usize| self.store.index()[*idx].place.as_str();
+        let place = |idx: &usize| self.store.index().get(*idx).place;
         let mut names: Vec<&str> = train.iter().map(place).collect();
         names.sort_unstable();
         names.dedup();
@@ -242,18 +242,17 @@ pub(super) fn training_summary<S>(data: &TrainingData<'_>, steps: u64, outcome: 
 mod tests {
     use super::*;
     use crate::scene::Dataset;
-    use crate::scene::SceneId;
 
-    fn index(splits: &[(Split, &str)]) -> Vec<SceneIndexEntry> {
-        let entry = |(idx, (split, place)): (usize, &(Split, &str))| SceneIndexEntry {
-            id: SceneId(format!("interaction/{}/{place}/{idx}", split.name())),
+    fn index(splits: &[(Split, &str)]) -> SceneIndex {
+        let entries = splits.iter().map(|(split, place)| SceneIndexEntry {
+            id: "",
             dataset: Dataset::Interaction,
             split: *split,
-            place: (*place).to_owned(),
+            place,
             n_agents: 3,
             n_timesteps: 40,
-        };
-        splits.iter().enumerate().map(entry).collect()
+        });
+        entries.collect()
     }
 
     #[test]
