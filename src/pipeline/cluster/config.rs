@@ -12,6 +12,13 @@ pub struct ClusterConfig {
     /// Number of jobs that sample, or measure, at once.
     #[schemars(range(min = 1, max = 100_000))]
     pub workers: usize,
+    /// Number of processes that train a model together, a power of two, where its section has at least as many `parts`; where it has
+    /// fewer, so many.
+    #[schemars(range(min = 1, max = 1_024))]
+    pub ranks: usize,
+    /// How long the processes of a training wait for each other at its beginning, seconds.
+    #[schemars(range(min = 1, max = 86_400))]
+    pub ranks_wait_s: u32,
     /// How often a job is started again that was stopped or died. A training that takes several of the time limits needs one for each.
     #[schemars(range(max = 1_000))]
     pub retries: u32,
@@ -25,7 +32,8 @@ pub struct ClusterConfig {
     /// Processor cores of each job, and the number of its threads; 0: what the partition gives.
     #[schemars(range(max = 1_024))]
     pub cpus: u32,
-    /// Memory of each job as Slurm writes it, such as `16G`; empty: the partition's.
+    /// Memory of each job as Slurm writes it, such as `16G`; empty: the partition's. On Slurm, processes of a training that are on the
+    /// same node share it.
     pub memory: String,
     /// How long before its time is up a job hears of it, seconds: enough for a step of training.
     #[schemars(range(min = 10, max = 3_600))]
@@ -45,6 +53,8 @@ impl Default for ClusterConfig {
     fn default() -> Self {
         Self {
             workers: 4,
+            ranks: 1,
+            ranks_wait_s: 300,
             retries: 10,
             partition: String::new(),
             time: String::new(),
@@ -61,11 +71,14 @@ impl Default for ClusterConfig {
 }
 
 impl ClusterConfig {
-    /// Refuses texts that would break the scripts apart.
+    /// Refuses numbers of ranks that divide no number of parts, and texts that would break the scripts apart.
     ///
     /// # Errors
     /// Names the setting.
     pub fn validate(&self) -> settings::Result {
+        if !self.ranks.is_power_of_two() {
+            return Err(settings::Issue::new("ranks", format_args!("is {}, expected a power of two", self.ranks)));
+        }
         let words =
             [("partition", &self.partition), ("time", &self.time), ("memory", &self.memory), ("image", &self.image)];
         for (key, word) in words {
