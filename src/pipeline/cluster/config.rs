@@ -26,10 +26,10 @@ pub struct ClusterConfig {
     pub partition: String,
     /// The time limit of a job as Slurm writes it, such as `04:00:00`; empty: the partition's. Kubernetes sets none.
     pub time: String,
-    /// GPUs of each job that computes with networks.
+    /// GPUs of each job that computes with networks, and of each process of a training.
     #[schemars(range(max = 64))]
     pub gpus: u32,
-    /// Processor cores of each job, and the number of its threads; 0: what the partition gives.
+    /// Processor cores of each job, or process of a training, and the number of its threads; 0: what the partition gives.
     #[schemars(range(max = 1_024))]
     pub cpus: u32,
     /// Memory of each job as Slurm writes it, such as `16G`; empty: the partition's. On Slurm, processes of a training that are on the
