@@ -27,6 +27,8 @@ finish() {
     local code=$?
     [ "$code" = 0 ] || tail -n 20 "$folder"/*.log "$folder"/out/*/main/slurm/*.txt >&2 || true
     for pid in "${daemons[@]}"; do kill "$pid" 2> /dev/null || true; done
+    # They write their states once more.
+    for pid in "${daemons[@]}"; do wait "$pid" 2> /dev/null || true; done
     rm -rf "$folder"
     exit "$code"
 }
