@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Runs a pipeline on a real Slurm of two nodes on this machine, loses a worker, has one queued again and drains a node, and compares
-# every file but timings and logs with those of `djinn run`.
+# every file but timings and logs with those of `djinn run`. Then two processes train a model, one is lost, and it is compared as well.
 #
 #     scripts/slurm_test.sh [DJINN] [PIPELINE.toml]
 #
@@ -27,6 +27,8 @@ finish() {
     local code=$?
     [ "$code" = 0 ] || tail -n 20 "$folder"/*.log "$folder"/out/*/main/slurm/*.txt >&2 || true
     for pid in "${daemons[@]}"; do kill "$pid" 2> /dev/null || true; done
+    # They write their states once more.
+    for pid in "${daemons[@]}"; do wait "$pid" 2> /dev/null || true; done
     rm -rf "$folder"
     exit "$code"
 }
@@ -113,13 +115,49 @@ scontrol update NodeName=two State=DRAIN Reason=test && echo "drained node two"
 "$djinn" status "$run"
 
 state() { scontrol show job "$1" -o 2> /dev/null | grep -o 'JobState=[A-Z_]*' | head -n 1 | cut -d = -f 2; }
-for _ in $(seq 1800); do
-    case "$(state "$last")" in
-        COMPLETED) break ;;
-        FAILED | CANCELLED | TIMEOUT | NODE_FAIL | "") echo "job $last ended as $(state "$last")" >&2; exit 1 ;;
-    esac
-    sleep 0.5
-done
+completed() {
+    for _ in $(seq 1800); do
+        case "$(state "$1")" in
+            COMPLETED) return ;;
+            FAILED | CANCELLED | TIMEOUT | NODE_FAIL | "") break ;;
+        esac
+        sleep 0.5
+    done
+    echo "job $1 ended as $(state "$1")" >&2
+    return 1
+}
+same() { diff -r --exclude=timings.json --exclude=log.txt --exclude=.lock --exclude=slurm "$1" "$2" && echo "same bytes as one process"; }
+completed "$last"
 "$djinn" status "$run"
-diff -r --exclude=timings.json --exclude=log.txt --exclude=.lock --exclude=slurm "$folder/alone/$name/main" "$run"
-echo "same bytes as one process"
+same "$folder/alone/$name/main" "$run"
+
+# The nodes have no addresses of their own, so that ranks meet at that of the machine itself.
+scontrol update NodeName=two State=RESUME
+cat > "$folder/ranks.toml" << END
+[ingest]
+dataset = "interaction"
+inputs = ["$PWD/tests/fixtures/recordings/interaction/FIX-multi-v1_2.zip"]
+limit = 40
+[train.denoiser]
+preset = "tiny"
+steps = 60
+batch_size = 4
+parts = 4
+evaluate_every = 20
+n_eval_scenes = 2
+[cluster]
+ranks = 2
+cpus = 1
+lines = ["export MASTER_ADDR=127.0.0.1"]
+END
+for stage in ingest train_denoiser; do
+    "$djinn" run "$folder/ranks.toml" --threads 1 --output "$folder/alone" --stage $stage --quiet
+done
+"$djinn" submit "$folder/ranks.toml" --output "$out" --engine slurm > "$folder/jobs"
+cat "$folder/jobs"
+run="$out/ranks/main"
+for _ in $(seq 1200); do [ -s "$run/train_denoiser.partial/denoiser/statistics.jsonl" ] && break; sleep 0.1; done
+kill -9 "$(pgrep -f -- "^$djinn run .*--output $out .*--stage train_denoiser" | tail -n 1)" && echo "killed a rank"
+completed "$(awk '$1 == "denoiser" { print $2 }' "$folder/jobs")"
+grep "queued again" "$run"/slurm/denoiser-*.txt
+same "$folder/alone/ranks/main" "$run"

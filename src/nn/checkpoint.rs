@@ -55,15 +55,26 @@ pub fn write_checkpoint<M: Serialize>(
 /// # Errors
 /// When the file cannot be read, is cut off, or holds no metadata of type `M`.
 pub fn read_checkpoint<M: DeserializeOwned>(path: &Path, device: &Device) -> Result<Checkpoint<M>, Error> {
-    let bytes = fs_err::read(path)?;
+    parse_checkpoint(&fs_err::read(path)?, path, device)
+}
+
+/// Reads the `bytes` of a checkpoint, which are those of the file at `path`.
+///
+/// # Errors
+/// When they are cut off, or hold no metadata of type `M`.
+pub fn parse_checkpoint<M: DeserializeOwned>(
+    bytes: &[u8],
+    path: &Path,
+    device: &Device,
+) -> Result<Checkpoint<M>, Error> {
     let (_, header) =
-        SafeTensors::read_metadata(&bytes).map_err(|source| Error::Format { path: path.to_owned(), source })?;
+        SafeTensors::read_metadata(bytes).map_err(|source| Error::Format { path: path.to_owned(), source })?;
     let text = (header.metadata().as_ref().and_then(|entries| entries.get(METADATA_KEY)))
         .ok_or_else(|| Error::NoMetadata { path: path.to_owned() })?;
     let metadata = serde_json::from_str(text).map_err(|source| Error::Metadata { path: path.to_owned(), source })?;
-    let tensors = candle_core::safetensors::load_buffer(&bytes, device)
+    let tensors = candle_core::safetensors::load_buffer(bytes, device)
         .map_err(|source| Error::Tensor { path: path.to_owned(), source })?;
-    let fingerprint = blake3::hash(&bytes).to_hex().to_string();
+    let fingerprint = blake3::hash(bytes).to_hex().to_string();
     Ok(Checkpoint { tensors: tensors.into_iter().collect(), metadata, fingerprint })
 }
 

@@ -22,7 +22,7 @@ mod precision;
 
 pub use adam::Adam;
 pub use attention::{Axis, CrossAttention, SelfAttention};
-pub use checkpoint::{Checkpoint, checksum, read_checkpoint, write_checkpoint};
+pub use checkpoint::{Checkpoint, checksum, parse_checkpoint, read_checkpoint, write_checkpoint};
 pub use compute::Compute;
 pub use ema::Ema;
 pub use error::Error;

@@ -6,6 +6,7 @@ use super::run::{RunFolder, TIMINGS_FILE, run_stages};
 use super::{Blame, Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::files::write_atomically;
 use crate::progress::Silent;
+use crate::train::Alone;
 use serde_json::{Value, json};
 use std::cell::RefCell;
 use std::io::Write;
@@ -106,7 +107,7 @@ impl Pipeline<'_> {
         let outcome = RunFolder::open(self.root).and_then(|folder| {
             let planned = plan(self.root, stages, &[])?;
             actions.extend(planned.iter().map(|stage| stage.action.clone()));
-            run_stages(&folder, None, ComputeChoice::default(), planned, &Silent).map(drop)
+            run_stages(&folder, None, ComputeChoice::default(), planned, &Silent, &Alone).map(drop)
         });
         (actions, ran.into_inner(), outcome)
     }

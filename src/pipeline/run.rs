@@ -18,6 +18,7 @@ use crate::files::Lock;
 use crate::nn::Compute;
 use crate::progress::Progress;
 use crate::store::{read_json, write_atomically, write_json_atomically};
+use crate::train::Exchange;
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -99,13 +100,15 @@ pub struct StageTiming {
 }
 
 /// Runs planned stages in a folder, keeping its log and timings; with `config`, also its configuration and manifest.
-/// The stages must have been planned while the folder was open, so that no other process changed it since.
+/// The stages must have been planned while the folder was open, so that no other process changed it since. `exchange` leads to the other
+/// ranks of a training.
 pub fn run_stages(
     folder: &RunFolder,
     config: Option<&PipelineConfig>,
     compute: ComputeChoice,
     planned: Vec<PlannedStage<'_>>,
     progress: &dyn Progress,
+    exchange: &dyn Exchange,
 ) -> Result<Vec<StageRecord>> {
     // A machine without the device may run what does without it.
     let computes = planned.iter().any(|planned| planned.action != Action::Reuse && planned.expected.stage.computes());
@@ -136,7 +139,7 @@ pub fn run_stages(
     };
     save(None)?;
     let clock = RefCell::new(StageClock::open(root));
-    let context = StageContext { root, compute: &compute, progress: &logged };
+    let context = StageContext { root, compute: &compute, progress: &logged, exchange };
     let mut after = |record: &StageRecord| {
         clock.borrow_mut().keep_times(record)?;
         save(Some(record))

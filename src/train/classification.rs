@@ -1,6 +1,6 @@
 //! Training a behavior classifier: weighted cross-entropy on mined pairs, seen through noise of every level.
 
-use super::{Error, NoiseLevelReport, PairExample, PairExamples, TrainTask};
+use super::{BatchPart, Error, NoiseLevelReport, PairExample, PairExamples, TrainTask};
 use crate::diffusion::{NoiseDistribution, NoiseSource, rows_like};
 use crate::model::{BehaviorClassifier, ClassifierSpec, log_sigmoid};
 use crate::scene::ObservationMask;
@@ -112,15 +112,21 @@ impl ClassificationTask<'_> {
 }
 
 impl TrainTask for ClassificationTask<'_> {
-    fn loss(&self, step: u64) -> Result<Tensor, Error> {
-        let (examples, weights) = self.draw(step);
-        let seeds: Vec<Seed> = (0..examples.len() as u64).map(|row| self.seed.derive("row", &[step, row])).collect();
+    fn batch_size(&self) -> usize {
+        self.batch_size
+    }
+
+    fn loss(&self, BatchPart { step, rows }: &BatchPart, _divisors: Option<&[f64]>) -> Result<Tensor, Error> {
+        let (examples, weights) = self.draw(*step);
+        let (examples, weights) = (&examples[rows.clone()], weights[rows.clone()].to_vec());
+        let seeds: Vec<Seed> = rows.clone().map(|row| self.seed.derive("row", &[*step, row as u64])).collect();
         let sigmas: Vec<f64> = seeds.iter().map(|seed| self.noise.draw(&mut seed.derive("sigma", &[]).rng())).collect();
-        let logits = self.logits(self.classifier, &examples, &sigmas, &mut NoiseSource::new(seeds))?;
+        let logits = self.logits(self.classifier, examples, &sigmas, &mut NoiseSource::new(seeds))?;
         // -ln p of the label: the logit counts with the label's sign.
         let signs = examples.iter().map(|example| if example.is_positive { 1.0 } else { -1.0 }).collect();
         let log_likelihood = log_sigmoid(&(&logits * rows_like(signs, &logits)?)?)?;
-        Ok((log_likelihood * rows_like(weights, &logits)?)?.mean_all()?.neg()?)
+        let weighted = (log_likelihood * rows_like(weights, &logits)?)?;
+        Ok((weighted.sum_all()? / self.batch_size as f64)?.neg()?)
     }
 
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {

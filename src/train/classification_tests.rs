@@ -1,5 +1,6 @@
 //! Does the classifier learn what separates its examples, and does guidance by it push toward the behavior?
 
+use super::data_parallel_tests::assert_parts_agree;
 use super::*;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::diffusion::NoiseDistribution;
@@ -64,7 +65,8 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
         save_every: 7,
         ..ClassifierTrainingConfig::default()
     };
-    train_classifier(&config, denoiser, &data, TrainJob { seed: Seed(4), dir, compute: &Compute::cpu(), progress })
+    let job = TrainJob { seed: Seed(4), dir, compute: &Compute::cpu(), progress, exchange: &Alone };
+    train_classifier(&config, denoiser, &data, job).map(Option::unwrap)
 }
 
 #[test]
@@ -112,8 +114,11 @@ fn labels_count_as_in_uniform_draws_times_the_weight_of_positive_ones() {
             device: &Device::Cpu,
         };
         let expected = share_of_positive * (-1f64).exp().ln_1p() + (1.0 - share_of_positive) * 1f64.exp().ln_1p();
-        let loss = f64::from(task.loss(0).unwrap().to_scalar::<f32>().unwrap());
+        let loss = f64::from(task.loss(&BatchPart::whole(0, 16), None).unwrap().to_scalar::<f32>().unwrap());
         assert!((loss - expected).abs() < 1e-5, "weight {pos_weight}: {loss}, expected {expected}");
+        let mut params = Params::new(&Compute::cpu());
+        let classifier = &spec.build(&mut params, Seed(1)).unwrap();
+        assert_parts_agree(&params, &ClassificationTask { classifier, ..task }, 0);
     }
 }
 
@@ -224,7 +229,13 @@ fn missing_examples_and_tracks_are_named() {
         &config,
         &denoiser,
         &data,
-        TrainJob { seed: Seed(config.seed), dir: dir.path(), compute: &Compute::cpu(), progress: &Silent },
+        TrainJob {
+            seed: Seed(config.seed),
+            dir: dir.path(),
+            compute: &Compute::cpu(),
+            progress: &Silent,
+            exchange: &Alone,
+        },
     )
     .unwrap_err();
     assert!(error.to_string().contains("0 positive and 3 negative"), "{error}");

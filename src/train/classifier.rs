@@ -56,6 +56,7 @@ impl Default for ClassifierTrainingConfig {
             clip_norm: 5.0,
             evaluate_every: 1_000,
             save_every: 500,
+            parts: None,
             checkpoint: None,
             seed: 0,
         }
@@ -69,7 +70,7 @@ impl ClassifierTrainingConfig {
     /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<FitConfig, Error> {
         self.check_ranges()?;
-        Ok(self.schedule(&FitConfig { ema_decay: 0.0, ..FitConfig::default() }))
+        self.schedule(&FitConfig { ema_decay: 0.0, ..FitConfig::default() }, self.batch_size)
     }
 }
 
@@ -101,7 +102,7 @@ pub struct ClassifierReport {
 }
 
 /// Trains the classifier that guides `denoiser` (resuming what is there), and writes it to `model.safetensors` in the job's folder and
-/// what it can do to `classifier.json`.
+/// what it can do to `classifier.json`. `None` on all ranks but the first one, which writes the model.
 ///
 /// # Errors
 /// When there are no pairs of one of the labels, or training fails.
@@ -110,7 +111,7 @@ pub fn train_classifier(
     denoiser: &DenoiserSpec,
     data: &PairData<'_>,
     job: TrainJob<'_>,
-) -> Result<ClassifierReport, Error> {
+) -> Result<Option<ClassifierReport>, Error> {
     let fit_config = config.resolve()?;
     let spec = describe(config, denoiser, data, job.seed)?;
     let mut model = Trainable::new(&spec, None, job)?;
@@ -125,13 +126,13 @@ pub fn train_classifier(
         seed: job.seed,
         device: &job.compute.device,
     };
-    let outcome = fit(&fit_config, &mut model.params, &task, job.dir, job.progress)?;
+    let Some(outcome) = fit(&fit_config, &mut model.params, &task, job)? else { return Ok(None) };
     let by_noise_level = task.report()?;
     let TrainOutcome { fingerprint, spec, n_parameters, statistics } = model.finish(spec, outcome, job)?;
     let report = ClassifierReport { spec, fingerprint, n_parameters, by_noise_level, statistics };
     let text = serde_json::to_vec_pretty(&report).map_err(std::io::Error::from)?;
     write_atomically::<Error>(&job.dir.join("classifier.json"), |file| Ok(file.write_all(&text)?))?;
-    Ok(report)
+    Ok(Some(report))
 }
 
 fn describe(

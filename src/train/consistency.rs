@@ -1,7 +1,7 @@
 //! Tuning a denoiser into a consistency model (ECT, Geng et al. 2024): the loss.
 
 use super::latent_error::{pseudo_huber, squared_error};
-use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
+use super::{BatchPart, DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::{Denoiser, NoiseDistribution, NoiseSource, rows_like};
 use crate::model::SceneDenoiser;
 use crate::settings::{self, Issue};
@@ -106,7 +106,7 @@ pub struct ConsistencyTask<'a> {
 }
 
 impl ConsistencyTask<'_> {
-    /// The mean over rows of (√(‖D(x0 + t ε; t) - D(x0 + r ε; r)‖² + c²) - c) / (t - r), with the same ε on both sides, no
+    /// The mean over `n_rows` rows, of which these are all or a part, of (√(‖D(x0 + t ε; t) - D(x0 + r ε; r)‖² + c²) - c) / (t - r), with the same ε on both sides, no
     /// gradient through the second one, and D(x0; 0) = x0. The norm is the root mean square of the valid latent scalars, and of
     /// what they add up to, as in the denoiser's loss.
     fn disagreement(
@@ -115,6 +115,7 @@ impl ConsistencyTask<'_> {
         batch: &SceneBatch,
         levels: &[(f64, f64)],
         noise: &mut NoiseSource,
+        n_rows: usize,
     ) -> Result<Tensor, Error> {
         let latent = batch.latent.unsqueeze(3)?;
         let eps = noise.draw_like(&batch.x0)?.broadcast_mul(&latent)?;
@@ -139,23 +140,27 @@ impl ConsistencyTask<'_> {
         let distance = pseudo_huber(batch, &squared, self.training.huber)?;
         let weights: Vec<f64> = levels.iter().map(|(t, r)| 1.0 / (t - r)).collect();
         let weights = rows_like(weights, &distance)?.flatten_all()?;
-        Ok((distance * weights)?.mean_all()?)
+        Ok(((distance * weights)?.sum_all()? / n_rows as f64)?)
     }
 }
 
 impl TrainTask for ConsistencyTask<'_> {
-    fn loss(&self, step: u64) -> Result<Tensor, Error> {
-        let DrawnBatch { batch, seeds, mut rngs, .. } = self.draws.training_batch(step)?;
-        let stage = self.tuning.gap.stage(step, self.training.common.fit.steps);
+    fn batch_size(&self) -> usize {
+        self.draws.batch_size
+    }
+
+    fn loss(&self, part: &BatchPart, _divisors: Option<&[f64]>) -> Result<Tensor, Error> {
+        let DrawnBatch { batch, seeds, mut rngs, .. } = self.draws.training_batch(part)?;
+        let stage = self.tuning.gap.stage(part.step, self.training.common.fit.steps);
         let levels: Vec<(f64, f64)> = (rngs.iter_mut())
             .map(|rng| self.tuning.noise.draw(rng))
             .map(|t| (t, self.tuning.gap.lower(t, stage)))
             .collect();
-        self.disagreement(self.denoiser, &batch, &levels, &mut NoiseSource::new(seeds))
+        self.disagreement(self.denoiser, &batch, &levels, &mut NoiseSource::new(seeds), self.batch_size())
     }
 
-    fn prepare(&self, step: u64) -> Result<(), Error> {
-        self.draws.prepare(step)
+    fn prepare(&self, part: &BatchPart) -> Result<(), Error> {
+        self.draws.prepare(part)
     }
 
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
@@ -164,7 +169,7 @@ impl TrainTask for ConsistencyTask<'_> {
         let means = self.draws.held_out_means(EVALUATION_SIGMAS.len(), |DrawnBatch { batch, seeds, .. }| {
             let disagreement = |sigma: f64| {
                 let levels = vec![(sigma, self.tuning.gap.lower(sigma, last)); seeds.len()];
-                self.disagreement(self.frozen, batch, &levels, &mut NoiseSource::new(seeds.clone()))
+                self.disagreement(self.frozen, batch, &levels, &mut NoiseSource::new(seeds.clone()), seeds.len())
             };
             EVALUATION_SIGMAS.into_iter().map(disagreement).collect()
         })?;

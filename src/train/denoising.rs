@@ -3,10 +3,10 @@
 use super::changed_losses::losses_of;
 use super::latent_error::squared_error;
 use super::objective_loss::{objective_costs, objective_loss};
-use super::{DenoiserTraining, DrawnBatch, Error, SceneDraws, TrainTask};
+use super::{BatchPart, DenoiserTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::{Denoiser, NoiseSource, rows_like};
 use crate::model::{SceneChange, SceneDenoiser};
-use crate::seed::Seed;
+use crate::seed::{Seed, SeededRng};
 use crate::tensor::SceneBatch;
 use candle_core::Tensor;
 use std::collections::BTreeMap;
@@ -38,39 +38,74 @@ impl DenoisingTask<'_> {
         Ok(denoiser.bind(batch, 1)?.denoise(&x, &sigma_rows.flatten_all()?)?)
     }
 
-    /// λ(σ) |x0_hat - x0|², averaged over the scored scalars of the batch; one σ a row.
-    fn weighted_error(&self, batch: &SceneBatch, x0_hat: &Tensor, sigmas: &[f64]) -> Result<Tensor, Error> {
+    /// λ(σ) |x0_hat - x0|², averaged over the scored scalars of the batch; one σ a row. Where `batch` is a part of one, `n_scored` is
+    /// their number in all of it.
+    fn weighted_error(
+        &self,
+        batch: &SceneBatch,
+        x0_hat: &Tensor,
+        sigmas: &[f64],
+        n_scored: Option<f64>,
+    ) -> Result<Tensor, Error> {
         let edm = self.denoiser.edm();
         let weight: Vec<f64> = sigmas.iter().map(|s| edm.loss_weight(self.training.loss_weight, *s)).collect();
         let squared = squared_error(batch, x0_hat, &batch.x0, self.training.path_loss)?;
         let weighted = squared.broadcast_mul(&rows_like(weight, &batch.x0)?)?;
-        let n_scored = (batch.scored.sum_all()? * self.draws.collator.normalizer.state_dim as f64)?.maximum(1.0)?;
-        Ok(weighted.sum_all()?.div(&n_scored)?)
+        let n_scored =
+            n_scored.map_or_else(|| self.n_scored(batch), |n| Ok(Tensor::new(n as f32, batch.x0.device())?))?;
+        Ok(weighted.sum_all()?.div(&n_scored.maximum(1.0)?)?)
+    }
+
+    /// Number of scored scalars.
+    fn n_scored(&self, batch: &SceneBatch) -> Result<Tensor, Error> {
+        Ok((batch.scored.sum_all()? * self.draws.collator.normalizer.state_dim as f64)?)
+    }
+
+    /// The noise levels of the rows, drawn from their generators.
+    fn draw_sigmas(&self, rngs: &[SeededRng]) -> Vec<f64> {
+        rngs.iter().map(|rng| self.training.noise.draw(&mut rng.clone())).collect()
+    }
+
+    /// 1 for each row at so little noise that objectives count.
+    fn counts(&self, sigmas: &[f64]) -> Vec<f32> {
+        sigmas.iter().map(|sigma| f32::from(u8::from(*sigma <= self.training.objectives_below_sigma))).collect()
     }
 
     /// The loss of the frozen denoiser with every row at noise level `sigma`.
     pub(super) fn held_out_loss(&self, batch: &SceneBatch, sigma: f64, seeds: &[Seed]) -> Result<Tensor, Error> {
         let sigmas = vec![sigma; seeds.len()];
-        self.weighted_error(batch, &Self::estimate(self.frozen, batch, &sigmas, seeds)?, &sigmas)
+        self.weighted_error(batch, &Self::estimate(self.frozen, batch, &sigmas, seeds)?, &sigmas, None)
     }
 }
 
 impl TrainTask for DenoisingTask<'_> {
-    fn loss(&self, step: u64) -> Result<Tensor, Error> {
-        let mut drawn = self.draws.training_batch(step)?;
-        let sigmas: Vec<f64> = drawn.rngs.iter_mut().map(|rng| self.training.noise.draw(rng)).collect();
+    fn batch_size(&self) -> usize {
+        self.draws.batch_size
+    }
+
+    fn divisors(&self, part: &BatchPart) -> Result<Vec<f64>, Error> {
+        let drawn = self.draws.training_batch(part)?;
+        let n_scored = f64::from(self.n_scored(&drawn.batch)?.to_scalar::<f32>()?);
+        let n_counted: f32 = self.counts(&self.draw_sigmas(&drawn.rngs)).iter().sum();
+        self.draws.keep(part, drawn);
+        Ok(vec![n_scored, f64::from(n_counted)])
+    }
+
+    fn loss(&self, part: &BatchPart, divisors: Option<&[f64]>) -> Result<Tensor, Error> {
+        let drawn = self.draws.training_batch(part)?;
+        let sigmas = self.draw_sigmas(&drawn.rngs);
         let x0_hat = Self::estimate(self.denoiser, &drawn.batch, &sigmas, &drawn.seeds)?;
-        let error = self.weighted_error(&drawn.batch, &x0_hat, &sigmas)?;
-        let is_low = |sigma: &f64| f32::from(u8::from(*sigma <= self.training.objectives_below_sigma));
-        let low: Vec<f32> = sigmas.iter().map(is_low).collect();
-        Ok(match objective_loss(&self.training.objectives, &x0_hat, &drawn, &low)? {
+        let error = self.weighted_error(&drawn.batch, &x0_hat, &sigmas, divisors.map(|divisors| divisors[0]))?;
+        let counts = self.counts(&sigmas);
+        let n_counted = divisors.map_or_else(|| f64::from(counts.iter().sum::<f32>()), |divisors| divisors[1]);
+        Ok(match objective_loss(&self.training.objectives, &x0_hat, &drawn, &counts, n_counted)? {
             Some(cost) => (error + cost)?,
             None => error,
         })
     }
 
-    fn prepare(&self, step: u64) -> Result<(), Error> {
-        self.draws.prepare(step)
+    fn prepare(&self, part: &BatchPart) -> Result<(), Error> {
+        self.draws.prepare(part)
     }
 
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {

@@ -19,7 +19,7 @@ pub struct DistillSource<'a> {
 }
 
 /// Tunes the denoiser of `source` and writes it to `model.safetensors` in the job's folder: a checkpoint of the same network, scales
-/// and limits, whose answers lead to samples in few evaluations.
+/// and limits, whose answers lead to samples in few evaluations. `None` on all ranks but the first one, which writes the model.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes are not of the teacher's shape, the method or the start does not fit it, or training fails.
@@ -28,7 +28,7 @@ pub fn distill_denoiser(
     data: &TrainingData<'_>,
     DistillSource { teacher, start }: DistillSource<'_>,
     job: TrainJob<'_>,
-) -> Result<TrainOutcome<DenoiserSpec>, Error> {
+) -> Result<Option<TrainOutcome<DenoiserSpec>>, Error> {
     let mut objectives = teacher.metadata.objectives.clone();
     objectives.extend(described(&training.objectives)?);
     let spec = DenoiserSpec {
@@ -54,17 +54,17 @@ pub fn distill_denoiser(
     let outcome = match &training.method {
         DistillMethod::Consistency(tuning) => {
             let task = ConsistencyTask { denoiser, frozen, tuning: *tuning, training, draws };
-            fit(&training.common.fit, params, &task, job.dir, job.progress)?
+            fit(&training.common.fit, params, &task, job)?
         }
         DistillMethod::Steps(steps) => {
             let mut kept = Params::new(job.compute).frozen();
             let taught_by = spec.build(&mut kept, job.seed)?;
             kept.load(&teacher.tensors)?;
             let task = StepDistillationTask { denoiser, frozen, teacher: &taught_by, steps, training, draws };
-            fit(&training.common.fit, params, &task, job.dir, job.progress)?
+            fit(&training.common.fit, params, &task, job)?
         }
     };
-    model.finish(spec, outcome, job)
+    outcome.map(|outcome| model.finish(spec, outcome, job)).transpose()
 }
 
 /// Fails where `start` is not what a distillation to `wanted` may lead to.

@@ -53,6 +53,9 @@ pub enum Error {
     /// A setting that cannot work.
     #[error("{0}")]
     Config(String),
+    /// Another rank is gone; the state is saved.
+    #[error("the training cannot go on without all of its ranks")]
+    Lost(#[from] super::Lost),
     /// The training was asked to stop, and its state is saved.
     #[error("stopped after step {step}, with everything saved")]
     Stopped {

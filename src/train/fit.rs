@@ -1,105 +1,12 @@
 //! One training loop for every model: steps, warm-up, clipping, averages, evaluation.
 
-use super::Error;
+use super::data_parallel::{BatchGradient, DataParallel};
 use super::run_state::Run;
+use super::{Error, FitConfig, TrainJob, TrainTask};
 use crate::nn::{Params, in_pool, keep_freed_memory};
-use crate::progress::Progress;
-use candle_core::Tensor;
-use fs_err as fs;
-use schemars::JsonSchema;
+use candle_core::DType;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::Path;
-
-/// The learning-rate schedule after warm-up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
-#[serde(rename_all = "snake_case")]
-pub enum LearningRateDecay {
-    /// Constant (the paper's).
-    Constant,
-    /// Half a cosine down to zero at the last step: better for short training.
-    #[default]
-    Cosine,
-}
-
-/// Settings of the loop.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct FitConfig {
-    /// Optimizer steps in all.
-    pub steps: u64,
-    /// Learning rate after warm-up (the paper's 3e-4).
-    pub learning_rate: f64,
-    /// Steps over which the learning rate rises from 0.
-    pub warmup_steps: u64,
-    /// How it goes on.
-    pub decay: LearningRateDecay,
-    /// Gradients are scaled down to this global norm (the paper's 5).
-    pub clip_norm: f64,
-    /// Decay of the moving average of the weights; 0 for none.
-    pub ema_decay: f64,
-    /// Steps between evaluations.
-    pub evaluate_every: u64,
-    /// Steps between saved states.
-    pub save_every: u64,
-    /// Steps whose mean loss makes a line of the statistics.
-    pub log_every: u64,
-}
-
-impl Default for FitConfig {
-    fn default() -> Self {
-        Self {
-            steps: 8_000,
-            learning_rate: 1e-3,
-            warmup_steps: 200,
-            decay: LearningRateDecay::Cosine,
-            clip_norm: 5.0,
-            ema_decay: 0.99,
-            evaluate_every: 500,
-            save_every: 250,
-            log_every: 20,
-        }
-    }
-}
-
-impl FitConfig {
-    /// The learning rate of `step`, from 0.
-    pub fn learning_rate_at(&self, step: u64) -> f64 {
-        let warm = ((step + 1) as f64 / self.warmup_steps.max(1) as f64).min(1.0);
-        let share = match self.decay {
-            LearningRateDecay::Constant => 1.0,
-            LearningRateDecay::Cosine => {
-                let done = step as f64 / self.steps.max(1) as f64;
-                0.5 * (1.0 + (std::f64::consts::PI * done).cos())
-            }
-        };
-        self.learning_rate * warm * share
-    }
-}
-
-/// What is trained.
-pub trait TrainTask: Sync {
-    /// The loss of the batch of `step`, a scalar. It must depend on the parameters and `step` alone, so that a resumed
-    /// run takes the same steps.
-    ///
-    /// # Errors
-    /// When the batch cannot be made.
-    fn loss(&self, step: u64) -> Result<Tensor, Error>;
-
-    /// Makes what it can of the next `step` in advance. It is called while a GPU computes the step before, which it must not wait for.
-    ///
-    /// # Errors
-    /// When the batch cannot be made.
-    fn prepare(&self, _step: u64) -> Result<(), Error> {
-        Ok(())
-    }
-
-    /// Figures on held-out data with the present parameters, by name.
-    ///
-    /// # Errors
-    /// When the data cannot be loaded.
-    fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error>;
-}
 
 /// A line of the statistics.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -123,34 +30,37 @@ pub struct FitOutcome {
     pub statistics: Vec<FitStatistics>,
 }
 
-/// Trains `params` on `task` for `config.steps` steps, from the state in `dir` where there is one. At the end `params`
+/// Trains `params` on `task` for `config.steps` steps, from the state in the job's folder where there is one. At the end `params`
 /// hold the averaged weights where `config.ema_decay` is positive, else the last ones.
 ///
-/// `dir` holds `state.safetensors` (weights, averages, optimizer, position) and `statistics.jsonl`. A killed run that
+/// The folder holds `state.safetensors` (weights, averages, optimizer, position) and `statistics.jsonl`. A killed run that
 /// is started again ends with the same weights as an undisturbed one.
 ///
+/// Several ranks take the same steps and make the same evaluations, so that nobody waits for another one for long. The first one keeps
+/// the files and gets the outcome, the others `None`.
+///
 /// # Errors
-/// When the loss is no longer finite, or files cannot be written or do not fit the model. [`Error::Stopped`] when it is asked to stop
-/// between two steps; the state is saved then.
+/// When the loss is no longer finite, or files cannot be written or do not fit the model. [`Error::Stopped`] when a rank is asked to stop
+/// between two steps, [`Error::Lost`] when one is gone; the state is saved then.
 pub fn fit(
     config: &FitConfig,
     params: &mut Params,
     task: &dyn TrainTask,
-    dir: &Path,
-    progress: &dyn Progress,
-) -> Result<FitOutcome, Error> {
+    TrainJob { dir, progress, exchange, .. }: TrainJob<'_>,
+) -> Result<Option<FitOutcome>, Error> {
     keep_freed_memory();
-    fs::create_dir_all(dir)?;
-    let mut run = Run::open(config, params, dir)?;
+    let batch = DataParallel::new(config.parts, task.batch_size(), exchange)?;
+    let mut run = Run::open(config, params, dir, exchange)?;
     let first_step = run.position.step;
     progress.start("train", config.steps, "steps");
     progress.advance(first_step);
     while run.position.step < config.steps {
-        if progress.must_stop() {
+        let must_stop = progress.must_stop();
+        let taken = run.step(config, params, task, &batch, must_stop);
+        if let Err(Error::Stopped { .. } | Error::Lost(_)) = &taken {
             run.save(params)?;
-            return Err(Error::Stopped { step: run.position.step });
         }
-        in_pool(params.device(), || run.step(config, params, task))?;
+        taken?;
         let step = run.position.step;
         let is_last = step == config.steps;
         if step.is_multiple_of(config.log_every) || is_last {
@@ -168,23 +78,45 @@ pub fn fit(
     if let Some(ema) = &mut run.ema {
         ema.swap(params)?;
     }
-    Ok(FitOutcome { steps_taken: run.position.step - first_step, statistics: run.statistics })
+    let outcome = FitOutcome { steps_taken: run.position.step - first_step, statistics: run.statistics };
+    Ok(Some(outcome).filter(|_| exchange.rank() == 0))
 }
 
 impl Run {
-    fn step(&mut self, config: &FitConfig, params: &Params, task: &dyn TrainTask) -> Result<(), Error> {
+    /// Takes a step. Nothing is changed before all ranks have agreed on the gradient.
+    fn step(
+        &mut self,
+        config: &FitConfig,
+        params: &Params,
+        task: &dyn TrainTask,
+        batch: &DataParallel<'_>,
+        must_stop: bool,
+    ) -> Result<(), Error> {
         let step = self.position.step;
-        let loss = task.loss(step)?;
-        let gradients = loss.backward()?;
-        // A GPU has only been told all this. The host reads and pads the next scenes before it waits for the first number.
-        if step + 1 < config.steps {
-            task.prepare(step + 1)?;
-        }
-        let value = f64::from(loss.to_dtype(candle_core::DType::F32)?.to_scalar::<f32>()?);
+        let divisors = batch.begin(task, step, must_stop)?.ok_or(Error::Stopped { step })?;
+        let gradient = batch.gradient(params, task, step, &divisors)?;
+        in_pool(params.device(), || {
+            // A GPU has only been told all this. The host reads and pads the next scenes before it waits for the first number.
+            if step + 1 < config.steps {
+                batch.prepare(task, step + 1)?;
+            }
+            self.descend(config, params, &gradient)
+        })
+    }
+
+    /// Goes down the gradient.
+    fn descend(
+        &mut self,
+        config: &FitConfig,
+        params: &Params,
+        BatchGradient { loss, gradients }: &BatchGradient,
+    ) -> Result<(), Error> {
+        let step = self.position.step;
+        let value = f64::from(loss.to_dtype(DType::F32)?.to_scalar::<f32>()?);
         if !value.is_finite() {
             return Err(Error::Diverged { step, loss: value });
         }
-        let norm = self.adam.step(params, &gradients, config.learning_rate_at(step), Some(config.clip_norm))?;
+        let norm = self.adam.step(params, gradients, config.learning_rate_at(step), Some(config.clip_norm))?;
         if let Some(ema) = &mut self.ema {
             ema.update(params)?;
             self.position.ema_updates = ema.n_updates();
@@ -236,9 +168,12 @@ mod tests {
     use super::super::run_state::Position;
     use super::*;
     use crate::nn::{Compute, Init, read_checkpoint};
-    use crate::progress::Silent;
+    use crate::progress::{Progress, Silent};
     use crate::seed::Seed;
-    use candle_core::Device;
+    use crate::train::{Alone, BatchPart, LearningRateDecay};
+    use candle_core::{Device, Tensor};
+    use fs_err as fs;
+    use std::path::Path;
     use std::sync::atomic::{AtomicU64, Ordering};
 
     /// Least squares toward a target that depends on the step; fails at one step, as a killed process would.
@@ -248,17 +183,26 @@ mod tests {
     }
 
     impl TrainTask for Chase {
-        fn loss(&self, step: u64) -> Result<Tensor, Error> {
-            if self.fails_at == Some(step) {
+        fn batch_size(&self) -> usize {
+            1
+        }
+
+        fn loss(&self, part: &BatchPart, _divisors: Option<&[f64]>) -> Result<Tensor, Error> {
+            if self.fails_at == Some(part.step) {
                 return Err(Error::Config("killed".to_owned()));
             }
-            Ok((&self.x - (step % 7) as f64)?.sqr()?.mean_all()?)
+            Ok((&self.x - (part.step % 7) as f64)?.sqr()?.mean_all()?)
         }
 
         fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
             let mean = self.x.detach().mean_all()?.to_scalar::<f32>()?;
             Ok(BTreeMap::from([("mean".to_owned(), f64::from(mean))]))
         }
+    }
+
+    fn job<'a>(dir: &'a Path, progress: &'a dyn Progress) -> TrainJob<'a> {
+        static CPU: Compute = Compute::cpu();
+        TrainJob { seed: Seed(1), dir, compute: &CPU, progress, exchange: &Alone }
     }
 
     fn config() -> FitConfig {
@@ -272,6 +216,7 @@ mod tests {
             evaluate_every: 6,
             save_every: 5,
             log_every: 4,
+            parts: 1,
         }
     }
 
@@ -292,8 +237,8 @@ mod tests {
     fn train(dir: &Path, fails_at: Option<u64>) -> (Vec<f32>, Result<FitOutcome, Error>) {
         let mut params = Params::new(&Compute::cpu());
         let x = params.get_or_init("x", &[3], Init::KaimingUniform { fan_in: 1 }, Seed(1)).unwrap();
-        let outcome = fit(&config(), &mut params, &Chase { x: x.clone(), fails_at }, dir, &Silent);
-        (x.to_vec1().unwrap(), outcome)
+        let outcome = fit(&config(), &mut params, &Chase { x: x.clone(), fails_at }, job(dir, &Silent));
+        (x.to_vec1().unwrap(), outcome.map(Option::unwrap))
     }
 
     #[test]
@@ -305,7 +250,7 @@ mod tests {
             let mut params = Params::new(&Compute::cpu());
             let x = params.get_or_init("x", &[3], Init::KaimingUniform { fan_in: 1 }, Seed(1)).unwrap();
             let progress = StopAfter(AtomicU64::new(n_steps));
-            let outcome = fit(&config, &mut params, &Chase { x, fails_at: None }, stopped.path(), &progress);
+            let outcome = fit(&config, &mut params, &Chase { x, fails_at: None }, job(stopped.path(), &progress));
             assert!(matches!(outcome, Err(Error::Stopped { step }) if step == reached), "{outcome:?}");
         }
         train(stopped.path(), None).1.unwrap();
@@ -337,7 +282,11 @@ mod tests {
     struct Slope(Tensor);
 
     impl TrainTask for Slope {
-        fn loss(&self, _step: u64) -> Result<Tensor, Error> {
+        fn batch_size(&self) -> usize {
+            1
+        }
+
+        fn loss(&self, _part: &BatchPart, _divisors: Option<&[f64]>) -> Result<Tensor, Error> {
             Ok(self.0.sum_all()?)
         }
 
@@ -359,7 +308,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let mut params = Params::new(&Compute::cpu());
         let x = params.get_or_init("x", &[1], Init::Zeros, Seed(1)).unwrap();
-        let outcome = fit(&config, &mut params, &Slope(x.clone()), dir.path(), &Silent).unwrap();
+        let outcome = fit(&config, &mut params, &Slope(x.clone()), job(dir.path(), &Silent)).unwrap().unwrap();
         // Worked out by hand: rates 0.05, 0.1 (1 + cos π/4) / 2, 0.05 and 0.1 (1 + cos 3π/4) / 2, and averages whose decay is
         // 2/11, 3/12, 4/13 and 5/14.
         let evaluated: Vec<f64> =
@@ -374,13 +323,5 @@ mod tests {
         assert!((last + 0.2).abs() < 2e-6, "{last}");
         let kept = x.to_vec1::<f32>().unwrap()[0];
         assert!((kept + 0.186_681).abs() < 2e-6, "{kept}");
-    }
-
-    #[test]
-    fn the_learning_rate_warms_up_and_decays() {
-        let config = FitConfig { decay: LearningRateDecay::Cosine, steps: 100, ..config() };
-        assert!((config.learning_rate_at(0) - 0.05 * 0.25).abs() < 1e-12);
-        assert!(config.learning_rate_at(50) < 0.0251 && config.learning_rate_at(50) > 0.0249);
-        assert!(config.learning_rate_at(99) < 1e-4);
     }
 }

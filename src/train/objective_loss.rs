@@ -33,21 +33,22 @@ pub(super) fn objective_costs(
     objectives.iter().map(|objective| Ok((cost(objective, &states)? - cost(objective, &recorded)?)?.relu()?)).collect()
 }
 
-/// The sum of weight · cost over `objectives`, as a mean over the rows where `counts` (B) is 1; `None` where nothing counts.
+/// The sum of weight · cost over `objectives`, as a mean over the rows where `counts` (B) is 1: their sum over `n_counted`, the number of
+/// such rows in the whole batch. `None` where nothing counts.
 pub(super) fn objective_loss(
     objectives: &[ObjectiveConfig],
     x0: &Tensor,
     drawn: &DrawnBatch,
     counts: &[f32],
+    n_counted: f64,
 ) -> Result<Option<Tensor>, Error> {
-    let n_rows: f32 = counts.iter().sum();
-    if objectives.is_empty() || n_rows == 0.0 {
+    if objectives.is_empty() || counts.iter().all(|count| *count == 0.0) {
         return Ok(None);
     }
     let counts = Tensor::from_slice(counts, counts.len(), x0.device())?;
     let mut total: Option<Tensor> = None;
     for (objective, cost) in objectives.iter().zip(objective_costs(objectives, x0, drawn)?) {
-        let mean = ((cost * &counts)?.sum_all()? * (objective.weight() / f64::from(n_rows)))?;
+        let mean = ((cost * &counts)?.sum_all()? * (objective.weight() / n_counted))?;
         total = Some(match total {
             Some(total) => (total + mean)?,
             None => mean,

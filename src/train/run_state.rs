@@ -1,8 +1,8 @@
 //! The files of a training: the state that it resumes from, and the statistics.
 
-use super::{Error, FitConfig, FitStatistics};
+use super::{Error, Exchange, FitConfig, FitStatistics};
 use crate::files::write_atomically;
-use crate::nn::{Adam, Ema, Params, checksum, read_checkpoint, write_checkpoint};
+use crate::nn::{Adam, Ema, Params, checksum, parse_checkpoint, write_checkpoint};
 use candle_core::Tensor;
 use fs_err as fs;
 use serde::{Deserialize, Serialize};
@@ -39,6 +39,8 @@ impl Position {
 /// The state of a run between steps.
 pub(super) struct Run {
     dir: PathBuf,
+    /// Whether this rank keeps the files: the first one alone does.
+    keeps_files: bool,
     pub(super) adam: Adam,
     pub(super) ema: Option<Ema>,
     pub(super) position: Position,
@@ -50,19 +52,32 @@ impl Run {
         dir.join("state.safetensors")
     }
 
-    /// The state in `dir`, which `params` take up, or that of a new run.
-    pub(super) fn open(config: &FitConfig, params: &mut Params, dir: &Path) -> Result<Self, Error> {
+    /// The state in `dir`, which `params` take up, or that of a new run. All ranks get that of the first one: what it has in its files
+    /// need not be seen everywhere yet.
+    pub(super) fn open(
+        config: &FitConfig,
+        params: &mut Params,
+        dir: &Path,
+        exchange: &dyn Exchange,
+    ) -> Result<Self, Error> {
         let mut run = Self {
             dir: dir.to_owned(),
+            keeps_files: exchange.rank() == 0,
             adam: Adam::default(),
             ema: None,
             position: Position::default(),
             statistics: Vec::new(),
         };
         let path = Self::state_path(dir);
+        let mut saved = Vec::new();
+        if run.keeps_files {
+            fs::create_dir_all(dir)?;
+            saved = if path.exists() { fs::read(&path)? } else { saved };
+        }
+        let saved = exchange.broadcast(&saved)?;
         let mut averages = BTreeMap::new();
-        if path.exists() {
-            let checkpoint = read_checkpoint::<Position>(&path, params.device())?;
+        if !saved.is_empty() {
+            let checkpoint = parse_checkpoint::<Position>(&saved, &path, params.device())?;
             let position = checkpoint.metadata;
             if position.checksum.is_some() && position != position.sealed(&checkpoint.tensors)? {
                 return Err(Error::DamagedState { path });
@@ -89,7 +104,7 @@ impl Run {
     /// Takes up the lines that are not newer than the state: a run may have been killed between the two.
     fn read_statistics(&mut self) -> Result<(), Error> {
         let path = self.dir.join("statistics.jsonl");
-        if self.position.step == 0 || !path.exists() {
+        if self.position.step == 0 || !self.keeps_files || !path.exists() {
             return Ok(());
         }
         for (i, line) in fs::read_to_string(&path)?.lines().enumerate() {
@@ -105,6 +120,9 @@ impl Run {
 
     /// Rewritten whole each time: the file is small, and never half-written.
     pub(super) fn write_statistics(&self) -> Result<(), Error> {
+        if !self.keeps_files {
+            return Ok(());
+        }
         let mut text = Vec::new();
         for line in &self.statistics {
             serde_json::to_writer(&mut text, line).map_err(std::io::Error::from)?;
@@ -116,6 +134,9 @@ impl Run {
 
     /// Saves the state.
     pub(super) fn save(&self, params: &Params) -> Result<(), Error> {
+        if !self.keeps_files {
+            return Ok(());
+        }
         let mut tensors = BTreeMap::new();
         let mut put = |prefix: &str, part: BTreeMap<String, Tensor>| {
             tensors.extend(part.into_iter().map(|(name, tensor)| (format!("{prefix}.{name}"), tensor)));
@@ -135,6 +156,7 @@ mod tests {
     use super::*;
     use crate::nn::{Compute, Init};
     use crate::seed::Seed;
+    use crate::train::exchange::Alone;
 
     fn params() -> Params {
         let mut params = Params::new(&Compute::cpu());
@@ -146,10 +168,10 @@ mod tests {
     fn a_state_is_resumed_as_it_was_saved_or_not_at_all() {
         let dir = tempfile::tempdir().unwrap();
         let config = FitConfig { ema_decay: 0.9, ..FitConfig::default() };
-        let mut run = Run::open(&config, &mut params(), dir.path()).unwrap();
+        let mut run = Run::open(&config, &mut params(), dir.path(), &Alone).unwrap();
         run.position = Position { step: 7, ema_updates: 7, loss_sum: 0.5, norm_sum: 1e-300, checksum: None };
         run.save(&params()).unwrap();
-        let open = || Run::open(&config, &mut params(), dir.path());
+        let open = || Run::open(&config, &mut params(), dir.path(), &Alone);
         let resumed = open().unwrap().position;
         assert_eq!(Position { checksum: None, ..resumed }, run.position);
 

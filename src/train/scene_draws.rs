@@ -1,7 +1,7 @@
 //! Which scenes, seen from which agent and with which states hidden, make the batch of a training step? The same for
 //! every model of scenes.
 
-use super::Error;
+use super::{BatchPart, Error};
 use crate::guidance::{ContextRow, SceneContext};
 use crate::scene::{ObservationMask, Roles, Scene};
 use crate::seed::{Seed, SeededRng};
@@ -73,8 +73,8 @@ impl WeightedGroups {
 pub struct Prefetched {
     /// The last epoch of each group and its shuffle.
     shuffles: Mutex<BTreeMap<usize, Shuffle>>,
-    /// A step and its batch.
-    batch: Mutex<Option<(u64, DrawnBatch)>>,
+    /// Parts of a batch, as they were drawn.
+    parts: Mutex<Vec<(BatchPart, DrawnBatch)>>,
 }
 
 /// An epoch of a group, and the order of its scenes.
@@ -100,31 +100,39 @@ struct Drawn {
 }
 
 impl SceneDraws<'_> {
-    /// The batch of `step`: the one that [`prepare`](Self::prepare) made, or a new one.
+    /// The rows of `part`: those that [`prepare`](Self::prepare) made, or new ones.
     ///
     /// # Errors
     /// When a scene cannot be loaded.
-    pub fn training_batch(&self, step: u64) -> Result<DrawnBatch, Error> {
-        let prepared = self.ahead.batch.lock().unwrap_or_else(PoisonError::into_inner).take();
-        match prepared {
-            Some((of_step, batch)) if of_step == step => Ok(batch),
-            _ => self.draw_batch(step),
-        }
+    pub fn training_batch(&self, part: &BatchPart) -> Result<DrawnBatch, Error> {
+        self.taken(part).map_or_else(|| self.draw_rows(part), Ok)
     }
 
-    /// Makes the batch of `step` in advance.
+    /// The rows of `part`, if they are kept. Those of other steps are not wanted any more.
+    fn taken(&self, part: &BatchPart) -> Option<DrawnBatch> {
+        let mut parts = self.ahead.parts.lock().unwrap_or_else(PoisonError::into_inner);
+        parts.retain(|(kept, _)| kept.step == part.step);
+        let at = parts.iter().position(|(kept, _)| kept == part)?;
+        Some(parts.swap_remove(at).1)
+    }
+
+    /// Makes the rows of `part` in advance.
     ///
     /// # Errors
     /// When a scene cannot be loaded.
-    pub fn prepare(&self, step: u64) -> Result<(), Error> {
-        let batch = self.draw_batch(step)?;
-        *self.ahead.batch.lock().unwrap_or_else(PoisonError::into_inner) = Some((step, batch));
+    pub fn prepare(&self, part: &BatchPart) -> Result<(), Error> {
+        self.keep(part, self.draw_rows(part)?);
         Ok(())
     }
 
-    fn draw_batch(&self, step: u64) -> Result<DrawnBatch, Error> {
-        let indices = self.batch_indices(step);
-        let seeds: Vec<Seed> = (0..indices.len() as u64).map(|row| self.seed.derive("row", &[step, row])).collect();
+    /// Keeps the rows of `part` until they are asked for.
+    pub(super) fn keep(&self, part: &BatchPart, rows: DrawnBatch) {
+        self.ahead.parts.lock().unwrap_or_else(PoisonError::into_inner).push((part.clone(), rows));
+    }
+
+    fn draw_rows(&self, BatchPart { step, rows }: &BatchPart) -> Result<DrawnBatch, Error> {
+        let indices = &self.batch_indices(*step)[rows.clone()];
+        let seeds: Vec<Seed> = rows.clone().map(|row| self.seed.derive("row", &[*step, row as u64])).collect();
         let mut rngs: Vec<SeededRng> = seeds.iter().map(|seed| seed.derive("draws", &[]).rng()).collect();
         let drawn = indices.par_iter().zip(&mut rngs).map(|(idx, rng)| self.draw(*idx, rng));
         let drawn: Vec<Drawn> = drawn.collect::<Result<_, _>>()?;

@@ -2,7 +2,7 @@
 
 use super::latent_error::{pseudo_huber, squared_error};
 use super::objective_loss::{objective_costs, objective_loss};
-use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
+use super::{BatchPart, DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::sampler::{Dpmpp2mConfig, EulerConfig, StepGrid};
 use crate::diffusion::{Denoiser, Edm, NoiseSource, SamplerConfig, Step, rows_like};
 use crate::model::SceneDenoiser;
@@ -139,8 +139,8 @@ pub struct StepDistillationTask<'a> {
 }
 
 impl StepDistillationTask<'_> {
-    /// What `denoiser` answers to noise drawn from `seeds`.
-    fn answers(&self, denoiser: &SceneDenoiser, drawn: &DrawnBatch) -> Result<Answers, Error> {
+    /// What `denoiser` answers to noise drawn from the rows' seeds; the rows are all or a part of a batch of `n_rows`.
+    fn answers(&self, denoiser: &SceneDenoiser, drawn: &DrawnBatch, n_rows: usize) -> Result<Answers, Error> {
         let (batch, mut noise) = (&drawn.batch, NoiseSource::new(drawn.seeds.clone()));
         let edm = denoiser.edm();
         let sigmas = self.steps.sigmas(edm);
@@ -156,7 +156,7 @@ impl StepDistillationTask<'_> {
             let answered = ask(x, from)?;
             let target = answer(x, &states[1], from, to)?;
             let squared = squared_error(batch, &answered, &target, self.training.path_loss)?;
-            distances.push(pseudo_huber(batch, &squared, self.training.huber)?.mean_all()?);
+            distances.push((pseudo_huber(batch, &squared, self.training.huber)?.sum_all()? / n_rows as f64)?);
             if !self.training.objectives.is_empty() {
                 let answered = if step == 0 { answered } else { ask(&own, from)? };
                 own = ((own * (to / from))? + (answered * (1.0 - to / from))?)?;
@@ -176,19 +176,23 @@ struct Answers {
 }
 
 impl TrainTask for StepDistillationTask<'_> {
-    fn loss(&self, step: u64) -> Result<Tensor, Error> {
-        let drawn = self.draws.training_batch(step)?;
-        let Answers { distances, sample } = self.answers(self.denoiser, &drawn)?;
+    fn batch_size(&self) -> usize {
+        self.draws.batch_size
+    }
+
+    fn loss(&self, part: &BatchPart, _divisors: Option<&[f64]>) -> Result<Tensor, Error> {
+        let (drawn, n_rows) = (self.draws.training_batch(part)?, self.batch_size());
+        let Answers { distances, sample } = self.answers(self.denoiser, &drawn, n_rows)?;
         let distance = Tensor::stack(&distances, 0)?.mean_all()?;
         let everywhere = vec![1.0; drawn.seeds.len()];
-        Ok(match objective_loss(&self.training.objectives, &sample, &drawn, &everywhere)? {
+        Ok(match objective_loss(&self.training.objectives, &sample, &drawn, &everywhere, n_rows as f64)? {
             Some(wished) => (distance + wished)?,
             None => distance,
         })
     }
 
-    fn prepare(&self, step: u64) -> Result<(), Error> {
-        self.draws.prepare(step)
+    fn prepare(&self, part: &BatchPart) -> Result<(), Error> {
+        self.draws.prepare(part)
     }
 
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
@@ -198,7 +202,7 @@ impl TrainTask for StepDistillationTask<'_> {
         let wishes = objectives.iter().map(|objective| format!("held_out_cost_of_{}", objective.kind()));
         let names: Vec<String> = levels.chain(wishes).collect();
         let means = self.draws.held_out_means(names.len(), |drawn| {
-            let Answers { mut distances, sample } = self.answers(self.frozen, drawn)?;
+            let Answers { mut distances, sample } = self.answers(self.frozen, drawn, drawn.seeds.len())?;
             for cost in objective_costs(objectives, &sample, drawn)? {
                 distances.push(cost.mean_all()?);
             }

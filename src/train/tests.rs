@@ -1,5 +1,6 @@
 //! Training learns, resumes to the same weights, and says what is wrong with its input.
 
+use super::data_parallel_tests::assert_parts_agree;
 use super::*;
 use crate::diffusion::{NoiseDistribution, NoiseSource};
 use crate::guidance::{AccelerationLimit, AgentSelector, ObjectiveConfig, SpeedLimit};
@@ -96,7 +97,8 @@ fn train_from(
         state_dim: 3,
         fingerprint: "scenes".to_owned(),
     };
-    train_denoiser(training, &data, start, TrainJob { seed: Seed(3), dir, compute: &Compute::cpu(), progress: &Silent })
+    let job = TrainJob { seed: Seed(3), dir, compute: &Compute::cpu(), progress: &Silent, exchange: &Alone };
+    train_denoiser(training, &data, start, job).map(Option::unwrap)
 }
 
 #[test]
@@ -184,17 +186,50 @@ fn a_batch_made_in_advance_is_the_one_that_would_be_drawn() {
     let (collator, masks) = (spec.collator(), MaskSampler::new(&training.common.tasks).unwrap());
     let train = [WeightedGroups::single((0..10).collect())];
     let draws = || draws_of_four(&dataset, &train, &collator, &masks);
+    let values_of = |x: &Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
     let values = |drawn: DrawnBatch| {
-        let of = |x: &Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        let of = values_of;
         (of(&drawn.batch.x0), of(&drawn.batch.latent), of(&drawn.batch.lanes), drawn.seeds)
     };
     let ahead = draws();
     // Ten scenes in batches of four: step 2 takes the end of one epoch and the beginning of the next.
-    for (prepared, asked) in [(2, 2), (3, 7), (8, 2)] {
-        ahead.prepare(prepared).unwrap();
-        let expected = values(draws().training_batch(asked).unwrap());
-        assert!(values(ahead.training_batch(asked).unwrap()) == expected, "{prepared} {asked}");
+    let part = |step: u64, rows: std::ops::Range<usize>| BatchPart { step, rows };
+    for (prepared, asked) in [
+        (part(2, 0..4), part(2, 0..4)),
+        (part(3, 0..4), part(7, 0..4)),
+        (part(8, 0..4), part(2, 0..4)),
+        (part(2, 1..3), part(2, 0..4)),
+        (part(2, 1..3), part(2, 1..3)),
+    ] {
+        ahead.prepare(&prepared).unwrap();
+        let expected = values(draws().training_batch(&asked).unwrap());
+        assert!(values(ahead.training_batch(&asked).unwrap()) == expected, "{prepared:?} {asked:?}");
     }
+    // The rows of a part are drawn as they are among all.
+    let (whole, some) =
+        (draws().training_batch(&part(5, 0..4)).unwrap(), draws().training_batch(&part(5, 1..3)).unwrap());
+    assert_eq!(whole.seeds[1..3], some.seeds);
+    assert_eq!(values_of(&whole.batch.x0.narrow(0, 1, 2).unwrap()), values_of(&some.batch.x0));
+}
+
+#[test]
+fn parts_of_a_batch_add_up_to_its_gradient() {
+    let (dir, dataset) = (tempfile::tempdir().unwrap(), Arcs::new(20));
+    // Half of the rows or so are at so little noise that the objective counts.
+    let mut training = DenoiserTraining { objectives_below_sigma: 0.6, ..training(1) };
+    training.objectives = vec![speed_limit(3.0)];
+    let spec = train(&dataset, &training, dir.path()).unwrap().spec;
+    let mut params = Params::new(&Compute::cpu());
+    let denoiser = &SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, Seed(5)).unwrap();
+    let (collator, masks) = (spec.collator(), MaskSampler::new(&training.common.tasks).unwrap());
+    let train = [WeightedGroups::single((0..12).collect())];
+    let draws = SceneDraws { batch_size: 6, with_context: true, ..draws_of_four(&dataset, &train, &collator, &masks) };
+    let task = DenoisingTask { denoiser, frozen: denoiser, training: &training, draws };
+    let n_counted =
+        |step| -> Vec<f64> { (0..4).map(|i| task.divisors(&BatchPart::of_batch(step, 6, i, 4)).unwrap()[1]).collect() };
+    let counted: Vec<Vec<f64>> = (0..4).map(n_counted).collect();
+    assert!(counted.iter().any(|parts| parts.contains(&0.0) && parts.iter().sum::<f64>() > 0.0), "{counted:?}");
+    (0..4).for_each(|step| assert_parts_agree(&params, &task, step));
 }
 
 /// A network that always answers 0 leaves c_skip(σ) x as the estimate, so that the loss follows from the draws alone (EDM, table 1).
@@ -212,7 +247,7 @@ fn the_loss_is_the_weighted_error_at_the_noise_levels_that_were_drawn() {
     let draws = draws_of_four(&dataset, &train, &collator, &masks);
     let task = DenoisingTask { denoiser: &denoiser, frozen: &denoiser, training: &training, draws };
 
-    let DrawnBatch { batch, seeds, mut rngs, .. } = task.draws.training_batch(7).unwrap();
+    let DrawnBatch { batch, seeds, mut rngs, .. } = task.draws.training_batch(&BatchPart::whole(7, 4)).unwrap();
     let values = |x: &Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
     let (x0, noise) = (values(&batch.x0), values(&NoiseSource::new(seeds).draw_like(&batch.x0).unwrap()));
     let (scored, latent) = (values(&batch.scored), values(&batch.latent));
@@ -226,7 +261,7 @@ fn the_loss_is_the_weighted_error_at_the_noise_levels_that_were_drawn() {
         sum += total / (sigma * sigma * variance_of_data) * (estimate - x0).powi(2) * f64::from(scored[i / 3]);
     }
     let expected = sum / (3.0 * scored.iter().copied().map(f64::from).sum::<f64>());
-    let loss = f64::from(task.loss(7).unwrap().to_scalar::<f32>().unwrap());
+    let loss = f64::from(task.loss(&BatchPart::whole(7, 4), None).unwrap().to_scalar::<f32>().unwrap());
     assert!((loss / expected - 1.0).abs() < 1e-4, "{loss}, expected {expected} at {sigmas:?}");
 }
 

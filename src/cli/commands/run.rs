@@ -9,7 +9,7 @@ use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::parts::{self, InParts, Part, TakenOver};
 use crate::pipeline::run::{RunFolder, run_stages};
-use crate::pipeline::{ComputeChoice, Failure, Result, StageId, graph, stages};
+use crate::pipeline::{ComputeChoice, Failure, Result, StageId, graph, ranks, stages};
 use crate::settings;
 use std::path::{Path, PathBuf};
 
@@ -33,6 +33,10 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
     if let (Some((_, stage)), Some(worker)) = (&in_parts, args.worker) {
         return stage.work(&root, worker, compute, &progress);
     }
+    let seat = ranks::seat(&selected(args, &config))?;
+    if let Some(seat) = seat.as_ref().filter(|seat| seat.rank > 0) {
+        return ranks::help(seat, &config, &root, plan()?, &progress);
+    }
     let folder = RunFolder::open(&root)?;
     let mut planned = plan()?;
     let mut finished = Vec::new();
@@ -54,11 +58,21 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
         }
     }
     announce(&planned, output, printer);
-    let records = run_stages(&folder, Some(&config), compute, planned, &progress)?;
+    let exchange = ranks::meet(seat.as_ref(), &config, &planned, &progress)?;
+    let records = run_stages(&folder, Some(&config), compute, planned, &progress, exchange.as_ref())?;
+    ranks::dismiss(exchange.as_ref());
     finished.into_iter().try_for_each(|stage| parts::sealed(&root, stage))?;
     printer.message(format_args!("results are in {}", root.display()));
     // Where a report comes later, the run ends with it.
     if in_parts.is_some() && config.report.is_some() { Ok(()) } else { stages::check_gates(&records) }
+}
+
+/// The stages that the arguments choose.
+fn selected(args: &RunArgs, config: &PipelineConfig) -> Vec<StageId> {
+    if !args.stage.is_empty() {
+        return args.stage.clone();
+    }
+    StageId::ALL.into_iter().filter(|stage| (stage.facts().is_configured)(config)).collect()
 }
 
 /// Takes over what workers made of a stage that one process now runs, and says so. Returns the stage if nothing of the workers' is to be

@@ -5,9 +5,10 @@ use crate::cli::args::{Command, IngestArgs, OutputArgs, StageArgs, TrainCommand}
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::pipeline::config::PipelineConfig;
+use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::run::{RunFolder, run_stages};
-use crate::pipeline::{Failure, Result, StageId, graph, stages};
+use crate::pipeline::{Failure, Result, StageId, graph, ranks, stages};
 use std::path::{Path, PathBuf};
 
 pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Printer) -> Result<()> {
@@ -20,18 +21,26 @@ pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Pr
     use_threads(output, config.run.threads)?;
     let root = args.output.as_path();
     let redo = if args.redo { vec![id] } else { Vec::new() };
-    if args.dry_run {
+    let plan = || -> Result<Vec<PlannedStage<'_>>> {
         let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?], &redo)?;
         refuse_too_large(&config, &layout, &planned)?;
-        return print_dry_run(&config, &layout, &planned, printer);
+        Ok(planned)
+    };
+    if args.dry_run {
+        return print_dry_run(&config, &layout, &plan()?, printer);
     }
     resumes_in(root);
-    let folder = RunFolder::open(root)?;
-    let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?], &redo)?;
-    refuse_too_large(&config, &layout, &planned)?;
-    announce(&planned, output, printer);
     let progress = TerminalProgress::new(output, *printer);
-    let records = run_stages(&folder, None, config.run.compute(), planned, &progress)?;
+    let seat = ranks::seat(&[id])?;
+    if let Some(seat) = seat.as_ref().filter(|seat| seat.rank > 0) {
+        return ranks::help(seat, &config, root, plan()?, &progress);
+    }
+    let folder = RunFolder::open(root)?;
+    let planned = plan()?;
+    announce(&planned, output, printer);
+    let exchange = ranks::meet(seat.as_ref(), &config, &planned, &progress)?;
+    let records = run_stages(&folder, None, config.run.compute(), planned, &progress, exchange.as_ref())?;
+    ranks::dismiss(exchange.as_ref());
     stages::check_gates(&records)
 }
 

@@ -1,7 +1,9 @@
 //! Which jobs wait for which, what do the scripts say, and what do they do?
 
 use super::{ClusterConfig, Engine, JobGraph, Submission, cautions, slurm};
+use crate::pipeline::StageId;
 use crate::pipeline::config::{PipelineConfig, parse};
+use crate::pipeline::ranks::n_parts;
 use std::path::Path;
 use std::process::Command;
 
@@ -67,6 +69,38 @@ fn jobs_wait_for_what_they_read() {
     );
 }
 
+/// A denoiser that four processes train, a baseline that two do, and a classifier in between that one does.
+pub(super) fn ranked(cluster: &str) -> String {
+    let train = "[train.denoiser]\nparts = 8\n[train.classifier]\n[train.baseline]\nparts = 2\n";
+    format!("{}[cluster]\nranks = 4\n{cluster}", PIPELINE.replace("[train.denoiser]\n", train))
+}
+
+#[test]
+fn several_processes_train_in_jobs_of_their_own() {
+    let (graph, cluster) = graph(&ranked("cpus = 8\ngpus = 1\ncontainer = 'djinn'\n"), &[]);
+    let jobs: Vec<_> = graph.jobs[..5].iter().map(|job| (job.name, job.ranks)).collect();
+    let expected =
+        [("prepare", None), ("denoiser", Some(4)), ("classifier", None), ("baseline", Some(2)), ("plan", None)];
+    assert_eq!(jobs, expected);
+    assert!(graph.jobs[1].command.ends_with(&["--stage".to_owned(), "train_denoiser".to_owned()]));
+    assert_eq!(graph.jobs[2].after[0].job, "denoiser");
+    assert_golden("slurm_ranks.txt", &slurm::script(&graph, &graph.jobs[1], &cluster));
+    // A checkpoint needs no training, and one part no second process.
+    let config: PipelineConfig = parse(None, &ranked(""), &["train.denoiser.checkpoint=a".to_owned()]).unwrap();
+    assert_eq!(n_parts(&config, StageId::TrainDenoiser), 1);
+    let said = |parts: usize| {
+        let text = format!("[train.denoiser]\nbatch_size = 8\nparts = {parts}\n[cluster]\nranks = 4\nworkers = 1\n");
+        let config: PipelineConfig = parse(None, &text, &[]).unwrap();
+        cautions(&config, &config.cluster.clone().unwrap())
+    };
+    assert!(
+        said(1)[0].starts_with("cluster.ranks is 4, but no model is trained in more than 1 parts"),
+        "{:?}",
+        said(1)
+    );
+    assert!(said(4).is_empty() && said(8).is_empty());
+}
+
 #[test]
 fn rounds_too_small_for_the_workers_are_told() {
     let request = "[[generate.arms]]\nname = 'plain'\n[[generate.requests]]\nname = 'tight'\nbehavior = 'cut_in'\n\
@@ -97,16 +131,28 @@ fn settings_that_would_break_a_script_apart_are_refused() {
 /// Runs the script of the workers with a program that ends so, and says what became of it: the exit code, and what was queued again.
 #[cfg(unix)]
 fn run_script(program: &str, restarts: &str, signal: Option<&str>) -> (i32, String) {
+    let (graph, cluster) = graph(&format!("{PIPELINE}[cluster]\nretries = 3\ncontainer = 'djinn'\n"), &[]);
+    let work = graph.jobs.iter().find(|job| job.name == "work").unwrap();
+    run_text(&slurm::script(&graph, work, &cluster), program, restarts, signal)
+}
+
+/// The same with this script.
+#[cfg(unix)]
+fn run_text(script: &str, program: &str, restarts: &str, signal: Option<&str>) -> (i32, String) {
     use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    for (name, text) in [("djinn", program), ("scontrol", "echo \"$@\" >> scontrol.txt")] {
+    // Two tasks, as Slurm starts them; it answers SIGTERM by killing them.
+    let srun = "trap 'kill -9 $a $b' TERM; trap 'kill -USR1 $a $b' USR1\nwhile [[ $1 = --* ]]; do shift; done\n\
+        SLURM_PROCID=0 \"$@\" & a=$!; SLURM_PROCID=1 \"$@\" & b=$!\n\
+        worst=0; for task in $a $b; do while :; do wait $task; code=$?; kill -0 $task 2>/dev/null || break; done; \
+        [ $code -gt $worst ] && worst=$code; done; exit $worst";
+    let scontrol = "[ \"$1\" = show ] && echo one && echo two && exit; echo \"$@\" >> scontrol.txt";
+    for (name, text) in [("djinn", program), ("scontrol", scontrol), ("srun", srun)] {
         fs_err::write(path(name), format!("#!/bin/bash\n{text}\n")).unwrap();
         fs_err::set_permissions(path(name), PermissionsExt::from_mode(0o755)).unwrap();
     }
-    let (graph, cluster) = graph(&format!("{PIPELINE}[cluster]\nretries = 3\ncontainer = 'djinn'\n"), &[]);
-    let work = graph.jobs.iter().find(|job| job.name == "work").unwrap();
-    fs_err::write(path("job.sh"), slurm::script(&graph, work, &cluster)).unwrap();
+    fs_err::write(path("job.sh"), script).unwrap();
     let variables = [("SLURM_JOB_ID", "13"), ("SLURM_ARRAY_JOB_ID", "12"), ("SLURM_ARRAY_TASK_ID", "3")];
     let path_variable = format!("{}:{}", folder.path().display(), std::env::var("PATH").unwrap());
     let mut child = Command::new("bash")
@@ -146,5 +192,22 @@ fn a_job_that_was_stopped_or_died_is_queued_again_so_often_and_no_other() {
     let stops = "trap 'sleep 0.3; exit 75' TERM; touch begun; while :; do sleep 0.05; done";
     for signal in ["USR1", "TERM"] {
         assert_eq!(run_script(stops, "1", Some(signal)), (75, requeued.to_owned()), "{signal}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn ranks_are_told_where_to_meet_and_hear_of_signals() {
+    let (mut graph, cluster) = graph(&ranked("retries = 3\ncontainer = 'djinn'\n"), &[]);
+    graph.directory = ".".into();
+    let script = slurm::script(&graph, &graph.jobs[1], &cluster);
+    let run = |program: &str, signal| run_text(&script, program, "0", signal);
+    let meet = "[ \"$MASTER_ADDR $MASTER_PORT $WORLD_SIZE\" = 'one 20013 4' ] || exit 9";
+    assert_eq!(run(meet, None), (0, String::new()));
+    let requeued = "requeue 12_3\n".to_owned();
+    assert_eq!(run("exit $((75 * SLURM_PROCID))", None), (75, requeued.clone()));
+    let stops = "trap 'sleep 0.3; exit 75' USR1; touch begun; while :; do sleep 0.05; done";
+    for signal in ["USR1", "TERM"] {
+        assert_eq!(run(stops, Some(signal)), (75, requeued.clone()), "{signal}");
     }
 }

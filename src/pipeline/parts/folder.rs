@@ -2,8 +2,8 @@
 //!
 //! The plan's id is in the path, so that a worker of a discarded plan cannot write into another one.
 
+use super::Identity;
 use super::PartFile;
-use super::identity::Identity;
 use super::tries::is_try_of;
 use crate::files::{files_below, foreign, remove_if_present, remove_listed};
 use crate::pipeline::stages::is_round_file;

@@ -10,7 +10,6 @@ mod evaluation;
 mod folder;
 mod gathering;
 mod generation;
-mod identity;
 mod plan;
 mod progress;
 mod requests;
@@ -20,7 +19,7 @@ mod tests;
 mod tries;
 mod work;
 
-pub use identity::Identity;
+pub use super::identity::Identity;
 pub use progress::{ShardStatus, shard_status};
 pub use seal::{TakenOver, sealed};
 pub use work::Worker;

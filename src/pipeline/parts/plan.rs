@@ -1,8 +1,8 @@
 //! The first part: one process decides what is to be done.
 
+use super::Identity;
 use super::PartedStage;
 use super::folder::PartsFolder;
-use super::identity::Identity;
 use crate::pipeline::graph::{Action, PlannedStage, check_inputs};
 use crate::pipeline::run::RunFolder;
 use crate::pipeline::{ComputeChoice, Result};

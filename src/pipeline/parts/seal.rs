@@ -1,9 +1,9 @@
 //! The last part: one process publishes the workers' shards as if it had made everything itself.
 
+use super::Identity;
 use super::PartedStage;
 use super::folder::PartsFolder;
 use super::gathering::Gathering;
-use super::identity::Identity;
 use crate::pipeline::graph::{Action, PlannedStage};
 use crate::pipeline::run::RunFolder;
 use crate::pipeline::work::Work;

@@ -1,9 +1,9 @@
 //! Who samples which shard, and what becomes of shards that cannot be sampled? On shards without scenarios.
 
+use super::Identity;
 use super::folder::PartsFolder;
 use super::gathering::Gathering;
 use super::generation::{SampledShard, gather, work_through};
-use super::identity::Identity;
 use super::tries;
 use super::work::{Shards, Worker};
 use super::{sealed, shard_status};

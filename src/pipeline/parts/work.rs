@@ -1,7 +1,7 @@
 //! The second part: any number of processes make shards.
 
+use super::Identity;
 use super::folder::{PartShard, PartsFolder};
-use super::identity::Identity;
 use super::tries::{self, Tries};
 use super::{PartFile, PartedStage};
 use crate::files::remove_if_present;

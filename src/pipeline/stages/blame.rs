@@ -87,7 +87,7 @@ impl From<train::Error> for Failure {
             | train::Error::NoScenes(_)
             | train::Error::NoExamples { .. }
             | train::Error::Diverged { .. } => Blame::Input,
-            train::Error::Stopped { .. } => Blame::Later,
+            train::Error::Stopped { .. } | train::Error::Lost(_) => Blame::Later,
             _ => Blame::Fault,
         };
         Self { blame, ..Self::fault(error) }

@@ -31,11 +31,11 @@ impl Recipe for DenoiserTrainingConfig {
         json!({ "steps": spec.steps })
     }
 
-    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
+    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Option<Value>> {
         let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
         let data = scenes.training_data(self.state_dim, self.resolve()?.network.geometry.is_some())?;
         let start = self.read_start(&job.compute.device)?;
         let outcome = train_denoiser(&self.resolve()?, &data, start.as_ref(), job)?;
-        Ok(training_summary(&data, outcome.spec.steps, &outcome))
+        Ok(outcome.map(|outcome| training_summary(&data, outcome.spec.steps, &outcome)))
     }
 }

@@ -20,7 +20,7 @@ impl Identity {
     ///
     /// # Errors
     /// When the program cannot be read.
-    pub(super) fn own(stage: StageRecord, compute: ComputeChoice) -> Result<Self> {
+    pub(in crate::pipeline) fn own(stage: StageRecord, compute: ComputeChoice) -> Result<Self> {
         let compute = if stage.stage.computes() { compute } else { ComputeChoice::default() };
         Ok(Self { stage, program: program()?, compute: compute.class() })
     }
@@ -29,14 +29,14 @@ impl Identity {
     ///
     /// # Errors
     /// Those of JSON.
-    pub(super) fn plan_id(&self) -> Result<String> {
+    pub(in crate::pipeline) fn plan_id(&self) -> Result<String> {
         let mut id = fingerprint_value(&(&self.stage.fingerprint, &self.program, &self.compute))?;
         id.truncate(16);
         Ok(id)
     }
 
     /// What differs between this process and a `plan` of another one; `None` if they fit together.
-    pub(super) fn difference(&self, plan: &Self) -> Option<String> {
+    pub(in crate::pipeline) fn difference(&self, plan: &Self) -> Option<String> {
         let is_same_stage = self.stage.fingerprint == plan.stage.fingerprint || self.stage.is_same_work(&plan.stage);
         let named = |what: &str, own: &str, plans: &str| {
             (own != plans).then(|| format!("{what}: the plan's is {plans}, this one is {own}"))
@@ -51,7 +51,7 @@ impl Identity {
     }
 
     /// The error of a process that differs from this plan in this way; it says how many shards would be lost.
-    pub(super) fn refusal(&self, difference: &str, (n_finished, n_shards): (usize, usize)) -> Failure {
+    pub(in crate::pipeline) fn refusal(&self, difference: &str, (n_finished, n_shards): (usize, usize)) -> Failure {
         let stage = self.stage.stage;
         Failure::input_message(format_args!(
             "this run folder holds another plan of stage {stage}: {difference}; nothing was changed"
