@@ -206,7 +206,9 @@ fn ranks_are_told_where_to_meet_and_hear_of_signals() {
     assert_eq!(run(meet, None), (0, String::new()));
     let requeued = "requeue 12_3\n".to_owned();
     assert_eq!(run("exit $((75 * SLURM_PROCID))", None), (75, requeued.clone()));
-    let stops = "trap 'sleep 0.3; exit 75' USR1; touch begun; while :; do sleep 0.05; done";
+    // Only when both listen.
+    let stops = "trap 'sleep 0.3; exit 75' USR1; touch began.$SLURM_PROCID; [ -e began.0 ] && [ -e began.1 ] && touch begun; \
+        while :; do sleep 0.05; done";
     for signal in ["USR1", "TERM"] {
         assert_eq!(run(stops, Some(signal)), (75, requeued.clone()), "{signal}");
     }
