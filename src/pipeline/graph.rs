@@ -190,8 +190,18 @@ pub fn execute(
     around: &mut dyn FnMut(StageId, Moment) -> anyhow::Result<()>,
 ) -> Result<Vec<StageRecord>> {
     let mut records = Vec::new();
+    // Stages whose outputs are not what their fingerprint stood for before, such as after a change of the program.
+    let mut changed: Vec<StageId> = Vec::new();
     for PlannedStage { stage, expected, action, kept, .. } in planned {
         let record = if action == Action::Reuse {
+            let stale = stage.inputs().iter().filter_map(|input| input.producer).find(|id| changed.contains(id));
+            if let Some(producer) = stale {
+                context.progress.warn(&format!(
+                    "{stage} is kept, but {producer}, which it reads, came out differently this time: use --redo {stage}",
+                    stage = stage.id()
+                ));
+                changed.push(stage.id());
+            }
             // An older version that was killed right after its last file left it behind.
             remove_if_present(&started_path(context.root, stage.id()))?;
             // Planning has just read the same record.
@@ -207,9 +217,14 @@ pub fn execute(
             around(stage.id(), Moment::Start)?;
             let named = Named { stage: stage.id(), inner: context.progress };
             let context = StageContext { progress: &named, ..*context };
+            let earlier = StageRecord::done(context.root, stage.id());
             let record = run_stage(stage.as_ref(), expected, &action, &kept, &context)
                 .map_err(|failure| failure.of_stage(stage.id()))?;
             around(stage.id(), Moment::End)?;
+            let is_same_work = |earlier: &StageRecord| earlier.fingerprint == record.fingerprint;
+            if earlier.filter(is_same_work).is_some_and(|earlier| earlier.outputs != record.outputs) {
+                changed.push(stage.id());
+            }
             record
         };
         after(&record)?;

@@ -5,12 +5,13 @@ use super::graph::{Action, plan};
 use super::run::{RunFolder, TIMINGS_FILE, run_stages};
 use super::{Blame, Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::files::write_atomically;
-use crate::progress::Silent;
+use crate::progress::Progress;
 use crate::train::Alone;
 use serde_json::{Value, json};
 use std::cell::RefCell;
 use std::io::Write;
 use std::path::Path;
+use std::sync::Mutex;
 
 /// A stage that writes its text and what it reads into a file.
 struct Toy<'a> {
@@ -50,6 +51,11 @@ impl Stage for Toy<'_> {
 
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         self.ran.borrow_mut().push(self.id);
+        if self.text == "unlike" {
+            // As another version of the program would write it.
+            write(&context.root.join(self.output[0]), &format!("{:?}", std::time::Instant::now()))?;
+            return Ok(json!({}));
+        }
         let path = context.root.join(self.output[0]);
         let mut content = fs_err::read_to_string(&path).unwrap_or_default();
         content.push_str(self.text);
@@ -76,6 +82,25 @@ struct Pipeline<'a> {
     second: &'a str,
     version: u32,
     fails: bool,
+    redo: &'a [StageId],
+    heard: Heard,
+}
+
+/// Keeps warnings.
+#[derive(Default)]
+struct Heard(Mutex<Vec<String>>);
+
+impl Progress for Heard {
+    fn start(&self, _phase: &str, _total: u64, _unit: &str) {}
+    fn advance(&self, _n: u64) {}
+    fn note(&self, _message: &str) {}
+    fn warn(&self, message: &str) {
+        self.0.lock().unwrap().push(message.to_owned());
+    }
+    fn finish(&self) {}
+    fn must_stop(&self) -> bool {
+        false
+    }
 }
 
 impl Pipeline<'_> {
@@ -105,9 +130,9 @@ impl Pipeline<'_> {
         ];
         let mut actions = Vec::new();
         let outcome = RunFolder::open(self.root).and_then(|folder| {
-            let planned = plan(self.root, stages, &[])?;
+            let planned = plan(self.root, stages, self.redo)?;
             actions.extend(planned.iter().map(|stage| stage.action.clone()));
-            run_stages(&folder, None, ComputeChoice::default(), planned, &Silent, &Alone).map(drop)
+            run_stages(&folder, None, ComputeChoice::default(), planned, &self.heard, &Alone).map(drop)
         });
         (actions, ran.into_inner(), outcome)
     }
@@ -126,7 +151,34 @@ fn in_folder(test: impl FnOnce(Pipeline<'_>)) {
     fs_err::write(folder.path().join("recording.csv"), "1,2").unwrap();
     let root = folder.path().join("run");
     fs_err::create_dir(&root).unwrap();
-    test(Pipeline { root: &root, first: "a", second: "b", version: 1, fails: false });
+    test(Pipeline {
+        root: &root,
+        first: "a",
+        second: "b",
+        version: 1,
+        fails: false,
+        redo: &[],
+        heard: Heard::default(),
+    });
+}
+
+#[test]
+fn what_comes_out_differently_when_it_is_done_again_is_said() {
+    in_folder(|mut pipeline| {
+        pipeline.first = "unlike";
+        pipeline.run().2.unwrap();
+        pipeline.redo = &[StageId::Ingest];
+        let (_, ran, outcome) = pipeline.run();
+        assert!(outcome.is_ok() && ran == [StageId::Ingest]);
+        let heard = pipeline.heard.0.lock().unwrap().join("\n");
+        assert!(heard.contains("mine is kept, but ingest, which it reads, came out differently"), "{heard}");
+    });
+    in_folder(|mut pipeline| {
+        pipeline.run().2.unwrap();
+        pipeline.redo = &[StageId::Ingest];
+        pipeline.run().2.unwrap();
+        assert!(pipeline.heard.0.lock().unwrap().is_empty(), "the same came out");
+    });
 }
 
 #[test]

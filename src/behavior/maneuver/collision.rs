@@ -93,8 +93,8 @@ fn courses(driver: &Driver, extent: Extent) -> Vec<Course> {
 /// The positions of a drifting agent at present and at each timestep after it, and its poses at the latter. It drifts over
 /// the distance that it would drive without braking, so that it does not slide aside while it stops.
 fn drifting(driver: &Driver, (rail, pace, drift_m): (usize, &Pace, f64)) -> (Vec<Vec2>, Vec<(Vec2, f64)>) {
-    let driven_m = driver.progress(rail, pace).driven_m;
-    let way_m = driver.progress(rail, &pace.unchanged()).driven_m.last().copied().unwrap_or_default().max(1.0);
+    let driven_m = driver.travel(rail, pace).driven_m;
+    let way_m = driver.travel(rail, &pace.unchanged()).driven_m.last().copied().unwrap_or_default().max(1.0);
     let aside = |step: usize, (at, along): (Vec2, Vec2)| {
         let share = if step == 0 { 0.0 } else { quintic(driven_m[step - 1] / way_m) };
         at + Vec2::from_angle(along.angle()).rotated(FRAC_PI_2) * (drift_m * share)

@@ -38,8 +38,8 @@ impl CutOut {
         let mut maneuvers = Vec::new();
         for way in &ways {
             for ((own_rail, their_rail), (own_mps2, their_mps2)) in &tried {
-                let theirs = revealed.progress(*their_rail, &Pace::steady(*their_mps2));
-                let coasting = ego.progress(*own_rail, &Pace::steady(*own_mps2));
+                let theirs = revealed.travel(*their_rail, &Pace::steady(*their_mps2));
+                let coasting = ego.travel(*own_rail, &Pace::steady(*own_mps2));
                 let is_reached = REVEALED_AT_S.iter().any(|after_s| {
                     let step = (((way.midway_s + after_s) / scene.dt_s) as usize).min(theirs.driven_m.len() - 1);
                     self.is_reached(&Ahead {
@@ -51,7 +51,7 @@ impl CutOut {
                 });
                 // Both drive along the same way, so the difference of their distances closes the gap.
                 let keeps = |pace: &Pace| {
-                    let own = ego.progress(*own_rail, pace).driven_m;
+                    let own = ego.travel(*own_rail, pace).driven_m;
                     own.iter().zip(&theirs.driven_m).all(|(own, theirs)| own - theirs < next.gap_m)
                 };
                 let braking = |mps2: f64| Pace::steady(*own_mps2).then(way.midway_s + REACTION_S, -mps2);
@@ -63,7 +63,7 @@ impl CutOut {
                     parameters: &["ttc_s", "gap_m", "relative_speed_mps", "side"],
                     in_the_way: Some(InTheWay::Everybody),
                     positions: vec![
-                        ego.positions(*own_rail, &ego.progress(*own_rail, &pace).driven_m),
+                        ego.positions(*own_rail, &ego.travel(*own_rail, &pace).driven_m),
                         revealed.positions(*their_rail, &theirs.driven_m),
                         way.positions.clone(),
                     ],

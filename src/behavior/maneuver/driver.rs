@@ -51,7 +51,7 @@ pub(in crate::behavior) struct Rail {
 }
 
 /// The distance driven, meters, and the speed, m/s, at each timestep after the present.
-pub(in crate::behavior) struct Progress {
+pub(in crate::behavior) struct Travel {
     pub(in crate::behavior) driven_m: Vec<f64>,
     pub(in crate::behavior) speeds_mps: Vec<f64>,
 }
@@ -110,11 +110,11 @@ impl Driver {
         Some(Self { state, rails, dt_s: scene.dt_s, n_steps })
     }
 
-    /// Its progress along a rail at this pace. It never reverses, and it brakes for bends.
-    pub(in crate::behavior) fn progress(&self, rail: usize, pace: &Pace) -> Progress {
+    /// Its travel along a rail at this pace. It never reverses, and it brakes for bends.
+    pub(in crate::behavior) fn travel(&self, rail: usize, pace: &Pace) -> Travel {
         let (mut driven_m, mut speed_mps, step_s) = (0.0, self.state.speed_mps(), self.dt_s / N_STEPS as f64);
-        let mut progress =
-            Progress { driven_m: Vec::with_capacity(self.n_steps), speeds_mps: Vec::with_capacity(self.n_steps) };
+        let mut travel =
+            Travel { driven_m: Vec::with_capacity(self.n_steps), speeds_mps: Vec::with_capacity(self.n_steps) };
         for step in 0..self.n_steps * N_STEPS {
             let least_mps = speed_mps - BRAKES_MPS2 * step_s;
             let allowed_mps = (pace.briskness * self.rails[rail].allowed_mps(driven_m)).max(least_mps);
@@ -123,11 +123,11 @@ impl Driver {
             driven_m += f64::midpoint(speed_mps, then_mps) * step_s;
             speed_mps = then_mps;
             if step % N_STEPS == N_STEPS - 1 {
-                progress.driven_m.push(driven_m);
-                progress.speeds_mps.push(speed_mps);
+                travel.driven_m.push(driven_m);
+                travel.speeds_mps.push(speed_mps);
             }
         }
-        progress
+        travel
     }
 
     /// Its positions along a rail, at present and at each timestep after it.

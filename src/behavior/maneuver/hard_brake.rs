@@ -32,7 +32,7 @@ impl HardBrake {
             for (rail, from_s) in (0..driver.rails.len()).flat_map(|rail| BEGINS_S.map(|from_s| (rail, from_s))) {
                 for lasts_s in LASTS_S {
                     let pace = Pace::steady(0.0).then(from_s, -deceleration_mps2).then(from_s + lasts_s, 0.0);
-                    let positions = vec![driver.positions(rail, &driver.progress(rail, &pace).driven_m)];
+                    let positions = vec![driver.positions(rail, &driver.travel(rail, &pace).driven_m)];
                     maneuvers.push(Maneuver {
                         kind: [i, (from_s * 10.0) as usize],
                         effort: deceleration_mps2 / HARDEST_MPS2,

@@ -52,7 +52,7 @@ pub(super) fn ways_over(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize)
         let Some(aside_m) = target.project(now.position).map(|place| place.offset_m.abs()) else { continue };
         for along_mps2 in ALONG_MPS2 {
             for rail in 0..driver.rails.len() {
-                let on_own = driver.positions(rail, &driver.progress(rail, &Pace::steady(along_mps2)).driven_m);
+                let on_own = driver.positions(rail, &driver.travel(rail, &Pace::steady(along_mps2)).driven_m);
                 let on_target: Option<Vec<Vec2>> =
                     on_own.iter().map(|at| target.point_at(target.project(*at)?.station_m)).collect();
                 let Some(on_target) = on_target else { continue };

@@ -56,7 +56,7 @@ impl PedestrianStepsOut {
                     (0..=n_steps).map(|step| theirs.position + toward * walked_m(step as f64 * scene.dt_s)).collect();
                 for (rail, own_mps2) in (0..driver.rails.len()).flat_map(|rail| EGO_MPS2.map(|mps2| (rail, mps2))) {
                     let at_speed = |mps2: f64| Pace::steady(own_mps2).then(seen_s + REACTION_S, -mps2);
-                    let driven_m = |pace: Pace| driver.progress(rail, &pace).driven_m;
+                    let driven_m = |pace: Pace| driver.travel(rail, &pace).driven_m;
                     let stops = |driven_m: &Vec<f64>| driven_m.iter().all(|driven_m| *driven_m < gap_m);
                     let stopping = BRAKES_MPS2.into_iter().map(|mps2| driven_m(at_speed(mps2))).find(stops);
                     let Some(driven_m) = stopping else { continue };

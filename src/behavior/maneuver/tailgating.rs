@@ -32,7 +32,7 @@ impl Tailgating {
         let gaps = gaps(&now, config.max_headway_s);
         let mut maneuvers = Vec::new();
         for (rail, mps2) in (0..leader.rails.len()).flat_map(|rail| LEADER_MPS2.map(|mps2| (rail, mps2))) {
-            let led_m = leader.progress(rail, &Pace::steady(mps2)).driven_m;
+            let led_m = leader.travel(rail, &Pace::steady(mps2)).driven_m;
             for gap in &gaps {
                 let gap_m = |step: usize| gap.at((step + 1) as f64 * scene.dt_s);
                 let own_m = |(step, led_m): (usize, &f64)| led_m + now.gap_m - gap_m(step);

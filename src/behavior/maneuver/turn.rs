@@ -24,7 +24,7 @@ pub(in crate::behavior) fn maneuvers(config: &TurnConfig, scene: &Scene, agent_i
         effort: effort(mps2).max(briskness - 1.0),
         parameters: &["mean_speed_mps"],
         in_the_way: Some(InTheWay::Ahead),
-        positions: vec![driver.positions(rail, &driver.progress(rail, &Pace::steady(mps2).brisk(briskness)).driven_m)],
+        positions: vec![driver.positions(rail, &driver.travel(rail, &Pace::steady(mps2).brisk(briskness)).driven_m)],
     };
     tried.map(maneuver).collect()
 }

@@ -20,9 +20,9 @@ pub(super) struct Drive {
 impl Drive {
     /// The drive along one of an agent's rails at this pace. `extents` are its box and the inner part of the box.
     pub(super) fn new(driver: &Driver, rail: usize, pace: &Pace, extents: [Extent; 2]) -> Self {
-        let progress = driver.progress(rail, pace);
-        let [outer, inner] = extents.map(|extent| driver.boxes(rail, &progress.driven_m, extent));
-        Self { effort: pace.effort(), driven_m: progress.driven_m, speeds_mps: progress.speeds_mps, outer, inner }
+        let travel = driver.travel(rail, pace);
+        let [outer, inner] = extents.map(|extent| driver.boxes(rail, &travel.driven_m, extent));
+        Self { effort: pace.effort(), driven_m: travel.driven_m, speeds_mps: travel.speeds_mps, outer, inner }
     }
 
     /// Its velocity at a step.
