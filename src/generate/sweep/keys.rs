@@ -83,8 +83,8 @@ pub(super) struct SweepKeys {
     edit: Option<EditConfig>,
     /// Whether the agents of the event follow a template: a maneuver along the lanes that is solved for the sample's
     /// target. The denoiser observes all of it and samples everybody else. If no maneuver reaches the target, the
-    /// sample follows another one; if there is none at all, it is sampled freely. `cut_in` and `near_miss` have
-    /// templates. Left out: false.
+    /// sample follows another one; if there is none at all, it is sampled freely. Every behavior but
+    /// `cut_in_paper` has templates. Left out: false.
     #[serde(skip_serializing_if = "Option::is_none")]
     template: Option<bool>,
     /// Which samples become scenarios. Left out: all.
