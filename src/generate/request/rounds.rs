@@ -94,7 +94,10 @@ impl ResolvedRequest {
                 break;
             }
             let members = self.choose_cells(context, slot, n_cells, &planned);
-            let n_planned = n_samples * n_cells as u64;
+            if members.is_empty() {
+                break;
+            }
+            let n_planned = n_samples * members.len() as u64;
             spent = (spent.0 + n_planned, spent.1 + n_planned * arm.n_evaluations);
             let idx = context.next_idx + shards.len();
             let plan = self.shard(context, (idx, arm), &members, &planned);
@@ -178,10 +181,11 @@ impl ResolvedRequest {
             let mut rng = seed.derive("cell", &[cell as u64]).rng();
             gamma(&mut rng, CELL_SHAPE + ledger.open_hits_of_cell(cell) as f64) / (CELL_SHAPE + n_expected)
         };
-        // Cells of another shard of the round, and cells that reach no open bucket, come last.
-        let ease = |cell: usize| context.open_buckets(cell).map(|(_, ease)| ease).fold(0.0, f64::max);
+        // Cells of another shard of the round come last, and cells that reach no open bucket not at all.
+        let ease = |cell: usize| context.open_buckets(cell).map(|(_, ease)| ease).reduce(f64::max);
+        let useful = (0..n).filter_map(|cell| Some((cell, ease(cell)?)));
         let mut order: Vec<(bool, f64, usize)> =
-            (0..n).map(|cell| (planned.contains_key(&cell), draw(cell) * ease(cell), cell)).collect();
+            useful.map(|(cell, ease)| (planned.contains_key(&cell), draw(cell) * ease, cell)).collect();
         order.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
         let mut members: Vec<usize> = order.into_iter().take(n_cells).map(|(_, _, cell)| cell).collect();
         members.sort_unstable();
