@@ -94,10 +94,10 @@ impl Pace {
 }
 
 impl Driver {
-    /// `None` if the agent is not tracked at present.
+    /// `None` if the agent is not tracked at present, or the scene ends there.
     pub(in crate::behavior) fn new(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
         let state = *scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
-        let n_steps = scene.n_timesteps - scene.n_history;
+        let n_steps = scene.n_timesteps.checked_sub(scene.n_history).filter(|n_steps| *n_steps > 0)?;
         let horizon_s = n_steps as f64 * scene.dt_s;
         let hardest_mps2 = ORDINARY_MPS2.into_iter().fold(0.0, f64::max);
         let reach_m = (state.speed_mps() + hardest_mps2 * horizon_s / 2.0) * horizon_s;
