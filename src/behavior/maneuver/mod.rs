@@ -7,6 +7,7 @@ mod collision;
 mod cut_out;
 mod driver;
 mod hard_brake;
+mod lane_change;
 mod moving_over;
 mod pedestrian_steps_out;
 mod tailgating;
@@ -120,15 +121,14 @@ pub(super) fn template(
 
 /// The index of the `variant`-th of `n`: each index once before any is repeated, and the first few spread over all.
 pub(super) fn spread(variant: usize, n: usize) -> usize {
-    let divides = |a: usize, b: usize| {
-        let (mut a, mut b) = (a, b);
+    let greatest_common_divisor = |mut a: usize, mut b: usize| {
         while b > 0 {
             (a, b) = (b, a % b);
         }
         a
     };
     let nearest = (n as f64 * STRIDE) as usize;
-    let stride = (1..=nearest).rev().find(|stride| divides(*stride, n) == 1).unwrap_or(1);
+    let stride = (1..=nearest).rev().find(|stride| greatest_common_divisor(*stride, n) == 1).unwrap_or(1);
     if n == 0 { 0 } else { variant % n * stride % n }
 }
 

@@ -1,11 +1,10 @@
-//! Moving over to the lane beside.
+//! Moving over to the lane beside, as lane changes and cut-outs do.
 
-use super::{Driver, Maneuver, Pace};
+use super::{Driver, Pace};
 use crate::behavior::kept_lane::KeptLane;
-use crate::behavior::lane_change::LaneChange;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::effort;
-use crate::behavior::template::{InTheWay, QUINTIC_PEAK, quintic};
+use crate::behavior::template::{QUINTIC_PEAK, quintic};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::f64::consts::FRAC_PI_4;
@@ -71,22 +70,4 @@ pub(super) fn ways_over(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize)
         }
     }
     found
-}
-
-impl LaneChange {
-    /// Maneuvers of an agent that moves over.
-    pub(in crate::behavior) fn changes(&self, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
-        if !self.config().agents.admits(scene.tracks[agent_idx].class) {
-            return Vec::new();
-        }
-        let ways = ways_over(scene, &SceneLanes::new(&scene.lanes), agent_idx).into_iter();
-        let maneuver = |way: MovingOver| Maneuver {
-            kind: [usize::from(way.side > 0.0), (way.midway_s * 2.0) as usize],
-            effort: way.effort,
-            parameters: &["side"],
-            in_the_way: Some(InTheWay::Everybody),
-            positions: vec![way.positions],
-        };
-        ways.map(maneuver).collect()
-    }
 }

@@ -1,0 +1,26 @@
+//! Changing lanes: moving over to the lane beside.
+
+use super::Maneuver;
+use super::moving_over::{MovingOver, ways_over};
+use crate::behavior::lane_change::LaneChange;
+use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::template::InTheWay;
+use crate::scene::Scene;
+
+impl LaneChange {
+    /// Maneuvers of an agent that moves over.
+    pub(in crate::behavior) fn changes(&self, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
+        if !self.config().agents.admits(scene.tracks[agent_idx].class) {
+            return Vec::new();
+        }
+        let ways = ways_over(scene, &SceneLanes::new(&scene.lanes), agent_idx).into_iter();
+        let maneuver = |way: MovingOver| Maneuver {
+            kind: [usize::from(way.side > 0.0), (way.midway_s * 2.0) as usize],
+            effort: way.effort,
+            parameters: &["side"],
+            in_the_way: Some(InTheWay::Everybody),
+            positions: vec![way.positions],
+        };
+        ways.map(maneuver).collect()
+    }
+}
