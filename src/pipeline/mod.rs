@@ -31,6 +31,7 @@ pub mod run;
 #[cfg(test)]
 mod safety_tests;
 mod stage;
+mod stale;
 mod stage_facts;
 pub mod stages;
 pub mod status;
