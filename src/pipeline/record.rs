@@ -320,8 +320,10 @@ fn without_places(config: &Value) -> Value {
     for key in ["inputs", "map_inputs", "checkpoint", "start_from"] {
         config.as_object_mut().map(|section| section.remove(key));
     }
-    for more in config.get_mut("data").and_then(Value::as_array_mut).into_iter().flatten() {
-        more.as_object_mut().map(|more| more.remove("scenes"));
+    for (list, key) in [("data", "scenes"), ("requests", "prior")] {
+        for more in config.get_mut(list).and_then(Value::as_array_mut).into_iter().flatten() {
+            more.as_object_mut().map(|more| more.remove(key));
+        }
     }
     config
 }

@@ -117,6 +117,8 @@ pub struct Ledger {
     pub(super) first_round: Vec<ArmCounts>,
     pub(super) cells: Vec<CellCounts>,
     n_evaluations_by_arm: Vec<u64>,
+    /// Whether the first round tries arms.
+    has_trial: bool,
 }
 
 impl Ledger {
@@ -139,6 +141,7 @@ impl Ledger {
             first_round: vec![counts; n_arms],
             cells: vec![CellCounts { n_samples: vec![0; n_arms], ..CellCounts::default() }; n_cells],
             n_evaluations_by_arm: request.arms.iter().map(|arm| arm.n_evaluations).collect(),
+            has_trial: request.is_trial(0),
         }
     }
 
@@ -168,7 +171,7 @@ impl Ledger {
                 }
             }
             self.arms[tally.arm].add(cell);
-            if tally.round == 0 {
+            if tally.round == 0 && self.has_trial {
                 self.first_round[tally.arm].add(cell);
             }
         }

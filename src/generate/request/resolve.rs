@@ -1,8 +1,9 @@
 //! How do requests become sweeps? One for each request, arm and strength, after the configured sweeps.
 
 use super::buckets::Buckets;
-use super::config::{Divisions, RequestConfig, Requirement};
+use super::config::{Divisions, PlanKind, RequestConfig, Requirement};
 use super::facts::check_name;
+use super::prior::ArmPrior;
 use crate::behavior::{self, Behavior};
 use crate::generate::sweep::mined;
 use crate::generate::{Error, GenerateConfig, ResolvedSweep, SelectConfig};
@@ -59,6 +60,8 @@ pub struct Arm {
     pub level: GuidanceLevel,
     /// Whether one of its objectives aims at the open bucket.
     pub aims: bool,
+    /// What earlier runs tell about it.
+    pub prior: Option<ArmPrior>,
 }
 
 impl GenerateConfig {
@@ -96,6 +99,7 @@ impl GenerateConfig {
                         n_evaluations: sweep.n_evaluations(),
                         level,
                         aims: !sweep.aims_at().is_empty(),
+                        prior: None,
                     });
                     resolved.sweeps.push(sweep);
                 }
@@ -136,6 +140,9 @@ impl RequestConfig {
             return refuse("arms", "is empty; list at least one of [[generate.arms]]");
         }
         settings::distinct("arms", &self.arms)?;
+        if self.prior.is_some() && self.plan == PlanKind::Even {
+            return refuse("prior", "has no effect on plan = \"even\"; remove one of the two");
+        }
         match self.budget.n_samples.or(self.budget.n_evaluations) {
             None => refuse("budget", "is empty; set n_samples or n_evaluations"),
             Some(_) => Ok(()),

@@ -64,9 +64,15 @@ pub struct ArmSummary {
     pub level: GuidanceLevel,
     /// Evaluations of the denoiser for one sample.
     pub n_evaluations_per_sample: u64,
+    /// Samples that aimed at a bucket, over all rounds.
+    #[serde(default)]
+    pub n_aimed: u64,
+    /// Those of them that fell into it.
+    #[serde(default)]
+    pub n_aimed_hits: u64,
     /// Over all rounds; arms and scenes with a higher yield are tried more often.
     pub total: Yield,
-    /// In the first round, in which every arm continues the same scenes from the same noise.
+    /// In the first round, in which every arm without a prior continues the same scenes from the same noise.
     pub first_round: Yield,
 }
 
@@ -135,6 +141,8 @@ impl RequestSummary {
             name: arm.name.clone(),
             level: arm.level,
             n_evaluations_per_sample: arm.n_evaluations,
+            n_aimed: ledger.aimed_of_arm(i, |_| true).n_samples,
+            n_aimed_hits: ledger.aimed_of_arm(i, |_| true).n_hits,
             total: Yield::of(&ledger.arms[i]),
             first_round: Yield::of(&ledger.first_round[i]),
         });

@@ -7,13 +7,13 @@ use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledW
 use super::with_precision;
 use crate::diffusion::Edm;
 use crate::evaluate::{for_maps, map_fits};
-use crate::generate::{self, GenerateConfig, Generator, Plan, Pool, ResolvedGeneration, ShardPlan, Shortfall};
+use crate::generate::{self, GenerateConfig, Generator, Plan, Pool, RequestSummary, ResolvedGeneration, ShardPlan, Shortfall};
 use crate::metrics::MetricSettings;
 use crate::nn::{Compute, Precision};
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::progress::Progress;
-use crate::store::SceneStore;
+use crate::store::{SceneStore, read_json};
 use crate::train::DistillTrainingConfig;
 use serde_json::{Value, json};
 
@@ -80,7 +80,10 @@ impl Stage for Generate<'_> {
         let made =
             |stage: StageId| stage.output(self.layout).map(|(name, path)| StageInput::made_by(stage, name, path));
         let scenes = StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes);
-        std::iter::once(scenes).chain(needed.into_iter().filter_map(made)).collect()
+        let priors = self.config.requests.iter().filter_map(|request| {
+            Some(StageInput::external(format!("prior of {}", request.name), request.prior.as_deref()?))
+        });
+        std::iter::once(scenes).chain(needed.into_iter().filter_map(made)).chain(priors).collect()
     }
 
     fn outputs(&self) -> &'static [&'static str] {
@@ -224,7 +227,16 @@ impl Generate<'_> {
 
     /// The resolved section, which includes the sweeps of requests.
     pub(in crate::pipeline) fn resolve(&self) -> Result<ResolvedGeneration> {
-        Ok(self.config.resolve(&self.mine.build()?)?)
+        let mut resolved = self.config.resolve(&self.mine.build()?)?;
+        for request in &mut resolved.requests {
+            let Some(path) = request.config.prior.clone() else { continue };
+            let earlier = read_json::<Vec<RequestSummary>>(&path).map_err(|error| {
+                Failure::input(error).with_hint("prior is the file samples/requests.json of a run with requests")
+            })?;
+            let section = format!("generate.requests.{}", request.idx);
+            request.learn(&earlier).map_err(|issue| Failure::input(issue.within(&section)))?;
+        }
+        Ok(resolved)
     }
 }
 

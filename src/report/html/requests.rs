@@ -105,7 +105,8 @@ fn arms(request: &RequestSummary) -> Markup {
         @for (i, arm) in request.arms.iter().enumerate() {
             tr {
                 th scope="row" { (arm.name) } td class="n" { (level(arm.level)) } td class="n" { (count(arm.n_evaluations_per_sample)) }
-                (of("first", &arm.first_round, n_hit(|bucket| &bucket.first_round_hits_by_arm, i)))
+                @if arm.first_round.n_samples > 0 { (of("first", &arm.first_round, n_hit(|bucket| &bucket.first_round_hits_by_arm, i))) }
+                @else { td { "first" } td colspan="7" { "not tried: known from an earlier run" } }
             }
             tr { th scope="row" { (arm.name) } td {} td {} (of("all", &arm.total, n_hit(|bucket| &bucket.hits_by_arm, i))) }
         }

@@ -94,6 +94,8 @@ pub(super) fn request(name: &str) -> RequestSummary {
         name: name.into(),
         level: GuidanceLevel::of_strength(strength),
         n_evaluations_per_sample: 39,
+        n_aimed: 0,
+        n_aimed_hits: 0,
         total,
         first_round,
     };
