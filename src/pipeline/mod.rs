@@ -31,9 +31,9 @@ pub mod run;
 #[cfg(test)]
 mod safety_tests;
 mod stage;
-mod stale;
 mod stage_facts;
 pub mod stages;
+mod stale;
 pub mod status;
 mod work;
 

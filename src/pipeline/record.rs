@@ -142,9 +142,10 @@ impl StageRecord {
     /// A stage that `earlier` read, if it wrote other bytes than it has written now, as far as both are known.
     pub(super) fn rewritten_since(&self, earlier: &Self) -> Option<StageId> {
         self.inputs.iter().find_map(|(name, input)| match (input, earlier.inputs.get(name)?) {
-            (InputRecord::Stage { producer, content: Some(now), .. }, InputRecord::Stage { content: Some(then), .. }) => {
-                (now != then).then_some(*producer)
-            }
+            (
+                InputRecord::Stage { producer, content: Some(now), .. },
+                InputRecord::Stage { content: Some(then), .. },
+            ) => (now != then).then_some(*producer),
             _ => None,
         })
     }
@@ -163,10 +164,8 @@ impl StageRecord {
     pub(super) fn with_inputs_of(mut self, root: &Path, expected: &Self) -> Result<Self> {
         let mut inputs = expected.inputs.clone();
         for (name, input) in &mut inputs {
-            if let (
-                InputRecord::Stage { content, .. },
-                Some(InputRecord::Stage { content: then @ Some(_), .. }),
-            ) = (input, self.inputs.get(name))
+            if let (InputRecord::Stage { content, .. }, Some(InputRecord::Stage { content: then @ Some(_), .. })) =
+                (input, self.inputs.get(name))
             {
                 content.clone_from(then);
             }

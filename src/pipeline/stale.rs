@@ -37,7 +37,8 @@ pub(super) fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>)
         Action::Resume => Work::started(context.root, id),
         Action::Run(_) => None,
     };
-    let Some((producer, earlier)) = earlier.and_then(|earlier| Some((planned.expected.rewritten_since(&earlier)?, earlier)))
+    let Some((producer, earlier)) =
+        earlier.and_then(|earlier| Some((planned.expected.rewritten_since(&earlier)?, earlier)))
     else {
         return Ok(());
     };
