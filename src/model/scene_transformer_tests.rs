@@ -2,6 +2,7 @@
 
 use super::tests::drives;
 use super::*;
+use crate::nn::testing::worst;
 use crate::nn::{Compute, Params};
 use crate::scene::testing::{Drive, scene};
 use crate::scene::{ObservationMask, Scene};
@@ -48,11 +49,6 @@ fn collate(scenes: &[&Scene]) -> SceneBatch {
     let masks: Vec<_> = scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), 12, 4)).collect();
     let views: Vec<_> = scenes.iter().zip(&masks).map(|(scene, mask)| SceneView { scene, ego_idx: 0, mask }).collect();
     collator.collate(&views, FutureValidity::Recorded, &Device::Cpu).unwrap()
-}
-
-fn worst(a: &Tensor, b: &Tensor) -> f32 {
-    assert_eq!(a.dims(), b.dims());
-    (a - b).unwrap().abs().unwrap().flatten_all().unwrap().max(0).unwrap().to_scalar().unwrap()
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::diffusion::{Denoiser, Edm};
+use crate::nn::testing::{assert_gradients, values, worst};
 use crate::nn::{Compute, Params, Scope};
 use crate::scene::testing::{Drive, scene};
 use crate::scene::{ObservationMask, Scene};
@@ -50,16 +51,6 @@ fn collate(scenes: &[&Scene]) -> SceneBatch {
     collator.collate(&views, FutureValidity::Recorded, &Device::Cpu).unwrap()
 }
 
-pub(super) fn values(tensor: &Tensor) -> Vec<f32> {
-    tensor.flatten_all().unwrap().to_vec1().unwrap()
-}
-
-/// The largest difference between two tensors. Not quite zero where batches differ: matrix products block by size.
-pub(super) fn worst(a: &Tensor, b: &Tensor) -> f32 {
-    assert_eq!(a.dims(), b.dims());
-    values(a).iter().zip(values(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
-}
-
 /// Deterministic noisy states of one scene's shape.
 pub(super) fn noisy(batch: &SceneBatch, seed: u64) -> Tensor {
     let mut rng = Seed(seed).rng();
@@ -76,11 +67,8 @@ fn every_parameter_receives_a_gradient() {
     let batch = collate(&[&cars(3)]);
     let sigma = Tensor::new(&[0.4f32], &Device::Cpu).unwrap();
     let x0_hat = denoiser.bind(&batch, 1).unwrap().denoise(&noisy(&batch, 2), &sigma).unwrap();
-    let gradients = (x0_hat - &batch.x0).unwrap().sqr().unwrap().sum_all().unwrap().backward().unwrap();
-    for (name, var) in params.iter() {
-        let gradient = gradients.get(var.as_tensor()).unwrap_or_else(|| panic!("{name} has no gradient"));
-        assert!(values(gradient).iter().any(|g| *g != 0.0), "the gradient of {name} is zero");
-    }
+    let loss = (x0_hat - &batch.x0).unwrap().sqr().unwrap().sum_all().unwrap();
+    assert_gradients(&loss, &params, |_| true);
 }
 
 #[test]
@@ -156,7 +144,7 @@ fn the_papers_network_has_15_layers_and_12_million_parameters() {
 
 /// Fails unless two tensors agree to a ten-thousandth of the largest entry.
 fn assert_close(name: &str, found: &Tensor, expected: &Tensor) {
-    let scale = values(expected).iter().fold(0f32, |m, v| m.max(v.abs()));
+    let scale = values(expected).iter().fold(0f64, |m, v| m.max(v.abs()));
     let error = worst(found, expected) / scale;
     assert!(error < 1e-4, "{name}: relative difference {error}");
 }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::geometry::angle_difference;
+use crate::nn::testing::{scalar, values};
 use crate::scene::testing::{Drive, scene, without_states};
 use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
@@ -65,7 +66,7 @@ fn a_zero_residual_is_constant_velocity() {
         let (last, found) = (scene.state(1, 3).unwrap(), decoded.state(1, 11).unwrap());
         assert!(found.position.distance(last.position + last.velocity * 0.8) < 1e-4);
         // The car that drives straight on has no residual at all.
-        let x0 = batch.x0.get(0).unwrap().get(0).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        let x0 = values(&batch.x0.get(0).unwrap().get(0).unwrap());
         assert!(x0.iter().all(|x| x.abs() < 1e-5), "{x0:?}");
     }
 }
@@ -77,7 +78,7 @@ fn diffused_states_have_the_standard_deviation_sigma_data() {
     for parametrization in [StateParametrization::Residual, StateParametrization::Motion] {
         let batch = collate(&collator(&scene, parametrization), &scene, 0, &mask);
         let x0 = batch.x0.flatten_to(2).unwrap();
-        let latent = batch.latent.sum_all().unwrap().to_scalar::<f32>().unwrap();
+        let latent = scalar(&batch.latent.sum_all().unwrap());
         let mean_square = (x0.sqr().unwrap().sum(0).unwrap() / f64::from(latent)).unwrap().to_vec1::<f32>().unwrap();
         assert!(mean_square.iter().all(|m| (m - 0.25).abs() < 1e-3), "{mean_square:?}");
     }
@@ -104,9 +105,7 @@ fn what_is_to_be_generated_never_shows_in_what_the_network_is_given() {
     for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
         let collator = collator(&scene, parametrization);
         let (a, b) = (collate(&collator, &scene, 0, &mask), collate(&collator, &altered, 0, &mask));
-        let same = |x: &Tensor, y: &Tensor| {
-            x.flatten_all().unwrap().to_vec1::<f32>().unwrap() == y.flatten_all().unwrap().to_vec1::<f32>().unwrap()
-        };
+        let same = |x: &Tensor, y: &Tensor| values(x) == values(y);
         assert!(same(&a.context, &b.context) && same(&a.features, &b.features) && same(&a.base, &b.base));
         assert!(!same(&a.x0, &b.x0));
         for (x, y) in [(&a.observed_motion, &b.observed_motion), (&a.path, &b.path)] {
@@ -157,7 +156,7 @@ fn sampling_covers_every_future_state_of_agents_seen() {
     for source in [&scene, &history_only] {
         let view = SceneView { scene: source, ego_idx: 0, mask: &mask };
         let batch = collator.collate(&[view], FutureValidity::Everything, &Device::Cpu).unwrap();
-        assert_eq!(batch.latent.sum_all().unwrap().to_scalar::<f32>().unwrap(), 24.0);
+        assert_eq!(scalar(&batch.latent.sum_all().unwrap()), 24.0);
         let generated = &batch.decode_scenes(&batch.x0, &[source]).unwrap()[0];
         assert_eq!((generated.n_timesteps, generated.tracks[2].trajectory.n_valid()), (12, 12));
     }
@@ -175,10 +174,10 @@ fn pair_features_do_not_change_when_the_scene_is_seen_from_another_agent() {
             let features = PairFeatures::new(&batch, &[(1, 0)], parametrization, 0.5).unwrap();
             let all = features.forward(&batch.x0, &sigma).unwrap();
             assert_eq!(all.dims(), &[1, PairFeatures::n_features(12, 3)]);
-            all.flatten_all().unwrap().to_vec1::<f32>().unwrap()
+            values(&all)
         };
         if parametrization != StateParametrization::Scene {
-            let worst = features(0).iter().zip(features(2)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            let worst = features(0).iter().zip(features(2)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(worst < 1e-4, "{worst}");
         }
     }
