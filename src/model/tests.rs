@@ -4,12 +4,11 @@ use super::*;
 use crate::diffusion::{Denoiser, Edm};
 use crate::nn::testing::{assert_gradients, values, worst};
 use crate::nn::{Compute, Params, Scope};
+use crate::scene::Scene;
 use crate::scene::testing::{Drive, scene};
-use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
-use crate::tensor::{
-    Collator, FutureValidity, NormalizerFit, SceneBatch, SceneTensors, SceneView, StateParametrization,
-};
+use crate::tensor::testing::collator;
+use crate::tensor::{FutureValidity, SceneBatch, SceneTensors, StateParametrization};
 use candle_core::{Device, Tensor};
 
 fn config() -> NetworkConfig {
@@ -42,13 +41,7 @@ fn cars(n: usize) -> Scene {
 }
 
 fn collate(scenes: &[&Scene]) -> SceneBatch {
-    let mut fit = NormalizerFit::default();
-    fit.add(&cars(3));
-    let normalizer = fit.finish(StateParametrization::Motion, 3);
-    let collator = Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 16, sight: None };
-    let masks: Vec<_> = scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), 12, 4)).collect();
-    let views: Vec<_> = scenes.iter().zip(&masks).map(|(scene, mask)| SceneView { scene, ego_idx: 0, mask }).collect();
-    collator.collate(&views, FutureValidity::Recorded, &Device::Cpu).unwrap()
+    collator([&cars(3)], StateParametrization::Motion).predictive(scenes, FutureValidity::Recorded)
 }
 
 /// Deterministic noisy states of one scene's shape.

@@ -1,5 +1,6 @@
 //! Encoding and decoding agree, masks are what the paper says, and nothing leaks.
 
+use super::testing::collator;
 use super::*;
 use crate::geometry::angle_difference;
 use crate::nn::testing::{scalar, values};
@@ -12,13 +13,6 @@ fn three_cars() -> Scene {
     let turning = Drive { x: 30.0, y: 20.0, heading_rad: -1.6, speed_mps: 8.0, curvature_1pm: -0.3 };
     let scene = scene(&[Drive::straight(5.0, 1.0, 0.3, 12.0), turning, Drive::straight(-20.0, 3.5, 3.1, 0.0)]);
     without_states(scene, 2, |t| t > 8)
-}
-
-fn collator(scene: &Scene, parametrization: StateParametrization) -> Collator {
-    let mut fit = NormalizerFit::default();
-    fit.add(scene);
-    let normalizer = fit.finish(parametrization, 3);
-    Collator { normalizer, n_timesteps: scene.n_timesteps, max_agents: 8, max_lanes: 16, sight: None }
 }
 
 fn collate(collator: &Collator, scene: &Scene, ego_idx: usize, mask: &ObservationMask) -> SceneBatch {
@@ -42,7 +36,7 @@ fn clean_states_decode_to_the_recording_under_every_task_and_parametrization() {
     for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
         for (i, task) in TASKS.into_iter().enumerate() {
             let mask = task.sample(&scene, 1, &mut Seed(i as u64).rng());
-            let batch = collate(&collator(&scene, parametrization), &scene, 1, &mask);
+            let batch = collate(&collator([&scene], parametrization), &scene, 1, &mask);
             let decoded = &batch.decode_scenes(&batch.x0, &[&scene]).unwrap()[0];
             for (agent_idx, track) in scene.tracks.iter().enumerate() {
                 for (t, expected) in track.trajectory.valid() {
@@ -61,7 +55,7 @@ fn a_zero_residual_is_constant_velocity() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
     for parametrization in [StateParametrization::Residual, StateParametrization::Motion] {
-        let batch = collate(&collator(&scene, parametrization), &scene, 0, &mask);
+        let batch = collate(&collator([&scene], parametrization), &scene, 0, &mask);
         let decoded = &batch.decode_scenes(&batch.x0.zeros_like().unwrap(), &[&scene]).unwrap()[0];
         let (last, found) = (scene.state(1, 3).unwrap(), decoded.state(1, 11).unwrap());
         assert!(found.position.distance(last.position + last.velocity * 0.8) < 1e-4);
@@ -76,7 +70,7 @@ fn diffused_states_have_the_standard_deviation_sigma_data() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
     for parametrization in [StateParametrization::Residual, StateParametrization::Motion] {
-        let batch = collate(&collator(&scene, parametrization), &scene, 0, &mask);
+        let batch = collate(&collator([&scene], parametrization), &scene, 0, &mask);
         let x0 = batch.x0.flatten_to(2).unwrap();
         let latent = scalar(&batch.latent.sum_all().unwrap());
         let mean_square = (x0.sqr().unwrap().sum(0).unwrap() / f64::from(latent)).unwrap().to_vec1::<f32>().unwrap();
@@ -103,7 +97,7 @@ fn what_is_to_be_generated_never_shows_in_what_the_network_is_given() {
     }
     let mask = ObservationMask::predictive(3, 12, 4);
     for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
-        let collator = collator(&scene, parametrization);
+        let collator = collator([&scene], parametrization);
         let (a, b) = (collate(&collator, &scene, 0, &mask), collate(&collator, &altered, 0, &mask));
         let same = |x: &Tensor, y: &Tensor| values(x) == values(y);
         assert!(same(&a.context, &b.context) && same(&a.features, &b.features) && same(&a.base, &b.base));
@@ -151,7 +145,7 @@ fn the_papers_weights_are_normalized_from_their_110_percent() {
 fn sampling_covers_every_future_state_of_agents_seen() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
-    let collator = collator(&scene, StateParametrization::Residual);
+    let collator = collator([&scene], StateParametrization::Residual);
     let history_only = Scene { n_timesteps: 4, ..scene.clone() };
     for source in [&scene, &history_only] {
         let view = SceneView { scene: source, ego_idx: 0, mask: &mask };
@@ -168,7 +162,7 @@ fn pair_features_do_not_change_when_the_scene_is_seen_from_another_agent() {
     let mask = ObservationMask::predictive(3, 12, 4);
     let sigma = Tensor::new(&[0.3f32], &Device::Cpu).unwrap();
     for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
-        let collator = collator(&scene, parametrization);
+        let collator = collator([&scene], parametrization);
         let features = |ego_idx: usize| {
             let batch = collate(&collator, &scene, ego_idx, &mask);
             let features = PairFeatures::new(&batch, &[(1, 0)], parametrization, 0.5).unwrap();
@@ -187,7 +181,7 @@ fn pair_features_do_not_change_when_the_scene_is_seen_from_another_agent() {
 fn tensors_that_do_not_belong_together_make_no_batch() {
     let scene = three_cars();
     type Spoil<'a> = &'a dyn Fn(&mut SceneTensors);
-    let collator = Collator { sight: Some(Sight::new(4)), ..collator(&scene, StateParametrization::Motion) };
+    let collator = Collator { sight: Some(Sight::new(4)), ..collator([&scene], StateParametrization::Motion) };
     let batch = collate(&collator, &scene, 0, &ObservationMask::predictive(3, 12, 4));
     let message = |spoil: Spoil<'_>| {
         let mut tensors = SceneTensors::clone(&batch);

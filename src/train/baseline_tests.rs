@@ -5,12 +5,10 @@ use super::*;
 use crate::model::{JointFutures, SceneTransformer, SceneTransformerConfig, TrainedSceneTransformer};
 use crate::nn::testing::{assert_gradients, scalar};
 use crate::nn::{Compute, Params};
+use crate::scene::Scene;
 use crate::scene::testing::{Drive, scene};
-use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
-use crate::tensor::{
-    FutureValidity, MaskSampler, SceneBatch, SceneTensors, SceneView, StateParametrization, TaskWeights,
-};
+use crate::tensor::{FutureValidity, MaskSampler, SceneBatch, SceneTensors, StateParametrization, TaskWeights};
 use candle_core::{Device, Tensor};
 
 /// Two cars: one drives on, and the other forks.
@@ -24,9 +22,8 @@ const fn forks(n: usize) -> MadeScenes<fn(usize) -> Scene> {
 
 fn batch(parametrization: StateParametrization, n_rows: usize) -> SceneBatch {
     let scenes: Vec<Scene> = (0..n_rows).map(scene_of).collect();
-    let mask = ObservationMask::predictive(2, 12, 4);
-    let views: Vec<_> = scenes.iter().map(|scene| SceneView { scene, ego_idx: 0, mask: &mask }).collect();
-    collator(&forks(4), parametrization).collate(&views, FutureValidity::Recorded, &Device::Cpu).unwrap()
+    let scenes: Vec<&Scene> = scenes.iter().collect();
+    collator(&forks(4), parametrization).predictive(&scenes, FutureValidity::Recorded)
 }
 
 #[test]

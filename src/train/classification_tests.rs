@@ -4,15 +4,15 @@ use super::testing::{MadeScenes, assert_parts_agree, job};
 use super::*;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::diffusion::NoiseDistribution;
-use crate::guidance::testing::{N_HISTORY, N_TIMESTEPS, denoiser_spec, is_positive, scene};
+use crate::guidance::testing::{N_HISTORY, denoiser_spec, is_positive, scene};
 use crate::guidance::{ClassifierGuidance, Guidance, log_potential_gradient};
 use crate::model::{DenoiserSpec, ModelSpec, TrainedClassifier};
 use crate::nn::testing::{scalar, values};
 use crate::nn::{Compute, Params};
 use crate::progress::{Progress, Silent};
-use crate::scene::{ObservationMask, Roles, Scene};
+use crate::scene::{Roles, Scene};
 use crate::seed::Seed;
-use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView, StateParametrization};
+use crate::tensor::{FutureValidity, StateParametrization};
 use candle_core::{Device, Tensor};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -140,15 +140,6 @@ fn a_killed_training_resumes_to_the_same_weights() {
     assert_eq!(read(killed.path()), read(whole.path()));
 }
 
-fn batch(denoiser: &DenoiserSpec, scenes: &[Scene]) -> SceneBatch {
-    let masks: Vec<ObservationMask> =
-        scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), N_TIMESTEPS, N_HISTORY)).collect();
-    let view = |(scene, mask)| SceneView { scene, ego_idx: 1, mask };
-    let views: Vec<SceneView<'_>> = scenes.iter().zip(&masks).map(view).collect();
-    let collator: Collator = denoiser.collator();
-    collator.collate(&views, FutureValidity::Everything, &Device::Cpu).unwrap()
-}
-
 #[test]
 fn its_gradient_pushes_the_second_agent_toward_the_first() {
     for parametrization in [StateParametrization::Residual, StateParametrization::Scene, StateParametrization::Motion] {
@@ -157,8 +148,8 @@ fn its_gradient_pushes_the_second_agent_toward_the_first() {
         train(&denoiser, 150, dir.path(), &Silent).unwrap();
         let trained = TrainedClassifier::read(&dir.path().join("model.safetensors"), &Compute::cpu()).unwrap();
         // Held-out scenes in which nothing happens.
-        let scenes: Vec<Scene> = [401, 402, 403].into_iter().map(scene).collect();
-        let batch = batch(&denoiser, &scenes);
+        let scenes = [401, 402, 403].map(|idx| Scene { ego_idx: 1, ..scene(idx) });
+        let batch = denoiser.collator().predictive(&scenes.each_ref(), FutureValidity::Everything);
         let pairs = trained.spec.features(&batch, &[(1, 2); 3]).unwrap();
         let guidance = ClassifierGuidance { classifier: &trained.network, pairs };
         let sigma = Tensor::new(&[0.1f32; 3], &Device::Cpu).unwrap();

@@ -8,9 +8,9 @@ use crate::guidance::{AgentSelector, ObjectiveConfig, SpeedLimit};
 use crate::model::{DenoiserSpec, Distillation, NetworkConfig, SceneDenoiser, TrainedDenoiser};
 use crate::nn::testing::{assert_gradients, values};
 use crate::nn::{Checkpoint, Compute, Params, read_checkpoint};
-use crate::scene::{ObservationMask, Scene};
+use crate::scene::Scene;
 use crate::seed::Seed;
-use crate::tensor::{FutureValidity, MaskSampler, SceneView, StateParametrization};
+use crate::tensor::{FutureValidity, MaskSampler, StateParametrization};
 use candle_core::Device;
 use std::path::Path;
 
@@ -110,9 +110,7 @@ fn jumps(levels: &[f64]) -> SamplerConfig {
 /// Where the car ends sideways in 64 samples of a few evaluations, meters.
 fn endings_m(trained: &TrainedDenoiser, sampler: &SamplerConfig) -> Vec<f64> {
     let forked = fork(0, &[]);
-    let mask = ObservationMask::predictive(1, 12, 4);
-    let view = SceneView { scene: &forked, ego_idx: 0, mask: &mask };
-    let batch = trained.spec.collator().collate(&[view], FutureValidity::Everything, &Device::Cpu).unwrap();
+    let batch = trained.spec.collator().predictive(&[&forked], FutureValidity::Everything);
     let bound = trained.network.bind(&batch, 64).unwrap();
     let repeated = batch.repeated(64).unwrap();
     let mut noise = NoiseSource::new((0..64).map(Seed).collect());

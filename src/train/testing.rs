@@ -10,7 +10,7 @@ use crate::progress::Silent;
 use crate::scene::testing::{Drive, scene};
 use crate::scene::{Scene, Trajectory};
 use crate::seed::Seed;
-use crate::tensor::{Collator, MaskSampler, NormalizerFit, StateParametrization, TaskWeights};
+use crate::tensor::{self, Collator, MaskSampler, StateParametrization, TaskWeights};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -80,9 +80,8 @@ pub(super) const ONLY_PREDICTIVE: TaskWeights = TaskWeights {
 
 /// A collator with the scales of the first four scenes.
 pub(super) fn collator(dataset: &dyn SceneDataset, parametrization: StateParametrization) -> Collator {
-    let mut fit = NormalizerFit::default();
-    (0..4).for_each(|idx| fit.add(&dataset.scene(idx).unwrap()));
-    Collator { normalizer: fit.finish(parametrization, 3), n_timesteps: 12, max_agents: 8, max_lanes: 16, sight: None }
+    let scenes: Vec<Scene> = (0..4).map(|idx| dataset.scene(idx).unwrap()).collect();
+    tensor::testing::collator(&scenes, parametrization)
 }
 
 /// Draws batches of four scenes from these groups.
