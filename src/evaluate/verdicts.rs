@@ -4,8 +4,8 @@
 use super::config::{EvaluateConfig, Keep};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, PairPath, PathIndex};
+use crate::scenario::{Assessment, RequestOutcome, ScenarioRecord, VerdictRow};
 use crate::scene::GuidanceLevel;
-use crate::store::{Assessment, RequestOutcome, ScenarioRecord, VerdictRow};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

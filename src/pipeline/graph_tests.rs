@@ -100,15 +100,8 @@ impl Heard {
 }
 
 impl Progress for Heard {
-    fn start(&self, _phase: &str, _total: u64, _unit: &str) {}
-    fn advance(&self, _n: u64) {}
-    fn note(&self, _message: &str) {}
     fn warn(&self, message: &str) {
         self.0.lock().unwrap().push(message.to_owned());
-    }
-    fn finish(&self) {}
-    fn must_stop(&self) -> bool {
-        false
     }
 }
 

@@ -2,7 +2,8 @@
 
 use crate::support::{SMALL_PIPELINE, Workspace, assert_same, djinn, files};
 use djinn::pipeline::stages::{SampleManifest, SampleSidecar, read_requests};
-use djinn::store::{CorpusReader, RequestOutcome, ScenarioRecord, SceneStore, sample_ids};
+use djinn::scenario::{RequestOutcome, ScenarioRecord};
+use djinn::store::{CorpusReader, SceneStore, sample_ids};
 use std::collections::BTreeMap;
 use std::path::Path;
 

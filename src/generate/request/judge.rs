@@ -7,7 +7,7 @@ use super::resolve::ResolvedRequest;
 use super::rounds::RoundShard;
 use crate::generate::select::Candidate;
 use crate::generate::{Cell, Error, Generator};
-use crate::store::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
+use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

@@ -1,8 +1,9 @@
 //! The columns that say where a scenario comes from within its run: the shard, and the request with its bucket.
 
 use super::columns::{Columns, numbers, optional_numbers, optional_texts, small};
+use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use crate::store::schema::{ColumnExt, column};
-use crate::store::{BucketTag, Error, RequestOutcome, RequestTag, Result, ScenarioRecord};
+use crate::store::{Error, Result};
 use arrow::array::ArrayRef;
 use arrow::datatypes::{DataType, Field, UInt32Type};
 

@@ -120,6 +120,26 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
         &["train.denoiser.diffusion.sigma_min is 90, expected at most diffusion.sigma_max"],
     ),
     (
+        &["train.denoiser.network.geometry={ patch = 4 }", "train.denoiser.state_parametrization=residual"],
+        &["train.denoiser.network.geometry needs state_parametrization"],
+    ),
+    (
+        &["train.denoiser.objectives=[{ kind = \"speed_limit\", weight = -1.0, limit_mps = 8.0 }]"],
+        &["train.denoiser.objectives.0.weight is -1"],
+    ),
+    (
+        &["train.distill.objectives=[{ kind = \"speed_limit\", limit_mps = 12.0 }]"],
+        &["train.distill.objectives need method"],
+    ),
+    (
+        &["train.distill.method={ kind = \"consistency\", gap = { n_stages = 0 } }"],
+        &["train.distill.method.gap.n_stages is 0"],
+    ),
+    (
+        &["train.distill.method={ kind = \"consistency\", gap = { n_stages = 24 } }"],
+        &["train.distill.method.gap.n_stages is 24"],
+    ),
+    (
         &["train.distill.method={ kind = \"consistency\", gap = { ratio = 1.0 } }"],
         &["train.distill.method.gap.ratio is 1, expected a number beyond 1"],
     ),

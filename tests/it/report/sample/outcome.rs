@@ -2,10 +2,9 @@
 
 use djinn::evaluate::{AcceptanceRow, LeftOutRow, MapFitRow, MetricDoc, RealismRow, SamplingRow, ValidityRow};
 use djinn::generate::{ArmSummary, BucketPart, BucketSummary, BudgetConfig, Ended, RequestSummary, Yield};
-use djinn::metrics::{Direction, MapFit};
+use djinn::metrics::{Direction, MapFit, MetricRow};
 use djinn::report::MetricTable;
 use djinn::scene::GuidanceLevel;
-use djinn::store::MetricRow;
 use std::collections::BTreeMap;
 
 pub(super) fn acceptance(name: &str) -> Vec<AcceptanceRow> {
