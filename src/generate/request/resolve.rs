@@ -7,6 +7,7 @@ use super::prior::ArmPrior;
 use crate::behavior::{self, Behavior};
 use crate::generate::sweep::mined;
 use crate::generate::{Error, GenerateConfig, ResolvedSweep, SelectConfig};
+use crate::metrics::DUPLICATE_DISTANCE_M;
 use crate::scene::{GuidanceLevel, Split};
 use crate::settings::{self, Issue};
 use std::collections::BTreeSet;
@@ -43,6 +44,8 @@ pub struct ResolvedRequest {
     pub buckets: Buckets,
     /// What may be tried.
     pub arms: Vec<Arm>,
+    /// Scenarios in which those who were asked move nearer to an accepted one than this are near-duplicates of it, meters.
+    pub duplicate_distance_m: f64,
 }
 
 /// One way of sampling that a request may try.
@@ -105,7 +108,13 @@ impl GenerateConfig {
                 }
             }
             let buckets = Buckets::new(request);
-            resolved.requests.push(ResolvedRequest { idx, config: request.clone(), buckets, arms });
+            resolved.requests.push(ResolvedRequest {
+                idx,
+                config: request.clone(),
+                buckets,
+                arms,
+                duplicate_distance_m: DUPLICATE_DISTANCE_M,
+            });
         }
         Ok(())
     }

@@ -114,6 +114,9 @@ pub struct BucketSummary {
     pub n_surplus: u64,
     /// Not accepted, because it had enough of the same scene and agents.
     pub n_repeated: u64,
+    /// Not accepted, because it moves almost as an accepted one.
+    #[serde(default)]
+    pub n_near_duplicates: u64,
     /// Accepted scenarios by arm.
     pub accepted_by_arm: Vec<u64>,
     /// Scenarios in it by arm, accepted or not.
@@ -161,6 +164,7 @@ impl RequestSummary {
                 n_accepted: ledger.accepted[idx],
                 n_surplus: sum(|hits| hits.n_surplus),
                 n_repeated: sum(|hits| hits.n_repeated),
+                n_near_duplicates: sum(|hits| hits.n_near_duplicates),
                 accepted_by_arm: by_arm(&ledger.arms, |hits| hits.n_accepted),
                 hits_by_arm: by_arm(&ledger.arms, Hits::n),
                 first_round_hits_by_arm: by_arm(&ledger.first_round, Hits::n),

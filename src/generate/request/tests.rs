@@ -290,7 +290,7 @@ fn an_arm_that_misses_the_open_bucket_is_left_for_one_that_hits_what_it_aims_at(
     };
     // One arm has hit what is still open now and then, the other has not been tried on it.
     add(0, 3, 1000, Hits { n_accepted: 2, ..Hits::default() });
-    (0..3).for_each(|bucket| add(1, bucket, 30, Hits { n_accepted: 5, n_surplus: 22, n_repeated: 0 }));
+    (0..3).for_each(|bucket| add(1, bucket, 30, Hits { n_accepted: 5, n_surplus: 22, ..Hits::default() }));
     let context =
         RoundContext { pool: &pool, ledger: &ledger, round: 1, next_idx: 4, cells_per_shard: 4, seed: Seed(1) };
     let round = request.next_round(&context).unwrap();

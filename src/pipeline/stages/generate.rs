@@ -10,7 +10,7 @@ use crate::evaluate::{for_maps, map_fits};
 use crate::generate::{
     self, GenerateConfig, Generator, Plan, Pool, RequestSummary, ResolvedGeneration, ShardPlan, Shortfall,
 };
-use crate::metrics::MetricSettings;
+use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings};
 use crate::nn::{Compute, Precision};
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
@@ -29,6 +29,8 @@ pub struct Generate<'a> {
     pub mine: MineConfig,
     /// The settings of metrics in selections and limits, as in the evaluation.
     pub metric_settings: MetricSettings,
+    /// Scenarios of a request whose agents move nearer to an accepted one than this are near-duplicates, as in the evaluation, meters.
+    pub duplicate_distance_m: f64,
     /// The behavior that the pipeline's classifier is trained for, where the pipeline trains one.
     pub classified_behavior: Option<&'a str>,
     /// How the pipeline distills its denoiser, where it does so itself.
@@ -72,6 +74,9 @@ impl Stage for Generate<'_> {
         config["behaviors"] = serde_json::to_value(&self.mine.behaviors)?;
         if let Some(settings) = self.decisive_settings().filter(|settings| differs_from_default(settings)) {
             config["metric_settings"] = serde_json::to_value(settings)?;
+        }
+        if !self.config.requests.is_empty() && self.duplicate_distance_m != DUPLICATE_DISTANCE_M {
+            config["duplicate_distance_m"] = json!(self.duplicate_distance_m);
         }
         Ok(with_precision(config, Some(self.precision)))
     }
@@ -233,6 +238,7 @@ impl Generate<'_> {
     pub(in crate::pipeline) fn resolve(&self) -> Result<ResolvedGeneration> {
         let mut resolved = self.config.resolve(&self.mine.build()?)?;
         for request in &mut resolved.requests {
+            request.duplicate_distance_m = self.duplicate_distance_m;
             let Some(path) = request.config.prior.clone() else { continue };
             let earlier = read_json::<Vec<RequestSummary>>(&path).map_err(|error| {
                 Failure::input(error).with_hint("prior is the file samples/requests.json of a run with requests")
@@ -318,6 +324,7 @@ mod tests {
                 precision: Precision::default(),
                 mine: MineConfig::default(),
                 metric_settings: MetricSettings::default(),
+                duplicate_distance_m: DUPLICATE_DISTANCE_M,
                 classified_behavior: None,
                 distill: None,
                 layout: &Layout::below(dir.path()),
