@@ -3,7 +3,7 @@
 use super::error::{Error, Result};
 use super::gates::GatesConfig;
 use super::measures::known_ids;
-use crate::metrics::{CarefulDriverConfig, MetricSettings, ModesConfig, ValidityConfig};
+use crate::metrics::{CarefulDriverConfig, DUPLICATE_DISTANCE_M, MetricSettings, ModesConfig, ValidityConfig};
 use crate::scene::Dataset;
 use crate::settings;
 use schemars::JsonSchema;
@@ -46,7 +46,7 @@ impl Default for EvaluateConfig {
             keep: Keep::default(),
             validity: ValidityConfig::default(),
             careful_driver: CarefulDriverConfig::default(),
-            duplicate_distance_m: 0.25,
+            duplicate_distance_m: DUPLICATE_DISTANCE_M,
             gates: GatesConfig::default(),
         }
     }

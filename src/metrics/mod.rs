@@ -75,7 +75,7 @@ pub use miss_rate::MissRate;
 pub use mixture::{Component, Mixture, MixtureOptions};
 pub use modes::{ModeFit, Modes, ModesConfig, ModesOf, Representative};
 pub use motion::{MOTION, MotionHistograms, MotionQuantity};
-pub use novelty::{EventSpace, PairPath, PathIndex};
+pub use novelty::{DUPLICATE_DISTANCE_M, EventSpace, PairPath, PathIndex};
 pub use offroad_rate::OffroadRate;
 pub use plausibility::RecordedRanges;
 pub use probability_penalty::{Displacement, PenalizedMinimum, Penalty};

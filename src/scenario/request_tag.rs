@@ -31,6 +31,8 @@ pub enum RequestOutcome {
     Surplus,
     /// It meets the request, but its bucket had enough scenarios of the same scene and agents.
     Repeated,
+    /// It meets the request, but moves almost as one that the request accepted before.
+    NearDuplicate,
     /// It shows the behavior, but falls into no bucket or fails a condition of the request.
     Outside,
     /// It would fall into a bucket, but breaks a limit of validity.
@@ -41,8 +43,15 @@ pub enum RequestOutcome {
 
 impl RequestOutcome {
     /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Accepted, Self::Surplus, Self::Repeated, Self::Outside, Self::BeyondLimits, Self::NotFound];
+    pub const ALL: [Self; 7] = [
+        Self::Accepted,
+        Self::Surplus,
+        Self::Repeated,
+        Self::NearDuplicate,
+        Self::Outside,
+        Self::BeyondLimits,
+        Self::NotFound,
+    ];
 
     /// The name in tables.
     pub const fn name(self) -> &'static str {
@@ -50,6 +59,7 @@ impl RequestOutcome {
             Self::Accepted => "accepted",
             Self::Surplus => "surplus",
             Self::Repeated => "repeated",
+            Self::NearDuplicate => "near_duplicate",
             Self::Outside => "outside",
             Self::BeyondLimits => "beyond_limits",
             Self::NotFound => "not_found",

@@ -23,6 +23,7 @@ impl Ord for Key {
 /// Points in the order of their distance from the first of them, the pivot. By the triangle inequality |d(a, pivot) -
 /// d(b, pivot)| is at most d(a, b), so only points at a similar distance from the pivot are compared. A search is exact
 /// and computes a distance for each point in that band: few if points are spread out, all of them in the worst case.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct NearestIndex<P> {
     points: Vec<P>,
     by_key: BTreeSet<(Key, usize)>,

@@ -4,8 +4,11 @@ use super::nearest::NearestIndex;
 use crate::geometry::{Transform2, Vec2};
 use crate::metrics::sample_group::future;
 use crate::scene::{Roles, Scene};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// Scenarios whose paths are nearer to each other are near-duplicates by default, meters.
+pub const DUPLICATE_DISTANCE_M: f64 = 0.25;
 /// Time between the positions of a path, seconds.
 const SPACING_S: f64 = 0.5;
 
@@ -15,12 +18,15 @@ const SPACING_S: f64 = 0.5;
 ///
 /// Because motion is smooth and all accepted scenarios stay in memory, the position in the middle of each half second
 /// represents it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PairPath {
     /// One position for each agent and half second, meters. An agent without a state stays at its last position.
     points: Box<[[f32; 2]]>,
     n_agents: usize,
 }
+
+/// Positions are finite.
+impl Eq for PairPath {}
 
 impl PairPath {
     /// The path of the agents of these roles; `None` without roles, or if one of the agents is not tracked at present.
@@ -45,7 +51,7 @@ impl PairPath {
     }
 
     /// Mean distance between the positions of the same agent at the same time, meters. It is a metric: the mean of norms.
-    fn distance_m(&self, other: &Self) -> f64 {
+    pub fn distance_m(&self, other: &Self) -> f64 {
         let apart = |(a, b): (&[f32; 2], &[f32; 2])| {
             (f64::from(a[0]) - f64::from(b[0])).hypot(f64::from(a[1]) - f64::from(b[1]))
         };
@@ -58,7 +64,7 @@ impl PairPath {
 ///
 /// A search is exact; [`NearestIndex`] states its cost. A scenario takes 16 bytes for each agent and second, beside its
 /// id.
-#[derive(Default)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PathIndex {
     kinds: BTreeMap<Kind, OfKind>,
 }
@@ -67,7 +73,7 @@ pub struct PathIndex {
 type Kind = (String, usize, usize);
 
 /// The scenarios of one kind, by number.
-#[derive(Default)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 struct OfKind {
     ids: Vec<String>,
     paths: NearestIndex<PairPath>,

@@ -16,7 +16,7 @@ pub(crate) fn fields() -> Vec<Field> {
         column(
             "request_outcome",
             DataType::Utf8,
-            "Its outcome: accepted; surplus (its bucket was full), repeated (its bucket had enough of the same scene and agents), outside (of all buckets or conditions), beyond_limits, not_found.",
+            "Its outcome: accepted; surplus (its bucket was full), repeated (its bucket had enough of the same scene and agents), near_duplicate (of an accepted scenario), outside (of all buckets or conditions), beyond_limits, not_found.",
         )
         .optional(),
         column("bucket", DataType::UInt32, "Index of its bucket among those of the request; missing if it is in none.")

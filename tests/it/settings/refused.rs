@@ -260,6 +260,13 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
         &["expected a range [least, most] or a list of texts"],
     ),
     (
+        &[
+            REQUEST,
+            "generate.requests=[{ name = \"r\", behavior = \"cut_in\", buckets = { gap_m = [0, 10] }, per_bucket = 1, arms = [\"guided\"], plan = \"even\", prior = \"requests.json\", budget = { n_samples = 9 } }]",
+        ],
+        &["generate.requests.0 (r): prior has no effect on plan = \"even\""],
+    ),
+    (
         &["generate.arms=[{ name = \"a\", strengths = [2.0, 2.0] }]"],
         &["generate.arms.0.strengths.1 is 2, which is already listed"],
     ),
