@@ -30,7 +30,7 @@ pub struct EvaluateConfig {
     pub careful_driver: CarefulDriverConfig,
     /// A scenario is a near-duplicate of an earlier accepted one if the paths of the requested agents differ by less
     /// than this, meters: the mean over the future, of a position each half second, in the frame of the first of them. 0 for none.
-    /// Default 0.25.
+    /// Requests accept no near-duplicates. Default 0.25.
     #[schemars(range(min = 0.0))]
     pub duplicate_distance_m: f64,
     /// Quality gates; if one fails, the exit code is 3.

@@ -187,6 +187,6 @@ mod tests {
         *damaged.last_mut().unwrap() ^= 1;
         fs::write(&path, &damaged).unwrap();
         let said = open().err().unwrap().to_string();
-        assert!(said.contains("state.safetensors is not as it was saved"), "{said}");
+        assert!(said.contains("state.safetensors has changed since it was saved"), "{said}");
     }
 }

@@ -92,7 +92,7 @@ mod tests {
     #[test]
     fn what_is_not_ours_is_an_error() {
         let said = |wire: &[u8]| receive_message::<usize>(wire).unwrap_err().to_string();
-        assert!(said(b"GET / HTTP/1.1\r\nHost: example.org\r\n\r\n").contains("no message of a rank"));
+        assert!(said(b"GET / HTTP/1.1\r\nHost: example.org\r\n\r\n").contains("other than a message of a rank"));
         let huge = [&MAGIC[..], &u64::MAX.to_le_bytes()].concat();
         assert!(said(&huge).contains("expected at most 1048576"), "{}", said(&huge));
         let mut whole = Vec::new();
