@@ -1,15 +1,16 @@
-//! How far is an event from all recorded events of its kind, by its parameters?
+//! Distances of events from the recorded events of their behavior, by their parameters.
 
 use super::nearest::NearestIndex;
 use crate::behavior::{BehaviorEvent, EventLabel};
 
 /// The recorded positive events of one behavior as points, one coordinate a parameter.
 ///
-/// Parameters count that every recorded event has, that have a unit, and that are no times in the scene (`t_…_s`): of a cut-in gap, speeds,
-/// lateral speed, shift and smallest distance. Each is divided by its spread among the recorded events, 0.7413 of the range between the
-/// quartiles, which is the standard deviation of normally distributed values (the standard deviation itself where the quartiles
-/// coincide), but at least 0.1 of its unit; a parameter that never varies is left out. The distance of two events is the root mean square of the differences: 1 says that
-/// they differ by a typical spread in every parameter.
+/// A parameter counts if every recorded event has it, and it has a unit and is not a time in the scene (`t_…_s`): for a
+/// cut-in these are gap, speeds, lateral speed, shift and smallest distance. Each is divided by its spread among the
+/// recorded events: 0.7413 of the interquartile range, which is the standard deviation of normally distributed values
+/// (the standard deviation itself if the quartiles coincide), but at least 0.1 of its unit; a parameter that never
+/// varies is left out. The distance of two events is the root mean square of the differences: 1 means that they differ
+/// by a typical spread in every parameter.
 pub struct EventSpace {
     /// Names and spreads.
     axes: Vec<(String, f64)>,
@@ -17,8 +18,8 @@ pub struct EventSpace {
 }
 
 impl EventSpace {
-    /// The space of the positive events of `behavior` among `events`. `None` where there are fewer than two, or none of their
-    /// parameters varies.
+    /// The space of the positive events of `behavior` among `events`; `None` if there are fewer than two, or none of
+    /// their parameters varies.
     pub fn new(behavior: &str, events: &[BehaviorEvent]) -> Option<Self> {
         let recorded: Vec<&BehaviorEvent> =
             events.iter().filter(|event| event.behavior == behavior && event.label == EventLabel::Positive).collect();
@@ -42,7 +43,7 @@ impl EventSpace {
         Some(space)
     }
 
-    /// The distance of `event` from the nearest recorded one. `None` where it lacks a parameter that recorded events have.
+    /// The distance of `event` from the nearest recorded one; `None` if it lacks a parameter that recorded events have.
     pub fn distance_to_nearest(&self, event: &BehaviorEvent) -> Option<f64> {
         self.index.nearest(&self.point(event)?, |a, b| distance(a, b)).map(|(_, distance)| distance)
     }
@@ -52,18 +53,18 @@ impl EventSpace {
     }
 }
 
-/// Whether a parameter says how an event went, and not when in the scene or on which side.
+/// Whether a parameter describes the event itself, not its time in the scene or its side.
 fn is_coordinate(name: &str) -> bool {
     let has_unit =
         ["_m", "_s", "_mps", "_mps2", "_mps3", "_rad", "_radps", "_deg", "_per_m"].iter().any(|u| name.ends_with(u));
     has_unit && !name.starts_with("t_")
 }
 
-/// The least spread, in the unit of the parameter. Where egos keep their lanes to the micrometer, a shift of a centimeter is
+/// The least spread, in the unit of the parameter. If egos keep their lanes to the micrometer, a shift of a centimeter is
 /// nothing new.
 const LEAST_SPREAD: f64 = 0.1;
 
-/// The robust standard deviation of values, at least [`LEAST_SPREAD`]. `None` where they do not vary.
+/// The robust standard deviation of values, at least [`LEAST_SPREAD`]; `None` if they do not vary.
 fn spread(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let n = values.len();
