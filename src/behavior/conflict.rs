@@ -14,7 +14,7 @@ use std::f64::consts::FRAC_PI_6;
 const FOLLOWING_RAD: f64 = FRAC_PI_6;
 /// Spacing of the places along a lane at which a box is tried, meters, and the farthest of them.
 const SPACING_M: f64 = 0.5;
-const REACH_M: f64 = 100.0;
+const FARTHEST_M: f64 = 100.0;
 /// Agents below this speed arrive at no time, m/s.
 const STANDING_MPS: f64 = 0.5;
 /// The window over which decelerations are smoothed, seconds.
@@ -26,6 +26,8 @@ pub(super) struct Course<'a> {
     pub(super) lane: KeptLane,
     pub(super) sweep: Sweep,
     extent: Extent,
+    /// Its highest speed.
+    fastest_mps: f64,
     /// Its place beside the center line, meters; positive to the left.
     offset_m: f64,
 }
@@ -53,7 +55,11 @@ impl<'a> Course<'a> {
         let track = &scene.tracks[agent_idx];
         let present = track.trajectory.get(scene.current_timestep())?;
         let offset_m = lane.project(present.position)?.offset_m;
-        Some(Self { track, lane, sweep: Sweep::new(track)?, extent: track.extent_or_nominal(), offset_m })
+        let speeds =
+            track.trajectory.valid().filter(|(_, state)| state.is_finite()).map(|(_, state)| state.speed_mps());
+        let fastest_mps = speeds.fold(0.0, f64::max);
+        let (sweep, extent) = (Sweep::new(track)?, track.extent_or_nominal());
+        Some(Self { track, lane, sweep, extent, fastest_mps, offset_m })
     }
 
     /// Its state at `timestep`.
@@ -74,7 +80,7 @@ impl<'a> Course<'a> {
     fn way_m(&self, timestep: usize, zone: &[Footprint]) -> Option<f64> {
         let start_m = self.lane.project(self.state(timestep)?.position)?.station_m;
         let Extent { length_m, width_m } = self.extent;
-        let mut steps = (0..=(REACH_M / SPACING_M) as usize).map(|step| step as f64 * SPACING_M);
+        let mut steps = (0..=(FARTHEST_M / SPACING_M) as usize).map(|step| step as f64 * SPACING_M);
         steps.find(|way_m| {
             let Some(center) = self.lane.beside(start_m + way_m, self.offset_m) else { return false };
             let Some(place) = self.lane.project(center) else { return false };
@@ -94,9 +100,11 @@ impl<'a> Course<'a> {
 
 impl Conflict {
     /// The conflict in which `first` gets into the way of `other` before that one gets there. `None` if there is none,
-    /// if it begins before or ends after the states of `first`, or if the two touch.
-    pub(super) fn between(first: &Course<'_>, other: &Course<'_>) -> Option<Self> {
-        if !first.sweep.may_come_within(&other.sweep, REACH_M) {
+    /// if it begins before or ends after the states of `first`, if the two touch, or if the other certainly does not
+    /// get there within `within_s` after its last state.
+    pub(super) fn between(first: &Course<'_>, other: &Course<'_>, within_s: f64) -> Option<Self> {
+        let is_near = first.sweep.may_come_within(&other.sweep, other.fastest_mps * within_s);
+        if !is_near || first.fastest_mps < STANDING_MPS {
             return None;
         }
         let n_timesteps = first.track.trajectory.n_timesteps();
@@ -154,7 +162,7 @@ mod tests {
     fn conflict(scene: &Scene, first: usize, other: usize) -> (Option<Conflict>, Option<f64>) {
         let lanes = SceneLanes::new(&scene.lanes);
         let [first, other] = [first, other].map(|agent_idx| Course::of(scene, &lanes, agent_idx).expect("in a lane"));
-        let conflict = Conflict::between(&first, &other);
+        let conflict = Conflict::between(&first, &other, 10.0);
         let pet_s = conflict.as_ref().and_then(|conflict| conflict.pet_s(&other, scene.dt_s));
         (conflict, pet_s)
     }

@@ -136,7 +136,8 @@ impl FailureToYield {
 
     fn event(&self, scene: &Scene, entering: &Agent<'_>, priority: &Agent<'_>) -> Option<BehaviorEvent> {
         let config = &self.config;
-        let conflict = Conflict::between(&entering.course, &priority.course)?;
+        let within_s = config.negative_pet_s.max(config.max_time_to_arrival_s);
+        let conflict = Conflict::between(&entering.course, &priority.course, within_s)?;
         let own = entering.course.state(conflict.enters).filter(|own| entering.yields_to(priority, own.position))?;
         let speed_mps = priority.course.state(conflict.enters).map(State::speed_mps);
         let speed_mps = speed_mps.filter(|mps| *mps >= config.min_speed_mps)?;

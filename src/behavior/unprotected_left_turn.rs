@@ -123,7 +123,10 @@ impl UnprotectedLeftTurn {
         oncoming: &Agent<'_>,
     ) -> Option<BehaviorEvent> {
         let config = &self.config;
-        let conflict = Conflict::between(&turner.course, &oncoming.course).filter(|conflict| !conflict.merges)?;
+        let conflict = Conflict::between(&turner.course, &oncoming.course, config.negative_pet_s)?;
+        if conflict.merges {
+            return None;
+        }
         let speed_mps = |agent: &Agent<'_>| agent.course.state(conflict.enters).map(State::speed_mps);
         let oncoming_mps = speed_mps(oncoming).filter(|mps| *mps >= config.min_speed_mps)?;
         let pet_s = conflict.pet_s(&oncoming.course, scene.dt_s).filter(|pet_s| *pet_s < config.negative_pet_s)?;
