@@ -44,6 +44,16 @@ impl KeptLane {
         Self::along(&route(lanes, lane, &[], &[]))
     }
 
+    /// The same lane, driven against its direction.
+    #[must_use]
+    pub(super) fn reversed(mut self) -> Self {
+        let lines = self.sides.iter_mut().flatten().chain([&mut self.center]);
+        lines.for_each(|line| line.0.reverse());
+        self.sides = self.sides.map(|[left, right]| [right, left]);
+        self.lanes.reverse();
+        self
+    }
+
     /// The straight line ahead of an agent in this state.
     pub(super) fn straight_on(state: &State) -> Self {
         let ahead = Vec2::from_angle(state.heading_rad);
@@ -78,6 +88,11 @@ impl KeptLane {
             sides: has_sides.then(|| [joined(|lane| &lane.left), joined(|lane| &lane.right)]),
             lanes: lanes.iter().map(|lane| lane.id).collect(),
         }
+    }
+
+    /// The lanes in driving direction. Empty for a straight line.
+    pub(super) fn ids(&self) -> &[LaneId] {
+        &self.lanes
     }
 
     /// The point at this distance along the center line.

@@ -4,6 +4,7 @@ use super::footprint::Bounds;
 use crate::geometry::{Polyline, Vec2, angle_difference};
 use crate::scene::{Lane, LaneGraph, LaneId};
 use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::PI;
 
 /// Half the width to assume of a lane without boundaries, meters; Argoverse 1's own reader assumes 3.8 m.
 pub(crate) const HALF_NOMINAL_WIDTH_M: f64 = 1.9;
@@ -135,6 +136,20 @@ impl<'a> SceneLanes<'a> {
             is_beside.then_some((lane, -there.offset_m.signum()))
         })
         .collect()
+    }
+
+    /// The lanes beside a vehicle there that come toward it, with the side on which they lie: +1 left, -1 right.
+    pub(crate) fn oncoming(&self, point: Vec2, heading_rad: f64) -> Vec<(&IndexedLane<'a>, f64)> {
+        let near = self.lanes.iter().filter(|lane| lane.bounds.contains(point, 3.0 * HALF_NOMINAL_WIDTH_M));
+        let beside = near.filter_map(|lane| {
+            let there = lane.lane.centerline.project(point)?;
+            let is_next = (HALF_NOMINAL_WIDTH_M..3.0 * HALF_NOMINAL_WIDTH_M).contains(&there.offset_m.abs());
+            let is_passed = (point - there.point).dot(Vec2::from_angle(there.heading_rad)).abs() < END_TOLERANCE_M;
+            let is_opposite = angle_difference(there.heading_rad, heading_rad).abs() > PI - PARALLEL_RAD;
+            // Who is to the left of an oncoming lane has it on its own left.
+            (is_next && is_passed && is_opposite).then_some((lane, there.offset_m.signum()))
+        });
+        beside.collect()
     }
 
     /// The ways that lead on from `start` for at least `length_m`, or to the end of the map.

@@ -5,11 +5,13 @@
 
 mod agent_filter;
 mod collision;
+mod conflict;
 mod cut_in;
 mod cut_in_paper;
 mod cut_out;
 pub(crate) mod driven_path;
 mod event;
+mod failure_to_yield;
 mod following;
 pub(crate) mod footprint;
 mod hard_brake;
@@ -26,6 +28,7 @@ mod outcome;
 mod pairs;
 mod pedestrian_steps_out;
 mod right_turn;
+mod runs_stop_line;
 pub(crate) mod speed_profile;
 pub(crate) mod sweep;
 mod tailgating;
@@ -34,6 +37,8 @@ mod template;
 pub(crate) mod testing;
 pub(crate) mod time_to_collision;
 mod turn;
+mod unprotected_left_turn;
+mod wrong_way;
 
 pub use agent_filter::AgentFilter;
 pub use collision::{Collision, CollisionConfig};
@@ -41,6 +46,7 @@ pub use cut_in::{CutIn, CutInConfig};
 pub use cut_in_paper::{CutInPaper, CutInPaperConfig};
 pub use cut_out::{CutOut, CutOutConfig};
 pub use event::{BehaviorEvent, EventLabel};
+pub use failure_to_yield::{FailureToYield, FailureToYieldConfig};
 pub use hard_brake::{HardBrake, HardBrakeConfig};
 pub use lane_change::{LaneChange, LaneChangeConfig};
 pub use left_turn::LeftTurn;
@@ -49,9 +55,12 @@ pub use near_miss::{NearMiss, NearMissConfig};
 pub use outcome::Outcome;
 pub use pedestrian_steps_out::{PedestrianStepsOut, PedestrianStepsOutConfig};
 pub use right_turn::RightTurn;
+pub use runs_stop_line::{RunsStopLine, RunsStopLineConfig};
 pub use tailgating::{Tailgating, TailgatingConfig};
 pub use template::Template;
 pub use turn::TurnConfig;
+pub use unprotected_left_turn::{UnprotectedLeftTurn, UnprotectedLeftTurnConfig};
+pub use wrong_way::{WrongWay, WrongWayConfig};
 
 use crate::scene::{AgentClass, Scene};
 use crate::settings;
@@ -185,6 +194,18 @@ behaviors! {
     /// Somebody on foot steps into the lane of a vehicle.
     PedestrianStepsOut(PedestrianStepsOutConfig) in pedestrian_steps_out { is_collision: false, needs_lanes: true }:
         "somebody on foot steps from beside the road into the lane of a vehicle (ego) that is less than 3 s away",
+    /// One vehicle turns left across the lane of an oncoming one, shortly ahead of it.
+    UnprotectedLeftTurn(UnprotectedLeftTurnConfig) in unprotected_left_turn { is_collision: false, needs_lanes: true }:
+        "one vehicle (turner) turns left across the lane of an oncoming one, less than 2 s before it gets there",
+    /// One vehicle takes the right of way of another.
+    FailureToYield(FailureToYieldConfig) in failure_to_yield { is_collision: false, needs_lanes: true }:
+        "one vehicle (entering) gets into the way of one that has the right of way and brakes for it, or is there 1 s later",
+    /// A vehicle drives against the direction of its lane.
+    WrongWay(WrongWayConfig) in wrong_way { is_collision: false, needs_lanes: true }:
+        "a vehicle drives against the direction of its lane for at least 1.5 s",
+    /// A vehicle does not stop where all have to.
+    RunsStopLine(RunsStopLineConfig) in runs_stop_line { is_collision: false, needs_lanes: true }:
+        "a vehicle passes the line of an all-way stop without having been slower than 2.2 m/s before it",
 }
 
 impl BehaviorConfig {
@@ -212,6 +233,22 @@ impl BehaviorConfig {
             Self::PedestrianStepsOut(config) => {
                 let most = ("negative_time_to_arrival_s", config.negative_time_to_arrival_s);
                 settings::ascending(("max_time_to_arrival_s", config.max_time_to_arrival_s), most)
+            }
+            Self::UnprotectedLeftTurn(config) => {
+                let most = ("negative_pet_s", config.negative_pet_s);
+                settings::ascending(("max_pet_s", config.max_pet_s), most)
+            }
+            Self::WrongWay(config) => {
+                let least = ("negative_duration_s", config.negative_duration_s);
+                settings::ascending(least, ("min_duration_s", config.min_duration_s))
+            }
+            Self::RunsStopLine(config) => {
+                let least = ("negative_speed_mps", config.negative_speed_mps);
+                settings::ascending(least, ("max_rolling_mps", config.max_rolling_mps))
+            }
+            Self::FailureToYield(config) => {
+                let most = ("negative_pet_s", config.negative_pet_s);
+                settings::ascending(("max_pet_s", config.max_pet_s), most)
             }
             Self::CutIn(_)
             | Self::CutInPaper(_)

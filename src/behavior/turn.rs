@@ -86,7 +86,7 @@ pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene
     let lanes = OnceCell::new();
     let is_at_roundabout = |pose: &TurnedPose| {
         let lanes = lanes.get_or_init(|| SceneLanes::new(&scene.lanes));
-        is_at_roundabout(lanes, config, pose.position, pose.heading_rad)
+        is_at_roundabout(lanes, config.max_roundabout_m, pose.position, pose.heading_rad)
     };
     considered
         .filter_map(|(agent_idx, track)| turn((id, side), config, scene, agent_idx, track, &is_at_roundabout))
@@ -94,13 +94,19 @@ pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene
 }
 
 /// Whether an agent with this pose is in a lane of a roundabout, or in one that leads to such a lane or comes from it.
-pub(super) fn is_at_roundabout(lanes: &SceneLanes<'_>, config: &TurnConfig, position: Vec2, heading_rad: f64) -> bool {
+/// Lanes that lead back to themselves within `max_roundabout_m` are a roundabout.
+pub(super) fn is_at_roundabout(
+    lanes: &SceneLanes<'_>,
+    max_roundabout_m: f64,
+    position: Vec2,
+    heading_rad: f64,
+) -> bool {
     let is_along = |lane_rad: f64| angle_difference(lane_rad, heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD;
     // The outer lane of a roundabout may lead to exits only; the lane beside it is the one that leads around.
     let is_of_roundabout = |lane: &Lane| {
         let beside = [lane.left_neighbor, lane.right_neighbor].into_iter().flatten();
         let beside = beside.filter_map(|id| lanes.get(id)).map(|lane| lane.lane);
-        beside.chain([lane]).any(|lane| lanes.is_on_loop(lane, config.max_roundabout_m))
+        beside.chain([lane]).any(|lane| lanes.is_on_loop(lane, max_roundabout_m))
     };
     let mut along = lanes.lanes_at(position).filter(|(_, place)| is_along(place.heading_rad));
     along.any(|(lane, _)| {

@@ -32,8 +32,46 @@ pub struct LaneAttributes {
     pub has_traffic_control: bool,
     /// Whether traffic runs one way only.
     pub one_way: bool,
-    /// Further tags, such as regulatory elements (`regulatory:40001` → `speed_limit=…`).
+    /// Further tags, such as regulatory elements with the part of the lane in them (`regulatory:40001` →
+    /// `role=yield;subtype=right_of_way;…`).
     pub tags: BTreeMap<String, String>,
+}
+
+/// What a rule of the map asks of who comes along a lane.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LaneDuty {
+    /// Nothing: others yield.
+    HasRightOfWay,
+    /// To let those pass who have the right of way.
+    Yields,
+    /// To stop at the end of the lane.
+    Stops,
+}
+
+impl LaneAttributes {
+    /// What the names of the tags of regulatory elements begin with.
+    pub const REGULATORY: &str = "regulatory:";
+    /// The name, in such a tag, of the part that the lane has in the rule.
+    pub const ROLE: &str = "role";
+
+    /// The rules at the end of the lane, each with the name of its tag, by name: Lanelet2's `right_of_way`, in which lanes
+    /// have the role `right_of_way` or `yield`, and `all_way_stop`.
+    pub fn duties(&self) -> impl Iterator<Item = (&str, LaneDuty)> {
+        let rules = self.tags.iter().filter(|(key, _)| key.starts_with(Self::REGULATORY));
+        rules.filter_map(|(key, rule)| {
+            let value = |name: &str| {
+                let mut pairs = rule.split(';').filter_map(|pair| pair.split_once('='));
+                pairs.find(|(found, _)| *found == name).map_or("", |(_, value)| value)
+            };
+            let duty = match (value("subtype"), value(Self::ROLE)) {
+                ("right_of_way", "right_of_way") => LaneDuty::HasRightOfWay,
+                ("right_of_way", "yield") => LaneDuty::Yields,
+                ("all_way_stop", "yield") => LaneDuty::Stops,
+                _ => return None,
+            };
+            Some((key.as_str(), duty))
+        })
+    }
 }
 
 /// One driving lane.
@@ -159,5 +197,31 @@ impl LaneGraph {
     /// The lanes of these ids, with connections among them.
     pub fn subset(&self, ids: &[LaneId]) -> Self {
         Self::new(ids.iter().filter_map(|id| self.get(*id)).cloned().collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn duties_are_the_roles_in_the_rules_of_the_map() {
+        let tags = [
+            ("regulatory:1", "role=yield;subtype=right_of_way;type=regulatory_element"),
+            ("regulatory:2", "role=right_of_way;subtype=right_of_way"),
+            ("regulatory:3", "role=yield;subtype=all_way_stop"),
+            // Neither named by the rule, nor a rule about the right of way, nor a rule.
+            ("regulatory:4", "subtype=right_of_way"),
+            ("regulatory:5", "role=refers;subtype=speed_limit"),
+            ("location", "role=yield;subtype=right_of_way"),
+        ];
+        let tags = tags.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
+        let attributes = LaneAttributes { tags, ..LaneAttributes::default() };
+        let expected = [
+            ("regulatory:1", LaneDuty::Yields),
+            ("regulatory:2", LaneDuty::HasRightOfWay),
+            ("regulatory:3", LaneDuty::Stops),
+        ];
+        assert_eq!(attributes.duties().collect::<Vec<_>>(), expected);
     }
 }

@@ -24,7 +24,7 @@ pub use dataset::{Benchmark, Dataset, DatasetFacts, MissRule};
 pub use edit::{Meet, ScaleSpeed, SceneEdit, SetPositions, Shift, ShiftTime, TimedPoint};
 pub use guidance_level::{GuidanceLevel, LevelAxis};
 pub use ids::{LaneId, MapId, SceneId, TrackId};
-pub use lane_graph::{Lane, LaneAttributes, LaneGraph, TurnDirection};
+pub use lane_graph::{Lane, LaneAttributes, LaneDuty, LaneGraph, TurnDirection};
 pub use motion::STANDING_STEP_M;
 pub use observation_mask::ObservationMask;
 pub use roles::Roles;

@@ -6,15 +6,20 @@
 mod collision;
 mod cut_out;
 mod driver;
+mod failure_to_yield;
 mod hard_brake;
 mod lane_change;
 mod moving_over;
+mod passing_ahead;
 mod pedestrian_steps_out;
+mod runs_stop_line;
 mod tailgating;
 #[cfg(test)]
 mod tests;
 mod turn;
+mod unprotected_left_turn;
 mod ways;
+mod wrong_way;
 
 pub(super) use driver::{Driver, ORDINARY_MPS2, Pace};
 pub(super) use turn::maneuvers as turn_maneuvers;

@@ -1,4 +1,4 @@
-//! Moving over to the lane beside, as lane changes and cut-outs do.
+//! Moving over to the lane beside, as lane changes and cut-outs do, or to the oncoming one.
 
 use super::{Driver, Pace};
 use crate::behavior::kept_lane::KeptLane;
@@ -37,36 +37,47 @@ pub(super) struct MovingOver {
 pub(super) fn ways_over(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Vec<MovingOver> {
     let Some(driver) = Driver::new(scene, lanes, agent_idx) else { return Vec::new() };
     let now = driver.state;
-    if now.speed_mps() < LEAST_SPEED_MPS {
-        return Vec::new();
-    }
     let is_along = |heading_rad: f64| angle_difference(heading_rad, now.heading_rad).abs() < ALONG_RAD;
     let own = lanes.lanes_at(now.position).filter(|(_, place)| is_along(place.heading_rad));
     let mut beside: Vec<_> = own.flat_map(|(own, _)| lanes.beside(own, now.position)).collect();
     beside.sort_by_key(|(lane, side)| (lane.lane.id, *side > 0.0));
     beside.dedup_by_key(|(lane, side)| (lane.lane.id, *side > 0.0));
+    let targets = beside.into_iter().map(|(lane, side)| (KeptLane::from_lane(lanes, lane), side));
+    targets.flat_map(|(target, side)| over_to(scene, &driver, &target, side)).collect()
+}
+
+/// The ways in which an agent can move over to an oncoming lane beside its own, to drive against it.
+pub(super) fn ways_over_to_oncoming(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Vec<MovingOver> {
+    let Some(driver) = Driver::new(scene, lanes, agent_idx) else { return Vec::new() };
+    let oncoming = lanes.oncoming(driver.state.position, driver.state.heading_rad).into_iter();
+    let targets = oncoming.map(|(lane, side)| (KeptLane::from_lane(lanes, lane).reversed(), side));
+    targets.flat_map(|(target, side)| over_to(scene, &driver, &target, side)).collect()
+}
+
+/// The ways in which a driver can move over to a lane that lies to this side. Empty if it is too slow.
+fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64) -> Vec<MovingOver> {
+    let now = driver.state;
+    let Some(aside_m) = target.project(now.position).map(|place| place.offset_m.abs()) else { return Vec::new() };
     let mut found = Vec::new();
-    for (lane, side) in beside {
-        let target = KeptLane::from_lane(lanes, lane);
-        let Some(aside_m) = target.project(now.position).map(|place| place.offset_m.abs()) else { continue };
-        for along_mps2 in ALONG_MPS2 {
-            for rail in 0..driver.rails.len() {
-                let on_own = driver.positions(rail, &driver.travel(rail, &Pace::steady(along_mps2)).driven_m);
-                let on_target: Option<Vec<Vec2>> =
-                    on_own.iter().map(|at| target.point_at(target.project(*at)?.station_m)).collect();
-                let Some(on_target) = on_target else { continue };
-                for (begins_s, takes_s) in BEGINS_S.iter().flat_map(|b| TAKES_S.map(|t| (*b, t))) {
-                    let across_mps2 = QUINTIC_PEAK * aside_m / (takes_s * takes_s);
-                    if across_mps2 > MOST_ACROSS_MPS2 {
-                        continue;
-                    }
-                    let share = |step: usize| quintic((step as f64 * scene.dt_s - begins_s) / takes_s);
-                    let both = on_own.iter().zip(&on_target).enumerate();
-                    let positions = both.map(|(step, (own, there))| own.lerp(*there, share(step))).collect();
-                    let effort = effort(along_mps2).max(across_mps2 / MOST_ACROSS_MPS2);
-                    found.push(MovingOver { side, midway_s: begins_s + takes_s / 2.0, effort, positions });
-                }
+    if now.speed_mps() < LEAST_SPEED_MPS {
+        return found;
+    }
+    for (along_mps2, rail) in ALONG_MPS2.iter().flat_map(|mps2| (0..driver.rails.len()).map(move |rail| (*mps2, rail)))
+    {
+        let on_own = driver.positions(rail, &driver.travel(rail, &Pace::steady(along_mps2)).driven_m);
+        let on_target: Option<Vec<Vec2>> =
+            on_own.iter().map(|at| target.point_at(target.project(*at)?.station_m)).collect();
+        let Some(on_target) = on_target else { continue };
+        for (begins_s, takes_s) in BEGINS_S.iter().flat_map(|b| TAKES_S.map(|t| (*b, t))) {
+            let across_mps2 = QUINTIC_PEAK * aside_m / (takes_s * takes_s);
+            if across_mps2 > MOST_ACROSS_MPS2 {
+                continue;
             }
+            let share = |step: usize| quintic((step as f64 * scene.dt_s - begins_s) / takes_s);
+            let both = on_own.iter().zip(&on_target).enumerate();
+            let positions = both.map(|(step, (own, there))| own.lerp(*there, share(step))).collect();
+            let effort = effort(along_mps2).max(across_mps2 / MOST_ACROSS_MPS2);
+            found.push(MovingOver { side, midway_s: begins_s + takes_s / 2.0, effort, positions });
         }
     }
     found

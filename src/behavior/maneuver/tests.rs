@@ -1,7 +1,7 @@
 //! Maneuvers of all behaviors against their miners.
 
 use super::spread;
-use crate::behavior::testing::{fork, going_on, two_lanes};
+use crate::behavior::testing::{fork, fork_with_oncoming, going_on, side_road, stop_line, two_lanes};
 use crate::behavior::{BehaviorConfig, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::testing::Drive;
@@ -32,7 +32,25 @@ fn possible() -> Vec<(&'static str, Scene, Vec<usize>)> {
             vec![0, 1, 2],
         ),
         ("pedestrian_steps_out", beside_the_road, vec![0, 1]),
+        (
+            "unprotected_left_turn",
+            going_on(&[drive(14.0, 0.0, 6.0), oncoming(62.0, 9.0)], fork_with_oncoming()),
+            vec![0, 1],
+        ),
+        ("failure_to_yield", going_on(&from_the_side(-24.0, 8.0), side_road("yield")), vec![0, 1]),
+        ("wrong_way", going_on(&alone(), fork_with_oncoming()), vec![0]),
+        ("runs_stop_line", going_on(&[drive(-25.0, 0.0, 8.0)], stop_line()), vec![0]),
     ]
+}
+
+/// A vehicle on the side road, and one at this place and speed on the main road.
+fn from_the_side(x: f64, speed_mps: f64) -> [Drive; 2] {
+    [Drive::straight(0.0, -14.0, std::f64::consts::FRAC_PI_2, 5.0), drive(x, 0.0, speed_mps)]
+}
+
+/// A vehicle on the lane that comes toward the fork, to the left of the one that leads there.
+fn oncoming(x: f64, speed_mps: f64) -> Drive {
+    Drive::straight(x, 3.5, std::f64::consts::PI, speed_mps)
 }
 
 #[test]
@@ -82,6 +100,27 @@ fn who_cannot_show_a_behavior_has_no_template() {
         ("collision", going_on(&[drive(0.0, 0.0, 10.0), drive(60.0, 0.0, 20.0)], LaneGraph::default()), vec![0, 1]),
         ("pedestrian_steps_out", going_on(&[drive(0.0, 0.0, 10.0), drive(32.0, -3.0, 0.0)], two_lanes()), vec![0, 1]),
         ("cut_in_paper", going_on(&[drive(0.0, 0.0, 10.0), drive(12.0, 3.5, 10.0)], two_lanes()), vec![0, 1]),
+        // The line is behind, or there is none.
+        ("runs_stop_line", going_on(&[drive(-4.0, 0.0, 8.0)], stop_line()), vec![0]),
+        ("runs_stop_line", going_on(&[drive(-25.0, 0.0, 8.0)], side_road("yield")), vec![0]),
+        // There is no oncoming lane, or the agent is too slow.
+        ("wrong_way", going_on(&[drive(0.0, 0.0, 10.0)], two_lanes()), vec![0]),
+        ("wrong_way", going_on(&[drive(0.0, 0.0, 1.0)], fork_with_oncoming()), vec![0]),
+        // Who is on the main road has passed, or both have the right of way.
+        ("failure_to_yield", going_on(&from_the_side(5.0, 8.0), side_road("yield")), vec![0, 1]),
+        ("failure_to_yield", going_on(&from_the_side(-24.0, 8.0), side_road("right_of_way")), vec![0, 1]),
+        // The oncoming vehicle has passed, or is far away; nobody turns.
+        (
+            "unprotected_left_turn",
+            going_on(&[drive(14.0, 0.0, 6.0), oncoming(10.0, 9.0)], fork_with_oncoming()),
+            vec![0, 1],
+        ),
+        (
+            "unprotected_left_turn",
+            going_on(&[drive(14.0, 0.0, 6.0), oncoming(140.0, 9.0)], fork_with_oncoming()),
+            vec![0, 1],
+        ),
+        ("unprotected_left_turn", going_on(&[drive(14.0, 0.0, 6.0), oncoming(62.0, 9.0)], two_lanes()), vec![0, 1]),
     ];
     for (id, scene, agents) in impossible {
         let behavior = BehaviorConfig::from_id(id).unwrap().build();
@@ -133,7 +172,8 @@ fn templates_stay_on_the_road_and_within_what_vehicles_can() {
                 assert!(hardest < 8.0f64.hypot(4.5), "{id}: {hardest} m/s²");
                 let farthest = states.iter().flatten().map(|state| state.position.y).fold(0.0, f64::max);
                 assert!(
-                    ["left_turn", "pedestrian_steps_out"].contains(&id) || farthest < 5.3,
+                    ["left_turn", "pedestrian_steps_out", "unprotected_left_turn", "failure_to_yield"].contains(&id)
+                        || farthest < 5.3,
                     "{id}: {farthest} m beside"
                 );
             }

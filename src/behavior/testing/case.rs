@@ -6,8 +6,8 @@ use super::motion::{Segment, Start, drive};
 use crate::behavior::{BehaviorConfig, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneGraph, LaneId, Scene, SceneSource, Split, State, Track, TrackId, TrackRole,
-    Trajectory,
+    AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, Scene, SceneSource, Split, State, Track,
+    TrackId, TrackRole, Trajectory,
 };
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -126,6 +126,15 @@ pub(crate) struct LaneSpec {
     pub(crate) predecessors: Vec<i64>,
     pub(crate) left_neighbor: Option<i64>,
     pub(crate) right_neighbor: Option<i64>,
+    #[serde(default = "default_one_way")]
+    pub(crate) one_way: bool,
+    /// Further tags of the map, such as the rules in which the lane has a part.
+    #[serde(default)]
+    pub(crate) tags: BTreeMap<String, String>,
+}
+
+const fn default_one_way() -> bool {
+    true
 }
 
 impl SceneSpec {
@@ -198,7 +207,8 @@ impl LaneSpec {
             predecessors: ids(&self.predecessors),
             left_neighbor: self.left_neighbor.map(LaneId),
             right_neighbor: self.right_neighbor.map(LaneId),
-            attributes: Arc::default(),
+            attributes: LaneAttributes { one_way: self.one_way, tags: self.tags.clone(), ..LaneAttributes::default() }
+                .into(),
         }
     }
 }

@@ -39,16 +39,51 @@ pub(crate) fn two_lanes() -> LaneGraph {
 
 /// A lane along x that forks at x = 20 m: straight on, and to the left on a quarter of a circle of 10 m.
 pub(crate) fn fork() -> LaneGraph {
-    let bend: Vec<String> = (0..=9)
-        .map(|i| (f64::from(i) * 10.0).to_radians())
-        .map(|angle| format!("[{}, {}]", 20.0 + 10.0 * angle.sin(), 10.0 - 10.0 * angle.cos()))
-        .collect();
+    lane_graph(&format!("lanes = [{FORK} {}] }}]", bend()))
+}
+
+/// The same fork, with an oncoming lane 3.5 m to the left of the straight one, and with a lane that leads on from the bend.
+pub(crate) fn fork_with_oncoming() -> LaneGraph {
+    let bend = bend();
+    lane_graph(&format!(
+        "lanes = [{FORK} {bend}], successors = [4] }},
+            {{ id = 4, centerline = [[30.0, 10.0], [30.0, 60.0]] }},
+            {{ id = 5, centerline = [[160.0, 3.5], [-100.0, 3.5]] }}]"
+    ))
+}
+
+/// The lanes of the fork, up to the points of the bend.
+const FORK: &str = "
+    { id = 1, centerline = [[-50.0, 0.0], [20.0, 0.0]], successors = [2, 3] },
+    { id = 2, centerline = [[20.0, 0.0], [100.0, 0.0]] },
+    { id = 3, centerline = [";
+
+/// A main road along x that has the right of way, and a side road along y that crosses it and has this role in the rule.
+pub(crate) fn side_road(role: &str) -> LaneGraph {
+    let rule = |role: &str| format!(r#"tags = {{ "regulatory:1" = "role={role};subtype=right_of_way" }}"#);
     lane_graph(&format!(
         "lanes = [
-            {{ id = 1, centerline = [[-50.0, 0.0], [20.0, 0.0]], successors = [2, 3] }},
-            {{ id = 2, centerline = [[20.0, 0.0], [100.0, 0.0]] }},
-            {{ id = 3, centerline = [{}] }},
-        ]",
-        bend.join(", ")
+            {{ id = 1, centerline = [[-100, 0], [-6, 0]], successors = [2], {} }},
+            {{ id = 2, centerline = [[-6, 0], [100, 0]] }},
+            {{ id = 3, centerline = [[0, -100], [0, -6]], successors = [4], {} }},
+            {{ id = 4, centerline = [[0, -6], [0, 100]] }}]",
+        rule("right_of_way"),
+        rule(role)
     ))
+}
+
+/// A lane along x with an all-way stop at x = -6 m.
+pub(crate) fn stop_line() -> LaneGraph {
+    lane_graph(
+        "lanes = [
+            { id = 1, centerline = [[-100, 0], [-6, 0]], successors = [2], tags = { 'regulatory:1' = 'role=yield;subtype=all_way_stop' } },
+            { id = 2, centerline = [[-6, 0], [100, 0]] }]",
+    )
+}
+
+/// A quarter of a circle of 10 m from (20, 0) to (30, 10).
+fn bend() -> String {
+    let points = (0..=9).map(|i| (f64::from(i) * 10.0).to_radians());
+    let point = |angle: f64| format!("[{}, {}]", 20.0 + 10.0 * angle.sin(), 10.0 - 10.0 * angle.cos());
+    points.map(point).collect::<Vec<_>>().join(", ")
 }

@@ -2,7 +2,7 @@
 
 use super::box_separation::separation_between_m;
 use super::motion::{norm, penalty, positions};
-use super::pairs::{self, Agents, Pairs};
+use super::pairs::{self, Agents};
 use candle_core::{D, DType, Result, Tensor};
 
 /// How much the boxes are to overlap, at their two times, meters; their separation is up to 0.2 m less than it is for the smoothing.
@@ -17,7 +17,7 @@ const COS_TOLERANCE: f64 = 0.15;
 const LEAST_SPEED_MPS: f64 = 2.0;
 const SPEED_TOLERANCE_MPS: f64 = 1.0;
 
-/// Places of one agent of each pair, and of the other at another time: the second by k timesteps later than the first, for all wanted k.
+/// Places of one agent of each pair, and of the other k timesteps later, for all wanted k.
 ///
 /// With s the separation of the boxes at their two times, Δψ the difference of headings and v the speeds, a pair of moments costs
 /// c = ½ (\[s + 0.7 m\]₊ / 0.5 m)² + ½ (\[cos Δψ - cos 45°\]₊ / 0.15)² + ½ Σ (\[2 m/s - v\]₊ / 1 m/s)².
@@ -29,10 +29,10 @@ pub(super) struct Encroachment {
 }
 
 impl Encroachment {
-    /// Of `pairs`, for post-encroachment times between the least and the most `wanted_s` of each pair, (P, 2). `None` where no two timesteps
-    /// are so far apart.
-    pub(super) fn new(pairs: &Pairs, wanted_s: &Tensor, dt_s: f64) -> Result<Option<Self>> {
-        let n_timesteps = pairs.counts.dim(1)?;
+    /// Of pairs (who is earlier, who is later), for post-encroachment times between the least and the most `wanted_s` of
+    /// each pair, (P, 2). Each of `orders` has the same pairs. `None` where no two timesteps are so far apart.
+    pub(super) fn new(orders: &[[&Agents; 2]], wanted_s: &Tensor, dt_s: f64) -> Result<Option<Self>> {
+        let n_timesteps = orders[0][0].valid.dim(1)?;
         let wanted = wanted_s.to_dtype(DType::F64)?.to_vec2::<f64>()?;
         // Timesteps are points: half of their spacing belongs to each.
         let is_wanted = |delay: usize, pet_s: &[f64]| {
@@ -46,7 +46,7 @@ impl Encroachment {
             }
             let of_pairs =
                 Tensor::from_vec(of_pairs, (wanted.len(), 1), wanted_s.device())?.to_dtype(wanted_s.dtype())?;
-            for (earlier, later) in [(&pairs.first, &pairs.second), (&pairs.second, &pairs.first)] {
+            for [earlier, later] in orders {
                 // From the second timestep on: the first has no speed.
                 let len = n_timesteps - 1 - delay;
                 let before = [earlier.during(0, len)?, later.during(delay, len)?];

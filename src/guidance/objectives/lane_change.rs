@@ -64,21 +64,33 @@ impl SceneObjective for LaneChange {
     }
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let (n_rows, _, n_timesteps, _) = states.dims4()?;
-        let n_settled = (self.settled_s / context.dt_s).round().max(1.0) as usize;
-        let n_settled = n_settled.min(n_timesteps.saturating_sub(context.n_history));
-        if n_settled == 0 {
-            return nothing(states);
-        }
         let asked = OneAgent::gather(states, context, &self.agents)?;
-        let lines: Vec<Option<Polyline>> = (0..n_rows).map(|row| asked.line_beside(context, row, self.side)).collect();
-        let frame = asked.across(&lines)?;
-        let last = |tensor: &Tensor| tensor.narrow(1, n_timesteps - n_settled, n_settled);
-        let aside_m = (last(&frame.across_m)?.abs()? - self.within_m)?.relu()?;
-        let counts = last(&asked.counts)?;
-        let costs = (penalty(&aside_m, self.tolerance_m)? * &counts)?.sum(1)?.div(&(counts.sum(1)? + 1e-6)?)?;
-        costs * frame.has_line
+        let line = |row: usize| asked.line_beside(context, row, self.side);
+        settled(states, context, &asked, line, [self.settled_s, self.within_m, self.tolerance_m])
     }
+}
+
+/// The log potential of being within some meters of a line over the last seconds, (B): see [`LaneChange`]. 0 in rows
+/// without a line.
+pub(super) fn settled(
+    states: &Tensor,
+    context: &SceneContext,
+    asked: &OneAgent,
+    line: impl Fn(usize) -> Option<Polyline>,
+    [settled_s, within_m, tolerance_m]: [f64; 3],
+) -> Result<Tensor> {
+    let (n_rows, _, n_timesteps, _) = states.dims4()?;
+    let n_settled = (settled_s / context.dt_s).round().max(1.0) as usize;
+    let n_settled = n_settled.min(n_timesteps.saturating_sub(context.n_history));
+    if n_settled == 0 {
+        return nothing(states);
+    }
+    let frame = asked.across(&(0..n_rows).map(line).collect::<Vec<_>>())?;
+    let last = |tensor: &Tensor| tensor.narrow(1, n_timesteps - n_settled, n_settled);
+    let aside_m = (last(&frame.across_m)?.abs()? - within_m)?.relu()?;
+    let counts = last(&asked.counts)?;
+    let costs = (penalty(&aside_m, tolerance_m)? * &counts)?.sum(1)?.div(&(counts.sum(1)? + 1e-6)?)?;
+    costs * frame.has_line
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ mod approach;
 mod box_separation;
 mod chase;
 mod collision;
+mod cross_ahead;
 mod cut_in;
 mod cut_out;
 mod driven_paths;
@@ -39,10 +40,12 @@ mod target_speed;
 mod testing;
 #[cfg(test)]
 mod tests;
+mod wrong_way;
 
 pub use acceleration_limit::AccelerationLimit;
 pub use adversarial_ttc::AdversarialTtc;
 pub use collision::Collision;
+pub use cross_ahead::CrossAhead;
 pub use cut_in::CutIn;
 pub use cut_out::CutOut;
 pub use goal::{Goal, GoalFrame};
@@ -59,6 +62,7 @@ pub use stay_on_road::{RoadPoints, StayOnRoad};
 pub use stop_at_line::StopAtLine;
 pub use tailgating::Tailgating;
 pub use target_speed::TargetSpeed;
+pub use wrong_way::WrongWay;
 
 use super::{AgentSelector, SceneContext};
 use crate::settings::{self, Issue};
@@ -147,6 +151,8 @@ objectives! {
     NearMiss = "near_miss",
     /// Drive into each other.
     Collision = "collision",
+    /// Cross the way of another shortly before it gets there.
+    CrossAhead = "cross_ahead",
     /// Move over to the lane beside one's own.
     LaneChange = "lane_change",
     /// Drive too close behind another.
@@ -155,6 +161,8 @@ objectives! {
     CutOut = "cut_out",
     /// Step into the way of a vehicle.
     PedestrianStepsOut = "pedestrian_steps_out",
+    /// Drive in the oncoming lane.
+    WrongWay = "wrong_way",
 }
 
 /// Why an objective cannot work.

@@ -133,7 +133,8 @@ impl SceneObjective for NearMiss {
         let counts = (&approach.counts * pairs.of_rows(&in_time)?)?;
         let conflict = best_moment(&cost, &counts)?;
         let pet_s = pairs.of_rows(&context.wanted(PET, self.pet_s, ANY_PET_S, states)?)?;
-        let best = match Encroachment::new(&pairs, &pet_s, context.dt_s)? {
+        let orders = [[&pairs.first, &pairs.second], [&pairs.second, &pairs.first]];
+        let best = match Encroachment::new(&orders, &pet_s, context.dt_s)? {
             None => conflict,
             Some(crossing) => {
                 let either = Tensor::stack(&[conflict, best_moment(&crossing.costs, &crossing.counts)?], 1)?;

@@ -59,8 +59,18 @@ impl OneAgent {
             (None, Some([least, most])) => vec![(least + most).signum()],
             (None, None) => vec![1.0, -1.0],
         };
-        let end = self.position(row, self.span(row)?.1);
         let lines = sides.into_iter().flat_map(|side| context.ways[row].beside(self.pose(row), side));
+        self.nearest(row, lines)
+    }
+
+    /// The center line of an oncoming lane beside the agent's own, in the agent's direction: the one that the agent is
+    /// nearest to when it was last seen.
+    pub(super) fn oncoming_line(&self, context: &SceneContext, row: usize) -> Option<Polyline> {
+        self.nearest(row, context.ways[row].oncoming(self.pose(row)).into_iter())
+    }
+
+    fn nearest(&self, row: usize, lines: impl Iterator<Item = Polyline>) -> Option<Polyline> {
+        let end = self.position(row, self.span(row)?.1);
         let aside_m = |line: &Polyline| line.project(end).map_or(f64::INFINITY, |place| place.offset_m.abs());
         lines.min_by(|a, b| aside_m(a).total_cmp(&aside_m(b)))
     }

@@ -23,6 +23,7 @@ fn all() -> Vec<ObjectiveConfig> {
             { kind = 'stop_at_line', agents = 'all', distance_m = 5.0 },
             { kind = 'adversarial_ttc', agents = 'all', to = 'all' },
             { kind = 'cut_in' },
+            { kind = 'cross_ahead', agents = 'ego', to = 'other' },
             { kind = 'hard_brake', agents = 'all' },
             { kind = 'tailgating', agents = 'other', to = 'ego', duration_s = 1.0 },
             { kind = 'pedestrian_steps_out', agents = 'other' },

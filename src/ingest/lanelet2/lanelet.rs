@@ -96,8 +96,12 @@ fn attributes(relation: &Relation, id: i64, osm: &Osm, report: &mut MapReport) -
         };
         attributes.has_traffic_control |=
             matches!(tag(rule, "subtype"), "traffic_light" | "right_of_way" | "all_way_stop");
-        let joined = rule.tags.iter().map(|(key, value)| format!("{key}={value}")).collect::<Vec<_>>().join(";");
-        attributes.tags.insert(format!("regulatory:{}", member.id), joined);
+        // Who has the right of way and who yields is said by the roles in the rule.
+        let named = rule.members.iter().find(|named| named.kind == "relation" && named.id == id);
+        let role = named.map(|named| format!("{}={}", LaneAttributes::ROLE, named.role));
+        let tags = rule.tags.iter().map(|(key, value)| format!("{key}={value}"));
+        let joined = role.into_iter().chain(tags).collect::<Vec<_>>().join(";");
+        attributes.tags.insert(format!("{}{}", LaneAttributes::REGULATORY, member.id), joined);
     }
     attributes
 }

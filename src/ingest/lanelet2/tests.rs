@@ -3,7 +3,7 @@
 use super::*;
 use crate::geometry::Polyline;
 use crate::ingest::test_data::{damaged, test_data};
-use crate::scene::LaneId;
+use crate::scene::{LaneDuty, LaneId};
 
 /// Two lanes side by side, 10 m long and 4 m wide, of which the right one (1) goes on into a third (3). Way 12 between
 /// the lanes is drawn against driving direction, and relation 1 comes before the regulatory element it names.
@@ -84,6 +84,21 @@ fn tags_become_attributes() {
     assert_eq!((first.has_traffic_control, second.has_traffic_control), (true, false));
     assert_eq!(first.tags["regulatory:40"], "subtype=traffic_light;type=regulatory_element");
     assert_eq!(first.tags["region"], "de");
+}
+
+#[test]
+fn lanes_know_their_part_in_rules_about_the_right_of_way() {
+    let rule = r#"<relation id="40"><member type="relation" role="yield" ref="1"/>
+        <member type="relation" role="right_of_way" ref="3"/><member type="way" role="ref_line" ref="3"/>
+        <tag k="type" v="regulatory_element"/><tag k="subtype" v="right_of_way"/></relation>"#;
+    let relations = RELATIONS[..RELATIONS.find("<relation id=\"40\"").unwrap()].to_owned() + rule;
+    let third = r#"<relation id="3"><member type="relation" role="regulatory_element" ref="40"/>"#;
+    let relations = relations.replace(r#"<relation id="3">"#, third);
+    let (graph, _) = read_valid(&[&nodes(), WAYS, &relations].concat());
+    let duties = |id: i64| graph.get(LaneId(id)).unwrap().attributes.duties().collect::<Vec<_>>();
+    assert_eq!(duties(1), [("regulatory:40", LaneDuty::Yields)]);
+    assert_eq!(duties(3), [("regulatory:40", LaneDuty::HasRightOfWay)]);
+    assert_eq!(duties(2), []);
 }
 
 #[test]

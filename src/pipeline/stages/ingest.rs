@@ -18,7 +18,7 @@ impl Stage for Ingest<'_> {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn check(&self) -> Result<()> {

@@ -60,6 +60,38 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
         &["mine.behaviors=[{ kind = \"cut_out\", max_speed_share = 1.5 }]"],
         &["mine.behaviors.0.max_speed_share is 1.5, expected 0 to 1"],
     ),
+    (
+        &["mine.behaviors=[{ kind = \"unprotected_left_turn\", max_pet_s = 5.0 }]"],
+        &["mine.behaviors.0.max_pet_s is 5, expected at most negative_pet_s, which is 4"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"unprotected_left_turn\", min_heading_change_rad = 0.0 }]"],
+        &["mine.behaviors.0.min_heading_change_rad is 0, expected more than 0 and at most 2.6"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"failure_to_yield\", negative_pet_s = 0.5 }]"],
+        &["mine.behaviors.0.max_pet_s is 1, expected at most negative_pet_s, which is 0.5"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"failure_to_yield\", min_deceleration_mps2 = 0.0 }]"],
+        &["mine.behaviors.0.min_deceleration_mps2 is 0, expected a positive number"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"wrong_way\", min_duration_s = 0.2 }]"],
+        &["mine.behaviors.0.negative_duration_s is 0.5, expected at most min_duration_s, which is 0.2"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"wrong_way\", min_speed_mps = 0.0 }]"],
+        &["mine.behaviors.0.min_speed_mps is 0, expected a positive number"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"runs_stop_line\", max_rolling_mps = 0.3 }]"],
+        &["mine.behaviors.0.negative_speed_mps is 0.5, expected at most max_rolling_mps, which is 0.3"],
+    ),
+    (
+        &["mine.behaviors=[{ kind = \"runs_stop_line\", approach_m = 2000.0 }]"],
+        &["mine.behaviors.0.approach_m is 2000, expected more than 0 and at most 1000"],
+    ),
     (&["mine.behaviors=[{ kind = \"cut_in\", min_shift_m = -0.5 }]"], &["mine.behaviors.0.min_shift_m is -0.5"]),
     (&["mine.behaviors=[{ kind = \"lane_change\", min_stay_s = -1.0 }]"], &["mine.behaviors.0.min_stay_s is -1"]),
     (

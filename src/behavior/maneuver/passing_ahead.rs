@@ -1,0 +1,123 @@
+//! Passing a place shortly before another gets there, as in left turns across oncoming traffic: both continue along their
+//! ways, and the other brakes if it has to.
+
+use super::{Driver, Maneuver, Pace};
+use crate::behavior::footprint::{Bounds, Footprint};
+use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::limits::effort;
+use crate::behavior::template::InTheWay;
+use crate::scene::{Extent, Scene};
+use std::f64::consts::FRAC_PI_6;
+
+/// Accelerations of the one that goes first, and of the other until it brakes, m/s².
+const FIRST_MPS2: [f64; 5] = [0.0, 0.8, 1.6, 2.4, -1.0];
+const OTHER_MPS2: [f64; 4] = [0.0, 0.6, 1.25, -1.0];
+/// How hard the other brakes, m/s², and how long after the first gets into its way, seconds.
+const BRAKES_MPS2: [f64; 3] = [0.0, 3.0, 5.0];
+const REACTION_S: f64 = 0.4;
+/// How far apart the boxes stay, meters.
+const APART_M: f64 = 0.4;
+/// Who heads along the way of the other within this does not cross it, radians.
+const FOLLOWING_RAD: f64 = FRAC_PI_6;
+/// The longest time from one to the other being in a place, seconds, and the spacing by which maneuvers are told apart.
+const MOST_DELAY_S: f64 = 2.5;
+const DELAY_SPACING_S: f64 = 0.4;
+
+/// A drive along a rail.
+struct Course {
+    rail: usize,
+    mps2: f64,
+    driven_m: Vec<f64>,
+    boxes: Vec<Footprint>,
+    bounds: Bounds,
+}
+
+/// Two agents by their ways, of which the first passes ahead of the other.
+struct Pair<'a> {
+    first: &'a Driver,
+    other: &'a Driver,
+    extents: [Extent; 2],
+    dt_s: f64,
+}
+
+/// Maneuvers in which the first of `agents` passes a place across the way of the other shortly before that one. Their
+/// outcomes name `parameters`.
+pub(super) fn passing_ahead(scene: &Scene, agents: [usize; 2], parameters: &'static [&'static str]) -> Vec<Maneuver> {
+    let lanes = SceneLanes::new(&scene.lanes);
+    let drivers = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
+    let [Some(first), Some(other)] = &drivers else { return Vec::new() };
+    let extents = agents.map(|agent_idx| scene.tracks[agent_idx].extent_or_nominal());
+    let pair = Pair { first, other, extents, dt_s: scene.dt_s };
+    let paces = |driver: &Driver, mps2: &'static [f64]| {
+        (0..driver.rails.len()).flat_map(move |rail| mps2.iter().map(move |mps2| (rail, *mps2)))
+    };
+    let course = |(driver, extent), (rail, mps2)| Course::new(driver, extent, rail, mps2, &Pace::steady(mps2));
+    let firsts: Vec<Course> = paces(first, &FIRST_MPS2).filter_map(|pace| course((first, extents[0]), pace)).collect();
+    let others: Vec<Course> = paces(other, &OTHER_MPS2).filter_map(|pace| course((other, extents[1]), pace)).collect();
+    let pairs = firsts.iter().flat_map(|own| others.iter().map(move |theirs| (own, theirs)));
+    pairs.flat_map(|(own, theirs)| pair.maneuvers(own, theirs, parameters)).collect()
+}
+
+impl Pair<'_> {
+    /// The maneuvers in which the first drives as it is said, and the other does so until it brakes.
+    fn maneuvers(&self, own: &Course, theirs: &Course, parameters: &'static [&'static str]) -> Vec<Maneuver> {
+        let Some((enters, delay)) = own.passes_ahead_of(theirs, (MOST_DELAY_S / self.dt_s) as usize) else {
+            return Vec::new();
+        };
+        let from_s = (enters + 1) as f64 * self.dt_s + REACTION_S;
+        let spacing = (DELAY_SPACING_S / self.dt_s).max(1.0) as usize;
+        let maneuver = |(nth, brakes_mps2): (usize, &f64)| {
+            let pace = Pace::steady(theirs.mps2).then(from_s, theirs.mps2.min(-brakes_mps2));
+            let braking = Course::new(self.other, self.extents[1], theirs.rail, theirs.mps2, &pace)?;
+            own.keeps(&braking, APART_M).then(|| Maneuver {
+                kind: [own.rail * self.other.rails.len() + theirs.rail, nth * 100 + delay / spacing],
+                effort: effort(own.mps2).max(effort(theirs.mps2)),
+                parameters,
+                in_the_way: Some(InTheWay::Ahead),
+                positions: vec![
+                    self.first.positions(own.rail, &own.driven_m),
+                    self.other.positions(theirs.rail, &braking.driven_m),
+                ],
+            })
+        };
+        BRAKES_MPS2.iter().enumerate().filter_map(maneuver).collect()
+    }
+}
+
+impl Course {
+    fn new(driver: &Driver, extent: Extent, rail: usize, mps2: f64, pace: &Pace) -> Option<Self> {
+        let driven_m = driver.travel(rail, pace).driven_m;
+        let boxes = driver.boxes(rail, &driven_m, extent);
+        let bounds = boxes.iter().map(|body| body.bounds).reduce(Bounds::union)?;
+        Some(Self { rail, mps2, driven_m, boxes, bounds })
+    }
+
+    /// The first step at which it is where the other is later, across its way, and the shortest delay of the other.
+    /// `None` if the other is there first, or more than `most_delay` steps later.
+    fn passes_ahead_of(&self, other: &Self, most_delay: usize) -> Option<(usize, usize)> {
+        if !self.bounds.is_within(&other.bounds, 0.0) {
+            return None;
+        }
+        let is_there = |own: &Footprint, theirs: &Footprint| {
+            own.forward.dot(theirs.forward) < FOLLOWING_RAD.cos() && own.overlaps(theirs)
+        };
+        // For each own step, the first step at which the other is there.
+        let n_steps = self.boxes.len();
+        let arrivals: Vec<(usize, usize)> = (0..n_steps)
+            .filter(|step| self.boxes[*step].bounds.is_within(&other.bounds, 0.0))
+            .filter_map(|step| {
+                let body = &self.boxes[step];
+                Some((step, other.boxes.iter().position(|theirs| is_there(body, theirs))?))
+            })
+            .collect();
+        let (enters, _) = *arrivals.first()?;
+        let is_first = arrivals.iter().all(|(_, arrives)| *arrives > enters);
+        let delay = arrivals.iter().map(|(step, arrives)| arrives.saturating_sub(*step)).min()?;
+        (is_first && delay <= most_delay).then_some((enters, delay))
+    }
+
+    /// Whether the boxes of the two always stay this far apart.
+    fn keeps(&self, other: &Self, distance_m: f64) -> bool {
+        !self.boxes.iter().zip(&other.boxes).any(|(own, others)| own.is_closer_than(others, distance_m))
+    }
+}
