@@ -10,6 +10,8 @@ use crate::geometry::{OrientedBox, Vec2};
 use crate::scene::{Extent, Scene, State, Track};
 use std::f64::consts::FRAC_PI_6;
 
+/// How long before the first gets into its way the other may begin to brake, seconds.
+const FORESIGHT_S: f64 = 1.0;
 /// An agent in the lane of another that heads along it within this follows it, radians.
 const FOLLOWING_RAD: f64 = FRAC_PI_6;
 /// Spacing of the places along a lane at which a box is tried, meters, and the farthest of them.
@@ -135,6 +137,14 @@ impl Conflict {
     pub(super) fn arrival_s(&self, other: &Course<'_>, timestep: usize) -> Option<f64> {
         let speed_mps = other.state(timestep)?.speed_mps();
         (speed_mps >= STANDING_MPS).then(|| other.way_m(timestep, &self.zone)).flatten().map(|way_m| way_m / speed_mps)
+    }
+
+    /// The post-encroachment time if the other kept the speed that it has a second before the first gets into its way,
+    /// when it may begin to brake for it, seconds. `None` as for [`Self::arrival_s`].
+    pub(super) fn pet_at_kept_speed_s(&self, other: &Course<'_>, dt_s: f64) -> Option<f64> {
+        let before = self.enters.saturating_sub((FORESIGHT_S / dt_s).round() as usize);
+        let taken_s = (self.leaves - before) as f64 * dt_s;
+        self.arrival_s(other, before).map(|arrival_s| arrival_s - taken_s)
     }
 
     /// The last timestep of the conflict: the other's arrival, if recorded, or else when the first is out of the way.

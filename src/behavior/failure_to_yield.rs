@@ -26,7 +26,8 @@ const RULE_REACH_M: f64 = 40.0;
 pub struct FailureToYieldConfig {
     /// Road users that take part. Default `motorized`.
     pub agents: AgentFilter,
-    /// A post-encroachment time below this is short, seconds. Default 1.
+    /// A post-encroachment time below this is short, seconds. Default 1. Who would come later without braking does not have
+    /// to brake.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_pet_s: f64,
     /// Without braking, one below this is a hard negative, seconds. Default 2.5.
@@ -70,7 +71,8 @@ impl Default for FailureToYieldConfig {
 ///
 /// - The entering vehicle enters the conflict zone before the other, which then drives at 3 m/s or more and would get
 ///   there in less than 4 s at that speed. The boxes never touch.
-/// - From then on, the other brakes with 3 m/s² or more (over half a second), or the post-encroachment time is below 1 s:
+/// - From then on, the other brakes with 3 m/s² or more (over half a second) and has to, because at the speed of
+///   a second before the post-encroachment time would be below 1 s; or it is below 1 s:
 ///   from when the entering vehicle has left the conflict zone until the other enters it; negative if that is earlier. If
 ///   the other does not get there while it is tracked, the time is predicted from its place and speed when the first has
 ///   left.
@@ -146,7 +148,9 @@ impl FailureToYield {
         let pet_s = conflict.pet_s(&priority.course, scene.dt_s);
         let deceleration_mps2 = priority.course.strongest_deceleration_mps2(scene, conflict.enters);
         let is_below = |limit_s: f64| pet_s.is_some_and(|pet_s| pet_s < limit_s);
-        let brakes = deceleration_mps2.is_some_and(|mps2| mps2 >= config.min_deceleration_mps2);
+        let has_to_brake =
+            conflict.pet_at_kept_speed_s(&priority.course, scene.dt_s).is_some_and(|pet_s| pet_s < config.max_pet_s);
+        let brakes = has_to_brake && deceleration_mps2.is_some_and(|mps2| mps2 >= config.min_deceleration_mps2);
         let label = match brakes || is_below(config.max_pet_s) {
             true => EventLabel::Positive,
             false if is_below(config.negative_pet_s) => EventLabel::Negative,

@@ -40,7 +40,7 @@ pub struct UnprotectedLeftTurnConfig {
     /// A longer one, but below this, is a hard negative, seconds. Default 4.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub negative_pet_s: f64,
-    /// The oncoming vehicle drives at least this fast when the turner gets into its way, m/s. Default 3: who is slower
+    /// The oncoming vehicle drives at least this fast when the turner gets into its way, m/s. Default 5: who is slower
     /// leaves the gap.
     #[schemars(range(min = 0.0))]
     pub min_speed_mps: f64,
@@ -59,7 +59,7 @@ impl Default for UnprotectedLeftTurnConfig {
             agents: AgentFilter::Motorized,
             max_pet_s: 2.0,
             negative_pet_s: 4.0,
-            min_speed_mps: 3.0,
+            min_speed_mps: 5.0,
             min_heading_change_rad: FRAC_PI_4,
             max_roundabout_m: 250.0,
         }
@@ -79,7 +79,7 @@ impl Default for UnprotectedLeftTurnConfig {
 ///   come from, the two lanes are opposite within 45 degrees.
 /// - The turner enters the conflict zone before the oncoming vehicle, crosses the whole strip, and then heads along its
 ///   lane within 45 degrees. The boxes never touch.
-/// - The oncoming vehicle drives at 3 m/s or more when the turner enters.
+/// - The oncoming vehicle drives at 5 m/s or more when the turner enters.
 /// - The post-encroachment time is below 2 s: from when the turner has left the strip until the oncoming vehicle
 ///   enters the conflict zone; negative if that is earlier. If the oncoming vehicle does not get there while it is
 ///   tracked, the time is predicted from its place and speed when the turner has left.

@@ -80,7 +80,8 @@ impl Pair<'_> {
                 ],
             })
         };
-        BRAKES_MPS2.iter().enumerate().filter_map(maneuver).collect()
+        // No harder than it has to.
+        BRAKES_MPS2.iter().enumerate().find_map(maneuver).into_iter().collect()
     }
 }
 
