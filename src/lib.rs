@@ -18,12 +18,13 @@ pub mod metrics;
 
 pub mod diffusion;
 pub mod nn;
-pub mod store;
+pub mod scenario;
 pub mod tensor;
 
-pub mod corpus;
 pub mod model;
+pub mod store;
 
+pub mod corpus;
 pub mod guidance;
 
 pub mod generate;

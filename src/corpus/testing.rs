@@ -1,11 +1,10 @@
 //! Corpora for the tests of the tools: arbitrary scenarios, the same for the same seeds.
 
-use crate::metrics::Group;
+use crate::metrics::{Group, MetricRow};
+use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceLevel, LaneGraph, LaneId, MapId, Scene};
 use crate::store::testing::{map, record, scene};
-use crate::store::{
-    CorpusManifest, CorpusNotes, CorpusWriter, MapSource, MetricRow, Result, ScenarioRecord, as_stored,
-};
+use crate::store::{CorpusManifest, CorpusNotes, CorpusWriter, MapSource, Result, as_stored};
 use std::path::Path;
 
 /// Any map, as seed 5 makes it.

@@ -4,8 +4,9 @@ use super::testing::{AnyMap, recorded, records, write};
 use super::*;
 use crate::files;
 use crate::progress::Silent;
+use crate::scenario::ScenarioRecord;
 use crate::store::testing::folder_bytes;
-use crate::store::{CorpusManifest, CorpusNotes, CorpusReader, CorpusScan, CorpusWriter, ScenarioRecord};
+use crate::store::{CorpusManifest, CorpusNotes, CorpusReader, CorpusScan, CorpusWriter};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 

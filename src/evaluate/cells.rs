@@ -3,9 +3,9 @@
 use super::judge::{Judge, ReferenceJudgment};
 use super::measures::{Measures, Requested};
 use crate::metrics::{MotionHistograms, SampleGroup, SeriesKey, constant_velocity};
+use crate::scenario::{Assessment, ScenarioRecord};
 use crate::scene::{GuidanceLevel, Scene, Track, Trajectory};
 use crate::seed::Seed;
-use crate::store::{Assessment, ScenarioRecord};
 use serde::{Deserialize, Serialize};
 
 /// The samples of one scene with the same requested agents at the same level.

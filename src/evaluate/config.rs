@@ -3,7 +3,7 @@
 use super::error::{Error, Result};
 use super::gates::GatesConfig;
 use super::measures::known_ids;
-use crate::metrics::{CarefulDriverConfig, MetricSettings, ModesConfig, ValidityConfig};
+use crate::metrics::{CarefulDriverConfig, DUPLICATE_DISTANCE_M, MetricSettings, ModesConfig, ValidityConfig};
 use crate::scene::Dataset;
 use crate::settings;
 use schemars::JsonSchema;
@@ -30,7 +30,7 @@ pub struct EvaluateConfig {
     pub careful_driver: CarefulDriverConfig,
     /// A scenario is a near-duplicate of an earlier accepted one if the paths of the requested agents differ by less
     /// than this, meters: the mean over the future, of a position each half second, in the frame of the first of them. 0 for none.
-    /// Default 0.25.
+    /// Requests accept no near-duplicates. Default 0.25.
     #[schemars(range(min = 0.0))]
     pub duplicate_distance_m: f64,
     /// Quality gates; if one fails, the exit code is 3.
@@ -46,7 +46,7 @@ impl Default for EvaluateConfig {
             keep: Keep::default(),
             validity: ValidityConfig::default(),
             careful_driver: CarefulDriverConfig::default(),
-            duplicate_distance_m: 0.25,
+            duplicate_distance_m: DUPLICATE_DISTANCE_M,
             gates: GatesConfig::default(),
         }
     }

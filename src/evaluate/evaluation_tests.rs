@@ -5,11 +5,11 @@ use super::evaluation::{Evaluation, EvaluationFiles, EvaluationSummary};
 use super::gates::GatesConfig;
 use super::measure::{MeasuredShard, Measurer, Shard, ShardFigures, metric_docs};
 use crate::generate::RejectedSample;
+use crate::metrics::MetricRow;
+use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceLevel, Scene};
 use crate::store::testing::{folder_bytes, record, scene};
-use crate::store::{
-    self, MetricRow, ScenarioRecord, SceneStore, SceneWriter, SceneWriterOptions, read_binary, write_binary_atomically,
-};
+use crate::store::{self, SceneStore, SceneWriter, SceneWriterOptions, read_binary, write_binary_atomically};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::Path;

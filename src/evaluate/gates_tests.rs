@@ -5,9 +5,8 @@ use super::gates::GatesConfig;
 use super::{EvaluateConfig, GateResult, SamplingRow, ValidityRow};
 use crate::behavior::BehaviorConfig;
 use crate::generate::GenerateConfig;
-use crate::metrics::{Group, SeriesKey};
+use crate::metrics::{Group, MetricRow, SeriesKey};
 use crate::scene::GuidanceLevel;
-use crate::store::MetricRow;
 use std::collections::BTreeMap;
 
 const SWEEP: &str = "cut_ins";

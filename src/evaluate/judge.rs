@@ -6,8 +6,9 @@ use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::metrics::{
     CutInJudgment, EventSpace, Judged, MotionHistograms, PairCriticality, RecordedRanges, SceneCriticality, Violation,
 };
+use crate::scenario::{Assessment, ScenarioRecord};
 use crate::scene::{Roles, Scene};
-use crate::store::{Assessment, ScenarioRecord, SceneStore, read_events};
+use crate::store::{SceneStore, read_events};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -6,9 +6,9 @@
 use super::cells::CellFigures;
 use super::error::Result;
 use super::measures::MetricDoc;
-use crate::metrics::{AggregateTally, Group, SeriesKey};
+use crate::metrics::{AggregateTally, Group, MetricRow, SeriesKey};
 use crate::scene::SceneId;
-use crate::store::{self, MetricRow, MetricSpool, SpooledMetrics};
+use crate::store::{self, MetricSpool, SpooledMetrics};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

@@ -3,8 +3,9 @@
 
 use super::cells::CellSamples;
 use crate::metrics::{CollisionRate, Metric, OffroadRate, SampleGroup, SeriesKey};
+use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceLevel, Scene};
-use crate::store::{ScenarioRecord, SceneSet};
+use crate::store::SceneSet;
 use serde::{Deserialize, Serialize};
 
 /// The yield of one sweep at one level of guidance.

@@ -5,9 +5,9 @@ use super::config::EvaluateConfig;
 use super::judge::Judge;
 use super::measures::{Measures, MetricDoc};
 use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::scenario::ScenarioRecord;
 use crate::scene::testing::{self, Drive};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario, Scene};
-use crate::store::ScenarioRecord;
 use std::collections::BTreeMap;
 
 /// A cell of one sample beside its recording, with its figures and what the metrics are.

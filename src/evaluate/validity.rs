@@ -3,8 +3,8 @@
 
 use super::judge::ReferenceJudgment;
 use crate::metrics::{Check, Group, SeriesKey, Violation};
+use crate::scenario::Assessment;
 use crate::scene::GuidanceLevel;
-use crate::store::Assessment;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

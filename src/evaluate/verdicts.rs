@@ -4,8 +4,8 @@
 use super::config::{EvaluateConfig, Keep};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, PairPath, PathIndex};
+use crate::scenario::{Assessment, RequestOutcome, ScenarioRecord, VerdictRow};
 use crate::scene::GuidanceLevel;
-use crate::store::{Assessment, RequestOutcome, ScenarioRecord, VerdictRow};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -193,7 +193,7 @@ fn reasons_against(record: &ScenarioRecord, assessment: &Assessment) -> Vec<&'st
     // What a request did not take is named by its outcome, unless nothing was found: that is a reason already.
     reasons.extend(unwanted_outcome(record).filter(|_| record.verified).map(RequestOutcome::name));
     reasons.extend(assessment.violations.iter().map(|violation| violation.check.id()));
-    reasons.extend(assessment.near_duplicate_of.as_ref().map(|_| NEAR_DUPLICATE));
+    reasons.extend(assessment.near_duplicate_of.as_ref().map(|_| NEAR_DUPLICATE).filter(|why| !reasons.contains(why)));
     reasons
 }
 

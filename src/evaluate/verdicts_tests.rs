@@ -4,9 +4,9 @@ use super::config::{EvaluateConfig, Keep};
 use super::verdicts::{AcceptanceRow, LeftOutRow, Verdicts, left_out_by_sweep};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, Violation};
+use crate::scenario::{Assessment, RequestOutcome, RequestTag, ScenarioRecord, VerdictRow};
 use crate::scene::testing::{Drive, provenance, scene};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario, TrackId};
-use crate::store::{Assessment, RequestOutcome, RequestTag, ScenarioRecord, VerdictRow};
 
 /// A scenario of two cars, the second one `offset_m` to the side.
 fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> ScenarioRecord {

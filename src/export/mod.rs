@@ -28,8 +28,8 @@ pub use report::{ExportReport, LeftOut};
 pub use run::{EXPORT_FILE, INDEX_FILE, NOTICE_FILE, TRACKS_FILE, export_corpus};
 pub use selection::Selection;
 
+use crate::scenario::ScenarioRecord;
 use crate::scene::{Scene, State};
-use crate::store::ScenarioRecord;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 

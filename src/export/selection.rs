@@ -1,6 +1,6 @@
 //! Which scenarios of a corpus are exported?
 
-use crate::store::ScenarioRecord;
+use crate::scenario::ScenarioRecord;
 use serde::Serialize;
 
 /// What a scenario must be to be exported; everything by default.
@@ -56,7 +56,7 @@ pub(super) fn is_accepted(record: &ScenarioRecord) -> bool {
 mod tests {
     use super::*;
     use crate::export::testing;
-    use crate::store::Assessment;
+    use crate::scenario::Assessment;
 
     #[test]
     fn each_filter_takes_away_and_all_must_pass() {

@@ -3,12 +3,12 @@
 use super::{ExportOutcome, Exporter, Item, Written};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
+use crate::scenario::ScenarioRecord;
 use crate::scene::testing::{Drive, scene as straight_scene, without_states};
 use crate::scene::{
     AgentClass, GuidanceLevel, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Provenance,
     Roles, Scenario, Scene,
 };
-use crate::store::ScenarioRecord;
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 use std::f64::consts::FRAC_PI_2;

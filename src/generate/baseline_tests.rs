@@ -8,9 +8,10 @@ use crate::model::{SceneTransformer, SceneTransformerConfig, SceneTransformerKin
 use crate::model::{TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::{Compute, Params};
 use crate::progress::Silent;
+use crate::scenario::ScenarioRecord;
 use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
-use crate::store::{ScenarioRecord, as_stored};
+use crate::store::as_stored;
 use crate::tensor::StateParametrization;
 use crate::tensor::{FutureValidity, SceneView};
 use candle_core::Device;

@@ -5,8 +5,9 @@ use super::*;
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
 use crate::guidance::testing::{N_HISTORY, N_TIMESTEPS, scene};
+use crate::scenario::ScenarioRecord;
 use crate::scene::{Scene, State};
-use crate::store::{ScenarioRecord, as_stored};
+use crate::store::as_stored;
 
 /// A sweep of three scenes with two samples each.
 fn sweep(more: &str) -> GenerateConfig {

@@ -1,8 +1,9 @@
 //! How does a sample become a scenario with its provenance, its events and its id?
 
 use super::{Cell, Error, Generator, ResolvedSweep, Verification, verify};
+use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
-use crate::store::{ScenarioRecord, as_stored};
+use crate::store::as_stored;
 
 impl Generator<'_> {
     /// The scenario of a sample of a cell, checked for the requested behavior.

@@ -2,8 +2,8 @@
 
 use super::{Error, Generator, ShardPlan};
 use crate::progress::Silent;
+use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceLevel, Provenance};
-use crate::store::ScenarioRecord;
 
 /// One sample of a shard.
 #[derive(Debug, Clone, Copy, PartialEq)]

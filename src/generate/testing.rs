@@ -13,9 +13,10 @@ use crate::model::{
 };
 use crate::nn::{Compute, Params};
 use crate::progress::Silent;
+use crate::scenario::ScenarioRecord;
 use crate::scene::{Dataset, Scene, Split};
 use crate::seed::Seed;
-use crate::store::{ScenarioRecord, SceneIndex, SceneIndexEntry};
+use crate::store::{SceneIndex, SceneIndexEntry};
 use crate::tensor::StateParametrization;
 use candle_core::Device;
 use std::collections::BTreeMap;

@@ -35,8 +35,9 @@ mod tests {
     use crate::scene::testing::{Drive, scene};
     use crate::scene::{ObservationMask, Scene};
     use crate::seed::Seed;
-    use crate::tensor::{Collator, FutureValidity, NormalizerFit, SceneBatch, SceneView, StateParametrization};
-    use candle_core::{Device, Var};
+    use crate::tensor::testing::collator;
+    use crate::tensor::{FutureValidity, SceneBatch, StateParametrization};
+    use candle_core::Var;
 
     /// Wants the second agent far to the left at the end, and tells which noise level it is shown.
     struct ToTheLeft<'a> {
@@ -58,17 +59,7 @@ mod tests {
     }
 
     fn batch(scene: &Scene, parametrization: StateParametrization, mask: &ObservationMask) -> SceneBatch {
-        let mut fit = NormalizerFit::default();
-        fit.add(scene);
-        let collator = Collator {
-            normalizer: fit.finish(parametrization, 3),
-            n_timesteps: 12,
-            max_agents: 4,
-            max_lanes: 4,
-            sight: None,
-        };
-        let view = SceneView { scene, ego_idx: 0, mask };
-        collator.collate(&[view], FutureValidity::Everything, &Device::Cpu).unwrap()
+        collator([scene], parametrization).masked(scene, mask, FutureValidity::Everything)
     }
 
     #[test]

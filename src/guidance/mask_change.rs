@@ -227,8 +227,8 @@ mod tests {
     use crate::scene::testing::{Drive, scene};
     use crate::scene::{ObservationMask, Scene};
     use crate::seed::Seed;
-    use crate::tensor::{Collator, FutureValidity, NormalizerFit, SceneView, StateParametrization};
-    use candle_core::Device;
+    use crate::tensor::testing::collator;
+    use crate::tensor::{FutureValidity, StateParametrization};
 
     /// One car straight on, one that turns by about 80 degrees, one of whom no goal is known.
     fn cars() -> Scene {
@@ -239,15 +239,9 @@ mod tests {
     /// Batches of two samples under the history, and with goals at timestep 11 (and a state at 7) of the first two.
     fn batches(parametrization: StateParametrization) -> (SceneBatch, SceneBatch) {
         let scene = cars();
-        let mut fit = NormalizerFit::default();
-        fit.add(&scene);
-        let normalizer = fit.finish(parametrization, 3);
-        let collator = Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 4, sight: None };
-        let collate = |mask: &ObservationMask| {
-            let view = SceneView { scene: &scene, ego_idx: 0, mask };
-            let batch = collator.collate(&[view], FutureValidity::Everything, &Device::Cpu).unwrap();
-            batch.repeated(2).unwrap()
-        };
+        let collator = collator([&scene], parametrization);
+        let collate =
+            |mask: &ObservationMask| collator.masked(&scene, mask, FutureValidity::Everything).repeated(2).unwrap();
         let extended = ObservationMask::from_fn(3, 12, |a, t| t < 4 || (a < 2 && t == 11) || (a == 0 && t == 7));
         (collate(&ObservationMask::predictive(3, 12, 4)), collate(&extended))
     }

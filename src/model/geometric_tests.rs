@@ -1,17 +1,17 @@
 //! The geometric network: gradients reach every parameter, padding and the order of agents do not matter, lanes and neighbors
 //! do, and scenes that lack something work.
 
-use super::tests::{noisy, values, worst};
+use super::tests::noisy;
 use super::*;
 use crate::diffusion::{Denoiser, Edm};
 use crate::geometry::{Polyline, Vec2};
+use crate::nn::testing::{assert_gradients, values, worst};
 use crate::nn::{Compute, Params};
 use crate::scene::testing::{Drive, scene};
-use crate::scene::{AgentClass, Lane, LaneGraph, LaneId, ObservationMask, Scene};
+use crate::scene::{AgentClass, Lane, LaneGraph, LaneId, Scene};
 use crate::seed::Seed;
-use crate::tensor::{
-    Collator, FutureValidity, MaskTask, NormalizerFit, SceneBatch, SceneTensors, SceneView, Sight, StateParametrization,
-};
+use crate::tensor::testing::collator;
+use crate::tensor::{Collator, FutureValidity, MaskTask, SceneBatch, SceneTensors, Sight, StateParametrization};
 use candle_core::{Device, Tensor};
 use std::sync::Arc;
 
@@ -55,21 +55,13 @@ fn cars(n: usize, lanes: &Arc<LaneGraph>) -> Scene {
     Scene { lanes: lanes.clone(), ..scene }
 }
 
-fn collator() -> Collator {
-    let mut fit = NormalizerFit::default();
-    fit.add(&cars(3, &road(true)));
-    let normalizer = fit.finish(StateParametrization::Motion, 3);
-    Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 16, sight: Some(Sight::new(12)) }
-}
-
-fn collate_masked(scene: &Scene, mask: &ObservationMask, validity: FutureValidity) -> SceneBatch {
-    collator().collate(&[SceneView { scene, ego_idx: 0, mask }], validity, &Device::Cpu).unwrap()
+fn seeing_collator() -> Collator {
+    let sight = Some(Sight::new(12));
+    Collator { sight, ..collator([&cars(3, &road(true))], StateParametrization::Motion) }
 }
 
 fn collate(scenes: &[&Scene]) -> SceneBatch {
-    let masks: Vec<_> = scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), 12, 4)).collect();
-    let views: Vec<_> = scenes.iter().zip(&masks).map(|(scene, mask)| SceneView { scene, ego_idx: 0, mask }).collect();
-    collator().collate(&views, FutureValidity::Continued, &Device::Cpu).unwrap()
+    seeing_collator().predictive(scenes, FutureValidity::Continued)
 }
 
 fn denoiser(params: &mut Params) -> SceneDenoiser {
@@ -97,12 +89,8 @@ fn reaches_every_parameter(config: &NetworkConfig) {
     let denoiser = SceneDenoiser::new(&mut params, config, 3, Edm::default(), Seed(1)).unwrap();
     let batch = collate(&[&cars(3, &road(true))]);
     let x0_hat = run(&denoiser, &batch, &noisy(&batch, 2), &[0.4]);
-    let gradients = (x0_hat - &batch.x0).unwrap().sqr().unwrap().sum_all().unwrap().backward().unwrap();
-    for (name, var) in params.iter() {
-        let gradient =
-            gradients.get(var.as_tensor()).unwrap_or_else(|| panic!("{name} has no gradient with {config:?}"));
-        assert!(values(gradient).iter().any(|g| *g != 0.0), "the gradient of {name} is zero with {config:?}");
-    }
+    let loss = (x0_hat - &batch.x0).unwrap().sqr().unwrap().sum_all().unwrap();
+    assert_gradients(&loss, &params, |_| true);
 }
 
 #[test]
@@ -215,11 +203,11 @@ fn training_tells_the_network_what_sampling_tells_it() {
     let scene = crate::scene::testing::without_states(cars(2, &road(true)), 1, |t| t > 7);
     for task in [MaskTask::Predictive, MaskTask::GoalConditioned, MaskTask::Windowed, MaskTask::Imputation] {
         let mask = task.sample(&scene, 0, &mut Seed(4).rng());
-        let trained = collate_masked(&scene, &mask, FutureValidity::Continued);
-        let sampled = collate_masked(&scene, &mask, FutureValidity::Everything);
+        let trained = seeing_collator().masked(&scene, &mask, FutureValidity::Continued);
+        let sampled = seeing_collator().masked(&scene, &mask, FutureValidity::Everything);
         assert_eq!(values(&trained.latent), values(&sampled.latent), "{task:?}");
         assert_eq!(values(&trained.base), values(&sampled.base), "{task:?}");
-        let scored = collate_masked(&scene, &mask, FutureValidity::Recorded);
+        let scored = seeing_collator().masked(&scene, &mask, FutureValidity::Recorded);
         assert_eq!(values(&trained.scored), values(&scored.latent), "{task:?}");
     }
 }

@@ -2,11 +2,13 @@
 
 use super::tests::drives;
 use super::*;
+use crate::nn::testing::worst;
 use crate::nn::{Compute, Params};
+use crate::scene::Scene;
 use crate::scene::testing::{Drive, scene};
-use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
-use crate::tensor::{Collator, FutureValidity, NormalizerFit, SceneBatch, SceneView, StateParametrization};
+use crate::tensor::testing::collator;
+use crate::tensor::{FutureValidity, SceneBatch, StateParametrization};
 use candle_core::{Device, Tensor};
 
 fn config() -> SceneTransformerConfig {
@@ -41,18 +43,7 @@ fn cars(n: usize, future_curvature_1pm: f64) -> Scene {
 }
 
 fn collate(scenes: &[&Scene]) -> SceneBatch {
-    let mut fit = NormalizerFit::default();
-    fit.add(&cars(3, 0.0));
-    let normalizer = fit.finish(StateParametrization::Motion, 3);
-    let collator = Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 16, sight: None };
-    let masks: Vec<_> = scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), 12, 4)).collect();
-    let views: Vec<_> = scenes.iter().zip(&masks).map(|(scene, mask)| SceneView { scene, ego_idx: 0, mask }).collect();
-    collator.collate(&views, FutureValidity::Recorded, &Device::Cpu).unwrap()
-}
-
-fn worst(a: &Tensor, b: &Tensor) -> f32 {
-    assert_eq!(a.dims(), b.dims());
-    (a - b).unwrap().abs().unwrap().flatten_all().unwrap().max(0).unwrap().to_scalar().unwrap()
+    collator([&cars(3, 0.0)], StateParametrization::Motion).predictive(scenes, FutureValidity::Recorded)
 }
 
 #[test]

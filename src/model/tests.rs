@@ -2,13 +2,13 @@
 
 use super::*;
 use crate::diffusion::{Denoiser, Edm};
+use crate::nn::testing::{assert_gradients, values, worst};
 use crate::nn::{Compute, Params, Scope};
+use crate::scene::Scene;
 use crate::scene::testing::{Drive, scene};
-use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
-use crate::tensor::{
-    Collator, FutureValidity, NormalizerFit, SceneBatch, SceneTensors, SceneView, StateParametrization,
-};
+use crate::tensor::testing::collator;
+use crate::tensor::{FutureValidity, SceneBatch, SceneTensors, StateParametrization};
 use candle_core::{Device, Tensor};
 
 fn config() -> NetworkConfig {
@@ -41,23 +41,7 @@ fn cars(n: usize) -> Scene {
 }
 
 fn collate(scenes: &[&Scene]) -> SceneBatch {
-    let mut fit = NormalizerFit::default();
-    fit.add(&cars(3));
-    let normalizer = fit.finish(StateParametrization::Motion, 3);
-    let collator = Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 16, sight: None };
-    let masks: Vec<_> = scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), 12, 4)).collect();
-    let views: Vec<_> = scenes.iter().zip(&masks).map(|(scene, mask)| SceneView { scene, ego_idx: 0, mask }).collect();
-    collator.collate(&views, FutureValidity::Recorded, &Device::Cpu).unwrap()
-}
-
-pub(super) fn values(tensor: &Tensor) -> Vec<f32> {
-    tensor.flatten_all().unwrap().to_vec1().unwrap()
-}
-
-/// The largest difference between two tensors. Not quite zero where batches differ: matrix products block by size.
-pub(super) fn worst(a: &Tensor, b: &Tensor) -> f32 {
-    assert_eq!(a.dims(), b.dims());
-    values(a).iter().zip(values(b)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    collator([&cars(3)], StateParametrization::Motion).predictive(scenes, FutureValidity::Recorded)
 }
 
 /// Deterministic noisy states of one scene's shape.
@@ -76,11 +60,8 @@ fn every_parameter_receives_a_gradient() {
     let batch = collate(&[&cars(3)]);
     let sigma = Tensor::new(&[0.4f32], &Device::Cpu).unwrap();
     let x0_hat = denoiser.bind(&batch, 1).unwrap().denoise(&noisy(&batch, 2), &sigma).unwrap();
-    let gradients = (x0_hat - &batch.x0).unwrap().sqr().unwrap().sum_all().unwrap().backward().unwrap();
-    for (name, var) in params.iter() {
-        let gradient = gradients.get(var.as_tensor()).unwrap_or_else(|| panic!("{name} has no gradient"));
-        assert!(values(gradient).iter().any(|g| *g != 0.0), "the gradient of {name} is zero");
-    }
+    let loss = (x0_hat - &batch.x0).unwrap().sqr().unwrap().sum_all().unwrap();
+    assert_gradients(&loss, &params, |_| true);
 }
 
 #[test]
@@ -156,7 +137,7 @@ fn the_papers_network_has_15_layers_and_12_million_parameters() {
 
 /// Fails unless two tensors agree to a ten-thousandth of the largest entry.
 fn assert_close(name: &str, found: &Tensor, expected: &Tensor) {
-    let scale = values(expected).iter().fold(0f32, |m, v| m.max(v.abs()));
+    let scale = values(expected).iter().fold(0f64, |m, v| m.max(v.abs()));
     let error = worst(found, expected) / scale;
     assert!(error < 1e-4, "{name}: relative difference {error}");
 }

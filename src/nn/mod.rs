@@ -36,4 +36,6 @@ pub use pool::in_pool;
 pub use precision::Precision;
 
 #[cfg(test)]
+pub(crate) mod testing;
+#[cfg(test)]
 mod tests;

@@ -176,10 +176,7 @@ impl<'a> Scope<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn values(tensor: &Tensor) -> Vec<f32> {
-        tensor.flatten_all().unwrap().to_vec1().unwrap()
-    }
+    use crate::nn::testing::values;
 
     #[test]
     fn first_values_depend_on_seed_and_name_alone() {
@@ -196,7 +193,7 @@ mod tests {
         assert_eq!(among.n_parameters(), 128);
         assert!(values(&a).iter().all(|v| v.abs() <= 0.25));
         // The variance of a uniform distribution over ±0.25 is 0.25² / 3.
-        let variance = values(&a).iter().map(|v| v * v).sum::<f32>() / 64.0;
+        let variance = values(&a).iter().map(|v| v * v).sum::<f64>() / 64.0;
         assert!((variance - 0.25 * 0.25 / 3.0).abs() < 0.008, "{variance}");
     }
 

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use candle_core::{DType, Device, Result, Tensor};
 
+use super::testing::values;
 use super::*;
 use crate::seed::Seed;
 
@@ -48,10 +49,6 @@ fn normal(shape: &[usize], seed: u64) -> Tensor {
     let n = shape.iter().product();
     let values: Vec<f32> = (0..n).map(|_| rng.normal() as f32).collect();
     Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
-}
-
-fn values(tensor: &Tensor) -> Vec<f64> {
-    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
 }
 
 /// States (2, 3, 4) of which the last agent of the last scene is padding.

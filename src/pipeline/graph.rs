@@ -8,6 +8,7 @@ use super::older;
 use super::record::{InputRecord, StageRecord, started_path};
 use super::run::times_seen;
 use super::stage::{Stage, StageContext, StageId, StageInput};
+use super::stale;
 use super::work::Work;
 use crate::cloud::Recordings;
 use crate::files::remove_if_present;
@@ -29,6 +30,8 @@ pub struct PlannedStage<'a> {
     pub is_redone: bool,
     /// Trained models that are moved aside for the new ones.
     pub kept: Vec<Kept>,
+    /// Whether it may run: the user selected it, or selected nothing.
+    pub is_selected: bool,
 }
 
 impl PlannedStage<'_> {
@@ -93,7 +96,7 @@ pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId])
         }
         let is_redone = StageRecord::done(root, stage.id()).is_some();
         let kept = check_writable(root, stage.as_ref(), &expected, &action, is_asked)?;
-        planned.push(PlannedStage { stage, expected, action, is_redone, kept });
+        planned.push(PlannedStage { stage, expected, action, is_redone, kept, is_selected: true });
     }
     Ok(planned)
 }
@@ -126,7 +129,7 @@ fn identify_inputs(
 }
 
 /// Checks that a stage with this action overwrites no files of others. Returns the trained models that are kept.
-fn check_writable(
+pub(super) fn check_writable(
     root: &Path,
     stage: &dyn Stage,
     expected: &StageRecord,
@@ -172,7 +175,11 @@ pub fn select<'a>(planned: Vec<PlannedStage<'a>>, selected: &[StageId]) -> Resul
                 .with_hint(format!("run --stage {producer} first; this command can be repeated until then")));
         }
     }
-    Ok(planned.into_iter().filter(is_ready).collect())
+    let marked = planned.into_iter().filter(is_ready).map(|planned| {
+        let is_selected = selected.contains(&planned.stage.id());
+        PlannedStage { is_selected, ..planned }
+    });
+    Ok(marked.collect())
 }
 
 /// The record that `stage` would have if it ran alone in the folder `root`.
@@ -192,18 +199,11 @@ pub fn execute(
     around: &mut dyn FnMut(StageId, Moment) -> anyhow::Result<()>,
 ) -> Result<Vec<StageRecord>> {
     let mut records = Vec::new();
-    // Stages whose outputs are not what their fingerprint stood for before, such as after a change of the program.
-    let mut changed: Vec<StageId> = Vec::new();
-    for PlannedStage { stage, expected, action, kept, .. } in planned {
+    for mut planned in planned {
+        planned.expected.learn_contents(&records);
+        stale::revise(&mut planned, context)?;
+        let PlannedStage { stage, expected, action, kept, .. } = planned;
         let record = if action == Action::Reuse {
-            let stale = stage.inputs().iter().filter_map(|input| input.producer).find(|id| changed.contains(id));
-            if let Some(producer) = stale {
-                context.progress.warn(&format!(
-                    "{stage} is kept, but {producer}, which it reads, came out differently this time: use --redo {stage}",
-                    stage = stage.id()
-                ));
-                changed.push(stage.id());
-            }
             // An older version that was killed right after its last file left it behind.
             remove_if_present(&started_path(context.root, stage.id()))?;
             // Planning has just read the same record.
@@ -219,14 +219,9 @@ pub fn execute(
             around(stage.id(), Moment::Start)?;
             let named = Named { stage: stage.id(), inner: context.progress };
             let context = StageContext { progress: &named, ..*context };
-            let earlier = StageRecord::done(context.root, stage.id());
             let record = run_stage(stage.as_ref(), expected, &action, &kept, &context)
                 .map_err(|failure| failure.of_stage(stage.id()))?;
             around(stage.id(), Moment::End)?;
-            let is_same_work = |earlier: &StageRecord| earlier.fingerprint == record.fingerprint;
-            if earlier.filter(is_same_work).is_some_and(|earlier| earlier.outputs != record.outputs) {
-                changed.push(stage.id());
-            }
             record
         };
         after(&record)?;
@@ -337,11 +332,12 @@ fn identify(
     if let Some(producer) = input.producer {
         let folder = input.path.parent().unwrap_or(Path::new("."));
         let here = planned.iter().find(|other| other.stage.id() == producer && folder == root);
-        let fingerprint = here
-            .map(|other| other.expected.fingerprint.clone())
-            .or_else(|| StageRecord::done(folder, producer).map(|record| record.fingerprint));
+        let done = StageRecord::done(folder, producer).filter(|_| here.is_none_or(|here| here.action == Action::Reuse));
+        let content = done.as_ref().and_then(StageRecord::content);
+        let fingerprint =
+            here.map(|here| here.expected.fingerprint.clone()).or_else(|| done.map(|record| record.fingerprint));
         if let Some(fingerprint) = fingerprint {
-            return Ok(InputRecord::Stage { producer, fingerprint });
+            return Ok(InputRecord::Stage { producer, fingerprint, content });
         }
     }
     let known = earlier.and_then(|earlier| earlier.known_content(&input.name, &input.path));
@@ -382,7 +378,10 @@ fn decide(root: &Path, expected: &mut StageRecord, is_asked: bool) -> Action {
             Err(name) => format!("{name} is missing or was changed"),
             Ok(times) => {
                 expected.times = times;
-                return Action::Reuse;
+                match expected.rewritten_since(done) {
+                    Some(producer) if !stale::is_kept(done) => stale::why(producer),
+                    _ => return Action::Reuse,
+                }
             }
         },
         None => match Work::started(root, stage).or_else(|| StageRecord::started_in_place(root, stage)) {
@@ -393,7 +392,7 @@ fn decide(root: &Path, expected: &mut StageRecord, is_asked: bool) -> Action {
     let begun =
         Work::started(root, stage).or_else(|| StageRecord::started_in_place(root, stage).filter(|_| done.is_none()));
     match begun {
-        Some(begun) if begun.fingerprint == expected.fingerprint => Action::Resume,
+        Some(begun) if stale::can_resume(expected, &begun) => Action::Resume,
         _ => Action::Run(why),
     }
 }

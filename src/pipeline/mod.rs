@@ -33,6 +33,7 @@ mod safety_tests;
 mod stage;
 mod stage_facts;
 pub mod stages;
+mod stale;
 pub mod status;
 mod work;
 

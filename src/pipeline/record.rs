@@ -53,6 +53,10 @@ pub enum InputRecord {
         producer: StageId,
         /// Its fingerprint.
         fingerprint: String,
+        /// Hash of what it wrote. `None` while that is not known, and in records of versions that kept none. No part of the
+        /// fingerprint: a changed program may write other bytes from the same settings.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        content: Option<String>,
     },
     /// A file or folder from outside.
     Path {
@@ -128,10 +132,46 @@ impl StageRecord {
         }
     }
 
-    /// This record of a finished stage, with where its inputs are now and what is known of them.
+    /// Hash of what it wrote; `None` until it is done.
+    pub(super) fn content(&self) -> Option<String> {
+        let identities: BTreeMap<&str, &str> =
+            self.outputs.iter().map(|(name, written)| (name.as_str(), written.identity())).collect();
+        (!identities.is_empty()).then(|| fingerprint_value(&identities).ok()).flatten()
+    }
+
+    /// A stage that `earlier` read, if it wrote other bytes than it has written now, as far as both are known.
+    pub(super) fn rewritten_since(&self, earlier: &Self) -> Option<StageId> {
+        self.inputs.iter().find_map(|(name, input)| match (input, earlier.inputs.get(name)?) {
+            (
+                InputRecord::Stage { producer, content: Some(now), .. },
+                InputRecord::Stage { content: Some(then), .. },
+            ) => (now != then).then_some(*producer),
+            _ => None,
+        })
+    }
+
+    /// Fills in what the stages in `done` wrote, where it was not known when this record was made.
+    pub(super) fn learn_contents(&mut self, done: &[Self]) {
+        for input in self.inputs.values_mut() {
+            if let InputRecord::Stage { producer, content: content @ None, .. } = input {
+                *content = done.iter().find(|record| record.stage == *producer).and_then(Self::content);
+            }
+        }
+    }
+
+    /// This record of a finished stage, with where its inputs are now and what is known of them. What earlier stages had written when
+    /// it read them stays.
     pub(super) fn with_inputs_of(mut self, root: &Path, expected: &Self) -> Result<Self> {
-        if self.inputs != expected.inputs {
-            self.inputs.clone_from(&expected.inputs);
+        let mut inputs = expected.inputs.clone();
+        for (name, input) in &mut inputs {
+            if let (InputRecord::Stage { content, .. }, Some(InputRecord::Stage { content: then @ Some(_), .. })) =
+                (input, self.inputs.get(name))
+            {
+                content.clone_from(then);
+            }
+        }
+        if self.inputs != inputs {
+            self.inputs = inputs;
             write_json_atomically(&done_path(root, self.stage), &self)?;
         }
         Ok(self)
@@ -279,8 +319,10 @@ fn without_places(config: &Value) -> Value {
     for key in ["inputs", "map_inputs", "checkpoint", "start_from"] {
         config.as_object_mut().map(|section| section.remove(key));
     }
-    for more in config.get_mut("data").and_then(Value::as_array_mut).into_iter().flatten() {
-        more.as_object_mut().map(|more| more.remove("scenes"));
+    for (list, key) in [("data", "scenes"), ("requests", "prior")] {
+        for more in config.get_mut(list).and_then(Value::as_array_mut).into_iter().flatten() {
+            more.as_object_mut().map(|more| more.remove(key));
+        }
     }
     config
 }

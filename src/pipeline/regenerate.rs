@@ -8,7 +8,8 @@ use super::stages::{
 use super::{Failure, Result, StageId};
 use crate::generate::{Generator, Ledger, ResolvedGeneration, SampleKey};
 use crate::nn::Compute;
-use crate::store::{CorpusReader, Difference, ScenarioRecord, SceneStore, differences, sample_ids};
+use crate::scenario::ScenarioRecord;
+use crate::store::{CorpusReader, Difference, SceneStore, differences, sample_ids};
 use std::path::Path;
 
 /// A scenario as it was stored, and as it was generated again.

@@ -2,8 +2,7 @@
 
 use crate::behavior::BehaviorEntry;
 use crate::evaluate::SamplingRow;
-use crate::metrics::Group;
-use crate::store::MetricRow;
+use crate::metrics::{Group, MetricRow};
 
 /// How far a rate of generated traffic may lie above that of the recording before it is pointed out.
 const RATE_MARGIN: f64 = 0.1;

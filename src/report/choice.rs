@@ -6,8 +6,9 @@
 
 use super::card::Verdict;
 use super::config::ReportConfig;
+use crate::scenario::{BucketTag, RequestOutcome, ScenarioRecord};
 use crate::scene::SceneId;
-use crate::store::{BucketTag, RequestOutcome, ScenarioRecord, SceneSet};
+use crate::store::SceneSet;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

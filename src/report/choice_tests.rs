@@ -2,9 +2,9 @@
 
 use super::choice::{Choice, Chosen};
 use super::config::ReportConfig;
+use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use crate::scene::testing::{self, Drive};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario};
-use crate::store::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 
 fn record(sweep: &str, scene: &str, strength: f64, sample_idx: usize) -> ScenarioRecord {
     let recorded = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);

@@ -3,8 +3,9 @@
 use super::distribution::Distribution;
 use super::quantities::{EventParameters, MotionDistributions, event_distributions};
 use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceTag, Provenance, Scene};
-use crate::store::{Result, ScenarioRecord, SceneSet};
+use crate::store::{Result, SceneSet};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Collects what is compared: at most `limit` scenes of each group, and the parameters of events.

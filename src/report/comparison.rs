@@ -6,8 +6,7 @@ use super::plain::{PlainRow, PlainTable};
 use super::tradeoffs::tradeoffs;
 use super::wilson::wilson_interval;
 use crate::evaluate::{BehaviorCount, MiningSummary, RealismRow, SamplingRow};
-use crate::metrics::SeriesKey;
-use crate::store::MetricRow;
+use crate::metrics::{MetricRow, SeriesKey};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -4,9 +4,8 @@ use super::comparison::{ComparedRun, Comparison};
 use super::model::MetricTable;
 use super::plain::PlainTable;
 use crate::evaluate::SamplingRow;
-use crate::metrics::Group;
+use crate::metrics::{Group, MetricRow};
 use crate::scene::GuidanceLevel;
-use crate::store::MetricRow;
 
 fn sampling(strength: f64, n_verified: u64) -> SamplingRow {
     SamplingRow {

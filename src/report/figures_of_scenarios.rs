@@ -1,7 +1,9 @@
 //! What do the metrics say of single scenarios?
 
 use super::card::CardValue;
-use crate::store::{MetricRow, Result, ScenarioRecord};
+use crate::metrics::MetricRow;
+use crate::scenario::ScenarioRecord;
+use crate::store::Result;
 use std::collections::BTreeMap;
 
 /// The metrics of some scenarios, by their ids, in the order of the table.

@@ -8,8 +8,10 @@ use super::distribution::Distribution;
 use super::figures_of_scenarios::FiguresOfScenarios;
 use crate::behavior::BehaviorEvent;
 use crate::evaluate::{Error, Result};
+use crate::metrics::MetricRow;
+use crate::scenario::{ScenarioRecord, VerdictRow};
 use crate::scene::{Scene, SceneId};
-use crate::store::{self, MetricRow, ScenarioRecord, SceneStore, VerdictRow};
+use crate::store::{self, SceneStore};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What the report shows of single scenes.

@@ -9,7 +9,7 @@ use crate::evaluate::{
 };
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
-use crate::store::MetricRow;
+use crate::metrics::MetricRow;
 use crate::train::NoiseLevelReport;
 use serde::{Deserialize, Serialize};
 

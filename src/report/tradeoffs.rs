@@ -167,7 +167,7 @@ fn levels(name: &str, sweeps: &[&SweepCurve<'_>], value: impl Fn(&SweepCurve<'_>
 
 /// What a metric says of the recordings that a sweep continues, over all places.
 pub(super) fn recorded_value(model: &ReportModel, sweep: &str, metric: &str) -> Option<f64> {
-    let is_it = |row: &&crate::store::MetricRow| {
+    let is_it = |row: &&crate::metrics::MetricRow| {
         row.group == Group::Recorded
             && row.sweep == sweep
             && row.metric == metric

@@ -3,9 +3,8 @@
 use super::model::{MetricTable, ReportModel};
 use super::tradeoffs::tradeoffs;
 use crate::evaluate::{RealismRow, SamplingRow};
-use crate::metrics::Group;
+use crate::metrics::{Group, MetricRow};
 use crate::scene::GuidanceLevel;
-use crate::store::MetricRow;
 
 fn row(place: &str, strength: f64, n_scenarios: u64, n_verified: u64, offroad_rate: Option<f64>) -> SamplingRow {
     SamplingRow {

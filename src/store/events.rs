@@ -75,10 +75,11 @@ pub fn stream_events(path: &Path) -> Result<impl Iterator<Item = Result<Behavior
 mod tests {
     use super::*;
     use crate::behavior::{self, EventLabel};
+    use crate::metrics::MetricRow;
     use crate::scene::SceneId;
     use crate::store::parquet_file;
     use crate::store::testing::event;
-    use crate::store::{Error, MetricRow, write_metrics};
+    use crate::store::{Error, write_metrics};
     use std::collections::BTreeSet;
 
     fn write_events(path: &Path, events: &[BehaviorEvent]) -> Result<FileStamp> {

@@ -2,8 +2,9 @@
 
 use super::row_file::{self, ROWS_PER_BATCH, RowFile};
 use super::tables::metric;
-use super::{MetricRow, Result, remove_if_present};
+use super::{Result, remove_if_present};
 use crate::files::FileStamp;
+use crate::metrics::MetricRow;
 use arrow::array::RecordBatch;
 use std::path::{Path, PathBuf};
 

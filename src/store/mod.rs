@@ -4,7 +4,6 @@
 //! has a unit, a frame and a description ([`TableSchema`], published in `schemas/`). Equal content gives equal bytes, and a
 //! file is under its final name only when it is whole; the manifest of a folder is written last.
 
-mod assessment;
 mod atomic;
 mod binary;
 mod corpus_card;
@@ -23,8 +22,6 @@ mod maps;
 mod metrics;
 mod parquet_file;
 mod predictions;
-mod records;
-mod request_tag;
 mod row_file;
 mod samples;
 mod scene_index;
@@ -39,7 +36,6 @@ pub(crate) mod testing;
 mod verdicts;
 
 pub use crate::files::{AtomicFile, FileStamp, remove_if_present, write_atomically};
-pub use assessment::Assessment;
 pub use atomic::{read_json, write_json_atomically};
 pub use binary::{read_binary, write_binary_atomically};
 pub(crate) use corpus_card::{CARD_FILE, card};
@@ -57,8 +53,6 @@ pub use frame::{EventSummary, ParameterSummary, QUANTILES, summarize_events};
 pub use maps::MapSource;
 pub use metrics::{MetricSpool, SpooledMetrics, read_metrics, write_metrics};
 pub use predictions::{ArgoversePredictions, InteractionPredictions};
-pub use records::{MetricRow, ScenarioRecord, VerdictRow};
-pub use request_tag::{BucketTag, RequestOutcome, RequestTag};
 pub use samples::{Difference, differences, read_samples, sample_ids, write_samples};
 pub use scene_index::{SceneIndex, SceneIndexEntry};
 pub use scene_manifest::{MapsEntry, SceneManifest, ShardEntry, ShardSidecar};

@@ -195,8 +195,8 @@ fn damaged(path: &Path) -> impl FnOnce(parquet::errors::ParquetError) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scenario::VerdictRow;
     use crate::scene::GuidanceLevel;
-    use crate::store::VerdictRow;
     use crate::store::tables::verdict;
 
     #[test]

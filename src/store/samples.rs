@@ -1,8 +1,9 @@
 //! Sample shards: the generated scenarios between the generate stage and the corpus.
 
 use super::tables::sample;
-use super::{Error, MapSource, Result, ScenarioRecord, parquet_file};
+use super::{Error, MapSource, Result, parquet_file};
 use crate::files::FileStamp;
+use crate::scenario::ScenarioRecord;
 use arrow::array::{Array, StringArray};
 use arrow::util::display::array_value_to_string;
 use std::path::Path;

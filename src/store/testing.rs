@@ -1,9 +1,10 @@
 //! Scenes, maps and scenarios for the tests of this layer: arbitrary, but the same for the same seed.
 
-use super::{Assessment, BucketTag, RequestOutcome, RequestTag, ScenarioRecord, as_stored};
+use super::as_stored;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::metrics::{Check, CutInJudgment, PairCriticality, SceneCriticality, Violation};
+use crate::scenario::{Assessment, BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use crate::scene::{
     AgentClass, Dataset, Extent, GuidanceLevel, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, MapId,
     ObservationMask, Provenance, Roles, Scenario, Scene, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole,

@@ -1,9 +1,10 @@
 //! `verdicts.parquet`: what became of each generated scenario, one a row.
 
+use super::Result;
 use super::row_file::{self, RowFile};
 use super::tables::verdict;
-use super::{Result, VerdictRow};
 use crate::files::FileStamp;
+use crate::scenario::VerdictRow;
 use std::path::Path;
 
 /// Writes a table of verdicts row by row, with memory for a row group.

@@ -19,6 +19,8 @@ mod scene_batch;
 mod sight;
 mod surroundings;
 #[cfg(test)]
+pub(crate) mod testing;
+#[cfg(test)]
 mod tests;
 
 pub use agent_frame::AgentFrame;

@@ -1,7 +1,9 @@
 //! Encoding and decoding agree, masks are what the paper says, and nothing leaks.
 
+use super::testing::collator;
 use super::*;
 use crate::geometry::angle_difference;
+use crate::nn::testing::{scalar, values};
 use crate::scene::testing::{Drive, scene, without_states};
 use crate::scene::{ObservationMask, Scene};
 use crate::seed::Seed;
@@ -11,13 +13,6 @@ fn three_cars() -> Scene {
     let turning = Drive { x: 30.0, y: 20.0, heading_rad: -1.6, speed_mps: 8.0, curvature_1pm: -0.3 };
     let scene = scene(&[Drive::straight(5.0, 1.0, 0.3, 12.0), turning, Drive::straight(-20.0, 3.5, 3.1, 0.0)]);
     without_states(scene, 2, |t| t > 8)
-}
-
-fn collator(scene: &Scene, parametrization: StateParametrization) -> Collator {
-    let mut fit = NormalizerFit::default();
-    fit.add(scene);
-    let normalizer = fit.finish(parametrization, 3);
-    Collator { normalizer, n_timesteps: scene.n_timesteps, max_agents: 8, max_lanes: 16, sight: None }
 }
 
 fn collate(collator: &Collator, scene: &Scene, ego_idx: usize, mask: &ObservationMask) -> SceneBatch {
@@ -41,7 +36,7 @@ fn clean_states_decode_to_the_recording_under_every_task_and_parametrization() {
     for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
         for (i, task) in TASKS.into_iter().enumerate() {
             let mask = task.sample(&scene, 1, &mut Seed(i as u64).rng());
-            let batch = collate(&collator(&scene, parametrization), &scene, 1, &mask);
+            let batch = collate(&collator([&scene], parametrization), &scene, 1, &mask);
             let decoded = &batch.decode_scenes(&batch.x0, &[&scene]).unwrap()[0];
             for (agent_idx, track) in scene.tracks.iter().enumerate() {
                 for (t, expected) in track.trajectory.valid() {
@@ -60,12 +55,12 @@ fn a_zero_residual_is_constant_velocity() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
     for parametrization in [StateParametrization::Residual, StateParametrization::Motion] {
-        let batch = collate(&collator(&scene, parametrization), &scene, 0, &mask);
+        let batch = collate(&collator([&scene], parametrization), &scene, 0, &mask);
         let decoded = &batch.decode_scenes(&batch.x0.zeros_like().unwrap(), &[&scene]).unwrap()[0];
         let (last, found) = (scene.state(1, 3).unwrap(), decoded.state(1, 11).unwrap());
         assert!(found.position.distance(last.position + last.velocity * 0.8) < 1e-4);
         // The car that drives straight on has no residual at all.
-        let x0 = batch.x0.get(0).unwrap().get(0).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        let x0 = values(&batch.x0.get(0).unwrap().get(0).unwrap());
         assert!(x0.iter().all(|x| x.abs() < 1e-5), "{x0:?}");
     }
 }
@@ -75,9 +70,9 @@ fn diffused_states_have_the_standard_deviation_sigma_data() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
     for parametrization in [StateParametrization::Residual, StateParametrization::Motion] {
-        let batch = collate(&collator(&scene, parametrization), &scene, 0, &mask);
+        let batch = collate(&collator([&scene], parametrization), &scene, 0, &mask);
         let x0 = batch.x0.flatten_to(2).unwrap();
-        let latent = batch.latent.sum_all().unwrap().to_scalar::<f32>().unwrap();
+        let latent = scalar(&batch.latent.sum_all().unwrap());
         let mean_square = (x0.sqr().unwrap().sum(0).unwrap() / f64::from(latent)).unwrap().to_vec1::<f32>().unwrap();
         assert!(mean_square.iter().all(|m| (m - 0.25).abs() < 1e-3), "{mean_square:?}");
     }
@@ -102,11 +97,9 @@ fn what_is_to_be_generated_never_shows_in_what_the_network_is_given() {
     }
     let mask = ObservationMask::predictive(3, 12, 4);
     for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
-        let collator = collator(&scene, parametrization);
+        let collator = collator([&scene], parametrization);
         let (a, b) = (collate(&collator, &scene, 0, &mask), collate(&collator, &altered, 0, &mask));
-        let same = |x: &Tensor, y: &Tensor| {
-            x.flatten_all().unwrap().to_vec1::<f32>().unwrap() == y.flatten_all().unwrap().to_vec1::<f32>().unwrap()
-        };
+        let same = |x: &Tensor, y: &Tensor| values(x) == values(y);
         assert!(same(&a.context, &b.context) && same(&a.features, &b.features) && same(&a.base, &b.base));
         assert!(!same(&a.x0, &b.x0));
         for (x, y) in [(&a.observed_motion, &b.observed_motion), (&a.path, &b.path)] {
@@ -152,12 +145,12 @@ fn the_papers_weights_are_normalized_from_their_110_percent() {
 fn sampling_covers_every_future_state_of_agents_seen() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
-    let collator = collator(&scene, StateParametrization::Residual);
+    let collator = collator([&scene], StateParametrization::Residual);
     let history_only = Scene { n_timesteps: 4, ..scene.clone() };
     for source in [&scene, &history_only] {
         let view = SceneView { scene: source, ego_idx: 0, mask: &mask };
         let batch = collator.collate(&[view], FutureValidity::Everything, &Device::Cpu).unwrap();
-        assert_eq!(batch.latent.sum_all().unwrap().to_scalar::<f32>().unwrap(), 24.0);
+        assert_eq!(scalar(&batch.latent.sum_all().unwrap()), 24.0);
         let generated = &batch.decode_scenes(&batch.x0, &[source]).unwrap()[0];
         assert_eq!((generated.n_timesteps, generated.tracks[2].trajectory.n_valid()), (12, 12));
     }
@@ -169,16 +162,16 @@ fn pair_features_do_not_change_when_the_scene_is_seen_from_another_agent() {
     let mask = ObservationMask::predictive(3, 12, 4);
     let sigma = Tensor::new(&[0.3f32], &Device::Cpu).unwrap();
     for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
-        let collator = collator(&scene, parametrization);
+        let collator = collator([&scene], parametrization);
         let features = |ego_idx: usize| {
             let batch = collate(&collator, &scene, ego_idx, &mask);
             let features = PairFeatures::new(&batch, &[(1, 0)], parametrization, 0.5).unwrap();
             let all = features.forward(&batch.x0, &sigma).unwrap();
             assert_eq!(all.dims(), &[1, PairFeatures::n_features(12, 3)]);
-            all.flatten_all().unwrap().to_vec1::<f32>().unwrap()
+            values(&all)
         };
         if parametrization != StateParametrization::Scene {
-            let worst = features(0).iter().zip(features(2)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            let worst = features(0).iter().zip(features(2)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(worst < 1e-4, "{worst}");
         }
     }
@@ -188,7 +181,7 @@ fn pair_features_do_not_change_when_the_scene_is_seen_from_another_agent() {
 fn tensors_that_do_not_belong_together_make_no_batch() {
     let scene = three_cars();
     type Spoil<'a> = &'a dyn Fn(&mut SceneTensors);
-    let collator = Collator { sight: Some(Sight::new(4)), ..collator(&scene, StateParametrization::Motion) };
+    let collator = Collator { sight: Some(Sight::new(4)), ..collator([&scene], StateParametrization::Motion) };
     let batch = collate(&collator, &scene, 0, &ObservationMask::predictive(3, 12, 4));
     let message = |spoil: Spoil<'_>| {
         let mut tensors = SceneTensors::clone(&batch);

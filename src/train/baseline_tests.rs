@@ -1,61 +1,29 @@
 //! The joint loss has the values that it should have by hand, reaches every parameter, and finds both ways of a fork.
 
-use super::data_parallel_tests::assert_parts_agree;
+use super::testing::{MadeScenes, ONLY_PREDICTIVE, assert_parts_agree, collator, draws_of_four, fork, job, one_source};
 use super::*;
 use crate::model::{JointFutures, SceneTransformer, SceneTransformerConfig, TrainedSceneTransformer};
+use crate::nn::testing::{assert_gradients, scalar};
 use crate::nn::{Compute, Params};
-use crate::progress::Silent;
+use crate::scene::Scene;
 use crate::scene::testing::{Drive, scene};
-use crate::scene::{ObservationMask, Scene, Trajectory};
 use crate::seed::Seed;
-use crate::tensor::{
-    Collator, FutureValidity, MaskSampler, NormalizerFit, SceneBatch, SceneTensors, SceneView, StateParametrization,
-    TaskWeights,
-};
+use crate::tensor::{FutureValidity, MaskSampler, SceneBatch, SceneTensors, StateParametrization, TaskWeights};
 use candle_core::{Device, Tensor};
 
-/// Two cars: one drives on; the other bears left or right from the present on, which cannot be told before.
-fn fork(idx: usize) -> Scene {
-    let side = if idx.is_multiple_of(2) { 1.0 } else { -1.0 };
-    let mut forked = scene(&[Drive::straight(0.0, -6.0, 0.0, 10.0), Drive::straight(0.0, 0.0, 0.0, 15.0)]);
-    let present = Drive { curvature_1pm: 0.06 * side, ..Drive::straight(4.5, 0.0, 0.0, 15.0) };
-    let turning = scene(&[present]);
-    let track = &mut forked.tracks[1].trajectory;
-    let state = |t: usize| if t < 4 { track.get(t) } else { turning.tracks[0].trajectory.get(t - 3) };
-    *track = Trajectory::new((0..12).map(|t| state(t).copied()).collect());
-    forked
+/// Two cars: one drives on, and the other forks.
+fn scene_of(idx: usize) -> Scene {
+    fork(idx, &[Drive::straight(0.0, -6.0, 0.0, 10.0)])
 }
 
-struct Forks(usize);
-
-impl SceneDataset for Forks {
-    fn len(&self) -> usize {
-        self.0
-    }
-
-    fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
-        Ok(fork(idx))
-    }
+const fn forks(n: usize) -> MadeScenes<fn(usize) -> Scene> {
+    MadeScenes(n, scene_of)
 }
 
 fn batch(parametrization: StateParametrization, n_rows: usize) -> SceneBatch {
-    let mut fit = NormalizerFit::default();
-    (0..4).for_each(|idx| fit.add(&fork(idx)));
-    let collator = Collator {
-        normalizer: fit.finish(parametrization, 3),
-        n_timesteps: 12,
-        max_agents: 8,
-        max_lanes: 16,
-        sight: None,
-    };
-    let scenes: Vec<Scene> = (0..n_rows).map(fork).collect();
-    let mask = ObservationMask::predictive(2, 12, 4);
-    let views: Vec<_> = scenes.iter().map(|scene| SceneView { scene, ego_idx: 0, mask: &mask }).collect();
-    collator.collate(&views, FutureValidity::Recorded, &Device::Cpu).unwrap()
-}
-
-fn scalar(tensor: &Tensor) -> f64 {
-    f64::from(tensor.to_scalar::<f32>().unwrap())
+    let scenes: Vec<Scene> = (0..n_rows).map(scene_of).collect();
+    let scenes: Vec<&Scene> = scenes.iter().collect();
+    collator(&forks(4), parametrization).predictive(&scenes, FutureValidity::Recorded)
 }
 
 #[test]
@@ -111,44 +79,26 @@ fn every_parameter_receives_a_gradient() {
     let network = SceneTransformer::new(&mut params, &network(), 3, StateParametrization::Motion, Seed(1)).unwrap();
     let batch = batch(StateParametrization::Motion, 2);
     let JointLoss { regression, mode } = JointLoss::new(&network.forward(&batch).unwrap(), &batch, None).unwrap();
-    let gradients = (regression + mode).unwrap().backward().unwrap();
-    for (name, var) in params.iter() {
-        let gradient = gradients.get(var.as_tensor()).unwrap_or_else(|| panic!("{name} has no gradient"));
-        let values = gradient.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        assert!(values.iter().any(|g| *g != 0.0), "the gradient of {name} is zero");
-    }
+    assert_gradients(&(regression + mode).unwrap(), &params, |_| true);
 }
 
 #[test]
 fn parts_of_a_batch_add_up_to_its_gradient() {
     let mut params = Params::new(&Compute::cpu());
     let network = &SceneTransformer::new(&mut params, &network(), 3, StateParametrization::Residual, Seed(1)).unwrap();
-    let mut fit = NormalizerFit::default();
-    (0..4).for_each(|idx| fit.add(&fork(idx)));
-    let normalizer = fit.finish(StateParametrization::Residual, 3);
-    let collator = &Collator { normalizer, n_timesteps: 12, max_agents: 8, max_lanes: 16, sight: None };
+    let dataset = forks(12);
+    let collator = collator(&dataset, StateParametrization::Residual);
     // Rows with much to predict, and with nothing.
     let masks = &MaskSampler::new(&TaskWeights::default()).unwrap();
     let train = &[WeightedGroups::single((0..12).collect())];
-    let draws = SceneDraws {
-        collator,
-        dataset: &Forks(12),
-        train,
-        held_out: &[],
-        masks,
-        batch_size: 6,
-        with_context: false,
-        seed: Seed(3),
-        device: &Device::Cpu,
-        ahead: Prefetched::default(),
-    };
+    let draws = SceneDraws { batch_size: 6, ..draws_of_four(&dataset, train, &collator, masks) };
     let task = JointFuturesTask { network, frozen: network, mode_loss: 0.5, draws };
     (0..3).for_each(|step| assert_parts_agree(&params, &task, step));
 }
 
 /// The loss of driving straight on: the best that a single future can do about a fork.
 fn straight_error() -> f64 {
-    let (recorded, straight) = (fork(0), scene(&[Drive::straight(0.0, 0.0, 0.0, 15.0)]));
+    let (recorded, straight) = (scene_of(0), scene(&[Drive::straight(0.0, 0.0, 0.0, 15.0)]));
     let error = |t: usize| {
         let (a, b) = (recorded.tracks[1].trajectory.get(t).unwrap(), straight.tracks[0].trajectory.get(t).unwrap());
         let (d, angle) = (a.position.distance(b.position), a.heading_rad - b.heading_rad);
@@ -159,46 +109,19 @@ fn straight_error() -> f64 {
 
 #[test]
 fn both_ways_of_a_fork_are_found_with_even_odds_and_the_checkpoint_reads_back() {
-    let only_predictive = TaskWeights {
-        predictive: 1.0,
-        goal_conditioned: 0.0,
-        agent_conditioned: 0.0,
-        ego_conditioned: 0.0,
-        windowed: 0.0,
-        upsampling: 0.0,
-        imputation: 0.0,
-    };
     let config = BaselineTrainingConfig {
         preset: Preset::Tiny,
         network: Some(network()),
-        tasks: only_predictive,
+        tasks: ONLY_PREDICTIVE,
         steps: Some(250),
         learning_rate: Some(5e-3),
         batch_size: Some(4),
         n_eval_scenes: Some(8),
         ..BaselineTrainingConfig::default()
     };
-    let dataset = Forks(40);
-    let data = TrainingData {
-        dataset: &dataset,
-        sources: vec![TrainingSource {
-            weight: 1.0,
-            train: (0..32).collect(),
-            places: vec![0; 32],
-            held_out: (32..40).collect(),
-        }],
-        state_dim: 3,
-        fingerprint: "scenes".to_owned(),
-    };
-    let dir = tempfile::tempdir().unwrap();
-    let training = config.resolve().unwrap();
-    let outcome = train_baseline(
-        &training,
-        &data,
-        TrainJob { seed: Seed(3), dir: dir.path(), compute: &Compute::cpu(), progress: &Silent, exchange: &Alone },
-    )
-    .unwrap()
-    .unwrap();
+    let (dataset, dir) = (forks(40), tempfile::tempdir().unwrap());
+    let data = one_source(&dataset);
+    let outcome = train_baseline(&config.resolve().unwrap(), &data, job(3, dir.path())).unwrap().unwrap();
     let last = &outcome.statistics.last().unwrap().evaluation;
     let (error, bound) = (last["held_out_error_of_best"], straight_error());
     assert!(error < 0.4 * bound, "{error}, where driving on straight has {bound}");
@@ -206,16 +129,4 @@ fn both_ways_of_a_fork_are_found_with_even_odds_and_the_checkpoint_reads_back() 
     assert!((odds - 2f64.ln()).abs() < 0.1, "{odds}");
     let read = TrainedSceneTransformer::read(&dir.path().join("model.safetensors"), &Compute::cpu()).unwrap();
     assert_eq!((read.spec, read.fingerprint), (outcome.spec, outcome.fingerprint));
-}
-
-#[test]
-fn settings_that_make_no_sense_are_named() {
-    for (config, name) in [
-        (BaselineTrainingConfig { mode_loss: 0.0, ..Default::default() }, "mode_loss"),
-        (BaselineTrainingConfig { batch_size: Some(0), ..Default::default() }, "batch_size"),
-        (BaselineTrainingConfig { ema_decay: Some(1.0), ..Default::default() }, "ema_decay"),
-    ] {
-        let message = config.resolve().unwrap_err().to_string();
-        assert!(message.contains("train.baseline.") && message.contains(name), "{message}");
-    }
 }

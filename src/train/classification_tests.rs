@@ -1,31 +1,25 @@
 //! Does the classifier learn what separates its examples, and does guidance by it push toward the behavior?
 
-use super::data_parallel_tests::assert_parts_agree;
+use super::testing::{MadeScenes, assert_parts_agree, job};
 use super::*;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::diffusion::NoiseDistribution;
-use crate::guidance::testing::{N_HISTORY, N_TIMESTEPS, denoiser_spec, is_positive, scene};
+use crate::guidance::testing::{N_HISTORY, denoiser_spec, is_positive, scene};
 use crate::guidance::{ClassifierGuidance, Guidance, log_potential_gradient};
 use crate::model::{DenoiserSpec, ModelSpec, TrainedClassifier};
+use crate::nn::testing::{scalar, values};
 use crate::nn::{Compute, Params};
 use crate::progress::{Progress, Silent};
-use crate::scene::{ObservationMask, Roles, Scene};
+use crate::scene::{Roles, Scene};
 use crate::seed::Seed;
-use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView, StateParametrization};
+use crate::tensor::{FutureValidity, StateParametrization};
 use candle_core::{Device, Tensor};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-struct Scenes(usize);
-
-impl SceneDataset for Scenes {
-    fn len(&self) -> usize {
-        self.0
-    }
-
-    fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
-        Ok(scene(idx))
-    }
+/// Scenes of which some hold a cut-in.
+const fn scenes(n: usize) -> MadeScenes<fn(usize) -> Scene> {
+    MadeScenes(n, scene)
 }
 
 fn event(idx: usize, label: EventLabel) -> BehaviorEvent {
@@ -45,7 +39,7 @@ fn examples(indices: std::ops::Range<usize>, max_examples: usize) -> PairExample
     let events: Vec<(usize, BehaviorEvent)> = indices.map(|idx| (idx, event(idx, label(idx)))).collect();
     let mined: Vec<MinedEvent<'_>> =
         events.iter().map(|(scene_idx, event)| MinedEvent { scene_idx: *scene_idx, event }).collect();
-    PairExamples::gather(&Scenes(1000), &mined, max_examples, Seed(2)).unwrap()
+    PairExamples::gather(&scenes(1000), &mined, max_examples, Seed(2)).unwrap()
 }
 
 fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progress) -> Result<ClassifierReport, Error> {
@@ -65,8 +59,7 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
         save_every: 7,
         ..ClassifierTrainingConfig::default()
     };
-    let job = TrainJob { seed: Seed(4), dir, compute: &Compute::cpu(), progress, exchange: &Alone };
-    train_classifier(&config, denoiser, &data, job).map(Option::unwrap)
+    train_classifier(&config, denoiser, &data, TrainJob { progress, ..job(4, dir) }).map(Option::unwrap)
 }
 
 #[test]
@@ -114,7 +107,7 @@ fn labels_count_as_in_uniform_draws_times_the_weight_of_positive_ones() {
             device: &Device::Cpu,
         };
         let expected = share_of_positive * (-1f64).exp().ln_1p() + (1.0 - share_of_positive) * 1f64.exp().ln_1p();
-        let loss = f64::from(task.loss(&BatchPart::whole(0, 16), None).unwrap().to_scalar::<f32>().unwrap());
+        let loss = scalar(&task.loss(&BatchPart::whole(0, 16), None).unwrap());
         assert!((loss - expected).abs() < 1e-5, "weight {pos_weight}: {loss}, expected {expected}");
         let mut params = Params::new(&Compute::cpu());
         let classifier = &spec.build(&mut params, Seed(1)).unwrap();
@@ -127,15 +120,8 @@ fn a_killed_training_resumes_to_the_same_weights() {
     /// Unwinds at the n-th step of a call, as abruptly as a killed process.
     struct Kill(AtomicU64);
     impl Progress for Kill {
-        fn start(&self, _phase: &str, _total: u64, _unit: &str) {}
         fn advance(&self, _n: u64) {
             assert!(self.0.fetch_sub(1, Ordering::Relaxed) > 1, "killed");
-        }
-        fn note(&self, _message: &str) {}
-        fn warn(&self, _message: &str) {}
-        fn finish(&self) {}
-        fn must_stop(&self) -> bool {
-            false
         }
     }
     let denoiser = denoiser_spec(StateParametrization::Residual);
@@ -154,15 +140,6 @@ fn a_killed_training_resumes_to_the_same_weights() {
     assert_eq!(read(killed.path()), read(whole.path()));
 }
 
-fn batch(denoiser: &DenoiserSpec, scenes: &[Scene]) -> SceneBatch {
-    let masks: Vec<ObservationMask> =
-        scenes.iter().map(|s| ObservationMask::predictive(s.tracks.len(), N_TIMESTEPS, N_HISTORY)).collect();
-    let view = |(scene, mask)| SceneView { scene, ego_idx: 1, mask };
-    let views: Vec<SceneView<'_>> = scenes.iter().zip(&masks).map(view).collect();
-    let collator: Collator = denoiser.collator();
-    collator.collate(&views, FutureValidity::Everything, &Device::Cpu).unwrap()
-}
-
 #[test]
 fn its_gradient_pushes_the_second_agent_toward_the_first() {
     for parametrization in [StateParametrization::Residual, StateParametrization::Scene, StateParametrization::Motion] {
@@ -171,19 +148,19 @@ fn its_gradient_pushes_the_second_agent_toward_the_first() {
         train(&denoiser, 150, dir.path(), &Silent).unwrap();
         let trained = TrainedClassifier::read(&dir.path().join("model.safetensors"), &Compute::cpu()).unwrap();
         // Held-out scenes in which nothing happens.
-        let scenes: Vec<Scene> = [401, 402, 403].into_iter().map(scene).collect();
-        let batch = batch(&denoiser, &scenes);
+        let scenes = [401, 402, 403].map(|idx| Scene { ego_idx: 1, ..scene(idx) });
+        let batch = denoiser.collator().predictive(&scenes.each_ref(), FutureValidity::Everything);
         let pairs = trained.spec.features(&batch, &[(1, 2); 3]).unwrap();
         let guidance = ClassifierGuidance { classifier: &trained.network, pairs };
         let sigma = Tensor::new(&[0.1f32; 3], &Device::Cpu).unwrap();
         let gradient = log_potential_gradient(&guidance, &batch.x0, &sigma).unwrap();
 
         // Along its gradient the log probability grows as fast as the gradient is long (finite differences in f32).
-        let value = |h: f64| -> f64 {
+        let value = |h: f64| {
             let x = (&batch.x0 + (&gradient * h).unwrap()).unwrap();
-            f64::from(guidance.log_potential(&x, &sigma).unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap())
+            scalar(&guidance.log_potential(&x, &sigma).unwrap().sum_all().unwrap())
         };
-        let squared = f64::from(gradient.sqr().unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap());
+        let squared = scalar(&gradient.sqr().unwrap().sum_all().unwrap());
         let h = 1e-2 / squared.sqrt();
         let growth = (value(h) - value(-h)) / (2.0 * h);
         assert!((growth / squared - 1.0).abs() < 0.02, "growth {growth}, squared norm {squared}");
@@ -191,11 +168,11 @@ fn its_gradient_pushes_the_second_agent_toward_the_first() {
         // A step along it moves the second agent's future to the right, and the bystander not at all.
         let lateral = |x: &Tensor| batch.decode(x).unwrap().narrow(3, 1, 1).unwrap().squeeze(3).unwrap();
         let moved = (lateral(&(&batch.x0 + &gradient).unwrap()) - lateral(&batch.x0)).unwrap();
-        let moved: Vec<f32> = moved.mean_keepdim(2).unwrap().mean(0).unwrap().flatten_all().unwrap().to_vec1().unwrap();
+        let moved = values(&moved.mean_keepdim(2).unwrap().mean(0).unwrap());
         assert!(moved[0] == 0.0 && moved[2] < 0.0, "{parametrization:?}: {moved:?}");
         // Observed states have no gradient.
         let observed = gradient.narrow(2, 0, N_HISTORY).unwrap().abs().unwrap().sum_all().unwrap();
-        assert_eq!(observed.to_scalar::<f32>().unwrap(), 0.0);
+        assert_eq!(scalar(&observed), 0.0);
     }
 }
 
@@ -213,7 +190,7 @@ fn one_positive_event_makes_a_pair_positive() {
     let events = [event(1, EventLabel::Negative), event(1, EventLabel::Positive), event(2, EventLabel::Negative)];
     let mined: Vec<MinedEvent<'_>> =
         events.iter().zip([1, 1, 2]).map(|(event, scene_idx)| MinedEvent { scene_idx, event }).collect();
-    let examples = PairExamples::gather(&Scenes(10), &mined, 10, Seed(0)).unwrap();
+    let examples = PairExamples::gather(&scenes(10), &mined, 10, Seed(0)).unwrap();
     assert_eq!((examples.positive(), examples.negative()), (&[0][..], &[1][..]));
 }
 
@@ -225,24 +202,12 @@ fn missing_examples_and_tracks_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let config = ClassifierTrainingConfig::default();
     let denoiser = denoiser_spec(StateParametrization::Residual);
-    let error = train_classifier(
-        &config,
-        &denoiser,
-        &data,
-        TrainJob {
-            seed: Seed(config.seed),
-            dir: dir.path(),
-            compute: &Compute::cpu(),
-            progress: &Silent,
-            exchange: &Alone,
-        },
-    )
-    .unwrap_err();
+    let error = train_classifier(&config, &denoiser, &data, job(0, dir.path())).unwrap_err();
     assert!(error.to_string().contains("0 positive and 3 negative"), "{error}");
 
     let roles = Roles::from([("ego", "behind"), ("other", "stranger")]);
     let stranger = BehaviorEvent { roles, ..event(1, EventLabel::Negative) };
     let mined = [MinedEvent { scene_idx: 1, event: &stranger }];
-    let error = PairExamples::gather(&Scenes(10), &mined, 10, Seed(0)).unwrap_err();
+    let error = PairExamples::gather(&scenes(10), &mined, 10, Seed(0)).unwrap_err();
     assert!(error.to_string().contains("no track stranger"), "{error}");
 }

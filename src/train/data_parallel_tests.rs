@@ -1,6 +1,5 @@
 //! Parts add up to the batch, and as many ranks as divide them take the same steps, whatever becomes of one of them.
 
-use super::data_parallel::DataParallel;
 use super::exchange::testing::meet;
 use super::*;
 use crate::nn::{Compute, Init, Params};
@@ -11,30 +10,6 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
-
-/// Compares the loss and gradient of a batch in four parts with those of the batch as a whole. They differ by what single precision
-/// makes of another order of sums.
-#[track_caller]
-pub(super) fn assert_parts_agree(params: &Params, task: &dyn TrainTask, step: u64) {
-    let computed = |n_parts: usize| {
-        let batch = DataParallel::new(n_parts, task.batch_size(), &Alone).unwrap();
-        let divisors = batch.begin(task, step, false).unwrap().unwrap();
-        let gradient = batch.gradient(params, task, step, &divisors).unwrap();
-        let values = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        let of = |(name, var): (&str, &candle_core::Var)| {
-            Some((name.to_owned(), values(gradient.gradients.get(var.as_tensor())?)))
-        };
-        (values(&gradient.loss)[0], params.iter().filter_map(of).collect::<BTreeMap<_, _>>())
-    };
-    let ((loss, gradient), (loss_of_parts, gradient_of_parts)) = (computed(1), computed(4));
-    assert!((loss_of_parts / loss - 1.0).abs() < 1e-5, "a loss of {loss_of_parts} in parts, of {loss} at once");
-    assert_eq!(gradient.keys().collect::<Vec<_>>(), gradient_of_parts.keys().collect::<Vec<_>>());
-    let norm = |values: &mut dyn Iterator<Item = f32>| values.map(|x| f64::from(x).powi(2)).sum::<f64>().sqrt();
-    let whole = norm(&mut gradient.values().flatten().copied());
-    let pairs = gradient.values().flatten().zip(gradient_of_parts.values().flatten());
-    let apart = norm(&mut pairs.map(|(a, b)| a - b));
-    assert!(whole > 0.0 && apart < 1e-5 * whole, "gradients of norm {whole} are {apart} apart at step {step}");
-}
 
 /// Weighted least squares: rows have targets and weights that depend on the step, and the weights are divided by their sum.
 struct Rows {
@@ -85,11 +60,6 @@ enum Ends {
 }
 
 impl Progress for Ends {
-    fn start(&self, _phase: &str, _total: u64, _unit: &str) {}
-    fn advance(&self, _n: u64) {}
-    fn note(&self, _message: &str) {}
-    fn warn(&self, _message: &str) {}
-    fn finish(&self) {}
     fn must_stop(&self) -> bool {
         let is_over = |left: &AtomicU64| {
             left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1)).is_err()

@@ -1,67 +1,24 @@
 //! Tuning reaches every parameter, and turns answers that are means into answers that are samples.
 
-use super::data_parallel_tests::assert_parts_agree;
+use super::testing::{MadeScenes, ONLY_PREDICTIVE, assert_parts_agree, draws_of_four, fork, job, one_source};
 use super::*;
 use crate::diffusion::sampler::{ConsistencyConfig, HeunConfig, StepGrid};
 use crate::diffusion::{NoiseDistribution, NoiseSource, SamplerConfig};
 use crate::guidance::{AgentSelector, ObjectiveConfig, SpeedLimit};
 use crate::model::{DenoiserSpec, Distillation, NetworkConfig, SceneDenoiser, TrainedDenoiser};
+use crate::nn::testing::{assert_gradients, values};
 use crate::nn::{Checkpoint, Compute, Params, read_checkpoint};
-use crate::progress::Silent;
-use crate::scene::testing::{Drive, scene};
-use crate::scene::{ObservationMask, Scene, Trajectory};
+use crate::scene::Scene;
 use crate::seed::Seed;
-use crate::tensor::{FutureValidity, MaskSampler, SceneView, StateParametrization, TaskWeights};
+use crate::tensor::{FutureValidity, MaskSampler, StateParametrization};
 use candle_core::Device;
 use std::path::Path;
 
-/// A car that bears left or right from the present on, which cannot be told before.
-struct Forks;
-
-fn fork(idx: usize) -> Scene {
-    let side = if idx.is_multiple_of(2) { 1.0 } else { -1.0 };
-    let mut forked = scene(&[Drive::straight(0.0, 0.0, 0.0, 15.0)]);
-    let turning = scene(&[Drive { curvature_1pm: 0.06 * side, ..Drive::straight(4.5, 0.0, 0.0, 15.0) }]);
-    let track = &mut forked.tracks[0].trajectory;
-    let state = |t: usize| if t < 4 { track.get(t) } else { turning.tracks[0].trajectory.get(t - 3) };
-    *track = Trajectory::new((0..12).map(|t| state(t).copied()).collect());
-    forked
-}
-
-impl SceneDataset for Forks {
-    fn len(&self) -> usize {
-        40
-    }
-
-    fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
-        Ok(fork(idx))
-    }
-}
+/// A car that bears left or right from the present on.
+const FORKS: MadeScenes<fn(usize) -> Scene> = MadeScenes(40, |idx| fork(idx, &[]));
 
 fn data() -> TrainingData<'static> {
-    TrainingData {
-        dataset: &Forks,
-        sources: vec![TrainingSource {
-            weight: 1.0,
-            train: (0..32).collect(),
-            places: vec![0; 32],
-            held_out: (32..40).collect(),
-        }],
-        state_dim: 3,
-        fingerprint: "scenes".to_owned(),
-    }
-}
-
-fn only_predictive() -> TaskWeights {
-    TaskWeights {
-        predictive: 1.0,
-        goal_conditioned: 0.0,
-        agent_conditioned: 0.0,
-        ego_conditioned: 0.0,
-        windowed: 0.0,
-        upsampling: 0.0,
-        imputation: 0.0,
-    }
+    one_source(&FORKS)
 }
 
 fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
@@ -80,7 +37,7 @@ fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
         }),
         state_parametrization: Some(StateParametrization::Residual),
         path_loss: Some(0.0),
-        tasks: only_predictive(),
+        tasks: ONLY_PREDICTIVE,
         steps: Some(steps),
         learning_rate: Some(5e-3),
         batch_size: Some(8),
@@ -89,11 +46,6 @@ fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
     };
     train_denoiser(&config.resolve().unwrap(), &data(), None, job(3, dir)).unwrap();
     read_checkpoint(&dir.join("model.safetensors"), &Device::Cpu).unwrap()
-}
-
-fn job(seed: u64, dir: &Path) -> TrainJob<'_> {
-    static CPU: Compute = Compute::cpu();
-    TrainJob { seed: Seed(seed), dir, compute: &CPU, progress: &Silent, exchange: &Alone }
 }
 
 fn from(teacher: &Checkpoint<DenoiserSpec>) -> DistillSource<'_> {
@@ -112,7 +64,7 @@ fn two_steps() -> StepDistillation {
 fn distillation(steps: u64, method: DistillMethod) -> DistillTraining {
     let config = DistillTrainingConfig {
         method,
-        tasks: only_predictive(),
+        tasks: ONLY_PREDICTIVE,
         steps,
         learning_rate: 3e-3,
         path_loss: 0.0,
@@ -135,38 +87,18 @@ fn every_parameter_receives_a_gradient_in_every_stage() {
     let masks = MaskSampler::new(&training.common.tasks).unwrap();
     let collator = spec.collator();
     let train = [WeightedGroups::single(vec![0, 1, 2, 3])];
-    let draws = || SceneDraws {
-        collator: &collator,
-        dataset: &Forks,
-        train: &train,
-        held_out: &[],
-        masks: &masks,
-        batch_size: 8,
-        with_context: false,
-        seed: Seed(2),
-        device: &Device::Cpu,
-        ahead: Prefetched::default(),
-    };
+    let draws = || SceneDraws { batch_size: 8, seed: Seed(2), ..draws_of_four(&FORKS, &train, &collator, &masks) };
     let (denoiser, frozen, training) = (&denoiser, &frozen, &training);
     let tuning = ConsistencyTuning::default();
     let tuned = ConsistencyTask { denoiser, frozen, tuning, training, draws: draws() };
     let steps = two_steps();
     let stepped = StepDistillationTask { denoiser, frozen, teacher: frozen, steps: &steps, training, draws: draws() };
-    let tasks: [(&str, &dyn TrainTask); 2] = [("consistency", &tuned), ("steps", &stepped)];
-    for ((method, task), step) in tasks.into_iter().flat_map(|task| [0, 59].map(|step| (task, step))) {
+    let tasks: [&dyn TrainTask; 2] = [&tuned, &stepped];
+    for (task, step) in tasks.into_iter().flat_map(|task| [0, 59].map(|step| (task, step))) {
         assert_parts_agree(&params, task, step);
-        let gradients = task.loss(&BatchPart::whole(step, 8), None).unwrap().backward().unwrap();
-        for (name, var) in params.iter() {
-            // Nothing here reads a map or attends over agents.
-            if name.contains("lane") {
-                continue;
-            }
-            let place = format!("{name} ({method}, step {step})");
-            let gradient = gradients.get(var.as_tensor()).unwrap_or_else(|| panic!("no gradient of {place}"));
-            let values = gradient.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-            assert!(values.iter().all(|g| g.is_finite()), "the gradient of {place} is not finite");
-            assert!(values.iter().any(|g| *g != 0.0), "the gradient of {place} is zero");
-        }
+        // Nothing here reads a map or attends over agents.
+        let loss = task.loss(&BatchPart::whole(step, 8), None).unwrap();
+        assert_gradients(&loss, &params, |name| !name.contains("lane"));
     }
 }
 
@@ -177,17 +109,14 @@ fn jumps(levels: &[f64]) -> SamplerConfig {
 
 /// Where the car ends sideways in 64 samples of a few evaluations, meters.
 fn endings_m(trained: &TrainedDenoiser, sampler: &SamplerConfig) -> Vec<f64> {
-    let forked = fork(0);
-    let mask = ObservationMask::predictive(1, 12, 4);
-    let view = SceneView { scene: &forked, ego_idx: 0, mask: &mask };
-    let batch = trained.spec.collator().collate(&[view], FutureValidity::Everything, &Device::Cpu).unwrap();
+    let forked = fork(0, &[]);
+    let batch = trained.spec.collator().predictive(&[&forked], FutureValidity::Everything);
     let bound = trained.network.bind(&batch, 64).unwrap();
     let repeated = batch.repeated(64).unwrap();
     let mut noise = NoiseSource::new((0..64).map(Seed).collect());
     let dims = &repeated.x0.dims()[1..];
     let x = sampler.sample(&trained.spec.edm, &bound, dims, &repeated.x0, &mut noise, &mut |_| ()).unwrap();
-    let y = repeated.decode(&x).unwrap().narrow(2, 11, 1).unwrap().narrow(3, 1, 1).unwrap();
-    y.flatten_all().unwrap().to_vec1::<f32>().unwrap().into_iter().map(f64::from).collect()
+    values(&repeated.decode(&x).unwrap().narrow(2, 11, 1).unwrap().narrow(3, 1, 1).unwrap())
 }
 
 /// The denoiser of [`teacher`], and what becomes of it when it is distilled.
@@ -205,7 +134,7 @@ fn distilled(training: &DistillTraining) -> (TrainedDenoiser, TrainedDenoiser) {
 
 /// How many end on one of both ways, each of which ends some 4 m to the side.
 fn n_on_a_way(endings: &[f64]) -> usize {
-    let way_m = fork(0).state(0, 11).unwrap().position.y;
+    let way_m = fork(0, &[]).state(0, 11).unwrap().position.y;
     assert!((3.0..6.0).contains(&way_m), "{way_m}");
     endings.iter().filter(|y| (y.abs() - way_m).abs() < 0.4 * way_m).count()
 }
@@ -291,23 +220,4 @@ fn distillation_can_start_from_what_was_distilled_before() {
     let other = tempfile::tempdir().unwrap();
     let message = distill(&short, Some(&checkpoint), other.path()).unwrap_err().to_string();
     assert!(message.contains("train.distill.start_from was distilled by a different method"), "{message}");
-}
-
-#[test]
-fn settings_that_make_no_sense_are_named() {
-    let gap = |gap: LevelGap| DistillTrainingConfig {
-        method: DistillMethod::Consistency(ConsistencyTuning { gap, ..Default::default() }),
-        ..Default::default()
-    };
-    for (config, name) in [
-        (DistillTrainingConfig { steps: 0, ..Default::default() }, "steps"),
-        (DistillTrainingConfig { huber: -1.0, ..Default::default() }, "huber"),
-        (gap(LevelGap { ratio: 1.0, ..LevelGap::default() }), "gap.ratio"),
-        (gap(LevelGap { n_stages: 0, ..LevelGap::default() }), "gap.n_stages"),
-        (gap(LevelGap { n_stages: 24, ..LevelGap::default() }), "gap.n_stages"),
-        (DistillTrainingConfig { objectives: vec![speed_limit(1.0)], ..Default::default() }, "objectives need method"),
-    ] {
-        let message = config.resolve().unwrap_err().to_string();
-        assert!(message.contains("train.distill.") && message.contains(name), "{message}");
-    }
 }

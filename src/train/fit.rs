@@ -224,11 +224,6 @@ mod tests {
     struct StopAfter(AtomicU64);
 
     impl Progress for StopAfter {
-        fn start(&self, _phase: &str, _total: u64, _unit: &str) {}
-        fn advance(&self, _n: u64) {}
-        fn note(&self, _message: &str) {}
-        fn warn(&self, _message: &str) {}
-        fn finish(&self) {}
         fn must_stop(&self) -> bool {
             self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1)).is_err()
         }

@@ -15,6 +15,8 @@ mod data_parallel;
 #[cfg(test)]
 mod data_parallel_tests;
 mod denoiser;
+#[cfg(test)]
+mod denoiser_tests;
 mod denoising;
 mod distill;
 mod distill_config;
@@ -31,11 +33,13 @@ mod pair_examples;
 mod preset;
 mod run_state;
 mod scene_draws;
+#[cfg(test)]
+mod scene_draws_tests;
 mod section;
 mod step_distillation;
 mod task;
 #[cfg(test)]
-mod tests;
+mod testing;
 mod trainable;
 mod training_data;
 mod tree_sum;

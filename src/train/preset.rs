@@ -265,3 +265,20 @@ impl Preset {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_geometry_of_a_preset_is_left_out_where_it_does_not_fit() {
+        let config = DenoiserTrainingConfig {
+            preset: Preset::Small,
+            state_parametrization: Some(StateParametrization::Residual),
+            ..Default::default()
+        };
+        let network = config.resolve().unwrap().network;
+        // The encoding stays within the network's width.
+        assert_eq!((network.geometry, network.encoding), (None, network.width));
+    }
+}

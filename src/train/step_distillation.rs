@@ -215,6 +215,7 @@ impl TrainTask for StepDistillationTask<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::nn::testing::values;
     use candle_core::Device;
 
     /// Data N(1.5, 0.4²): the probability-flow equation keeps (x - 1.5) / √(0.4² + σ²).
@@ -265,7 +266,6 @@ mod tests {
         let states = steps.states(&edm, &Gaussian, x.clone()).unwrap();
         let sigmas = steps.sigmas(&edm);
         assert_eq!((states.len(), sigmas.len()), (4, 4));
-        let values = |x: &Tensor| x.flatten_all().unwrap().to_vec1::<f64>().unwrap();
         for (states, levels) in states.windows(2).zip(sigmas.windows(2)) {
             let learned = Answer(answer(&states[0], &states[1], levels[0], levels[1]).unwrap());
             let euler = SamplerConfig::Euler(EulerConfig::default());

@@ -4,8 +4,9 @@
 
 use super::{quantity, rounded, tag, value};
 use crate::metrics::Check;
+use crate::scenario::Assessment;
 use crate::scene::Scene;
-use crate::store::{Assessment, TableSchema};
+use crate::store::TableSchema;
 use serde_json::{Map, Value, json};
 
 /// A number of an assessment, under the name of its column.

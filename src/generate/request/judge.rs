@@ -7,7 +7,8 @@ use super::resolve::ResolvedRequest;
 use super::rounds::RoundShard;
 use crate::generate::select::Candidate;
 use crate::generate::{Cell, Error, Generator};
-use crate::store::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
+use crate::metrics::PairPath;
+use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -28,6 +29,9 @@ pub struct PlacedScenario {
     /// The place of its cell within the shard.
     cell: usize,
     placement: Placement,
+    /// Of a hit: how those who were asked move.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    path: Option<PairPath>,
 }
 
 impl Generator<'_> {
@@ -70,7 +74,10 @@ impl Generator<'_> {
         let place = |record: &ScenarioRecord| {
             let cell = own_cell(record)?;
             let placement = self.placement(request, &pool.cells[shard.members[cell]], record)?;
-            Ok(PlacedScenario { cell, placement })
+            let asked = &record.scenario.provenance.guidance.roles;
+            let is_hit = matches!(placement, Placement::Hit(_));
+            let path = if is_hit { PairPath::of(&record.scenario.scene, asked) } else { None };
+            Ok(PlacedScenario { cell, placement, path })
         };
         records.par_iter().map(place).collect()
     }
@@ -123,10 +130,10 @@ impl ResolvedRequest {
             ..CellTally::default()
         };
         let mut cells: Vec<CellTally> = shard.members.iter().zip(&shard.plan.cells).map(cell_tally).collect();
-        let mut accepted = ledger.accepted.clone();
+        let mut accepted = Accepted { by_bucket: ledger.accepted.clone(), paths: Vec::new() };
         let mut tags = Vec::new();
-        for PlacedScenario { cell, placement } in placed {
-            let (outcome, bucket) = outcome(*placement, &mut cells[*cell], ledger, &mut accepted);
+        for scenario in placed {
+            let (outcome, bucket) = outcome(scenario, &mut cells[scenario.cell], ledger, &mut accepted);
             tags.push(RequestTag {
                 request: self.config.name.clone(),
                 round,
@@ -138,15 +145,23 @@ impl ResolvedRequest {
     }
 }
 
+/// What is accepted when a scenario comes to its turn.
+struct Accepted<'a> {
+    /// Their number by bucket.
+    by_bucket: Vec<u64>,
+    /// The paths of those in the same shard; the ledger has those of earlier ones.
+    paths: Vec<&'a PairPath>,
+}
+
 /// Decides on and counts a scenario of `cell`; returns its outcome and its bucket.
-fn outcome(
-    placement: Placement,
+fn outcome<'a>(
+    scenario: &'a PlacedScenario,
     cell: &mut CellTally,
     ledger: &Ledger,
-    accepted: &mut [u64],
+    accepted: &mut Accepted<'a>,
 ) -> (RequestOutcome, Option<usize>) {
-    cell.n_found += u64::from(placement != Placement::NotFound);
-    match placement {
+    cell.n_found += u64::from(scenario.placement != Placement::NotFound);
+    match scenario.placement {
         Placement::NotFound => (RequestOutcome::NotFound, None),
         Placement::Outside => {
             cell.n_outside += 1;
@@ -159,15 +174,21 @@ fn outcome(
         Placement::Hit(bucket) => {
             let hits = cell.hits.entry(bucket).or_default();
             let n_of_cell = ledger.accepted_of_cell(cell.cell, bucket) + hits.n_accepted;
-            let outcome = if accepted[bucket] >= ledger.wanted[bucket] {
+            let path = scenario.path.as_ref();
+            let outcome = if accepted.by_bucket[bucket] >= ledger.wanted[bucket] {
                 hits.n_surplus += 1;
                 RequestOutcome::Surplus
             } else if n_of_cell >= ledger.max_per_scene {
                 hits.n_repeated += 1;
                 RequestOutcome::Repeated
+            } else if path.is_some_and(|path| ledger.has_like(path, &accepted.paths)) {
+                hits.n_near_duplicates += 1;
+                RequestOutcome::NearDuplicate
             } else {
                 hits.n_accepted += 1;
-                accepted[bucket] += 1;
+                accepted.by_bucket[bucket] += 1;
+                accepted.paths.extend(path);
+                cell.accepted_paths.extend(path.cloned());
                 RequestOutcome::Accepted
             };
             (outcome, Some(bucket))
@@ -181,9 +202,10 @@ mod tests {
     use crate::behavior::{BehaviorConfig, BehaviorEvent, EventLabel};
     use crate::generate::testing::{denoiser, load};
     use crate::generate::{GenerateConfig, Models, ShardPlan};
+    use crate::geometry::Vec2;
     use crate::guidance::testing::scene;
     use crate::metrics::MetricSettings;
-    use crate::scene::{Roles, Scene, Trajectory};
+    use crate::scene::{Roles, Scene, State, Trajectory};
     use candle_core::Device;
     use std::collections::BTreeMap;
 
@@ -280,5 +302,24 @@ mod tests {
         let (outcomes, tallies) = judged("limits = { collision_rate = 0.0 }", &[cell(1, &roles)], records()).unwrap();
         assert_eq!(outcomes, [RequestOutcome::Accepted, RequestOutcome::BeyondLimits]);
         assert_eq!((tallies[0].n_beyond_limits, tallies[0].n_found), (1, 2));
+    }
+
+    #[test]
+    fn who_moves_as_in_an_accepted_scenario_is_not_accepted_again() {
+        let roles = Roles::from([("ego", "behind"), ("other", "ahead")]);
+        let moved = |left_m: f64| {
+            let mut scene = scene(1);
+            let states = scene.tracks[1].trajectory.entries().iter().enumerate().map(|(timestep, state)| {
+                let offset = Vec2::new(0.0, if timestep < scene.n_history { 0.0 } else { left_m });
+                state.map(|state| State { position: state.position + offset, ..state })
+            });
+            scene.tracks[1].trajectory = Trajectory::new(states.collect());
+            record(&scene, &roles, 2.0)
+        };
+        // The mean over two agents, of which one is moved: 0.2 and 0.3 m.
+        let (outcomes, tallies) = judged("", &[cell(1, &roles)], vec![moved(0.0), moved(0.4), moved(0.6)]).unwrap();
+        assert_eq!(outcomes, [RequestOutcome::Accepted, RequestOutcome::NearDuplicate, RequestOutcome::Accepted]);
+        let hits = tallies[0].hits[&0];
+        assert_eq!((hits.n_accepted, hits.n_near_duplicates, hits.n(), tallies[0].accepted_paths.len()), (2, 1, 2, 2));
     }
 }

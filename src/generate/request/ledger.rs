@@ -3,6 +3,7 @@
 use super::config::PlanKind;
 use super::pool::Pool;
 use super::resolve::ResolvedRequest;
+use crate::metrics::{PairPath, PathIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -43,6 +44,9 @@ pub struct CellTally {
     pub n_beyond_limits: u64,
     /// Of those: in a bucket, by bucket.
     pub hits: BTreeMap<usize, Hits>,
+    /// How those who were asked move in the accepted ones.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub accepted_paths: Vec<PairPath>,
 }
 
 /// Scenarios of a bucket that meet the request.
@@ -54,10 +58,13 @@ pub struct Hits {
     pub n_surplus: u64,
     /// Not accepted, because the bucket had enough from the same scene and agents.
     pub n_repeated: u64,
+    /// Not accepted, because they move almost as an accepted one.
+    #[serde(default)]
+    pub n_near_duplicates: u64,
 }
 
 impl Hits {
-    /// All of them.
+    /// All but near-duplicates, which more samples of the same kind would bring, too.
     pub const fn n(&self) -> u64 {
         self.n_accepted + self.n_surplus + self.n_repeated
     }
@@ -66,6 +73,7 @@ impl Hits {
         self.n_accepted += other.n_accepted;
         self.n_surplus += other.n_surplus;
         self.n_repeated += other.n_repeated;
+        self.n_near_duplicates += other.n_near_duplicates;
     }
 }
 
@@ -99,7 +107,7 @@ pub(super) struct CellCounts {
 }
 
 /// The results of a request so far.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Ledger {
     pub(super) wanted: Vec<u64>,
     /// How many scenarios the cells that can reach a bucket have room for.
@@ -117,6 +125,12 @@ pub struct Ledger {
     pub(super) first_round: Vec<ArmCounts>,
     pub(super) cells: Vec<CellCounts>,
     n_evaluations_by_arm: Vec<u64>,
+    /// Whether the first round tries arms.
+    has_trial: bool,
+    behavior: String,
+    /// How those who were asked move in accepted scenarios.
+    paths: PathIndex,
+    duplicate_distance_m: f64,
 }
 
 impl Ledger {
@@ -139,6 +153,10 @@ impl Ledger {
             first_round: vec![counts; n_arms],
             cells: vec![CellCounts { n_samples: vec![0; n_arms], ..CellCounts::default() }; n_cells],
             n_evaluations_by_arm: request.arms.iter().map(|arm| arm.n_evaluations).collect(),
+            has_trial: request.is_trial(0),
+            behavior: request.config.behavior.clone(),
+            paths: PathIndex::default(),
+            duplicate_distance_m: request.duplicate_distance_m,
         }
     }
 
@@ -155,6 +173,9 @@ impl Ledger {
         }
         for cell in &tally.cells {
             let Some(counts) = self.cells.get_mut(cell.cell) else { continue };
+            for path in &cell.accepted_paths {
+                self.paths.insert(&self.behavior, path.clone(), "");
+            }
             counts.n_samples[tally.arm] += cell.n_samples;
             counts.next_sample = counts.next_sample.max(cell.next_sample);
             if let Some(fruitless) = cell.aimed.and_then(|bucket| self.fruitless.get_mut(bucket)) {
@@ -168,7 +189,7 @@ impl Ledger {
                 }
             }
             self.arms[tally.arm].add(cell);
-            if tally.round == 0 {
+            if tally.round == 0 && self.has_trial {
                 self.first_round[tally.arm].add(cell);
             }
         }
@@ -186,6 +207,13 @@ impl Ledger {
 
     fn lacks(&self, bucket: usize) -> bool {
         self.accepted[bucket] < self.wanted[bucket].min(self.room[bucket])
+    }
+
+    /// Whether those who were asked move almost as in an accepted scenario, or in one `of_shard` that is not counted yet.
+    pub(super) fn has_like(&self, path: &PairPath, of_shard: &[&PairPath]) -> bool {
+        let is_near = |distance_m: f64| distance_m < self.duplicate_distance_m;
+        self.paths.nearest(&self.behavior, path).is_some_and(|(_, distance_m)| is_near(distance_m))
+            || of_shard.iter().any(|other| is_near(path.distance_m(other)))
     }
 
     /// Whether no bucket is open.

@@ -12,6 +12,7 @@ mod facts;
 mod judge;
 mod ledger;
 mod pool;
+mod prior;
 mod resolve;
 mod rounds;
 mod summary;

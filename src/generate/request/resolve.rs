@@ -1,11 +1,13 @@
 //! How do requests become sweeps? One for each request, arm and strength, after the configured sweeps.
 
 use super::buckets::Buckets;
-use super::config::{Divisions, RequestConfig, Requirement};
+use super::config::{Divisions, PlanKind, RequestConfig, Requirement};
 use super::facts::check_name;
+use super::prior::ArmPrior;
 use crate::behavior::{self, Behavior};
 use crate::generate::sweep::mined;
 use crate::generate::{Error, GenerateConfig, ResolvedSweep, SelectConfig};
+use crate::metrics::DUPLICATE_DISTANCE_M;
 use crate::scene::{GuidanceLevel, Split};
 use crate::settings::{self, Issue};
 use std::collections::BTreeSet;
@@ -42,6 +44,8 @@ pub struct ResolvedRequest {
     pub buckets: Buckets,
     /// What may be tried.
     pub arms: Vec<Arm>,
+    /// Scenarios in which those who were asked move nearer to an accepted one than this are near-duplicates of it, meters.
+    pub duplicate_distance_m: f64,
 }
 
 /// One way of sampling that a request may try.
@@ -59,6 +63,8 @@ pub struct Arm {
     pub level: GuidanceLevel,
     /// Whether one of its objectives aims at the open bucket.
     pub aims: bool,
+    /// What earlier runs tell about it.
+    pub prior: Option<ArmPrior>,
 }
 
 impl GenerateConfig {
@@ -96,12 +102,19 @@ impl GenerateConfig {
                         n_evaluations: sweep.n_evaluations(),
                         level,
                         aims: !sweep.aims_at().is_empty(),
+                        prior: None,
                     });
                     resolved.sweeps.push(sweep);
                 }
             }
             let buckets = Buckets::new(request);
-            resolved.requests.push(ResolvedRequest { idx, config: request.clone(), buckets, arms });
+            resolved.requests.push(ResolvedRequest {
+                idx,
+                config: request.clone(),
+                buckets,
+                arms,
+                duplicate_distance_m: DUPLICATE_DISTANCE_M,
+            });
         }
         Ok(())
     }
@@ -136,6 +149,9 @@ impl RequestConfig {
             return refuse("arms", "is empty; list at least one of [[generate.arms]]");
         }
         settings::distinct("arms", &self.arms)?;
+        if self.prior.is_some() && self.plan == PlanKind::Even {
+            return refuse("prior", "has no effect on plan = \"even\"; remove one of the two");
+        }
         match self.budget.n_samples.or(self.budget.n_evaluations) {
             None => refuse("budget", "is empty; set n_samples or n_evaluations"),
             Some(_) => Ok(()),

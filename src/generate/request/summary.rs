@@ -64,9 +64,15 @@ pub struct ArmSummary {
     pub level: GuidanceLevel,
     /// Evaluations of the denoiser for one sample.
     pub n_evaluations_per_sample: u64,
+    /// Samples that aimed at a bucket, over all rounds.
+    #[serde(default)]
+    pub n_aimed: u64,
+    /// Those of them that fell into it.
+    #[serde(default)]
+    pub n_aimed_hits: u64,
     /// Over all rounds; arms and scenes with a higher yield are tried more often.
     pub total: Yield,
-    /// In the first round, in which every arm continues the same scenes from the same noise.
+    /// In the first round, in which every arm without a prior continues the same scenes from the same noise.
     pub first_round: Yield,
 }
 
@@ -108,6 +114,9 @@ pub struct BucketSummary {
     pub n_surplus: u64,
     /// Not accepted, because it had enough of the same scene and agents.
     pub n_repeated: u64,
+    /// Not accepted, because it moves almost as an accepted one.
+    #[serde(default)]
+    pub n_near_duplicates: u64,
     /// Accepted scenarios by arm.
     pub accepted_by_arm: Vec<u64>,
     /// Scenarios in it by arm, accepted or not.
@@ -135,6 +144,8 @@ impl RequestSummary {
             name: arm.name.clone(),
             level: arm.level,
             n_evaluations_per_sample: arm.n_evaluations,
+            n_aimed: ledger.aimed_of_arm(i, |_| true).n_samples,
+            n_aimed_hits: ledger.aimed_of_arm(i, |_| true).n_hits,
             total: Yield::of(&ledger.arms[i]),
             first_round: Yield::of(&ledger.first_round[i]),
         });
@@ -153,6 +164,7 @@ impl RequestSummary {
                 n_accepted: ledger.accepted[idx],
                 n_surplus: sum(|hits| hits.n_surplus),
                 n_repeated: sum(|hits| hits.n_repeated),
+                n_near_duplicates: sum(|hits| hits.n_near_duplicates),
                 accepted_by_arm: by_arm(&ledger.arms, |hits| hits.n_accepted),
                 hits_by_arm: by_arm(&ledger.arms, Hits::n),
                 first_round_hits_by_arm: by_arm(&ledger.first_round, Hits::n),

@@ -36,12 +36,12 @@ fn request(more: &str) -> String {
     format!("{base}\n{more}")
 }
 
-fn tight(more: &str) -> ResolvedRequest {
+pub(super) fn tight(more: &str) -> ResolvedRequest {
     let arms = if more.contains("arms") { "" } else { "arms = ['plain', 'guided']\n" };
     resolve(&request(&format!("{arms}{more}"))).unwrap().requests.remove(0)
 }
 
-fn pool(n: usize) -> Pool {
+pub(super) fn pool(n: usize) -> Pool {
     let cell = |i: usize| Cell {
         scene_idx: i,
         scene_id: format!("scene-{i}").as_str().into(),
@@ -59,7 +59,7 @@ fn pool(n: usize) -> Pool {
 
 /// Fulfils a request in a world in which `hit` decides into which bucket sample `sample` of an arm in a cell falls. Returns the
 /// rounds and their tallies.
-fn fulfil(
+pub(super) fn fulfil(
     request: &ResolvedRequest,
     pool: &Pool,
     seed: u64,
@@ -111,7 +111,7 @@ fn fulfil(
 }
 
 /// Arm 2 hits a bucket in one sample of four, in every third cell; arm 1 in one of forty; arm 0 never.
-fn world(arm: usize, cell: usize, sample: usize) -> Option<usize> {
+pub(super) fn world(arm: usize, cell: usize, sample: usize) -> Option<usize> {
     let draw = Seed(9).derive("world", &[arm as u64, cell as u64, sample as u64]).rng().uniform();
     let rate = [0.0, 0.025, if cell.is_multiple_of(3) { 0.25 } else { 0.0 }][arm];
     (draw < rate).then_some((cell / 3) % 4)
@@ -290,7 +290,7 @@ fn an_arm_that_misses_the_open_bucket_is_left_for_one_that_hits_what_it_aims_at(
     };
     // One arm has hit what is still open now and then, the other has not been tried on it.
     add(0, 3, 1000, Hits { n_accepted: 2, ..Hits::default() });
-    (0..3).for_each(|bucket| add(1, bucket, 30, Hits { n_accepted: 5, n_surplus: 22, n_repeated: 0 }));
+    (0..3).for_each(|bucket| add(1, bucket, 30, Hits { n_accepted: 5, n_surplus: 22, ..Hits::default() }));
     let context =
         RoundContext { pool: &pool, ledger: &ledger, round: 1, next_idx: 4, cells_per_shard: 4, seed: Seed(1) };
     let round = request.next_round(&context).unwrap();

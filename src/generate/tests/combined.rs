@@ -1,8 +1,8 @@
 //! Do the forms of guidance act together, and under other masks than that of the history?
 
 use super::*;
+use crate::scenario::ScenarioRecord;
 use crate::scene::GuidanceLevel;
-use crate::store::ScenarioRecord;
 
 const GUIDED: &str = "
     splits = ['train']

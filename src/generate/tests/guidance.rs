@@ -5,8 +5,8 @@ use crate::behavior::BehaviorConfig;
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
 use crate::metrics::MetricSettings;
+use crate::scenario::ScenarioRecord;
 use crate::scene::Track;
-use crate::store::ScenarioRecord;
 use std::collections::BTreeSet;
 
 const OBJECTIVES: &str = "

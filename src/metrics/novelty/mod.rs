@@ -8,4 +8,4 @@ mod nearest;
 mod pair_path;
 
 pub use event_space::EventSpace;
-pub use pair_path::{PairPath, PathIndex};
+pub use pair_path::{DUPLICATE_DISTANCE_M, PairPath, PathIndex};

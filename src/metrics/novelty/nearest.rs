@@ -23,6 +23,7 @@ impl Ord for Key {
 /// Points in the order of their distance from the first of them, the pivot. By the triangle inequality |d(a, pivot) - d(b, pivot)| is at
 /// most d(a, b), so that only points whose distance from the pivot is similar need a look. A search is exact; it takes as many
 /// distances as there are points in that band: few where points are spread out, all of them in the worst case.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct NearestIndex<P> {
     points: Vec<P>,
     by_key: BTreeSet<(Key, usize)>,

@@ -4,8 +4,11 @@ use super::nearest::NearestIndex;
 use crate::geometry::{Transform2, Vec2};
 use crate::metrics::sample_group::future;
 use crate::scene::{Roles, Scene};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// Scenarios whose paths are nearer to each other are near-duplicates by default, meters.
+pub const DUPLICATE_DISTANCE_M: f64 = 0.25;
 /// Time between the positions of a path, seconds.
 const SPACING_S: f64 = 0.5;
 
@@ -13,12 +16,15 @@ const SPACING_S: f64 = 0.5;
 /// position, x axis along its heading. So scenarios of different places compare, and what counts is how the two move to each other.
 ///
 /// Motion is smooth, so a position in the middle of each half second stands for all of it: every accepted scenario stays in memory.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PairPath {
     /// Agent by agent, each one a half second; meters. Who is not tracked at a timestep is held where it was last.
     points: Box<[[f32; 2]]>,
     n_agents: usize,
 }
+
+/// Positions are finite.
+impl Eq for PairPath {}
 
 impl PairPath {
     /// That of the agents of these roles. `None` where nobody was asked, or one of them is not tracked at present.
@@ -43,7 +49,7 @@ impl PairPath {
     }
 
     /// Mean distance between the positions of the same agent at the same time, meters. It is a metric: the mean of norms.
-    fn distance_m(&self, other: &Self) -> f64 {
+    pub fn distance_m(&self, other: &Self) -> f64 {
         let apart = |(a, b): (&[f32; 2], &[f32; 2])| {
             (f64::from(a[0]) - f64::from(b[0])).hypot(f64::from(a[1]) - f64::from(b[1]))
         };
@@ -56,7 +62,7 @@ impl PairPath {
 ///
 /// A search is exact. It costs a logarithm, and a distance for each scenario that lies about as far from the first one of its kind
 /// ([`NearestIndex`]); memory is 16 bytes for each agent and second, beside the id.
-#[derive(Default)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PathIndex {
     kinds: BTreeMap<Kind, OfKind>,
 }
@@ -65,7 +71,7 @@ pub struct PathIndex {
 type Kind = (String, usize, usize);
 
 /// The scenarios of one kind, by number.
-#[derive(Default)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 struct OfKind {
     ids: Vec<String>,
     paths: NearestIndex<PairPath>,

@@ -5,6 +5,7 @@ mod geometric;
 use candle_core::{DType, Device, Result, Tensor, Var};
 
 use super::*;
+use crate::nn::testing::values;
 use crate::seed::Seed;
 
 /// An operation under test: arguments that get gradients to a result.
@@ -23,10 +24,6 @@ pub(super) fn mask(shape: &[usize], share: f64, seed: u64) -> Tensor {
     let n = shape.iter().product();
     let values: Vec<f32> = (0..n).map(|_| f32::from(u8::from(rng.uniform() < share))).collect();
     Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
-}
-
-pub(super) fn values(tensor: &Tensor) -> Vec<f64> {
-    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
 }
 
 /// Result and gradients of Σ result · fixed random numbers, computed in `dtype`: `f32` takes the fused implementation, `f64`

@@ -7,6 +7,7 @@
 use super::{Override, PipelineConfig};
 use crate::settings::{Issue, Unreadable};
 use serde::Deserialize;
+use serde_json::Value;
 use std::fmt;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -96,24 +97,25 @@ pub fn parse(path: Option<&Path>, text: &str, overrides: &[String]) -> Result<Pi
     }
 }
 
-/// Sections that draw random numbers and name no seed of their own take the run's.
+/// Gives the seed of the run to every section whose schema has a `seed` and that sets none.
 fn inherit_seed(table: &mut DeTable<'_>) {
-    const SEEDED: [&[&str]; 3] = [&["ingest"], &["train", "classifier"], &["generate"]];
-    let run = table.get("run").and_then(|run| run.get_ref().get("seed"));
-    let Some(seed) = run.cloned() else { return };
-    for path in SEEDED {
-        let mut section = Some(&mut *table);
-        for part in path {
-            section = section.and_then(|table| table.get_mut(*part)).and_then(|value| match value.get_mut() {
-                DeValue::Table(table) => Some(table),
-                _ => None,
-            });
+    let Some(seed) = table.get("run").and_then(|run| run.get_ref().get("seed")).cloned() else { return };
+    let schema = schemars::schema_for!(PipelineConfig).to_value();
+    fill_seed(table, &schema, &schema, &seed);
+}
+
+fn fill_seed<'a>(table: &mut DeTable<'a>, root: &Value, schema: &Value, seed: &Spanned<DeValue<'a>>) {
+    let referred = |schema: &Value| root.pointer(schema["$ref"].as_str()?.strip_prefix('#')?);
+    // A section that may be missing is one of two alternatives: the section, or null.
+    let alternatives = schema["anyOf"].as_array().into_iter().flatten();
+    let properties = &std::iter::once(schema).chain(alternatives).find_map(referred).unwrap_or(schema)["properties"];
+    for (name, value) in table.iter_mut() {
+        if let DeValue::Table(section) = value.get_mut() {
+            fill_seed(section, root, &properties[name.get_ref().as_ref()], seed);
         }
-        if let Some(section) = section
-            && !section.contains_key("seed")
-        {
-            section.insert(Spanned::new(seed.span(), "seed".into()), seed.clone());
-        }
+    }
+    if !properties["seed"].is_null() {
+        table.entry(Spanned::new(seed.span(), "seed".into())).or_insert_with(|| seed.clone());
     }
 }
 
@@ -261,8 +263,13 @@ mod tests {
 
     #[test]
     fn sections_inherit_the_seed_of_the_run() {
-        let text = "[run]\nseed = 7\n[ingest]\ndataset = \"argoverse1\"\ninputs = [\"a\"]\n";
-        assert_eq!(parse(None, text, &[]).unwrap().ingest.unwrap().seed, 7);
-        assert_eq!(parse(None, text, &["ingest.seed=8".to_owned()]).unwrap().ingest.unwrap().seed, 8);
+        let text = "[run]\nseed = 7\n[ingest]\ndataset = \"argoverse1\"\ninputs = [\"a\"]\n\
+                    [train.denoiser]\n[train.classifier]\n[generate]\nseed = 9\n";
+        let seeds = |overrides: &[String]| {
+            let config = parse(None, text, overrides).unwrap();
+            [config.ingest.unwrap().seed, config.train.classifier.unwrap().seed, config.generate.unwrap().seed]
+        };
+        assert_eq!(seeds(&[]), [7, 7, 9]);
+        assert_eq!(seeds(&["ingest.seed=8".to_owned()]), [8, 7, 9]);
     }
 }

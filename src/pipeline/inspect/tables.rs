@@ -2,9 +2,10 @@
 
 use super::{Description, inspect};
 use crate::behavior::EventLabel;
+use crate::metrics::MetricRow;
 use crate::pipeline::Result;
 use crate::store::{
-    CorpusManifest, Error, MetricRow, ParameterSummary, QUANTILES, read_events, read_json, read_metrics, read_verdicts,
+    CorpusManifest, Error, ParameterSummary, QUANTILES, read_events, read_json, read_metrics, read_verdicts,
     summarize_events,
 };
 use serde_json::{Value, json};

@@ -10,7 +10,7 @@ use crate::pipeline::layout::SAMPLES;
 use crate::pipeline::stages::{Generate, SampleFolder, SampleSidecar};
 use crate::pipeline::{ComputeChoice, Result};
 use crate::progress::Progress;
-use crate::store::RequestTag;
+use crate::scenario::RequestTag;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 

@@ -14,7 +14,8 @@ use crate::generate::{Ledger, Pool, ResolvedGeneration, ResolvedRequest, Round, 
 use crate::pipeline::stages::{Ready, RoundShards, Rounds, SampleFolder, SampleSidecar, is_round_file};
 use crate::pipeline::{Failure, Result};
 use crate::progress::Silent;
-use crate::store::{RequestTag, SceneStore, read_samples};
+use crate::scenario::RequestTag;
+use crate::store::{SceneStore, read_samples};
 use rayon::prelude::*;
 use std::path::Path;
 

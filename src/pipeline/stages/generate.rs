@@ -7,13 +7,15 @@ use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledW
 use super::with_precision;
 use crate::diffusion::Edm;
 use crate::evaluate::{for_maps, map_fits};
-use crate::generate::{self, GenerateConfig, Generator, Plan, Pool, ResolvedGeneration, ShardPlan, Shortfall};
-use crate::metrics::MetricSettings;
+use crate::generate::{
+    self, GenerateConfig, Generator, Plan, Pool, RequestSummary, ResolvedGeneration, ShardPlan, Shortfall,
+};
+use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings};
 use crate::nn::{Compute, Precision};
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::progress::Progress;
-use crate::store::SceneStore;
+use crate::store::{SceneStore, read_json};
 use crate::train::DistillTrainingConfig;
 use serde_json::{Value, json};
 
@@ -27,6 +29,8 @@ pub struct Generate<'a> {
     pub mine: MineConfig,
     /// The settings of metrics in selections and limits, as in the evaluation.
     pub metric_settings: MetricSettings,
+    /// Scenarios of a request whose agents move nearer to an accepted one than this are near-duplicates, as in the evaluation, meters.
+    pub duplicate_distance_m: f64,
     /// The behavior that the pipeline's classifier is trained for, where the pipeline trains one.
     pub classified_behavior: Option<&'a str>,
     /// How the pipeline distills its denoiser, where it does so itself.
@@ -41,7 +45,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        7
+        8
     }
 
     fn check(&self) -> Result<()> {
@@ -68,8 +72,11 @@ impl Stage for Generate<'_> {
     fn config(&self) -> anyhow::Result<Value> {
         let mut config = serde_json::to_value(self.config)?;
         config["behaviors"] = serde_json::to_value(&self.mine.behaviors)?;
-        if let Some(settings) = self.decisive_settings() {
+        if let Some(settings) = self.decisive_settings().filter(|settings| differs_from_default(settings)) {
             config["metric_settings"] = serde_json::to_value(settings)?;
+        }
+        if !self.config.requests.is_empty() && self.duplicate_distance_m != DUPLICATE_DISTANCE_M {
+            config["duplicate_distance_m"] = json!(self.duplicate_distance_m);
         }
         Ok(with_precision(config, Some(self.precision)))
     }
@@ -80,7 +87,10 @@ impl Stage for Generate<'_> {
         let made =
             |stage: StageId| stage.output(self.layout).map(|(name, path)| StageInput::made_by(stage, name, path));
         let scenes = StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes);
-        std::iter::once(scenes).chain(needed.into_iter().filter_map(made)).collect()
+        let priors = self.config.requests.iter().filter_map(|request| {
+            Some(StageInput::external(format!("prior of {}", request.name), request.prior.as_deref()?))
+        });
+        std::iter::once(scenes).chain(needed.into_iter().filter_map(made)).chain(priors).collect()
     }
 
     fn outputs(&self) -> &'static [&'static str] {
@@ -143,12 +153,7 @@ impl Generate<'_> {
         let models = LoadedModels::read(self.layout, &resolved.sweeps, compute)?;
         let behaviors = self.mine.build()?;
         let load = |idx: usize| Ok(store.scene(idx)?);
-        // Selections and limits judge departures only where maps allow it, as the evaluation does.
-        let judged_by_maps = |settings: &MetricSettings| -> Result<MetricSettings> {
-            let maps = map_fits(&store, &settings.validity)?;
-            Ok(MetricSettings { validity: for_maps(&settings.validity, &maps), ..settings.clone() })
-        };
-        let decisive_settings = self.decisive_settings().map(judged_by_maps).transpose()?;
+        let decisive_settings = self.settings_for_maps(&store)?;
         let metric_settings = decisive_settings.clone().unwrap_or_default();
         let generator =
             Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, &compute.device)?;
@@ -201,11 +206,18 @@ impl Generate<'_> {
         }))
     }
 
-    /// The settings of metrics, where samples are selected by one that they decide, and they are not the defaults.
+    /// The settings of metrics, where samples are selected by one that they decide.
     fn decisive_settings(&self) -> Option<&MetricSettings> {
-        let settings = &self.metric_settings;
-        let decide = *settings != MetricSettings::default() && self.config.selects_by(|id| settings.decide(id));
-        decide.then_some(settings)
+        let decide = self.config.selects_by(|id| self.metric_settings.decide(id));
+        Some(&self.metric_settings).filter(|_| decide)
+    }
+
+    /// The settings of metrics by which selections and limits decide, as the evaluation uses them: departures are judged only where
+    /// maps allow it. `None` if they are the default ones, or decide nothing.
+    fn settings_for_maps(&self, store: &SceneStore) -> Result<Option<MetricSettings>> {
+        let Some(settings) = self.decisive_settings() else { return Ok(None) };
+        let validity = for_maps(&settings.validity, &map_fits(store, &settings.validity)?);
+        Ok(Some(MetricSettings { validity, ..settings.clone() }).filter(differs_from_default))
     }
 
     /// The pairs of each request, with the buckets that they can still reach; `None` before scenes and models exist.
@@ -224,8 +236,22 @@ impl Generate<'_> {
 
     /// The resolved section, which includes the sweeps of requests.
     pub(in crate::pipeline) fn resolve(&self) -> Result<ResolvedGeneration> {
-        Ok(self.config.resolve(&self.mine.build()?)?)
+        let mut resolved = self.config.resolve(&self.mine.build()?)?;
+        for request in &mut resolved.requests {
+            request.duplicate_distance_m = self.duplicate_distance_m;
+            let Some(path) = request.config.prior.clone() else { continue };
+            let earlier = read_json::<Vec<RequestSummary>>(&path).map_err(|error| {
+                Failure::input(error).with_hint("prior is the file samples/requests.json of a run with requests")
+            })?;
+            let section = format!("generate.requests.{}", request.idx);
+            request.learn(&earlier).map_err(|issue| Failure::input(issue.within(&section)))?;
+        }
+        Ok(resolved)
     }
+}
+
+fn differs_from_default(settings: &MetricSettings) -> bool {
+    *settings != MetricSettings::default()
 }
 
 /// Generates the shards of the plan, which belong to the configured sweeps.
@@ -265,4 +291,47 @@ fn generate_shards(
     context.progress.note(&format!("{} verified", n_verified.iter().sum::<usize>()));
     context.progress.finish();
     Ok(done)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::ValidityConfig;
+    use crate::scene::MapId;
+    use crate::store::testing::{map, scene};
+    use crate::store::{SceneWriter, SceneWriterOptions};
+
+    #[test]
+    fn limits_judge_departures_only_where_the_evaluation_does() {
+        let maps = [(MapId::from("PIT"), map(1, 9))];
+        let scenes: Vec<_> = (0..5).map(|seed| scene(seed, Some((&maps[0].0, &maps[0].1)))).collect();
+        let dir = tempfile::tempdir().unwrap();
+        let mut writer = SceneWriter::create(dir.path(), SceneWriterOptions::default()).unwrap();
+        writer.write_batch(&scenes, &maps, Some(0), &json!(0)).unwrap();
+        writer.finish(&json!({ "rejects": {} })).unwrap();
+        let store = SceneStore::open(dir.path()).unwrap();
+        let of_evaluation =
+            for_maps(&ValidityConfig::default(), &map_fits(&store, &ValidityConfig::default()).unwrap());
+        assert!(of_evaluation.places_without_road.contains("PIT"), "its map is at random");
+
+        let settings_with = |limits: &str| {
+            let text = format!(
+                "[[arms]]\nname = 'a'\n[[requests]]\nname = 'r'\nbehavior = 'cut_in'\nper_bucket = 1\narms = ['a']\n\
+                 buckets = {{ gap_m = [0, 5] }}\nbudget = {{ n_samples = 9 }}\nlimits = {{ {limits} }}"
+            );
+            let stage = Generate {
+                config: &toml::from_str(&text).unwrap(),
+                precision: Precision::default(),
+                mine: MineConfig::default(),
+                metric_settings: MetricSettings::default(),
+                duplicate_distance_m: DUPLICATE_DISTANCE_M,
+                classified_behavior: None,
+                distill: None,
+                layout: &Layout::below(dir.path()),
+            };
+            stage.settings_for_maps(&store).unwrap()
+        };
+        assert_eq!(settings_with("validity_rate = 1.0").map(|settings| settings.validity), Some(of_evaluation));
+        assert_eq!(settings_with("collision_rate = 0.0"), None);
+    }
 }

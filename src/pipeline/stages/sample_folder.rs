@@ -7,9 +7,9 @@ use crate::generate::{
 };
 use crate::metrics::MetricSettings;
 use crate::pipeline::{Classify, Failure, Result};
+use crate::scenario::ScenarioRecord;
 use crate::store::{
-    FileStamp, MapSource, ScenarioRecord, read_json, read_samples, write_atomically, write_json_atomically,
-    write_samples,
+    FileStamp, MapSource, read_json, read_samples, write_atomically, write_json_atomically, write_samples,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

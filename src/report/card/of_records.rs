@@ -4,8 +4,8 @@ use super::{Acceptance, CardBucket, CardKey, CardValue, Sample, SceneCard, Verdi
 use crate::report::model::Fact;
 use crate::report::number::{level, value};
 use crate::report::quantities::title_and_unit;
+use crate::scenario::{BucketTag, RequestOutcome, ScenarioRecord};
 use crate::scene::{GuidanceLevel, Roles, Scene};
-use crate::store::{BucketTag, RequestOutcome, ScenarioRecord};
 
 impl Verdict {
     /// What came of what this scenario was asked for.

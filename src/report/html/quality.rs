@@ -2,12 +2,11 @@
 
 use super::{Section, table};
 use crate::evaluate::{MetricDoc, RealismRow};
-use crate::metrics::{Direction, Group, SeriesKey};
+use crate::metrics::{Direction, Group, MetricRow, SeriesKey};
 use crate::report::distribution::Distribution;
 use crate::report::model::{MetricTable, ReportModel};
 use crate::report::number::{ABSENT, count, level, optional, uncertainty};
 use crate::report::svg::histogram;
-use crate::store::MetricRow;
 use maud::{Markup, html};
 
 /// Series that stand beside each other in a table of metrics: as many as a laptop's screen shows.

@@ -79,6 +79,7 @@ mod tests {
             n_accepted,
             n_surplus: 0,
             n_repeated: 0,
+            n_near_duplicates: 0,
             accepted_by_arm: Vec::new(),
             hits_by_arm: Vec::new(),
             first_round_hits_by_arm: Vec::new(),

@@ -48,7 +48,7 @@ fn buckets(request: &RequestSummary) -> Markup {
             }
             th scope="col" class="n" { "Pairs" } th scope="col" class="n" { "Wanted" } th scope="col" class="n" { "Accepted" }
             @for arm in &request.arms { th scope="col" class="n" { "by " (arm.name) } }
-            th scope="col" class="n" { "Surplus" } th scope="col" class="n" { "Repeated" }
+            th scope="col" class="n" { "Surplus" } th scope="col" class="n" { "Repeated" } th scope="col" class="n" { "Near-duplicates" }
             th scope="col" class="n" { "Samples while open" } th scope="col" class="n" { "Evaluations per accepted" }
             @for arm in &request.arms { th scope="col" class="n" { "Hits of " (arm.name) } }
         }
@@ -62,7 +62,7 @@ fn buckets(request: &RequestSummary) -> Markup {
                 td class="n" { strong { (count(bucket.n_accepted)) } @if bucket.n_accepted < bucket.n_wanted { small { (if bucket.is_given_up { " given up" } else { " short" }) } } }
                 @for n in &bucket.accepted_by_arm { td class="n" { (count(*n)) } }
                 td class="n" { (count(bucket.n_surplus)) }
-                td class="n" { (count(bucket.n_repeated)) }
+                td class="n" { (count(bucket.n_repeated)) } td class="n" { (count(bucket.n_near_duplicates)) }
                 td class="n" { (count(bucket.n_samples_while_open)) }
                 td class="n" { (optional(bucket.n_evaluations_per_accepted())) }
                 @for (arm, n) in request.arms.iter().zip(&bucket.hits_by_arm) { td class="n" { (rate(*n, arm.total.n_samples)) } }
@@ -73,7 +73,7 @@ fn buckets(request: &RequestSummary) -> Markup {
         (table(&format!("Buckets of {}", request.name), &head, &body))
         p class="note" {
             "A bucket holds its lower edge and not its upper one. Pairs can fall into it, as far as their past and the limits of driving tell. Surplus scenarios are as asked, but came when their bucket was full; repeated ones, "
-            "when it had enough of the same scene and agents. Both are among the samples and not in the corpus. All buckets are filled from the same "
+            "when it had enough of the same scene and agents; in near-duplicates those who were asked move almost as in an accepted scenario. All three are among the samples and not in the corpus. All buckets are filled from the same "
             "samples: the cost of a scenario is what was evaluated while its bucket was open, for other buckets too. Hits are scenarios in the bucket, "
             "accepted or not, of all samples of the arm."
         }
@@ -105,7 +105,8 @@ fn arms(request: &RequestSummary) -> Markup {
         @for (i, arm) in request.arms.iter().enumerate() {
             tr {
                 th scope="row" { (arm.name) } td class="n" { (level(arm.level)) } td class="n" { (count(arm.n_evaluations_per_sample)) }
-                (of("first", &arm.first_round, n_hit(|bucket| &bucket.first_round_hits_by_arm, i)))
+                @if arm.first_round.n_samples > 0 { (of("first", &arm.first_round, n_hit(|bucket| &bucket.first_round_hits_by_arm, i))) }
+                @else { td { "first" } td colspan="7" { "not tried: known from an earlier run" } }
             }
             tr { th scope="row" { (arm.name) } td {} td {} (of("all", &arm.total, n_hit(|bucket| &bucket.hits_by_arm, i))) }
         }

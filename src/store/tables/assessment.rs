@@ -4,9 +4,10 @@ use super::columns::{
     Columns, entries, lists, numbers, optional_flags, optional_numbers, optional_texts, small, structs, texts,
 };
 use crate::metrics::{Check, CutInJudgment, PairCriticality, SceneCriticality, Violation};
+use crate::scenario::Assessment;
 use crate::scene::TrackId;
+use crate::store::Result;
 use crate::store::schema::{ColumnExt, column, list_of, list_of_structs};
-use crate::store::{Assessment, Result};
 use arrow::array::ArrayRef;
 use arrow::datatypes::{DataType, Field, Float64Type, UInt32Type};
 

@@ -2,9 +2,10 @@
 
 use super::columns::{Columns, numbers, optional_numbers, optional_texts, texts};
 use super::{strength_column, weight_column};
+use crate::metrics::MetricRow;
 use crate::scene::{GuidanceLevel, SceneId};
 use crate::store::schema::{ColumnExt, TableSchema, column};
-use crate::store::{Error, MetricRow, Result};
+use crate::store::{Error, Result};
 use arrow::array::RecordBatch;
 use arrow::datatypes::{DataType, Float64Type, UInt64Type};
 use std::path::Path;

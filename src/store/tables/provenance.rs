@@ -3,9 +3,10 @@
 
 use super::columns::{Columns, flags, numbers, optional_numbers, optional_texts, small, texts};
 use super::{event_list, request, roles};
+use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
+use crate::store::Result;
 use crate::store::schema::{ColumnExt, column};
-use crate::store::{Result, ScenarioRecord};
 use arrow::array::ArrayRef;
 use arrow::datatypes::{DataType, Field, Float64Type, UInt32Type, UInt64Type};
 

@@ -1,8 +1,9 @@
 //! The columns that say where a scenario comes from within its run: the shard, and the request with its bucket.
 
 use super::columns::{Columns, numbers, optional_numbers, optional_texts, small};
+use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use crate::store::schema::{ColumnExt, column};
-use crate::store::{BucketTag, Error, RequestOutcome, RequestTag, Result, ScenarioRecord};
+use crate::store::{Error, Result};
 use arrow::array::ArrayRef;
 use arrow::datatypes::{DataType, Field, UInt32Type};
 
@@ -15,7 +16,7 @@ pub(crate) fn fields() -> Vec<Field> {
         column(
             "request_outcome",
             DataType::Utf8,
-            "What became of it: accepted; surplus (its bucket was full), repeated (its bucket had enough of the same scene and agents), outside (of all buckets or conditions), beyond_limits, not_found.",
+            "What became of it: accepted; surplus (its bucket was full), repeated (its bucket had enough of the same scene and agents), near_duplicate (of one that was accepted), outside (of all buckets or conditions), beyond_limits, not_found.",
         )
         .optional(),
         column("bucket", DataType::UInt32, "Index of its bucket among those of the request; missing outside of all.")

@@ -3,9 +3,10 @@
 use super::columns::{Columns, flags, lists};
 use super::{provenance, scene_header, scene_tracks};
 use crate::geometry::Transform2;
+use crate::scenario::ScenarioRecord;
 use crate::scene::{LaneGraph, LaneId, MapId, ObservationMask, Scene};
 use crate::store::schema::{TableSchema, column, list_of};
-use crate::store::{Error, MapSource, Result, ScenarioRecord, as_stored};
+use crate::store::{Error, MapSource, Result, as_stored};
 use arrow::array::RecordBatch;
 use arrow::datatypes::DataType;
 use std::path::Path;

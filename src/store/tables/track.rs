@@ -2,9 +2,10 @@
 
 use super::columns::{Columns, flags, optional_texts, texts};
 use super::state_rows::{self, StateRow, rows_of};
+use crate::scenario::ScenarioRecord;
 use crate::scene::{ObservationMask, Track};
 use crate::store::schema::{ColumnExt, TableSchema, column};
-use crate::store::{Error, Result, ScenarioRecord};
+use crate::store::{Error, Result};
 use arrow::array::RecordBatch;
 use arrow::datatypes::DataType;
 use std::collections::BTreeSet;

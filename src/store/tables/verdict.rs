@@ -2,9 +2,10 @@
 
 use super::columns::{Columns, entries, flags, lists, numbers, optional_numbers, texts};
 use super::{strength_column, weight_column};
+use crate::scenario::VerdictRow;
 use crate::scene::GuidanceLevel;
 use crate::store::schema::{ColumnExt, TableSchema, column, list_of};
-use crate::store::{Error, Result, VerdictRow};
+use crate::store::{Error, Result};
 use arrow::array::{ListArray, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Float64Type};
 use std::path::Path;

@@ -120,6 +120,26 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
         &["train.denoiser.diffusion.sigma_min is 90, expected at most diffusion.sigma_max"],
     ),
     (
+        &["train.denoiser.network.geometry={ patch = 4 }", "train.denoiser.state_parametrization=residual"],
+        &["train.denoiser.network.geometry needs state_parametrization"],
+    ),
+    (
+        &["train.denoiser.objectives=[{ kind = \"speed_limit\", weight = -1.0, limit_mps = 8.0 }]"],
+        &["train.denoiser.objectives.0.weight is -1"],
+    ),
+    (
+        &["train.distill.objectives=[{ kind = \"speed_limit\", limit_mps = 12.0 }]"],
+        &["train.distill.objectives need method"],
+    ),
+    (
+        &["train.distill.method={ kind = \"consistency\", gap = { n_stages = 0 } }"],
+        &["train.distill.method.gap.n_stages is 0"],
+    ),
+    (
+        &["train.distill.method={ kind = \"consistency\", gap = { n_stages = 24 } }"],
+        &["train.distill.method.gap.n_stages is 24"],
+    ),
+    (
         &["train.distill.method={ kind = \"consistency\", gap = { ratio = 1.0 } }"],
         &["train.distill.method.gap.ratio is 1, expected a number beyond 1"],
     ),
@@ -238,6 +258,13 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
             "generate.requests=[{ name = \"r\", behavior = \"cut_in\", buckets = { gap_m = [0, 10] }, where = { gap_m = 3 }, per_bucket = 1, arms = [\"guided\"], budget = { n_samples = 9 } }]",
         ],
         &["expected a range [least, most] or a list of texts"],
+    ),
+    (
+        &[
+            REQUEST,
+            "generate.requests=[{ name = \"r\", behavior = \"cut_in\", buckets = { gap_m = [0, 10] }, per_bucket = 1, arms = [\"guided\"], plan = \"even\", prior = \"requests.json\", budget = { n_samples = 9 } }]",
+        ],
+        &["generate.requests.0 (r): prior has no effect on plan = \"even\""],
     ),
     (
         &["generate.arms=[{ name = \"a\", strengths = [2.0, 2.0] }]"],

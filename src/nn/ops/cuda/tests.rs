@@ -3,12 +3,13 @@
 use candle_core::{DType, Device, Result, Tensor, Var};
 use gemmkit::bf16;
 
-use super::super::tests::{NEIGHBOR, Op, assert_close, check, mask, normal, padded_states, run, values};
+use super::super::tests::{NEIGHBOR, Op, assert_close, check, mask, normal, padded_states, run};
 use super::super::{self as ops, Activation, AdamStep, Moments};
 use super::launch::{self, Argument, Launch};
 use super::*;
 use crate::nn::attention::Axis;
 use crate::nn::precision::Precision;
+use crate::nn::testing::values;
 
 /// Where kernels can run here.
 fn devices() -> Vec<Device> {

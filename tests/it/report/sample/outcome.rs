@@ -2,10 +2,9 @@
 
 use djinn::evaluate::{AcceptanceRow, LeftOutRow, MapFitRow, MetricDoc, RealismRow, SamplingRow, ValidityRow};
 use djinn::generate::{ArmSummary, BucketPart, BucketSummary, BudgetConfig, Ended, RequestSummary, Yield};
-use djinn::metrics::{Direction, MapFit};
+use djinn::metrics::{Direction, MapFit, MetricRow};
 use djinn::report::MetricTable;
 use djinn::scene::GuidanceLevel;
-use djinn::store::MetricRow;
 use std::collections::BTreeMap;
 
 pub(super) fn acceptance(name: &str) -> Vec<AcceptanceRow> {
@@ -75,6 +74,7 @@ pub(super) fn request(name: &str) -> RequestSummary {
         n_wanted: 10,
         n_accepted: by_arm.iter().sum(),
         n_surplus: 3,
+        n_near_duplicates: 3,
         n_repeated: 1,
         accepted_by_arm: by_arm.to_vec(),
         hits_by_arm: by_arm.map(|n| n + 2).to_vec(),
@@ -94,6 +94,8 @@ pub(super) fn request(name: &str) -> RequestSummary {
         name: name.into(),
         level: GuidanceLevel::of_strength(strength),
         n_evaluations_per_sample: 39,
+        n_aimed: 0,
+        n_aimed_hits: 0,
         total,
         first_round,
     };

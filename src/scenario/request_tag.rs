@@ -1,15 +1,15 @@
-//! What became of a scenario that was generated for a request?
+//! The outcome of a scenario for the request that it was generated for.
 
-/// The request behind a scenario, and what became of it there.
+/// The request behind a scenario, and the scenario's outcome there.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RequestTag {
     /// Name of the request.
     pub request: String,
     /// The round in which it was generated.
     pub round: usize,
-    /// What became of it.
+    /// Its outcome.
     pub outcome: RequestOutcome,
-    /// The bucket it falls into, if there is one.
+    /// The bucket it falls into, if any.
     pub bucket: Option<BucketTag>,
 }
 
@@ -22,27 +22,36 @@ pub struct BucketTag {
     pub ranges: String,
 }
 
-/// What became of a scenario that was generated for a request.
+/// The outcome of a scenario for its request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RequestOutcome {
-    /// It is as asked, and one of those wanted.
+    /// It meets the request and counts.
     Accepted,
-    /// It is as asked, but its bucket was full.
+    /// It meets the request, but its bucket was full.
     Surplus,
-    /// It is as asked, but its bucket had enough of the same scene and agents.
+    /// It meets the request, but its bucket had enough scenarios of the same scene and agents.
     Repeated,
-    /// It holds the behavior, but is in no bucket, or not as the request's conditions say.
+    /// It meets the request, but moves almost as one that the request accepted before.
+    NearDuplicate,
+    /// It shows the behavior, but falls into no bucket or fails a condition of the request.
     Outside,
-    /// It would be in a bucket, but breaks a limit of validity.
+    /// It would fall into a bucket, but breaks a limit of validity.
     BeyondLimits,
-    /// It does not hold the behavior with the agents that were asked.
+    /// The requested agents do not show the behavior.
     NotFound,
 }
 
 impl RequestOutcome {
     /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Accepted, Self::Surplus, Self::Repeated, Self::Outside, Self::BeyondLimits, Self::NotFound];
+    pub const ALL: [Self; 7] = [
+        Self::Accepted,
+        Self::Surplus,
+        Self::Repeated,
+        Self::NearDuplicate,
+        Self::Outside,
+        Self::BeyondLimits,
+        Self::NotFound,
+    ];
 
     /// The name in tables.
     pub const fn name(self) -> &'static str {
@@ -50,6 +59,7 @@ impl RequestOutcome {
             Self::Accepted => "accepted",
             Self::Surplus => "surplus",
             Self::Repeated => "repeated",
+            Self::NearDuplicate => "near_duplicate",
             Self::Outside => "outside",
             Self::BeyondLimits => "beyond_limits",
             Self::NotFound => "not_found",

@@ -1,0 +1,38 @@
+//! One value of one metric: whose it is, and what it was measured on.
+
+use super::{Group, SeriesKey};
+use crate::scene::{GuidanceLevel, SceneId};
+use serde::{Deserialize, Serialize};
+
+/// One value of one metric: of a single scene or scenario, or aggregated over many.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MetricRow {
+    /// Whose figure it is.
+    pub group: Group,
+    /// The sweep that is measured, or that continues these recordings.
+    pub sweep: String,
+    /// How strongly it was guided.
+    #[serde(flatten)]
+    pub level: GuidanceLevel,
+    /// The place; empty for all places together.
+    pub place: String,
+    /// The recorded scene; `None` for an aggregate.
+    pub scene_id: Option<SceneId>,
+    /// The scenario; `None` for an aggregate or a value over all samples of a scene.
+    pub scenario_id: Option<String>,
+    /// The metric's id, such as `min_scene_ade_m`.
+    pub metric: String,
+    /// The value, in the unit that the metric's name ends in.
+    pub value: f64,
+    /// How many scenes, scenarios or samples the value is over.
+    pub n: u64,
+    /// Standard error of the mean, for aggregates over at least two values.
+    pub std_error: Option<f64>,
+}
+
+impl MetricRow {
+    /// The series that it belongs to.
+    pub fn series(&self) -> SeriesKey {
+        SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), level: self.level }
+    }
+}

@@ -1,0 +1,44 @@
+//! A generated scenario with what was requested of it, what was found in it and how it was judged.
+
+use super::{Assessment, RequestTag};
+use crate::behavior::{BehaviorEntry, BehaviorEvent, EventLabel};
+use crate::scene::Scenario;
+
+/// A generated scenario, with what was requested of it and what was found in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScenarioRecord {
+    /// The scenario. Its states are rounded as the store rounds them (`store::as_stored`) before it is verified, so that
+    /// what was verified is what is written.
+    pub scenario: Scenario,
+    /// The sweep that it belongs to.
+    pub sweep: String,
+    /// The requested behavior; `None` for unconditional sampling.
+    pub requested_behavior: Option<String>,
+    /// Whether the miner found the requested behavior with the requested roles; `false` when none was requested.
+    pub verified: bool,
+    /// The positive events of the requested behavior that the miner found, those with the requested roles first; their
+    /// `scene_id` is the scene's.
+    pub events: Vec<BehaviorEvent>,
+    /// Whether the recording already showed the requested behavior with these roles.
+    pub recorded_event: bool,
+    /// Its judgment; `None` before it is evaluated. Only the corpus keeps it.
+    pub assessment: Option<Assessment>,
+    /// The shard of the run's samples in which it was generated.
+    pub shard: usize,
+    /// The request behind it, with its outcome there; `None` for scenarios of plain sweeps.
+    pub request: Option<RequestTag>,
+}
+
+impl ScenarioRecord {
+    /// Whether the requested behavior is a collision.
+    pub fn asks_for_collision(&self) -> bool {
+        BehaviorEntry::is_collision(self.requested_behavior.as_deref())
+    }
+
+    /// The event that stands for a verified scenario in tables: the first positive one of the requested behavior.
+    /// Verification puts events with the requested roles first.
+    pub fn main_event(&self) -> Option<&BehaviorEvent> {
+        let requested = self.requested_behavior.as_ref().filter(|_| self.verified)?;
+        self.events.iter().find(|event| event.behavior == *requested && event.label == EventLabel::Positive)
+    }
+}

@@ -1,0 +1,186 @@
+//! A denoiser learns, resumes to the same weights and starts from a checkpoint, and its loss is EDM's.
+
+use super::testing::{arcs, assert_parts_agree, collator, draws_of_four, job, one_source};
+use super::*;
+use crate::diffusion::{NoiseDistribution, NoiseSource};
+use crate::guidance::{AccelerationLimit, AgentSelector, ObjectiveConfig, SpeedLimit};
+use crate::model::{DenoiserSpec, NetworkConfig, SceneDenoiser, TrainedDenoiser};
+use crate::nn::testing::{scalar, values};
+use crate::nn::{Checkpoint, Compute, Params, read_checkpoint};
+use crate::scene::Scene;
+use crate::seed::Seed;
+use crate::tensor::MaskSampler;
+use candle_core::Device;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+fn training(steps: u64) -> DenoiserTraining {
+    let network = NetworkConfig {
+        layers: "TA".to_owned(),
+        width: 16,
+        n_heads: 2,
+        feed_forward: 32,
+        encoding: 8,
+        ..NetworkConfig::default()
+    };
+    let config = DenoiserTrainingConfig {
+        preset: Preset::Tiny,
+        noise: Some(NoiseDistribution { p_mean: -0.5, p_std: 1.4 }),
+        network: Some(network),
+        steps: Some(steps),
+        learning_rate: Some(5e-3),
+        batch_size: Some(4),
+        evaluate_every: Some(20),
+        save_every: Some(10),
+        n_eval_scenes: Some(8),
+        ..DenoiserTrainingConfig::default()
+    };
+    config.resolve().unwrap()
+}
+
+type Outcome = Result<TrainOutcome<DenoiserSpec>, Error>;
+
+fn train(dataset: &dyn SceneDataset, training: &DenoiserTraining, dir: &Path) -> Outcome {
+    train_from(None, dataset, training, dir)
+}
+
+fn train_from(
+    start: Option<&Checkpoint<DenoiserSpec>>,
+    dataset: &dyn SceneDataset,
+    training: &DenoiserTraining,
+    dir: &Path,
+) -> Outcome {
+    train_denoiser(training, &one_source(dataset), start, job(3, dir)).map(Option::unwrap)
+}
+
+#[test]
+fn the_held_out_loss_falls_and_the_checkpoint_reads_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let outcome = train(&arcs(40), &training(400), dir.path()).unwrap();
+    let evaluations: Vec<_> = outcome.statistics.iter().filter(|line| !line.evaluation.is_empty()).collect();
+    let loss = |line: &FitStatistics| line.evaluation["held_out_loss_at_sigma_0.8"];
+    let (first, last) = (loss(evaluations[0]), loss(evaluations[evaluations.len() - 1]));
+    assert!(last < 0.6 * first, "from {first} to {last}");
+    let read = TrainedDenoiser::read(&dir.path().join("model.safetensors"), &Compute::cpu()).unwrap();
+    assert_eq!((read.spec, read.fingerprint), (outcome.spec, outcome.fingerprint));
+}
+
+#[test]
+fn objectives_shape_clean_estimates() {
+    let final_cost = |weight: f64| {
+        let mut training = training(200);
+        // Nobody was recorded to turn that hard, but what is left of noise looks like it.
+        training.objectives = vec![ObjectiveConfig::AccelerationLimit(AccelerationLimit {
+            weight,
+            agents: AgentSelector::default(),
+            limit_mps2: 8.0,
+            tolerance_mps2: 1.0,
+        })];
+        let dir = tempfile::tempdir().unwrap();
+        let outcome = train(&arcs(24), &training, dir.path()).unwrap();
+        outcome.statistics.last().unwrap().evaluation["held_out_cost_of_acceleration_limit"]
+    };
+    let (free, limited) = (final_cost(1e-6), final_cost(10.0));
+    assert!(free > 0.3 && limited < 0.7 * free, "{free} without the objective, {limited} with it");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_checkpoint_and_an_interruption_changes_nothing() {
+    let dataset = arcs(20);
+    let (whole, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let expected = train(&dataset, &training(25), whole.path()).unwrap();
+    // Training fails at the first scene that cannot be loaded, after some steps have been saved.
+    struct Failing<'a>(&'a dyn SceneDataset, AtomicUsize);
+    impl SceneDataset for Failing<'_> {
+        fn len(&self) -> usize {
+            self.0.len()
+        }
+        fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
+            match self.1.fetch_add(1, Ordering::Relaxed) {
+                80.. => Err("gone".into()),
+                _ => self.0.scene(idx),
+            }
+        }
+    }
+    assert!(train(&Failing(&dataset, 0.into()), &training(25), killed.path()).is_err());
+    assert!(killed.path().join("state.safetensors").exists() && !killed.path().join("model.safetensors").exists());
+    let resumed = train(&dataset, &training(25), killed.path()).unwrap();
+    assert_eq!(resumed.fingerprint, expected.fingerprint);
+    assert_eq!(resumed.statistics, expected.statistics);
+}
+
+#[test]
+fn parts_of_a_batch_add_up_to_its_gradient() {
+    let dataset = arcs(20);
+    // Half of the rows or so are at so little noise that the objective counts.
+    let mut training = DenoiserTraining { objectives_below_sigma: 0.6, ..training(1) };
+    training.objectives = vec![ObjectiveConfig::SpeedLimit(SpeedLimit {
+        weight: 3.0,
+        agents: AgentSelector::default(),
+        limit_mps: 8.0,
+        tolerance_mps: 1.0,
+    })];
+    let mut params = Params::new(&Compute::cpu());
+    let denoiser = &SceneDenoiser::new(&mut params, &training.network, 3, training.edm, Seed(5)).unwrap();
+    let (collator, masks) =
+        (collator(&dataset, training.parametrization), MaskSampler::new(&training.common.tasks).unwrap());
+    let train = [WeightedGroups::single((0..12).collect())];
+    let draws = SceneDraws { batch_size: 6, with_context: true, ..draws_of_four(&dataset, &train, &collator, &masks) };
+    let task = DenoisingTask { denoiser, frozen: denoiser, training: &training, draws };
+    let n_counted =
+        |step| -> Vec<f64> { (0..4).map(|i| task.divisors(&BatchPart::of_batch(step, 6, i, 4)).unwrap()[1]).collect() };
+    let counted: Vec<Vec<f64>> = (0..4).map(n_counted).collect();
+    assert!(counted.iter().any(|parts| parts.contains(&0.0) && parts.iter().sum::<f64>() > 0.0), "{counted:?}");
+    (0..4).for_each(|step| assert_parts_agree(&params, &task, step));
+}
+
+/// If the network returns 0, the estimate is c_skip(σ) x, and the loss follows from the draws alone (EDM, table 1).
+#[test]
+fn the_loss_is_the_weighted_error_at_the_noise_levels_that_were_drawn() {
+    let dataset = arcs(20);
+    let training = DenoiserTraining { path_loss: 0.0, ..training(1) };
+    let mut params = Params::new(&Compute::cpu());
+    let denoiser = SceneDenoiser::new(&mut params, &training.network, 3, training.edm, Seed(5)).unwrap();
+    let zeros = params.tensors().into_iter().map(|(name, tensor)| (name, tensor.zeros_like().unwrap()));
+    params.load(&zeros.collect()).unwrap();
+    let (collator, masks) =
+        (collator(&dataset, training.parametrization), MaskSampler::new(&training.common.tasks).unwrap());
+    let train = [WeightedGroups::single((0..12).collect())];
+    let draws = draws_of_four(&dataset, &train, &collator, &masks);
+    let task = DenoisingTask { denoiser: &denoiser, frozen: &denoiser, training: &training, draws };
+
+    let DrawnBatch { batch, seeds, mut rngs, .. } = task.draws.training_batch(&BatchPart::whole(7, 4)).unwrap();
+    let (x0, noise) = (values(&batch.x0), values(&NoiseSource::new(seeds).draw_like(&batch.x0).unwrap()));
+    let (scored, latent) = (values(&batch.scored), values(&batch.latent));
+    let sigmas: Vec<f64> = rngs.iter_mut().map(|rng| training.noise.draw(rng)).collect();
+    let (variance_of_data, n_of_row) = (0.25, x0.len() / sigmas.len());
+    let mut sum = 0.0;
+    for (i, (x0, noise)) in x0.iter().zip(&noise).enumerate() {
+        let sigma = sigmas[i / n_of_row];
+        let total = sigma * sigma + variance_of_data;
+        let estimate = variance_of_data / total * (x0 + sigma * noise) * latent[i / 3];
+        sum += total / (sigma * sigma * variance_of_data) * (estimate - x0).powi(2) * scored[i / 3];
+    }
+    let expected = sum / (3.0 * scored.iter().sum::<f64>());
+    let loss = scalar(&task.loss(&BatchPart::whole(7, 4), None).unwrap());
+    assert!((loss / expected - 1.0).abs() < 1e-4, "{loss}, expected {expected} at {sigmas:?}");
+}
+
+#[test]
+fn training_can_start_from_a_checkpoint() {
+    let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let early = |outcome: &TrainOutcome<DenoiserSpec>| {
+        let mut losses = outcome.statistics.iter().filter_map(|line| line.evaluation.get("held_out_loss_at_sigma_0.8"));
+        *losses.next().unwrap()
+    };
+    let cold = train(&arcs(40), &training(100), first.path()).unwrap();
+    let path = first.path().join("model.safetensors");
+    let start = read_checkpoint::<DenoiserSpec>(&path, &Device::Cpu).unwrap();
+    let warm = train_from(Some(&start), &arcs(48), &training(20), second.path()).unwrap();
+    assert!(early(&warm) < 0.8 * early(&cold), "{} after {}", early(&warm), early(&cold));
+    assert_eq!(warm.spec.normalizer, cold.spec.normalizer);
+    let mut other = training(20);
+    other.network.layers = "TAT".to_owned();
+    let error = train_from(Some(&start), &arcs(40), &other, second.path()).unwrap_err().to_string();
+    assert!(error.contains("another network"), "{error}");
+}

@@ -1,0 +1,129 @@
+//! What the tests of training share: scenes made by a function, jobs, draws, and the check that parts add up to a batch.
+
+use super::data_parallel::DataParallel;
+use super::{
+    Alone, Prefetched, SceneDataset, SceneDraws, TrainJob, TrainTask, TrainingData, TrainingSource, WeightedGroups,
+};
+use crate::nn::testing::values;
+use crate::nn::{Compute, Params};
+use crate::progress::Silent;
+use crate::scene::testing::{Drive, scene};
+use crate::scene::{Scene, Trajectory};
+use crate::seed::Seed;
+use crate::tensor::{self, Collator, MaskSampler, StateParametrization, TaskWeights};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+static CPU: Compute = Compute::cpu();
+
+/// So many scenes, made by a function of their index.
+pub(super) struct MadeScenes<F>(pub(super) usize, pub(super) F);
+
+impl<F: Fn(usize) -> Scene + Sync> SceneDataset for MadeScenes<F> {
+    fn len(&self) -> usize {
+        self.0
+    }
+
+    fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
+        Ok((self.1)(idx))
+    }
+}
+
+/// Two cars each: one drives on, one turns at a speed that shows in its history.
+pub(super) fn arcs(n: usize) -> MadeScenes<impl Fn(usize) -> Scene + Sync> {
+    let mut rng = Seed(11).rng();
+    let speeds_mps: Vec<f64> = (0..n).map(|_| 6.0 + 6.0 * rng.uniform()).collect();
+    MadeScenes(n, move |idx: usize| {
+        let turning = Drive { x: 10.0, y: 4.0, heading_rad: 0.2, speed_mps: speeds_mps[idx], curvature_1pm: 0.05 };
+        scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), turning])
+    })
+}
+
+/// The others, and last a car that bears left or right from the present on, which cannot be predicted.
+pub(super) fn fork(idx: usize, others: &[Drive]) -> Scene {
+    let side = if idx.is_multiple_of(2) { 1.0 } else { -1.0 };
+    let mut forked = scene(&[others, &[Drive::straight(0.0, 0.0, 0.0, 15.0)]].concat());
+    let turning = scene(&[Drive { curvature_1pm: 0.06 * side, ..Drive::straight(4.5, 0.0, 0.0, 15.0) }]);
+    let track = &mut forked.tracks[others.len()].trajectory;
+    let state = |t: usize| if t < 4 { track.get(t) } else { turning.tracks[0].trajectory.get(t - 3) };
+    *track = Trajectory::new((0..12).map(|t| state(t).copied()).collect());
+    forked
+}
+
+/// The scenes as one source, with the last eight held out.
+pub(super) fn one_source(dataset: &dyn SceneDataset) -> TrainingData<'_> {
+    let n_train = dataset.len() - 8;
+    let source = TrainingSource {
+        weight: 1.0,
+        train: (0..n_train).collect(),
+        places: vec![0; n_train],
+        held_out: (n_train..dataset.len()).collect(),
+    };
+    TrainingData { dataset, sources: vec![source], state_dim: 3, fingerprint: "scenes".to_owned() }
+}
+
+/// A training in `dir` by one process on the processor.
+pub(super) fn job(seed: u64, dir: &Path) -> TrainJob<'_> {
+    TrainJob { seed: Seed(seed), dir, compute: &CPU, progress: &Silent, exchange: &Alone }
+}
+
+/// Always the history, and nothing else, is observed.
+pub(super) const ONLY_PREDICTIVE: TaskWeights = TaskWeights {
+    predictive: 1.0,
+    goal_conditioned: 0.0,
+    agent_conditioned: 0.0,
+    ego_conditioned: 0.0,
+    windowed: 0.0,
+    upsampling: 0.0,
+    imputation: 0.0,
+};
+
+/// A collator with the scales of the first four scenes.
+pub(super) fn collator(dataset: &dyn SceneDataset, parametrization: StateParametrization) -> Collator {
+    let scenes: Vec<Scene> = (0..4).map(|idx| dataset.scene(idx).unwrap()).collect();
+    tensor::testing::collator(&scenes, parametrization)
+}
+
+/// Draws batches of four scenes from these groups.
+pub(super) fn draws_of_four<'a>(
+    dataset: &'a dyn SceneDataset,
+    train: &'a [WeightedGroups],
+    collator: &'a Collator,
+    masks: &'a MaskSampler,
+) -> SceneDraws<'a> {
+    SceneDraws {
+        collator,
+        dataset,
+        train,
+        held_out: &[],
+        masks,
+        batch_size: 4,
+        with_context: false,
+        seed: Seed(3),
+        device: &CPU.device,
+        ahead: Prefetched::default(),
+    }
+}
+
+/// Compares the loss and gradient of a batch in four parts with those of the batch as a whole. They differ only by the
+/// rounding of sums in another order.
+#[track_caller]
+pub(super) fn assert_parts_agree(params: &Params, task: &dyn TrainTask, step: u64) {
+    let computed = |n_parts: usize| {
+        let batch = DataParallel::new(n_parts, task.batch_size(), &Alone).unwrap();
+        let divisors = batch.begin(task, step, false).unwrap().unwrap();
+        let gradient = batch.gradient(params, task, step, &divisors).unwrap();
+        let of = |(name, var): (&str, &candle_core::Var)| {
+            Some((name.to_owned(), values(gradient.gradients.get(var.as_tensor())?)))
+        };
+        (values(&gradient.loss)[0], params.iter().filter_map(of).collect::<BTreeMap<_, _>>())
+    };
+    let ((loss, gradient), (loss_of_parts, gradient_of_parts)) = (computed(1), computed(4));
+    assert!((loss_of_parts / loss - 1.0).abs() < 1e-5, "a loss of {loss_of_parts} in parts, of {loss} at once");
+    assert_eq!(gradient.keys().collect::<Vec<_>>(), gradient_of_parts.keys().collect::<Vec<_>>());
+    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x.powi(2)).sum::<f64>().sqrt();
+    let whole = norm(&mut gradient.values().flatten().copied());
+    let pairs = gradient.values().flatten().zip(gradient_of_parts.values().flatten());
+    let apart = norm(&mut pairs.map(|(a, b)| a - b));
+    assert!(whole > 0.0 && apart < 1e-5 * whole, "gradients of norm {whole} are {apart} apart at step {step}");
+}
