@@ -44,6 +44,8 @@ mod recordings;
 #[cfg(feature = "cloud")]
 mod redact;
 #[cfg(feature = "cloud")]
+mod shown;
+#[cfg(feature = "cloud")]
 mod side_by_side;
 #[cfg(all(test, feature = "cloud"))]
 mod tests;

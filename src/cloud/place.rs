@@ -3,7 +3,7 @@
 use super::ObjectUrl;
 use super::error::Result;
 #[cfg(feature = "cloud")]
-use super::view::Shown;
+use super::shown::Shown;
 #[cfg(not(feature = "cloud"))]
 use super::without::Shown;
 use std::path::{Path, PathBuf};

@@ -4,25 +4,26 @@
 //! So a view is never stale, and what a killed process did not push is done again. [`Access`](super::Access) says which objects a
 //! command needs, and what of its work is pushed at once.
 
+use super::Access;
 use super::bucket::{Bucket, Object};
-use super::cache::{Cache, Content, content_of, name_of};
-use super::error::{Error, Result};
+use super::cache::{Cache, Content, content_of};
+use super::error::Result;
 use super::journal::{JOURNAL, Journal, is_part, is_unfinished_work, is_work};
 use super::side_by_side::side_by_side;
-use super::{Access, ObjectUrl};
-use crate::files::{
-    self, LIST_FILE, LOCK_FILE, Lock, files_below, is_partial_of, mirror, remove_listed, unique_partial, unmirror,
-};
+use crate::files::{self, LIST_FILE, LOCK_FILE, Lock, files_below, is_partial_of, remove_listed, unique_partial};
 use fs_err as fs;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
 /// The shortest time between two looks at what other workers have done.
 const LEAST_WAIT: Duration = Duration::from_secs(1);
 /// At most one part in this many of the time goes into looking.
 const LOOKS_COST: u32 = 10;
+
+/// A process has locked its view by then.
+const BEGINS: Duration = Duration::from_secs(60);
 
 /// See the module.
 #[derive(Debug)]
@@ -31,7 +32,7 @@ pub(super) struct View {
     pub(super) cache: Cache,
     /// Where the objects are shown.
     pub(super) root: PathBuf,
-    access: Access,
+    pub(super) access: Access,
     pub(super) state: Mutex<State>,
     /// The folder around `root`, and its lock.
     home: PathBuf,
@@ -87,15 +88,6 @@ impl View {
         Ok(view)
     }
 
-    /// Where a folder that only one process of a machine may write to keeps others out.
-    pub(super) fn lock(cache: &Cache, url: &ObjectUrl) -> Result<Lock> {
-        let place = cache.folder("locks")?.join(name_of(url, ""));
-        Lock::beside(&place).map_err(|error| match error {
-            files::Error::Busy { holder, .. } => Error::Busy { url: url.clone(), holder },
-            error => error.into(),
-        })
-    }
-
     /// Shows what is there.
     fn pull(&self, objects: Vec<Object>) -> Result<()> {
         let state = &mut *self.state();
@@ -113,6 +105,8 @@ impl View {
         // What is said of outputs that are all there may not be in its own place yet.
         for (name, text) in journal.records.iter().flatten() {
             state.same.remove(name);
+            // The file may be that of the cache, which stays as it is.
+            remove_file(&self.root.join(name))?;
             fs::write(self.root.join(name), text)?;
         }
         Ok(())
@@ -147,10 +141,7 @@ impl View {
             state.shown.remove(&name);
             state.same.remove(&name);
             // Whoever removed it has told the bucket.
-            match fs::remove_file(self.root.join(name)) {
-                Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error.into()),
-                _ => {}
-            }
+            remove_file(&self.root.join(name))?;
         }
         let mut wanted = Vec::new();
         for (name, object) in found {
@@ -267,49 +258,11 @@ impl Access {
     }
 }
 
-/// A folder in which a process works on a view, with what a view needs to be found by it.
-#[derive(Debug)]
-pub(super) struct Shown {
-    pub(super) view: Arc<View>,
-    /// Keeps out other processes of this machine that would write there.
-    _alone: Option<Lock>,
-}
-
-impl Shown {
-    /// Shows what is at a URL to everything that reads and writes files.
-    ///
-    /// # Errors
-    /// [`Error::Busy`] when another process of this machine writes there; as [`View::open`].
-    pub(super) fn open(url: &ObjectUrl, access: Access, cache_dir: Option<&Path>) -> Result<Self> {
-        Self::of(Bucket::open(url)?, Cache::of_process(cache_dir)?, access)
-    }
-
-    /// The same of a bucket that is open.
-    pub(super) fn of(bucket: Bucket, cache: Cache, access: Access) -> Result<Self> {
-        let alone = (access == Access::Write).then(|| View::lock(&cache, bucket.url())).transpose()?;
-        let view = Arc::new(View::open(bucket, cache, access)?);
-        mirror(&view.root, view.bucket.url().to_string(), Arc::<View>::clone(&view));
-        Ok(Self { view, _alone: alone })
-    }
-
-    /// Where it is.
-    pub(super) fn path(&self) -> &Path {
-        &self.view.root
-    }
-
-    /// Pushes what is not pushed yet, unless the store has failed before.
-    ///
-    /// # Errors
-    /// Those of the store.
-    pub(super) fn finish(&self) -> Result<()> {
-        let state = &mut *self.view.state();
-        if self.view.access == Access::Write && !state.is_broken { self.view.push(state) } else { Ok(()) }
-    }
-}
-
-impl Drop for Shown {
-    fn drop(&mut self) {
-        unmirror(&self.view.root);
+/// Removes a file, if it is there, and tells no mirror.
+fn remove_file(path: &Path) -> Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),
+        _ => Ok(()),
     }
 }
 
@@ -340,8 +293,8 @@ fn new_home(cache: &Cache) -> Result<(PathBuf, Lock)> {
     let views = cache.folder("views")?;
     for entry in fs::read_dir(&views)? {
         let home = entry?.path();
-        // It may belong to a process that is about to lock it, or be removed by another one: either has its own way.
-        if home.join(LOCK_FILE).exists() && Lock::in_folder(&home).is_ok_and(|lock| lock.is_enforced()) {
+        if is_abandoned(&home) {
+            // Another process may be removing it, too.
             let _ = remove_home(&home);
         }
     }
@@ -350,6 +303,14 @@ fn new_home(cache: &Cache) -> Result<(PathBuf, Lock)> {
     fs::create_dir(&home)?;
     let lock = Lock::in_folder(&home)?;
     Ok((home, lock))
+}
+
+/// Whether the process that made the folder of a view is gone. One that has just made it may not have locked it yet.
+fn is_abandoned(home: &Path) -> bool {
+    let is_old =
+        |metadata: std::fs::Metadata| metadata.modified().is_ok_and(|at| at.elapsed().is_ok_and(|age| age > BEGINS));
+    fs::metadata(home).is_ok_and(is_old)
+        && fs::File::open(home.join(LOCK_FILE)).is_ok_and(|lock| lock.try_lock().is_ok())
 }
 
 /// Removes the folder of a view: everything in it was put there by the process that made it.

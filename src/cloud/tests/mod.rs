@@ -7,7 +7,7 @@ mod views;
 
 use super::bucket::{Bucket, Patience};
 use super::cache::Cache;
-use super::view::Shown;
+use super::shown::Shown;
 use super::{Access, ObjectUrl};
 use flaky::{Failing, Flaky};
 use object_store::ObjectStore;

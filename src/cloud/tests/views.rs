@@ -1,6 +1,7 @@
 //! Several machines on one run folder: what does each see, and what do they refuse?
 
 use super::super::error::Error;
+use super::super::journal::{JOURNAL, Journal};
 use super::*;
 use crate::files::{Mirror, remove_if_present, tell_committed, write_atomically};
 use std::io::Write;
@@ -181,4 +182,20 @@ fn the_cache_gives_what_has_not_changed() {
     let shown = Shown::of(run_in(&flaky), cache(), Access::Read).unwrap();
     assert_eq!(fs_err::read(shown.path().join("log.txt")).unwrap(), b"line\n");
     assert_eq!(flaky.n_requests(), before + 3);
+}
+
+#[test]
+fn what_a_journal_says_of_a_record_does_not_get_into_the_cache() {
+    let store = Arc::new(InMemory::new());
+    run_of(&store).write("evaluate.done.json", b"old").unwrap();
+    let records = [("evaluate.done.json".to_owned(), "new".to_owned())].into();
+    Journal { records: Some(records), ..Journal::default() }.keep(&run_of(&store)).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let seen = || {
+        let shown = Shown::of(run_of(&store), Cache::in_dir(folder.path().to_owned()), Access::Read).unwrap();
+        fs_err::read(shown.path().join("evaluate.done.json")).unwrap()
+    };
+    assert_eq!((seen(), seen()), (b"new".to_vec(), b"new".to_vec()));
+    run_of(&store).remove(JOURNAL).unwrap();
+    assert_eq!(seen(), b"old");
 }
