@@ -47,7 +47,8 @@ mod redact;
 mod shown;
 #[cfg(feature = "cloud")]
 mod side_by_side;
-#[cfg(all(test, feature = "cloud"))]
+#[cfg(test)]
+#[cfg(feature = "cloud")]
 mod tests;
 mod url;
 #[cfg(feature = "cloud")]

@@ -101,7 +101,7 @@ impl View {
                 () => _ = state.elsewhere.insert(object.name, object.n_bytes),
             }
         }
-        self.show(wanted, state)?;
+        self.show(&wanted, state)?;
         // What is said of outputs that are all there may not be in its own place yet.
         for (name, text) in journal.records.iter().flatten() {
             state.same.remove(name);
@@ -113,7 +113,7 @@ impl View {
     }
 
     /// Brings objects to their files.
-    fn show(&self, wanted: Vec<Object>, state: &mut State) -> Result<()> {
+    fn show(&self, wanted: &[Object], state: &mut State) -> Result<()> {
         let bring = |object: &Object| -> Result<(Object, Stamp)> {
             let to = self.root.join(&object.name);
             // Whoever goes on with unfinished work may write into its files.
@@ -121,7 +121,7 @@ impl View {
             let found = self.cache.bring(&self.bucket, object, &to, content)?;
             Ok((found, stamp(&to)?))
         };
-        for (object, stamp) in side_by_side(&wanted, &bring)? {
+        for (object, stamp) in side_by_side(wanted, &bring)? {
             state.same.insert(object.name.clone(), stamp);
             state.shown.insert(object.name.clone(), object);
         }
@@ -153,7 +153,7 @@ impl View {
                 false => _ = state.elsewhere.insert(object.name, object.n_bytes),
             }
         }
-        self.show(wanted, state)?;
+        self.show(&wanted, state)?;
         state.looked = Some((Instant::now(), began.elapsed()));
         Ok(())
     }
