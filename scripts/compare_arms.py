@@ -26,7 +26,7 @@ def samples(run):
     """A row for each judged sample: sweep, strength, scene, whether it is verified, valid and accepted."""
     columns = ["scenario_id", "scene_id", "verified", "guidance_roles"]
     drawn = pl.concat([pl.read_parquet(path, columns=columns) for path in sorted((run / "samples").glob("samples-*.parquet"))])
-    pair = pl.concat_str("scene_id", pl.col("guidance_roles").cast(pl.String)).alias("pair")
+    pair = pl.concat_str("scene_id", pl.col("guidance_roles").list.eval(pl.element().struct.json_encode()).list.join(" ")).alias("pair")
     verdicts = pl.read_parquet(run / "verdicts.parquet", columns=["scenario_id", "sweep", "strength", "accepted", "reasons"])
     flaws = pl.col("reasons").list.set_difference(pl.lit(NOT_VALIDITY, dtype=pl.List(pl.String)))
     return verdicts.join(drawn.with_columns(pair), on="scenario_id").with_columns(valid=flaws.list.len() == 0)

@@ -92,7 +92,7 @@ impl Error {
     pub fn is_refusal(&self) -> bool {
         match self {
             Self::Failed { .. } => false,
-            Self::Files(error) => error.is_refusal(),
+            Self::Files(error) => !matches!(error, files::Error::Io(_)),
             _ => true,
         }
     }

@@ -22,23 +22,23 @@ pub enum Error {
         corpus: PathBuf,
         /// How many scenarios it has.
         n_scenarios: usize,
-        /// What was asked for.
+        /// The selection.
         wanted: String,
     },
-    /// The format shows everybody as recordings do.
+    /// The format is for recordings and cannot leave the ego free.
     #[error("{format} cannot leave the ego free: it is a format of recordings; use commonroad or openscenario")]
     EgoIsReplayed {
         /// The format.
         format: &'static str,
     },
-    /// The scenarios were found, but the format can hold none of them.
+    /// The format can represent none of the scenarios.
     #[error("none of the {n_scenarios} scenarios can be represented as {format}: {reasons}")]
     NothingWritten {
         /// The format.
         format: &'static str,
         /// How many were tried.
         n_scenarios: u64,
-        /// Why, with how many for each reason.
+        /// The reasons with their counts.
         reasons: String,
     },
     /// A table could not be encoded.
@@ -61,7 +61,7 @@ impl From<files::Error> for Error {
 }
 
 impl Error {
-    /// For `map_err` where an encoder fails that writes `path`.
+    /// For `map_err` on the results of the encoder of `path`.
     pub(super) fn encode<E: std::fmt::Display>(path: &std::path::Path) -> impl FnOnce(E) -> Self {
         let path = path.to_owned();
         move |error| Self::Encode { path, detail: error.to_string() }

@@ -1,6 +1,6 @@
-//! Which file holds which scenario, and which name has which track there? Two tables that every export has.
+//! The tables `index.tsv` and `tracks.tsv`, which map scenarios to files and tracks to names in them.
 //!
-//! Their cells are separated by tabs: readers of INTERACTION take every `.csv` for a table of tracks.
+//! Their cells are separated by tabs, because readers of INTERACTION take every `.csv` for a table of tracks.
 
 use super::selection::is_accepted;
 use super::{Error, Item, Result, Written};
@@ -70,7 +70,7 @@ impl Index {
     }
 }
 
-/// A table of text that is there when it is whole.
+/// A table of text, which appears when it is complete.
 pub(super) struct Table {
     path: std::path::PathBuf,
     writer: csv::Writer<AtomicFile>,

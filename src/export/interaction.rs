@@ -1,4 +1,4 @@
-//! INTERACTION v1.2: which rows is a scenario as a case of the dataset?
+//! INTERACTION v1.2: a scenario as a case of the dataset.
 
 use super::index::Table;
 use super::text::number;
@@ -35,8 +35,8 @@ const N_FRAMES: usize = 40;
 /// INTERACTION is recorded at 10 Hz.
 const DT_S: f64 = 0.1;
 
-/// Writes one table a split and place. Scenarios of other datasets are put on the same frames: the present is frame 10, and
-/// what lies beyond frames 1 to 40 is left out.
+/// Writes one table a split and place. Scenarios of other datasets use the same frames: the present is frame 10, and
+/// timesteps beyond frames 1 to 40 are left out.
 pub(super) struct Interaction {
     dir: PathBuf,
     /// By the table's name: the table and the number of its cases.
@@ -69,7 +69,7 @@ impl Exporter for Interaction {
         if (scene.dt_s - DT_S).abs() > 1e-6 {
             return Ok(ExportOutcome::LeftOut("not_10_hz"));
         }
-        // Timestep 0 is this frame, counted from 1; below 1 where there are more than 10 observed timesteps.
+        // Timestep 0 is this frame, counted from 1; below 1 if there are more than 10 observed timesteps.
         let first_frame = 1 + N_OBSERVED_FRAMES as i64 - scene.n_history as i64;
         let frames: Vec<Option<usize>> =
             (0..scene.n_timesteps as i64).map(|timestep| frame(first_frame + timestep)).collect();
@@ -119,8 +119,8 @@ fn is_vehicle(track: &Track) -> bool {
     track.class.is_motorized()
 }
 
-/// What the tracks are called: by their own ids where all are as in the dataset (numbers, and `P` with a number for those who
-/// walk or cycle), else numbered.
+/// The names of the tracks: their own ids if all have the dataset's form (numbers, and `P` with a number for
+/// pedestrians and cyclists), else consecutive numbers.
 fn names(scene: &Scene) -> Vec<String> {
     let is_as_in_dataset = |track: &Track| {
         let digits = if is_vehicle(track) { Some(track.id.0.as_str()) } else { track.id.0.strip_prefix('P') };
@@ -181,7 +181,7 @@ mod tests {
         assert_eq!(lines[1], "1.0,1,7,700,car,1000,2000,0,10,1.570796327,4.5,1.8");
         assert_eq!(lines[12], "1.0,1,18,1800,car,1000,2011,0,10,1.570796327,4.5,1.8");
         assert_eq!(lines[13], "1.0,2,8,800,car,997,2001,0,10,1.570796327,4.5,1.8");
-        // Who walks to the left of north goes west.
+        // Left of north is west.
         assert_eq!(lines[24], "1.0,P3,7,700,pedestrian/bicycle,1000,2005,-1,0,,,");
         assert_eq!(lines[26], "1.0,P3,10,1000,pedestrian/bicycle,999.7,2005,-1,0,,,");
         assert!(lines[35].starts_with("2.0,1,7,700,"));

@@ -1,9 +1,9 @@
-//! Where does a lane end on its left and right, also where the map has centerlines alone?
+//! The left and right boundaries of lanes, also for maps with only centerlines.
 
 use crate::geometry::{Polyline, Vec2};
 use crate::scene::Lane;
 
-/// Half the width of a lane whose map tells none, meters: the official reader of Argoverse 1 takes 3.8 m for all.
+/// Half the width of a lane without boundaries, meters: the official reader of Argoverse 1 assumes 3.8 m for all.
 const NOMINAL_HALF_WIDTH_M: f64 = 1.9;
 
 /// The boundaries of a lane in driving direction, with at least two points and some length each.
@@ -11,12 +11,12 @@ const NOMINAL_HALF_WIDTH_M: f64 = 1.9;
 pub(super) struct LaneBounds {
     pub(super) left: Polyline,
     pub(super) right: Polyline,
-    /// Whether the map has none and the usual width was taken.
+    /// Whether the map has none and the nominal width was used.
     pub(super) is_nominal: bool,
 }
 
 impl LaneBounds {
-    /// The boundaries of `lane`, in its frame. `None` where there is not even a centerline with some length.
+    /// The boundaries of `lane`, in its frame. `None` if there is not even a centerline with some length.
     pub(super) fn of(lane: &Lane) -> Option<Self> {
         let has_length = |line: &Polyline| line.length_m() > 0.0;
         if has_length(&lane.left) && has_length(&lane.right) {
@@ -33,7 +33,7 @@ impl LaneBounds {
     /// The same boundaries with equally many points, the points of one beside those of the other: each line keeps its own
     /// points and gets those that lie at the other's shares of length.
     pub(super) fn paired(&self) -> (Vec<Vec2>, Vec<Vec2>) {
-        /// Shares of length that differ by less are the same.
+        /// Shares of length that differ by less are equal.
         const SAME_SHARE: f64 = 1e-6;
         let mut shares = [shares(&self.left), shares(&self.right)].concat();
         shares.sort_by(f64::total_cmp);
@@ -61,7 +61,7 @@ fn shares(line: &Polyline) -> Vec<f64> {
     std::iter::once(0.0).chain(along).collect()
 }
 
-/// The line without points that repeat the one before.
+/// The line without repeated points.
 fn distinct(line: &Polyline) -> Polyline {
     let mut points = line.0.clone();
     points.dedup_by(|later, earlier| later.distance(*earlier) < 1e-9);
@@ -75,7 +75,7 @@ fn beside(line: &Polyline, offset_m: f64) -> Polyline {
     let point = |i: usize| {
         let (before, after) = (direction(i.max(1) - 1), direction(i.min(last - 1)));
         let sum = Vec2::from_angle(before) + Vec2::from_angle(after);
-        // At a full turn there is no direction between the two.
+        // At a reversal there is no direction between the two.
         let along = if sum.norm() > 1e-6 { sum * (1.0 / sum.norm()) } else { Vec2::from_angle(after) };
         line.0[i] + Vec2::new(-along.y, along.x) * offset_m
     };

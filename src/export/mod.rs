@@ -1,9 +1,9 @@
-//! Corpora in the formats that others work with: which formats are there, and what does each make of a scenario?
+//! Exports corpora to other formats.
 //!
-//! Every format is an [`Exporter`], which gets one scenario after the other; [`export_corpus`] chooses scenarios, counts what a
-//! format cannot hold, and writes what all exports have in common: `index.tsv` and `tracks.tsv` (the way back to the
-//! corpus), `NOTICE.txt` (sources and their terms) and, when all is there, `export.json`. All positions are in the
-//! recording's frame, where the maps of the sources lie, too.
+//! Every format is an [`Exporter`], which gets one scenario after the other. [`export_corpus`] chooses scenarios,
+//! counts what a format cannot represent, and writes the files of all exports: `index.tsv` and `tracks.tsv` (scenarios
+//! and tracks by their names in the corpus), `NOTICE.txt` (sources and their terms) and, last, `export.json`. All
+//! positions are in the recording's frame, where the maps of the sources lie, too.
 
 mod argoverse2;
 mod commonroad;
@@ -65,7 +65,7 @@ impl ExportFormat {
         }
     }
 
-    /// What it is, in a line.
+    /// Its description in a line.
     pub const fn description(self) -> &'static str {
         match self {
             Self::Interaction => "cases as INTERACTION v1.2 has them: one CSV for each place and split",
@@ -78,7 +78,7 @@ impl ExportFormat {
         }
     }
 
-    /// What a reader of its files must know; goes into `NOTICE.txt`.
+    /// Notes for readers of its files, which go into `NOTICE.txt`.
     const fn notes(self) -> &'static str {
         match self {
             Self::Interaction => interaction::NOTES,
@@ -100,13 +100,13 @@ impl ExportFormat {
         }
     }
 
-    /// Whether the ego can be left to whoever uses the files; formats of recordings show everybody.
+    /// Whether the ego can be left free. Formats of recordings contain all agents.
     pub const fn can_free_ego(self) -> bool {
         matches!(self, Self::CommonRoad | Self::OpenScenario)
     }
 
-    /// What becomes of the ego where nothing is asked for: CommonRoad is for planners, which would collide with a recorded
-    /// ego at their first step.
+    /// The default motion of the ego. CommonRoad is for planners, which would collide with a recorded ego at their
+    /// first step.
     pub const fn usual_ego(self) -> EgoMotion {
         match self {
             Self::CommonRoad => EgoMotion::Free,
@@ -115,13 +115,13 @@ impl ExportFormat {
     }
 }
 
-/// What becomes of the ego agent in formats for simulation.
+/// The motion of the ego agent in formats for simulation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EgoMotion {
-    /// It moves as in the scenario, like everybody.
+    /// It moves as in the scenario, like all agents.
     Replayed,
-    /// It moves as in the scenario up to the present, from which on a driving function moves it.
+    /// It moves as in the scenario up to the present; then a driving function moves it.
     Free,
 }
 
@@ -130,7 +130,8 @@ trait Exporter {
     /// Adds a scenario.
     ///
     /// # Errors
-    /// Those of the file system. What the format cannot hold is no error but [`ExportOutcome::LeftOut`].
+    /// Those of the file system. A scenario that the format cannot represent is not an error but
+    /// [`ExportOutcome::LeftOut`].
     fn add(&mut self, item: &Item<'_>) -> Result<ExportOutcome>;
 
     /// Finishes what spans scenarios.
@@ -147,7 +148,7 @@ struct Item<'a> {
     record: &'a ScenarioRecord,
     /// Counted from 1 over the scenarios that were chosen.
     number: usize,
-    /// The scenario's id as far as it can name a file; unique in an export.
+    /// The scenario's id in a form that can name a file; unique in an export.
     stem: String,
 }
 
@@ -163,7 +164,7 @@ impl Item<'_> {
         entries.iter().map(|state| state.map(|state| state.transformed(&scene.world_from_scene))).collect()
     }
 
-    /// The role of a track in the event that was asked for.
+    /// The role of a track in the requested event.
     fn event_role(&self, agent_idx: usize) -> Option<&str> {
         let id = &self.scene().tracks[agent_idx].id;
         let event = self.record.main_event()?;
@@ -171,7 +172,7 @@ impl Item<'_> {
     }
 }
 
-/// What became of a scenario.
+/// The outcome of a scenario.
 enum ExportOutcome {
     Written(Written),
     /// Why it was left out: a stable code, such as `no_lanes`.
@@ -184,10 +185,11 @@ struct Written {
     file: String,
     /// The scenario's name in the format, such as the number of a case.
     name: String,
-    /// The scenario's timestep that the format's first time stands for.
+    /// The scenario's timestep at the format's first time.
     first_timestep: usize,
-    /// For each track its name in the file, or why it is not there: a stable code.
+    /// For each track its name in the file, or a stable code for the reason why it is left out.
     tracks: Vec<std::result::Result<String, &'static str>>,
-    /// What the format demands and the scenario does not know, or what it cannot hold: a stable code, and how often.
+    /// Counts by stable code of values that the format requires and the scenario lacks, or that the format cannot
+    /// represent.
     assumed: Vec<(&'static str, u64)>,
 }

@@ -1,4 +1,4 @@
-//! What must someone know who is handed an export and nothing else?
+//! `NOTICE.txt`: what users of an export must know.
 
 use super::report::meaning;
 use super::{EgoMotion, ExportReport};
@@ -6,7 +6,7 @@ use super::{EgoMotion, ExportReport};
 /// Width of the text.
 const WIDTH: usize = 100;
 
-/// The text of `NOTICE.txt`: what this is, under which terms, how to read it, and what is not in it.
+/// The text of `NOTICE.txt`: content, terms, notes for readers, and what is left out.
 pub(super) fn text(report: &ExportReport) -> String {
     let mut text = String::from("GENERATED TRAFFIC SCENARIOS\n===========================\n\n");
     let what = format!(
@@ -60,7 +60,7 @@ fn heading(text: &mut String, heading: &str) {
     text.push_str(&format!("\n{heading}\n{}\n\n", "-".repeat(heading.len())));
 }
 
-/// Adds lines of at most [`WIDTH`] characters, where words allow it.
+/// Adds lines of at most [`WIDTH`] characters, if words allow it.
 fn paragraph(text: &mut String, paragraph: &str) {
     let mut width = 0;
     for word in paragraph.split_whitespace() {

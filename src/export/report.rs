@@ -1,4 +1,4 @@
-//! What was exported, and what was not?
+//! The report of an export: what was written, and what was left out.
 
 use super::{EgoMotion, ExportFormat, Selection, Written};
 use serde::Serialize;
@@ -16,25 +16,25 @@ pub struct LeftOut {
 /// The outcome of an export; its JSON form is `export.json`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct ExportReport {
-    /// Form of this report.
+    /// Version of this report.
     pub schema: &'static str,
     /// The format.
     pub format: ExportFormat,
-    /// What was asked for.
+    /// The selection.
     pub selection: Selection,
-    /// What became of the ego.
+    /// The motion of the ego.
     pub ego: EgoMotion,
     /// Number of scenarios written.
     pub n_scenarios: u64,
     /// Number of tracks written.
     pub n_tracks: u64,
-    /// Scenarios that the format cannot hold, by reason.
+    /// Scenarios that the format cannot represent, by reason.
     pub scenarios_left_out: BTreeMap<&'static str, LeftOut>,
     /// Tracks of written scenarios that are not in the files, by reason.
     pub tracks_left_out: BTreeMap<&'static str, LeftOut>,
-    /// What the format demands and the scenarios do not know, or what it cannot hold: how often.
+    /// Counts of values that the format requires and scenarios lack, or that the format cannot represent.
     pub assumed: BTreeMap<&'static str, u64>,
-    /// Dataset → license and citation, which hold for what was exported.
+    /// Dataset → license and citation, which apply to the export.
     pub sources: BTreeMap<String, String>,
 }
 
@@ -73,12 +73,12 @@ impl ExportReport {
         count(&mut self.scenarios_left_out, reason, || scenario_id.to_owned());
     }
 
-    /// Number of scenarios that the format cannot hold.
+    /// Number of scenarios that the format cannot represent.
     pub fn n_left_out(&self) -> u64 {
         self.scenarios_left_out.values().map(|left_out| left_out.count).sum()
     }
 
-    /// What is worth a warning, a sentence each.
+    /// The warnings, a sentence each.
     pub fn warnings(&self) -> Vec<String> {
         let lines = |what: &str, left_out: &BTreeMap<&'static str, LeftOut>| -> Vec<String> {
             let line = |(reason, LeftOut { count, first }): (&&str, &LeftOut)| {
@@ -97,7 +97,7 @@ fn count(counts: &mut BTreeMap<&'static str, LeftOut>, reason: &'static str, fir
     entry.count += 1;
 }
 
-/// What a code of a reason or of an assumption means.
+/// The meaning of a code of a reason or of an assumption.
 pub(super) fn meaning(code: &str) -> &str {
     match code {
         "no_lanes" => "the scenario has no lanes, which the format requires (no_lanes)",

@@ -1,4 +1,4 @@
-//! How does a corpus become a folder in another format: which scenarios are chosen, counted and written, in which order?
+//! Exports a corpus: chooses, counts and writes scenarios, and the files of all exports.
 
 use super::index::Index;
 use super::{EgoMotion, Error, ExportFormat, ExportOutcome, ExportReport, Item, Result, Selection, notice, text};
@@ -8,23 +8,23 @@ use crate::store::{CorpusReader, write_atomically, write_json_atomically};
 use std::io::Write;
 use std::path::Path;
 
-/// Which file holds which scenario.
+/// The file of each scenario.
 pub const INDEX_FILE: &str = "index.tsv";
-/// Which track has which name.
+/// The name of each track.
 pub const TRACKS_FILE: &str = "tracks.tsv";
 /// Sources and their terms.
 pub const NOTICE_FILE: &str = "NOTICE.txt";
-/// What was exported; written last.
+/// The report; written last.
 pub const EXPORT_FILE: &str = "export.json";
 
-/// Exports the scenarios of the corpus in `corpus` that `selection` wants, in the corpus's order, into the folder `out`,
-/// which must be new or empty and is there once it is whole. `ego` says what becomes of the ego; without it, what is usual for
-/// the format. Scenarios are read and written one by one. The same corpus gives the same bytes.
+/// Exports the scenarios of the corpus in `corpus` that pass `selection`, in the corpus's order, into the folder `out`,
+/// which must be new or empty and appears when it is complete. `ego` is the motion of the ego; `None` is the format's
+/// default. Scenarios are read and written one by one. The same corpus gives the same bytes.
 ///
 /// # Errors
-/// [`Error::Files`] when `out` holds something or overlaps the corpus; [`Error::Store`] when the corpus cannot be read or lacks a scenario
-/// that is asked for by its id; [`Error::NothingSelected`] and [`Error::NothingWritten`] when nothing would come out;
-/// [`Error::EgoIsReplayed`]; those of the file system.
+/// [`Error::Files`] when `out` is not empty or overlaps the corpus; [`Error::Store`] when the corpus cannot be read or
+/// lacks a scenario that is selected by its id; [`Error::NothingSelected`] and [`Error::NothingWritten`] when the
+/// export would be empty; [`Error::EgoIsReplayed`]; those of the file system.
 pub fn export_corpus(
     corpus: &Path,
     format: ExportFormat,
@@ -73,7 +73,7 @@ pub fn export_corpus(
     Ok(report)
 }
 
-/// The positions of the scenarios to look at, ascending.
+/// The positions of the candidate scenarios, ascending.
 fn positions(reader: &CorpusReader, selection: &Selection) -> Result<Vec<usize>> {
     if selection.scenario_ids.is_empty() {
         return Ok((0..reader.len()).collect());
@@ -86,13 +86,13 @@ fn positions(reader: &CorpusReader, selection: &Selection) -> Result<Vec<usize>>
     Ok(positions)
 }
 
-/// The id where it can name a file; else what comes nearest to it, with a number that no other has.
+/// The id if it can name a file; else a similar name with a unique number.
 fn stem(scenario_id: &str, number: usize) -> String {
     let plain = text::plain(scenario_id);
     if plain == scenario_id && !plain.starts_with('.') { plain } else { format!("{plain}-{number}") }
 }
 
-/// What is open during an export.
+/// The state of an export.
 struct Writer {
     exporter: Box<dyn super::Exporter>,
     index: Index,
@@ -126,7 +126,7 @@ impl Writer {
             let reasons: Vec<String> =
                 reasons.map(|(reason, left_out)| format!("{} {reason}", left_out.count)).collect();
             let (format, n_scenarios) = (report.format.name(), report.n_left_out());
-            // What was begun goes when it is dropped.
+            // An unfinished export is removed when this is dropped.
             return Err(Error::NothingWritten { format, n_scenarios, reasons: reasons.join(", ") });
         }
         self.exporter.finish()?;

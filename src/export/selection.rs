@@ -1,9 +1,9 @@
-//! Which scenarios of a corpus are exported?
+//! The selection of scenarios to export.
 
 use crate::scenario::ScenarioRecord;
 use serde::Serialize;
 
-/// What a scenario must be to be exported; everything by default.
+/// The scenarios to export; all by default.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct Selection {
     /// Only scenarios in which the requested behavior was found.
@@ -29,7 +29,7 @@ impl Selection {
             && self.sweep.as_ref().is_none_or(|sweep| record.sweep == *sweep)
     }
 
-    /// What was asked for, in words that follow "is".
+    /// The selection, in words that follow "is".
     pub(super) fn words(&self) -> String {
         let mut words = Vec::new();
         if self.only_verified {
@@ -47,7 +47,7 @@ impl Selection {
     }
 }
 
-/// Whether a scenario was accepted; none was in corpora of versions that did not judge.
+/// Whether a scenario was accepted; in corpora of older versions without assessments, none was.
 pub(super) fn is_accepted(record: &ScenarioRecord) -> bool {
     record.assessment.as_ref().is_some_and(|assessment| assessment.accepted)
 }

@@ -1,7 +1,7 @@
-//! How are numbers and names written in text formats?
+//! Numbers and names in text formats.
 
-/// A number with nine decimals and no more zeros than needed: what readers put together from several numbers, such as the
-/// center of a vehicle from its rear axle, its heading and its length, is still the corpus's to within a micrometer.
+/// A number with nine decimals, without trailing zeros. Values that readers compute from several numbers, such as the
+/// center of a vehicle from its rear axle, heading and length, are then within a micrometer of the corpus.
 pub(super) fn number(value: f64) -> String {
     let text = format!("{value:.9}");
     let text = text.trim_end_matches('0').trim_end_matches('.');

@@ -1,11 +1,11 @@
-//! How is an XML document put together? Trees of elements, escaped and indented by `quick_xml`.
+//! XML documents as trees of elements, escaped and indented by `quick_xml`.
 
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, BytesEnd, BytesStart, BytesText, Event};
 use std::fmt::Display;
 use std::io::{self, Write};
 
-/// An element with its attributes and what is in it.
+/// An element with its attributes and content.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Element {
     name: &'static str,
@@ -14,36 +14,36 @@ pub(super) struct Element {
     text: Option<String>,
 }
 
-/// An element without anything in it.
+/// An empty element.
 pub(super) const fn element(name: &'static str) -> Element {
     Element { name, attributes: Vec::new(), children: Vec::new(), text: None }
 }
 
-/// An element that holds a text or number.
+/// An element with a text or number.
 pub(super) fn leaf(name: &'static str, text: impl Display) -> Element {
     Element { text: Some(text.to_string()), ..element(name) }
 }
 
 impl Element {
-    /// The element with an attribute more.
+    /// Adds an attribute.
     pub(super) fn attr(mut self, name: &'static str, value: impl Display) -> Self {
         self.attributes.push((name, value.to_string()));
         self
     }
 
-    /// The element with a child more.
+    /// Adds a child.
     pub(super) fn child(mut self, child: Self) -> Self {
         self.children.push(child);
         self
     }
 
-    /// The element with these children behind those it has.
+    /// Adds these children.
     pub(super) fn children(mut self, children: impl IntoIterator<Item = Self>) -> Self {
         self.children.extend(children);
         self
     }
 
-    /// Writes the document whose root this is.
+    /// Writes the document with this root.
     ///
     /// # Errors
     /// Those of `sink`.

@@ -69,13 +69,6 @@ pub enum Error {
     },
 }
 
-impl Error {
-    /// Whether the user can mend it; otherwise the machine failed.
-    pub fn is_refusal(&self) -> bool {
-        !matches!(self, Self::Io(_))
-    }
-}
-
 /// How an output lies to an input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PathRelation {

@@ -1,4 +1,4 @@
-//! From a recorded scene to one of ours: who is the ego, who else takes part, and which lanes are near?
+//! Turns a recorded scene into a `Scene`: chooses the ego, the other agents and the lanes.
 
 use super::config::{AgentsPresent, IngestConfig};
 use super::lane_index::{Circle, LaneIndex};
@@ -10,23 +10,23 @@ use crate::seed::Seed;
 use std::fmt::Display;
 use std::sync::Arc;
 
-/// A standing vehicle takes the direction of a lane no farther than this from its center, meters.
+/// A standing vehicle takes the direction of a lane within this distance of its center, meters.
 const MAX_LANE_DISTANCE_M: f64 = 5.0;
 
-/// An agent can gain speed by this at most, m/s²: the limit of what is taken for possible in generated traffic.
+/// Largest acceleration of an agent, m/s²: the limit for generated traffic.
 const MAX_ACCELERATION_MPS2: f64 = 5.0;
-/// Lanes belong to a scene if they are within this distance of where anybody can get, meters.
+/// Lanes belong to a scene if they are within this distance of a place that an agent can reach, meters.
 const SURROUNDINGS_M: f64 = 10.0;
 
-/// Beyond these a state is a fault of the recording, whatever the dataset: places are within kilometers of their origin. Single
-/// precision, in which scenes are stored, would not hold much more.
+/// States beyond these limits are errors of the recording: places are within kilometers of their origin. Single
+/// precision, in which scenes are stored, does not allow much more.
 pub(super) const MAX_COORDINATE_M: f64 = 1e6;
 const MAX_SPEED_MPS: f64 = 1e6;
 
-/// Puts a recorded scene into the frame of its ego and keeps the agents and lanes that the configuration asks for.
+/// Transforms a recorded scene to the frame of its ego and keeps the agents and lanes of the configuration.
 ///
-/// The ego is the focal track; where there is none at present, a seeded draw among the motorized tracks that are tracked
-/// throughout, or else among those tracked at present. `map` is `None` when scenes need no lanes.
+/// The ego is the focal track; if there is none at present, a seeded draw among the motorized tracks that are tracked
+/// throughout, or else among those tracked at present. `map` is `None` if scenes need no lanes.
 ///
 /// # Errors
 /// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego`, and those with `no_lanes_in_radius` of the map.
@@ -86,7 +86,7 @@ fn reject(raw: &RawScene, reason: &'static str, detail: impl Display) -> Reject 
     Reject { reason, detail: format!("{}: scene {}: {detail}", raw.source.file, raw.id) }
 }
 
-/// Rejects states that are not finite, or beyond what recordings can hold.
+/// Rejects states that are not finite, or beyond the limits of recordings.
 fn check_states(raw: &RawScene) -> Result<(), Reject> {
     if let Some((track, _)) = states(raw).find(|(_, state)| !state.is_finite()) {
         return Err(reject(raw, "non_finite", format!("track {} has a state that is not finite", track.id)));
@@ -101,8 +101,8 @@ fn check_states(raw: &RawScene) -> Result<(), Reject> {
     }
 }
 
-/// Where an agent can get in `future_s` seconds, whatever it does, and a little beyond. It follows from what is observed alone, so that the
-/// lanes of a scene tell nothing of its future.
+/// The circle that an agent can reach in `future_s` seconds, with a margin. It depends on observed states alone, so
+/// that the lanes of a scene reveal nothing of its future.
 fn reach(track: &Track, present: usize, future_s: f64) -> Option<Circle> {
     let (_, state) = track.trajectory.valid().rev().find(|(timestep, _)| *timestep <= present)?;
     let gained_m = MAX_ACCELERATION_MPS2 / 2.0 * future_s * future_s;
@@ -157,7 +157,7 @@ fn choose_agents(
         } else if track.class == AgentClass::Static && !config.keep_static && !is_ego {
             counts.count_dropped("agents_static", 1);
         } else {
-            // The ego comes first even where another agent is recorded at the same place.
+            // The ego comes first even if another agent is recorded at the same place.
             by_distance.push((if is_ego { -1.0 } else { state.position.distance(ego_position) }, idx));
         }
     }
@@ -169,7 +169,7 @@ fn choose_agents(
     kept
 }
 
-/// Gives a standing track the direction of the lane it stands on; without one its headings stay 0 in the recording's frame.
+/// Gives a standing track the direction of its lane; without a lane its headings stay 0 in the recording's frame.
 fn fill_headings(
     track: &mut Track,
     gap: HeadingGap,

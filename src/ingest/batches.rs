@@ -8,15 +8,15 @@ use std::sync::mpsc::SyncSender;
 /// Units that are parsed together.
 pub(super) type Batch = Vec<Result<RawUnit, Reject>>;
 
-/// A batch is cut after this many units …
+/// Maximum number of units of a batch.
 const MAX_UNITS: usize = 64;
 
-/// … or when it takes this many bytes. Two batches are in memory at a time, one being filled and one parsed, with the scenes that
-/// are made, wait, and are stored.
+/// Bytes at which a batch ends. Two batches are in memory at a time, one being filled and one parsed, and the scenes
+/// that are made, wait, or are stored.
 const MAX_BYTES: u64 = 32 << 20;
 
-/// Collects units into batches and sends them. Cuts depend on the units since the last cut only, so that batches are the
-/// same whether or not those before them were skipped.
+/// Collects units into batches and sends them. The end of a batch depends only on its own units, so batches are the
+/// same whether or not earlier ones were skipped.
 pub(super) struct BatchSender {
     sender: SyncSender<Result<Batch, Error>>,
     n_to_skip: u64,
@@ -30,7 +30,7 @@ impl BatchSender {
         Self { sender, n_to_skip, batch: Vec::new(), n_bytes: 0 }
     }
 
-    /// Takes a unit that will take about `n_bytes` when parsed; `Break` when nobody listens any more.
+    /// Adds a unit that takes about `n_bytes` when parsed; `Break` when the receiver is gone.
     pub(super) fn push(&mut self, unit: Result<RawUnit, Reject>, n_bytes: u64) -> ControlFlow<()> {
         if self.n_to_skip > 0 {
             self.n_to_skip -= 1;
@@ -45,9 +45,9 @@ impl BatchSender {
         self.send(Ok)
     }
 
-    /// Sends what is left, or the error that ended reading.
+    /// Sends the last batch, or the error that ended reading.
     pub(super) fn finish(mut self, result: Result<(), Error>) {
-        // A failed send means that the receiver has left: there is nobody to tell.
+        // A failed send means that the receiver is gone.
         let _ = match result {
             Ok(()) if self.batch.is_empty() => ControlFlow::Continue(()),
             Ok(()) => self.send(Ok),

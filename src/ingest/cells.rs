@@ -1,8 +1,8 @@
-//! Where do the cells of a line end? Commas are looked for in 64 bytes at a time, without a branch for each.
+//! Splits a line at its commas, 64 bytes at a time without branches.
 
 use super::word::equal_bytes;
 
-/// Puts the cells of `line`, at least one, into `cells`, which is emptied first.
+/// Replaces `cells` by the cells of `line`, at least one.
 pub(super) fn split_cells<'a>(line: &'a [u8], cells: &mut Vec<&'a [u8]>) {
     cells.clear();
     let mut start = 0;

@@ -1,22 +1,22 @@
-//! How are the lines of a large table read without holding the table?
+//! Reads the lines of a large table one by one.
 
 use super::quotes::append_plain;
 use memchr::memchr;
 use std::io::{self, BufRead, Read};
 
-/// Longest line that is accepted; the tables have lines of about 100 bytes.
+/// Maximum length of a line; the tables have lines of about 100 bytes.
 const MAX_LINE_BYTES: usize = 64 * 1024;
 
-/// Most empty lines in a row that are accepted; a gigabyte of them packs into a megabyte.
+/// Maximum number of consecutive empty lines; a gigabyte of them compresses to a megabyte.
 const MAX_EMPTY_LINES: usize = 100_000;
 
 /// The lines of a stream with their numbers. Lines end in LF or CRLF, the last one may lack its end, and a byte order
-/// mark at the start is passed over. Quotes around cells are taken away.
+/// mark at the start is skipped. Quotes around cells are removed.
 pub(crate) struct Lines<'a> {
     reader: &'a mut dyn BufRead,
-    /// Bytes of the reader's buffer that were handed out as a line and are to be passed over.
+    /// Bytes of the reader's buffer that were returned as a line and must be skipped.
     n_shown: usize,
-    /// A line that does not lie in the reader's buffer as a whole, or not without quotes.
+    /// A line that is not whole in the reader's buffer, or has quotes.
     line: Vec<u8>,
     number: u64,
     /// Empty lines since the last other one.
@@ -32,7 +32,8 @@ impl<'a> Lines<'a> {
     /// The next line without its end, and its number, counted from 1; `None` at the end of the stream.
     ///
     /// # Errors
-    /// When the stream cannot be read, or when this is no table: a line is longer than 64 KiB, or 100 000 in a row are empty.
+    /// When the stream cannot be read or is not a table: a line is longer than 64 KiB, or 100 000 consecutive lines are
+    /// empty.
     pub(crate) fn next(&mut self) -> io::Result<Option<(u64, &[u8])>> {
         self.pass_over_shown();
         let end = loop {
@@ -111,7 +112,7 @@ pub(crate) fn lines_of(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     })
 }
 
-/// What a line of this number says.
+/// A line with its number.
 fn clean(line: &[u8], number: u64) -> &[u8] {
     let line = without_end(line);
     if number == 1 { line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line) } else { line }

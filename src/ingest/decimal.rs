@@ -1,19 +1,21 @@
-//! What number is written in a cell of a table? Nearly all are short decimals, for which the way through text is the longest part.
+//! Parses the numbers of tables, with a fast path for short decimals, which nearly all are.
 
 use super::word::{each, equal_bytes};
 
-/// Digits of a whole number that every float of the same size holds exactly.
+/// Maximum number of digits of whole numbers that are exact as floats.
 const MAX_DIGITS: usize = 15;
 
 const POWERS_OF_TEN: [f64; MAX_DIGITS + 1] =
     [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
 
-/// The float nearest to the number in `cell`; `None` where it holds none. Not finite where it is written so, or too large.
+/// The float nearest to the number in `cell`; `None` if it is not a number. It may be written as infinite or NaN, or
+/// overflow.
 pub(super) fn number(cell: &[u8]) -> Option<f64> {
     short_decimal(cell).or_else(|| std::str::from_utf8(cell).ok()?.parse().ok())
 }
 
-/// The whole number in `cell`, which may be printed as a float such as `12.0`; `None` where it holds none, or one beyond `i64`.
+/// The whole number in `cell`, which may be printed as a float such as `12.0`; `None` if it is not a whole number or
+/// beyond `i64`.
 pub(super) fn whole_number(cell: &[u8]) -> Option<i64> {
     if let Some(whole) = short_whole(cell) {
         return Some(whole);
@@ -42,8 +44,8 @@ fn short_whole(cell: &[u8]) -> Option<i64> {
     Some(whole)
 }
 
-/// A decimal such as `-12.345` of at most 15 digits. Its digits as a whole number and the power of ten are floats without error, and so the
-/// one rounding of their quotient gives the nearest float (Clinger 1990), which is what the library gives.
+/// A decimal such as `-12.345` of at most 15 digits. Its digits as a whole number and the power of ten are exact
+/// floats, so their quotient is rounded once, to the nearest float (Clinger 1990), as in the standard library.
 fn short_decimal(cell: &[u8]) -> Option<f64> {
     let (is_negative, text) = match cell {
         [b'-', text @ ..] => (true, text),
@@ -54,7 +56,7 @@ fn short_decimal(cell: &[u8]) -> Option<f64> {
     Some(if is_negative { -magnitude } else { magnitude })
 }
 
-/// The digits of a decimal as a whole number, and how many stand behind the point.
+/// The digits of a decimal as a whole number, and the number of digits after the point.
 fn fifteen_digits(text: &[u8]) -> Option<(u64, usize)> {
     // With the point among them, they fit into the whole number in any case.
     if text.len() > MAX_DIGITS + 1 {
@@ -75,14 +77,14 @@ fn fifteen_digits(text: &[u8]) -> Option<(u64, usize)> {
     (1..=MAX_DIGITS).contains(&(point + n_decimals)).then_some((whole, n_decimals))
 }
 
-/// The same of at most eight bytes, all at a time: no branch depends on where a number ends, or has its point.
+/// The same for at most eight bytes at once: no branch depends on where the number or its integer part ends.
 fn eight_digits(text: &[u8]) -> Option<(u64, usize)> {
     let bytes = packed(text);
     let points = equal_bytes(bytes, b'.');
     let (digits, n_digits, n_decimals) = if points == 0 {
         (bytes, text.len(), 0)
     } else {
-        // What stands behind the point moves up to it. Another point is no digit.
+        // The digits after the point move up by one. A second point is not a digit.
         let at = points.trailing_zeros() as usize / 8;
         let before = (1 << (8 * at)) - 1;
         ((bytes & before) | ((bytes >> 8) & !before), text.len() - 1, text.len() - 1 - at)

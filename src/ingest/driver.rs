@@ -21,13 +21,13 @@ use std::sync::{Arc, mpsc};
 pub struct IngestBatch {
     /// The scenes.
     pub scenes: Vec<Scene>,
-    /// Maps that these scenes are the first to need, whole, in the recording's frame. After resuming, maps that were
-    /// handed out before come again.
+    /// Maps that these scenes are the first to need, whole, in the recording's frame. After resuming, maps of earlier
+    /// batches come again.
     pub maps: Vec<(MapId, LaneGraph)>,
-    /// Units done with this batch and all before it: resuming after them continues with the next batch. `None` where the
-    /// scenes of its last unit go on in the next batch.
+    /// Units done after this batch: resuming after them continues with the next batch. `None` if the scenes of its last
+    /// unit continue in the next batch.
     pub units_done: Option<u64>,
-    /// What this batch alone read, kept and left out.
+    /// The report on this batch alone.
     pub report: IngestReport,
 }
 
@@ -59,7 +59,7 @@ pub fn ingest(
     let parser = UnitParser { config, source, maps: &maps };
     // Units are read, parsed and stored at the same time; parsing is what takes all threads.
     let seen = std::thread::scope(|scope| {
-        // What is read waits for the parser, as recordings are large; one batch more would only take memory.
+        // Reading waits for the parser: recordings are large, and another batch would only take memory.
         let (unit_sender, units) = mpsc::sync_channel(0);
         let unit_sender = BatchSender::new(unit_sender, total.n_units);
         let reader = scope.spawn(move || read_batches(config, source, unit_sender));
@@ -67,7 +67,7 @@ pub fn ingest(
         let storer = scope.spawn(move || batches.into_iter().try_for_each(sink));
         let parsed = parser.parse_all(units, &mut total, progress, &scene_sender);
         drop(scene_sender);
-        // What could not be stored came first.
+        // The error of storing came first.
         storer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)).map_err(Error::Sink)?;
         parsed?;
         // The receiver is gone by now, which ends the reader.
@@ -156,7 +156,7 @@ struct Pending<'a> {
 
 type PendingOutcome<'a> = Box<dyn FnOnce() -> UnitOutcome + Send + 'a>;
 
-/// What became of one scene or unit.
+/// The outcome of one scene or unit.
 enum UnitOutcome {
     Kept {
         scene: Box<Scene>,
@@ -164,7 +164,7 @@ enum UnitOutcome {
         own_map: Option<Arc<LaneGraph>>,
     },
     Rejected(Reject),
-    /// Left out by the configuration; says as what.
+    /// Left out by the configuration, with the reason.
     Unwanted(&'static str),
     MissingMap(MapId),
 }
@@ -176,8 +176,8 @@ struct UnitParser<'a> {
 }
 
 impl UnitParser<'_> {
-    /// Parses units in parallel, so far as is done before their scenes are made.
-    /// Sends the scenes of all units on, until the limit is reached or nobody takes them, and counts them in `total`.
+    /// Parses units in parallel, before their scenes are made. Sends the scenes of all units, until the limit is
+    /// reached or the receiver is gone, and counts them in `total`.
     fn parse_all(
         &self,
         units: mpsc::Receiver<Result<Batch, Error>>,

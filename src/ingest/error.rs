@@ -1,12 +1,12 @@
-//! What can end an ingest: faults of the whole input, as opposed to rejects of single recordings.
+//! Errors that end an ingest, as opposed to rejects of single recordings.
 
 use super::report::IngestReport;
 use std::path::PathBuf;
 
-/// An error of a caller's own making, passed through unchanged.
+/// An error of the caller, passed through unchanged.
 pub type BoxError = Box<dyn std::error::Error + Send + Sync>;
 
-/// What is wrong with the content of a file, in words that follow the file's name and the place in it.
+/// An error in the content of a file, in words that follow the file's name and the place in it.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum Malformed {
     #[error("{0}")]
@@ -55,7 +55,7 @@ pub enum Error {
     Container {
         /// The folder or archive.
         container: PathBuf,
-        /// The entry at fault, empty where the container itself is.
+        /// The entry at fault, empty if the container itself is.
         file: String,
         /// What is wrong.
         detail: String,
@@ -65,7 +65,7 @@ pub enum Error {
     Map {
         /// The map file, within its container.
         file: String,
-        /// Where in the file: a byte, line or element; empty where unknown.
+        /// Where in the file: a byte, line or element; empty if unknown.
         place: String,
         /// What is wrong.
         detail: String,
@@ -91,12 +91,12 @@ pub enum Error {
         /// Maps that were found.
         found: Vec<String>,
     },
-    /// Everything was read and no scene came of it.
+    /// Everything was read, but there are no scenes.
     #[error("no scenes: {files}; {}", .report.summary())]
     NoScenes {
         /// The files that were seen.
         files: String,
-        /// What became of them.
+        /// The report on them.
         report: Box<IngestReport>,
     },
     /// The receiver of the scenes failed.

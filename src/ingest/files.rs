@@ -1,4 +1,4 @@
-//! What does the name of a file tell, and what are its bytes?
+//! The split in a file's name, and its bytes.
 
 use super::archive::Entry;
 use super::raw::Reject;
@@ -6,7 +6,7 @@ use crate::scene::Split;
 use std::io::{BufRead, Read};
 use std::path::Path;
 
-/// No single recording or map that is read as a whole is this large; what is larger is not what it claims to be.
+/// Maximum size of a recording or map that is read as a whole; a larger file is not one.
 pub(super) const MAX_WHOLE_FILE_BYTES: u64 = 64 << 20;
 
 /// The name of a file without its folders.
@@ -44,7 +44,7 @@ fn split_of_name(name: &str) -> Option<Split> {
     })
 }
 
-/// The bytes of an entry. What cannot be read, or is too large to be held, is a reject: one broken file among many.
+/// The bytes of an entry. An entry that cannot be read or is too large is a reject: one broken file among many.
 pub(super) fn read_whole(entry: &Entry, reader: &mut dyn BufRead) -> Result<Vec<u8>, Reject> {
     let mut bytes = Vec::with_capacity(entry.size.unwrap_or(0).min(MAX_WHOLE_FILE_BYTES) as usize);
     let reject = |reason, detail| Reject { reason, detail: format!("{}: {detail}", entry.path) };

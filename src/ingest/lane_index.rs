@@ -1,10 +1,10 @@
-//! Which lanes of a map are near points?
+//! Finds the lanes of a map near points.
 
 use crate::geometry::Vec2;
 use crate::scene::{Lane, LaneGraph, LaneId};
 use std::sync::Arc;
 
-/// A map with the bounds of its lanes, to pass over far ones quickly.
+/// A map with the bounds of its lanes, to skip far ones quickly.
 #[derive(Debug, Clone)]
 pub(super) struct LaneIndex {
     graph: Arc<LaneGraph>,

@@ -1,4 +1,4 @@
-//! From lanes as a map lists them to a consistent graph: which lanes follow one another, and which run side by side?
+//! Makes a consistent graph of the lanes and connections that a map lists.
 
 use crate::geometry::angle_difference;
 use crate::scene::{Lane, LaneGraph, LaneId};
@@ -51,7 +51,7 @@ fn opposite_neighbors(lanes: &[Lane]) -> Vec<[bool; 2]> {
     lanes.iter().map(|lane| [opposes(lane, lane.left_neighbor), opposes(lane, lane.right_neighbor)]).collect()
 }
 
-/// Compares directions at the middle of `lane`. `None` where a centerline has no direction.
+/// Compares directions at the middle of `lane`. `None` if a centerline has no direction.
 fn runs_against(lane: &Lane, neighbor: &Lane) -> Option<bool> {
     let middle = lane.centerline.point_at(lane.centerline.length_m() / 2.0)?;
     let own = lane.centerline.project(middle)?.heading_rad;

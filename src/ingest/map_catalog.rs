@@ -1,4 +1,4 @@
-//! The maps that were read before the recordings: which lanes lie at a place?
+//! The maps of places, which are read before the recordings.
 
 use super::archive::{Entry, visit_entries};
 use super::config::IngestConfig;
@@ -13,7 +13,7 @@ use std::io::BufRead;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The maps of places and cities by id. Empty when maps are not asked for, or when scenes bring their own.
+/// The maps of places and cities by id. Empty if maps are not read, or scenes bring their own.
 #[derive(Debug, Default)]
 pub(super) struct MapCatalog(BTreeMap<MapId, Listed>);
 

@@ -1,7 +1,7 @@
-//! Recordings in: how do downloaded datasets become scenes?
+//! Turns downloaded datasets into scenes.
 //!
-//! A [`RecordingSource`] knows the formats of one dataset: it cuts files into [`RawUnit`]s, which are parsed in parallel
-//! into [`RawScene`]s. What follows is the same for all: ego, scene frame, agent cap, lanes, counts.
+//! A [`RecordingSource`] knows the formats of one dataset: it cuts files into [`RawUnit`]s, which are parsed in
+//! parallel into [`RawScene`]s. The rest is the same for all datasets: ego, scene frame, agent cap, lanes, counts.
 
 pub mod archive;
 mod argoverse1;
@@ -39,15 +39,15 @@ pub(crate) use test_data::test_data;
 
 use crate::scene::Dataset;
 
-/// The timesteps that scenes get where they are as long as configured.
+/// The configured timesteps of scenes.
 ///
 /// # Errors
-/// When more are asked for than the dataset has.
+/// When more are configured than the dataset has.
 pub fn usual_horizon(config: &IngestConfig) -> Result<Horizon, Error> {
     Ok(source_of(config)?.horizon())
 }
 
-/// The formats of the configured dataset: one line for each.
+/// The formats of the configured dataset.
 fn source_of(config: &IngestConfig) -> Result<Box<dyn RecordingSource + '_>, Error> {
     Ok(match config.dataset {
         Dataset::Argoverse1 => Box::new(argoverse1::Argoverse1::new(config)?),

@@ -1,11 +1,11 @@
-//! What does a line with quoted cells say? Few tables have any, and those that do are read by the `csv` crate first.
+//! Removes quotes around cells, with the `csv` crate. Few tables have any.
 
 use super::csv_rows::lines_of;
 use memchr::{memchr, memchr_iter};
 use std::borrow::Cow;
 
-/// Stands for a comma or a line end within a cell (ASCII unit separator), so that lines without quotes are split at their commas.
-/// No name and no number of a recording holds one.
+/// Replaces a comma or a line end within a cell (ASCII unit separator), so that lines can be split at their commas. It
+/// occurs in no name or number of a recording.
 const WITHIN_CELL: u8 = 0x1f;
 
 /// The lines of a table without quotes around their cells; the same lines, so that their numbers stay.
@@ -21,8 +21,8 @@ pub(super) fn without_quotes(table: &[u8]) -> Cow<'_, [u8]> {
     Cow::Owned(plain)
 }
 
-/// Appends a line without the quotes around its cells. A line with a quote that is not closed stays as it is, and is then found to
-/// be malformed: it must not swallow the rows after it.
+/// Appends a line without the quotes around its cells. A line with an unclosed quote does not change and is later
+/// rejected as malformed: it must not swallow the rows after it.
 pub(super) fn append_plain(line: &[u8], plain: &mut Vec<u8>) {
     let n_quotes = memchr_iter(b'"', line).count();
     let mut record = csv::ByteRecord::new();
@@ -43,7 +43,7 @@ pub(super) fn append_plain(line: &[u8], plain: &mut Vec<u8>) {
     }
 }
 
-/// A cell as messages show it: with its commas, and no other control characters.
+/// A cell for messages: with its commas, and without other control characters.
 pub(super) fn printable(cell: &[u8]) -> String {
     const MAX_CHARS: usize = 40;
     let text = String::from_utf8_lossy(cell.trim_ascii());

@@ -1,32 +1,32 @@
-//! What lies between a file and a scene: units of raw bytes, scenes in the recording's frame, and rejects.
+//! The steps between a file and a scene: units of raw bytes, scenes in the recording's frame, and rejects.
 
 use crate::scene::{Dataset, LaneGraph, MapId, SceneId, SceneSource, Split, Track};
 use std::fmt::Display;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// The bytes that are parsed on their own: one Argoverse file, one INTERACTION case, or one INTERACTION recording.
+/// The bytes that are parsed independently: one Argoverse file, one INTERACTION case, or one INTERACTION recording.
 #[derive(Debug, Clone, Default)]
 pub struct RawUnit {
     /// The file within its folder or archive, with `/` between parts.
     pub file: String,
     /// The folder or archive.
     pub container: PathBuf,
-    /// The dataset's version or layout, such as `v1.1`; empty where there is only one.
+    /// The dataset's version or layout, such as `v1.1`; empty if there is only one.
     pub version: &'static str,
-    /// The split that the file's name or folder tells.
+    /// The split by the name of the file or folder.
     pub split: UnitSplit,
-    /// City or location; empty where only the content tells.
+    /// City or location; empty if it is only in the content.
     pub place: String,
     /// The case, sequence or recording within the dataset, as written.
     pub case_id: String,
-    /// The header line of the table that `bytes` were cut from; empty where `bytes` hold the whole file.
+    /// The header line of the table that `bytes` were cut from; empty if `bytes` hold the whole file.
     pub header: Arc<[u8]>,
     /// The content.
     pub bytes: Vec<u8>,
     /// Line of the file at which `bytes` begin, counted from 1.
     pub first_line: u64,
-    /// The lines of the file that the rows in `bytes` stand in, where they do not stand together; else empty.
+    /// The line of each row in `bytes` if the rows are scattered over the file; else empty.
     pub lines: Vec<u64>,
     /// A second file that belongs to the first: the pedestrians of a recording, the map of a scenario.
     pub companion: Option<Companion>,
@@ -88,11 +88,11 @@ pub struct RawScene {
     pub n_history: usize,
     /// The tracks in the recording's frame, each with `n_timesteps` entries.
     pub tracks: Vec<Track>,
-    /// Headings that the recording does not tell, to be replaced by the direction of the lane.
+    /// Unknown headings, which are replaced by the direction of the lane.
     pub heading_gaps: Vec<HeadingGap>,
     /// The map the scene lies on.
     pub map_id: MapId,
-    /// That map, where the scene brings its own; otherwise it is looked up among those read beforehand.
+    /// That map, if the scene brings its own; otherwise it is looked up among those read beforehand.
     pub own_map: Option<Arc<LaneGraph>>,
 }
 

@@ -23,9 +23,9 @@ pub struct IngestReport {
     pub scenes_by: BTreeMap<String, u64>,
     /// Rejected units and scenes by reason.
     pub rejects: BTreeMap<String, RejectCount>,
-    /// What was left out of kept scenes, or left out by the configuration: agents over the cap, scenes of other places, …
+    /// Counts of what was left out by the configuration, such as agents over the cap and scenes of other places.
     pub dropped: BTreeMap<String, u64>,
-    /// What the recording does not say and was assumed, such as headings of standing vehicles.
+    /// Counts of assumptions for data that is not recorded, such as headings of standing vehicles.
     pub assumed: BTreeMap<String, u64>,
 }
 
@@ -39,7 +39,7 @@ pub struct RejectCount {
 }
 
 impl IngestReport {
-    /// Adds what a later batch counted.
+    /// Adds the counts of a later batch.
     pub fn merge(&mut self, later: &Self) {
         self.n_units += later.n_units;
         self.n_bytes += later.n_bytes;
@@ -93,7 +93,7 @@ impl IngestReport {
         self.rejects.values().map(|rejects| rejects.count).sum()
     }
 
-    /// One line on what was read and what became of it.
+    /// A summary in one line.
     pub fn summary(&self) -> String {
         let mut parts = vec![format!("{} units read, {} scenes kept", self.n_units, self.n_scenes)];
         parts.extend(self.rejects.iter().map(|(reason, rejects)| {

@@ -1,4 +1,4 @@
-//! What a dataset must provide to be ingested.
+//! The interface of datasets to ingest.
 
 use super::archive::Entry;
 use super::config::IngestConfig;
@@ -10,22 +10,22 @@ use std::ops::ControlFlow;
 
 /// The formats of one dataset. Files are read one after another by a [`UnitReader`]; units are parsed in parallel.
 pub trait RecordingSource: Sync {
-    /// The timesteps of scenes, where the recording has as many.
+    /// The timesteps of scenes, if the recording has as many.
     fn horizon(&self) -> Horizon;
 
-    /// Whether the entry at `path` holds recordings (or, where scenes bring their own maps, such a map) that the
-    /// configuration asks for. Called before the entry is read, so that others are skipped cheaply.
+    /// Whether the entry at `path` holds recordings (or maps, if scenes bring their own) that the configuration
+    /// includes. Called before the entry is read, so that others are skipped cheaply.
     fn is_recording(&self, path: &str) -> bool;
 
     /// A reader that cuts entries into units, in the order of the entries.
     fn unit_reader(&self) -> Box<dyn UnitReader + '_>;
 
-    /// The scenes of a unit in a fixed order, at least one: a unit without any is a reject. A recording holds thousands, so
-    /// that each is made when it is asked for.
+    /// The scenes of a unit in a fixed order, at least one: a unit without any is a reject. A recording has thousands,
+    /// so each is made on demand.
     fn parse(&self, unit: RawUnit) -> Vec<PendingScene<'_>>;
 
-    /// About how many bytes a unit takes in memory while it is parsed, without its scenes; batches are cut by it. Only
-    /// the sources that keep what they parsed need to say more than the size of the unit.
+    /// About how many bytes of memory a unit takes while it is parsed, without its scenes; it determines the size of
+    /// batches. Only sources that keep parsed data need to return more than the size of the unit.
     fn n_bytes_parsed(&self, unit: &RawUnit) -> u64 {
         unit.n_bytes()
     }
@@ -38,13 +38,14 @@ pub trait RecordingSource: Sync {
     /// Whether the entry at `path` is a map to be read before all recordings.
     fn is_map(&self, path: &str) -> bool;
 
-    /// Reads such a map; `None` when the entry is none after all.
+    /// Reads such a map; `None` if the entry turns out not to be one.
     ///
     /// # Errors
     /// [`Error::Map`] when the map is not whole.
     fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Option<MapFile>, Error>;
 
-    /// The map that the recordings at `path` need, where the path tells: lets a missing map be reported before reading.
+    /// The map that the recordings at `path` need, if the path names it, so that a missing map is reported before
+    /// reading.
     fn map_of(&self, _path: &str) -> Option<MapId> {
         None
     }
@@ -56,25 +57,25 @@ pub type PendingScene<'a> = Box<dyn FnOnce() -> Result<RawScene, Reject> + Send 
 /// A map as read from its file.
 #[derive(Debug)]
 pub struct MapFile {
-    /// Which map it is.
+    /// Its id.
     pub id: MapId,
     /// Its lanes.
     pub graph: LaneGraph,
-    /// Where several files hold one map, that of the lowest rank counts, and of equal ones the first.
+    /// If several files contain one map, the one of the lowest rank counts; the first of equals.
     pub rank: u8,
-    /// What is wrong with it, for people; empty when nothing is.
+    /// Its defects, for messages; empty if there are none.
     pub warnings: String,
 }
 
-/// Receives units, and rejects of what cannot be made a unit; each counts as one unit. `Break` means: no more are wanted.
+/// Receives units and rejects; each counts as one unit. `Break` ends reading.
 pub type EmitUnit<'a> = dyn FnMut(Result<RawUnit, Reject>) -> ControlFlow<()> + 'a;
 
-/// Cuts entries into units. May hold entries back until their counterpart comes, within bounds.
+/// Cuts entries into units. It may hold back a bounded amount of entries until their counterparts come.
 pub trait UnitReader {
     /// Reads one entry.
     ///
     /// # Errors
-    /// When it cannot go on with the configuration; an entry that cannot be read is a reject.
+    /// When it cannot continue with the configuration; an entry that cannot be read is a reject.
     fn read(
         &mut self,
         entry: &Entry,
@@ -82,13 +83,13 @@ pub trait UnitReader {
         emit: &mut EmitUnit<'_>,
     ) -> Result<ControlFlow<()>, Error>;
 
-    /// Whether all entries are to be read once more, asked after the last one. A reader that must know a whole table before it
-    /// emits any of it reads it twice rather than hold it.
+    /// Whether to read all entries once more; called after the last one. A reader that must know a whole table before
+    /// it emits any of it reads the table twice instead of holding it.
     fn next_pass(&mut self) -> bool {
         false
     }
 
-    /// Emits what was held back, after the last entry of the last pass.
+    /// Emits what is held back, after the last entry of the last pass.
     ///
     /// # Errors
     /// As [`UnitReader::read`].
@@ -107,7 +108,7 @@ pub struct Horizon {
 }
 
 impl Horizon {
-    /// The configured horizon, or `default` where nothing is configured.
+    /// The configured horizon, or `default`.
     pub fn of(config: &IngestConfig, default: Self) -> Self {
         Self {
             n_history: config.n_history.unwrap_or(default.n_history),
@@ -118,7 +119,7 @@ impl Horizon {
     /// The configured horizon for recordings of fixed length, whose present is fixed: it may only be shorter.
     ///
     /// # Errors
-    /// [`Error::Config`] when more is asked for than is recorded.
+    /// [`Error::Config`] when it is longer than the recordings.
     pub fn within(config: &IngestConfig, recorded: Self) -> Result<Self, Error> {
         let horizon = Self::of(config, recorded);
         for (key, asked, has) in

@@ -11,9 +11,9 @@ const COLLISION_M: f64 = 1.0;
 
 /// Figures of Argoverse 2's benchmark of worlds, its word for joint samples.
 ///
-/// The agents are those that are marked as focal or scored and are recorded throughout the future. The best world is the one with
-/// the least mean FDE over them, of equal ones the first, and every figure is of that world. Unlike minSceneADE, each agent has
-/// the same weight. Only defined for Argoverse 2.
+/// The agents are those that are marked as focal or scored and are recorded throughout the future. The best world has
+/// the least mean FDE over them (the first of equals), and every figure is of that world. Unlike minSceneADE, each
+/// agent has the same weight. Only defined for Argoverse 2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ActorWorld {
     /// avgMinADE: the mean over agents of their mean distance over the future.
@@ -24,7 +24,7 @@ pub enum ActorWorld {
     AvgBrierMinFde,
     /// actorMR: the share of agents that end more than 2 m from where they were recorded.
     MissRate,
-    /// actorCR: the share of agents whose center comes within 1 m of that of another scored one, at the same time.
+    /// actorCR: the share of agents whose center comes within 1 m of another scored agent's, at the same time.
     CollisionRate,
 }
 

@@ -1,4 +1,4 @@
-//! From the figures of many scenes to one: their mean, and how well it is known.
+//! The mean of a metric over many scenes, with its standard error.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,8 +13,8 @@ pub struct Aggregate {
     pub std_error: Option<f64>,
 }
 
-/// Makes an aggregate of values that come by twice: first for their mean, then for their distance from it. The result depends
-/// on their order in the last digits, so they are to come in the order of scenes.
+/// Aggregates values in two passes: the first for their mean, the second for their deviations from it. The last digits
+/// depend on their order, so add them in the order of scenes.
 #[derive(Debug, Clone, Default)]
 pub struct AggregateTally {
     n: u64,
@@ -23,19 +23,19 @@ pub struct AggregateTally {
 }
 
 impl AggregateTally {
-    /// Counts a value, before any of them is compared with the mean.
+    /// Adds a value to the mean: the first pass.
     pub fn add(&mut self, value: f64) {
         self.n += 1;
         self.sum += value;
     }
 
-    /// Compares a value with the mean, after all of them are counted.
+    /// Adds a value's deviation from the mean: the second pass.
     pub fn compare(&mut self, value: f64) {
         let deviation = value - self.mean();
         self.squares += deviation * deviation;
     }
 
-    /// The aggregate. `None` of no values.
+    /// The aggregate; `None` without values.
     pub fn finish(&self) -> Option<Aggregate> {
         let n = self.n as f64;
         let std_error = (self.n > 1).then(|| (self.squares / (n - 1.0) / n).sqrt());

@@ -1,9 +1,9 @@
-//! Do two agents collide, by the rule of INTERACTION's benchmark, in which an agent is a row of circles?
+//! Collisions by the rule of INTERACTION's benchmark, in which an agent is a row of circles.
 
 use crate::geometry::Vec2;
 use crate::scene::{Extent, State, Track};
 
-/// Agents from these lengths on have three and five circles; shorter ones have two. Meters.
+/// Agents of at least these lengths have three and five circles; shorter ones have two. Meters.
 const THREE_FROM_M: f64 = 4.0;
 const FIVE_FROM_M: f64 = 8.0;
 
@@ -11,7 +11,7 @@ const FIVE_FROM_M: f64 = 8.0;
 pub(super) fn collide(first: (&Track, &State), second: (&Track, &State)) -> bool {
     let (one, other) = (first.0.extent_or_nominal(), second.0.extent_or_nominal());
     let limit_m = (one.width_m + other.width_m) / 3.8_f64.sqrt();
-    // Centers of circles are no farther from an agent's own than half its length.
+    // Centers of circles are within half a length of the agent's center.
     let reach_m = limit_m + (one.length_m + one.width_m + other.length_m + other.width_m) / 2.0;
     first.1.position.distance(second.1.position) < reach_m
         && centers(one, first.1).any(|a| centers(other, second.1).any(|b| a.distance(b) < limit_m))

@@ -5,14 +5,14 @@ use super::{Direction, Metric, MetricSpec, SampleGroup};
 use crate::behavior::sweep::Sweep;
 use crate::scene::{AgentClass, Scene};
 
-/// An agent that stays within this distance of its place at present stands, meters.
+/// An agent that stays within this distance of its present position stands, meters.
 const MIN_MOTION_M: f64 = 1.0;
 
 /// Collision rate: the share of samples in which any two agents collide.
 ///
-/// Two agents collide if their boxes overlap at the same future timestep at which both have a state. Pairs that
-/// overlap at present already, and pairs that both stand, do not count: recordings hold such pairs, and nothing
-/// can be learned of the sample from them.
+/// Two agents collide if their boxes overlap at the same future timestep at which both have a state. Pairs that already
+/// overlap at present, and pairs that both stand, do not count: recordings contain such pairs, and they say nothing
+/// about the sample.
 #[derive(Debug, Clone, Copy)]
 pub struct CollisionRate;
 
@@ -92,7 +92,7 @@ fn first_contact(scene: &Scene, first: &Sweep, second: &Sweep) -> Option<usize> 
     overlap(present..present + 1).is_none().then_some(timestep)
 }
 
-/// Whether an agent leaves its place at present, and is nothing that cannot move.
+/// Whether an agent moves, and can move.
 pub(super) fn is_moving(scene: &Scene, agent_idx: usize) -> bool {
     let Some(start) = scene.state(agent_idx, scene.current_timestep()) else { return false };
     scene.tracks[agent_idx].class != AgentClass::Static

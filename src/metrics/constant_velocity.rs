@@ -1,10 +1,10 @@
-//! The baseline that every forecast must beat: everybody goes on as now.
+//! The constant-velocity baseline, which every forecast must beat.
 
 use super::sample_group::future;
 use crate::scene::{Scene, State, Track, Trajectory};
 
-/// The scene with its future replaced: every agent moves on at the velocity of its state at present, t_obs - 1, and
-/// keeps its heading. Agents not tracked at present have no future states. The history stays as it is.
+/// The scene with its future replaced: every agent keeps its velocity and heading at present, t_obs - 1. Agents not
+/// tracked at present have no future states. The history does not change.
 pub fn constant_velocity(scene: &Scene) -> Scene {
     let tracks = scene.tracks.iter().map(|track| Track { trajectory: extrapolated(scene, track), ..track.clone() });
     Scene { tracks: tracks.collect(), ..scene.clone() }

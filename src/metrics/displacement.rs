@@ -3,15 +3,15 @@
 use super::sample_group::{future, present_agents};
 use crate::scene::{AgentClass, Benchmark, Scene};
 
-/// Which agents a joint metric scores, of those tracked at present. Most papers, DJINN among them, count all.
+/// The agents that a joint metric scores, of those tracked at present. Most papers, DJINN among them, score all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ScoredAgents {
     /// Every agent.
     All,
     /// Every agent but the scene's ego.
     Others,
-    /// The agents to predict of INTERACTION's benchmark of many agents: the vehicles that are recorded throughout, history and
-    /// future, without the ego, which plays the benchmark's `interesting_agent`. None in other datasets.
+    /// The agents to predict in INTERACTION's multi-agent benchmark: the vehicles that are recorded throughout, history
+    /// and future, without the ego, which is the benchmark's `interesting_agent`. None in other datasets.
     Targets,
 }
 
@@ -33,15 +33,15 @@ fn is_target(recorded: &Scene, agent_idx: usize) -> bool {
         && (0..recorded.n_timesteps).all(|timestep| track.trajectory.is_valid(timestep))
 }
 
-/// The distances of an agent to its recorded positions at the future timesteps at which it is recorded, meters.
-/// `None` where the sample lacks one of these states.
+/// The distances of an agent to its recorded positions at the future timesteps at which it is recorded, meters. `None`
+/// if the sample lacks one of these states.
 pub(super) fn displacements_m(recorded: &Scene, sample: &Scene, agent_idx: usize) -> Option<Vec<f64>> {
     let recorded_timesteps = future(recorded).filter(|timestep| recorded.state(agent_idx, *timestep).is_some());
     recorded_timesteps.map(|timestep| displacement_m(recorded, sample, agent_idx, timestep)).collect()
 }
 
-/// The distance of an agent to its recorded position at the last timestep, meters. `None` where it is not recorded
-/// then, where the sample lacks it, or where there is no future.
+/// The distance of an agent to its recorded position at the last timestep, meters; `None` if the recording or the
+/// sample lacks it, or there is no future.
 pub(super) fn final_displacement_m(recorded: &Scene, sample: &Scene, agent_idx: usize) -> Option<f64> {
     displacement_m(recorded, sample, agent_idx, future(recorded).last()?)
 }
@@ -51,7 +51,7 @@ fn displacement_m(recorded: &Scene, sample: &Scene, agent_idx: usize, timestep: 
     positions.map(|(truth, sampled)| truth.position.distance(sampled.position)).filter(|d| d.is_finite())
 }
 
-/// The arithmetic mean. `None` of nothing.
+/// The arithmetic mean; `None` without values.
 pub(super) fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }

@@ -7,11 +7,11 @@ use crate::scene::Scene;
 use std::collections::BTreeSet;
 
 /// Drivable-area compliance (DAC) of Argoverse 1: the share of samples in which the ego is on the road at every future
-/// timestep. Unlike [`OffroadRate`](super::OffroadRate) it is about the ego alone, wherever that is at present.
+/// timestep. Unlike [`OffroadRate`](super::OffroadRate), it counts only the ego, wherever that is at present.
 ///
-/// The benchmark looks the area up in a raster of the city. Here the road is what the lanes make up, with the same tolerance and
-/// continuation beyond the map's end as for the off-road rate, so figures need not agree to the last digit. Not defined for scenes without lanes, and at places
-/// of which the map does not say where the road is.
+/// The benchmark looks the area up in a raster of the city. Here the road is the area of the lanes, with the tolerance
+/// and the continuation beyond the map's end of the off-road rate, so figures need not agree to the last digit. Not
+/// defined for scenes without lanes, and at places whose map lacks parts of the road.
 #[derive(Debug, Clone)]
 pub struct DrivableAreaCompliance {
     /// Those places.

@@ -1,13 +1,13 @@
-//! How far apart are two distributions, if only counts in fixed bins are kept of them?
+//! Distances between distributions, from counts in fixed bins.
 //!
-//! Memory does not grow with the number of values, and counts of parts can be added up in any order.
+//! Memory does not grow with the number of values, and counts can be added up in any order.
 
 use serde::{Deserialize, Serialize};
 
-/// Bins from which the Wasserstein distance is taken.
+/// Bins for the Wasserstein distance.
 const N_BINS: usize = 400;
-/// So many of them make one of the 40 bins from which the Jensen-Shannon divergence is taken: it is about shares of bins, and fine
-/// bins that hold few values each would differ by chance alone.
+/// Bins that are joined to one of the 40 bins for the Jensen-Shannon divergence: it compares shares of bins, and fine
+/// bins with few values would differ by chance.
 const BINS_PER_COARSE: usize = 10;
 
 /// Counts of the values of a quantity in equal bins over a fixed range.
@@ -19,12 +19,12 @@ pub struct Histogram {
 }
 
 impl Histogram {
-    /// No values yet. Values beyond `range` will count as its ends.
+    /// An empty histogram. Values beyond `range` count as its ends.
     pub fn new(range: [f64; 2]) -> Self {
         Self { range, counts: vec![0; N_BINS], sum: 0.0 }
     }
 
-    /// Adds a value; what is not finite is passed over.
+    /// Adds a value, if it is finite.
     pub fn add(&mut self, value: f64) {
         if !value.is_finite() {
             return;
@@ -46,13 +46,13 @@ impl Histogram {
         self.counts.iter().sum()
     }
 
-    /// The mean of the values as they came, those beyond the range included. `None` of nothing.
+    /// The mean of the exact values, including those beyond the range; `None` without values.
     pub fn mean(&self) -> Option<f64> {
         (self.n() > 0).then(|| self.sum / self.n() as f64)
     }
 
-    /// The range that holds all values but a share of `beyond` at either end, to a bin's width, rounded outwards. Its ends are infinite
-    /// where they fall into the first or last bin, which hold whatever is beyond. `None` of nothing.
+    /// The range of all values but a share of `beyond` at either end, rounded outward to a bin. An end in the first or
+    /// last bin is infinite, because these hold all values beyond. `None` without values.
     pub fn central_range(&self, beyond: f64) -> Option<[f64; 2]> {
         let n = self.n() as f64;
         let width = (self.range[1] - self.range[0]) / N_BINS as f64;
@@ -74,9 +74,9 @@ impl Histogram {
         })
     }
 
-    /// Wasserstein-1 distance in the quantity's unit: the area between the cumulative distributions, with the values of a bin spread
-    /// evenly over it. That is off by a bin's width (1/400 of the range) at most, and values beyond the range are moved to
-    /// its ends first. `None` where either is empty.
+    /// Wasserstein-1 distance in the quantity's unit: the area between the cumulative distributions, with the values of
+    /// a bin spread evenly over it. It is off by a bin's width (1/400 of the range) at most, and values beyond the
+    /// range count as its ends. `None` if either is empty.
     pub fn wasserstein(&self, other: &Self) -> Option<f64> {
         let (own, theirs) = (self.shares(1)?, other.shares(1)?);
         let (mut before, mut area) = (0.0_f64, 0.0);
@@ -92,15 +92,15 @@ impl Histogram {
         Some(area * (self.range[1] - self.range[0]) / N_BINS as f64)
     }
 
-    /// Jensen-Shannon divergence over 40 bins, in bits: 0 for equal distributions, 1 for those that share no bin. `None` where either
-    /// is empty.
+    /// Jensen-Shannon divergence over 40 bins, in bits: 0 for equal distributions, 1 for those that share no bin.
+    /// `None` if either is empty.
     pub fn jensen_shannon(&self, other: &Self) -> Option<f64> {
         let (own, theirs) = (self.shares(BINS_PER_COARSE)?, other.shares(BINS_PER_COARSE)?);
         let term = |p: f64, q: f64| if p > 0.0 { p * (2.0 * p / (p + q)).log2() } else { 0.0 };
         Some(own.iter().zip(&theirs).map(|(p, q)| (term(*p, *q) + term(*q, *p)) / 2.0).sum())
     }
 
-    /// The share of values in each run of `n_joined` bins. `None` of nothing.
+    /// The share of values in each run of `n_joined` bins; `None` without values.
     fn shares(&self, n_joined: usize) -> Option<Vec<f64>> {
         let n = self.n();
         let share = |bins: &[u64]| bins.iter().sum::<u64>() as f64 / n as f64;

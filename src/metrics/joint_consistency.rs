@@ -1,4 +1,4 @@
-//! Do the joint samples hold one in which everybody ends where recorded, and without collisions? (INTERACTION)
+//! INTERACTION's joint miss rates and collision rates.
 
 use super::circles::collide;
 use super::displacement::ScoredAgents;
@@ -7,21 +7,22 @@ use super::sample_group::future;
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 use crate::scene::Scene;
 
-/// Figures of INTERACTION's benchmark of many agents beside minJointADE and minJointFDE.
+/// Figures of INTERACTION's multi-agent benchmark beside minJointADE and minJointFDE.
 ///
-/// They are over the agents to predict, [`ScoredAgents::Targets`]. In the datasets' train and val splits no agent is marked as
-/// the ego, so the scene's ego takes its place. Agents miss by the rule of [`MissRate`](super::MissRate), each at its own
-/// speed; they collide as rows of circles, as the benchmark computes it. Only defined for INTERACTION, and where there are agents to predict.
+/// They are over the agents to predict, [`ScoredAgents::Targets`]. In the datasets' train and val splits no agent is
+/// marked as the ego, so the scene's ego takes its place. Agents miss by the rule of [`MissRate`](super::MissRate),
+/// each at its own speed; they collide as rows of circles, as the benchmark computes it. Only defined for INTERACTION,
+/// and if there are agents to predict.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JointConsistency {
     /// minJointMR: the least share of missed agents of any sample.
     MinMissRate,
-    /// Consistent-minJointMR, by which the benchmark ranks: the same over samples without a collision among the agents; 1 where
-    /// there is none.
+    /// Consistent-minJointMR, by which the benchmark ranks: the same over samples without a collision among the agents;
+    /// 1 if there is none.
     ConsistentMinMissRate,
     /// CrossCollisionRate: the share of samples in which any two of the agents collide at any time.
     CrossCollisionRate,
-    /// EgoCollisionRate: 1 where in every sample an agent collides with the recorded ego, else 0.
+    /// EgoCollisionRate: 1 if an agent collides with the recorded ego in every sample, else 0.
     EgoCollisionRate,
 }
 

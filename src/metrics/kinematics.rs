@@ -1,11 +1,11 @@
-//! Can a vehicle move like that, and would anybody bear to ride in it?
+//! Rates of accelerations and jerks beyond limits.
 
 use super::sample_group::{future, present_agents};
 use super::{Direction, Metric, MetricSpec, SampleGroup};
 use crate::geometry::Vec2;
 use crate::scene::Scene;
 
-/// Accelerations beyond this are more than tires and drivers give outside an emergency, m/s².
+/// Accelerations beyond this occur only in emergencies, m/s².
 const MAX_ACCELERATION_MPS2: f64 = 8.0;
 /// Jerks beyond this are uncomfortable, m/s³ (nuPlan's bound).
 const MAX_JERK_MPS3: f64 = 8.37;
@@ -54,7 +54,7 @@ impl Metric for JerkViolationRate {
 }
 
 /// For every motorized agent tracked at present that has such a difference of positions in the future, whether any of
-/// them exceeds `limit` (in meters per second to the power of the order of the difference) or is no number.
+/// them exceeds `limit` (in meters per second to the power of the order of the difference) or is NaN.
 fn exceeds(scene: &Scene, weights: &[f64], limit: f64) -> Vec<bool> {
     let stride = (STRIDE_S / scene.dt_s).round().max(1.0) as usize;
     let order = weights.len() - 1;

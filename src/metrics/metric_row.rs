@@ -1,4 +1,4 @@
-//! One value of one metric: whose it is, and what it was measured on.
+//! One value of one metric, and the traffic that it is of.
 
 use super::{Group, SeriesKey};
 use crate::scene::{GuidanceLevel, SceneId};
@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 /// One value of one metric: of a single scene or scenario, or aggregated over many.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MetricRow {
-    /// Whose figure it is.
+    /// The group of traffic.
     pub group: Group,
-    /// The sweep that is measured, or that continues these recordings.
+    /// The measured sweep, or the sweep that continues these recordings.
     pub sweep: String,
     /// How strongly it was guided.
     #[serde(flatten)]

@@ -1,13 +1,13 @@
-//! How different are the samples of one scene?
+//! Maximum final distance: how different the samples of a scene are.
 
 use super::displacement::mean;
 use super::sample_group::{future, present_agents};
 use super::{Direction, Metric, MetricSpec, SampleGroup};
 use crate::geometry::Vec2;
 
-/// MFD, the maximum final distance: of each agent the largest distance between its last positions in any two samples, averaged
-/// over the agents that were sampled. A scene may hold more of them than a denoiser continues; about those there is nothing to
-/// say. Defined for two samples and more; the recorded future does not matter.
+/// MFD: for each agent the largest distance between its last positions in any two samples, averaged over the sampled
+/// agents. (A scene may have more agents than a denoiser continues.) Defined for two samples and more; the recorded
+/// future does not matter.
 #[derive(Debug, Clone, Copy)]
 pub struct Mfd;
 

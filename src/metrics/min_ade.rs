@@ -1,11 +1,11 @@
-//! How far is the ego from its recording on average over time, in the best sample?
+//! minADE of the ego: its mean distance from the recording, in the best sample.
 
 use super::displacement::{displacements_m, final_displacement_m, mean};
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 use crate::scene::Scene;
 
-/// minADE of the ego: the least average displacement of all samples, chosen independently of the one for minFDE. It is the
-/// minADE of INTERACTION's benchmark of single agents where the ego is the agent to predict.
+/// minADE of the ego: the least average displacement of all samples, chosen independently of minFDE. If the ego is the
+/// agent to predict, it is the minADE of INTERACTION's single-agent benchmark.
 #[derive(Debug, Clone, Copy)]
 pub struct MinAde;
 
@@ -29,7 +29,7 @@ impl Metric for MinAde {
 }
 
 /// The ADE of the ego in the sample with the least FDE, which Argoverse 1's own evaluation calls minADE. Of samples
-/// with the same FDE the first one decides.
+/// with the same FDE, the first counts.
 #[derive(Debug, Clone, Copy)]
 pub struct MinAdeOfMinFde;
 

@@ -1,10 +1,10 @@
-//! How far is the ego from its recording at the end, in the best sample?
+//! minFDE of the ego: its distance from the recording at the end, in the best sample.
 
 use super::min_ade::ego_fde_m;
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 
-/// minFDE of the ego: the least displacement at the last timestep of all samples. Not defined where the ego is not
-/// recorded then. The minFDE of Argoverse 1 and 2 and of INTERACTION's benchmark of single agents.
+/// minFDE of the ego: the least displacement at the last timestep of all samples. Not defined if the ego is not
+/// recorded then. The minFDE of Argoverse 1 and 2 and of INTERACTION's single-agent benchmark.
 #[derive(Debug, Clone, Copy)]
 pub struct MinFde;
 

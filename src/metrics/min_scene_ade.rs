@@ -1,11 +1,11 @@
-//! How far are all agents together from the recording on average over time, in the best joint sample?
+//! minSceneADE: the mean distance of all agents from the recording, in the best joint sample.
 
 use super::displacement::{ScoredAgents, displacements_m, mean};
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 
-/// minSceneADE: the least of all samples of the mean displacement over all pairs (agent, timestep) at which the agent is
-/// recorded. Agents that are recorded for longer weigh more (as in FJMP). For [`ScoredAgents::Targets`] this is the
-/// minJointADE of INTERACTION's benchmark of many agents.
+/// minSceneADE: the least of all samples of the mean displacement over all pairs (agent, timestep) at which the agent
+/// is recorded. Agents that are recorded for longer weigh more (as in FJMP). For [`ScoredAgents::Targets`] this is the
+/// minJointADE of INTERACTION's multi-agent benchmark.
 #[derive(Debug, Clone, Copy)]
 pub struct MinSceneAde(
     /// The agents that count.

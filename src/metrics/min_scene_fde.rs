@@ -1,4 +1,4 @@
-//! How far are all agents together from the recording at the end, in the best joint sample?
+//! minSceneFDE: the mean distance of all agents from the recording at the end, in the best joint sample.
 
 use super::displacement::{ScoredAgents, final_displacement_m, mean};
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};

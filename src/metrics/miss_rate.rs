@@ -1,22 +1,22 @@
-//! Does no sample end where the ego went?
+//! Miss rate: whether no sample ends near the ego's recorded position.
 
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 use crate::scene::{MissRule, State};
 
-/// Farthest miss along the motion of a slow and of a fast vehicle, meters, and the speeds these are, m/s (INTERACTION).
+/// Thresholds of a miss along the motion of a slow and a fast vehicle, meters, and their speeds, m/s (INTERACTION).
 const LONGITUDINAL_M: [f64; 2] = [1.0, 2.0];
 const SPEEDS_MPS: [f64; 2] = [1.4, 11.0];
-/// Farthest miss across the motion, meters (INTERACTION).
+/// Threshold of a miss across the motion, meters (INTERACTION).
 const LATERAL_M: f64 = 1.0;
-/// Farthest miss in any direction, meters (Argoverse).
+/// Threshold of a miss in any direction, meters (Argoverse).
 const RADIAL_M: f64 = 2.0;
 
-/// Miss rate of the ego: 1 where every sample misses at the last timestep, else 0.
+/// Miss rate of the ego: 1 if every sample misses at the last timestep, else 0.
 ///
 /// By INTERACTION's rule a sample misses if, along the axes of the recorded heading at the last timestep, it is off by
-/// more than 1 m sideways or by more than a threshold lengthwise: 1 m below 1.4 m/s, 2 m from 11 m/s, linear between, for
-/// the recorded speed at the last timestep. For Argoverse it misses if it is off by more than 2 m. This is the miss rate of
-/// INTERACTION's benchmark of single agents, and the MR of Argoverse.
+/// more than 1 m sideways or by more than a threshold lengthwise: 1 m below 1.4 m/s, 2 m from 11 m/s, linear between,
+/// for the recorded speed at the last timestep. For Argoverse, a sample misses if it is off by more than 2 m. This is
+/// the miss rate of INTERACTION's single-agent benchmark, and the MR of Argoverse.
 #[derive(Debug, Clone, Copy)]
 pub struct MissRate;
 

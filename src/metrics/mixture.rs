@@ -1,8 +1,8 @@
-//! Gaussian mixtures with diagonal covariances, fitted by expectation-maximization: which few points stand for many?
+//! Gaussian mixtures with diagonal covariances, fitted by expectation-maximization.
 //!
-//! The paper fits six components to 60 samples of an agent's future positions, 60 numbers each. That is singular in two
-//! ways, fewer points than numbers and components of one point, so variances have a floor. The floor is the constrained
-//! maximum of the M step (not a term that is added), so the log-likelihood never falls.
+//! The paper fits six components to 60 samples of an agent's future positions, 60 numbers each. This is singular in two
+//! ways (fewer points than numbers, and components of one point), so variances have a floor. The floor is the
+//! constrained maximum of the M step, not an added term, so the log-likelihood never falls.
 
 use crate::seed::{Seed, SeededRng};
 use std::f64::consts::TAU;
@@ -39,11 +39,11 @@ pub struct Component {
 /// A mixture fitted to points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mixture {
-    /// The components, by falling weight. Fewer than asked for where points coincide.
+    /// The components, by decreasing weight. Fewer than configured if points coincide.
     pub components: Vec<Component>,
     /// For each point the probability of each component, in the order of the components.
     pub responsibilities: Vec<Vec<f64>>,
-    /// The log-likelihood of the points after each iteration; never falls, but for rounding.
+    /// The log-likelihood of the points after each iteration; never falls, except by rounding.
     pub log_likelihoods: Vec<f64>,
 }
 
@@ -51,8 +51,8 @@ impl Mixture {
     /// Fits a mixture to points of equal length. The starts are means drawn by k-means++ (Arthur and Vassilvitskii 2007)
     /// from `seed`, to which points are assigned whole.
     ///
-    /// `None` for no components or starts, fewer points than components, points without numbers or of different lengths, numbers that are not finite,
-    /// or a floor that is not positive.
+    /// `None` without components or starts, with fewer points than components, with points that are empty, of different
+    /// lengths or not finite, or with a floor that is not positive.
     pub fn fit(points: &[Vec<f64>], options: &MixtureOptions, seed: Seed) -> Option<Self> {
         let n_dims = points.first()?.len();
         let is_usable = |point: &Vec<f64>| point.len() == n_dims && point.iter().all(|x| x.is_finite());
@@ -64,7 +64,7 @@ impl Mixture {
             let mut rng = seed.derive("mixture", &[start as u64]).rng();
             Self::fit_from(points, &spread_out(points, options.n_components, &mut rng), options)
         };
-        // Of equally likely fits the first one counts.
+        // Of equally likely fits, the first counts.
         let better =
             |best: Self, other: Self| if other.log_likelihood() > best.log_likelihood() { other } else { best };
         (0..options.n_starts).map(start).reduce(better).map(Self::sorted)
@@ -92,7 +92,7 @@ impl Mixture {
         Self { components, responsibilities, log_likelihoods }
     }
 
-    /// The mixture with its components by falling weight, those of equal weight as they were, those without points gone.
+    /// The mixture with its components by decreasing weight (a stable order), without components that have no points.
     fn sorted(self) -> Self {
         let mut order: Vec<usize> =
             (0..self.components.len()).filter(|k| self.components[*k].weight > NO_WEIGHT).collect();
@@ -118,7 +118,7 @@ fn spread_out(points: &[Vec<f64>], n_centers: usize, rng: &mut SeededRng) -> Vec
     while centers.len() < n_centers {
         let total: f64 = nearest.iter().sum();
         let mut left = rng.uniform() * total;
-        // Where all points coincide with centers any of them does. The last one catches what rounding leaves over.
+        // If all points coincide with centers, any of them will do. The last one absorbs rounding.
         let drawn = nearest.iter().position(|d| {
             left -= d;
             left < 0.0
@@ -133,7 +133,7 @@ fn spread_out(points: &[Vec<f64>], n_centers: usize, rng: &mut SeededRng) -> Vec
     centers
 }
 
-/// All of a point for the nearest of `means`, the first of equally near ones.
+/// Assigns each point to the nearest of `means`, the first of equals.
 fn of_nearest(point: &[f64], means: &[Vec<f64>]) -> Vec<f64> {
     let distances = means.iter().map(|mean| squared_distance(point, mean));
     let nearest = distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(k, _)| k);

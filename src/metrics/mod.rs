@@ -1,14 +1,14 @@
-//! Figures of merit of sampled futures, in plain `f64`: how close to the recording, how diverse, how plausible?
+//! Metrics of sampled futures, in plain `f64`: how close to the recording, how diverse, how plausible?
 //!
 //! One metric a file. A new one needs its file and an entry in [`ALL`].
 //!
-//! Common to all: the future is every timestep from `n_history` on. Agents that count are those tracked at present,
-//! t_obs - 1; nothing is generated for others. Where the recording is the yardstick, only timesteps at which it holds
-//! the agent count. Observed states of the future (goals, other agents' plans, all but a window) are part of it as they were
-//! recorded: their distances are 0, so distances of sweeps with different masks do not compare. A group for which a metric
-//! is not defined has no value and does not enter the mean.
+//! Common to all: the future is every timestep from `n_history` on. The agents are those tracked at present, t_obs - 1;
+//! nothing is generated for others. Distances to the recording count only timesteps at which the agent is recorded.
+//! Observed states of the future (goals, other agents' plans, all but a window) are part of it as recorded: their
+//! distances are 0, so distances of sweeps with different masks are not comparable. A group for which a metric is not
+//! defined has no value and does not enter the mean.
 //!
-//! The benchmarks' figures, by their names there. Where two define the same number there is one metric:
+//! The benchmarks' figures, by their names there. If two benchmarks define the same number, there is one metric:
 //!
 //! | Benchmark | Its figures |
 //! |---|---|
@@ -18,7 +18,7 @@
 //! | INTERACTION, one agent | minADE `min_ade_m`, minFDE `min_fde_m`, MR `miss_rate` |
 //! | INTERACTION, many agents | minJointADE `min_joint_ade_m`, minJointFDE `min_joint_fde_m`, minJointMR `min_joint_miss_rate`, Consistent-minJointMR `consistent_min_joint_miss_rate`, CrossCollisionRate `cross_collision_rate`, EgoCollisionRate `ego_collision_rate` |
 //!
-//! They take six guesses: of more samples the figures over six [`Modes`] are the ones to compare.
+//! The benchmarks take six guesses: with more samples, compare the figures over six [`Modes`].
 
 mod actor_world;
 mod aggregate;
@@ -88,14 +88,14 @@ pub use validity::{Check, Judged, LocalFit, MapFit, ValidityConfig, ValidityRate
 
 use std::collections::BTreeSet;
 
-/// A figure of merit of the samples of one scene.
+/// A metric of the samples of one scene.
 pub trait Metric: Send + Sync {
-    /// What the figure is.
+    /// Its specification.
     fn spec(&self) -> MetricSpec;
-    /// The figure. `None` where it is not defined, such as a distance to a recording without a future.
+    /// Its value; `None` if it is not defined, such as a distance to a recording without a future.
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64>;
-    /// Whose modes may stand for the samples: those of figures that a benchmark takes over a few guesses. `None` for what is
-    /// about the samples themselves, such as their variety, or how often they collide.
+    /// Whose modes may replace the samples, for figures that a benchmark takes over a few guesses. `None` for metrics
+    /// of the samples themselves, such as their variety, or how often they collide.
     fn modes(&self) -> Option<ModesOf> {
         None
     }
@@ -159,7 +159,7 @@ pub static ALL: &[&dyn Metric] = &[
     &SceneMetric::MaxDrac,
 ];
 
-/// The metric of this name. `None` when there is no such metric.
+/// The metric of this name. `None` if there is no such metric.
 pub fn by_id(id: &str) -> Option<&'static dyn Metric> {
     ALL.iter().copied().find(|metric| metric.spec().id == id)
 }

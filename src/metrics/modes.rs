@@ -1,4 +1,4 @@
-//! Many samples to a few modes with probabilities: what benchmarks with a fixed number of guesses are given.
+//! Reduces many samples to a few modes with probabilities, for benchmarks with a fixed number of guesses.
 //!
 //! The paper draws 60 samples of a scene and takes the means of a mixture of six Gaussians as its prediction.
 
@@ -37,7 +37,7 @@ impl Default for ModesConfig {
     }
 }
 
-/// What stands for a mode.
+/// The representative of a mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Representative {
@@ -60,14 +60,14 @@ impl Representative {
 /// Whose modes a metric is about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ModesOf {
-    /// Those of the ego alone: what a benchmark of single agents is given.
+    /// The ego's alone, for single-agent benchmarks.
     Ego,
-    /// Those of all agents jointly.
+    /// All agents' jointly.
     Scene,
 }
 
 impl ModesOf {
-    /// The agents that make the modes.
+    /// The agents whose positions are fitted.
     pub fn agents(self, scene: &Scene) -> Vec<usize> {
         match self {
             Self::Ego => vec![scene.ego_idx],
@@ -76,7 +76,7 @@ impl ModesOf {
     }
 }
 
-/// Modes of the samples of one scene, by falling probability.
+/// Modes of the samples of one scene, by decreasing probability.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Modes {
     /// One scene a mode.
@@ -85,7 +85,7 @@ pub struct Modes {
     pub probabilities: Vec<f64>,
 }
 
-/// A mixture over samples, and from it modes of either kind.
+/// A mixture fitted to samples, from which modes of either kind are made.
 #[derive(Debug, Clone)]
 pub struct ModeFit<'a> {
     samples: &'a [Scene],
@@ -94,11 +94,11 @@ pub struct ModeFit<'a> {
 }
 
 impl<'a> ModeFit<'a> {
-    /// Fits the mixture of `samples` over the future positions of `agents`. Those of an agent are taken in its own frame at
-    /// present, so that the axes of the diagonal covariance are along and across its way and no other frame matters. Of one agent
-    /// this is the paper's reduction, of all agents the joint one.
+    /// Fits the mixture of `samples` over the future positions of `agents`. Each agent's positions are in its own frame
+    /// at present, so that the axes of the diagonal covariance are along and across its course. For one agent this is
+    /// the paper's reduction, for all agents the joint one.
     ///
-    /// `None` for fewer samples than modes, or where no agent has a future in all of them.
+    /// `None` with fewer samples than modes, or if no agent has a future in all of them.
     pub fn new(samples: &'a [Scene], agents: &[usize], config: &ModesConfig, seed: Seed) -> Option<Self> {
         let first = samples.first()?;
         let entries: Vec<(usize, usize, State)> = agents
@@ -126,7 +126,7 @@ impl<'a> ModeFit<'a> {
         Some(Self { samples, points, mixture })
     }
 
-    /// The modes. There are fewer than asked for where samples coincide.
+    /// The modes: fewer than configured if samples coincide.
     pub fn modes(&self, by: Representative) -> Modes {
         let samples = (0..self.mixture.components.len()).map(|k| match by {
             Representative::Mean => self.mean_scene(k),
@@ -144,9 +144,9 @@ impl<'a> ModeFit<'a> {
         distances.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(i, _)| i)
     }
 
-    /// The first sample with the futures of all agents replaced by the mean over samples, each weighed by how likely it is of
-    /// component `k`. Of the agents that were fitted this is the component's mean; the others follow along. Headings are averaged
-    /// as directions.
+    /// The first sample with the futures of all agents replaced by the mean over samples, weighted by their probability
+    /// of belonging to component `k`. For the fitted agents this is the component's mean; the others follow. Headings
+    /// are averaged as directions.
     fn mean_scene(&self, k: usize) -> Scene {
         let first = &self.samples[0];
         let shares: Vec<f64> = self.mixture.responsibilities.iter().map(|shares| shares[k]).collect();
@@ -160,7 +160,7 @@ impl<'a> ModeFit<'a> {
         Scene { tracks: first.tracks.iter().enumerate().map(track).collect(), ..first.clone() }
     }
 
-    /// The weighted mean of a state. `None` where any sample lacks it.
+    /// The weighted mean of a state; `None` if any sample lacks it.
     fn mean_state(&self, agent_idx: usize, timestep: usize, shares: &[f64]) -> Option<State> {
         let (mut position, mut velocity, mut direction) = (Vec2::ZERO, Vec2::ZERO, Vec2::ZERO);
         for (sample, share) in self.samples.iter().zip(shares) {

@@ -1,4 +1,4 @@
-//! How do road users move in the future of a scene, and how close do they come? The quantities whose distributions are compared.
+//! The quantities of motion whose distributions are compared: speeds, accelerations, distances and others.
 //!
 //! Everything is derived from positions and headings in the same way for recorded and generated scenes, because generated ones
 //! have no measured velocities.
@@ -11,13 +11,13 @@ use crate::geometry::{Vec2, wrap_angle};
 use crate::scene::{Scene, Track};
 use serde::{Deserialize, Serialize};
 
-/// Timesteps between those at which distances are measured: neighboring ones say the same.
+/// Every so many timesteps distances are measured; neighboring timesteps are redundant.
 const DISTANCE_STRIDE: usize = 5;
-/// Below this speed a heading says little, meters per second.
+/// Below this speed headings are unreliable, meters per second.
 const MOVING_MPS: f64 = 1.0;
 /// Time between the positions whose third differences are taken, seconds: the noise of positions is divided by its cube.
 const JERK_STRIDE_S: f64 = 0.3;
-/// Times to collision are cut off here, seconds (as in the Waymo sim agents challenge).
+/// Times to collision are capped at this, seconds (as in the Waymo sim agents challenge).
 const MAX_TTC_S: f64 = 5.0;
 
 /// A quantity of motion.
@@ -35,7 +35,7 @@ pub struct MotionQuantity {
 }
 
 impl MotionQuantity {
-    /// The values that a scene holds.
+    /// The values in a scene.
     pub fn values(&self, scene: &Scene) -> Vec<f64> {
         (self.values)(scene)
     }
@@ -81,7 +81,7 @@ pub static MOTION: [MotionQuantity; 6] = [
     MotionQuantity {
         title: "time to collision",
         unit: "s",
-        description: "until boxes touch at the velocities of now, the least over others; 5 s where that is later or never; every half second",
+        description: "until boxes touch at present velocities, the least over others; 5 s if that is later or never; every half second",
         range: [0.0, MAX_TTC_S],
         values: times_to_collision,
     },
@@ -98,7 +98,7 @@ impl Default for MotionHistograms {
 }
 
 impl MotionHistograms {
-    /// Those of some scenes.
+    /// The histograms of some scenes.
     pub fn of<'s>(scenes: impl IntoIterator<Item = &'s Scene>) -> Self {
         let mut histograms = Self::default();
         for scene in scenes {

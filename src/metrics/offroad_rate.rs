@@ -6,12 +6,12 @@ use super::{Direction, Metric, MetricSpec, SampleGroup};
 use crate::scene::Scene;
 use std::collections::BTreeSet;
 
-/// Off-road rate: of the motorized agents, over all samples, that are on the road at present, the share that leaves it.
+/// Off-road rate: the share of motorized agents on the road at present, over all samples, that leave it.
 ///
 /// An agent is on the road if its center is within the outline of any lane, or at most 0.3 m outside; for lanes without
-/// boundaries, if it is at most 1.9 m from the center line. Where the map ends nothing is known of the road, so lanes
-/// are carried straight on beyond ends that no lane continues. Not defined for scenes without lanes, and at places of which the
-/// map does not say where the road is.
+/// boundaries, if it is at most 1.9 m from the center line. Beyond the map's end the road is unknown, so lanes are
+/// extended straight beyond ends that no lane continues. Not defined for scenes without lanes, and at places whose map
+/// lacks parts of the road.
 #[derive(Debug, Clone)]
 pub struct OffroadRate {
     /// Those places.

@@ -1,4 +1,4 @@
-//! Does everybody in a scene move within the range of what was recorded?
+//! Plausibility: the share of a scene's motion within the recorded ranges.
 
 use super::motion::{MOTION, MotionHistograms};
 use crate::scene::Scene;
@@ -6,7 +6,7 @@ use crate::scene::Scene;
 /// The share of recorded values that may lie beyond either end of a range.
 const BEYOND: f64 = 0.001;
 
-/// For each quantity of motion ([`MOTION`]) the range that holds all recorded values but a thousandth at either end.
+/// For each quantity of motion ([`MOTION`]) the range of all recorded values but a thousandth at either end.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedRanges(Vec<Option<[f64; 2]>>);
 
@@ -16,8 +16,8 @@ impl RecordedRanges {
         Self(recorded.iter().map(|(_, histogram)| histogram.central_range(BEYOND)).collect())
     }
 
-    /// The plausibility of a scene: the share of its values of a quantity, in the future, that lie within the recorded range; the mean
-    /// over quantities. 1 where everything does; recorded scenes have 0.998 on average. `None` where there are no values.
+    /// The plausibility of a scene: the share of a quantity's future values that lie within the recorded range,
+    /// averaged over quantities. Recorded scenes have 0.998 on average. `None` without values.
     pub fn plausibility(&self, scene: &Scene) -> Option<f64> {
         let share = |(quantity, range): (&super::MotionQuantity, &Option<[f64; 2]>)| {
             let [low, high] = (*range)?;

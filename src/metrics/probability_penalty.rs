@@ -1,9 +1,9 @@
-//! How far is the ego from its recording in the best sample, if it also counts how likely that sample was held to be?
+//! Distances of the ego in the best sample, with a penalty for the sample's probability.
 
 use super::min_ade::{ego_ade_m, ego_fde_m};
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 
-/// Probabilities below this cost no more (Argoverse 1).
+/// Lower probabilities have the same penalty (Argoverse 1).
 const LEAST_PROBABILITY: f64 = 0.05;
 
 /// Which distance is penalized.
@@ -15,7 +15,7 @@ pub enum Displacement {
     Fde,
 }
 
-/// What is added for a best sample of probability p.
+/// The penalty for a best sample of probability p.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Penalty {
     /// -ln p, at most -ln 0.05.

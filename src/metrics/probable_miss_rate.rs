@@ -1,12 +1,12 @@
-//! Does the sample of the ego that ends closest to the recording miss it, or was it held to be unlikely?
+//! Argoverse's p-MR: misses, and the probability of the sample that does not miss.
 
 use super::min_ade::ego_fde_m;
 use super::miss_rate::is_miss;
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 
-/// p-MR of Argoverse 1: 1 where every sample misses, else 1 - p of the sample of the ego that ends closest to the recording (of
-/// equally close ones the first). Probabilities are scaled to a sum of 1 over the samples. What a miss is, the dataset's rule
-/// says, as for [`super::MissRate`]; by Argoverse's rule the closest sample misses exactly if all do.
+/// p-MR of Argoverse 1: 1 if every sample misses, else 1 - p of the sample of the ego that ends closest to the
+/// recording (the first of equals). Probabilities are scaled to a sum of 1 over the samples. Misses follow the
+/// dataset's rule, as in [`super::MissRate`]; by Argoverse's rule the closest sample misses exactly if all do.
 #[derive(Debug, Clone, Copy)]
 pub struct ProbableMissRate;
 

@@ -1,4 +1,4 @@
-//! The drivable surface that the lanes of a scene make up: is a point on it?
+//! The drivable surface of the lanes of a scene.
 
 use crate::behavior::footprint::Bounds;
 use crate::behavior::lane_relation::{HALF_NOMINAL_WIDTH_M, is_in_polygon};
@@ -7,10 +7,10 @@ use crate::scene::{Lane, LaneGraph, LaneId};
 
 /// Points this far outside the outlines still count as on the road, meters (nuPlan's tolerance).
 const SLACK_M: f64 = 0.3;
-/// How far a lane is carried straight on where the map ends, meters: nothing is known of the road there.
+/// How far a lane is extended straight beyond the map's end, meters, because the road is unknown there.
 const EXTENSION_M: f64 = 100.0;
 
-/// The union of the outlines of all lanes; of lanes without boundaries the strip of 3.8 m around the center line.
+/// The union of the outlines of all lanes; for lanes without boundaries, the strip of 3.8 m around the center line.
 pub(super) struct Road {
     pieces: Vec<(Bounds, Piece)>,
 }
@@ -23,8 +23,8 @@ enum Piece {
 }
 
 impl Road {
-    /// The road of these lanes. Where the map ends, lanes are carried straight on: beyond ends that no lane of `lanes` continues, unless a
-    /// neighbor is continued there. Such a lane ends on the road, and there is nothing beyond.
+    /// The road of these lanes. Lanes are extended straight beyond ends that no lane of `lanes` continues, unless a
+    /// neighbor continues there: such a lane ends on the road.
     pub(super) fn new(lanes: &LaneGraph) -> Self {
         let pieces = lanes.lanes().iter().flat_map(|lane| {
             let outline = lane.outline().map(|outline| {
@@ -43,11 +43,11 @@ impl Road {
             let could_hold = |bounds: &Bounds| bounds.contains(point, HALF_NOMINAL_WIDTH_M);
             self.pieces.iter().filter(move |(bounds, _)| could_hold(bounds)).map(|(_, piece)| piece)
         };
-        // Most points are inside of some outline, which is the quicker question.
+        // Most points are inside some outline, which is quicker to check.
         candidates().any(|piece| piece.contains(point)) || candidates().any(|piece| piece.is_near(point))
     }
 
-    /// How far `point` is off the road, meters: 0 on it. No number for a point that is none.
+    /// How far `point` is off the road, meters; 0 on it. NaN for a point that is NaN.
     pub(super) fn distance_m(&self, point: Vec2) -> f64 {
         if !point.is_finite() {
             return f64::NAN;

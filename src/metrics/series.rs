@@ -1,16 +1,16 @@
-//! Whose figures are these? The groups of traffic that tables set side by side, each at a guidance strength.
+//! The groups of traffic that tables compare, each at a guidance strength.
 
 use crate::scene::{GuidanceLevel, Provenance};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Traffic whose figures stand together in tables. Tables name it by a word, under `group` or `series`.
+/// A group of traffic in tables, which name it under `group` or `series`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "String", into = "String")]
 pub enum Group {
     /// The recordings that a sweep continues.
     Recorded,
-    /// The same with every agent carried on as it moved at present.
+    /// The same, with every agent continued at constant velocity.
     ConstantVelocity,
     /// Samples of a sweep that are forecasts: [`Provenance::is_unguided`].
     Unguided,
@@ -19,7 +19,7 @@ pub enum Group {
 }
 
 impl Group {
-    /// The words that sweeps cannot be called by.
+    /// Names that sweeps cannot have.
     pub const RESERVED: [&str; 3] = ["recorded", "constant_velocity", "unguided"];
 
     /// The group of a sample of `sweep`.
@@ -27,7 +27,7 @@ impl Group {
         if provenance.is_unguided() { Self::Unguided } else { Self::Sweep(sweep.to_owned()) }
     }
 
-    /// The word for it in tables.
+    /// Its name in tables.
     pub fn name(&self) -> &str {
         match self {
             Self::Recorded => Self::RESERVED[0],
@@ -37,7 +37,7 @@ impl Group {
         }
     }
 
-    /// Whether it was generated; what was not is what generated traffic is compared with.
+    /// Whether it was generated. Generated traffic is compared with the groups that were not.
     pub const fn is_generated(&self) -> bool {
         matches!(self, Self::Unguided | Self::Sweep(_))
     }
@@ -56,21 +56,21 @@ impl From<Group> for String {
     }
 }
 
-/// The name as people read it.
+/// The name in reports.
 impl fmt::Display for Group {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.name().replace('_', " "))
     }
 }
 
-/// What tells the series of figures in a table apart.
+/// The key of a series of figures in a table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SeriesKey {
-    /// Whose figures.
+    /// The group of traffic.
     pub group: Group,
-    /// The sweep that is measured, or that continues these recordings.
+    /// The measured sweep, or the sweep that continues these recordings.
     pub sweep: String,
-    /// How strongly it was guided; unguided for what was not generated.
+    /// How strongly it was guided; unguided for groups that were not generated.
     pub level: GuidanceLevel,
 }
 
@@ -81,7 +81,7 @@ impl SeriesKey {
         Self { group, sweep: sweep.to_owned(), level: provenance.guidance.level }
     }
 
-    /// That of `group`, which was not generated, beside the samples of `sweep`.
+    /// The series of `group`, which was not generated, beside the samples of `sweep`.
     pub fn reference(group: Group, sweep: &str) -> Self {
         Self { group, sweep: sweep.to_owned(), level: GuidanceLevel::UNGUIDED }
     }

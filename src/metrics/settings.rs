@@ -1,4 +1,4 @@
-//! By which settings do metrics judge? The same for evaluation, for selections of sweeps and for limits of requests.
+//! The settings of metrics: the same for evaluation, for selections of sweeps and for limits of requests.
 
 use super::{
     ALL, CarefulDriverConfig, DrivableAreaCompliance, Metric, OffroadRate, PreventableRate, ValidityConfig,
@@ -7,12 +7,12 @@ use super::{
 use crate::settings;
 use serde::{Deserialize, Serialize};
 
-/// The settings of the metrics that have some. The others have one definition.
+/// The settings of metrics. Metrics without settings have one definition.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MetricSettings {
-    /// What `validity_rate` judges by; where it does not judge departures from the road, no metric does.
+    /// The limits of `validity_rate`; if it does not judge departures from the road at a place, no metric does.
     pub validity: ValidityConfig,
-    /// Who drives in `preventable_rate`.
+    /// The driver of `preventable_rate`.
     pub careful_driver: CarefulDriverConfig,
 }
 
@@ -22,7 +22,7 @@ impl MetricSettings {
         ALL.iter().map(|metric| self.configured(*metric).unwrap_or_else(|| Box::new(*metric))).collect()
     }
 
-    /// The metric of this name. `None` when there is no such metric.
+    /// The metric of this name. `None` if there is no such metric.
     pub fn by_id(&self, id: &str) -> Option<Box<dyn Metric>> {
         let metric = super::by_id(id)?;
         Some(self.configured(metric).unwrap_or_else(|| Box::new(metric)))
@@ -33,7 +33,7 @@ impl MetricSettings {
         super::by_id(id).is_some_and(|metric| self.configured(metric).is_some())
     }
 
-    /// The metric by these settings; `None` where it has none.
+    /// The metric with these settings; `None` if it has none.
     fn configured(&self, metric: &dyn Metric) -> Option<Box<dyn Metric>> {
         let validity = ValidityRate { limits: Some(self.validity.clone()) };
         let preventable = PreventableRate { driver: Some(self.careful_driver.clone()) };
@@ -49,7 +49,7 @@ impl MetricSettings {
         }
     }
 
-    /// Says which setting makes no sense.
+    /// Checks the settings.
     ///
     /// # Errors
     /// Its key below `evaluate`, its value and what was expected.

@@ -1,4 +1,4 @@
-//! What a metric's number means.
+//! The meaning of a metric's value.
 
 use serde::{Deserialize, Serialize};
 
@@ -17,12 +17,12 @@ pub enum Direction {
 /// Name and meaning of a metric.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct MetricSpec {
-    /// Its name in configs and tables; ends in its unit, where it has one.
+    /// Its name in configs and tables; ends in its unit, if it has one.
     pub id: &'static str,
     /// Unit of its values: `m`, or `1` for shares.
     pub unit: &'static str,
     /// Which way is better.
     pub direction: Direction,
-    /// What it is, in a line.
+    /// Its definition in a line.
     pub description: &'static str,
 }

@@ -68,7 +68,7 @@ impl Adam {
     }
 
     /// The moments and the number of steps, as tensors for a checkpoint: `first.<parameter>`, `second.<parameter>` and
-    /// `n_steps`. They share memory with the optimizer: whoever keeps them beyond the next step copies them.
+    /// `n_steps`. They share memory with the optimizer: copy them to keep them beyond the next step.
     ///
     /// # Errors
     /// When the device fails.
@@ -83,7 +83,7 @@ impl Adam {
         Ok(state)
     }
 
-    /// Takes up the `state` that [`state`](Self::state) gave, for the same `params`.
+    /// Restores a `state` that [`state`](Self::state) returned for the same `params`.
     ///
     /// # Errors
     /// When names or shapes do not fit `params`; nothing is changed then.

@@ -1,4 +1,4 @@
-//! Self-describing checkpoint files: how are tensors and what they mean kept together, whole or not at all?
+//! Self-describing checkpoint files: tensors and their meaning in one file, complete or absent.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
@@ -26,8 +26,9 @@ pub struct Checkpoint<M> {
     pub fingerprint: String,
 }
 
-/// Writes `tensors` and `metadata` to a safetensors file at `path`, and returns the file's fingerprint. The file appears
-/// whole or not at all, and its bytes depend on its content alone as long as `metadata` serializes in a fixed order.
+/// Writes `tensors` and `metadata` to a safetensors file at `path`, and returns the file's fingerprint. The file
+/// appears complete or not at all. Its bytes depend only on its content, as long as `metadata` serializes in a fixed
+/// order.
 ///
 /// # Errors
 /// When the folder cannot be written or `metadata` cannot be serialized.
@@ -78,7 +79,8 @@ pub fn parse_checkpoint<M: DeserializeOwned>(
     Ok(Checkpoint { tensors: tensors.into_iter().collect(), metadata, fingerprint })
 }
 
-/// Hash of `tensors` by name, with their types and shapes, and of `metadata`; hexadecimal. Metadata can hold that of the rest of it.
+/// Hash of `tensors` by name, with their types and shapes, and of `metadata`; hexadecimal. Metadata can contain the
+/// hash of the rest of itself.
 ///
 /// # Errors
 /// When `metadata` cannot be serialized.

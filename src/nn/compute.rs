@@ -1,4 +1,4 @@
-//! Where do networks compute, and how exactly?
+//! The device and precision of networks.
 
 use candle_core::Device;
 

@@ -25,7 +25,7 @@ impl Ema {
         Ok(Self { decay, n_updates: 0, tensors: copies(&params.tensors())? })
     }
 
-    /// An average taken up from a checkpoint, after `n_updates` updates. It works in the memory of `tensors`.
+    /// An average restored from a checkpoint, after `n_updates` updates. It works in the memory of `tensors`.
     pub const fn resume(decay: f64, n_updates: u64, tensors: BTreeMap<String, Tensor>) -> Self {
         Self { decay, n_updates, tensors }
     }
@@ -35,7 +35,7 @@ impl Ema {
         self.n_updates
     }
 
-    /// The averages, by the parameters' names. They change with the next update: whoever keeps them copies them.
+    /// The averages, by the parameters' names. They change with the next update: copy them to keep them.
     pub const fn tensors(&self) -> &BTreeMap<String, Tensor> {
         &self.tensors
     }
@@ -55,7 +55,8 @@ impl Ema {
         Ok(())
     }
 
-    /// Exchanges the averages and the values of `params`: once to evaluate with the averages, once more to go on training.
+    /// Swaps the averages and the values of `params`: once to evaluate with the averages, once more to continue
+    /// training.
     ///
     /// # Errors
     /// When `params` are not those that the average was made of.

@@ -39,7 +39,8 @@ impl LayerNorm {
         ops::layer_norm(x, &self.weight, &self.bias, EPSILON, Precision::F32)
     }
 
-    /// As [`forward`](Self::forward), for products of linear maps alone to read: kept as precisely as they take their factors.
+    /// As [`forward`](Self::forward), but in the precision of the factors of linear maps, which alone may read the
+    /// result.
     ///
     /// # Errors
     /// When the last dimension is not `dim`.

@@ -1,11 +1,11 @@
-//! What happens to memory that a tensor frees: is it kept for the next tensor?
+//! Keeps memory that a tensor frees for the next tensor.
 
 use std::sync::Once;
 
-/// Asks the C library to keep freed memory for later tensors instead of giving it back to the kernel. A network frees and
-/// allocates the same large tensors at every step; without this, 20 to 40 % of the time went into page faults. The process
-/// then stays as large as it ever was, so this is for training and sampling. Only glibc on Linux needs it, and only the
-/// first call does something.
+/// Makes the C library keep freed memory for later tensors instead of returning it to the kernel. A network frees and
+/// allocates the same large tensors at every step; without this, 20 to 40 % of the time went into page faults. The
+/// process never shrinks afterwards, so call it only for training and sampling. Only glibc on Linux needs it; calls
+/// after the first do nothing.
 pub fn keep_freed_memory() {
     static ONCE: Once = Once::new();
     ONCE.call_once(set_options);

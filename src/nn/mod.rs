@@ -1,8 +1,8 @@
-//! Neural network building blocks on candle, with seeded parameters and gradients that never vanish silently: what is a
-//! model made of, and how is it trained, kept and read back?
+//! Building blocks of neural networks on candle: layers with seeded parameters, their operations, the optimizer and
+//! checkpoints.
 //!
-//! Tensors carry agents' states as (B, A, T, D): batch, agent, timestep, feature. Masks are (B, A, T) or (B, L) of 0 and 1.
-//! Layers describe the network once; [`ops`] chooses between the fused and the plain implementation below them.
+//! Tensors carry agents' states as (B, A, T, D): batch, agent, timestep, feature. Masks are (B, A, T) or (B, L) of 0
+//! and 1. Layers describe the network once; [`ops`] chooses between the fused and the plain implementations.
 
 mod adam;
 mod attention;

@@ -101,8 +101,8 @@ impl Params {
         self.vars.values().map(|var| var.elem_count()).sum()
     }
 
-    /// The present values, outside every gradient. They share memory with the parameters: whoever keeps them beyond the
-    /// next optimizer step copies them.
+    /// The present values, outside every gradient. They share memory with the parameters: copy them to keep them beyond
+    /// the next optimizer step.
     pub fn tensors(&self) -> BTreeMap<String, Tensor> {
         self.vars.iter().map(|(name, var)| (name.clone(), var.as_detached_tensor())).collect()
     }
@@ -128,14 +128,15 @@ impl Params {
             bail!("the tensors do not fit the model: {}", differences.join("; "));
         }
         for (name, var) in &self.vars {
-            // Detached copies, lest a tensor that shares memory with the parameter be read while it is written.
+            // Detached copies, because a tensor that shares memory with the parameter would be read while it is
+            // written.
             var.set(&tensors[name].detach().to_device(&self.compute.device)?.to_dtype(self.dtype)?.copy()?)?;
         }
         Ok(())
     }
 }
 
-/// A place in the tree of parameter names, in which a layer asks for its tensors.
+/// A place in the tree of parameter names, from which a layer gets its tensors.
 #[derive(Debug)]
 pub struct Scope<'a> {
     params: &'a mut Params,

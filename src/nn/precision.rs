@@ -50,7 +50,7 @@ impl Precision {
     /// When the device fails.
     pub(super) fn factor(self, x: &Tensor) -> Result<Tensor> {
         match self {
-            // What tensor cores cut is a matter of the device, and of the fused products.
+            // The device and the fused products truncate for tensor cores.
             Self::F32 | Self::Tf32 => Ok(x.clone()),
             Self::Bf16 => x.to_dtype(DType::BF16),
         }
@@ -75,8 +75,9 @@ impl Precision {
     }
 }
 
-/// Products of `f32` go to tensor cores as long as this lives. candle's switch is one for the process, and there are other products, such
-/// as of the paths that motion adds up to, which are not to lose digits; work on a GPU comes from one thread.
+/// Sends `f32` products to tensor cores as long as it lives. candle's switch holds for the whole process, but other
+/// products, such as those of paths in the motion parametrization, must not lose digits. Only one thread submits work
+/// to the GPU.
 #[cfg(feature = "cuda")]
 struct TensorCores;
 
@@ -111,7 +112,8 @@ mod tests {
 
     #[test]
     fn bf16_keeps_eight_bits() {
-        // 1 + 2⁻⁸ lies between 1 and 1 + 2⁻⁷ and goes to the even one; 3 · (1 + 2⁻⁷) = 3.0234375 needs nine bits and is rounded.
+        // 1 + 2⁻⁸ lies between 1 and 1 + 2⁻⁷ and rounds to even; 3 · (1 + 2⁻⁷) = 3.0234375 needs nine bits and is
+        // rounded.
         let a = Tensor::new(&[[1.003_906_2f32, 3.0]], &Device::Cpu).unwrap();
         let b = Tensor::new(&[[1f32, 0.0], [0.0, 1.007_812_5]], &Device::Cpu).unwrap();
         let product = |precision: Precision| precision.product(&a, &b).unwrap().to_vec2::<f32>().unwrap();

@@ -1,14 +1,14 @@
-//! Which figures should a reviewer see before any other? Generated traffic that is clearly worse than it ought to be.
+//! The figures that a reviewer must see first: generated traffic that is clearly worse than the recordings.
 
 use crate::behavior::BehaviorEntry;
 use crate::evaluate::SamplingRow;
 use crate::metrics::{Group, MetricRow};
 
-/// How far a rate of generated traffic may lie above that of the recording before it is pointed out.
+/// How far a rate of generated traffic may be above the recording's without a caution.
 const RATE_MARGIN: f64 = 0.1;
 
-/// Sentences about the aggregates over all places, sweep by sweep in the order of the rows. Collisions of sweeps that ask for them, as `sampling`
-/// says, need none.
+/// Sentences about the aggregates over all places, sweep by sweep in the order of the rows. Collisions of sweeps that
+/// request them, by `sampling`, need none.
 pub fn cautions(aggregates: &[MetricRow], sampling: &[SamplingRow]) -> Vec<String> {
     let rows: Vec<&MetricRow> = aggregates.iter().filter(|row| row.place.is_empty()).collect();
     let mut sweeps: Vec<&str> = Vec::new();

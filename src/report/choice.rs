@@ -1,8 +1,9 @@
-//! Which scenarios of each sweep are drawn, of thousands that come by one after the other?
+//! Chooses the scenarios of each sweep to draw, of thousands that are offered one by one.
 //!
-//! Of sweeps that ask for a behavior, single scenarios: new verified ones first, of as many scenes as possible, and some that
-//! failed; of requests, accepted ones of each bucket. Of other sweeps, scenes with several of their samples; the same scenes in all of these sweeps where they are there, so
-//! that what the sweeps differ in can be seen. What is kept of a sweep is bounded by the configuration, whatever its size.
+//! Sweeps with a requested behavior are represented by single scenarios: new verified ones first, from as many scenes
+//! as possible, and some that failed; requests by accepted scenarios of each bucket. Other sweeps are represented by
+//! scenes with several samples, if possible the same scenes in all of these sweeps, so that they can be compared. The
+//! configuration bounds what is kept of a sweep.
 
 use super::card::Verdict;
 use super::config::ReportConfig;
@@ -12,7 +13,7 @@ use crate::store::SceneSet;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// How much of a sweep is drawn, and which setting keeps it from being more.
+/// How much of a sweep is drawn, and the setting that limits it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Drawn {
     /// The sweep.
@@ -21,20 +22,20 @@ pub struct Drawn {
     pub what: String,
     /// How many are drawn.
     pub n_drawn: usize,
-    /// How many there are.
+    /// How many exist.
     pub n_there: usize,
-    /// The setting of `[report]` that says how many are drawn at most.
+    /// The setting of `[report]` that limits how many are drawn.
     pub setting: String,
     /// Its value.
     pub limit: usize,
 }
 
-/// What a drawing is of.
+/// The content of a drawing.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Chosen {
     /// One scenario.
     Alone(Box<ScenarioRecord>),
-    /// Samples of one scene, asked for in the same way.
+    /// Samples of one scene with the same settings.
     Together(Vec<ScenarioRecord>),
 }
 
@@ -42,7 +43,7 @@ pub(super) enum Chosen {
 pub(super) struct Choice<'a> {
     config: &'a ReportConfig,
     sweeps: Vec<(String, Candidates)>,
-    /// What requests accepted, by request and bucket.
+    /// Accepted scenarios of requests, by request and bucket.
     buckets: BTreeMap<(String, usize), Ranked>,
 }
 
@@ -56,7 +57,7 @@ impl<'a> Choice<'a> {
         Self { config, sweeps: Vec::new(), buckets: BTreeMap::new() }
     }
 
-    /// Looks at the next scenario, in the order of the samples, whose scene has this position in its store.
+    /// Offers the next scenario, in the order of the samples, whose scene has this position in its store.
     pub(super) fn offer(&mut self, record: &ScenarioRecord, scene_idx: usize) {
         if let Some((request, bucket)) = accepted_into(record) {
             let limit = self.config.n_drawn_per_bucket;
@@ -148,7 +149,7 @@ impl<'a> Choice<'a> {
         rows
     }
 
-    /// What is drawn: requests, bucket by bucket, then in the order of the sweeps.
+    /// The choice: requests, bucket by bucket, then sweeps in their order.
     pub(super) fn finish(self) -> Vec<Chosen> {
         let n_drawn = self.config.n_drawn;
         let of_buckets = self.buckets.into_values().flat_map(Ranked::take);
@@ -166,7 +167,7 @@ impl<'a> Choice<'a> {
     }
 }
 
-/// The request that took a scenario, and the bucket that it went into.
+/// The request that accepted a scenario, and its bucket.
 fn accepted_into(record: &ScenarioRecord) -> Option<(&str, &BucketTag)> {
     let tag = record.request.as_ref().filter(|tag| tag.outcome == RequestOutcome::Accepted)?;
     Some((&tag.request, tag.bucket.as_ref()?))
@@ -234,7 +235,7 @@ impl Galleries {
         }
     }
 
-    /// The galleries of the scenes that other sweeps draw too, then of others up to the limit.
+    /// The galleries of the scenes that other sweeps draw, too, then of others up to the limit.
     fn take(self) -> impl Iterator<Item = Vec<ScenarioRecord>> {
         let scene_of = |kept: &[ScenarioRecord]| kept[0].scenario.provenance.scene_id.clone();
         let is_kept = |scene: &&SceneId| self.kept.iter().any(|kept| scene_of(kept) == **scene);

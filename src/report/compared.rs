@@ -1,4 +1,4 @@
-//! Whose motion, and which events, are compared with the recorded ones?
+//! Collects motion and events to compare with the recorded ones.
 
 use super::distribution::Distribution;
 use super::quantities::{EventParameters, MotionDistributions, event_distributions};
@@ -8,7 +8,7 @@ use crate::scene::{GuidanceTag, Provenance, Scene};
 use crate::store::{Result, SceneSet};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Collects what is compared: at most `limit` scenes of each group, and the parameters of events.
+/// Collects at most `limit` scenes of each group, and the parameters of events.
 pub(super) struct Compared {
     limit: usize,
     recorded: SceneSet,
@@ -30,7 +30,7 @@ impl Compared {
         }
     }
 
-    /// Whether the recording at this position of the store is compared, and not there yet.
+    /// Whether to add the recording at this position of the store.
     pub(super) fn wants_recording(&self, scene_idx: usize) -> bool {
         self.recorded.len() < self.limit && !self.recorded.contains(scene_idx)
     }
@@ -55,13 +55,13 @@ impl Compared {
         }
     }
 
-    /// How road users move, recorded and generated.
+    /// Distributions of motion, recorded and generated.
     pub(super) fn motion(&self) -> Vec<Distribution> {
         self.motion.finish()
     }
 
-    /// Parameters of the recorded events of behaviors that were asked for, beside those of the new ones. Recorded events are not read
-    /// where there are no new ones.
+    /// Parameters of recorded events of the requested behaviors, beside those of the new ones. Recorded events are read
+    /// only if there are new ones.
     pub(super) fn events(&self, all: impl Iterator<Item = Result<BehaviorEvent>>) -> Result<Vec<Distribution>> {
         if self.events.is_empty() {
             return Ok(Vec::new());
@@ -77,7 +77,7 @@ impl Compared {
     }
 }
 
-/// What generated traffic is compared by. What is edited and not guided is neither a forecast nor guided.
+/// The group of generated traffic in comparisons. Edited scenarios without guidance are neither forecasts nor guided.
 fn kind_of_traffic(provenance: &Provenance) -> &'static str {
     match provenance.guidance.kind.as_str() {
         _ if provenance.is_unguided() => "unguided",

@@ -1,4 +1,4 @@
-//! How do two runs differ? Their settings, what came out, and their figures, side by side with differences.
+//! The comparison of two runs: settings, results and figures side by side, with differences.
 
 use super::model::{Chart, Fact, MetricTable, ReportModel};
 use super::number::{ABSENT, count, level, optional, percent, share, value};
@@ -19,18 +19,18 @@ pub struct Comparison {
     pub b: ComparedRun,
 }
 
-/// What is compared of a run.
+/// The compared parts of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct ComparedRun {
-    /// Where it is.
+    /// Its folder.
     pub name: String,
-    /// What a reader must know of it as a whole: pipeline, seed, program version.
+    /// Facts about it as a whole: pipeline, seed, program version.
     pub facts: Vec<Fact>,
     /// Every setting by its path, such as `generate.sweeps.cut_ins.n_samples`.
     pub settings: BTreeMap<String, String>,
-    /// What the recordings hold.
+    /// The events in the recordings.
     pub mining: Option<MiningSummary>,
-    /// What was asked of the sampler and what came out.
+    /// Requested and generated scenarios.
     pub sampling: Vec<SamplingRow>,
     /// Metrics; those over all places are compared.
     pub metrics: MetricTable,
@@ -42,7 +42,7 @@ pub struct ComparedRun {
 const MARKED_ERRORS: f64 = 2.0;
 
 impl Comparison {
-    /// What is known of the two runs as wholes.
+    /// Facts about the two runs as wholes.
     pub(super) fn facts(&self) -> PlainTable {
         let mut names: Vec<&str> = Vec::new();
         for fact in self.a.facts.iter().chain(&self.b.facts) {
@@ -225,7 +225,7 @@ impl Comparison {
         table
     }
 
-    /// Curves over guidance strength of both runs over one another.
+    /// Curves over guidance strength of both runs, overlaid.
     pub(super) fn charts(&self) -> Vec<Chart> {
         let mut both = ReportModel::default();
         for (letter, run) in [("A", &self.a), ("B", &self.b)] {
@@ -240,7 +240,7 @@ impl Comparison {
     }
 }
 
-/// The rows of both runs by their key, in the order of A with what only B has after it.
+/// The rows of both runs by their key, in the order of A, then those of B alone.
 fn paired<R, K: PartialEq>(a: Vec<R>, b: Vec<R>, key: impl Fn(&R) -> K) -> Vec<(K, Option<R>, Option<R>)> {
     let mut pairs: Vec<(K, Option<R>, Option<R>)> = a.into_iter().map(|row| (key(&row), Some(row), None)).collect();
     for row in b {

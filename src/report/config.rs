@@ -1,9 +1,9 @@
-//! The `[report]` section: what is shown.
+//! The `[report]` section.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What to show in the report.
+/// The content of the report.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ReportConfig {

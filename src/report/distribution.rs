@@ -1,15 +1,15 @@
-//! How are the values of a quantity distributed, and how far apart are recorded and generated ones?
+//! Distributions of a quantity, and distances between recorded and generated ones.
 
 use serde::{Deserialize, Serialize};
 
 /// Histograms of one quantity over common bins.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Distribution {
-    /// What was measured, such as `speed`.
+    /// The quantity, such as `speed`.
     pub title: String,
     /// Its unit.
     pub unit: String,
-    /// How it was measured.
+    /// Its definition.
     pub description: String,
     /// Bin edges, ascending; one more than there are bins.
     pub edges: Vec<f64>,
@@ -30,17 +30,18 @@ pub struct DistributionSeries {
     pub mean: Option<f64>,
     /// Their median.
     pub median: Option<f64>,
-    /// Wasserstein-1 distance to the reference in the quantity's unit; `None` for the reference itself and where a group is empty.
+    /// Wasserstein-1 distance to the reference in the quantity's unit; `None` for the reference itself and for empty
+    /// groups.
     pub distance: Option<f64>,
 }
 
-/// Share of values left out at either end when the range of the bins is chosen: they land in the outermost bins.
+/// Share of values at either end that the range of the bins leaves out: they count in the outermost bins.
 const TAIL: f64 = 0.005;
 
 impl Distribution {
     /// Bins the finite values of each group; the first group is the reference.
     ///
-    /// The bins span the middle 99 % of all values, so that single outliers do not squeeze everything else into one bin.
+    /// The bins span the middle 99 % of all values, so that outliers do not compress the rest into one bin.
     pub fn of(title: &str, unit: &str, description: &str, n_bins: usize, groups: &[(&str, &[f64])]) -> Self {
         let sorted: Vec<Vec<f64>> = groups.iter().map(|(_, values)| sorted_finite(values)).collect();
         let edges = bin_edges(&sorted_finite(&sorted.concat()), n_bins.max(1));

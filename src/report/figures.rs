@@ -1,11 +1,11 @@
-//! Which drawings of a report are also files, for papers?
+//! The drawings of a report as files, for papers.
 
 use super::model::ReportModel;
 use super::svg::{chart_file, distribution_file, scene_file};
 use super::tradeoffs::tradeoffs;
 use std::collections::BTreeSet;
 
-/// Scenes that become files: those that come first on the page.
+/// Number of scenes that become files: the first ones on the page.
 const MAX_SCENES: usize = 40;
 
 /// A figure as a file.
@@ -13,11 +13,11 @@ const MAX_SCENES: usize = 40;
 pub struct FigureFile {
     /// Its name, such as `curve-verified-scenarios.svg`; unique among the figures of a report.
     pub name: String,
-    /// What it holds.
+    /// Its content.
     pub svg: String,
 }
 
-/// The curves over guidance strength, the distributions, the curves of training, and the scenes that come first.
+/// The curves over guidance strength, the distributions, the curves of training, and the first scenes.
 pub fn figures(model: &ReportModel) -> Vec<FigureFile> {
     let mut files = Files::default();
     for chart in tradeoffs(model) {
@@ -49,7 +49,7 @@ struct Files {
 }
 
 impl Files {
-    /// Adds a figure; a name that is taken gets a number.
+    /// Adds a figure; a duplicate name gets a number.
     fn add(&mut self, words: &[&str], svg: String) {
         let stem = words.iter().map(|word| file_name(word)).collect::<Vec<_>>().join("-");
         let numbered = (2..).map(|n| format!("{stem}-{n}.svg"));

@@ -1,4 +1,4 @@
-//! What do the metrics say of single scenarios?
+//! The metrics of single scenarios.
 
 use super::card::CardValue;
 use crate::metrics::MetricRow;

@@ -1,4 +1,4 @@
-//! Which scenes are drawn, and which motion and events are compared? From all samples of a run, one after the other.
+//! Chooses the scenes to draw, and collects motion and events to compare, from all samples of a run one by one.
 
 use super::card::{Acceptance, SceneCard};
 use super::choice::{Choice, Chosen, Drawn};
@@ -14,7 +14,7 @@ use crate::scene::{Scene, SceneId};
 use crate::store::{self, SceneStore};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What the report shows of single scenes.
+/// The report's part on single scenes.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Drawings {
     /// The scenes that are drawn.
@@ -25,7 +25,7 @@ pub struct Drawings {
     pub distributions: Vec<Distribution>,
 }
 
-/// Looks at the samples of a run and keeps what is drawn of them. What it keeps is bounded by its configuration.
+/// Keeps a choice of the samples of a run, bounded by the configuration.
 pub struct Gallery<'a> {
     store: &'a SceneStore,
     choice: Choice<'a>,
@@ -33,12 +33,12 @@ pub struct Gallery<'a> {
 }
 
 impl<'a> Gallery<'a> {
-    /// Nothing chosen yet of samples that continue scenes of `store`.
+    /// An empty gallery for samples that continue scenes of `store`.
     pub fn new(config: &'a ReportConfig, store: &'a SceneStore) -> Self {
         Self { store, choice: Choice::new(config), compared: Compared::new(config.n_compared) }
     }
 
-    /// Looks at the next scenario, in the order of the samples.
+    /// Offers the next scenario, in the order of the samples.
     ///
     /// # Errors
     /// When its recording cannot be read.
@@ -53,8 +53,8 @@ impl<'a> Gallery<'a> {
         Ok(())
     }
 
-    /// Draws what was chosen, with what `metrics` and `verdicts` say of it (nothing where they are empty). Events are compared
-    /// with the `recorded` ones, where they are known.
+    /// Draws the chosen scenarios with their `metrics` and `verdicts`, which may be empty. Events are compared with the
+    /// `recorded` ones, if there are any.
     ///
     /// # Errors
     /// When a recording is missing or cannot be read; those of the tables.

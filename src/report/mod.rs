@@ -1,8 +1,8 @@
-//! What does a reviewer see of a run? One self-contained HTML page with tables, charts and drawings to scale.
+//! The report of a run: one self-contained HTML page with tables, charts and drawings to scale.
 //!
-//! [`ReportModel`] holds everything that is shown as plain data; [`render`] turns it into the page and [`figures`] into files
-//! for papers. [`Comparison`] sets two runs side by side. Equal models give equal bytes, and the page needs no network, and no
-//! script to be read: with one, scenes play and can be filtered.
+//! [`ReportModel`] is its content as plain data; [`render`] turns it into the page and [`figures`] into files for
+//! papers. [`Comparison`] compares two runs. Equal models give equal bytes. The page needs no network and is readable
+//! without scripts; with scripts, scenes play and can be filtered.
 
 mod card;
 mod cautions;

@@ -1,4 +1,4 @@
-//! What a report says, as plain data: the page is one rendering of it, JSON another.
+//! The content of a report as plain data: the page is one rendering of it, JSON another.
 
 use super::card::SceneCard;
 use super::choice::Drawn;
@@ -13,50 +13,50 @@ use crate::metrics::MetricRow;
 use crate::train::NoiseLevelReport;
 use serde::{Deserialize, Serialize};
 
-/// Everything that a report shows. Parts that a run did not produce are empty and their sections are left out.
+/// The content of a report. Parts that a run did not produce are empty, and their sections are left out.
 ///
-/// Nothing in here may depend on the clock: a resumed run must give the same page as an undisturbed one.
+/// Nothing in it may depend on the clock: a resumed run must give the same page as an uninterrupted one.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct ReportModel {
     /// The page's title, such as the pipeline's name.
     pub title: String,
-    /// What a reader must know of the run as a whole: name, seed, program version, device.
+    /// Facts about the run as a whole: name, seed, program version, device.
     pub facts: Vec<Fact>,
-    /// What a reader must know before trusting a figure; shown first.
+    /// Cautions, which are shown first.
     pub warnings: Vec<Warning>,
-    /// What was read from the recordings.
+    /// The report of the ingest.
     pub ingest: Option<IngestReport>,
-    /// Which behaviors the recordings hold.
+    /// The mined behaviors.
     pub mining: Option<MiningSummary>,
-    /// How the networks were trained, one entry each.
+    /// The training of each network.
     pub training: Vec<TrainingSummary>,
-    /// How well the classifier tells the behavior at each noise level.
+    /// The quality of the classifier at each noise level.
     pub classifier_quality: Vec<NoiseLevelReport>,
-    /// What was asked of the sampler and what came out, one row for each sweep and guidance strength.
+    /// Requested and generated scenarios, one row for each sweep and guidance strength.
     pub sampling: Vec<SamplingRow>,
-    /// What requests asked for and what they got.
+    /// The requests and their results.
     pub requests: Vec<RequestSummary>,
     /// Metrics of generated scenes with those of the recording and of the baseline beside them.
     pub metrics: MetricTable,
     /// How far the motion of whole sweeps is from that of the recording.
     pub realism: Vec<RealismRow>,
-    /// What became of the scenarios of each sweep.
+    /// The verdicts on the scenarios of each sweep.
     #[serde(default)]
     pub acceptance: Vec<AcceptanceRow>,
     /// Why samples are not accepted.
     #[serde(default)]
     pub left_out: Vec<LeftOutRow>,
-    /// Who fails which check of validity, the recordings too.
+    /// Failed validity checks of scenarios and recordings.
     #[serde(default)]
     pub validity: Vec<ValidityRow>,
-    /// At which places the map allows to judge departures from the road.
+    /// The places where the map is good enough to judge departures from the road.
     #[serde(default)]
     pub maps: Vec<MapFitRow>,
     /// Distributions of quantities, recorded and generated.
     pub distributions: Vec<Distribution>,
     /// Generated scenes beside their source recording.
     pub scenes: Vec<SceneCard>,
-    /// How much of each sweep these scenes are.
+    /// How much of each sweep is drawn.
     #[serde(default)]
     pub drawn: Vec<Drawn>,
     /// Further parts, which come after the scenes, as plain tables and charts.
@@ -66,10 +66,10 @@ pub struct ReportModel {
     pub config: String,
 }
 
-/// A name and what it is.
+/// A name and its value.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fact {
-    /// What the value is of.
+    /// The name.
     pub name: String,
     /// The value with its unit.
     pub value: String,
@@ -82,16 +82,16 @@ impl Fact {
     }
 }
 
-/// Something a reader must know before trusting a figure.
+/// A caution that a reader must see before trusting a figure.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Warning {
-    /// The stage it is about, such as `ingest`.
+    /// The stage, such as `ingest`.
     pub stage: String,
     /// One sentence, and what to do about it.
     pub message: String,
 }
 
-/// How a network was trained.
+/// The training of a network.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TrainingSummary {
     /// The network, such as `denoiser`.
@@ -100,7 +100,7 @@ pub struct TrainingSummary {
     pub facts: Vec<Fact>,
     /// Curves over training.
     pub charts: Vec<Chart>,
-    /// What it had learned in the end.
+    /// Its final evaluation.
     #[serde(default)]
     pub tables: Vec<PlainTable>,
 }
@@ -108,7 +108,7 @@ pub struct TrainingSummary {
 /// Curves over a common axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Chart {
-    /// What is shown.
+    /// The title.
     pub title: String,
     /// The horizontal quantity with its unit.
     pub x_label: String,
@@ -127,10 +127,10 @@ pub struct Curve {
     pub name: String,
     /// (x, y) in drawing order; points that are not finite are left out.
     pub points: Vec<[f64; 2]>,
-    /// How sure each of the points is: least and greatest y, drawn as whiskers. Empty where nothing is known of that.
+    /// The interval of each point: least and greatest y, drawn as whiskers; empty if unknown.
     #[serde(default)]
     pub intervals: Vec<[f64; 2]>,
-    /// What is written beside each of the points; empty for nothing.
+    /// The label of each point; empty for none.
     #[serde(default)]
     pub labels: Vec<String>,
 }
@@ -142,11 +142,11 @@ impl Curve {
     }
 }
 
-/// Metric values with what is needed to read them.
+/// Metric values with their definitions.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MetricTable {
     /// The metrics, in the order of the columns.
     pub docs: Vec<MetricDoc>,
-    /// Aggregated rows (those without a scene); rows of single scenes are passed over.
+    /// Aggregated rows, without a scene; rows of single scenes are ignored.
     pub rows: Vec<MetricRow>,
 }

@@ -1,11 +1,11 @@
-//! How are numbers written for people? Short, with their thousands apart, and never as `NaN` or `-0`.
+//! Numbers for people: short, with separated thousands, and never `NaN` or `-0`.
 
 use crate::scene::GuidanceLevel;
 
-/// What stands for a number that does not exist.
+/// The text for a missing number.
 pub(super) const ABSENT: &str = "–";
 
-/// A whole number with its thousands apart.
+/// A whole number with separated thousands.
 pub(super) fn count(n: u64) -> String {
     let digits = n.to_string();
     let mut text = String::new();
@@ -31,7 +31,7 @@ pub(super) fn value(value: f64) -> String {
     } else if magnitude < 9.995e-4 {
         format!("{magnitude:.1e}")
     } else {
-        // The digit before which three significant ones end, after rounding to three of them has had its say.
+        // The exponent of the last of three significant digits, after rounding.
         let rounded: f64 = format!("{magnitude:.2e}").parse().unwrap_or(magnitude);
         let decimals = (2.0 - rounded.log10().floor()).clamp(0.0, 6.0) as usize;
         format!("{magnitude:.decimals$}")
@@ -39,12 +39,12 @@ pub(super) fn value(value: f64) -> String {
     if value < 0.0 && magnitude > 0.0 { format!("−{text}") } else { text }
 }
 
-/// A number that somebody wrote in a configuration: as it was written.
+/// A number of a configuration, as it was written.
 pub(super) fn setting(value: f64) -> String {
     if value.is_finite() { value.to_string().replace('-', "−") } else { ABSENT.to_owned() }
 }
 
-/// A level of guidance in a column of strengths α: the bare number where nothing else acts.
+/// A guidance level in a column of strengths α: the bare number if only the strength varies.
 pub(super) fn level(level: GuidanceLevel) -> String {
     match level.weight {
         0.0 => setting(level.strength),

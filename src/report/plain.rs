@@ -1,4 +1,4 @@
-//! What does a part of a report look like that is nothing but tables and charts?
+//! Parts of a report that are only tables and charts.
 //!
 //! A new part of the report needs no HTML of its own: it is pushed to [`ReportModel::more`](super::ReportModel::more).
 
@@ -23,7 +23,7 @@ pub struct PlainSection {
 /// A table of text.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlainTable {
-    /// What it shows.
+    /// Its title.
     pub caption: String,
     /// The headings; the first column names the row.
     pub columns: Vec<String>,
@@ -34,9 +34,9 @@ pub struct PlainTable {
 /// A row of text.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlainRow {
-    /// What stands in each column. Cells that begin with a digit or a sign are set as numbers.
+    /// The cell of each column. Cells that begin with a digit or a sign are set as numbers.
     pub cells: Vec<String>,
-    /// Whether it is what others are compared with, such as the recording.
+    /// Whether it is the reference of others, such as the recording.
     pub is_reference: bool,
 }
 

@@ -1,4 +1,4 @@
-//! What is compared between recorded and generated scenes: how road users move, and how close they come.
+//! The quantities that are compared between recorded and generated scenes.
 
 use super::distribution::Distribution;
 use crate::behavior::BehaviorEvent;
@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Bins of each histogram.
 const N_BINS: usize = 40;
-/// Collects how road users move in the futures of scenes, group by group.
+/// Collects the motion of road users in the futures of scenes, group by group.
 ///
 /// The values themselves are kept, for their median and for bins that fit them; [`MotionHistograms`](crate::metrics::MotionHistograms)
 /// serve for whole sweeps. Scenes may be dropped once added.
@@ -40,18 +40,18 @@ impl MotionDistributions {
     }
 }
 
-/// The values of a parameter are thinned when there are this many.
+/// Maximum number of values of a parameter; then they are thinned.
 const MAX_VALUES: usize = 20_000;
 
-/// The parameters of events, by name. Of many events every second counts, of twice as many every fourth, and so on, so that memory
-/// is bounded and the values are of all parts of a run.
+/// The parameters of events, by name. With many events every second counts, with twice as many every fourth, and so on,
+/// so that memory is bounded and the values come from the whole run.
 #[derive(Debug, Clone, Default)]
 pub struct EventParameters(BTreeMap<String, Thinned>);
 
 #[derive(Debug, Clone, Default)]
 struct Thinned {
     n_seen: usize,
-    /// Of 2 to the power of this many values one is kept.
+    /// One of 2 to the power of this many values is kept.
     halvings: u32,
     values: Vec<f64>,
 }

@@ -1,4 +1,4 @@
-//! What does guidance cost? Curves over its strength: yield, collisions, departures from the road and from recorded motion.
+//! Curves over guidance strength: yield, collisions, departures from the road and from recorded motion.
 
 use super::model::{Chart, Curve, ReportModel};
 use super::wilson::wilson_interval;
@@ -6,9 +6,9 @@ use crate::evaluate::{RealismRow, SamplingRow};
 use crate::metrics::Group;
 use crate::scene::{GuidanceLevel, LevelAxis};
 
-const LEVEL: &str = "guidance strength α, or weight λ where that varies";
+const LEVEL: &str = "guidance strength α, or weight λ if that varies";
 
-/// What a sweep gave at one level, over all places.
+/// The results of a sweep at one level, over all places.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Point {
     level: GuidanceLevel,
@@ -21,7 +21,7 @@ struct Point {
     n_evaluations: u64,
 }
 
-/// The points of a sweep with more than one level, along what varies.
+/// The points of a sweep with more than one level, along the number that varies.
 struct SweepCurve<'a> {
     name: &'a str,
     has_behavior: bool,
@@ -29,7 +29,7 @@ struct SweepCurve<'a> {
     points: Vec<Point>,
 }
 
-/// Charts over guidance strength with a curve for each sweep that has several; none where no sweep has.
+/// Charts over guidance strength, with a curve for each sweep with several levels; none if no sweep has several.
 pub fn tradeoffs(model: &ReportModel) -> Vec<Chart> {
     let sweeps = sweeps(&model.sampling);
     let asked: Vec<&SweepCurve<'_>> = sweeps.iter().filter(|sweep| sweep.has_behavior).collect();
@@ -149,7 +149,7 @@ fn share_curves(sweeps: &[&SweepCurve<'_>], n_hits: fn(&Point) -> u64) -> Vec<Cu
     curves
 }
 
-/// Level lines at what the metric says of the recordings that each sweep continues.
+/// Level lines at the metric of the recordings that each sweep continues.
 fn recorded_levels(model: &ReportModel, sweeps: &[&SweepCurve<'_>], metric: &str) -> Vec<Curve> {
     levels("recorded", sweeps, |sweep| Some(100.0 * recorded_value(model, sweep.name, metric)?))
 }
@@ -165,7 +165,7 @@ fn levels(name: &str, sweeps: &[&SweepCurve<'_>], value: impl Fn(&SweepCurve<'_>
     sweeps.iter().filter_map(level).collect()
 }
 
-/// What a metric says of the recordings that a sweep continues, over all places.
+/// A metric of the recordings that a sweep continues, over all places.
 pub(super) fn recorded_value(model: &ReportModel, sweep: &str, metric: &str) -> Option<f64> {
     let is_it = |row: &&crate::metrics::MetricRow| {
         row.group == Group::Recorded
@@ -210,7 +210,7 @@ fn distances(model: &ReportModel, sweeps: &[&SweepCurve<'_>]) -> Vec<Chart> {
     quantities.into_iter().map(chart).collect()
 }
 
-/// What is got over what it costs in realism: each point a strength.
+/// Yield over realism, with a point for each strength.
 fn yield_over_distance(model: &ReportModel, sweeps: &[&SweepCurve<'_>]) -> Chart {
     let of_sweep = |sweep: &&SweepCurve<'_>| {
         let mut curve = Curve::new(sweep.name, Vec::new());

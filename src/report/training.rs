@@ -1,4 +1,4 @@
-//! How a network was trained, as facts, curves and tables.
+//! The training of a network as facts, curves and tables.
 
 use super::model::{Chart, Curve, Fact, TrainingSummary};
 use super::number::{count, value};
@@ -7,7 +7,7 @@ use crate::model::{ChangedLoss, PlaceLoss, SceneChange};
 use crate::train::FitStatistics;
 use std::collections::BTreeMap;
 
-/// Before the noise level in the name of a held-out loss, which may be followed by what was changed of the scenes.
+/// The prefix of held-out losses, before the noise level and perhaps a change of the scenes.
 const HELD_OUT_LOSS: &str = "held_out_loss_at_sigma_";
 
 impl TrainingSummary {
@@ -44,17 +44,17 @@ impl TrainingSummary {
             log_x: false,
             curves,
         };
-        // A network that was taken over as it is has no losses.
+        // A network from an existing checkpoint has no losses.
         let training = (!loss.is_empty()).then(|| chart("loss", vec![Curve::new("training scenes", loss)]));
         let charts = training.into_iter().chain(charts.into_iter().map(|(title, curves)| chart(&title, curves)));
         Self { name: name.into(), facts, charts: charts.collect(), tables: Vec::new() }
     }
 
-    /// The same with what a denoiser's checkpoint says of its held-out losses.
+    /// The same with the held-out losses in a denoiser's checkpoint.
     #[must_use]
     pub fn with_losses(mut self, changed: &[ChangedLoss], by_place: &[PlaceLoss]) -> Self {
         let mut table = PlainTable::new(
-            "Held-out loss by what the denoiser is shown; the further from 1, the more it looks at what was changed",
+            "Held-out loss by input of the denoiser, relative to unchanged scenes; the further from 1, the more it uses the changed input",
             &["Scenes", "σ", "Loss", "Of that compared with"],
         );
         for ChangedLoss { change, sigma, loss } in changed {

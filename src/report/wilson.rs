@@ -1,4 +1,4 @@
-//! How sure can one be of a rate that was counted?
+//! Wilson's confidence interval of a rate.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,9 +14,9 @@ pub struct Interval {
 /// The standard normal distribution's 97.5 % quantile.
 const Z: f64 = 1.959_963_984_540_054;
 
-/// Wilson's 95 % score interval for `n_hits` of `n`. `None` when nothing was counted.
+/// Wilson's 95 % score interval for `n_hits` of `n`. `None` if nothing was counted.
 ///
-/// It stays within [0, 1] and is sensible for rare events, where the textbook interval collapses to a point.
+/// It stays within [0, 1] and remains meaningful for rare events, for which the textbook interval collapses to a point.
 pub fn wilson_interval(n_hits: u64, n: u64) -> Option<Interval> {
     if n == 0 {
         return None;

@@ -1,4 +1,4 @@
-//! What kind of road user a track belongs to, and how large it is.
+//! Classes of road users, and their sizes.
 
 use serde::{Deserialize, Serialize};
 
@@ -61,18 +61,18 @@ impl AgentClass {
         matches!(self, Self::Vehicle | Self::Bus | Self::Motorcyclist | Self::Unknown)
     }
 
-    /// Whether recordings hold its heading. INTERACTION, which alone has this class, records none of those who walk or ride a bicycle:
-    /// theirs is derived from motion, and noise while they stand.
+    /// Whether its heading is recorded. Only INTERACTION has this class, and it records no headings of pedestrians and
+    /// cyclists: they are derived from motion, and noise while the agent stands.
     pub const fn has_recorded_heading(self) -> bool {
         !matches!(self, Self::PedestrianOrCyclist)
     }
 
-    /// Whether it is a person without a car around them.
+    /// Whether it is a pedestrian or a rider.
     pub const fn is_vulnerable(self) -> bool {
         matches!(self, Self::Pedestrian | Self::Cyclist | Self::PedestrianOrCyclist)
     }
 
-    /// The extent to assume where a recording gives none.
+    /// The nominal extent, if a recording gives none.
     pub const fn nominal_extent(self) -> Extent {
         let (length_m, width_m) = match self {
             Self::Vehicle | Self::Unknown => (4.6, 1.9),
@@ -84,9 +84,10 @@ impl AgentClass {
         Extent { length_m, width_m }
     }
 
-    /// The extent that even the smallest of the class fills, where a recording gives none: that of a smart fortwo of 1998 (2.50 by
-    /// 1.51 m), a minibus such as the Karsan Jest (5.8 by 2.05 m), a Vespa (1.86 by 0.74 m), a folding bicycle, the trunk of a small
-    /// adult, 0.2 m deep and 0.4 m broad, who may look anywhere, and a traffic cone. Unknown agents may be pedestrians.
+    /// The least extent of the class, if a recording gives none: that of a smart fortwo of 1998 (2.50 by 1.51 m), a
+    /// minibus such as the Karsan Jest (5.8 by 2.05 m), a Vespa (1.86 by 0.74 m), a folding bicycle, the trunk of a
+    /// small adult, 0.2 m deep and 0.4 m broad, who may look anywhere, and a traffic cone. Unknown agents may be
+    /// pedestrians.
     pub const fn least_extent(self) -> Extent {
         let (length_m, width_m) = match self {
             Self::Vehicle => (2.5, 1.5),

@@ -1,4 +1,4 @@
-//! How does a configuration name one agent of whatever scene it is applied to?
+//! References to an agent in configurations, which apply to any scene.
 
 use super::{Roles, Scene};
 use schemars::JsonSchema;
@@ -29,7 +29,7 @@ impl fmt::Display for AgentRef {
 
 impl AgentRef {
     /// The index of the agent among the tracks of `scene`, in which agent `ego_idx` is at the center and tracks have
-    /// `roles`. `None` when there is no such agent.
+    /// `roles`. `None` if there is no such agent.
     pub fn resolve(&self, scene: &Scene, ego_idx: usize, roles: &Roles) -> Option<usize> {
         match self {
             Self::Ego => Some(ego_idx).filter(|idx| *idx < scene.tracks.len()),

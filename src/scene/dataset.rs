@@ -24,7 +24,7 @@ pub struct DatasetFacts {
     pub terms: &'static str,
     /// The country of all its places, by its three letters; `None` if the names of places give it.
     pub country: Option<&'static str>,
-    /// Whether headings of vehicles are recorded. Where they are not, they follow from positions.
+    /// Whether headings of vehicles are recorded. Otherwise they follow from positions.
     pub has_headings: bool,
     /// Whether positions are good enough to judge motion by: accelerations, jerks, curvature.
     pub has_clean_motion: bool,
@@ -50,7 +50,7 @@ pub enum MissRule {
 /// A benchmark: the agents it predicts, and its submission format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Benchmark {
-    /// INTERACTION's of many agents: joint futures of the vehicles that are recorded throughout, as CSV.
+    /// INTERACTION's multi-agent benchmark: joint futures of the vehicles that are recorded throughout, as CSV.
     InteractionJoint,
     /// Argoverse 1's: futures of the focal agent, as Parquet.
     ArgoverseFocal,

@@ -1,8 +1,7 @@
-//! What would the recording look like if somebody had driven differently? Simple changes of recorded futures, which make
-//! the guide scenes of scenario editing (paper, section 5.3).
+//! Simple changes of recorded futures, which make the guides of scenario editing (paper, section 5.3).
 //!
-//! Edits are rough on purpose: the denoiser makes them realistic. They change positions after the present, beginning
-//! smoothly; velocities and headings follow.
+//! Edits are rough: the denoiser makes them realistic. They change positions smoothly from the present on; velocities
+//! and headings follow.
 
 use super::motion::{Motion, hermite, point_along, smooth_step, with_future};
 use super::{AgentRef, Scene, UnfitScene};
@@ -148,7 +147,7 @@ impl SceneEdit {
             Self::SetPositions(e) => match e.points.windows(2).position(|pair| pair[1].t_s <= pair[0].t_s) {
                 Some(i) => {
                     let (key, t_s) = (format!("points.{}.t_s", i + 1), e.points[i + 1].t_s);
-                    Err(Issue::new(key, format_args!("is {t_s}, expected more than that of the point before it")))
+                    Err(Issue::new(key, format_args!("is {t_s}, expected more than at the previous point")))
                 }
                 None => Ok(()),
             },
@@ -251,8 +250,8 @@ impl SetPositions {
 }
 
 impl Scene {
-    /// The scene with a state at every timestep at which `is_wanted(agent_idx, timestep)`, for tracks that have any:
-    /// interpolated where states are missing, carried on at constant velocity beyond them.
+    /// The scene with a state at every timestep for which `is_wanted(agent_idx, timestep)`, for tracks with any state:
+    /// missing states are interpolated, or extrapolated at constant velocity.
     #[must_use]
     pub fn completed(&self, is_wanted: impl Fn(usize, usize) -> bool) -> Self {
         let mut completed = self.clone();

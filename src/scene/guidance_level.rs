@@ -1,9 +1,9 @@
-//! How strongly was a sample guided? The two numbers that sweeps vary, and which of them a sweep varies.
+//! The guidance level of a sample: two numbers, one of which varies within a sweep.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// How strongly samples are guided, and how much they lean toward wanted states.
+/// The strength of guidance, and the weight of wanted states.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct GuidanceLevel {
     /// Strength α of the guidance by classifier and objectives; 0 is none.
@@ -14,7 +14,7 @@ pub struct GuidanceLevel {
 }
 
 impl GuidanceLevel {
-    /// That of forecasts, and of what was not generated.
+    /// The level of forecasts and recordings.
     pub const UNGUIDED: Self = Self { strength: 0.0, weight: 0.0 };
 
     /// Guidance of this strength, without wanted states.
@@ -34,7 +34,7 @@ impl fmt::Display for GuidanceLevel {
     }
 }
 
-/// The one of the two numbers in which the levels of a sweep differ; the other is the same in all of them.
+/// The number in which the levels of a sweep differ; the other is the same in all of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LevelAxis {
     /// The strength α.
@@ -44,7 +44,7 @@ pub enum LevelAxis {
 }
 
 impl LevelAxis {
-    /// That of these levels of one sweep; the strength where they do not differ.
+    /// The axis of these levels of one sweep; the strength if they do not differ.
     pub fn of(levels: impl IntoIterator<Item = GuidanceLevel>) -> Self {
         let mut weights = levels.into_iter().map(|level| level.weight);
         let first = weights.next();
@@ -59,7 +59,7 @@ impl LevelAxis {
         }
     }
 
-    /// What it is called.
+    /// Its name.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Strength => "strength",

@@ -1,4 +1,4 @@
-//! Names of things, each with its own type so that they cannot be mixed up.
+//! Ids with types of their own, so that they cannot be mixed up.
 
 use serde::{Deserialize, Serialize};
 

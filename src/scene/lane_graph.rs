@@ -10,7 +10,7 @@ use std::sync::Arc;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
 #[serde(rename_all = "snake_case")]
 pub enum TurnDirection {
-    /// Straight on, or not said.
+    /// Straight on, or unknown.
     #[default]
     None,
     /// To the left.
@@ -19,10 +19,10 @@ pub enum TurnDirection {
     Right,
 }
 
-/// What a map says of a lane beyond its geometry.
+/// Attributes of a lane in its map.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct LaneAttributes {
-    /// Lanelet2 `subtype` or Argoverse 2 `lane_type`, as written; empty where the map has none.
+    /// Lanelet2 `subtype` or Argoverse 2 `lane_type`, as written; empty if the map has none.
     pub kind: String,
     /// Turn at an intersection.
     pub turn: TurnDirection,
@@ -43,9 +43,9 @@ pub struct Lane {
     pub id: LaneId,
     /// Points in driving direction, meters.
     pub centerline: Polyline,
-    /// Left boundary in driving direction; empty where the map has none.
+    /// Left boundary in driving direction; empty if the map has none.
     pub left: Polyline,
-    /// Right boundary in driving direction; empty where the map has none.
+    /// Right boundary in driving direction; empty if the map has none.
     pub right: Polyline,
     /// Lanes that follow on from its end.
     pub successors: Vec<LaneId>,
@@ -60,7 +60,7 @@ pub struct Lane {
 }
 
 impl Lane {
-    /// A lane with these boundaries, left and right, of which nothing else is known.
+    /// A lane with these boundaries, left and right, without connections and attributes.
     pub fn unconnected(id: i64, centerline: Polyline, [left, right]: [Polyline; 2]) -> Self {
         Self {
             id: LaneId(id),
@@ -89,7 +89,7 @@ pub struct LaneGraph {
 }
 
 impl LaneGraph {
-    /// Takes lanes in any order, sorts them by id, keeps the first of each id, and drops connections to lanes that are not given.
+    /// Sorts lanes by id, keeps the first of each id, and drops connections to other lanes.
     pub fn new(mut lanes: Vec<Lane>) -> Self {
         lanes.sort_by_key(|lane| lane.id);
         lanes.dedup_by_key(|lane| lane.id);
@@ -119,8 +119,8 @@ impl LaneGraph {
         self.lanes.binary_search_by_key(&id, |lane| lane.id).ok().map(|i| &self.lanes[i])
     }
 
-    /// The ways on from a lane, itself first, as far as `length_m` beyond its end or to the end of the map: one for each choice at each
-    /// fork, in the order of connections, and at most `n_ways` of them. No way passes a lane twice.
+    /// The ways from a lane, itself first, to `length_m` beyond its end or to the end of the map: one for each choice
+    /// at each fork, in the order of connections, and at most `n_ways` of them. No way contains a lane twice.
     pub fn ways_ahead(&self, start: LaneId, length_m: f64, n_ways: usize) -> Vec<Vec<&Lane>> {
         let mut ways = Vec::new();
         let mut open: Vec<(Vec<&Lane>, f64)> = self.get(start).map(|lane| (vec![lane], 0.0)).into_iter().collect();

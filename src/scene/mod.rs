@@ -1,4 +1,4 @@
-//! The nouns of traffic: what is a scene, a track, a lane, an observation mask, a generated scenario? No files, no tensors.
+//! The nouns of traffic: scenes, tracks, lanes, observation masks, generated scenarios. No files, no tensors.
 
 mod agent;
 mod agent_ref;

@@ -1,12 +1,12 @@
-//! Where is an agent between and beyond its recorded states, and which states belong to a changed course?
+//! Courses between and beyond recorded states, and the states of changed courses.
 
 use super::{Scene, State, Trajectory};
 use crate::geometry::{Polyline, Vec2, angle_difference, wrap_angle};
 
-/// A step shorter than this does not tell a heading, meters.
+/// A step shorter than this does not define a heading, meters.
 pub const STANDING_STEP_M: f64 = 0.05;
 
-/// A recorded course as a function of continuous time: linear between states, carried on at constant velocity beyond them.
+/// A recorded course as a function of continuous time: linear between states, at constant velocity beyond them.
 pub(super) struct Motion<'a> {
     states: Vec<(usize, &'a State)>,
     dt_s: f64,
@@ -52,7 +52,7 @@ pub(super) fn smooth_step(time: f64, start: f64, end: f64) -> f64 {
     share * share * (3.0 - 2.0 * share)
 }
 
-/// The point `station_m` along the line, which goes on straight beyond its end in direction `end_heading_rad`.
+/// The point `station_m` along the line, which continues straight beyond its end in direction `end_heading_rad`.
 pub(super) fn point_along(line: &Polyline, station_m: f64, end_heading_rad: f64) -> Option<Vec2> {
     let beyond_m = (station_m - line.length_m()).max(0.0);
     Some(line.point_at(station_m)? + Vec2::from_angle(end_heading_rad) * beyond_m)
@@ -68,7 +68,7 @@ pub(super) fn hermite(from: (Vec2, Vec2), to: (Vec2, Vec2), u: f64) -> Vec2 {
 }
 
 /// Replaces the future of an agent by a course through `positions`, one for each timestep after the present. Velocities
-/// follow by backward difference; a heading turns with its direction of motion, and is held where the agent stands.
+/// are backward differences; headings follow the direction of motion, and are held while the agent stands.
 pub(super) fn with_future(scene: &mut Scene, agent_idx: usize, positions: &[Vec2]) {
     let present = scene.current_timestep();
     let old = scene.tracks[agent_idx].trajectory.clone();

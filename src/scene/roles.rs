@@ -1,4 +1,4 @@
-//! Which track plays which part in a behavior?
+//! The tracks that play the parts of a behavior.
 
 use super::TrackId;
 use serde::{Deserialize, Serialize};

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 /// The guidance a scenario was sampled with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GuidanceTag {
-    /// Name of the guidance, such as `none`, `classifier:cut_in` or `classifier_free`; parts that act together are joined by `+`.
-    /// Of the baseline, which cannot be guided, `scene_transformer`.
+    /// Name of the guidance, such as `none`, `classifier:cut_in` or `classifier_free`; combined guidance is joined by
+    /// `+`. For the baseline, which cannot be guided, `scene_transformer`.
     pub kind: String,
     /// How strongly.
     #[serde(flatten)]
@@ -17,44 +17,44 @@ pub struct GuidanceTag {
 }
 
 impl GuidanceTag {
-    /// The kind where nothing guides.
+    /// The kind without guidance.
     pub const NONE: &str = "none";
     /// The kind of the baseline's joint futures.
     pub const BASELINE: &str = "scene_transformer";
 }
 
-/// What a generated scenario came from.
+/// The provenance of a generated scenario.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// The recorded scene whose observed states it continues.
     pub scene_id: SceneId,
-    /// Which states were observed, in a word: the name of a training task such as `predictive`, or `mask`. The states
-    /// themselves are in [`Scenario::observed`].
+    /// The name of the mask: a training task such as `predictive`, or `mask`. The mask itself is
+    /// [`Scenario::observed`].
     pub observation: String,
-    /// The noise level from which an edited recording was denoised again; `None` where nothing was edited.
+    /// The noise level from which an edited recording was denoised; `None` if nothing was edited.
     pub edit_tau: Option<f64>,
     /// Fingerprint of the checkpoint of the model that made it: the denoiser, or the baseline.
     pub checkpoint: String,
-    /// Fingerprint of the classifier checkpoint; `None` where no classifier was used.
+    /// Fingerprint of the classifier checkpoint; `None` if no classifier was used.
     pub classifier: Option<String>,
     /// The run's seed.
     pub seed: u64,
-    /// Which sample of its scene and guidance this is.
+    /// Index among the samples of its scene and guidance.
     pub sample_idx: usize,
-    /// How likely the model holds it to be; `None` for plain draws, which are equally likely.
+    /// Its probability by the model; `None` for plain draws, which are equally likely.
     pub probability: Option<f64>,
     /// The guidance.
     pub guidance: GuidanceTag,
     /// Name of the sampler and its number of steps, such as `heun-50`.
     pub sampler: String,
-    /// Every setting it was sampled with, as JSON text, objectives with their options among them.
+    /// Every setting that it was sampled with, such as objectives with their options, as JSON text.
     pub settings: String,
 }
 
 impl Provenance {
-    /// Whether it is a forecast: nothing guided it, whatever varies within its sweep, and it does not start from an edited
-    /// recording. That samples are kept to the rules of traffic does not count: it is no wish for what happens. The one definition of
-    /// unguided traffic, for tables, comparisons and predictions.
+    /// Whether it is a forecast: nothing guided it, and it does not start from an edited recording. Validity strength
+    /// does not count as guidance, because it requests no event. This defines unguided traffic for all tables,
+    /// comparisons and predictions.
     pub fn is_unguided(&self) -> bool {
         matches!(self.guidance.kind.as_str(), GuidanceTag::NONE | GuidanceTag::BASELINE) && self.edit_tau.is_none()
     }
@@ -65,10 +65,10 @@ impl Provenance {
 pub struct Scenario {
     /// Unique within a corpus; derived from the provenance.
     pub id: String,
-    /// Observed states as recorded (or as edited), and generated ones, whose velocities follow from their positions.
+    /// Observed states as recorded or edited, and generated ones, whose velocities follow from their positions.
     pub scene: Scene,
     /// Which states of the scene were observed: one entry for each of its tracks and timesteps, false where it has no state.
     pub observed: ObservationMask,
-    /// What it came from.
+    /// Its provenance.
     pub provenance: Provenance,
 }

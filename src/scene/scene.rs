@@ -5,7 +5,7 @@ use crate::geometry::Transform2;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Which part of a dataset a scene belongs to.
+/// The split of a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Split {
@@ -15,7 +15,7 @@ pub enum Split {
     Val,
     /// Held out, futures not given.
     Test,
-    /// The source does not say.
+    /// Not stated by the source.
     Unsplit,
 }
 
@@ -39,17 +39,17 @@ impl Split {
     }
 }
 
-/// Why a scene does not serve its purpose, in words that follow its name.
+/// Why a scene cannot be used, in words that follow its name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct UnfitScene(pub String);
 
-/// Where a scene came from, precisely enough to find it again.
+/// The origin of a scene in its dataset.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SceneSource {
     /// The dataset.
     pub dataset: Dataset,
-    /// The dataset's version or layout, such as `v1.1`, `v1.2`; empty where there is only one.
+    /// The dataset's version or layout, such as `v1.1`, `v1.2`; empty if there is only one.
     pub version: String,
     /// The split.
     pub split: Split,
@@ -83,7 +83,7 @@ pub struct Scene {
     pub ego_idx: usize,
     /// The tracks.
     pub tracks: Vec<Track>,
-    /// The map the lanes are from; `None` when the dataset was ingested without maps.
+    /// The map the lanes are from; `None` if the dataset was ingested without maps.
     pub map_id: Option<MapId>,
     /// The lanes near the scene, in the scene frame.
     pub lanes: Arc<LaneGraph>,
@@ -110,7 +110,7 @@ impl Scene {
         self.tracks.get(agent_idx).and_then(|track| track.trajectory.get(timestep))
     }
 
-    /// Whether the future after `n_history` is recorded (test splits hold none).
+    /// Whether the future after `n_history` is recorded (test splits have none).
     pub const fn has_future(&self) -> bool {
         self.n_timesteps > self.n_history
     }

@@ -4,7 +4,7 @@ use super::{AgentClass, Extent, State, TrackId, Trajectory};
 use crate::geometry::OrientedBox;
 use serde::{Deserialize, Serialize};
 
-/// What the recording says a track is for.
+/// The role of a track in its dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TrackRole {
@@ -45,7 +45,7 @@ pub struct Track {
     pub id: TrackId,
     /// Kind of road user.
     pub class: AgentClass,
-    /// What the recording marks it as.
+    /// Its role in the dataset.
     pub role: TrackRole,
     /// Size, where the recording gives one.
     pub extent: Option<Extent>,
@@ -59,8 +59,9 @@ impl Track {
         self.extent.unwrap_or_else(|| self.class.nominal_extent())
     }
 
-    /// The recorded size, or what the agent fills at least. The vehicle that recorded is one, and so is the focal agent of a dataset
-    /// without classes: Argoverse 1 looked for vehicles that cross, turn, change lanes or drive in dense traffic (Chang et al. 2019).
+    /// The recorded size, or the least size of the class. The recorder is a vehicle, and so is the focal agent of a
+    /// dataset without classes: Argoverse 1 looked for vehicles that cross, turn, change lanes or drive in dense
+    /// traffic (Chang et al. 2019).
     pub fn extent_or_least(&self) -> Extent {
         let is_vehicle =
             self.class == AgentClass::Unknown && matches!(self.role, TrackRole::Focal | TrackRole::Recorder);

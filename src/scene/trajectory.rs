@@ -34,17 +34,17 @@ impl State {
     }
 }
 
-/// What of a recorded trajectory was derived rather than recorded.
+/// The derived parts of a recorded trajectory.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Derivation {
-    /// One entry a timestep: whether the heading is held because no motion tells it. The headings of a trajectory with a
-    /// derivation follow from its motion elsewhere.
+    /// One entry a timestep: whether the heading is held because the agent moves too slowly. Otherwise the headings of
+    /// a trajectory with a derivation follow from its motion.
     pub held_headings: Vec<bool>,
-    /// Where the states were smoothed, what was recorded, by ascending time; else empty.
+    /// If the states were smoothed, the recorded positions by ascending time; otherwise empty.
     pub recorded: Vec<RecordedPosition>,
 }
 
-/// Where an agent was recorded, at a time of its own: recordings need not be at even times, while timesteps are.
+/// A recorded position with its time: timesteps are evenly spaced, recordings need not be.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordedPosition {
     /// Seconds after the present.
@@ -72,7 +72,7 @@ impl Trajectory {
         Self { derivation: Some(Box::new(derivation)), ..self }
     }
 
-    /// What was derived, where not all was recorded.
+    /// The derived parts, if there are any.
     pub fn derivation(&self) -> Option<&Derivation> {
         self.derivation.as_deref()
     }

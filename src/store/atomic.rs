@@ -1,4 +1,4 @@
-//! Our whole files as the store sees them: checked against their stamps, and JSON.
+//! Whole files: checks against their stamps, and JSON.
 
 use super::{Error, Result};
 use crate::files::{FileStamp, write_atomically};
@@ -8,7 +8,7 @@ use std::io::Write;
 use std::path::Path;
 
 impl FileStamp {
-    /// Checks that `bytes`, the content of `path`, are those that were stamped.
+    /// Checks that `bytes`, the content of `path`, are what was stamped.
     ///
     /// # Errors
     /// [`Error::Corrupt`] when the length or the hash differ.
@@ -37,7 +37,7 @@ impl FileStamp {
         }
     }
 
-    /// Checks the length alone, which costs nothing and finds truncation.
+    /// Checks only the length, which costs nothing and finds truncation.
     ///
     /// # Errors
     /// [`Error::Corrupt`] when the length differs.
@@ -45,7 +45,7 @@ impl FileStamp {
         if n_bytes == self.n_bytes {
             Ok(())
         } else {
-            Err(Error::corrupt(path, format!("it has {n_bytes} bytes where {} were written", self.n_bytes)))
+            Err(Error::corrupt(path, format!("it has {n_bytes} bytes, but {} were written", self.n_bytes)))
         }
     }
 }
@@ -88,7 +88,7 @@ mod tests {
         assert_eq!(stamp, FileStamp::of(b"onetwo"));
         stamp.verify(&path, b"onetwo").unwrap();
         assert!(stamp.verify(&path, b"onetwO").unwrap_err().to_string().contains("checksum"));
-        assert!(stamp.verify(&path, b"onetw").unwrap_err().to_string().contains("5 bytes where 6"));
+        assert!(stamp.verify(&path, b"onetw").unwrap_err().to_string().contains("5 bytes, but 6"));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Values that only this program reads again: exact to the bit, and whole or refused.
+//! Values that only this program reads: exact to the bit, and checked.
 //!
 //! A file begins with a line that names its format with a version and the BLAKE3 hash of what follows: the value, as `postcard` encodes it.
 
@@ -11,7 +11,7 @@ use std::path::Path;
 /// Writes `value` in the format of this name, such as `figures.v1`.
 ///
 /// # Errors
-/// Those of the file system; when the value has parts whose number is not known beforehand.
+/// Those of the file system; when the value has a sequence of unknown length.
 pub fn write_binary_atomically<T: Serialize>(path: &Path, format: &str, value: &T) -> Result<FileStamp> {
     let bytes = postcard::to_stdvec(value).map_err(std::io::Error::other)?;
     let head = format!("{format} {}\n", blake3::hash(&bytes).to_hex());

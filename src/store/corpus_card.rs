@@ -1,5 +1,5 @@
-//! The card of a corpus: what does someone who finds the folder have to know before using it? It follows from the manifest
-//! alone, so that equal corpora have equal cards.
+//! The card of a corpus: what its users must know. It follows from the manifest alone, so that equal corpora have equal
+//! cards.
 
 use super::corpus_layout::CorpusTable;
 use super::corpus_manifest::{CorpusManifest, TableEntry};
@@ -46,7 +46,7 @@ fn counts(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
     writeln!(text, "## What is in it\n")?;
     writeln!(
         text,
-        "| Behavior asked for | Place | Scenarios | Verified | Rejected by the check | New |\n|---|---|---:|---:|---:|---:|"
+        "| Requested behavior | Place | Scenarios | Verified | Rejected by the check | New |\n|---|---|---:|---:|---:|---:|"
     )?;
     for count in &manifest.scenarios_by_partition {
         let (behavior, place) = (cell(&count.behavior), cell(&count.place));
@@ -183,7 +183,7 @@ fn type_name(field: &Field) -> String {
     format!("{}{missing}", super::schema::type_name(field.data_type()))
 }
 
-/// Text that cannot end the cell of a table or become markup of its own.
+/// Text with escapes, so that it neither ends a table cell nor becomes markup.
 fn cell(text: &str) -> String {
     text.replace('|', "\\|").replace(['\n', '\r'], " ").replace('<', "&lt;")
 }

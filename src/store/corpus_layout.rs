@@ -1,16 +1,16 @@
-//! Where in a corpus folder is what: which tables are there, and into which partitions are the large ones cut?
+//! The layout of a corpus folder: its tables, and the partitions of the large ones.
 //!
-//! Scenarios and their tracks are cut by behavior and place, recordings by place, in folders named as Hive names them
-//! (`behavior=cut_in/place=PIT`), so that DuckDB, polars and pyarrow skip the files that a query does not ask for. Lanes
-//! (each map once) and metric values (some twenty short rows a scenario, which aggregates of no place share) stay single
-//! files. Within a partition the rows of `tracks` follow the order of the rows of `scenarios`.
+//! Scenarios and their tracks are partitioned by behavior and place, recordings by place, in folders with Hive's names
+//! (`behavior=cut_in/place=PIT`), so that DuckDB, polars and pyarrow skip files that a query does not need. Lanes (each
+//! map once) and metric values (some twenty short rows a scenario, and aggregates without a place) are single files.
+//! Within a partition the rows of `tracks` follow the order of the rows of `scenarios`.
 
 use super::schema::TableSchema;
 use super::tables::{lane, metric, recording, scenario, track};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 
-/// The value of `behavior` for scenarios of which none was asked.
+/// The value of `behavior` for scenarios without a requested behavior.
 pub(crate) const NO_BEHAVIOR: &str = "none";
 /// Hive's name for a missing value, which readers turn into one.
 const MISSING: &str = "__HIVE_DEFAULT_PARTITION__";
@@ -61,15 +61,15 @@ impl CorpusTable {
         }
     }
 
-    /// Its columns as its files have them: what a table is cut by stands in the names of folders alone, because pyarrow and
-    /// pandas take a column that stands in both places for two of different types.
+    /// The columns of its files. Partition columns are only in the names of folders, because pyarrow and pandas take a
+    /// column that is in both places for two of different types.
     pub(crate) fn file_schema(self) -> TableSchema {
         let mut schema = self.schema();
         schema.fields.retain(|field| !self.keys().contains(&field.name().as_str()));
         schema
     }
 
-    /// The columns that it is cut by, outermost first; empty for a single file.
+    /// The partition columns, outermost first; empty for a single file.
     pub const fn keys(self) -> &'static [&'static str] {
         match self {
             Self::Scenarios | Self::Tracks => &["behavior", "place"],
@@ -91,7 +91,7 @@ impl CorpusTable {
         path + "/part-00000.parquet"
     }
 
-    /// The partition of this table that holds what belongs to `behavior` and `place`.
+    /// The partition of this table for `behavior` and `place`.
     pub(crate) fn partition(self, behavior: Option<&str>, place: &str) -> Partition {
         let has = |key: &str| self.keys().contains(&key);
         Partition {
@@ -104,16 +104,16 @@ impl CorpusTable {
 /// What the rows of a file have in common.
 #[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Partition {
-    /// The behavior that was asked for, or `none`; missing where the table is not cut by it.
+    /// The requested behavior, or `none`; missing if the table is not partitioned by it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub behavior: Option<String>,
-    /// The place; missing where the table is not cut by it.
+    /// The place; missing if the table is not partitioned by it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub place: Option<String>,
 }
 
 impl Partition {
-    /// The value of a column that tables are cut by; empty where there is none.
+    /// The value of a partition column; empty if there is none.
     pub(crate) fn value(&self, key: &str) -> &str {
         let value = match key {
             "behavior" => &self.behavior,
@@ -123,8 +123,8 @@ impl Partition {
     }
 }
 
-/// A value as the name of a folder: whatever is not a plain letter, digit, `_`, `-` or `.` as `%` and two digits, as Hive,
-/// DuckDB, polars and pyarrow decode it.
+/// A value as the name of a folder: every byte that is not an ASCII letter, digit, `_`, `-` or `.` becomes `%` and two
+/// digits, which Hive, DuckDB, polars and pyarrow decode.
 fn encoded(value: &str) -> String {
     if value.is_empty() {
         return MISSING.to_owned();

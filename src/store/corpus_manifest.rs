@@ -1,4 +1,4 @@
-//! What a corpus says of itself: its tables, their sizes and hashes, and under which terms its sources came.
+//! The manifest of a corpus: its tables with sizes and hashes, its counts, and the terms of its sources.
 
 use super::atomic::read_json;
 use super::corpus_layout::{CorpusTable, Partition};
@@ -10,19 +10,20 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Form of the manifest itself, and of the folder: tables cut into partitions.
+/// Version of the manifest and the folder: tables in partitions.
 pub(crate) const CORPUS_SCHEMA: &str = "corpus.v2";
-/// The form before: one file a table.
+/// The version before: one file a table.
 const FLAT_SCHEMA: &str = "corpus.v1";
 
-/// What a corpus says of itself beyond its tables.
+/// Notes of the writer in the manifest.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct CorpusNotes {
-    /// Dataset → its license and citation. Datasets that are used and not named here get [their own](crate::scene::DatasetFacts::terms).
+    /// Dataset → its license and citation. Datasets without an entry get [their own
+    /// terms](crate::scene::DatasetFacts::terms).
     pub sources: BTreeMap<String, String>,
     /// Anything else, such as the pipeline's name.
     pub notes: BTreeMap<String, String>,
-    /// Sweep → why samples of it are not in the corpus → how many, each for its first reason.
+    /// Sweep → reason why samples are not in the corpus → how many; each sample counts for its first reason.
     pub left_out: BTreeMap<String, BTreeMap<String, u64>>,
 }
 
@@ -49,16 +50,16 @@ pub struct TableEntry {
     pub n_rows: u64,
     /// Size of all of its files.
     pub n_bytes: u64,
-    /// The columns that the names of its folders hold, outermost first; empty for a single file.
+    /// The columns in the names of its folders, outermost first; empty for a single file.
     pub partitioned_by: Vec<String>,
     /// Its files, in the order of their partitions.
     pub files: Vec<FileEntry>,
 }
 
-/// How many scenarios of a behavior there are at a place.
+/// The number of scenarios of a behavior at a place.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PartitionCount {
-    /// The behavior that was asked for, or `none`.
+    /// The requested behavior, or `none`.
     pub behavior: String,
     /// The place.
     pub place: String,
@@ -66,20 +67,20 @@ pub struct PartitionCount {
     pub n_scenarios: u64,
     /// How many of them are verified.
     pub n_verified: u64,
-    /// How many of the verified ones the recording does not hold already.
+    /// How many of the verified ones are not in the recording already.
     pub n_new: u64,
 }
 
 /// The manifest of a corpus.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CorpusManifest {
-    /// Form of the manifest.
+    /// Version of the manifest.
     pub schema: String,
     /// Number of scenarios.
     pub n_scenarios: u64,
     /// How many of them are verified.
     pub n_verified: u64,
-    /// How many of the verified ones the recording does not hold already.
+    /// How many of the verified ones are not in the recording already.
     #[serde(default)]
     pub n_new: u64,
     /// Number of recorded scenes that the scenarios continue and whose tracks are in the corpus.
@@ -98,12 +99,12 @@ pub struct CorpusManifest {
     pub tables: BTreeMap<String, TableEntry>,
     /// License and citation of each dataset that is used.
     pub sources: BTreeMap<String, String>,
-    /// What else the writer was told.
+    /// Other notes of the writer.
     pub notes: BTreeMap<String, String>,
     /// What tools did to it since a pipeline wrote it, one line each.
     #[serde(default)]
     pub history: Vec<String>,
-    /// Sweep → why samples of it are not in the corpus → how many, each for its first reason.
+    /// Sweep → reason why samples are not in the corpus → how many; each sample counts for its first reason.
     #[serde(default)]
     pub left_out: BTreeMap<String, BTreeMap<String, u64>>,
 }
@@ -129,15 +130,15 @@ impl CorpusManifest {
         }
     }
 
-    /// Reads the manifest of a corpus, without opening its tables. That of a corpus with one file a table (`corpus.v1`) is
-    /// brought into the present form; what it does not say (partitions, recordings) is empty then.
+    /// Reads the manifest of a corpus, without opening its tables. The manifest of a corpus with one file a table
+    /// (`corpus.v1`) is upgraded; what it lacks (partitions, recordings) is empty.
     ///
     /// # Errors
-    /// [`Error::NoCorpus`] when the folder is of another kind, [`Error::Unfinished`] when its writer did not finish,
-    /// [`Error::SchemaVersion`] when the manifest is of a version that is not read.
+    /// [`Error::NoCorpus`] when the folder is not a corpus, [`Error::Unfinished`] when its writer did not finish,
+    /// [`Error::SchemaVersion`] when the version of the manifest cannot be read.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(MANIFEST_FILE);
-        // A folder that is not there at all is told as such.
+        // A folder that does not exist has an error of its own.
         fs_err::metadata(dir)?;
         if !path.is_file() {
             return Err(if is_begun(dir) { Error::Unfinished { dir: dir.to_owned() } } else { no_corpus(dir) });
@@ -155,7 +156,7 @@ impl CorpusManifest {
         }
     }
 
-    /// The files of a table; none where the corpus has no such table.
+    /// The files of a table; none if the corpus has no such table.
     pub fn files(&self, table: CorpusTable) -> &[FileEntry] {
         self.tables.get(table.name()).map_or(&[], |entry| &entry.files)
     }
@@ -176,8 +177,8 @@ impl CorpusManifest {
     }
 }
 
-/// Whether somebody began to write a corpus here: there is a partition of a table, or the file that one was before tables were cut.
-/// Files and folders called `metrics` or `lanes` say nothing: run folders have such a file, too, and other programs such a folder.
+/// Whether a corpus was begun here: there is a partition of a table, or a table that was one file in `corpus.v1`. Files
+/// and folders called `metrics` or `lanes` do not count: run folders and other programs have them, too.
 fn is_begun(dir: &Path) -> bool {
     CorpusTable::ALL.into_iter().any(|table| {
         let Some(key) = table.keys().first() else { return false };
@@ -188,7 +189,7 @@ fn is_begun(dir: &Path) -> bool {
     })
 }
 
-/// The error of a folder that is no corpus, with the one that is in it if there is one, as in a run folder.
+/// The error of a folder that is not a corpus. It names a corpus inside the folder, as run folders have one.
 fn no_corpus(dir: &Path) -> Error {
     let inside = Some(dir.join("corpus")).filter(|inside: &PathBuf| inside.join(MANIFEST_FILE).is_file());
     Error::NoCorpus { dir: dir.to_owned(), inside }
@@ -247,7 +248,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let why = || CorpusManifest::read(dir.path()).unwrap_err();
         let make = |folder: &str| fs_err::create_dir_all(dir.path().join(folder)).unwrap();
-        // A run folder has a table of metrics, and anybody may have folders of such names.
+        // A run folder has a table of metrics, and other programs may use these folder names.
         make("metrics");
         make("tracks/monday");
         fs_err::write(dir.path().join("metrics.parquet"), "").unwrap();

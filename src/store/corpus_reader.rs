@@ -1,4 +1,4 @@
-//! Reading a corpus: its counts, its metric values, and any scenario as it was written.
+//! Random access to a corpus: its counts, its metric values, and each scenario as it was written.
 
 use super::corpus_layout::CorpusTable;
 use super::corpus_manifest::{CorpusManifest, FileEntry};
@@ -17,13 +17,13 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// A finished corpus, for access to any scenario at once. The tables of scenarios and lanes are held in memory, tracks are
-/// read when asked for. Scenarios are in the order of their partitions, and in each as they were written.
+/// A finished corpus with random access to its scenarios. The tables of scenarios and lanes are in memory; tracks are
+/// read on demand. Scenarios are in the order of their partitions, and within each as they were written.
 pub struct CorpusReader {
     scan: CorpusScan,
     /// The scenario table.
     scenarios: RecordBatch,
-    /// For errors about the scenario table.
+    /// The path of the scenario table, for errors.
     scenarios_path: PathBuf,
     /// The file of each scenario's states and their rows in it.
     tracks: Vec<(PathBuf, Range<usize>)>,
@@ -37,7 +37,7 @@ impl CorpusReader {
     /// of its tables.
     ///
     /// # Errors
-    /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when a version wrote it that is not read any more,
+    /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when its version cannot be read,
     /// [`Error::Corrupt`] when a table is not what was written.
     pub fn open(dir: &Path) -> Result<Self> {
         let scan = CorpusScan::open(dir)?;
@@ -96,7 +96,7 @@ impl CorpusReader {
     /// The position of a scenario.
     ///
     /// # Errors
-    /// [`Error::NotFound`] when there is none of this id.
+    /// [`Error::NotFound`] when there is no scenario with this id.
     pub fn position(&self, scenario_id: &str) -> Result<usize> {
         self.scenario_ids()?.position(|id| id == scenario_id).ok_or_else(|| self.missing(scenario_id))
     }
@@ -104,7 +104,7 @@ impl CorpusReader {
     /// Loads scenario `i` with its tracks, lanes and events.
     ///
     /// # Errors
-    /// [`Error::NotFound`] when there are not as many, [`Error::Corrupt`] when the tables do not fit each other.
+    /// [`Error::NotFound`] when there are fewer, [`Error::Corrupt`] when the tables do not fit each other.
     pub fn scenario(&self, i: usize) -> Result<ScenarioRecord> {
         let missing = || self.missing(&format!("number {i} of {}", self.len()));
         let (path, rows) = self.tracks.get(i).ok_or_else(missing)?;
@@ -114,8 +114,8 @@ impl CorpusReader {
         scenario::decode(&columns, i, tracks, observed, &self.maps)
     }
 
-    /// The tracks of a recorded scene, in the scene frame; `None` where the corpus does not hold the recording. Everything
-    /// else of the scene is as in the scenarios that continue it.
+    /// The tracks of a recorded scene, in the scene frame; `None` if the corpus lacks the recording. The rest of the
+    /// scene is the same as in the scenarios that continue it.
     ///
     /// # Errors
     /// [`Error::Corrupt`] when the table cannot be read or has a state after `n_timesteps`.
@@ -158,7 +158,7 @@ impl MapSource for CorpusReader {
     }
 }
 
-/// The tracks in these rows, which must all be of this scenario, and which of their states were observed.
+/// The tracks in these rows, which must all belong to this scenario, and the mask of their observed states.
 fn tracks(
     path: &Path,
     rows: Range<usize>,

@@ -1,4 +1,4 @@
-//! How are the rows of a corpus read in order, a few scenarios at a time, each with its states?
+//! Reads the rows of a corpus in order, a few scenarios at a time, each with its states.
 
 use super::corpus_layout::CorpusTable;
 use super::corpus_manifest::{CorpusManifest, FileEntry};
@@ -21,7 +21,7 @@ use std::sync::Arc;
 /// Scenarios that are read at a time.
 const SCENARIOS_PER_CHUNK: usize = 64;
 
-/// A finished corpus, read from its beginning to its end.
+/// A finished corpus, read from beginning to end.
 pub(crate) struct CorpusScan {
     dir: PathBuf,
     manifest: CorpusManifest,
@@ -39,7 +39,7 @@ pub(crate) struct CorpusChunk {
     pub(crate) tracks_path: PathBuf,
     /// Position of the first of them in its file.
     pub(crate) first_track_row: usize,
-    /// The states; without columns where they were not asked for.
+    /// The states; without columns if they were not requested.
     pub(crate) tracks: RecordBatch,
     /// Which of the states belong to which scenario.
     pub(crate) track_rows: Vec<Range<usize>>,
@@ -57,7 +57,7 @@ impl CorpusScan {
         Ok(scan)
     }
 
-    /// Opens a corpus and looks at its manifest alone.
+    /// Opens a corpus and reads only its manifest.
     pub(crate) fn open_unverified(dir: &Path) -> Result<Self> {
         Ok(Self { dir: dir.to_owned(), manifest: CorpusManifest::read(dir)? })
     }
@@ -106,7 +106,7 @@ impl CorpusScan {
         }
     }
 
-    /// The scenarios of part `i`, with their states where these are wanted.
+    /// The scenarios of part `i`, with their states on request.
     pub(crate) fn chunks(&self, i: usize, with_tracks: bool) -> Result<Chunks> {
         let (scenarios, tracks) = self.part(i)?;
         let (path, tracks_path) = (self.path(scenarios), self.path(tracks));
@@ -118,7 +118,7 @@ impl CorpusScan {
         Ok(Chunks { path, scenarios: Feed::new(batches), tracks_path, tracks: feed.map(Feed::new), is_over: false })
     }
 
-    /// All scenarios, part by part, with their states where these are wanted.
+    /// All scenarios, part by part, with their states on request.
     pub(crate) fn all_chunks(&self, with_tracks: bool) -> impl Iterator<Item = Result<CorpusChunk>> {
         (0..self.n_parts()).flat_map(move |i| {
             let (chunks, error) = match self.chunks(i, with_tracks) {
@@ -129,7 +129,7 @@ impl CorpusScan {
         })
     }
 
-    /// The batches of a file, with what the name of its folder says: whole rows, or only some columns.
+    /// The batches of a file, with the values in the name of its folder: whole rows, or only some columns.
     pub(crate) fn batches(
         &self,
         table: CorpusTable,
@@ -173,9 +173,9 @@ impl CorpusScan {
 pub(crate) struct PartBatches {
     path: PathBuf,
     batches: Batches,
-    /// Columns that stand in the name of the folder, with their values. Files of earlier versions have them, too.
+    /// Columns in the name of the folder, with their values. Files of earlier versions contain them, too.
     keys: Vec<(&'static str, String)>,
-    /// All columns in their order; `None` where only some are read.
+    /// All columns in their order; `None` if only some are read.
     schema: Option<TableSchema>,
 }
 
@@ -203,7 +203,7 @@ impl Iterator for PartBatches {
     }
 }
 
-/// The columns of the scenario table with all further ones of `schemas`, sorted by name.
+/// The columns of the scenario table, then all other columns of `schemas`, sorted by name.
 pub(crate) fn united(schemas: &[SchemaRef]) -> SchemaRef {
     let table = CorpusTable::Scenarios.schema();
     let open: BTreeMap<&str, &Field> = schemas
@@ -215,7 +215,7 @@ pub(crate) fn united(schemas: &[SchemaRef]) -> SchemaRef {
     table.arrow_with(open.into_values().cloned().collect())
 }
 
-/// The rows with the columns of `schema`; those that they lack are missing in every row.
+/// The rows with the columns of `schema`; columns that they lack are missing in every row.
 pub(crate) fn widened(batch: &RecordBatch, schema: &SchemaRef, path: &Path) -> Result<RecordBatch> {
     let column = |field: &Arc<Field>| {
         batch
@@ -258,7 +258,7 @@ impl Chunks {
             .iter()
             .map(|n| {
                 let start = end;
-                // A damaged number must not end in an overflow; it is found when the rows are missing.
+                // A damaged number must not overflow; the missing rows reveal it.
                 end = end.saturating_add(*n as usize);
                 start..end
             })
@@ -306,7 +306,7 @@ impl CorpusChunk {
         Columns::of_batch(&self.scenarios, &self.path)
     }
 
-    /// Whether there are as many states as the scenarios say, each scenario's at its place.
+    /// Checks that the states are as many as the scenarios say, and in their order.
     fn check_order(&self, n_states: usize) -> Result<()> {
         let tracks = Columns::of_batch(&self.tracks, &self.tracks_path);
         let of_tracks: &StringArray = tracks.get("scenario_id")?;
@@ -332,7 +332,7 @@ impl CorpusChunk {
     }
 }
 
-/// Hands out the rows of a file in portions of any size.
+/// Returns the rows of a file in portions of any size.
 struct Feed {
     batches: PartBatches,
     /// What is left of the last batch.

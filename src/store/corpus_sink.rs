@@ -1,4 +1,5 @@
-//! How do rows become the files of a corpus: cut into partitions, in bounded memory, the same bytes however they come?
+//! Writes rows to the files of a corpus: in partitions, in bounded memory, with the same bytes in whatever batches they
+//! come.
 
 use super::atomic::write_json_atomically;
 use super::corpus_card::{CARD_FILE, card};
@@ -20,22 +21,22 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Rows that a file is given at a time: whatever the sizes of the batches that come, its pages break at the same rows.
+/// Rows that are written at a time, so that pages break at the same rows whatever the sizes of incoming batches.
 const ROWS_PER_WRITE: usize = 4 * 1024;
 /// Bytes of unfinished row groups over all files. Beyond it, the largest row group is ended early.
 const MAX_BYTES_IN_MEMORY: usize = 16 << 20;
 
-/// Writes the tables of a corpus. Memory is bounded by the number of files that are open, not by the rows that pass.
+/// Writes the tables of a corpus. Memory is bounded by the number of open files, not by the number of rows.
 pub(crate) struct CorpusSink {
     dir: PathBuf,
     parts: BTreeMap<(CorpusTable, Partition), Part>,
     counts: BTreeMap<(String, String), PartitionCount>,
     manifest: CorpusManifest,
-    /// The columns of scenarios, for a corpus that has none.
+    /// The columns of scenarios, for a corpus without scenarios.
     scenario_schema: SchemaRef,
 }
 
-/// A file that is being written, and rows that wait until there are enough of them.
+/// A file that is being written, and the rows to write next.
 struct Part {
     file: ParquetFile,
     path: PathBuf,
@@ -44,8 +45,8 @@ struct Part {
 }
 
 impl CorpusSink {
-    /// Begins a corpus in `dir`, which is created where it is missing. What an interrupted attempt left in it is removed, as
-    /// far as a list of ours names it; anything else is an error.
+    /// Begins a corpus in `dir`, which is created if it is missing. Files of an interrupted attempt are removed if a
+    /// list of ours names them; any other file is an error.
     pub(crate) fn create(dir: &Path) -> Result<Self> {
         clear(dir)?;
         let (parts, counts) = (BTreeMap::new(), BTreeMap::new());
@@ -53,7 +54,7 @@ impl CorpusSink {
         Ok(Self { dir: dir.to_owned(), parts, counts, manifest, scenario_schema })
     }
 
-    /// Adds rows of scenarios, whose columns must be the same in all calls, to their partitions, and counts them.
+    /// Adds rows of scenarios to their partitions and counts them. Their columns must be the same in all calls.
     pub(crate) fn write_scenarios(&mut self, batch: &RecordBatch) -> Result<()> {
         let path = self.dir.join(CorpusTable::Scenarios.name());
         self.scenario_schema = batch.schema();
@@ -93,8 +94,8 @@ impl CorpusSink {
         self.limit_memory()
     }
 
-    /// Ends the largest unfinished row group while there is too much in memory. What is ended depends on the order of the
-    /// rows alone, so equal corpora stay equal.
+    /// Ends the largest unfinished row group while too much is in memory. The choice depends only on the order of the
+    /// rows, so equal corpora stay equal.
     fn limit_memory(&mut self) -> Result<()> {
         let size = |part: &Part| part.file.n_bytes_in_memory();
         while self.parts.values().map(size).sum::<usize>() > MAX_BYTES_IN_MEMORY {
@@ -133,8 +134,8 @@ impl CorpusSink {
         Ok(())
     }
 
-    /// Finishes the files, and writes the card and, last, the manifest. A table without rows is one file without rows, so
-    /// that queries find its columns.
+    /// Finishes the files, and writes the card and, last, the manifest. A table without rows is one empty file, so that
+    /// queries find its columns.
     pub(crate) fn finish(mut self, about: &CorpusNotes, history: &[String]) -> Result<CorpusManifest> {
         for table in CorpusTable::ALL {
             if !self.parts.keys().any(|(other, _)| *other == table) {
@@ -162,8 +163,8 @@ impl CorpusSink {
         }
         manifest.scenarios_by_partition = self.counts.into_values().collect();
         for name in manifest.scenarios_by_dataset.keys() {
-            let terms = Dataset::from_name(name)
-                .map_or("unknown: find them out before you use it", |dataset| dataset.facts().terms);
+            let terms =
+                Dataset::from_name(name).map_or("unknown: find out before you use it", |dataset| dataset.facts().terms);
             manifest.sources.insert(name.clone(), terms.to_owned());
         }
         manifest.sources.extend(about.sources.clone());
@@ -186,7 +187,7 @@ impl Part {
         Ok(Self { file, path, pending: Vec::new(), n_pending: 0 })
     }
 
-    /// Writes the first `n_rows` of the rows that wait.
+    /// Writes the first `n_rows` of the waiting rows.
     fn write_pending(&mut self, n_rows: usize) -> Result<()> {
         let Some(first) = self.pending.first() else { return Ok(()) };
         let all = concat_batches(&first.schema(), &self.pending)
@@ -206,7 +207,7 @@ impl Part {
     }
 }
 
-/// Which rows of scenarios belong into which partition, in the order of partitions.
+/// The rows of scenarios of each partition, in the order of partitions.
 pub(crate) fn partitioned(batch: &RecordBatch, path: &Path) -> Result<BTreeMap<Partition, Vec<u32>>> {
     let columns = Columns::of_batch(batch, path);
     let mut rows: BTreeMap<Partition, Vec<u32>> = BTreeMap::new();
@@ -218,7 +219,7 @@ pub(crate) fn partitioned(batch: &RecordBatch, path: &Path) -> Result<BTreeMap<P
     Ok(rows)
 }
 
-/// The batch without these columns, as far as it has them.
+/// The batch without these columns.
 fn without(batch: &RecordBatch, columns: &[&str]) -> Result<RecordBatch> {
     let schema = batch.schema();
     let fields = schema.fields().iter().enumerate();

@@ -1,4 +1,4 @@
-//! Writing a corpus from scenarios: the tables that users query, and the manifest that says they are whole.
+//! Writes a corpus from scenarios: the tables that users query, and last the manifest.
 
 use super::corpus_layout::CorpusTable;
 use super::corpus_manifest::{CorpusManifest, CorpusNotes};
@@ -15,14 +15,14 @@ use crate::scene::{MapId, Scene};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Rows of scenarios that wait for the columns of parameters.
+/// Rows of scenarios that wait for the parameter columns.
 const SPOOL_FILE: &str = "scenarios.spool";
 
 /// Scenarios whose rows are encoded at a time.
 const SCENARIOS_PER_BATCH: usize = 64;
 
-/// Writes a corpus folder in bounded memory: what grows with it are 16 bytes for the id of each scenario and scene. Rows of scenarios
-/// wait in a file of their own, because the columns of parameters are known only at the end.
+/// Writes a corpus folder in bounded memory, apart from 16 bytes for the id of each scenario and scene. Rows of
+/// scenarios are spooled to a file, because the parameter columns are known only at the end.
 pub struct CorpusWriter<'m> {
     dir: PathBuf,
     maps: &'m dyn MapSource,
@@ -35,11 +35,11 @@ pub struct CorpusWriter<'m> {
 }
 
 impl<'m> CorpusWriter<'m> {
-    /// Begins a corpus in `dir`, which is created where it is missing. What an interrupted attempt left in it is removed, as
-    /// far as a list of ours names it. Maps are copied from `maps` as scenarios need them.
+    /// Begins a corpus in `dir`, which is created if it is missing. Files of an interrupted attempt are removed if a
+    /// list of ours names them. Maps are copied from `maps` as scenarios need them.
     ///
     /// # Errors
-    /// [`Error::Files`] when the folder holds files of somebody else; those of the file system.
+    /// [`Error::Files`] when the folder holds other people's files; those of the file system.
     pub fn create(dir: &Path, maps: &'m dyn MapSource) -> Result<Self> {
         let sink = CorpusSink::create(dir)?;
         let spool = dir.join(SPOOL_FILE);
@@ -75,7 +75,7 @@ impl<'m> CorpusWriter<'m> {
         Ok(())
     }
 
-    /// Adds the recorded scene that scenarios continue. A scene that is there already is left out.
+    /// Adds the recorded scene that scenarios continue. A scene that was added before is skipped.
     ///
     /// # Errors
     /// Those of the file system.
@@ -87,7 +87,7 @@ impl<'m> CorpusWriter<'m> {
         self.sink.write_recordings(&partition, &recording::encode(scene)?, 1)
     }
 
-    /// Adds metric values, in the order given. Those of scenarios that have not been added are left out.
+    /// Adds metric values, in the order given, except those of scenarios that have not been added.
     ///
     /// # Errors
     /// Those of the rows; those of the file system.
@@ -117,7 +117,7 @@ impl<'m> CorpusWriter<'m> {
         self.sink.finish(notes, &[])
     }
 
-    /// Notes a scenario, and writes its map when it is the first to need it.
+    /// Registers a scenario, and writes its map if it is the first to need it.
     fn register(&mut self, record: &ScenarioRecord) -> Result<()> {
         sample::check(record)?;
         let scene = &record.scenario.scene;

@@ -18,7 +18,7 @@ pub enum Error {
         /// The folder.
         dir: PathBuf,
     },
-    /// A folder that is no corpus.
+    /// A folder that is not a corpus.
     #[error("{} is not a corpus: it has no corpus manifest.json; {}", .dir.display(), what_to_name(.inside.as_deref()))]
     NoCorpus {
         /// The folder.
@@ -26,14 +26,14 @@ pub enum Error {
         /// The corpus in it, as run folders have one.
         inside: Option<PathBuf>,
     },
-    /// A file of another schema, or of another version of it.
+    /// A file with another schema, or another version of it.
     #[error("{} has schema `{found}`, expected `{expected}`; write it again with this version of djinn", .path.display())]
     SchemaVersion {
         /// The file.
         path: PathBuf,
         /// The schema that this version reads, such as `scene.v2`.
         expected: String,
-        /// What the file says it holds; empty when it says nothing.
+        /// The schema that the file names; empty if it names none.
         found: String,
     },
     /// A file whose content is not what was written.
@@ -52,7 +52,7 @@ pub enum Error {
         /// Why not.
         detail: String,
     },
-    /// A scene that was given twice.
+    /// A scene that was added twice.
     #[error(
         "scene {id} was read twice; check whether the inputs overlap, such as a folder and the archive it was unpacked from"
     )]
@@ -60,7 +60,7 @@ pub enum Error {
         /// The scene.
         id: String,
     },
-    /// A map that no table holds.
+    /// A map that is in no table.
     #[error("map {map_id} is not among the maps of {}", .path.display())]
     UnknownMap {
         /// The map.
@@ -68,15 +68,15 @@ pub enum Error {
         /// Where it was looked for.
         path: PathBuf,
     },
-    /// A position or name that a table does not hold.
+    /// A position or name that is not in a table.
     #[error("{} holds no {what}", .path.display())]
     NotFound {
         /// The file or folder.
         path: PathBuf,
-        /// What was asked for, such as `scene 12 of 10`.
+        /// What was requested, such as `scene 12 of 10`.
         what: String,
     },
-    /// JSON that is not of the expected form.
+    /// JSON that does not have the expected form.
     #[error("cannot read or write {}: {source}", .path.display())]
     Json {
         /// The file.
@@ -141,7 +141,7 @@ impl Error {
     pub(crate) fn parquet(path: &Path) -> impl FnOnce(parquet::errors::ParquetError) -> Self {
         let path = path.to_owned();
         move |source| match source {
-            // Parquet wraps the errors of the writer beneath it: a full disk should read as one.
+            // Parquet wraps the errors of the writer beneath it; a full disk should read as a full disk.
             parquet::errors::ParquetError::External(cause) => match cause.downcast::<std::io::Error>() {
                 Ok(io) => Self::Io(*io),
                 Err(cause) => Self::Parquet { path, source: parquet::errors::ParquetError::External(cause) },

@@ -1,4 +1,4 @@
-//! `events.parquet`: what did mining find?
+//! `events.parquet`: the mined events.
 
 use super::parquet_file::ParquetFile;
 use super::tables::event::{self, EventNames};
@@ -7,7 +7,7 @@ use crate::behavior::{BehaviorEntry, BehaviorEvent};
 use crate::files::FileStamp;
 use std::path::{Path, PathBuf};
 
-/// Writes an event table, some scenes at a time, with memory for a row group.
+/// Writes an event table, some scenes at a time, holding one row group in memory.
 pub struct EventWriter<'n> {
     path: PathBuf,
     names: EventNames<'n>,
@@ -15,7 +15,8 @@ pub struct EventWriter<'n> {
 }
 
 impl<'n> EventWriter<'n> {
-    /// A table with a column for each role and parameter that these behaviors declare, whether or not an event has it.
+    /// Begins a table with a column for each role and parameter that these behaviors declare, whether or not an event
+    /// has it.
     pub fn new(path: &Path, behaviors: impl IntoIterator<Item = &'n BehaviorEntry>) -> Self {
         let mut names = EventNames::default();
         for behavior in behaviors {
@@ -39,7 +40,7 @@ impl<'n> EventWriter<'n> {
         file.write(&batch)
     }
 
-    /// Gives the table its name; before that there is none.
+    /// Finishes the table and gives the file its name.
     ///
     /// # Errors
     /// Those of the file system.
@@ -54,7 +55,7 @@ impl<'n> EventWriter<'n> {
     }
 }
 
-/// Reads the events of a table that `keep` asks for, in the order they were written. The others take no memory.
+/// Reads the events that `keep` accepts, in the order they were written. The others take no memory.
 ///
 /// # Errors
 /// As [`stream_events`].
@@ -65,8 +66,8 @@ pub fn read_events(path: &Path, keep: impl Fn(&BehaviorEvent) -> bool) -> Result
 /// Reads a table of events one by one, in the order they were written; few are in memory at a time.
 ///
 /// # Errors
-/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is no
-/// such table, or when an event is read that is damaged; those of the file system.
+/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
+/// not such a table or an event is damaged; those of the file system.
 pub fn stream_events(path: &Path) -> Result<impl Iterator<Item = Result<BehaviorEvent>> + use<>> {
     row_file::read(path, &event::schema(), event::decode)
 }

@@ -1,6 +1,6 @@
-//! Ids and rows as short fingerprints: how are millions of them remembered and compared without keeping them?
+//! Short fingerprints of ids and rows, to remember and compare millions of them.
 
-/// A hash that stands for an id or a row: with 128 bits, two of a billion agree by chance once in 10²¹.
+/// A 128-bit hash of an id or a row: the chance that any two of a billion agree is 10⁻²¹.
 pub(crate) type Fingerprint = [u8; 16];
 
 /// The fingerprint of these bytes.

@@ -1,4 +1,4 @@
-//! The polars view of our tables: what do many events come to by group?
+//! Summaries of many events by group, with polars.
 
 use super::schema::unit_of_name;
 use super::tables::event::label_from_name;
@@ -6,7 +6,7 @@ use super::{Error, Result};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use polars::prelude::*;
 
-/// The quantiles that a parameter is summarized by.
+/// The quantiles in the summary of a parameter.
 pub const QUANTILES: [f64; 7] = [0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0];
 
 /// How the events of a behavior are distributed.
@@ -14,7 +14,7 @@ pub const QUANTILES: [f64; 7] = [0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0];
 pub struct EventSummary {
     /// The behavior.
     pub behavior: String,
-    /// Examples or hard negatives.
+    /// Positive events or hard negatives.
     pub label: EventLabel,
     /// Number of events.
     pub n_events: usize,
@@ -31,7 +31,7 @@ pub struct ParameterSummary {
     pub name: String,
     /// Its unit.
     pub unit: &'static str,
-    /// Number of events that have it.
+    /// Number of events with it.
     pub n: usize,
     /// Their mean.
     pub mean: f64,
@@ -39,8 +39,8 @@ pub struct ParameterSummary {
     pub quantiles: [f64; QUANTILES.len()],
 }
 
-/// Counts of events and the distributions of their parameters, for each behavior and label, in the order in which these
-/// come first.
+/// Counts of events and the distributions of their parameters, for each behavior and label, in the order of first
+/// occurrence.
 ///
 /// # Errors
 /// [`Error::Frame`] when a group-by fails.

@@ -49,8 +49,8 @@ impl IpcFile {
     }
 }
 
-/// A table that is mapped into memory. Batches are decoded when they are asked for: their buffers stay in the mapping, but the arrays
-/// around these take kilobytes a batch, and there are as many batches as the file has.
+/// A table that is mapped into memory. Batches are decoded on demand: their buffers stay in the mapping, but the arrays
+/// around them take kilobytes a batch.
 pub(crate) struct MappedTable {
     path: PathBuf,
     buffer: Buffer,
@@ -63,10 +63,11 @@ impl MappedTable {
     /// Maps a file of this table.
     ///
     /// # Errors
-    /// [`Error::Corrupt`] when the content is not what `stamp` says or is no table, [`Error::SchemaVersion`] when it is another.
+    /// [`Error::Corrupt`] when the content does not match `stamp` or is not a table, [`Error::SchemaVersion`] when it
+    /// is another table.
     pub(crate) fn open(path: &Path, table: &TableSchema, stamp: &FileStamp) -> Result<Self> {
         let buffer = map_file(path)?;
-        // The checksum comes first: past it, nothing in the file can be other than what was written.
+        // The checksum comes first: once it matches, the content is what was written.
         stamp.verify(path, &buffer)?;
         contained(path, || Self::with_footer(path, table, buffer))
     }
@@ -94,7 +95,7 @@ impl MappedTable {
         &self.path
     }
 
-    /// Uses the schema of `other` where it is the same: with what it says of each column, it takes tens of kilobytes a file.
+    /// Shares the schema of `other` if it is the same: with its descriptions, a schema takes tens of kilobytes.
     pub(crate) fn share_schema(&mut self, other: &Self) {
         if self.schema == other.schema {
             self.schema = Arc::clone(&other.schema);
@@ -109,7 +110,7 @@ impl MappedTable {
     /// Decodes the batch at `position`, which must be below [`n_batches`](Self::n_batches), without copying its content.
     ///
     /// # Errors
-    /// [`Error::Corrupt`] when it is no batch of the table.
+    /// [`Error::Corrupt`] when it is not a batch of the table.
     pub(crate) fn batch(&self, position: usize) -> Result<RecordBatch> {
         let damaged = |detail: &str| Error::corrupt(&self.path, detail);
         let block = &self.blocks[position];
@@ -125,7 +126,7 @@ impl MappedTable {
     }
 }
 
-/// The bytes of a block, without copying; `None` when it is not within the file.
+/// The bytes of a block, without copying; `None` if it is not within the file.
 fn block_of(buffer: &Buffer, block: &Block) -> Option<Buffer> {
     let start = usize::try_from(block.offset()).ok()?;
     let head = usize::try_from(block.metaDataLength()).ok()?;
@@ -140,8 +141,8 @@ fn map_file(path: &Path) -> Result<Buffer> {
     if file.metadata()?.len() == 0 {
         return Err(Error::corrupt(path, "it is empty"));
     }
-    // SAFETY: the mapping is private and never written to. Our files are only ever replaced by renaming, never changed in
-    // place, so the bytes stay as they are while they are mapped, unless another program tampers with them.
+    // SAFETY: the mapping is private and never written to. Our files are replaced by renaming and never changed in
+    // place, so mapped bytes do not change unless another program tampers with them.
     let mapping = unsafe { Mmap::map(file.file()) }
         .map_err(|error| std::io::Error::new(error.kind(), format!("cannot map {}: {error}", path.display())))?;
     let len = mapping.len();
@@ -150,7 +151,7 @@ fn map_file(path: &Path) -> Result<Buffer> {
     Ok(unsafe { Buffer::from_custom_allocation(start, len, Arc::new(mapping)) })
 }
 
-/// Arrow wraps the errors of the writer beneath it: a full disk should read as one.
+/// Arrow wraps the errors of the writer beneath it; a full disk should read as a full disk.
 fn failed(path: &Path) -> impl FnOnce(ArrowError) -> Error {
     let path = path.to_owned();
     move |error| match error {

@@ -1,4 +1,4 @@
-//! Lanes by map: where are the rows of a map, and which of them does a scene need?
+//! Lanes by map: the rows of each map, and the lanes of a scene among them.
 
 use super::tables::columns::Columns;
 use super::tables::lane;
@@ -10,34 +10,35 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Where maps can be looked up: a scene store or a corpus. Lanes are in the recording's frame.
+/// A source of maps: a scene store or a corpus. Lanes are in the recording's frame.
 pub trait MapSource: Sync {
     /// The whole map.
     ///
     /// # Errors
-    /// [`Error::UnknownMap`] when there is none of this name.
+    /// [`Error::UnknownMap`] when there is no such map.
     fn map(&self, id: &MapId) -> Result<LaneGraph>;
 
-    /// These lanes of the map, with connections among them.
+    /// These lanes of the map, with the connections among them.
     ///
     /// # Errors
     /// [`Error::UnknownMap`] when there is no such map, [`Error::NotFound`] when it lacks one of the lanes.
     fn lanes(&self, id: &MapId, lane_ids: &[LaneId]) -> Result<LaneGraph>;
 }
 
-/// Lane rows and where in them each map is.
+/// Rows of lanes, and the position of each map among them.
 #[derive(Debug, Default)]
 pub(crate) struct MapTable {
-    /// Where they are from, for errors.
+    /// Their file, for errors.
     dir: PathBuf,
     batches: Vec<(PathBuf, RecordBatch)>,
     /// The rows of each map: ranges of batches, with ascending lane ids over all of them.
     rows: BTreeMap<String, Vec<(usize, Range<usize>)>>,
-    /// Maps that scenes were just read from: the next scene mostly has the same one.
+    /// The maps of the last scenes: the next scene mostly has the same one.
     decoded: Mutex<BTreeMap<String, Arc<LaneGraph>>>,
 }
 
-/// Maps that are kept decoded, and the most lanes of one: those of whole cities would take too much memory, and a scene few of them.
+/// Number of maps that stay decoded, and the most lanes of one: maps of whole cities take too much memory, and a scene
+/// needs few of their lanes.
 const N_DECODED: usize = 8;
 const N_DECODED_LANES: usize = 2000;
 
@@ -62,7 +63,7 @@ impl MapTable {
         Ok(())
     }
 
-    /// Where the maps are from.
+    /// The file of the maps.
     pub(crate) fn dir(&self) -> &Path {
         &self.dir
     }

@@ -1,4 +1,4 @@
-//! `metrics.parquet`: the values of metrics, one a row.
+//! `metrics.parquet`: one metric value a row.
 
 use super::row_file::{self, ROWS_PER_BATCH, RowFile};
 use super::tables::metric;
@@ -31,17 +31,17 @@ pub(super) fn batches(rows: impl IntoIterator<Item = Result<MetricRow>>) -> impl
 /// Reads a metric table row by row, in the order it was written; few rows are in memory at a time.
 ///
 /// # Errors
-/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is no
-/// such table, or when a row is read that is damaged; those of the file system.
+/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
+/// not such a table or a row is damaged; those of the file system.
 pub fn read_metrics(path: &Path) -> Result<impl Iterator<Item = Result<MetricRow>> + use<>> {
     row_file::read(path, &metric::schema(), metric::decode)
 }
 
-/// Rows of the batch, and bytes of the group, that a spool holds in memory: there are as many spools as series.
+/// Rows of a batch, and bytes of a row group, that a spool holds in memory: there is a spool for each series.
 const ROWS_PER_SPOOLED_BATCH: usize = 1024;
 const BYTES_PER_SPOOLED_GROUP: usize = 512 << 10;
 
-/// Metric values that wait in a file of their own for those that a table has before them.
+/// Metric values in a temporary file, until the rows before them in the table are known.
 pub struct MetricSpool {
     path: PathBuf,
     file: RowFile<MetricRow>,
@@ -83,7 +83,7 @@ pub struct SpooledMetrics {
 }
 
 impl SpooledMetrics {
-    /// The rows, in the order in which they came, as often as they are asked for.
+    /// The rows, in the order in which they were added. They can be read more than once.
     ///
     /// # Errors
     /// As [`read_metrics`].

@@ -1,8 +1,8 @@
-//! The only reader and writer of our own files: what is in a scene store, an event table, a sample shard, a corpus?
+//! The only reader and writer of our own files: scene stores, event tables, sample shards, corpora.
 //!
-//! Recorded scenes are Arrow files that are mapped into memory ([`SceneStore`]); everything else is Parquet. Every column
-//! has a unit, a frame and a description ([`TableSchema`], published in `schemas/`). Equal content gives equal bytes, and a
-//! file is under its final name only when it is whole; the manifest of a folder is written last.
+//! Recorded scenes are Arrow files that are mapped into memory ([`SceneStore`]); everything else is Parquet. Every
+//! column has a unit, a frame and a description ([`TableSchema`], published in `schemas/`). Equal content gives equal
+//! bytes. A file under its final name is complete; the manifest of a folder is written last.
 
 mod atomic;
 mod binary;

@@ -1,4 +1,4 @@
-//! One Parquet file of ours: how are tables written so that equal content gives equal bytes, and read so that a wrong file is named?
+//! One Parquet file of ours: written so that equal content gives equal bytes, and read with errors that name the file.
 
 use super::schema::{SCHEMA_KEY, TableSchema};
 use super::{Error, Result};
@@ -21,10 +21,10 @@ use std::sync::Arc;
 
 /// Rows of a row group: what a writer holds in memory, and what a reader can skip.
 const ROWS_PER_GROUP: usize = 128 * 1024;
-/// Encoded bytes of a row group beyond which it ends with fewer rows: those of scenarios take almost a kilobyte.
+/// Encoded bytes at which a row group ends early: a row of the scenario table takes almost a kilobyte.
 const BYTES_PER_GROUP: usize = 4 << 20;
 
-/// Writes one table, batch by batch, holding at most a row group in memory. Where row groups end depends on the batches alone.
+/// Writes one table, batch by batch, holding at most a row group in memory. Row groups depend only on the batches.
 pub(crate) struct ParquetFile {
     path: PathBuf,
     writer: ArrowWriter<AtomicFile>,
@@ -52,12 +52,12 @@ impl ParquetFile {
         self.n_rows
     }
 
-    /// Encoded bytes of the row group that is being written, which are in memory.
+    /// Encoded bytes of the unfinished row group, which is in memory.
     pub(crate) fn n_bytes_in_memory(&self) -> usize {
         self.writer.memory_size()
     }
 
-    /// Ends the row group early, so that nothing of it is left in memory.
+    /// Ends the row group early and frees its memory.
     pub(crate) fn flush(&mut self) -> Result<()> {
         self.writer.flush().map_err(Error::parquet(&self.path))
     }
@@ -72,15 +72,15 @@ impl ParquetFile {
 fn properties(table: &TableSchema, schema: &Schema) -> parquet::errors::Result<WriterProperties> {
     let mut properties = WriterProperties::builder()
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(3)?))
-        // The default names the version of the library: an update would change every file.
+        // The default names the version of the library, so that an update would change every file.
         .set_created_by("djinn".to_owned())
         .set_max_row_group_row_count(Some(ROWS_PER_GROUP))
         .set_key_value_metadata(Some(vec![KeyValue::new(SCHEMA_KEY.to_owned(), table.id())]));
     for column in ArrowSchemaConverter::new().convert(schema)?.columns() {
-        // Hardly any measured number occurs twice: a dictionary of them all would make the column larger, not smaller.
+        // Measured numbers rarely repeat, so a dictionary would make the column larger.
         if matches!(column.physical_type(), Type::FLOAT | Type::DOUBLE) {
             properties = properties.set_column_dictionary_enabled(column.path().clone(), false);
-            // Bytes of one significance side by side compress by a seventh better (measured on tracks).
+            // Bytes grouped by significance compress better by a seventh (measured on tracks).
             properties = properties.set_column_encoding(column.path().clone(), Encoding::BYTE_STREAM_SPLIT);
         }
     }
@@ -113,7 +113,7 @@ pub(crate) fn read_rows(path: &Path, table: &TableSchema, rows: Range<usize>) ->
 /// Rows that a streaming reader holds at a time.
 const ROWS_PER_BATCH: usize = 8 * 1024;
 
-/// Reads a table batch by batch: whole rows in the present version of the table, or only some columns as they are.
+/// Reads a table batch by batch: whole rows in the current version of the table, or only some columns as they are.
 pub(crate) fn stream(path: &Path, table: &TableSchema, columns: Option<&[&str]>) -> Result<Batches> {
     let reader = contained(path, || {
         let reader = open(path, table, ArrowReaderOptions::new())?.with_batch_size(ROWS_PER_BATCH);
@@ -144,7 +144,7 @@ pub(crate) fn n_rows(path: &Path, table: &TableSchema) -> Result<u64> {
 pub(crate) struct Batches {
     path: PathBuf,
     table: TableSchema,
-    /// Whether all columns are read, so that batches can be brought to the present version.
+    /// Whether all columns are read, so that batches can be upgraded to the current version.
     is_whole: bool,
     reader: Option<ParquetRecordBatchReader>,
 }
@@ -169,7 +169,7 @@ impl Iterator for Batches {
     }
 }
 
-/// The reader asserts some of what a damaged file breaks; such a file is an error like any other.
+/// The reader panics on some damaged files; they must be errors like others.
 pub(super) fn contained<T>(path: &Path, read: impl FnOnce() -> Result<T>) -> Result<T> {
     containment::contained(read).unwrap_or_else(|| Err(Error::corrupt(path, "it cannot be decoded")))
 }
@@ -186,7 +186,7 @@ fn open(
     Ok(reader)
 }
 
-/// A file that Parquet cannot read was not written by us, or is not whole.
+/// A file that Parquet cannot read is incomplete or was not written by djinn.
 fn damaged(path: &Path) -> impl FnOnce(parquet::errors::ParquetError) -> Error {
     let path = path.to_owned();
     move |error| Error::corrupt(&path, error.to_string())

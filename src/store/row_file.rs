@@ -1,4 +1,4 @@
-//! A table whose rows come and go one by one: few of them are in memory at a time, whatever its size.
+//! Writes and reads a table row by row, with few rows in memory at a time.
 
 use super::Result;
 use super::parquet_file::{self, ParquetFile};
@@ -19,7 +19,7 @@ pub(super) struct RowFile<T> {
 }
 
 impl<T> RowFile<T> {
-    /// Begins a file of this table, whose rows `encode` makes batches of.
+    /// Begins a file of this table; `encode` turns rows into batches.
     pub(super) fn create(path: &Path, table: &TableSchema, encode: fn(&[T]) -> Result<RecordBatch>) -> Result<Self> {
         let file = ParquetFile::create(path, table, encode(&[])?.schema())?;
         Ok(Self { file, pending: Vec::new(), rows_per_batch: ROWS_PER_BATCH, encode })
@@ -39,7 +39,7 @@ impl<T> RowFile<T> {
         Ok(())
     }
 
-    /// Ends the row group if it takes more than this many bytes, which are in memory until then.
+    /// Ends the row group if it takes more than this many bytes of memory.
     pub(super) fn limit_memory(&mut self, n_bytes: usize) -> Result<()> {
         if self.file.n_bytes_in_memory() > n_bytes { self.file.flush() } else { Ok(()) }
     }

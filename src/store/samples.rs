@@ -21,8 +21,8 @@ pub fn write_samples(path: &Path, records: &[ScenarioRecord]) -> Result<FileStam
 /// Reads one shard of generated scenarios; lanes come from `maps`, such as the scene store they were generated from.
 ///
 /// # Errors
-/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is no
-/// such shard; those of `maps` and of the file system.
+/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
+/// not such a shard; those of `maps` and of the file system.
 pub fn read_samples(path: &Path, maps: &dyn MapSource) -> Result<Vec<ScenarioRecord>> {
     let mut records = Vec::new();
     for batch in parquet_file::read(path, &sample::schema())? {
@@ -55,7 +55,7 @@ pub struct Difference {
     pub values: [String; 2],
 }
 
-/// The columns of a sample shard in which two scenarios differ by a single bit, and how many columns there are.
+/// The columns of a sample shard in which two scenarios differ, if only by a bit, and the number of columns.
 ///
 /// # Errors
 /// When a record cannot be written.

@@ -1,8 +1,8 @@
-//! What can be known of the scenes of a store without loading them, in some tens of bytes for each?
+//! What is known of the scenes of a store without loading them, in some tens of bytes for each.
 
 use crate::scene::{Dataset, Split};
 
-/// What can be known of a scene without loading it.
+/// What is known of a scene without loading it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SceneIndexEntry<'a> {
     /// The id of the scene.
@@ -19,8 +19,8 @@ pub struct SceneIndexEntry<'a> {
     pub n_timesteps: u32,
 }
 
-/// One entry a scene, in the order of ingest. A scene takes 24 bytes and those of its id: ids follow each other in one text, and the name
-/// of a place is kept once.
+/// One entry a scene, in the order of ingest. A scene takes 24 bytes beside its id: ids are concatenated in one text,
+/// and the name of a place is kept once.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SceneIndex {
     ids: String,
@@ -28,10 +28,10 @@ pub struct SceneIndex {
     rows: Vec<Row>,
 }
 
-/// What is kept of a scene beside its id.
+/// The entry of a scene beside its id.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Row {
-    /// Where its id ends; it begins where that of the scene before it ends.
+    /// The end of its id, which begins where the previous one ends.
     id_end: usize,
     /// Position among the places.
     place: u32,
@@ -78,13 +78,13 @@ impl SceneIndex {
         self.rows.push(Row { id_end, place, n_agents, n_timesteps, dataset, split });
     }
 
-    /// Gives back the memory that was taken in advance.
+    /// Frees spare capacity.
     pub(super) fn shrink(&mut self) {
         self.ids.shrink_to_fit();
         self.rows.shrink_to_fit();
     }
 
-    /// The position of a place, which becomes the last one where it is new. Scenes of a place mostly follow each other.
+    /// The position of a place; a new place becomes the last one. Scenes of a place mostly follow each other.
     fn number_of(&mut self, place: &str) -> u32 {
         if let Some(last) = self.rows.last().filter(|last| self.places[last.place as usize] == place) {
             return last.place;

@@ -1,4 +1,4 @@
-//! What a scene store says of itself: its shards, their sizes and hashes, and what the ingest reported.
+//! The manifest of a scene store: its shards with sizes and hashes, and the report of the ingest.
 
 use super::atomic::read_json;
 use super::tables::{lane, scene};
@@ -46,9 +46,9 @@ pub struct ShardSidecar {
     pub schema: String,
     /// The shard.
     pub shard: ShardEntry,
-    /// Units of input that are done once this shard is, since the start of the job.
+    /// Units of input done by the end of this shard, since the start of the job.
     pub units_done: u64,
-    /// The caller's report up to here, since the start of the job.
+    /// The caller's report by the end of this shard, since the start of the job.
     pub report: Value,
 }
 
@@ -69,7 +69,7 @@ pub struct SceneManifest {
     pub n_bytes: u64,
     /// The shards, in order.
     pub shards: Vec<ShardEntry>,
-    /// The caller's report: rejects and the like.
+    /// The caller's report, such as rejects.
     pub report: Value,
 }
 

@@ -1,17 +1,17 @@
-//! Some scenes of a store: a bit for each, so that even of millions it takes little memory to know which were seen.
+//! A set of scenes of a store, with a bit for each.
 
 use std::collections::BTreeMap;
 
 /// Scenes by their position in a [`SceneStore`](super::SceneStore).
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SceneSet {
-    /// Bits of 64 scenes each, where there are any: the scenes of a place mostly lie together.
+    /// Blocks of 64 scenes with at least one bit set: the scenes of a place mostly lie together.
     words: BTreeMap<usize, u64>,
     n: usize,
 }
 
 impl SceneSet {
-    /// Adds the scene at `position`. Returns whether it was not there yet.
+    /// Adds the scene at `position` and returns whether it is new.
     pub fn insert(&mut self, position: usize) -> bool {
         let (word, bit) = (position / 64, 1 << (position % 64));
         let word = self.words.entry(word).or_default();
@@ -21,12 +21,12 @@ impl SceneSet {
         is_new
     }
 
-    /// Whether the scene at `position` is there.
+    /// Whether the scene at `position` is in the set.
     pub fn contains(&self, position: usize) -> bool {
         self.words.get(&(position / 64)).is_some_and(|word| word & (1 << (position % 64)) != 0)
     }
 
-    /// How many there are.
+    /// The number of scenes.
     pub const fn len(&self) -> usize {
         self.n
     }

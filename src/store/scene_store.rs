@@ -1,4 +1,4 @@
-//! Reading a scene store: any scene at once, from files that are mapped into memory.
+//! Random access to a scene store, from files that are mapped into memory.
 
 use super::ipc_file::MappedTable;
 use super::maps::{MapSource, MapTable};
@@ -16,17 +16,18 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-/// Batches of scenes that are kept decoded: more than there are threads, for each mostly reads a scene beside its last one.
+/// Number of batches that stay decoded: more than there are threads, because each mostly reads the scene after its last
+/// one.
 const N_DECODED: usize = 64;
 
-/// A finished scene store, verified and mapped into memory. It may be shared between threads. Beside the mapping, a scene takes 28 bytes
-/// and those of its id.
+/// A finished scene store, verified and mapped into memory. Threads can share it. Beside the mapping, a scene takes 28
+/// bytes and its id.
 pub struct SceneStore {
     manifest: SceneManifest,
     fingerprint: String,
     shards: Vec<MappedTable>,
     batches: Vec<BatchPlace>,
-    /// Batches that scenes were just read from, by position.
+    /// The last batches that were read, by position.
     decoded: Mutex<BTreeMap<usize, RecordBatch>>,
     maps: MapTable,
     index: SceneIndex,
@@ -34,7 +35,7 @@ pub struct SceneStore {
     by_id: Vec<u32>,
 }
 
-/// Where a batch of scenes is.
+/// The place of a batch of scenes.
 struct BatchPlace {
     /// Position of its shard.
     shard: usize,
@@ -69,7 +70,7 @@ impl SceneStore {
                 enter_all(&mut index, &Columns::of_batch(&scenes.batch(batch)?, scenes.path()))?;
             }
             if (index.len() - first_of_shard) as u64 != entry.n_scenes {
-                return Err(Error::corrupt(scenes.path(), "it has another number of scenes than its manifest says"));
+                return Err(Error::corrupt(scenes.path(), "its number of scenes is not the one in the manifest"));
             }
             shards.push(scenes);
         }
@@ -114,7 +115,7 @@ impl SceneStore {
     /// Loads scene `i` with its lanes.
     ///
     /// # Errors
-    /// [`Error::NotFound`] when there are not as many; those of its map.
+    /// [`Error::NotFound`] when there are fewer; those of its map.
     pub fn scene(&self, i: usize) -> Result<Scene> {
         let after = self.batches.partition_point(|batch| batch.first <= i);
         let Some(at) = after.checked_sub(1).filter(|_| i < self.len()) else {
@@ -159,7 +160,7 @@ fn open_shard(dir: &Path, shard: &ShardEntry) -> Result<(MappedTable, Option<Map
     Ok((MappedTable::open(&dir.join(&shard.file), &scene::schema(), &shard.stamp)?, lanes))
 }
 
-/// Enters the scenes of a batch in the index.
+/// Adds the scenes of a batch to the index.
 fn enter_all(index: &mut SceneIndex, columns: &Columns<'_>) -> Result<()> {
     let (tracks, _) = columns.of_list("tracks")?;
     for row in 0..tracks.len() {

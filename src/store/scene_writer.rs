@@ -1,4 +1,4 @@
-//! Writing a scene store: shards that are whole or absent, and where to go on after an interruption.
+//! Writes a scene store in shards, and continues after an interruption.
 
 use super::atomic::{read_json, write_json_atomically};
 use super::ipc_file::{IpcFile, MappedTable};
@@ -29,9 +29,9 @@ impl Default for SceneWriterOptions {
 
 /// Writes a scene store, shard by shard.
 ///
-/// A shard is up to three files: `maps-00000.arrow` with the maps that it is the first to need, `scenes-00000.arrow`, and,
-/// once both are whole, the sidecar `scenes-00000.json`. The manifest is written last. The same scenes in the same batches
-/// give the same bytes, whether or not the writer was interrupted.
+/// A shard is up to three files: `maps-00000.arrow` with the maps that it is the first to need, `scenes-00000.arrow`,
+/// and, once both are complete, the sidecar `scenes-00000.json`. The manifest is written last. The same scenes in the
+/// same batches give the same bytes, whether or not the writer was interrupted.
 pub struct SceneWriter {
     dir: PathBuf,
     options: SceneWriterOptions,
@@ -56,7 +56,7 @@ struct OpenShard {
 }
 
 impl SceneWriter {
-    /// Begins a store in `dir`, which is created where it is missing; the files of an earlier store there are removed.
+    /// Begins a store in `dir`, which is created if it is missing; the files of an earlier store there are removed.
     ///
     /// # Errors
     /// Those of the file system.
@@ -75,8 +75,8 @@ impl SceneWriter {
         })
     }
 
-    /// Continues after the last finished shard, whose sidecar says how many units are done and what was reported up to
-    /// then. `None`: nothing is finished, begin at the start of the input. Half-written files are removed.
+    /// Continues after the last finished shard, and returns its sidecar with the units done and the report so far;
+    /// `None` if no shard is finished. Unfinished files are removed.
     ///
     /// # Errors
     /// Those of the file system, and of maps that cannot be read.
@@ -124,13 +124,14 @@ impl SceneWriter {
         Ok((writer, last))
     }
 
-    /// Adds scenes, after the maps that they are the first to need; maps that are known already are passed over.
-    /// `units_done` and `report` are cumulative since the start of the job, and describe it once this batch is in. `None`: the
-    /// last unit goes on in the next batch, so that no shard may end here.
+    /// Adds scenes, after the maps that they are the first to need; known maps are skipped. `units_done` and `report`
+    /// are cumulative since the start of the job and include this batch. `None`: the last unit continues in the next
+    /// batch, so no shard may end here.
     ///
     /// # Errors
-    /// [`Error::Invalid`] when a scene cannot be stored, for instance because its map was never given;
-    /// [`Error::DuplicateScene`] when its id was given before; those of the file system. The writer is of no use afterwards, but what it finished remains for [`resume`](Self::resume).
+    /// [`Error::Invalid`] when a scene cannot be stored, for instance because its map was never added;
+    /// [`Error::DuplicateScene`] when its id was added before; those of the file system. The writer cannot be used
+    /// afterwards, but finished shards remain for [`resume`](Self::resume).
     pub fn write_batch(
         &mut self,
         scenes: &[Scene],
@@ -140,7 +141,7 @@ impl SceneWriter {
     ) -> Result<()> {
         self.write_maps(maps)?;
         if let Some(scene) = scenes.iter().find(|scene| !self.has_map_of(scene)) {
-            return Err(Error::invalid(&scene.id, "its map was not given before it"));
+            return Err(Error::invalid(&scene.id, "its map was not added before it"));
         }
         if let Some(scene) = scenes.iter().find(|scene| !self.known_scenes.insert(hash_of(&scene.id.0))) {
             return Err(Error::DuplicateScene { id: scene.id.to_string() });
@@ -196,8 +197,8 @@ impl SceneWriter {
         scene.lanes.is_empty() || scene.map_id.as_ref().is_some_and(|id| self.known_maps.contains(&id.0))
     }
 
-    /// Gives the shard's files their names, the sidecar last. Maps without scenes are dropped: they can only come after the
-    /// last scene.
+    /// Gives the shard's files their names, the sidecar last. Maps without scenes are dropped; they can only come after
+    /// the last scene.
     fn finish_shard(&mut self) -> Result<()> {
         let OpenShard { scenes, n_scenes, n_agents, maps, n_maps, n_lanes } = std::mem::take(&mut self.current);
         let Some(scenes) = scenes else { return Ok(()) };
@@ -236,7 +237,7 @@ fn open_or_create(file: &mut Option<IpcFile>, create: impl FnOnce() -> Result<Ip
     }
 }
 
-/// Enough of a hash to tell any number of scenes apart.
+/// Enough of a hash to distinguish any number of scenes.
 fn hash_of(scene_id: &str) -> u128 {
     let mut start = [0; 16];
     start.copy_from_slice(&blake3::hash(scene_id.as_bytes()).as_bytes()[..16]);
@@ -251,8 +252,8 @@ fn sidecar_name(shard_idx: usize) -> String {
     shard_name("scenes", shard_idx, "json")
 }
 
-/// The sidecar of a shard all of whose files are there and of the length they were written with. Anything else is simply
-/// not finished: it will be written again.
+/// The sidecar of a shard whose files all exist with the length that was written. Any other shard is unfinished and
+/// will be written again.
 fn finished_shard(dir: &Path, shard_idx: usize) -> Option<ShardSidecar> {
     let sidecar: ShardSidecar = read_json(&dir.join(sidecar_name(shard_idx))).ok()?;
     let has = |file: &str, stamp: &FileStamp| {
@@ -267,7 +268,7 @@ fn finished_shard(dir: &Path, shard_idx: usize) -> Option<ShardSidecar> {
     is_whole.then_some(sidecar)
 }
 
-/// Removes the manifest and every shard file that is not to be kept. Other files in the folder stay.
+/// Removes the manifest and every shard file except those to keep. Other files in the folder stay.
 fn remove_store_files(dir: &Path, keep: &BTreeSet<String>) -> Result<()> {
     remove_if_present(&dir.join(MANIFEST_FILE))?;
     for entry in fs::read_dir(dir)? {

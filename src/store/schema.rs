@@ -1,4 +1,4 @@
-//! The schemas of our tables: which columns does each have, in which unit and frame, and which version is it?
+//! The schemas of our tables: columns with unit and frame, and versions.
 
 use super::{Error, Result, tables};
 use arrow::array::{RecordBatch, new_null_array};
@@ -8,17 +8,17 @@ use serde::Serialize;
 use std::path::Path;
 use std::sync::Arc;
 
-/// The key in a file's metadata under which its schema is named, such as `scene.v2`.
+/// The key of the schema's name, such as `scene.v2`, in a file's metadata.
 pub const SCHEMA_KEY: &str = "djinn.schema";
 
 /// Frame of coordinates near zero: origin at the ego's position at the present, x axis along its heading there.
 pub(crate) const SCENE_FRAME: &str = "scene";
 /// Frame of the recording or its map, as the dataset defines it.
 pub(crate) const WORLD_FRAME: &str = "world";
-/// Unit or frame of what has none.
+/// The unit or frame of a column without one.
 const NONE: &str = "none";
 
-/// Columns whose names depend on the data: one for each role or parameter that occurs.
+/// Columns with names that depend on the data: one for each role or parameter.
 #[derive(Debug, Clone)]
 pub struct OpenColumns {
     /// The form of the names, such as `<role>_track_id`.
@@ -27,7 +27,7 @@ pub struct OpenColumns {
     pub data_type: DataType,
     /// What they hold.
     pub description: &'static str,
-    /// Those that are known beforehand.
+    /// The columns that are known beforehand.
     pub known: Vec<Field>,
 }
 
@@ -47,7 +47,7 @@ pub struct TableSchema {
 }
 
 impl TableSchema {
-    /// Every table that we write, in the order of the pipeline.
+    /// Every table of ours, in the order of the pipeline.
     pub fn all() -> Vec<Self> {
         vec![
             tables::scene::schema(),
@@ -84,8 +84,8 @@ impl TableSchema {
         self.fields.iter().any(|field| field.name() == name)
     }
 
-    /// The oldest version whose files are still read. A column that came later is read as missing from such files, so
-    /// later columns must be nullable for older files to be readable; raise the number when one is not.
+    /// The oldest version whose files are still read. A newer column is read as missing from such files, so it must be
+    /// nullable; if it is not, raise this version.
     pub fn oldest_readable(&self) -> u32 {
         match self.name {
             "scene" | "metric" | "verdict" => 1,
@@ -94,7 +94,7 @@ impl TableSchema {
         }
     }
 
-    /// The version that `id` (such as `scene.v2`) names, when it is one of this table that can be read.
+    /// The version in `id` (such as `scene.v2`), if it is a readable version of this table.
     pub fn readable_version(&self, id: &str) -> Option<u32> {
         let version = id.strip_prefix(self.name)?.strip_prefix(".v")?.parse().ok()?;
         (self.oldest_readable()..=self.version).contains(&version).then_some(version)
@@ -103,8 +103,8 @@ impl TableSchema {
     /// Checks that `found`, read from `path`, is this schema in a version that can be read.
     ///
     /// # Errors
-    /// [`Error::SchemaVersion`] when the file names another schema or none, [`Error::Corrupt`] when it names this one
-    /// but has other columns.
+    /// [`Error::SchemaVersion`] when the file names another schema or none, [`Error::Corrupt`] when it names this
+    /// schema but has other columns.
     pub(crate) fn check(&self, path: &Path, found: &Schema) -> Result<()> {
         let found_id = found.metadata().get(SCHEMA_KEY).map_or("", |id| id.as_str());
         let Some(version) = self.readable_version(found_id) else {
@@ -127,18 +127,18 @@ impl TableSchema {
         Ok(())
     }
 
-    /// The batch with the columns of this version in their order, then its open columns; columns that came after the
-    /// version of its file are missing in every row. Call it on batches whose schema passed [`check`](Self::check).
+    /// The batch with the columns of this version in their order, then its open columns; columns newer than its file
+    /// are missing in every row. Call it on batches whose schema passed [`check`](Self::check).
     ///
     /// # Errors
-    /// [`Error::Corrupt`] when a column that cannot be missing is.
+    /// [`Error::Corrupt`] when a required column is missing.
     pub(crate) fn conform(&self, path: &Path, batch: &RecordBatch) -> Result<RecordBatch> {
         let is_open = |field: &&FieldRef| !self.has(field.name());
         let open = || batch.schema_ref().fields().iter().filter(is_open);
         let schema = self.arrow_with(open().map(|field| field.as_ref().clone()).collect());
         let column = |field: &FieldRef| match batch.column_by_name(field.name()) {
             Some(column) if column.data_type() == field.data_type() => Ok(Arc::clone(column)),
-            // The same type with other words about its members.
+            // The same type with other descriptions of its members.
             Some(column) => cast(column, field.data_type()),
             None => Ok(new_null_array(field.data_type(), batch.num_rows())),
         };
@@ -171,7 +171,7 @@ impl TableSchema {
     }
 }
 
-/// What the names of frames stand for.
+/// The definitions of the frames.
 const FRAMES: FramesDoc = FramesDoc {
     scene: "Origin at the ego's position at timestep n_history - 1, x axis along its heading there.",
     world: "The frame of the recording or its map, as the dataset defines it.",
@@ -242,7 +242,7 @@ impl ColumnDoc {
     }
 }
 
-/// A type in plain words, such as `list<float64>`.
+/// The name of a type, such as `list<float64>`.
 pub(crate) fn type_name(data_type: &DataType) -> String {
     match data_type {
         DataType::List(item) => format!("list<{}>", type_name(item.data_type())),
@@ -267,13 +267,13 @@ pub(crate) fn list_of_structs(fields: Vec<Field>) -> DataType {
     list_of(DataType::Struct(fields.into()))
 }
 
-/// What can be said of a column beyond its type.
+/// Properties of a column beyond its type.
 pub(crate) trait ColumnExt {
-    /// Names its unit.
+    /// Sets its unit.
     fn unit(self, unit: &str) -> Self;
-    /// Names its frame.
+    /// Sets its frame.
     fn frame(self, frame: &str) -> Self;
-    /// Lets it hold nothing.
+    /// Makes it nullable.
     fn optional(self) -> Self;
 }
 
@@ -298,7 +298,7 @@ fn with_entry(field: Field, key: &str, value: &str) -> Field {
     field.with_metadata(entries.into_iter().collect::<arrow::datatypes::Metadata>())
 }
 
-/// The unit that a parameter's name ends in.
+/// The unit at the end of a parameter's name.
 pub(crate) fn unit_of_name(name: &str) -> &'static str {
     const SUFFIXES: [(&str, &str); 9] = [
         ("_mps3", "m/s^3"),

@@ -1,4 +1,4 @@
-//! `verdicts.parquet`: what became of each generated scenario, one a row.
+//! `verdicts.parquet`: the verdict on each generated scenario.
 
 use super::Result;
 use super::row_file::{self, RowFile};
@@ -7,7 +7,7 @@ use crate::files::FileStamp;
 use crate::scenario::VerdictRow;
 use std::path::Path;
 
-/// Writes a table of verdicts row by row, with memory for a row group.
+/// Writes a table of verdicts row by row, holding one row group in memory.
 pub struct VerdictWriter(RowFile<VerdictRow>);
 
 impl VerdictWriter {
@@ -27,7 +27,7 @@ impl VerdictWriter {
         self.0.push(row)
     }
 
-    /// Gives the table its name; before that there is none.
+    /// Finishes the table and gives the file its name.
     ///
     /// # Errors
     /// Those of the file system.
@@ -39,8 +39,8 @@ impl VerdictWriter {
 /// Reads a table of verdicts row by row, in the order it was written; few rows are in memory at a time.
 ///
 /// # Errors
-/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is no
-/// such table, or when a row is read that is damaged; those of the file system.
+/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
+/// not such a table or a row is damaged; those of the file system.
 pub fn read_verdicts(path: &Path) -> Result<impl Iterator<Item = Result<VerdictRow>> + use<>> {
     row_file::read(path, &verdict::schema(), verdict::decode)
 }

@@ -1,4 +1,4 @@
-//! The agents of a batch's row, the frame they are in, and the way back from its samples to scenes.
+//! The agents of a row and their frame, and the conversion of its samples to scenes.
 
 use crate::geometry::{Transform2, Vec2, wrap_angle};
 use crate::scene::{ObservationMask, STANDING_STEP_M, Scene, State, Track, Trajectory};
@@ -12,9 +12,9 @@ pub struct AgentFrame {
     pub agents: Vec<usize>,
     pub(super) ego_idx: usize,
     pub(super) mask: ObservationMask,
-    /// Whether headings that recordings do not hold follow from the motion instead of being generated.
+    /// Whether headings that are not recorded follow from the motion instead of being generated.
     pub(super) derives_headings: bool,
-    /// Whether recordings of the scene's kind hold headings of anybody.
+    /// Whether the scene's dataset records headings.
     pub(super) has_headings: bool,
 }
 
@@ -78,9 +78,10 @@ impl AgentFrame {
     }
 }
 
-/// Velocities of generated entries, and where wanted headings along the motion. A velocity is the slope there of the parabola through three
-/// consecutive positions, the middle one of them where there are such on both sides: what a position differs from the one before is then the
-/// mean of the two velocities, but for jerk. A difference of two positions would be the velocity of half a timestep earlier or later.
+/// Velocities of generated entries and, if requested, headings along the motion. A velocity is the slope of the
+/// parabola through three consecutive positions, centered if there are positions on both sides. The difference of two
+/// consecutive positions is then the mean of their velocities, except for jerk; it would itself be the velocity half a
+/// timestep earlier or later.
 fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, with_heading: bool) {
     for timestep in 0..entries.len() {
         if latent[timestep] == 0 {

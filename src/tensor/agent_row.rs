@@ -1,4 +1,4 @@
-//! One agent on its way into a batch: which of its states are entries, what they are relative to, and what the network sees of them.
+//! Writes one agent into a batch: its entries, their base, and the network's input.
 
 use super::batch_buffers::BatchBuffers;
 use super::collate::{Collator, FutureValidity, SceneView};
@@ -89,7 +89,7 @@ impl<'a> AgentRow<'a> {
         }
     }
 
-    /// Writes every entry, and returns the modes of the agent's motion where the collator looks around.
+    /// Writes every entry, and returns the modes of the agent's motion if the collator has `Sight`.
     pub(super) fn write(&self, rows: &mut BatchBuffers) -> Option<MotionModes> {
         let (sin, cos) = (self.frame_heading_rad.sin() as f32, self.frame_heading_rad.cos() as f32);
         rows.rotation[self.at * 2..self.at * 2 + 2].copy_from_slice(&[cos, sin]);
@@ -110,7 +110,7 @@ impl<'a> AgentRow<'a> {
         None
     }
 
-    /// Recorded headings of the entries in the ego frame, continuous along time; 0 where there is no recorded state.
+    /// Recorded headings of the entries in the ego frame, continuous along time; 0 if there is no recorded state.
     fn recorded_headings(&self) -> Vec<f64> {
         let mut last: Option<f64> = None;
         let heading = |(timestep, _): &(usize, bool)| {
@@ -124,7 +124,8 @@ impl<'a> AgentRow<'a> {
         self.entries.iter().map(heading).collect()
     }
 
-    /// What the entries decode to when x is 0: observed states as they are, latent ones as the reference has them (0 without one).
+    /// What the entries decode to when x is 0: observed states unchanged, latent ones from the reference (0 without
+    /// one).
     fn bases(&self, recorded_headings: &[f64]) -> Vec<Base> {
         let base = |((timestep, is_observed), recorded): (&(usize, bool), &f64)| {
             let pose = self.reference.at(*timestep).filter(|_| *is_observed || self.is_residual);

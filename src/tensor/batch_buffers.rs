@@ -1,4 +1,4 @@
-//! A batch's tensors while they are written on the host.
+//! Host buffers of a batch's tensors.
 
 use super::{AgentFrame, FeatureLayout, Normalizer, SceneTensors, StateParametrization};
 use crate::geometry::Vec2;

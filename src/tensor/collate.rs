@@ -10,25 +10,25 @@ use crate::scene::{ObservationMask, Scene};
 use candle_core::{Device, Result, bail};
 use rayon::prelude::*;
 
-/// Which of the states that are not observed are to be generated.
+/// Which unobserved states are generated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FutureValidity {
-    /// Those that were recorded: for training and for losses.
+    /// The recorded ones: for training and for losses.
     Recorded,
     /// Every stretch of hidden states that follows or precedes an observed state of the agent, whatever was recorded in it:
     /// for sampling. Where the mask shows that the agent was not tracked, it stays absent.
     Everything,
-    /// The same stretches as for sampling, of which those that were recorded are scored: for training a network that is told
-    /// the same in training as when sampling. What was not recorded goes on with the last motion that was.
+    /// The same stretches as for sampling, in which recorded states are scored: for training a network on the inputs
+    /// that it gets in sampling. States that were not recorded continue the last recorded motion.
     Continued,
 }
 
-/// A scene as one row of a batch: seen from which agent, with which states observed.
+/// A scene as one row of a batch: the agent at its origin, and its mask.
 #[derive(Debug, Clone, Copy)]
 pub struct SceneView<'a> {
     /// The scene.
     pub scene: &'a Scene,
-    /// The agent at the origin. Where it is not tracked at the last timestep of the history, the scene frame is kept.
+    /// The agent at the origin. If it is not tracked at the last timestep of the history, the scene frame is used.
     pub ego_idx: usize,
     /// Which states are observed; one entry for each track and timestep of the scene.
     pub mask: &'a ObservationMask,
@@ -45,7 +45,7 @@ pub struct Collator {
     pub max_agents: usize,
     /// At most so many lane polylines a row, nearest first.
     pub max_lanes: usize,
-    /// What is looked up around each agent, for networks that see it.
+    /// The look-up of surroundings, for networks that see them.
     pub sight: Option<Sight>,
 }
 
@@ -108,7 +108,7 @@ impl Collator {
             ego_idx: view.ego_idx,
             mask: view.mask.clone(),
             derives_headings: self.sight.is_some(),
-            // Where no heading is diffused, there is none to leave out.
+            // If no heading is diffused, there is none to leave out.
             has_headings: self.normalizer.state_dim < 3 || view.scene.source.dataset.facts().has_headings,
         }
     }

@@ -1,4 +1,4 @@
-//! What the network is told beside states: agent features c and lane polylines M.
+//! The network's inputs beside states: agent features c and lane polylines M.
 
 use super::Normalizer;
 use crate::geometry::{Polyline, Transform2, Vec2};
@@ -38,7 +38,7 @@ pub(super) fn lane_polylines(
             pieces.push((distance, piece, lane));
         }
     }
-    // The sort is stable and lanes come by ascending id: equal distances keep a fixed order.
+    // The sort is stable and lanes are in order of their ids, so equal distances have a fixed order.
     pieces.sort_by(|a, b| a.0.total_cmp(&b.0));
     pieces.truncate(max_polylines);
     pieces.into_iter().map(|(_, points, lane)| polyline_features(&points, lane, normalizer)).collect()

@@ -1,12 +1,12 @@
-//! Which of the states that a mask hides can the agent have had at all?
+//! The hidden states that sampling generates.
 
 /// For every timestep whether it is hidden and to be generated when sampling.
 ///
-/// `is_shown` says which timesteps the mask observes, `is_recorded` at which the recording has a state. A timestep that is
-/// shown is never generated: where it has no state, the agent is known not to have been tracked. Hidden timesteps come in
-/// stretches between shown ones. A stretch is generated as a whole if the agent is tracked at the shown timestep before or
-/// after it: it may have come or gone in between, and nobody may look when. Without a state at either end (before the agent
-/// came, after it left, or because it is never observed) there is nothing to continue, and nothing is generated.
+/// `is_shown` says which timesteps the mask observes, `is_recorded` at which the recording has a state. A shown
+/// timestep is never generated: if it has no state, the agent is known not to have been tracked. Hidden timesteps form
+/// stretches between shown ones. A whole stretch is generated if the agent is tracked at the shown timestep before or
+/// after it; when it came or went in between must stay hidden. Without a state at either end (before the agent came,
+/// after it left, or because it is never observed) nothing is generated.
 pub(super) fn generated_timesteps(
     n_timesteps: usize,
     is_shown: impl Fn(usize) -> bool,
@@ -43,7 +43,7 @@ mod tests {
     #[test]
     fn prediction_generates_the_whole_future_of_who_is_present() {
         assert_eq!(generated("oooo....", "xxxxxx.."), "....gggg");
-        // It appears within the history: nothing is made up for the time before.
+        // It appears within the history: nothing is generated before.
         assert_eq!(generated("oooo....", "..xxxx.."), "....gggg");
         // It has left before the present.
         assert_eq!(generated("oooo....", "xx......"), "........");

@@ -1,4 +1,4 @@
-//! The lanes of a scene cut into short pieces of even points, each knowing how far away the edges of the road are.
+//! The lanes of a scene cut into short pieces of evenly spaced points, with distances to the edges of the road.
 
 use crate::geometry::{Vec2, wrap_angle};
 use crate::scene::{Lane, LaneGraph, LaneId, TurnDirection};
@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 pub const PIECE_POINTS: usize = 10;
 /// Pieces are at most this long, meters.
 const MAX_PIECE_M: f64 = 18.0;
-/// Edges of the road farther away than this are taken to be here, meters.
+/// Distances to the edges of the road are capped at this, meters.
 const MAX_EDGE_M: f64 = 15.0;
-/// Outlines with a gap up to this between them are one road, meters.
+/// Outlines with at most this gap between them are one road, meters.
 const GAP_M: f64 = 0.3;
 /// Yes-or-no attributes of a piece.
 pub const PIECE_FLAGS: usize = 6;
@@ -24,7 +24,7 @@ pub struct LanePoint {
     pub y: f32,
     /// Direction of the lane, radians.
     pub heading_rad: f32,
-    /// Distances to the edges of the road on the left and on the right, across the lane, meters; `None` where the map has no
+    /// Distances to the edges of the road on the left and on the right, across the lane, meters; `None` if the map has no
     /// outlines.
     pub edges_m: Option<[f32; 2]>,
 }
@@ -42,13 +42,13 @@ pub struct LanePiece {
     pub flags: [bool; PIECE_FLAGS],
 }
 
-/// The pieces of all lanes of a scene, and how they follow each other.
+/// The pieces of all lanes of a scene, and their connections.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct LanePieces {
     pub(super) pieces: Vec<LanePiece>,
-    /// For each piece those that follow on.
+    /// The successors of each piece.
     pub(super) next: Vec<Vec<u32>>,
-    /// For each piece the ones beside it, in lanes of the same direction.
+    /// The neighbors of each piece, in lanes of the same direction.
     pub(super) beside: Vec<Vec<u32>>,
 }
 
@@ -142,7 +142,8 @@ impl Outlines {
         Self { outlines: lanes.lanes().iter().filter_map(outline).collect() }
     }
 
-    /// How far the road reaches to the left and to the right of `point`, across `heading_rad`: the union of all outlines.
+    /// Distances from `point` to the left and right edges of the road (the union of all outlines), across
+    /// `heading_rad`.
     fn edges(&self, point: Vec2, heading_rad: f64) -> Option<[f64; 2]> {
         let along = Vec2::from_angle(heading_rad);
         let mut inside: Vec<(f64, f64)> = Vec::new();

@@ -94,7 +94,7 @@ pub struct MaskSampler {
 const N_CONDITIONED_AGENTS: usize = 3;
 
 impl MaskSampler {
-    /// A sampler with these weights; `None` when they are no distribution.
+    /// A sampler with these weights; `None` if they are not valid.
     pub fn new(weights: &TaskWeights) -> Option<Self> {
         weights.probabilities().map(|probabilities| Self { probabilities })
     }

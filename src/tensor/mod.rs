@@ -1,4 +1,4 @@
-//! From scenes to tensors and back: which numbers does the network see, in which frame, at which scale?
+//! Converts scenes to tensors and back: frames, scales, masks and inputs of the network.
 
 mod agent_frame;
 mod agent_row;

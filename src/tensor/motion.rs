@@ -1,4 +1,4 @@
-//! From residuals to residual motion and back: smooth paths out of independent numbers.
+//! Residuals to residual motion and back: smooth paths from independent numbers.
 //!
 //! Independent errors of a few centimeters in neighboring positions are accelerations that no vehicle reaches. The motion
 //! parametrization diffuses instead the numbers z from which a Brownian path makes the residuals r of an agent: away from
@@ -9,15 +9,15 @@
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Link {
     timestep: usize,
-    /// Place in the chain of the latent timestep it starts from; `None` where that is an observed state, whose residual is 0.
+    /// Place in the chain of the latent timestep it starts from; `None` if that is an observed state, whose residual is 0.
     from: Option<usize>,
-    /// Share of that residual that is carried on.
+    /// The factor of that residual.
     carry: f64,
     /// Standard deviation of what is added, per unit of z.
     scale: f64,
 }
 
-/// The change of variables of one agent. It is linear and invertible, and depends on nothing but which timesteps are observed
+/// The change of variables of one agent. It is linear and invertible, and depends only on which timesteps are observed
 /// and which are latent.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct MotionChain {
@@ -55,7 +55,7 @@ impl MotionChain {
         Self { links }
     }
 
-    /// The numbers z of each timestep for residuals r, which `residual` gives where they are known. Where one is not, z is 0.
+    /// The numbers z of each timestep for the residuals r that `residual` returns; z is 0 if a residual is unknown.
     pub(super) fn encode<const D: usize>(
         &self,
         mut residual: impl FnMut(usize) -> Option<[f64; D]>,
@@ -71,8 +71,8 @@ impl MotionChain {
         encoded
     }
 
-    /// The covariance of the numbers z in the order of the chain, row by row, where `residual` gives that of the residuals of
-    /// two latent timesteps.
+    /// The covariance of the numbers z in the order of the chain, row by row; `residual` returns the covariance of the
+    /// residuals of two latent timesteps.
     pub(super) fn covariance(&self, residual: impl Fn(usize, usize) -> f64) -> Vec<f64> {
         // z is (r - carry r') / scale, with r' at the timestep before in the chain.
         let terms = |link: &Link| {

@@ -1,7 +1,7 @@
-//! How is diffused motion correlated along time, and in which independent modes does it move?
+//! The covariance of diffused motion along time, and its independent modes.
 //!
-//! The motion of traffic is smooth: of the numbers that the motion parametrization diffuses, neighbors in time say nearly the
-//! same. A denoiser that knows their covariance C = Uᵀ Λ U averages white noise away before a network sees it.
+//! The motion of traffic is smooth: the numbers that the motion parametrization diffuses are nearly equal from timestep
+//! to timestep. A denoiser that knows their covariance C = Uᵀ Λ U averages white noise away before a network sees it.
 
 use super::eigen::{Eigen, symmetric_eigen};
 use super::motion::MotionChain;
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Variances below this are taken for it: recordings have outliers in modes in which hardly anything ever moves.
+/// The least variance: recordings have outliers in modes with hardly any motion.
 const MIN_VARIANCE: f64 = 1e-4;
 
 /// Covariance of an agent's diffused motion z along time in training traffic, in units of x: entry (i, j) is that of the
@@ -24,8 +24,8 @@ pub struct MotionCovariance {
 }
 
 impl MotionCovariance {
-    /// Covariance of the residual r (the sum of z) at `i` and `j` timesteps after the last observed one, counted from 1.
-    /// Beyond N timesteps motion is taken to go on as in the last of them.
+    /// Covariance of the residual r (the sum of z) at `i` and `j` timesteps after the last observed one, counted
+    /// from 1. Beyond N timesteps, motion continues as in the last of them.
     fn sums(&self, dim: usize, n: usize) -> Vec<f64> {
         let at = |i: usize| i.min(self.n_timesteps.saturating_sub(1));
         let z = |i: usize, j: usize| self.values[dim][at(i) * self.n_timesteps + at(j)];
@@ -52,7 +52,7 @@ pub(super) struct MotionModes {
 }
 
 impl MotionModes {
-    /// Leaves the dimensions from `dim` on without modes: nothing is generated in them.
+    /// Removes the modes of the dimensions from `dim` on, in which nothing is generated.
     pub(super) fn clear_from(&mut self, dim: usize, n_timesteps: usize) {
         if let Some(vectors) = self.vectors.get_mut(dim * n_timesteps * n_timesteps..) {
             vectors.fill(0.0);
@@ -68,11 +68,11 @@ impl MotionModes {
 struct Stretch {
     /// Timesteps from the observed state that the stretch is counted from, ascending, from 1.
     offsets: Vec<usize>,
-    /// Timesteps between the observed states at its two ends; `None` where there is one at one end only.
+    /// Timesteps between the observed states at its two ends; `None` if there is one at one end only.
     gap: Option<usize>,
 }
 
-/// Computes modes, and remembers those of stretches that it has seen.
+/// Computes modes, and caches those of stretches.
 #[derive(Debug, Default)]
 pub(super) struct ModeTable {
     known: Mutex<HashMap<Stretch, Arc<Vec<Eigen>>>>,
@@ -125,7 +125,7 @@ impl ModeTable {
                 .map(|dim| symmetric_eigen(stretch.covariance(covariance, dim), stretch.offsets.len()))
                 .collect::<Vec<_>>(),
         );
-        // Masks drawn at random hardly ever repeat long stretches: what is remembered stays bounded.
+        // Random masks rarely repeat long stretches, so the cache is bounded.
         let mut table = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         if table.len() < 4096 {
             table.insert(stretch, eigen.clone());

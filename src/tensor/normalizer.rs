@@ -1,4 +1,4 @@
-//! Training-set constants that bring what is diffused to a standard deviation of σ_data = 0.5.
+//! Constants of the training set that scale diffused values to a standard deviation of σ_data = 0.5.
 
 use super::motion::MotionChain;
 use super::motion_modes::MotionCovariance;
@@ -62,8 +62,7 @@ pub struct Normalizer {
     pub velocity_unit_mps: f64,
     /// Meters per unit of an agent's size.
     pub extent_unit_m: f64,
-    /// How diffused motion is correlated along time (motion parametrization only); checkpoints written before it was
-    /// gathered have none.
+    /// Covariance of diffused motion along time (motion parametrization only); older checkpoints have none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion_covariance: Option<MotionCovariance>,
 }
@@ -97,7 +96,7 @@ impl Normalizer {
     }
 }
 
-/// Root mean square of what has been added; the mean is not removed (paper-faithful: no shift).
+/// Root mean square of the added values; the mean is not removed, as in the paper.
 #[derive(Debug, Clone, Copy, Default)]
 struct RootMeanSquare {
     sum: f64,
@@ -117,9 +116,9 @@ impl RootMeanSquare {
     }
 }
 
-/// Share of motion that decides its unit: what lies beyond are jumps of recordings, which must not shrink all the rest.
+/// Share of motions that determine the unit. The rest are jumps of recordings, which must not enlarge it.
 const KEPT_SHARE: f64 = 0.995;
-/// At most so many motions are kept for the constants that follow from all of them: enough for three digits.
+/// Maximum number of motions kept for the constants: enough for three digits.
 const MAX_MOTIONS: usize = 2_000_000;
 
 /// Gathers the constants over training scenes, one after the other.
@@ -137,7 +136,7 @@ pub struct NormalizerFit {
 }
 
 impl NormalizerFit {
-    /// How vehicles turn is learned only from datasets that record it.
+    /// Only datasets with headings count for turning.
     #[must_use]
     pub fn without_derived_headings(self) -> Self {
         Self { leaves_out_derived_headings: true, ..self }
@@ -179,7 +178,7 @@ impl NormalizerFit {
             let is_present = observed.last() == Some(&scene.current_timestep());
             if is_present && self.n_motions < MAX_MOTIONS && !motion.is_empty() {
                 self.n_motions += motion.len();
-                // Headings that were derived tell nothing of how agents turn.
+                // Derived headings do not count for turning.
                 let is_derived = self.leaves_out_derived_headings && !scene.source.dataset.facts().has_headings;
                 let turns = track.class.has_recorded_heading() && !is_derived;
                 let elapsed = |(t, z): (usize, [f64; 3])| {
@@ -276,7 +275,7 @@ mod tests {
         motions.push(vec![(0, [500.0, 0.0, f32::NAN])]);
         let fit = NormalizerFit { motions, ..NormalizerFit::default() };
         let normalizer = fit.finish(StateParametrization::Motion, 3);
-        // A root mean square of 1 m is σ_data units; what never moved, or is not known, keeps a unit of 1.
+        // A root mean square of 1 m is σ_data units; a dimension without motion or data has a unit of 1.
         assert!((normalizer.motion_longitudinal_unit_m - 1.0 / Normalizer::SIGMA_DATA).abs() < 1e-9);
         assert_eq!((normalizer.motion_lateral_unit_m, normalizer.motion_heading_unit_rad), (1.0, 1.0));
         let covariance = normalizer.motion_covariance.unwrap();

@@ -1,21 +1,21 @@
-//! What a pairwise classifier sees of two agents whose future is being diffused.
+//! The inputs of a pairwise classifier: two agents whose future is diffused.
 
 use super::{SceneBatch, StateParametrization};
 use crate::geometry::{Transform2, Vec2, wrap_angle};
 use candle_core::{Result, Tensor};
 
-/// Meters per unit of the fixed positions; of the order of what separates two agents that meet.
+/// Meters per unit of the fixed positions: about the distance of two agents that meet.
 const POSITION_UNIT_M: f32 = 20.0;
 /// Fixed features of an agent at a timestep: base position (2), cosine and sine of the base heading, observed, latent.
 const FIXED: usize = 6;
 
 /// Features of one pair of agents a row, differentiable in the diffused states.
 ///
-/// Everything is expressed in the pair's frame: that of the first agent at its last observed state. What is known
-/// (observed states, kinematic reference) is fixed; the diffused states enter scaled by c_in(σ), so that their
-/// magnitude does not depend on the noise level. In the scene parametrization they are turned into the pair's
-/// frame; in the residual one they already are in each agent's own; in the motion one what is seen is what the motion
-/// adds up to, with rows of equal noise, so that gradients push whole paths and not single timesteps.
+/// Everything is expressed in the pair's frame: that of the first agent at its last observed state. Known values
+/// (observed states, kinematic reference) are fixed; diffused states are scaled by c_in(σ), so that their magnitude
+/// does not depend on the noise level. In the scene parametrization they are turned into the pair's frame; in the
+/// residual one they already are in each agent's own; in the motion one the features are the sums of motion, with rows
+/// of equal noise, so that gradients move whole paths and not single timesteps.
 #[derive(Debug, Clone)]
 pub struct PairFeatures {
     rows: Tensor,
@@ -119,7 +119,7 @@ fn pose(state: &[f32]) -> Transform2 {
     Transform2::from_pose(Vec2::new(f64::from(state[0]), f64::from(state[1])), f64::from(state[2]))
 }
 
-/// What is known of an agent at a timestep, in the pair's frame; zeros where it is neither observed nor latent.
+/// The fixed features of an agent at a timestep, in the pair's frame; zeros if it is neither observed nor latent.
 fn fixed_features(pair_from_row: &Transform2, base: &[f32], [observed, latent]: [f32; 2]) -> [f32; FIXED] {
     if observed + latent == 0.0 {
         return [0.0; FIXED];

@@ -1,9 +1,9 @@
-//! The kinematic reference of an agent: where would it be if it only carried on from what is observed?
+//! The kinematic reference of an agent: its observed states, interpolated and extrapolated.
 
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
 use crate::scene::{State, Track};
 
-/// Position and heading that follow from an agent's observed states alone.
+/// Position and heading by an agent's observed states alone.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct ReferencePose {
     pub(super) position: Vec2,
@@ -44,8 +44,9 @@ impl<'a> Reference<'a> {
         self.observed.get(self.anchor).map_or(0.0, |(_, state)| state.velocity.norm())
     }
 
-    /// What an agent was seen to do: for each observed timestep but the first, its motion from the observed state before,
-    /// per timestep, beyond that of constant velocity in its own frame: (longitudinal and lateral meters, radians).
+    /// The observed motion of an agent: for each observed timestep but the first, its motion from the previous observed
+    /// state, per timestep, beyond that of constant velocity in its own frame: (longitudinal and lateral meters,
+    /// radians).
     pub(super) fn observed_motion(&self) -> impl Iterator<Item = (usize, [f64; 3])> + '_ {
         let carried = self.observed.get(self.anchor).map_or(Vec2::ZERO, |(_, state)| state.velocity * self.dt_s);
         self.observed.windows(2).map(move |pair| {

@@ -1,4 +1,4 @@
-//! How are the rows of a batch taken several times, in everything that belongs to them?
+//! Repeats the rows of a batch in its tensors and host data.
 
 use candle_core::{Device, Result, Tensor};
 
@@ -28,7 +28,7 @@ impl RepeatedRows {
         if self.n == 1 { Ok(tensor.clone()) } else { tensor.index_select(&self.sources, 0) }
     }
 
-    /// What is kept of each row on the host.
+    /// The host data of each row.
     pub fn items<T: Clone>(&self, items: &[T]) -> Vec<T> {
         items.iter().flat_map(|item| std::iter::repeat_n(item, self.n)).cloned().collect()
     }

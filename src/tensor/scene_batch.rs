@@ -1,4 +1,4 @@
-//! A batch of scenes as tensors, and the way back from samples to scenes.
+//! A batch of scenes as tensors, and the decoding of samples to scenes.
 
 use super::{AgentFrame, FeatureLayout, RepeatedRows, RowSurroundings, SurroundingsLayout};
 use crate::scene::Scene;
@@ -21,25 +21,25 @@ pub struct SceneBatch(SceneTensors);
 pub struct SceneTensors {
     /// Clean diffused states, (B, A, T, D): zero except on latent entries.
     pub x0: Tensor,
-    /// What the network sees of known states, (B, A, T, D), in scene units: observed states; on latent entries
-    /// zero (scene parametrization) or the kinematic reference (the others).
+    /// Known states as inputs of the network, (B, A, T, D), in scene units: observed states; on latent entries zero
+    /// (scene parametrization) or the kinematic reference (the others).
     pub context: Tensor,
-    /// 1 where the state is given, (B, A, T).
+    /// 1 if the state is given, (B, A, T).
     pub observed: Tensor,
-    /// 1 where the state is to be generated, (B, A, T).
+    /// 1 if the state is to be generated, (B, A, T).
     pub latent: Tensor,
-    /// 1 where the state is to be generated and known, so that a loss can be taken of it, (B, A, T).
+    /// 1 if the state is generated and was recorded, so that it counts in losses, (B, A, T).
     pub scored: Tensor,
-    /// 1 where the state is observed or latent, (B, A, T).
+    /// 1 if the state is observed or latent, (B, A, T).
     pub valid: Tensor,
-    /// What observed agents were seen to do, in units of x, (B, A, T, D), zero except on observed entries: the network
-    /// sees it in the place of x, in the motion parametrization.
+    /// The observed motion of agents in units of x, (B, A, T, D), zero except on observed entries: the network sees it
+    /// in place of x, in the motion parametrization.
     pub observed_motion: Option<Tensor>,
     /// Agent features c, (B, A, T, C).
     pub features: Tensor,
     /// Lane polylines in the ego frame, (B, L, F).
     pub lanes: Tensor,
-    /// 1 where a polyline is no padding, (B, L).
+    /// 1 if a polyline is not padding, (B, L).
     pub lane_valid: Tensor,
     /// Decoding: base (B, A, T, 3), meters and radians.
     pub base: Tensor,
@@ -50,13 +50,14 @@ pub struct SceneTensors {
     /// Decoding: the matrix of each agent by which residuals along time follow from x, (B, A, T, T), in the motion
     /// parametrization; in the others x is the residual itself.
     pub path: Option<Tensor>,
-    /// Which agents and frame each row has.
+    /// The agents and the frame of each row.
     pub frames: Vec<Arc<AgentFrame>>,
-    /// What surrounds each agent, where the collator looks for it.
+    /// The surroundings of each agent, if the collator has `Sight`.
     pub surroundings: Option<Surroundings>,
 }
 
-/// What surrounds the agents of a batch: B scenes, A agents, L pieces of lanes, T timesteps, D dimensions of a diffused state.
+/// The surroundings of the agents of a batch: B scenes, A agents, L pieces of lanes, T timesteps, D dimensions of a
+/// diffused state.
 #[derive(Debug, Clone)]
 pub struct Surroundings {
     /// Where each agent's own frame has its origin, in the row's ego frame, (B, A, 2), meters. Its rotation is that of decoding.
@@ -65,7 +66,7 @@ pub struct Surroundings {
     pub attributes: Tensor,
     /// Pieces of lanes in each agent's own frame, (B, A, L, `SurroundingsLayout::PIECE`).
     pub lanes: Tensor,
-    /// 1 where a piece is no padding, (B, A, L).
+    /// 1 if a piece is not padding, (B, A, L).
     pub lane_valid: Tensor,
     /// Modes of each agent's motion, (B, A, D, T, T): orthonormal rows over the latent timesteps.
     pub modes: Tensor,
@@ -138,7 +139,7 @@ impl SceneTensors {
     }
 }
 
-/// Checks what the host keeps of each row: B items of at most A agents.
+/// Checks the host data of each row: B items of at most A agents.
 fn check_rows<T>(name: &str, items: &[Arc<T>], n_agents: impl Fn(&T) -> usize, [b, a]: [usize; 2]) -> Result<()> {
     if items.len() != b {
         bail!("scene batch: {name} has {} items, expected {b}, one for each row of x0", items.len());
@@ -165,10 +166,11 @@ impl Surroundings {
 }
 
 impl SceneBatch {
-    /// Makes a batch of tensors that belong together. Values are not read: they may be on a GPU.
+    /// Makes a batch of tensors after checking them against each other. Values are not read, because they may be on a
+    /// GPU.
     ///
     /// # Errors
-    /// When a tensor has another shape, type or device than `x0` asks for, naming it.
+    /// When the shape, type or device of a tensor does not fit `x0`; the message names the tensor.
     pub fn new(tensors: SceneTensors) -> Result<Self> {
         tensors.validate()?;
         Ok(Self(tensors))
@@ -215,7 +217,7 @@ impl SceneBatch {
         self.decode_offsets(x)? + &self.base
     }
 
-    /// The linear part of [`decode`](Self::decode): what is added to the base, (B, A, T, 3).
+    /// The linear part of [`decode`](Self::decode), which is added to the base, (B, A, T, 3).
     ///
     /// # Errors
     /// Fails when `x` has another shape than `x0`.
@@ -233,7 +235,7 @@ impl SceneBatch {
         Tensor::cat(&[dx, dy, turn], 3)
     }
 
-    /// `path` with rows of norm 1 (or 0), so that what white x adds up to has unit variance; `None` without a path.
+    /// `path` with rows of norm 1 (or 0), so that the sums of white x have unit variance; `None` without a path.
     ///
     /// # Errors
     /// Fails when the device runs out of memory.

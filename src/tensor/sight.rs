@@ -1,4 +1,4 @@
-//! What do agents see? Lanes around each of them, where each is, and how each is known to move.
+//! Looks up the surroundings of agents: lanes, frames and modes of motion.
 
 use super::motion_modes::{ModeTable, MotionModes};
 use super::reference::Reference;
@@ -9,10 +9,10 @@ use candle_core::{Device, Result, Tensor};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// How far agents see, and what is remembered of it between batches.
+/// The number of lane pieces that agents see, and the cache of modes between batches.
 #[derive(Debug, Clone)]
 pub struct Sight {
-    /// Pieces of lanes that each agent is shown.
+    /// Pieces of lanes for each agent.
     pub n_lanes: usize,
     modes: Arc<ModeTable>,
 }
@@ -23,7 +23,7 @@ impl Sight {
         Self { n_lanes, modes: Arc::default() }
     }
 
-    /// The modes of an agent's motion where timesteps `observed` are known and `latent` ones are generated.
+    /// The modes of an agent's motion, given its `observed` and `latent` timesteps.
     pub(super) fn modes_of_motion(
         &self,
         covariance: &MotionCovariance,
@@ -34,8 +34,8 @@ impl Sight {
         self.modes.modes(covariance, observed, latent, n_timesteps, Normalizer::SIGMA_DATA)
     }
 
-    /// What surrounds the agents of each row, A agents and T timesteps with D diffused dimensions a row. `modes_of_agents` are by their place
-    /// in (B, A).
+    /// The surroundings of the agents of all rows, A agents and T timesteps with D diffused dimensions a row.
+    /// `modes_of_agents` have the place of their agent in (B, A).
     pub(super) fn surroundings(
         &self,
         views: &[SceneView<'_>],
@@ -87,7 +87,7 @@ impl Sight {
         })
     }
 
-    /// What the agents of a row have around them, and where each of them is: its own frame in the row's ego frame.
+    /// The surroundings of the agents of a row, and each agent's own frame in the row's ego frame.
     fn look_around(
         &self,
         view: &SceneView<'_>,
@@ -103,7 +103,7 @@ impl Sight {
                 let reference = Reference::new(track, scene.dt_s, present, observed);
                 let position = |t: usize| reference.at(t).map(|pose| frame.ego_from_scene.point(pose.position));
                 let anchor = reference.anchor_timestep();
-                // Five places from the anchor to the end of the row tell where the path leads.
+                // Five positions from the anchor to the end of the row describe the path.
                 let path =
                     (0..=4).filter_map(|i| position(anchor + n_timesteps.saturating_sub(1 + anchor) * i / 4)).collect();
                 AgentPath {

@@ -1,4 +1,4 @@
-//! What surrounds each agent of a row: which lanes lie around its path, and what its neighbors would have to know of it.
+//! The surroundings of each agent of a row: lanes around its path, and its attributes.
 
 use super::lane_pieces::{LanePiece, LanePieces, PIECE_FLAGS, PIECE_POINTS, turn_rad};
 use crate::geometry::{Vec2, angle_difference};
@@ -6,13 +6,13 @@ use crate::scene::{AgentClass, Extent, LaneGraph, Track};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Pieces farther than this from an agent's reference path are not shown to it, unless it can reach them, meters.
+/// Pieces farther than this from an agent's reference path are left out, unless it can reach them, meters.
 const NEAR_M: f64 = 20.0;
-/// An agent is in a lane when it is no farther than this from its centerline, meters, …
+/// An agent is in a lane within this distance of its centerline, meters, …
 const IN_LANE_M: f64 = 2.5;
-/// … and heads no farther away from its direction, radians.
+/// … and within this angle of its direction, radians.
 const ALONG_LANE_RAD: f64 = std::f64::consts::FRAC_PI_4;
-/// What a change of lanes counts on the way to a piece, meters.
+/// The cost of a lane change on the way to a piece, meters.
 const LANE_CHANGE_M: f64 = 10.0;
 /// Meters per unit of coordinates in an agent's frame.
 const POSITION_M: f32 = 10.0;
@@ -21,7 +21,7 @@ const EDGE_M: f32 = 5.0;
 /// Meters per unit of distances along the road.
 const REACH_M: f32 = 20.0;
 
-/// Widths of what `Surroundings` is written into.
+/// Widths of the features of `Surroundings`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SurroundingsLayout;
 
@@ -38,12 +38,12 @@ impl SurroundingsLayout {
 pub struct SeenPiece {
     /// Its place among the pieces of the row.
     pub piece: u32,
-    /// Distance along the road from the agent to where the piece begins, meters; `None` where the agent cannot get there by
-    /// following and changing lanes.
+    /// Distance along the road from the agent to the start of the piece, meters; `None` if the agent cannot get there
+    /// by following and changing lanes.
     pub reach_m: Option<f32>,
 }
 
-/// What is known of one agent beside its states.
+/// The surroundings and attributes of one agent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AgentSurroundings {
     /// Half of its length and of its width, recorded or nominal, meters.
@@ -54,7 +54,7 @@ pub struct AgentSurroundings {
     pub lanes: Vec<SeenPiece>,
 }
 
-/// What surrounds the agents of one row, in its ego frame.
+/// The surroundings of the agents of one row, in its ego frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RowSurroundings {
     /// The pieces of all lanes.
@@ -76,8 +76,8 @@ pub(super) struct AgentPath<'a> {
 }
 
 impl RowSurroundings {
-    /// Looks up at most `n_lanes` pieces for each of `agents` among `lanes`, which are in the row's ego frame. `horizon_s` is
-    /// how long an agent has to get somewhere.
+    /// Looks up at most `n_lanes` pieces for each of `agents` among `lanes`, which are in the row's ego frame.
+    /// `horizon_s` is the time in which an agent can reach a piece.
     pub(super) fn new(lanes: &LaneGraph, agents: &[AgentPath<'_>], n_lanes: usize, dt_s: f64, horizon_s: f64) -> Self {
         let pieces = LanePieces::new(lanes);
         let surroundings = |agent: &AgentPath<'_>| {
@@ -124,8 +124,8 @@ pub(super) fn agent_attributes(track: &Track) -> [f32; SurroundingsLayout::AGENT
 }
 
 impl LanePieces {
-    /// The pieces that an agent is shown: those it can reach in time, nearest along the road first, and then those nearest to
-    /// its reference path; a third of the places are kept for the latter.
+    /// The pieces for an agent: those it can reach in time, nearest along the road first, and then those nearest to its
+    /// reference path; a third of the places are reserved for the latter.
     fn seen_by(&self, agent: &AgentPath<'_>, n_lanes: usize, horizon_s: f64) -> Vec<SeenPiece> {
         let in_reach_m = agent.speed_mps * horizon_s * 1.3 + NEAR_M;
         let reach = self.reach(agent, in_reach_m);
@@ -154,7 +154,7 @@ impl LanePieces {
         reached.iter().chain(&near).map(seen).collect()
     }
 
-    /// For each piece how far along the road it begins ahead of the agent, up to `limit_m` (Dijkstra's algorithm).
+    /// The distance along the road from the agent to the start of each piece, up to `limit_m` (Dijkstra's algorithm).
     fn reach(&self, agent: &AgentPath<'_>, limit_m: f64) -> Vec<Option<f64>> {
         let mut reach: Vec<Option<f64>> = vec![None; self.pieces.len()];
         // Distances in millimeters, so that the heap has a total order.

@@ -73,7 +73,7 @@ fn diffused_states_have_the_standard_deviation_sigma_data() {
         let batch = collate(&collator([&scene], parametrization), &scene, 0, &mask);
         let x0 = batch.x0.flatten_to(2).unwrap();
         let latent = scalar(&batch.latent.sum_all().unwrap());
-        let mean_square = (x0.sqr().unwrap().sum(0).unwrap() / f64::from(latent)).unwrap().to_vec1::<f32>().unwrap();
+        let mean_square = (x0.sqr().unwrap().sum(0).unwrap() / latent).unwrap().to_vec1::<f32>().unwrap();
         assert!(mean_square.iter().all(|m| (m - 0.25).abs() < 1e-3), "{mean_square:?}");
     }
 }

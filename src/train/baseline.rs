@@ -5,8 +5,9 @@ use super::training_data::{SceneConstants, TrainingData};
 use super::{Balance, BaselineTraining, Error, JointFuturesTask, TrainJob, TrainOutcome, Trainable, fit};
 use crate::model::{SceneTransformerKind, SceneTransformerSpec};
 
-/// Trains a Scene Transformer and writes it to `model.safetensors` in the job's folder. Scenes, masks and scales are drawn as for
-/// a denoiser: of the same seed and settings they are the same. `None` on all ranks but the first one, which writes the model.
+/// Trains a Scene Transformer and writes it to `model.safetensors` in the job's folder. Scenes, masks and scales are
+/// drawn as for a denoiser: with the same seed and settings, they are the same. `None` on all ranks but the first,
+/// which writes the model.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes differ in their timesteps, or training fails.

@@ -1,4 +1,4 @@
-//! The `[train.baseline]` section: how is the Scene Transformer trained that the denoiser is compared with?
+//! The `[train.baseline]` section: training of Scene Transformer, with which the denoiser is compared.
 
 use super::section::{SceneTraining, scene_training_section};
 use super::{Error, FitConfig, Preset};
@@ -15,7 +15,7 @@ scene_training_section! {
         pub preset: Preset,
         /// The network, to override the preset's.
         pub network: Option<SceneTransformerConfig>,
-        /// What the network puts out: `scene`, `residual` or `motion`.
+        /// The output of the network: `scene`, `residual` or `motion`.
         pub state_parametrization: Option<StateParametrization>,
         /// Weight of -ln p of the best future in the loss, relative to its mean error.
         #[schemars(extend("exclusiveMinimum" = 0))]
@@ -63,12 +63,12 @@ impl Default for BaselineTrainingConfig {
     }
 }
 
-/// The same with every value decided.
+/// The resolved section, with every value decided.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BaselineTraining {
     /// The network.
     pub network: SceneTransformerConfig,
-    /// What the network puts out.
+    /// The output of the network.
     pub parametrization: StateParametrization,
     /// Weight of -ln p of the best future in the loss.
     pub mode_loss: f64,
@@ -82,7 +82,7 @@ pub struct BaselineTraining {
 }
 
 impl BaselineTrainingConfig {
-    /// The preset with everything that the section says laid over it.
+    /// The preset with the section's settings over it.
     ///
     /// # Errors
     /// When a value cannot work, naming it.

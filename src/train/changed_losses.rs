@@ -1,4 +1,4 @@
-//! Does a denoiser look at the map and at other agents? Its loss on held-out scenes of which something was changed.
+//! The loss on changed held-out scenes, which shows whether a denoiser uses the map and other agents.
 
 use super::{DenoisingTask, Error};
 use crate::geometry::{Transform2, Vec2};
@@ -13,7 +13,7 @@ use std::sync::Arc;
 const SIGMAS: [f64; 2] = [0.8, 3.0];
 /// How far lanes are shifted, meters.
 const SHIFT_M: f64 = 4.0;
-/// A turned map that raises the loss by less than this makes no difference.
+/// If a turned map raises the loss by less than this, it makes no difference.
 const MIN_RATIO: f64 = 1.1;
 
 /// The losses of the denoiser under each change.
@@ -70,7 +70,7 @@ pub(super) fn losses_of(
     })
 }
 
-/// What a user must know of a denoiser with these losses: at which noise levels a turned map makes no difference to it.
+/// Warnings about a denoiser with these losses: the noise levels at which a turned map makes no difference.
 pub fn map_warnings(losses: &[ChangedLoss]) -> Vec<String> {
     let at = |change: SceneChange, sigma: f64| {
         losses.iter().find(|found| found.change == change && found.sigma == sigma).map(|found| found.loss)
@@ -111,7 +111,7 @@ fn changed(scene: Scene, change: SceneChange) -> Scene {
     }
 }
 
-/// The batch with a loss of each row's ego agent alone: the one at the origin of the row's frame at the present.
+/// The batch with only each row's ego agent scored: the one at the origin of the row's frame at present.
 fn of_egos(batch: &SceneBatch) -> Result<SceneBatch, Error> {
     let (n_rows, n_agents, _) = batch.scored.dims3()?;
     let mut is_ego = vec![0.0f32; n_rows * n_agents];
@@ -139,7 +139,7 @@ mod tests {
         let warnings = map_warnings(&losses(0.21, 0.19));
         assert!(warnings.len() == 1 && warnings[0].contains("at sigma 0.8 is 1.05 times"), "{warnings:?}");
         assert!(map_warnings(&losses(0.3, 0.4)).is_empty());
-        // Scenes without a map, and trainings without held-out scenes, say nothing of it.
+        // Without a map or held-out scenes, there is no warning.
         assert!(map_warnings(&losses(0.2, 0.2)).is_empty() && map_warnings(&[]).is_empty());
     }
 

@@ -35,9 +35,10 @@ pub struct ClassificationTask<'a> {
 }
 
 impl ClassificationTask<'_> {
-    /// The examples of `step` with their weights. Half of them are positive whatever the balance of the data; weights make
-    /// up for it, so that the expected loss is that of uniform draws in which a positive example counts `pos_weight` times
-    /// as much as a negative one. Uniform draws would hold a handful of positive examples a batch at best.
+    /// The examples of `step` with their weights. Half of them are positive, whatever the balance of the data. Weights
+    /// correct for this, so that the expected loss is that of uniform draws in which a positive example counts
+    /// `pos_weight` times as much as a negative one. Uniform draws would have a handful of positive examples a batch at
+    /// best.
     fn draw(&self, step: u64) -> (Vec<&PairExample>, Vec<f64>) {
         let mut rng = self.seed.derive("batch", &[step]).rng();
         let (n_positive, n_negative) = (self.train.positive().len() as f64, self.train.negative().len() as f64);
@@ -122,7 +123,7 @@ impl TrainTask for ClassificationTask<'_> {
         let seeds: Vec<Seed> = rows.clone().map(|row| self.seed.derive("row", &[*step, row as u64])).collect();
         let sigmas: Vec<f64> = seeds.iter().map(|seed| self.noise.draw(&mut seed.derive("sigma", &[]).rng())).collect();
         let logits = self.logits(self.classifier, examples, &sigmas, &mut NoiseSource::new(seeds))?;
-        // -ln p of the label: the logit counts with the label's sign.
+        // -ln p of the label: the sign of the logit is the label's.
         let signs = examples.iter().map(|example| if example.is_positive { 1.0 } else { -1.0 }).collect();
         let log_likelihood = log_sigmoid(&(&logits * rows_like(signs, &logits)?)?)?;
         let weighted = (log_likelihood * rows_like(weights, &logits)?)?;

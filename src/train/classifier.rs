@@ -21,7 +21,7 @@ training_section! {
         /// The network.
         pub network: BehaviorClassifierConfig,
         /// Weight of a positive pair in the loss relative to a negative one. Left out: the number of negative pairs
-        /// over that of positive ones, which balances the labels.
+        /// divided by that of positive ones, which balances the labels.
         #[schemars(extend("exclusiveMinimum" = 0))]
         pub pos_weight: Option<f64>,
         /// Distribution of the training noise levels.
@@ -86,7 +86,7 @@ pub struct PairData<'a> {
     pub fingerprint: String,
 }
 
-/// What a trained classifier can do: the content of `classifier.json`.
+/// The report on a trained classifier: the content of `classifier.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ClassifierReport {
     /// What the classifier is.
@@ -101,8 +101,8 @@ pub struct ClassifierReport {
     pub statistics: Vec<FitStatistics>,
 }
 
-/// Trains the classifier that guides `denoiser` (resuming what is there), and writes it to `model.safetensors` in the job's folder and
-/// what it can do to `classifier.json`. `None` on all ranks but the first one, which writes the model.
+/// Trains the classifier that guides `denoiser`, or resumes its training, and writes it to `model.safetensors` in the
+/// job's folder, and its report to `classifier.json`. `None` on all ranks but the first, which writes the model.
 ///
 /// # Errors
 /// When there are no pairs of one of the labels, or training fails.

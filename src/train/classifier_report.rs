@@ -1,4 +1,4 @@
-//! How good is a classifier, at which noise level? Precision, recall, accuracy and area under the ROC curve.
+//! Precision, recall, accuracy and area under the ROC curve of a classifier, by noise level.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,13 +11,13 @@ pub struct NoiseLevelReport {
     pub n_positive: u64,
     /// Number of negative pairs.
     pub n_negative: u64,
-    /// Share of positive pairs among those called positive; `None` when there are none.
+    /// Share of positive pairs among those classified as positive; `None` if there are none.
     pub precision: Option<f64>,
-    /// Share of positive pairs that are called positive.
+    /// Share of positive pairs that are classified as positive.
     pub recall: Option<f64>,
-    /// Share of negative pairs that are called positive.
+    /// Share of negative pairs that are classified as positive.
     pub false_positive_rate: Option<f64>,
-    /// Share of pairs called right.
+    /// Share of pairs that are classified correctly.
     pub accuracy: Option<f64>,
     /// Probability that a random positive pair scores higher than a random negative one, ties counting half.
     pub auc: Option<f64>,

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 
 /// The noise levels at which held-out losses are given.
 const EVALUATION_SIGMAS: [f64; 3] = [0.2, 0.8, 10.0];
-/// The gap of the last stage is at least such a part of the noise level, lest single precision lose it.
+/// The least gap of the last stage relative to the noise level, so that single precision resolves it.
 const MAX_SHRINKING: f64 = 1e5;
 
 /// Consistency tuning: predictions at two levels of the same noise are trained to agree.
@@ -28,13 +28,13 @@ pub struct ConsistencyTuning {
 
 impl Default for ConsistencyTuning {
     fn default() -> Self {
-        // Wider than for training from nothing: a consistency model has to answer from pure noise, too.
+        // Wider than for training from scratch, because a consistency model must also predict from pure noise.
         Self { gap: LevelGap::default(), noise: NoiseDistribution { p_mean: -0.5, p_std: 2.0 } }
     }
 }
 
 impl ConsistencyTuning {
-    /// Refuses gaps that shrink too far.
+    /// Rejects gaps that shrink too far.
     pub(super) fn validate(&self) -> settings::Result {
         settings::check_ranges(self)?;
         let shrunk = self.gap.ratio.powf(self.gap.n_stages as f64);
@@ -65,7 +65,7 @@ pub struct LevelGap {
     /// How much wider the gap is at low noise, k.
     #[schemars(range(min = 0.0))]
     pub widening: f64,
-    /// How quickly that vanishes as the noise grows, b.
+    /// How quickly that decreases as the noise grows, b.
     #[schemars(range(min = 0.0))]
     pub widening_decay: f64,
 }
@@ -77,8 +77,8 @@ impl Default for LevelGap {
 }
 
 impl LevelGap {
-    /// The lower noise level r of t in `stage` (from 0): r = t (1 - (1 + k / (1 + e^(b t))) / q^(stage + 1)), at least 0. In
-    /// the first stage it is mostly 0, where the loss is that of a denoiser; in the end t and r are neighbors.
+    /// The lower noise level r of t in `stage` (from 0): r = t (1 - (1 + k / (1 + e^(b t))) / q^(stage + 1)), at
+    /// least 0. In the first stage it is mostly 0, and the loss that of a denoiser; in the end t and r are close.
     pub fn lower(&self, t: f64, stage: u64) -> f64 {
         let widened = 1.0 + self.widening / (1.0 + (self.widening_decay * t).exp());
         let share = widened / self.ratio.powi(i32::try_from(stage).unwrap_or(i32::MAX - 1) + 1);
@@ -95,7 +95,7 @@ impl LevelGap {
 pub struct ConsistencyTask<'a> {
     /// The denoiser with trainable parameters.
     pub denoiser: &'a SceneDenoiser,
-    /// The same parameters without gradients: it answers at the lower noise level, and in evaluations.
+    /// The same parameters without gradients, for the lower noise level and for evaluations.
     pub frozen: &'a SceneDenoiser,
     /// The levels.
     pub tuning: ConsistencyTuning,
@@ -106,9 +106,9 @@ pub struct ConsistencyTask<'a> {
 }
 
 impl ConsistencyTask<'_> {
-    /// The mean over `n_rows` rows, of which these are all or a part, of (√(‖D(x0 + t ε; t) - D(x0 + r ε; r)‖² + c²) - c) / (t - r), with the same ε on both sides, no
-    /// gradient through the second one, and D(x0; 0) = x0. The norm is the root mean square of the valid latent scalars, and of
-    /// what they add up to, as in the denoiser's loss.
+    /// The mean over `n_rows` rows, of which these are all or a part, of (√(‖D(x0 + t ε; t) - D(x0 + r ε; r)‖² + c²) -
+    /// c) / (t - r), with the same ε on both sides, no gradient through the second one, and D(x0; 0) = x0. The norm is
+    /// the root mean square of the valid latent scalars, and of their sums along time, as in the denoiser's loss.
     fn disagreement(
         &self,
         denoiser: &SceneDenoiser,
@@ -126,7 +126,7 @@ impl ConsistencyTask<'_> {
         };
         let upper = at(denoiser, levels.iter().map(|(t, _)| *t).collect())?;
         let ends = levels.iter().map(|(_, r)| f64::from(u8::from(*r <= 0.0))).collect::<Vec<_>>();
-        // The network takes the logarithm of the noise level, so rows that end at 0 are asked elsewhere and replaced.
+        // The network takes the logarithm of the noise level, so rows at 0 are evaluated at another level and replaced.
         let asked = levels.iter().map(|(t, r)| if *r > 0.0 { *r } else { *t }).collect();
         let lower = match ends.iter().all(|end| *end > 0.0) {
             true => batch.x0.clone(),
@@ -164,7 +164,7 @@ impl TrainTask for ConsistencyTask<'_> {
     }
 
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
-        // Always with the gap of the last stage, so that evaluations of all stages compare.
+        // Always with the gap of the last stage, so that evaluations of all stages are comparable.
         let last = self.tuning.gap.n_stages.saturating_sub(1);
         let means = self.draws.held_out_means(EVALUATION_SIGMAS.len(), |DrawnBatch { batch, seeds, .. }| {
             let disagreement = |sigma: f64| {

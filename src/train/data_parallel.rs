@@ -1,8 +1,9 @@
-//! The gradient of a batch in parts: who computes which of them, and how do they become one?
+//! The gradient of a batch in parts, shared among ranks.
 //!
-//! Each part is a leaf of a binary tree, and gradients are summed along the tree. A rank computes the leaves of an aligned subtree, so
-//! that the bytes of the sum depend on the number of parts alone. Ranks send each other slices of their sums, the owner of a slice adds
-//! them up along the rest of the tree, and everybody gathers the slices: the traffic of a ring, and no arithmetic in the transport.
+//! Each part is a leaf of a binary tree, and gradients are summed along the tree. A rank computes the leaves of an
+//! aligned subtree, so the bytes of the sum depend on the number of parts alone. Ranks send each other slices of their
+//! sums, the owner of a slice adds them up along the rest of the tree, and all ranks gather the slices: the traffic of
+//! a ring, without arithmetic in the transport.
 
 use super::tree_sum::TreeSum;
 use super::{BatchPart, Error, Exchange, TrainTask};
@@ -10,7 +11,7 @@ use crate::nn::{Params, in_pool};
 use candle_core::backprop::GradStore;
 use candle_core::{DType, Device, Tensor};
 
-/// How a batch is shared out.
+/// The division of batches into parts.
 pub(super) struct DataParallel<'a> {
     exchange: &'a dyn Exchange,
     n_parts: usize,
@@ -29,7 +30,7 @@ impl<'a> DataParallel<'a> {
     /// Batches of `batch_size` rows in `n_parts`, by the ranks of `exchange`.
     ///
     /// # Errors
-    /// When the ranks cannot share out the parts.
+    /// When the ranks cannot share the parts evenly.
     pub(super) fn new(n_parts: usize, batch_size: usize, exchange: &'a dyn Exchange) -> Result<Self, Error> {
         check_ranks(n_parts, exchange.n_ranks()).map_err(Error::Config)?;
         Ok(Self { exchange, n_parts, batch_size })
@@ -42,7 +43,7 @@ impl<'a> DataParallel<'a> {
         (first..first + n_own).map(move |index| BatchPart::of_batch(step, batch_size, index, n_parts))
     }
 
-    /// Begins a step: the divisors of its batch, or `None` if one of the ranks is to stop, which all of them learn here.
+    /// Begins a step: returns the divisors of its batch, or `None` on all ranks if one of them is to stop.
     pub(super) fn begin(&self, task: &dyn TrainTask, step: u64, must_stop: bool) -> Result<Option<Vec<f64>>, Error> {
         let mut message = vec![u8::from(must_stop)];
         if self.n_parts > 1 && !must_stop {
@@ -55,7 +56,7 @@ impl<'a> DataParallel<'a> {
         Ok(Some(totals(&messages, self.n_parts)))
     }
 
-    /// What the rows of this rank add to the divisors, part by part.
+    /// The divisors of this rank's rows, part by part.
     fn own_divisors(&self, task: &dyn TrainTask, step: u64) -> Result<Vec<f64>, Error> {
         let divisors = self.own_parts(step).map(|part| task.divisors(&part)).collect::<Result<Vec<_>, _>>()?;
         Ok(divisors.concat())
@@ -63,7 +64,8 @@ impl<'a> DataParallel<'a> {
 
     /// The gradient of the loss of the batch of `step`, whose divisors are known.
     ///
-    /// The pool computes, and this thread waits for other ranks: they may be threads of the same process, which need the pool.
+    /// The pool computes, and this thread waits for other ranks, which may be threads of the same process and need the
+    /// pool.
     pub(super) fn gradient(
         &self,
         params: &Params,
@@ -91,7 +93,7 @@ impl<'a> DataParallel<'a> {
         Ok(sum.finish())
     }
 
-    /// Makes what can be made of the parts of `step` in advance.
+    /// Prepares the parts of `step` in advance.
     pub(super) fn prepare(&self, task: &dyn TrainTask, step: u64) -> Result<(), Error> {
         self.own_parts(step).try_for_each(|part| task.prepare(&part))
     }
@@ -111,10 +113,10 @@ impl<'a> DataParallel<'a> {
     }
 }
 
-/// Refuses numbers of ranks that cannot share out so many parts evenly.
+/// Rejects numbers of ranks that cannot share so many parts evenly.
 ///
 /// # Errors
-/// Says why not.
+/// The message says why.
 pub fn check_ranks(n_parts: usize, n_ranks: usize) -> Result<(), String> {
     match n_ranks > 0 && n_parts.is_power_of_two() && n_parts.is_multiple_of(n_ranks) {
         true => Ok(()),
@@ -124,7 +126,7 @@ pub fn check_ranks(n_parts: usize, n_ranks: usize) -> Result<(), String> {
     }
 }
 
-/// The divisors of a batch: the sums over its parts of what the ranks tell after the first byte of their messages.
+/// The divisors of a batch, summed over its parts, from the ranks' messages after their first byte.
 fn totals(messages: &[Vec<u8>], n_parts: usize) -> Vec<f64> {
     let values: Vec<f64> = messages
         .iter()
@@ -135,7 +137,8 @@ fn totals(messages: &[Vec<u8>], n_parts: usize) -> Vec<f64> {
     (0..n_divisors).map(|i| values.iter().skip(i).step_by(n_divisors).sum()).collect()
 }
 
-/// The gradients of all parameters in the order of their names, then for each of them 1 if it has one, then the loss.
+/// The gradients of all parameters in the order of their names, then for each of them 1 if it has a gradient, then the
+/// loss.
 fn flattened(params: &Params, gradients: &GradStore, loss: &Tensor) -> Result<Vec<f32>, Error> {
     let (mut flat, mut is_there) = (Vec::with_capacity(params.n_parameters()), Vec::new());
     for (_, var) in params.iter() {
@@ -151,7 +154,7 @@ fn flattened(params: &Params, gradients: &GradStore, loss: &Tensor) -> Result<Ve
     Ok(flat)
 }
 
-/// The way back, of sums of such values.
+/// The inverse, for sums of such values.
 fn unflattened(params: &Params, flat: &[f32]) -> Result<BatchGradient, Error> {
     let (mut gradients, mut rest) = (GradStore::default(), flat);
     let (mut is_there, loss) = (flat[params.n_parameters()..].iter(), flat.last().copied().unwrap_or(f32::NAN));

@@ -8,8 +8,8 @@ use super::{DenoiserTraining, DenoisingTask, Error, TrainJob, TrainOutcome, Trai
 use crate::model::{DenoiserKind, DenoiserSpec};
 use crate::nn::Checkpoint;
 
-/// Trains a denoiser and writes it to `model.safetensors` in the job's folder. With `start`, training begins at the weights of that
-/// checkpoint, and keeps its scales. `None` on all ranks but the first one, which writes the model.
+/// Trains a denoiser and writes it to `model.safetensors` in the job's folder. With `start`, training begins at the
+/// weights of that checkpoint and keeps its scales. `None` on all ranks but the first, which writes the model.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes differ in their timesteps, `start` is of another kind, or training fails.
@@ -35,7 +35,7 @@ pub fn train_denoiser(
     model.finish(spec, outcome, job).map(Some)
 }
 
-/// Fails where weights of `start` would mean something else in `wanted`.
+/// Fails if the weights of `start` would have another meaning in `wanted`.
 fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error> {
     let kind = |spec: &DenoiserSpec| (spec.normalizer.parametrization, spec.normalizer.state_dim);
     let shape = |spec: &DenoiserSpec| (spec.n_history, spec.n_timesteps, spec.dt_s.to_bits());

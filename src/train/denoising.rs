@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 /// The noise levels at which held-out losses are given: from finest detail to the choice of a maneuver.
 const EVALUATION_SIGMAS: [f64; 4] = [0.05, 0.2, 0.8, 3.0];
 
-/// The one of them at which scenes are also changed: at all of them it would cost more than what is learned of it.
+/// The one of them at which losses on changed scenes are also taken; all of them would cost too much.
 const CHANGED_SIGMA: f64 = 0.8;
 
 /// Training of a `SceneDenoiser` on the scenes of a dataset.
@@ -38,8 +38,8 @@ impl DenoisingTask<'_> {
         Ok(denoiser.bind(batch, 1)?.denoise(&x, &sigma_rows.flatten_all()?)?)
     }
 
-    /// λ(σ) |x0_hat - x0|², averaged over the scored scalars of the batch; one σ a row. Where `batch` is a part of one, `n_scored` is
-    /// their number in all of it.
+    /// λ(σ) |x0_hat - x0|², averaged over the scored scalars of the batch; one σ a row. If `batch` is a part of one,
+    /// `n_scored` is their number in the whole batch.
     fn weighted_error(
         &self,
         batch: &SceneBatch,
@@ -66,7 +66,7 @@ impl DenoisingTask<'_> {
         rngs.iter().map(|rng| self.training.noise.draw(&mut rng.clone())).collect()
     }
 
-    /// 1 for each row at so little noise that objectives count.
+    /// 1 for each row at a noise level at which objectives count.
     fn counts(&self, sigmas: &[f64]) -> Vec<f32> {
         sigmas.iter().map(|sigma| f32::from(u8::from(*sigma <= self.training.objectives_below_sigma))).collect()
     }

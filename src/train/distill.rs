@@ -1,4 +1,4 @@
-//! From a denoiser's checkpoint to that of one which needs few evaluations.
+//! Distills a denoiser's checkpoint into one that needs few evaluations.
 
 use super::objective_loss::described;
 use super::trainable::ScenesOfFit;
@@ -9,7 +9,7 @@ use super::{
 use crate::model::{DenoiserSpec, ModelSpec};
 use crate::nn::{Checkpoint, Params};
 
-/// What distillation works on.
+/// The checkpoints that distillation starts from.
 #[derive(Clone, Copy)]
 pub struct DistillSource<'a> {
     /// The denoiser that is distilled.
@@ -18,8 +18,9 @@ pub struct DistillSource<'a> {
     pub start: Option<&'a Checkpoint<DenoiserSpec>>,
 }
 
-/// Tunes the denoiser of `source` and writes it to `model.safetensors` in the job's folder: a checkpoint of the same network, scales
-/// and limits, whose answers lead to samples in few evaluations. `None` on all ranks but the first one, which writes the model.
+/// Tunes the denoiser of `source` and writes it to `model.safetensors` in the job's folder: a checkpoint of the same
+/// network, scales and limits that samples in few evaluations. `None` on all ranks but the first, which writes the
+/// model.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes are not of the teacher's shape, the method or the start does not fit it, or training fails.
@@ -67,7 +68,7 @@ pub fn distill_denoiser(
     outcome.map(|outcome| model.finish(spec, outcome, job)).transpose()
 }
 
-/// Fails where `start` is not what a distillation to `wanted` may lead to.
+/// Fails if `start` is not an earlier result of a distillation to `wanted`.
 fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error> {
     let differs = [
         (start.network != wanted.network, "has a different network than the denoiser"),
@@ -85,7 +86,8 @@ fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error>
     }
 }
 
-/// Fails where the scenes are not such as the teacher was trained on. The first one stands for all: batches refuse others.
+/// Fails if the scenes do not have the shape of the teacher's. Only the first is checked, because batches reject scenes
+/// of different shapes.
 fn check_shape(spec: &DenoiserSpec, data: &TrainingData<'_>) -> Result<(), Error> {
     let Some(first) = data.sources.iter().find_map(|source| source.train.first()) else {
         return Err(Error::NoScenes("choose other splits or places in train.distill".to_owned()));

@@ -1,4 +1,4 @@
-//! The `[train.distill]` section: how does a denoiser become one that needs few evaluations?
+//! The `[train.distill]` section: distillation of a denoiser into one that needs few evaluations.
 
 use super::objective_loss::check_objectives;
 use super::section::{Own, SceneTraining, scene_training_section};
@@ -29,7 +29,7 @@ impl Default for DistillMethod {
 }
 
 impl DistillMethod {
-    /// What the checkpoint says of it.
+    /// The description in the checkpoint.
     pub fn distillation(&self, edm: &Edm) -> Distillation {
         match self {
             Self::Consistency(_) => Distillation::Consistency,
@@ -46,7 +46,7 @@ impl DistillMethod {
         checked.map_err(refused)
     }
 
-    /// Fails where the method does not fit the denoiser.
+    /// Fails if the method does not fit the denoiser.
     pub(super) fn check(&self, teacher: &DenoiserSpec) -> Result<(), Error> {
         let Self::Steps(steps) = self else { return Ok(()) };
         if teacher.distillation.is_some() {
@@ -111,16 +111,16 @@ impl Default for DistillTrainingConfig {
     }
 }
 
-/// The same with every value decided.
+/// The resolved section, with every value decided.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DistillTraining {
-    /// What the denoiser is tuned to.
+    /// The distillation method.
     pub method: DistillMethod,
-    /// Where the loss turns from quadratic to linear.
+    /// The disagreement at which the loss turns from quadratic to linear.
     pub huber: f64,
     /// Weight of the disagreement of paths.
     pub path_loss: f64,
-    /// What samples are trained toward.
+    /// The objectives for samples.
     pub objectives: Vec<ObjectiveConfig>,
     /// Tasks, batches, evaluations and the schedule.
     pub common: SceneTraining,

@@ -1,4 +1,4 @@
-//! What can stop a training run.
+//! Errors of training.
 
 use std::path::PathBuf;
 
@@ -24,9 +24,9 @@ pub enum Error {
         /// What the parser found.
         source: serde_json::Error,
     },
-    /// A training state that is not as it was saved.
+    /// A training state that changed since it was saved.
     #[error(
-        "{path} is not as it was saved: it was changed, or the disk is failing; restore it from a copy, or remove it to train from the start"
+        "{path} has changed since it was saved, or the disk is failing; restore it from a copy, or remove it to train from the start"
     )]
     DamagedState {
         /// The file.
@@ -50,11 +50,11 @@ pub enum Error {
         /// Negative pairs.
         n_negative: usize,
     },
-    /// A setting that cannot work.
+    /// An invalid setting.
     #[error("{0}")]
     Config(String),
     /// Another rank is gone; the state is saved.
-    #[error("the training cannot go on without all of its ranks")]
+    #[error("the training cannot continue without all of its ranks")]
     Lost(#[from] super::Lost),
     /// The training was asked to stop, and its state is saved.
     #[error("stopped after step {step}, with everything saved")]

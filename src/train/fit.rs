@@ -13,9 +13,9 @@ use std::collections::BTreeMap;
 pub struct FitStatistics {
     /// Steps taken.
     pub step: u64,
-    /// Mean training loss since the line before; `None` on lines of an evaluation.
+    /// Mean training loss since the previous line; `None` on lines of an evaluation.
     pub loss: Option<f64>,
-    /// Mean norm of the gradients before clipping since the line before.
+    /// Mean norm of the gradients before clipping since the previous line.
     pub gradient_norm: Option<f64>,
     /// Held-out figures, on lines of an evaluation.
     pub evaluation: BTreeMap<String, f64>,
@@ -30,18 +30,18 @@ pub struct FitOutcome {
     pub statistics: Vec<FitStatistics>,
 }
 
-/// Trains `params` on `task` for `config.steps` steps, from the state in the job's folder where there is one. At the end `params`
-/// hold the averaged weights where `config.ema_decay` is positive, else the last ones.
+/// Trains `params` on `task` for `config.steps` steps, from the state in the job's folder if there is one. At the end
+/// `params` are the averaged weights if `config.ema_decay` is positive, else the last ones.
 ///
-/// The folder holds `state.safetensors` (weights, averages, optimizer, position) and `statistics.jsonl`. A killed run that
-/// is started again ends with the same weights as an undisturbed one.
+/// The folder holds `state.safetensors` (weights, averages, optimizer, position) and `statistics.jsonl`. A run that was
+/// killed and resumed ends with the same weights as an uninterrupted one.
 ///
-/// Several ranks take the same steps and make the same evaluations, so that nobody waits for another one for long. The first one keeps
-/// the files and gets the outcome, the others `None`.
+/// Several ranks take the same steps and make the same evaluations, so that none waits long for another. The first rank
+/// writes the files and returns the outcome, the others `None`.
 ///
 /// # Errors
-/// When the loss is no longer finite, or files cannot be written or do not fit the model. [`Error::Stopped`] when a rank is asked to stop
-/// between two steps, [`Error::Lost`] when one is gone; the state is saved then.
+/// When the loss is no longer finite, or files cannot be written or do not fit the model. [`Error::Stopped`] when a
+/// rank must stop between two steps, [`Error::Lost`] when one is gone; the state is saved then.
 pub fn fit(
     config: &FitConfig,
     params: &mut Params,
@@ -83,7 +83,7 @@ pub fn fit(
 }
 
 impl Run {
-    /// Takes a step. Nothing is changed before all ranks have agreed on the gradient.
+    /// Takes a step. Nothing changes before all ranks have the same gradient.
     fn step(
         &mut self,
         config: &FitConfig,
@@ -96,7 +96,7 @@ impl Run {
         let divisors = batch.begin(task, step, must_stop)?.ok_or(Error::Stopped { step })?;
         let gradient = batch.gradient(params, task, step, &divisors)?;
         in_pool(params.device(), || {
-            // A GPU has only been told all this. The host reads and pads the next scenes before it waits for the first number.
+            // A GPU has only queued this work. The host prepares the next scenes before it waits for a result.
             if step + 1 < config.steps {
                 batch.prepare(task, step + 1)?;
             }
@@ -104,7 +104,7 @@ impl Run {
         })
     }
 
-    /// Goes down the gradient.
+    /// Updates the parameters by the gradient.
     fn descend(
         &mut self,
         config: &FitConfig,
@@ -273,7 +273,7 @@ mod tests {
         assert_eq!((again, outcome.unwrap().steps_taken), (expected, 0));
     }
 
-    /// A slope of 1 everywhere, down which Adam goes by the learning rate at each step.
+    /// A gradient of 1 everywhere, so that each of Adam's steps is the learning rate.
     struct Slope(Tensor);
 
     impl TrainTask for Slope {

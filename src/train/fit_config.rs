@@ -1,4 +1,4 @@
-//! The settings of the training loop: how many steps, how large, and when is what looked at and saved?
+//! The settings of the training loop.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,7 @@ pub struct FitConfig {
     pub learning_rate: f64,
     /// Steps over which the learning rate rises from 0.
     pub warmup_steps: u64,
-    /// How it goes on.
+    /// The schedule afterwards.
     pub decay: LearningRateDecay,
     /// Gradients are scaled down to this global norm (the paper's 5).
     pub clip_norm: f64,
@@ -34,14 +34,14 @@ pub struct FitConfig {
     pub evaluate_every: u64,
     /// Steps between saved states.
     pub save_every: u64,
-    /// Steps whose mean loss makes a line of the statistics.
+    /// Steps between lines of the statistics with mean losses.
     pub log_every: u64,
     /// Parts in which the gradient of a batch is computed: a power of two.
     #[serde(skip_serializing_if = "is_one")]
     pub parts: usize,
 }
 
-/// One part is the rule: records of versions that knew no other do not name it.
+/// One part is the default; records of older versions do not name it.
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "what serde calls")]
 fn is_one(parts: &usize) -> bool {
     *parts == 1

@@ -1,4 +1,5 @@
-//! Training of Scene Transformer: the best of its joint futures is drawn to what was recorded, and its probability up.
+//! Training of Scene Transformer: the best of its joint futures is trained toward the recording, and its probability
+//! raised.
 
 use super::{BatchPart, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::model::{JointFutures, SceneTransformer};
@@ -18,12 +19,13 @@ pub struct JointLoss {
 impl JointLoss {
     /// The loss of `futures` predicted for `batch`.
     ///
-    /// The error of a decoded state is √(1 + d²) - 1 of its distance d in meters, plus the same of its angle in radians: Huber's
-    /// loss with a smooth turn, d² / 2 near zero and d - 1 far out. The error of a future is its mean over the scene's latent
-    /// states; the future with the least is the best one, and the only one whose states get a gradient. Decoded states count,
-    /// rather than diffused ones, because displacements are what futures are compared by, in every parametrization.
+    /// The error of a decoded state is √(1 + d²) - 1 of its distance d in meters, plus the same of its angle in
+    /// radians: Huber's loss with a smooth turn, d² / 2 near zero and d - 1 far out. The error of a future is its mean
+    /// over the scene's latent states; the future with the least is the best one, and the only one whose states get a
+    /// gradient. The loss compares decoded states, because futures are compared by displacements in every
+    /// parametrization.
     ///
-    /// Where `batch` is a part of one, `n_counted` is the number of rows with latent entries in all of it.
+    /// If `batch` is a part of one, `n_counted` is the number of rows with latent entries in the whole batch.
     ///
     /// # Errors
     /// When shapes do not agree.

@@ -1,11 +1,11 @@
-//! How far is an answer from what it should be? The same for everything that trains a denoiser.
+//! The error of a prediction, for all trainings of a denoiser.
 
 use super::Error;
 use crate::tensor::SceneBatch;
 use candle_core::Tensor;
 
-/// The squared error of `answer` (B, A, T, D) at each scored scalar of `batch`, 0 elsewhere. With `path_loss`, and where motion
-/// is diffused, the squared error of what motion adds up to is added with that weight.
+/// The squared error of `answer` (B, A, T, D) at each scored scalar of `batch`, 0 elsewhere. In the motion
+/// parametrization, the squared error of the paths that motion adds up to is added with the weight `path_loss`.
 pub(super) fn squared_error(
     batch: &SceneBatch,
     answer: &Tensor,
@@ -24,12 +24,12 @@ pub(super) fn squared_error(
     Ok(squared)
 }
 
-/// Of each row of `squared` (B, A, T, D) √(m + c²) - c, where m is the mean over the row's scored scalars: quadratic for small
-/// errors and linear above c (pseudo-Huber, as Song and Dhariwal 2023 train consistency models). (B).
+/// For each row of `squared` (B, A, T, D) √(m + c²) - c, where m is the mean over the row's scored scalars: quadratic
+/// for small errors and linear above c (pseudo-Huber, as Song and Dhariwal 2023 train consistency models). Returns (B).
 pub(super) fn pseudo_huber(batch: &SceneBatch, squared: &Tensor, c: f64) -> Result<Tensor, Error> {
     let state_dim = squared.dim(3)? as f64;
     let n_scored = (batch.scored.flatten_from(1)?.sum(1)? * state_dim)?.maximum(1.0)?;
     let mean = squared.flatten_from(1)?.sum(1)?.div(&n_scored)?;
-    // The tiny number keeps the slope finite where both are the same.
+    // The small number keeps the slope finite at 0.
     Ok(((mean + (c * c + 1e-12))?.sqrt()? - c)?)
 }

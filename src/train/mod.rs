@@ -1,4 +1,4 @@
-//! Training: one resumable loop, and what it trains.
+//! Training: one resumable loop for all models.
 
 mod baseline;
 mod baseline_config;

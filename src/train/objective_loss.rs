@@ -1,10 +1,10 @@
-//! Objectives as a part of a loss: what clean estimates shall keep to, beside being likely.
+//! Objectives as a part of a loss.
 
 use super::{DrawnBatch, Error};
 use crate::guidance::ObjectiveConfig;
 use candle_core::Tensor;
 
-/// Fails where objectives cannot be trained toward: there are no roles in training.
+/// Fails if an objective needs roles, which training does not have.
 pub(super) fn check_objectives(key: &str, objectives: &[ObjectiveConfig]) -> Result<(), Error> {
     match objectives.iter().find_map(|objective| Some((objective, objective.validate(&[]).err()?))) {
         Some((objective, why)) => Err(Error::Config(format!("{key}: objective {}: {why}", objective.kind()))),
@@ -12,13 +12,15 @@ pub(super) fn check_objectives(key: &str, objectives: &[ObjectiveConfig]) -> Res
     }
 }
 
-/// Objectives as a checkpoint names them.
+/// Objectives in the form of a checkpoint.
 pub(super) fn described(objectives: &[ObjectiveConfig]) -> Result<Vec<serde_json::Value>, Error> {
     Ok(objectives.iter().map(serde_json::to_value).collect::<Result<_, _>>().map_err(std::io::Error::from)?)
 }
 
-/// What `x0` (B, A, T, D) costs by each objective J beyond what the recording costs by it, (B) each, at least 0. A cost is √(1 - 2 J) - 1:
-/// J itself where little is wrong, and linear in lengths where much is, so that a few hopeless scenes do not outweigh all others.
+/// The cost of `x0` (B, A, T, D) by each objective J beyond that of the recording, (B) each, at least 0.
+///
+/// A cost is √(1 - 2 J) - 1: approximately -J for small violations, and linear in lengths for large ones, so that a few
+/// scenes do not dominate.
 pub(super) fn objective_costs(
     objectives: &[ObjectiveConfig],
     x0: &Tensor,
@@ -33,8 +35,8 @@ pub(super) fn objective_costs(
     objectives.iter().map(|objective| Ok((cost(objective, &states)? - cost(objective, &recorded)?)?.relu()?)).collect()
 }
 
-/// The sum of weight · cost over `objectives`, as a mean over the rows where `counts` (B) is 1: their sum over `n_counted`, the number of
-/// such rows in the whole batch. `None` where nothing counts.
+/// The sum of weight · cost over `objectives`, as a mean over the rows with `counts` (B) 1: their sum divided by
+/// `n_counted`, the number of such rows in the whole batch. `None` if no row counts.
 pub(super) fn objective_loss(
     objectives: &[ObjectiveConfig],
     x0: &Tensor,

@@ -1,4 +1,4 @@
-//! From mined events to examples that a pairwise classifier learns from.
+//! Turns mined events into training examples for a pairwise classifier.
 
 use super::{Error, SceneDataset};
 use crate::behavior::{BehaviorEvent, EventLabel};
@@ -40,12 +40,11 @@ pub struct PairExamples {
 type PairKey = (usize, TrackId, TrackId);
 
 impl PairExamples {
-    /// The examples of `events`, which are all of one behavior. A pair with several events is positive if one of them is.
-    /// Where there are more than `max_examples` pairs, negative ones are left out at random (then positive ones, if they
-    /// alone are more).
+    /// The examples of `events`, which are all of one behavior. A pair with several events is positive if one of them
+    /// is. With more than `max_examples` pairs, random negative ones are left out, and then positive ones.
     ///
     /// # Errors
-    /// When a scene cannot be loaded or does not hold the tracks of its events.
+    /// When a scene cannot be loaded or lacks the tracks of its events.
     pub fn gather(
         dataset: &dyn SceneDataset,
         events: &[MinedEvent<'_>],
@@ -60,7 +59,7 @@ impl PairExamples {
             *labels.entry((*scene_idx, first, second)).or_default() |= event.label == EventLabel::Positive;
         }
         let kept = limit(labels, max_examples, seed);
-        // Scenes are loaded once each, and results kept in order whatever thread made them.
+        // Each scene is loaded once, and results are collected in order.
         let by_scene: Vec<&[(PairKey, bool)]> = kept.chunk_by(|a, b| a.0.0 == b.0.0).collect();
         let loaded: Vec<Vec<PairExample>> = by_scene
             .par_iter()

@@ -1,4 +1,4 @@
-//! The `[train.denoiser]` section: presets from a test's network to the paper's, and what overrides them.
+//! The `[train.denoiser]` section: presets from a test's network to the paper's, and their overrides.
 
 use super::objective_loss::check_objectives;
 use super::section::{SceneTraining, scene_training_section};
@@ -83,7 +83,7 @@ scene_training_section! {
     }
 }
 
-/// The same with every value decided.
+/// The resolved section, with every value decided.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DenoiserTraining {
     /// The network.
@@ -98,11 +98,11 @@ pub struct DenoiserTraining {
     pub loss_weight: LossWeight,
     /// Weight of the error of paths in the loss.
     pub path_loss: f64,
-    /// What clean estimates are trained toward at low noise.
+    /// Objectives for clean estimates at low noise.
     pub objectives: Vec<ObjectiveConfig>,
     /// The noise level up to which they count.
     pub objectives_below_sigma: f64,
-    /// What counts the same.
+    /// What is drawn with equal weight.
     pub balance: Balance,
     /// Maximum number of agents per scene.
     pub max_agents: usize,
@@ -114,7 +114,7 @@ pub struct DenoiserTraining {
 }
 
 impl DenoiserTrainingConfig {
-    /// The preset with everything that the section says laid over it.
+    /// The preset with the section's settings over it.
     ///
     /// # Errors
     /// When a value cannot work, naming it.
@@ -127,7 +127,7 @@ impl DenoiserTrainingConfig {
         let common = self.scene_training(&base.common)?;
         check_objectives("train.denoiser.objectives", &self.objectives)?;
         let parametrization = self.state_parametrization.unwrap_or(base.parametrization);
-        // What suits diffused motion only is not carried over from the preset to another parametrization.
+        // Settings of the preset that only fit diffused motion do not apply to other parametrizations.
         let fits = parametrization == base.parametrization;
         let base_network = if fits { base.network } else { base.network.without_paths() };
         let network = self.network.clone().unwrap_or(base_network);
@@ -159,7 +159,7 @@ impl DenoiserTrainingConfig {
     }
 }
 
-/// A row of the table of sizes: the network's, and the most of a scene that it is shown.
+/// A row of the table of sizes: the network's, and the limits on scenes.
 struct Size {
     layers: &'static str,
     width: usize,
@@ -230,7 +230,7 @@ impl Preset {
             network: NetworkConfig { geometry: Some(geometry), ..network.clone() },
             parametrization: StateParametrization::Motion,
             edm: Edm::default(),
-            // What a network has to say of a path as a whole, it says at higher noise levels than of its details.
+            // Whole paths are decided at higher noise levels than their details.
             noise: NoiseDistribution { p_mean: -0.3, p_std: 1.5 },
             loss_weight: LossWeight::default(),
             path_loss: 0.1,

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// How far a run is.
+/// The position of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Position {
@@ -18,11 +18,11 @@ pub(super) struct Position {
     pub(super) step: u64,
     /// Updates of the averages.
     pub(super) ema_updates: u64,
-    /// Sum of the losses since the last line of the statistics.
+    /// Sum of the losses since the last line of statistics.
     pub(super) loss_sum: f64,
     /// Sum of the gradients' norms since then.
     pub(super) norm_sum: f64,
-    /// Hash of the rest of the state, with its tensors. `None` in states of versions that took none.
+    /// Hash of the rest of the state, with its tensors. `None` in states of older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) checksum: Option<String>,
 }
@@ -39,7 +39,7 @@ impl Position {
 /// The state of a run between steps.
 pub(super) struct Run {
     dir: PathBuf,
-    /// Whether this rank keeps the files: the first one alone does.
+    /// Whether this rank writes the files: only the first does.
     keeps_files: bool,
     pub(super) adam: Adam,
     pub(super) ema: Option<Ema>,
@@ -52,8 +52,8 @@ impl Run {
         dir.join("state.safetensors")
     }
 
-    /// The state in `dir`, which `params` take up, or that of a new run. All ranks get that of the first one: what it has in its files
-    /// need not be seen everywhere yet.
+    /// The state in `dir`, which is loaded into `params`, or that of a new run. All ranks get the first one's, because
+    /// its files may not be visible everywhere yet.
     pub(super) fn open(
         config: &FitConfig,
         params: &mut Params,
@@ -101,7 +101,7 @@ impl Run {
         Ok(run)
     }
 
-    /// Takes up the lines that are not newer than the state: a run may have been killed between the two.
+    /// Reads the lines up to the state: a run may have been killed between writing the two.
     fn read_statistics(&mut self) -> Result<(), Error> {
         let path = self.dir.join("statistics.jsonl");
         if self.position.step == 0 || !self.keeps_files || !path.exists() {
@@ -118,7 +118,7 @@ impl Run {
         Ok(())
     }
 
-    /// Rewritten whole each time: the file is small, and never half-written.
+    /// Rewritten each time: the file is small, and it is always complete.
     pub(super) fn write_statistics(&self) -> Result<(), Error> {
         if !self.keeps_files {
             return Ok(());
@@ -187,6 +187,6 @@ mod tests {
         *damaged.last_mut().unwrap() ^= 1;
         fs::write(&path, &damaged).unwrap();
         let said = open().err().unwrap().to_string();
-        assert!(said.contains("state.safetensors is not as it was saved"), "{said}");
+        assert!(said.contains("state.safetensors has changed since it was saved"), "{said}");
     }
 }

@@ -1,5 +1,4 @@
-//! Which scenes, seen from which agent and with which states hidden, make the batch of a training step? The same for
-//! every model of scenes.
+//! Draws the batch of a training step: scenes, ego agents and masks. All models of scenes share it.
 
 use super::{BatchPart, Error};
 use crate::guidance::{ContextRow, SceneContext};
@@ -28,7 +27,7 @@ pub trait SceneDataset: Sync {
     fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>>;
 }
 
-/// Draws batches of training scenes, and takes held-out ones as they are.
+/// Draws batches of training scenes, and collates held-out ones.
 pub struct SceneDraws<'a> {
     /// How scenes become batches.
     pub collator: &'a Collator,
@@ -42,13 +41,13 @@ pub struct SceneDraws<'a> {
     pub masks: &'a MaskSampler,
     /// Scenes of a batch.
     pub batch_size: usize,
-    /// Whether batches come with what objectives read.
+    /// Whether batches come with the context of objectives.
     pub with_context: bool,
     /// Seed of every draw.
     pub seed: Seed,
     /// Where tensors live.
     pub device: &'a Device,
-    /// What is kept from step to step; empty at first.
+    /// The cache from step to step; empty at first.
     pub ahead: Prefetched,
 }
 
@@ -68,7 +67,7 @@ impl WeightedGroups {
     }
 }
 
-/// Batches made in advance. This changes when things are computed, never what.
+/// Batches made in advance, which does not change results.
 #[derive(Default)]
 pub struct Prefetched {
     /// The last epoch of each group and its shuffle.
@@ -84,11 +83,11 @@ type Shuffle = (u64, Arc<[usize]>);
 pub struct DrawnBatch {
     /// The scenes.
     pub batch: SceneBatch,
-    /// The same as objectives see it, if requested.
+    /// The context of objectives, if requested.
     pub context: Option<SceneContext>,
     /// The seed of each row.
     pub seeds: Vec<Seed>,
-    /// The generator of each row, after what was drawn for its scene.
+    /// The generator of each row, after the draws for its scene.
     pub rngs: Vec<SeededRng>,
 }
 
@@ -108,7 +107,7 @@ impl SceneDraws<'_> {
         self.taken(part).map_or_else(|| self.draw_rows(part), Ok)
     }
 
-    /// The rows of `part`, if they are kept. Those of other steps are not wanted any more.
+    /// The rows of `part`, if they are kept. Rows of other steps are dropped.
     fn taken(&self, part: &BatchPart) -> Option<DrawnBatch> {
         let mut parts = self.ahead.parts.lock().unwrap_or_else(PoisonError::into_inner);
         parts.retain(|(kept, _)| kept.step == part.step);
@@ -125,7 +124,7 @@ impl SceneDraws<'_> {
         Ok(())
     }
 
-    /// Keeps the rows of `part` until they are asked for.
+    /// Keeps the rows of `part` until they are taken.
     pub(super) fn keep(&self, part: &BatchPart, rows: DrawnBatch) {
         self.ahead.parts.lock().unwrap_or_else(PoisonError::into_inner).push((part.clone(), rows));
     }
@@ -139,7 +138,7 @@ impl SceneDraws<'_> {
         self.collate(&drawn, seeds, rngs)
     }
 
-    /// The scenes of these indices as `change` leaves them, with their histories observed, each around its own ego agent.
+    /// The scenes of these indices after `change`, with their histories observed, each around its own ego agent.
     fn held_out_batch(&self, indices: &[usize], change: &dyn Fn(Scene) -> Scene) -> Result<DrawnBatch, Error> {
         let predictive = |idx: &usize| {
             let scene = change(self.dataset.scene(*idx).map_err(Error::Scene)?);
@@ -165,7 +164,7 @@ impl SceneDraws<'_> {
         self.changed_means(self.held_out, n, &|scene| scene, figures)
     }
 
-    /// The same over these of the held-out scenes, as `change` leaves them.
+    /// The same over these held-out scenes after `change`.
     ///
     /// # Errors
     /// When a scene cannot be loaded, or a figure cannot be computed.
@@ -186,15 +185,15 @@ impl SceneDraws<'_> {
         Ok(sums.into_iter().map(|sum| sum / n_scenes).collect())
     }
 
-    /// Which scenes make the batch of `step`.
+    /// The scenes of the batch of `step`.
     pub(super) fn batch_indices(&self, step: u64) -> Vec<usize> {
         let batch_size = self.batch_size as u64;
         (step * batch_size..(step + 1) * batch_size).filter_map(|position| self.scene_at(position)).collect()
     }
 
-    /// The scene at a position of the training: sources follow each other as evenly as their weights allow (of the first n positions,
-    /// one with the share w has ⌊n w⌋, and the others go on alike over the rest), their groups take turns, and each group gives
-    /// consecutive entries of a shuffle that each of its epochs has its own of.
+    /// The scene at a position of the training. Sources alternate as evenly as their weights allow (of the first n
+    /// positions, a source with the share w has ⌊n w⌋, and the others divide the rest likewise), their groups take
+    /// turns, and each group yields consecutive entries of a shuffle, a new one for each of its epochs.
     fn scene_at(&self, position: u64) -> Option<usize> {
         let (last, others) = self.train.split_last()?;
         let (mut place, mut first_group) = (position, 0);
@@ -219,7 +218,7 @@ impl SceneDraws<'_> {
         self.shuffle_of(first_group + group, &groups[group], turn / n)[(turn % n) as usize]
     }
 
-    /// The scenes of a group, in the order of one of its epochs. Groups count through all sources.
+    /// The scenes of a group, in the order of one of its epochs. Groups are numbered through all sources.
     fn shuffle_of(&self, group: usize, scenes: &[usize], epoch: u64) -> Arc<[usize]> {
         let mut shuffles = self.ahead.shuffles.lock().unwrap_or_else(PoisonError::into_inner);
         match shuffles.get(&group) {
@@ -248,7 +247,7 @@ impl SceneDraws<'_> {
     fn collate(&self, drawn: &[Drawn], seeds: Vec<Seed>, rngs: Vec<SeededRng>) -> Result<DrawnBatch, Error> {
         let views: Vec<SceneView<'_>> =
             drawn.iter().map(|d| SceneView { scene: &d.scene, ego_idx: d.ego_idx, mask: &d.mask }).collect();
-        // Networks that see their surroundings are told the same as when sampling; the paper's are trained as it says.
+        // Networks that see surroundings get the same inputs as in sampling; the paper's are trained as in the paper.
         let validity = if self.collator.sight.is_some() { FutureValidity::Continued } else { FutureValidity::Recorded };
         let batch = self.collator.collate(&views, validity, self.device)?;
         let context = match self.with_context {
@@ -263,8 +262,8 @@ impl SceneDraws<'_> {
     }
 }
 
-/// The ego agent of a training step: the recording's focal agent where it has one, else a random motorized agent that
-/// is tracked throughout, else the scene's own choice.
+/// The ego agent of a training step: the recording's focal agent if it has one, else a random motorized agent that is
+/// tracked throughout, else the scene's own.
 fn draw_ego(scene: &Scene, rng: &mut SeededRng) -> usize {
     use crate::scene::TrackRole;
     let is_labeled = scene.ego().role == TrackRole::Focal && scene.source.dataset.facts().has_chosen_focal;

@@ -1,7 +1,6 @@
-//! What the sections of `[train]` have in common, said once: the scenes, and the schedule.
+//! The settings that the sections of `[train]` share: the scenes, and the schedule.
 //!
-//! Sections are flat tables. Macros write their types, because a table that serde flattens into another one loses the places of its
-//! mistakes.
+//! Sections are flat tables. Macros define their types, because serde loses the places of errors in flattened tables.
 
 use super::{Error, FitConfig};
 use crate::scene::Split;
@@ -11,10 +10,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// The type of a setting that has a default of its own, where others are an `Option` that a preset fills.
+/// The type of a setting with its own default; other settings are an `Option` that a preset fills.
 pub(super) type Own<T> = T;
 
-/// What every training on scenes decides, beside its network and loss.
+/// The settings of every training on scenes, beside its network and loss.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SceneTraining {
     /// How often each observation task is drawn.
@@ -60,7 +59,7 @@ const fn one() -> f64 {
 pub struct SceneChoice<'a> {
     /// The section.
     pub section: &'static str,
-    /// Splits of the run's own scenes; empty for the usual ones.
+    /// Splits of the run's own scenes; empty for the default ones.
     pub splits: &'a [Split],
     /// Their places; empty for all.
     pub places: &'a [String],
@@ -70,7 +69,7 @@ pub struct SceneChoice<'a> {
     pub data: &'a [MoreScenes],
 }
 
-/// Fails where there is nothing to draw from.
+/// Fails if there are no scenes to draw from.
 pub(super) fn check_weights(own_weight: Option<f64>, data: &[MoreScenes]) -> Result<(), Issue> {
     match own_weight == Some(0.0) && data.is_empty() {
         true => Err(Issue::new("own_weight", "is 0, expected a positive number, or scenes of other runs in `data`")),
@@ -78,7 +77,7 @@ pub(super) fn check_weights(own_weight: Option<f64>, data: &[MoreScenes]) -> Res
     }
 }
 
-/// Fails where a batch cannot be computed in so many parts.
+/// Fails if a batch cannot be divided into so many parts.
 pub(super) fn check_parts(parts: usize, batch_size: usize) -> Result<(), Issue> {
     match parts.is_power_of_two() && parts <= batch_size {
         true => Ok(()),
@@ -89,12 +88,12 @@ pub(super) fn check_parts(parts: usize, batch_size: usize) -> Result<(), Issue> 
     }
 }
 
-/// What the section says, or else what its preset does.
+/// The value of the section, or else of its preset.
 pub(super) fn or<T>(said: impl Into<Option<T>>, otherwise: T) -> T {
     said.into().unwrap_or(otherwise)
 }
 
-/// Fails where no task is ever drawn.
+/// Fails if no task is ever drawn.
 pub(super) fn check_tasks(section: &str, tasks: &TaskWeights) -> Result<(), Error> {
     match tasks.probabilities() {
         Some(_) => Ok(()),
@@ -139,8 +138,8 @@ macro_rules! training_section {
             /// Steps between saved states.
             #[schemars(range(min = 1, max = 1_000_000_000))]
             pub save_every: $value<u64>,
-            /// Number of parts in which the gradient of a batch is computed, a power of two (default 1). As many processes as divide
-            /// it can share them; results depend on the number of parts, and not on that of processes.
+            /// Number of parts in which the gradient of a batch is computed, a power of two (default 1). A number of
+            /// processes that divides it can share them; results depend on the number of parts, not of processes.
             #[serde(skip_serializing_if = "Option::is_none")]
             #[schemars(range(min = 1, max = 1_024))]
             pub parts: Option<usize>,
@@ -152,7 +151,7 @@ macro_rules! training_section {
             /// Its place in a pipeline file.
             pub const SECTION: &'static str = $section;
 
-            /// The schedule of `base` with everything that the section says laid over it, for batches of `batch_size` rows.
+            /// The schedule of `base` with the section's settings over it, for batches of `batch_size` rows.
             fn schedule(&self, base: &FitConfig, batch_size: usize) -> Result<FitConfig, Error> {
                 use crate::train::section::{check_parts, or};
                 let parts = self.parts.unwrap_or(base.parts);
@@ -170,12 +169,12 @@ macro_rules! training_section {
                 })
             }
 
-            /// Refuses numbers beyond their ranges.
+            /// Rejects numbers beyond their ranges.
             fn check_ranges(&self) -> Result<(), Error> {
                 crate::settings::check_ranges(self).map_err(Self::refusal)
             }
 
-            /// What is wrong with one of its settings.
+            /// An issue with one of its settings.
             fn refusal(issue: crate::settings::Issue) -> Error {
                 Error::Config(issue.within(Self::SECTION).to_string())
             }
@@ -209,7 +208,7 @@ macro_rules! scene_training_section {
         }
 
         impl $name {
-            /// Which scenes it trains on.
+            /// The scenes it trains on.
             pub fn scene_choice(&self) -> crate::train::SceneChoice<'_> {
                 crate::train::SceneChoice {
                     section: Self::SECTION,
@@ -220,7 +219,7 @@ macro_rules! scene_training_section {
                 }
             }
 
-            /// The settings of `base` with everything that the section says laid over them.
+            /// The settings of `base` with the section's settings over them.
             fn scene_training(&self, base: &SceneTraining) -> Result<SceneTraining, Error> {
                 use crate::train::section::{check_tasks, check_weights, or};
                 check_tasks(Self::SECTION, &self.tasks)?;

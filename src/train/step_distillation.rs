@@ -1,4 +1,4 @@
-//! Distilling a denoiser onto a few large steps: each answer leads where many small steps of the teacher lead.
+//! Distills a denoiser to a few large steps, each of which ends where many small steps of the teacher end.
 
 use super::latent_error::{pseudo_huber, squared_error};
 use super::objective_loss::{objective_costs, objective_loss};
@@ -12,16 +12,15 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Onto which steps a denoiser is distilled, and how its teacher takes each of them.
+/// The steps to which a denoiser is distilled, and the teacher's steps within each.
 ///
-/// The student predicts at the levels of Euler's sampler σ_0 > σ_1 > … > 0. From noise at σ_0 the teacher goes down,
-/// each interval in `teacher_steps` steps of DPM-Solver++(2M), and the student learns the answer with which a single
-/// Euler step lands where the teacher does: (x_{k+1} - (σ_{k+1} / σ_k) x_k) / (1 - σ_{k+1} / σ_k) (Salimans and Ho
-/// 2022, progressive distillation, in one stage). What is learned is a function of the noise and not a mean over
-/// endings.
+/// The student predicts at the levels of Euler's sampler σ_0 > σ_1 > … > 0. From noise at σ_0 the teacher takes each
+/// interval in `teacher_steps` steps of DPM-Solver++(2M), and the student learns the prediction with which a single
+/// Euler step ends where the teacher does: (x_{k+1} - (σ_{k+1} / σ_k) x_k) / (1 - σ_{k+1} / σ_k) (Salimans and Ho 2022,
+/// progressive distillation, in one stage). The student learns a function of the noise, not a mean over outcomes.
 ///
-/// Objectives judge where the student's own steps end, and teach all of them (Clark et al. 2024, DRaFT); the distance to the teacher is
-/// then what keeps samples likely.
+/// Objectives apply to the end of the student's own steps, with gradients through all of them (Clark et al. 2024,
+/// DRaFT); the distance to the teacher keeps samples likely.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct StepDistillation {
@@ -51,7 +50,7 @@ impl StepDistillation {
         SamplerConfig::Euler(EulerConfig { n_steps: self.n_steps, grid: self.grid })
     }
 
-    /// Refuses steps that work with no denoiser.
+    /// Rejects steps that work with no denoiser.
     pub(super) fn validate(&self) -> settings::Result {
         settings::check_ranges(self)?;
         self.sampler().validate()?;
@@ -59,7 +58,7 @@ impl StepDistillation {
         self.check_last(last.unwrap_or(f64::INFINITY))
     }
 
-    /// Refuses steps that do not work with a denoiser of these constants.
+    /// Rejects steps that do not work with a denoiser of these constants.
     pub(super) fn check_levels(&self, edm: &Edm) -> settings::Result {
         let sigmas = self.sigmas(edm);
         let (first, most) = (sigmas[0], edm.sigma_max);
@@ -97,10 +96,10 @@ impl StepDistillation {
         intervals.collect()
     }
 
-    /// Where `teacher` goes from `x` (B, …), a state at the first of the student's noise levels: its states at all of them.
+    /// The states of `teacher` at all of the student's noise levels, starting from `x` (B, …) at the first of them.
     ///
-    /// It is solved in one go. A solver of several steps begins with one of first order; begun anew at each level, it would make samples
-    /// too much alike.
+    /// The solver runs once through all levels. A multistep solver begins with a first-order step; restarted at each
+    /// level, it would make samples too similar.
     fn states(&self, edm: &Edm, teacher: &dyn Denoiser, x: Tensor) -> candle_core::Result<Vec<Tensor>> {
         let solver = SamplerConfig::Dpmpp2m(Dpmpp2mConfig::default());
         let mut states = vec![x.clone()];
@@ -115,7 +114,7 @@ impl StepDistillation {
     }
 }
 
-/// The answer with which one Euler step goes from `x` (B, …) at noise level `from` to `next` (B, …) at `to`:
+/// The prediction with which one Euler step goes from `x` (B, …) at noise level `from` to `next` (B, …) at `to`:
 /// (next - r x) / (1 - r) with r = to / from.
 fn answer(x: &Tensor, next: &Tensor, from: f64, to: f64) -> candle_core::Result<Tensor> {
     let ratio = to / from;
@@ -128,7 +127,7 @@ pub struct StepDistillationTask<'a> {
     pub denoiser: &'a SceneDenoiser,
     /// The same parameters without gradients, for evaluations.
     pub frozen: &'a SceneDenoiser,
-    /// Whose steps are learned.
+    /// The teacher.
     pub teacher: &'a SceneDenoiser,
     /// The steps.
     pub steps: &'a StepDistillation,
@@ -139,7 +138,7 @@ pub struct StepDistillationTask<'a> {
 }
 
 impl StepDistillationTask<'_> {
-    /// What `denoiser` answers to noise drawn from the rows' seeds; the rows are all or a part of a batch of `n_rows`.
+    /// The predictions of `denoiser` from noise by the rows' seeds; the rows are all or a part of a batch of `n_rows`.
     fn answers(&self, denoiser: &SceneDenoiser, drawn: &DrawnBatch, n_rows: usize) -> Result<Answers, Error> {
         let (batch, mut noise) = (&drawn.batch, NoiseSource::new(drawn.seeds.clone()));
         let edm = denoiser.edm();
@@ -149,7 +148,7 @@ impl StepDistillationTask<'_> {
         let ask = |x: &Tensor, sigma: f64| student.denoise(x, &rows_like(vec![sigma; x.dim(0)?], x)?.flatten_all()?);
         let states = self.steps.states(edm, &self.teacher.bind(batch, 1)?, x.clone())?;
         let mut distances = Vec::with_capacity(sigmas.len() - 1);
-        // Where the student's own steps have led; they begin where the teacher's do.
+        // The state of the student's own steps, which start from the teacher's noise.
         let mut own = x;
         for (step, (states, levels)) in states.windows(2).zip(sigmas.windows(2)).enumerate() {
             let (x, from, to) = (&states[0], levels[0], levels[1]);
@@ -166,12 +165,13 @@ impl StepDistillationTask<'_> {
     }
 }
 
-/// What a student answers.
+/// The predictions of a student.
 struct Answers {
-    /// For each of its levels the mean distance over rows between its answer on the teacher's way and the answer that leads where the
-    /// teacher goes on to.
+    /// For each of its levels, the mean distance over rows between its prediction on the teacher's path and the target
+    /// prediction.
     distances: Vec<Tensor>,
-    /// Where its own steps end, (B, A, T, D), with the graph that leads through all of them; its start where there are no objectives.
+    /// The end of its own steps, (B, A, T, D), with the graph through all of them; their start if there are no
+    /// objectives.
     sample: Tensor,
 }
 
@@ -274,7 +274,7 @@ mod tests {
             let gain = levels[1].hypot(STD) / sigmas[0].hypot(STD);
             let exact = ((&x - MEAN).unwrap() * gain).unwrap() + MEAN;
             for (landed, exact) in values(&landed).iter().zip(values(&exact.unwrap())) {
-                // What second order, and the last step, leave of an error.
+                // The error of a second-order method and of the last step.
                 assert!((landed - exact).abs() < 2e-3 * exact.abs().max(1.0), "{levels:?}: {landed}, exactly {exact}");
             }
         }
@@ -292,7 +292,7 @@ mod tests {
         assert!(default().check_levels(&edm(80.0, 0.002)).is_ok());
         let beyond = default().check_levels(&edm(20.0, 0.002)).unwrap_err();
         assert!(beyond.to_string().contains("grid begins at 30, expected at most"));
-        // A denoiser's own last level, where the grid names none.
+        // The denoiser's own last level, if the grid names none.
         let open = StepDistillation { grid: StepGrid { sigma_min: None, ..default().grid }, ..default() };
         assert!(open.validate().is_ok() && open.check_levels(&edm(80.0, 0.5)).is_ok());
         assert!(open.check_levels(&edm(80.0, 0.002)).unwrap_err().to_string().contains("of the steps, 0.002"));

@@ -1,4 +1,4 @@
-//! What is trained: what is the loss of a batch, and of a part of it?
+//! Training tasks: the loss of a batch, and of a part of it.
 
 use super::Error;
 use candle_core::Tensor;
@@ -26,16 +26,17 @@ impl BatchPart {
     }
 }
 
-/// What is trained.
+/// A training task.
 ///
-/// A loss is a sum of means over the rows of a batch, or over their states. A part of the batch sums over its own rows and divides by
-/// what it is for the whole batch, so that the losses of all parts add up to that of the batch, and so do their gradients.
+/// A loss is a sum of means over the rows of a batch, or over their states. A part of the batch sums over its own rows
+/// and divides by the divisors of the whole batch, so that the losses and gradients of all parts add up to those of the
+/// batch.
 pub trait TrainTask: Sync {
     /// Number of rows of a batch, B.
     fn batch_size(&self) -> usize;
 
-    /// What the rows of `part` add to the divisors of the means, such as numbers of scored states: those that are known only once the
-    /// rows are drawn.
+    /// The contribution of `part` to the divisors of the means, such as its number of scored states, which are known
+    /// only after the rows are drawn.
     ///
     /// # Errors
     /// When the rows cannot be made.
@@ -44,15 +45,15 @@ pub trait TrainTask: Sync {
     }
 
     /// The share of `part` in the loss of its batch, a scalar. `divisors` are the sums of [`divisors`](Self::divisors) over all parts;
-    /// `None` where the part is the whole batch. It must depend on the parameters, the part and these alone, so that a resumed run takes
+    /// `None` if the part is the whole batch. It must depend on the parameters, the part and these alone, so that a resumed run takes
     /// the same steps.
     ///
     /// # Errors
     /// When the rows cannot be made.
     fn loss(&self, part: &BatchPart, divisors: Option<&[f64]>) -> Result<Tensor, Error>;
 
-    /// Makes what it can of a `part` of the next step in advance. It is called while a GPU computes the step before, which it must not
-    /// wait for.
+    /// Prepares a `part` of the next step in advance. It is called while a GPU computes the previous step, and must not
+    /// wait for it.
     ///
     /// # Errors
     /// When the rows cannot be made.

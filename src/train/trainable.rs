@@ -1,4 +1,4 @@
-//! A network under training, and the checkpoint that it becomes: the same for every model.
+//! A network under training, and its checkpoint, for every model.
 
 use super::section::SceneTraining;
 use super::training_data::TrainingData;
@@ -13,12 +13,12 @@ use std::path::Path;
 /// Name of the trained weights in a model's folder.
 pub const MODEL_FILE: &str = "model.safetensors";
 
-/// Where and with what a model is trained.
+/// The environment of a training.
 #[derive(Clone, Copy)]
 pub struct TrainJob<'a> {
     /// Seed of everything random.
     pub seed: Seed,
-    /// The folder of the model. What an interrupted training left there is taken up.
+    /// The folder of the model. An interrupted training in it is resumed.
     pub dir: &'a Path,
     /// What networks compute on.
     pub compute: &'a Compute,
@@ -33,7 +33,7 @@ pub struct TrainJob<'a> {
 pub struct TrainOutcome<S> {
     /// Fingerprint of the checkpoint.
     pub fingerprint: String,
-    /// What the model is.
+    /// The description of the model.
     pub spec: S,
     /// Number of trained values.
     pub n_parameters: usize,
@@ -41,7 +41,7 @@ pub struct TrainOutcome<S> {
     pub statistics: Vec<FitStatistics>,
 }
 
-/// Parameters, with the network over them twice.
+/// Parameters, and two networks over them.
 pub(super) struct Trainable<S: ModelSpec> {
     /// The parameters.
     pub(super) params: Params,
@@ -63,7 +63,7 @@ impl<S: ModelSpec> Trainable<S> {
         Ok(Self { params, network, frozen })
     }
 
-    /// Writes the checkpoint that training led to.
+    /// Writes the trained checkpoint.
     pub(super) fn finish(self, spec: S, outcome: FitOutcome, job: TrainJob<'_>) -> Result<TrainOutcome<S>, Error> {
         let fingerprint = spec.write(&self.params, &job.dir.join(MODEL_FILE))?;
         let n_parameters = self.params.n_parameters();
@@ -71,7 +71,7 @@ impl<S: ModelSpec> Trainable<S> {
     }
 }
 
-/// The scenes of a training, in the form that draws borrow from.
+/// The scenes of a training, from which draws borrow.
 pub(super) struct ScenesOfFit<'a> {
     data: &'a TrainingData<'a>,
     groups: Vec<WeightedGroups>,
@@ -100,7 +100,7 @@ impl<'a> ScenesOfFit<'a> {
         })
     }
 
-    /// Draws batches; with `with_context`, what objectives read comes along.
+    /// Draws batches; `with_context` adds the context of objectives.
     pub(super) fn draws<'b>(&'b self, with_context: bool, job: TrainJob<'b>) -> SceneDraws<'b> {
         SceneDraws {
             collator: &self.collator,

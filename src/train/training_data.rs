@@ -1,4 +1,4 @@
-//! The scenes of a training run, and the constants that are gathered from them.
+//! The scenes of a training run, and the constants gathered from them.
 
 use super::{Balance, Error, SceneDataset, TrainJob, WeightedGroups};
 use crate::seed::Seed;
@@ -12,7 +12,7 @@ const N_NORMALIZER_SCENES: usize = 2_000;
 pub struct TrainingData<'a> {
     /// The scenes.
     pub dataset: &'a dyn SceneDataset,
-    /// Which of them are drawn, by where they are from; not empty.
+    /// The scenes to draw, by source; not empty.
     pub sources: Vec<TrainingSource>,
     /// Dimensions of a diffused state.
     pub state_dim: usize,
@@ -33,7 +33,7 @@ pub struct TrainingSource {
     pub held_out: Vec<usize>,
 }
 
-/// What all training scenes have in common.
+/// The constants of the training scenes.
 pub(super) struct SceneConstants {
     /// Scales.
     pub(super) normalizer: Normalizer,
@@ -56,7 +56,7 @@ impl TrainingData<'_> {
         self.sources.iter().map(|source| source.held_out.len()).sum()
     }
 
-    /// The scenes to train on: of each source in groups that count the same; no group is empty.
+    /// The scenes to train on: for each source, groups of equal weight, none empty.
     pub(super) fn groups(&self, balance: Balance) -> Vec<WeightedGroups> {
         let of_source = |source: &TrainingSource| {
             let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
@@ -69,12 +69,12 @@ impl TrainingData<'_> {
         self.sources.iter().map(of_source).collect()
     }
 
-    /// The held-out scenes to evaluate on, at most `n`: of each source its share.
+    /// The held-out scenes to evaluate on, at most `n`, from each source its share.
     pub(super) fn chosen_held_out(&self, n: usize, seed: Seed) -> Vec<usize> {
         self.sample(n, |source| &source.held_out, seed.derive("held-out", &[]))
     }
 
-    /// At most about `n` of the scenes that `of` names, at random: of each source as many as its weight says.
+    /// At most about `n` random scenes of those that `of` returns, from each source in proportion to its weight.
     fn sample(&self, n: usize, of: impl Fn(&TrainingSource) -> &Vec<usize>, seed: Seed) -> Vec<usize> {
         let total: f64 = self.sources.iter().map(|source| source.weight).sum();
         let chosen = self.sources.iter().enumerate().flat_map(|(i, source)| {
@@ -89,7 +89,7 @@ impl TrainingData<'_> {
 }
 
 impl SceneConstants {
-    /// Gathers the constants of the training set, where the network derives headings without those that were derived before.
+    /// Gathers the constants of the training set. If the network derives headings, derived headings do not count.
     ///
     /// # Errors
     /// When there is no scene to train on, scenes differ in their timesteps, or one cannot be loaded.

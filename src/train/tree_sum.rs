@@ -1,7 +1,7 @@
-//! A sum whose bytes do not depend on who adds what: along a binary tree over its leaves.
+//! Sums along a binary tree, whose bytes do not depend on how the work is divided.
 
-/// The sum of 2^k leaves along a balanced binary tree, fed leaf by leaf; it holds one sum a level. The sum of an aligned subtree may
-/// take the place of its leaves.
+/// The sum of 2^k leaves along a balanced binary tree, fed leaf by leaf; it keeps one sum a level. The sum of an
+/// aligned subtree may replace its leaves.
 #[derive(Debug, Default)]
 pub(super) struct TreeSum {
     /// Sums of subtrees that wait for their right neighbor, with the number of leaves in each.

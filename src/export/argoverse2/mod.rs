@@ -1,4 +1,4 @@
-//! Argoverse 2 motion forecasting: which rows and which map JSON is a scenario there?
+//! Argoverse 2 motion forecasting: a Parquet table and a map in JSON for each scenario.
 
 #[cfg(test)]
 mod tests;
@@ -100,7 +100,7 @@ fn rows(item: &Item<'_>) -> Result<RecordBatch> {
         Arc::new(Float64Array::from_iter_values(states.iter().map(|(.., state)| of(state))))
     };
     let observed: BooleanArray = states.iter().map(|(_, timestep, _)| Some(*timestep < scene.n_history)).collect();
-    // The format has nanoseconds as floats; scenes that do not say when they begin do so at 0.
+    // The format has nanoseconds as floats; scenes without a start time begin at 0.
     let begins_at_ns = scene.source.dataset.facts().begins_at_ns;
     let start_ns = scene.source.first_frame.parse::<f64>().ok().filter(|_| begins_at_ns).unwrap_or_default();
     let end_ns = start_ns + scene.n_timesteps.saturating_sub(1) as f64 * scene.dt_s * 1e9;
@@ -125,7 +125,7 @@ fn rows(item: &Item<'_>) -> Result<RecordBatch> {
     RecordBatch::try_from_iter(columns).map_err(Error::encode(Path::new(&item.stem)))
 }
 
-/// What the dataset calls a kind of road user.
+/// The dataset's name for a class of road users.
 const fn object_type(class: AgentClass) -> &'static str {
     match class {
         AgentClass::Vehicle => "vehicle",
@@ -138,8 +138,8 @@ const fn object_type(class: AgentClass) -> &'static str {
     }
 }
 
-/// 3 for the ego; 2 for those whom the recording marks or who take part in the event; 1 for others; 0 for those who are not
-/// there at present.
+/// 3 for the ego; 2 for agents that the recording marks or that take part in the event; 1 for others; 0 for agents that
+/// are not tracked at present.
 fn category(item: &Item<'_>, agent_idx: usize) -> i64 {
     let scene = item.scene();
     let is_marked = matches!(scene.tracks[agent_idx].role, TrackRole::Focal | TrackRole::Scored);
@@ -152,10 +152,10 @@ fn category(item: &Item<'_>, agent_idx: usize) -> i64 {
     }
 }
 
-/// What is assumed of a map, by code, and how often.
+/// Counts of what is assumed about a map, by code.
 type Assumed = Vec<(&'static str, u64)>;
 
-/// The lanes and the areas that they cover, both by the lanes' ids, and what was assumed of them.
+/// The lanes and the areas that they cover, both by the lanes' ids, and what was assumed about them.
 fn lanes_and_areas(map: &LaneGraph) -> (Map<String, Value>, Map<String, Value>, Assumed) {
     let (mut n_nominal, mut n_left_out) = (0, 0);
     let (mut segments, mut areas) = (Map::new(), Map::new());
@@ -197,7 +197,7 @@ fn lane_segment(lane: &Lane, bounds: &LaneBounds) -> Value {
     })
 }
 
-/// To the micrometer, which is shorter to write.
+/// Rounded to micrometers, which makes the file shorter.
 fn rounded(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }

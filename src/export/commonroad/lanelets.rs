@@ -1,4 +1,4 @@
-//! How do lanes become lanelets?
+//! Lanes as lanelets.
 
 use super::point;
 use crate::export::lane_bounds::LaneBounds;
@@ -7,7 +7,7 @@ use crate::geometry::Vec2;
 use crate::scene::{Lane, LaneGraph, LaneId};
 use std::collections::BTreeMap;
 
-/// Lanelets and what was assumed of them.
+/// Lanelets and what was assumed about them.
 pub(super) struct Lanelets {
     /// Numbered from 1, in the order of the lanes.
     pub(super) elements: Vec<Element>,
@@ -50,7 +50,7 @@ fn lanelet(lane: &Lane, bounds: &LaneBounds, numbers: &BTreeMap<LaneId, usize>) 
         .child(leaf(user, "vehicle"))
 }
 
-/// The format's kind of a lane, as far as the map tells.
+/// The format's type of a lane, if the map has it.
 fn kind(lane: &Lane) -> &'static str {
     match lane.attributes.kind.as_str() {
         "BUS" | "bus_lane" => "busLane",

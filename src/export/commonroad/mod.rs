@@ -1,7 +1,7 @@
-//! CommonRoad 2020a XML: what is a scenario as lanelets, obstacles and a planning problem?
+//! CommonRoad 2020a XML: a scenario as lanelets, obstacles and a planning problem.
 //!
-//! The format's time begins with the planning problem, at which every obstacle has its initial state: time step 0 is the
-//! present of the scenario, and what was observed before is not written.
+//! The format's time begins with the planning problem, at which every obstacle has its initial state: time step 0 is
+//! the present of the scenario, and earlier states are not written.
 
 mod identity;
 mod lanelets;
@@ -72,7 +72,7 @@ fn exact(name: &'static str, value: impl std::fmt::Display) -> Element {
     element(name).child(leaf("exact", value))
 }
 
-/// What all states have: position, orientation, time, and velocity along the heading and to its left.
+/// The elements of all states: position, orientation, time, and velocity along the heading and to its left.
 fn state(name: &'static str, state: &State, time_step: usize) -> Element {
     element(name)
         .child(position(state))
@@ -90,7 +90,7 @@ fn point(name: &'static str, point: crate::geometry::Vec2) -> Element {
     element(name).child(leaf("x", number(point.x))).child(leaf("y", number(point.y)))
 }
 
-/// The velocity along the heading: negative for those who go backwards.
+/// The velocity along the heading; negative backward.
 fn speed_mps(state: &State) -> f64 {
     state.velocity.dot(crate::geometry::Vec2::from_angle(state.heading_rad))
 }

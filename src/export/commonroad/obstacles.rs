@@ -1,4 +1,4 @@
-//! How do road users become dynamic obstacles?
+//! Road users as dynamic obstacles.
 
 use super::state;
 use crate::export::text::number;
@@ -6,7 +6,7 @@ use crate::export::xml::{Element, element, leaf};
 use crate::export::{EgoMotion, Item};
 use crate::scene::{AgentClass, State, Track};
 
-/// Obstacles, and for each track its obstacle's id or why there is none.
+/// Obstacles, and for each track its obstacle's id or the reason why there is none.
 pub(super) struct Obstacles {
     pub(super) elements: Vec<Element>,
     pub(super) tracks: Vec<Result<String, &'static str>>,
@@ -57,7 +57,8 @@ fn obstacle(track: &Track, states: &[State]) -> Element {
         .child(element("trajectory").children(later))
 }
 
-/// The format's kind of a road user. Pedestrians and cyclists that the recording does not tell apart are pedestrians here.
+/// The format's type of a road user. Pedestrians and cyclists that the recording does not distinguish become
+/// pedestrians.
 const fn kind(class: AgentClass) -> &'static str {
     match class {
         AgentClass::Vehicle => "car",

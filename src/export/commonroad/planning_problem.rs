@@ -1,4 +1,4 @@
-//! What is to be planned for the ego: from where it is at present to where it is at the end.
+//! The planning problem of the ego: from its present state to its last one.
 
 use super::{exact, point, position, speed_mps};
 use crate::export::text::number;
@@ -9,9 +9,9 @@ use crate::scene::{Scene, State};
 /// The goal may be reached this long before the scenario ends, seconds.
 const GOAL_DURATION_S: f64 = 1.0;
 
-/// The planning problem of a scenario whose ego has these states in the recording's frame. The goal is reached when the ego's
-/// center lies in its own footprint at the end, within the last second. `None` where the ego is not there at present, or
-/// has no state after it.
+/// The planning problem of a scenario whose ego has these states in the recording's frame. The goal is reached when the
+/// ego's center lies in its own footprint at the end, within the last second. `None` if the ego has no state at
+/// present, or none after it.
 pub(super) fn of(scene: &Scene, states: &[Option<State>]) -> Option<Element> {
     let present = scene.current_timestep();
     let now = (*states.get(present)?)?;

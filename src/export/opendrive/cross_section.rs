@@ -1,12 +1,12 @@
-//! How far to the left and right of its reference line does a lane reach?
+//! The edges of a lane to the left and right of its reference line.
 
 use super::reference_line::ReferenceLine;
 use crate::export::lane_bounds::LaneBounds;
 use crate::geometry::{Polyline, Vec2};
 
-/// Records that the one before foretells to within this are left out, meters.
+/// Records that the previous one predicts to within this are left out, meters.
 const FORETOLD_M: f64 = 1e-3;
-/// A boundary further away is another part of a lane that comes back, meters.
+/// A boundary farther away belongs to another part of a winding lane, meters.
 const MAX_OFFSET_M: f64 = 30.0;
 
 /// The edges of a lane at a place along its reference line, meters to the left.
@@ -21,7 +21,7 @@ pub(super) struct Edges {
 pub(super) fn edges(line: &ReferenceLine, bounds: &LaneBounds) -> Vec<Edges> {
     let length_m = line.length_m();
     let pieces = line.pieces.iter().map(|piece| piece.s_m);
-    // A boundary bends where it has a point: there, too.
+    // Boundaries bend at their points, so these are stations, too.
     let middle =
         Polyline(line.pieces.iter().map(|piece| piece.start).chain(line.at(length_m).map(|end| end.0)).collect());
     let points = bounds.left.0.iter().chain(&bounds.right.0);
@@ -46,8 +46,8 @@ pub(super) fn edges(line: &ReferenceLine, bounds: &LaneBounds) -> Vec<Edges> {
     without_foretold(&edges)
 }
 
-/// How far to the left of a point on the reference line a boundary lies, straight across. The boundary goes on straight
-/// beyond its ends: the ends of a lane need not be square.
+/// The distance of a boundary to the left of a point on the reference line, straight across. The boundary continues
+/// straight beyond its ends, because the ends of a lane need not be square.
 fn offset_m(point: Vec2, heading_rad: f64, boundary: &Polyline) -> Option<f64> {
     let ahead = Vec2::from_angle(heading_rad);
     let last = boundary.0.len().checked_sub(2)?;
@@ -59,14 +59,14 @@ fn offset_m(point: Vec2, heading_rad: f64, boundary: &Polyline) -> Option<f64> {
         (step.abs() > 1e-9 && is_within).then(|| share.mul_add(to.y - from.y, from.y))
     });
     let nearest = across.filter(|offset_m| offset_m.abs() < MAX_OFFSET_M).min_by(|a, b| a.abs().total_cmp(&b.abs()));
-    // Where no boundary lies across, its nearest point is as far as it is.
+    // If no boundary lies across, the distance of its nearest point counts.
     nearest.or_else(|| {
         let beside = boundary.0.iter().min_by(|a, b| a.distance(point).total_cmp(&b.distance(point)))?;
         Some(ahead.cross(*beside - point))
     })
 }
 
-/// The edges without those that lie on the line from one that is kept to the next that is.
+/// The edges without those that lie on the line between their kept neighbors.
 fn without_foretold(edges: &[Edges]) -> Vec<Edges> {
     let is_foretold = |before: &Edges, here: &Edges, after: &Edges| {
         let share = (here.s_m - before.s_m) / (after.s_m - before.s_m);

@@ -1,13 +1,13 @@
-//! How do roads of one lane each lead into each other, and where do they fork and join?
+//! Links and junctions of roads with one lane each.
 //!
-//! A road can name one road that follows it. Where several do, or several lead into one, the standard has junctions; those of
-//! the kind `direct` connect roads that meet in one place without further roads between them.
+//! A road can name one successor. For forks and merges, the standard has junctions; those of the type `direct` connect
+//! roads that meet in one place, without further roads between them.
 
 use crate::export::xml::{Element, element};
 use crate::scene::{Lane, LaneId};
 use std::collections::BTreeMap;
 
-/// Where roads meet: those that end there, and those that begin there, by their numbers.
+/// A meeting place of roads: those that end there, and those that begin there, by their numbers.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 struct Node {
     ending: Vec<usize>,
@@ -20,12 +20,12 @@ impl Node {
     }
 }
 
-/// The meeting places of roads; a road has one at its start and one at its end where it goes on.
+/// The meeting places of roads; a road has one at its start and at its end if it continues there.
 pub(super) struct Links {
     nodes: Vec<Node>,
     at_end: BTreeMap<usize, usize>,
     at_start: BTreeMap<usize, usize>,
-    /// Which roads lead into which.
+    /// The connections of roads.
     pairs: Vec<(usize, usize)>,
 }
 
@@ -57,7 +57,7 @@ impl Links {
         links
     }
 
-    /// Puts all roads of `gone` into `stays`, which is returned; `gone` stays behind empty.
+    /// Moves all roads of `gone` to `stays`, which is returned; `gone` stays empty.
     fn merge(&mut self, stays: usize, gone: usize) -> usize {
         let Node { ending, beginning } = std::mem::take(&mut self.nodes[gone]);
         self.at_end.extend(ending.iter().map(|road| (*road, stays)));
@@ -67,7 +67,7 @@ impl Links {
         stays
     }
 
-    /// What a road says of the roads before and after it, and what its lane does.
+    /// The link elements of a road and of its lane.
     pub(super) fn of_road(&self, road: usize) -> (Element, Element) {
         let (mut of_road, mut of_lane) = (element("link"), element("link"));
         let ends = [("predecessor", self.at_start.get(&road), "end"), ("successor", self.at_end.get(&road), "start")];
@@ -97,7 +97,7 @@ impl Links {
                     .attr("id", i)
                     .attr("incomingRoad", from)
                     .attr("linkedRoad", to)
-                    // Readers that do not know direct junctions, such as SUMO's, look for it here.
+                    // For readers without direct junctions, such as SUMO's.
                     .attr("connectingRoad", to)
                     .attr("contactPoint", "start")
                     .child(element("laneLink").attr("from", -1).attr("to", -1))

@@ -1,8 +1,8 @@
-//! OpenDRIVE 1.7: what are the lanes of a scenario as roads?
+//! OpenDRIVE 1.7: the lanes of a scenario as roads.
 //!
-//! Each lane is a road of its own: maps of lanes do not say which of them run side by side all the way. A road has the lane's
-//! number -1, its reference line is the middle of the lane ([`reference_line`]), and its edges are those of the lane
-//! ([`cross_section`]).
+//! Each lane is a road of its own, because maps of lanes do not tell which of them run side by side throughout. A road
+//! has the lane's number -1, its reference line is the middle of the lane ([`reference_line`]), and its edges are those
+//! of the lane ([`cross_section`]).
 
 mod cross_section;
 mod links;
@@ -19,23 +19,23 @@ use links::Links;
 use reference_line::{Piece, ReferenceLine, Shape};
 use std::collections::BTreeMap;
 
-/// The files have no date of their own.
+/// A fixed date, because the format requires one.
 const DATE: &str = "1970-01-01T00:00:00";
 
-/// A map as a document, and what was assumed of it.
+/// A map as a document, and what was assumed about it.
 pub(super) struct RoadNetwork {
     pub(super) root: Element,
     pub(super) assumed: Vec<(&'static str, u64)>,
 }
 
-/// A lane as it becomes a road.
+/// A lane that becomes a road.
 struct Road<'l> {
     lane: &'l Lane,
     line: ReferenceLine,
     edges: Vec<Edges>,
 }
 
-/// The roads of a map, in its frame; `None` where no lane has any length. Roads are numbered from 1, in the order of the lanes.
+/// The roads of a map, in its frame; `None` if no lane has any length. Roads are numbered from 1, in the order of the lanes.
 pub(super) fn of(map: &LaneGraph) -> Option<RoadNetwork> {
     let mut n_nominal = 0;
     let mut roads = Vec::new();
@@ -131,7 +131,7 @@ fn geometry(piece: &Piece) -> Element {
         .child(shape)
 }
 
-/// A value that runs straight from the first of two places to the second.
+/// A value that is linear between two places.
 fn record(name: &'static str, place: &'static str, pair: &[Edges], of: fn(&Edges) -> f64) -> Element {
     let (from, to) = (&pair[0], &pair[1]);
     let slope = (of(to) - of(from)) / (to.s_m - from.s_m);
@@ -143,7 +143,7 @@ fn record(name: &'static str, place: &'static str, pair: &[Edges], of: fn(&Edges
         .attr("d", 0)
 }
 
-/// The standard's kind of a lane, as far as the map tells.
+/// The standard's type of a lane, if the map has it.
 fn kind(lane: &Lane) -> &'static str {
     match lane.attributes.kind.as_str() {
         "BIKE" | "bicycle_lane" => "biking",

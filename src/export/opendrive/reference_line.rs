@@ -1,15 +1,16 @@
-//! Which smooth curve runs along the middle of a lane? Straight pieces with rounded corners between them.
+//! A smooth curve along the middle of a lane: straight pieces with rounded corners.
 //!
-//! The standard wants a curve without jumps of its direction, and the map has polylines. Each corner is rounded by a parabola
-//! that stays within [`ROUNDED_BY_M`] of it, so that the curve is the polyline's to within a centimeter.
+//! The standard requires a curve without jumps of its direction, and the map has polylines. Each corner is rounded by a
+//! parabola that stays within [`ROUNDED_BY_M`] of it, so the curve is within a centimeter of the polyline.
 
 use crate::geometry::{Vec2, wrap_angle};
 
-/// How far the curve may pass beside a corner, meters.
+/// Largest distance of the curve from a corner, meters.
 const ROUNDED_BY_M: f64 = 0.01;
-/// Directions that differ by less are one, radians: a millimeter over ten meters.
+/// Directions that differ by less are equal, radians: a millimeter over ten meters.
 const STRAIGHT_RAD: f64 = 1e-4;
-/// Points of the polyline that are closer to each other are one: shorter pieces have no direction of their own, meters.
+/// Points of the polyline that are closer together are merged, because shorter pieces have no reliable direction,
+/// meters.
 const MIN_SPACING_M: f64 = 0.05;
 
 /// A piece of the curve.
@@ -24,7 +25,7 @@ pub(super) struct Piece {
     pub(super) shape: Shape,
 }
 
-/// What a piece looks like.
+/// The shape of a piece.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Shape {
     Line,
@@ -56,7 +57,7 @@ pub(super) struct ReferenceLine {
 }
 
 impl ReferenceLine {
-    /// The curve along these points; `None` where they have no length to speak of.
+    /// The curve along these points; `None` if it has no length.
     pub(super) fn along(points: &[Vec2]) -> Option<Self> {
         let points = corners(points)?;
         let mut pieces: Vec<Piece> = Vec::new();
@@ -66,8 +67,8 @@ impl ReferenceLine {
             let heading_rad = along.angle();
             let next = points.get(i + 2).map(|next| *next - pair[1]);
             let turn_rad = next.map_or(0.0, |next| wrap_angle(next.angle() - heading_rad));
-            // At half of the shorter side, no two rounded corners meet. The parabola passes by at a quarter of the difference
-            // of the two directions, times this distance.
+            // Half of the shorter side keeps rounded corners apart. The parabola passes the corner at a quarter of the
+            // difference of the two directions, times this distance.
             let room_m = next.map_or(0.0, |next| 0.5 * along.norm().min(next.norm()));
             let cut_m = room_m.min(2.0 * ROUNDED_BY_M / (0.5 * turn_rad).sin().abs().max(1e-9));
             let end = pair[1] - Vec2::from_angle(heading_rad) * cut_m;
@@ -96,7 +97,7 @@ impl ReferenceLine {
     }
 }
 
-/// Adds a piece, unless it is too short to be told.
+/// Adds a piece, unless it is too short.
 fn push(pieces: &mut Vec<Piece>, length_m: f64, start: Vec2, heading_rad: f64, shape: Shape) {
     if length_m > 1e-6 {
         let s_m = pieces.last().map_or(0.0, |last| last.s_m + last.length_m);
@@ -113,7 +114,7 @@ fn corners(points: &[Vec2]) -> Option<Vec<Vec2>> {
             spaced.push(*point);
         }
     }
-    // The end stays where it is, whoever has to make room for it.
+    // The end stays, even if the point before it must go.
     while spaced.len() > 1 && spaced.last().is_some_and(|point| point.distance(last) < MIN_SPACING_M) {
         spaced.pop();
     }
@@ -130,7 +131,7 @@ fn corners(points: &[Vec2]) -> Option<Vec<Vec2>> {
 fn arc_length_m(cut_m: f64, turn_rad: f64) -> f64 {
     const N_PANELS: usize = 16;
     let (sin, cos) = turn_rad.sin_cos();
-    // The derivative runs straight from one direction to the other.
+    // The derivative is linear between the two directions.
     let speed = |i: usize| {
         let p = i as f64 / N_PANELS as f64;
         2.0 * cut_m * Vec2::new(1.0 + (cos - 1.0) * p, sin * p).norm()

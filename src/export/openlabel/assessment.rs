@@ -1,6 +1,6 @@
-//! The tags of what was judged of a scenario: accepted or not, how critical, which checks of validity failed.
+//! The tags of a scenario's assessment: acceptance, criticality, failed validity checks.
 //!
-//! Names, units and definitions are those of the columns of the scenario table, so that a database of tags and the corpus agree.
+//! Names, units and definitions are those of the columns of the scenario table, so that tags agree with the corpus.
 
 use super::{quantity, rounded, tag, value};
 use crate::metrics::Check;
@@ -41,7 +41,8 @@ const FLAGS: [Flag; 4] = [
 
 const NEAR_DUPLICATE_OF: &str = "near_duplicate_of";
 
-/// The tag of the judgment, and one for each check of validity that failed. What is not defined for the scenario is left out.
+/// The tag of the assessment, and one for each failed validity check. Values that are not defined for the scenario are
+/// left out.
 pub(super) fn tags(scene: &Scene, judged: &Assessment) -> Vec<Value> {
     let columns = AssessmentColumns::new();
     let number =
@@ -73,7 +74,7 @@ pub(super) fn tags(scene: &Scene, judged: &Assessment) -> Vec<Value> {
     std::iter::once(whole).chain(violations).collect()
 }
 
-/// What these tags mean.
+/// The definitions of these tags.
 pub(super) fn definitions() -> Map<String, Value> {
     let columns = AssessmentColumns::new();
     let names = FLAGS.iter().map(|(name, _)| *name).chain(NUMBERS.iter().map(|(name, _)| *name));
@@ -89,12 +90,12 @@ pub(super) fn definitions() -> Map<String, Value> {
         "data": data,
     });
     let violation = json!({
-        "definition": "A check of validity that the scenario fails, at its worst place. A scenario without such a tag is valid.",
+        "definition": "A validity check that the scenario fails, at its worst place. A scenario without such a tag is valid.",
         "data": {
             "check": "Which check.",
-            "track": "The road user at fault; of a collision the first of the two.",
+            "track": "The road user at fault; for a collision, the first of the two.",
             "time_s": "When, seconds after the first timestep.",
-            "value": "What was found, in the unit of the check.",
+            "value": "The value, in the unit of the check.",
             "limit": "What is allowed.",
         },
         "checks": checks,
@@ -102,7 +103,7 @@ pub(super) fn definitions() -> Map<String, Value> {
     Map::from_iter([("assessment".to_owned(), assessment), ("violation".to_owned(), violation)])
 }
 
-/// What the columns of the scenario table say of themselves.
+/// The metadata of the scenario table's columns.
 struct AssessmentColumns(Option<TableSchema>);
 
 impl AssessmentColumns {
@@ -110,7 +111,7 @@ impl AssessmentColumns {
         Self(TableSchema::all().into_iter().find(|table| table.name == "scenario"))
     }
 
-    /// The `unit` or the `description` of a column; empty where there is none.
+    /// The `unit` or the `description` of a column; empty if there is none.
     fn of(&self, name: &str, key: &str) -> String {
         let field = self.0.iter().flat_map(|table| &table.fields).find(|field| field.name() == name);
         field.and_then(|field| field.metadata().get(key).cloned()).unwrap_or_default()

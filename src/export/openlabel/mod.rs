@@ -1,4 +1,4 @@
-//! OpenLABEL 1.0: which tags does a scenario have, so that databases of scenarios can find it?
+//! OpenLABEL 1.0: tags by which databases find scenarios.
 
 mod assessment;
 
@@ -14,7 +14,7 @@ pub(super) const NOTES: &str = "<id>.json: OpenLABEL 1.0.0 tags, valid against i
     has which role, parameters of events, what was judged (decision, criticality, failed checks, each number with its unit), provenance. Types of tags are defined in ontology.json, which lies beside them; \
     where ASAM's own ontology has a tag for the behavior, that is there, too. No states: use another format for them.";
 
-/// The file that says what our tags mean.
+/// The file with the definitions of our tags.
 const ONTOLOGY_FILE: &str = "ontology.json";
 /// ASAM's ontology of scenario tags.
 const ASAM_ONTOLOGY: &str = "https://openlabel.asam.net/V1-0-0/ontologies/openlabel_ontology_scenario_tags.ttl";
@@ -118,7 +118,7 @@ fn provenance_tag(item: &Item<'_>) -> Value {
                 value("guidance", &provenance.guidance.kind),
                 value("sampler", &provenance.sampler),
                 value("checkpoint", &provenance.checkpoint),
-                // Beyond 2^53 readers of JSON round numbers.
+                // Readers of JSON round numbers beyond 2^53.
                 value("seed", provenance.seed.to_string()),
             ],
             "num": [
@@ -130,7 +130,7 @@ fn provenance_tag(item: &Item<'_>) -> Value {
     )
 }
 
-/// An event: its roles are texts with the ids of tracks, times count from the scenario's start.
+/// An event: its roles are texts with the ids of tracks, and times count from the scenario's start.
 fn event_tag(scene: &Scene, event: &BehaviorEvent) -> Value {
     let time_s = |timestep: usize| rounded(timestep as f64 * scene.dt_s);
     let roles = event.roles.iter().map(|(role, track)| value(&format!("role_{role}"), &track.0));
@@ -149,19 +149,19 @@ fn value(name: &str, value: impl serde::Serialize) -> Value {
     json!({ "name": name, "type": "value", "val": value })
 }
 
-/// A number with its unit, for which OpenLABEL leaves no other place than an attribute.
+/// A number with its unit, for which OpenLABEL has only an attribute.
 fn quantity(name: &str, number: f64, unit: &str) -> Value {
     let mut quantity = value(name, number);
     quantity["attributes"] = json!({ "text": [value("unit", unit)] });
     quantity
 }
 
-/// Without the last digits of a product of decimals.
+/// Rounds away the last digits of a product of decimals.
 fn rounded(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
 
-/// The tag of ASAM's ontology for a behavior, where it has one.
+/// The tag of ASAM's ontology for a behavior, if it has one.
 fn asam_type(behavior: &str) -> Option<&'static str> {
     match behavior {
         "cut_in" => Some("MotionCutIn"),
@@ -172,7 +172,7 @@ fn asam_type(behavior: &str) -> Option<&'static str> {
     }
 }
 
-/// What our tags mean.
+/// The definitions of our tags.
 fn ontology() -> Value {
     let behaviors: serde_json::Map<String, Value> = behavior::ALL
         .iter()
@@ -193,28 +193,28 @@ fn ontology() -> Value {
                     "place": "City or location, as the dataset names it.",
                     "split": "Part of the dataset: train, val, test or unsplit.",
                     "ego": "The track around which the scenario is cut out.",
-                    "requested_behavior": "The behavior that was asked for.",
-                    "verified": "Whether that behavior was found with the roles that were asked for.",
+                    "requested_behavior": "The requested behavior.",
+                    "verified": "Whether that behavior was found with the requested roles.",
                     "accepted": "Whether it is verified, valid and no near-duplicate of another.",
-                    "recorded_event": "Whether the recording already held it.",
+                    "recorded_event": "Whether the recording already showed it.",
                     "duration_s": "From the first timestep to the last, seconds.",
                     "present_s": "The last observed timestep, seconds after the first; what follows is generated.",
                     "n_agents": "Road users.",
                 },
             },
             "provenance": {
-                "definition": "What the scenario came from.",
+                "definition": "The provenance of the scenario.",
                 "data": {
                     "scene_id": "The recorded scene.",
-                    "sweep": "The sweep of the configuration that asked for it.",
+                    "sweep": "The sweep that it belongs to.",
                     "observation": "Which states were observed.",
-                    "guidance": "What the samples were pushed toward.",
+                    "guidance": "The guidance of the samples.",
                     "guidance_strength": "How strongly; 0 without guidance.",
                     "guidance_weight": "Weight of classifier-free guidance; 0 without.",
                     "sampler": "Sampler and number of steps.",
                     "checkpoint": "Fingerprint of the model.",
                     "seed": "The run's seed.",
-                    "sample_idx": "Which sample of its scene and guidance it is.",
+                    "sample_idx": "Index among the samples of its scene and guidance.",
                 },
             },
         },

@@ -1,15 +1,15 @@
-//! What is a road user as an entity: its category, its box, its axles?
+//! Road users as entities: category, box, axles.
 
 use crate::export::text::number;
 use crate::export::xml::{Element, element};
 use crate::geometry::Vec2;
 use crate::scene::{AgentClass, Extent, State, Track};
 
-/// How far apart the axles of a vehicle are, as a share of its length; they lie symmetrically.
+/// The wheelbase of a vehicle as a share of its length; axles are symmetric.
 const WHEELBASE_SHARE: f64 = 0.6;
 const WHEEL_DIAMETER_M: f64 = 0.65;
 const MAX_STEERING_RAD: f64 = 0.6;
-/// Beyond what anybody drives: players must not slow the trajectories down.
+/// Beyond any trajectory, so that players do not slow vehicles down.
 const MAX_SPEED_MPS: f64 = 100.0;
 const MAX_ACCELERATION_MPS2: f64 = 20.0;
 
@@ -21,7 +21,7 @@ pub(super) struct Body {
     track_id: String,
 }
 
-/// What the format takes an entity for.
+/// The category of an entity.
 enum Kind {
     Vehicle(&'static str),
     Pedestrian,
@@ -33,13 +33,13 @@ impl Body {
         Self { class: track.class, extent: track.extent_or_nominal(), track_id: track.id.0.clone() }
     }
 
-    /// Where the entity's point of reference is when its center is in `state`: the middle of the rear axle of a vehicle, the
-    /// center of others.
+    /// The position of the entity's reference point when its center is in `state`: the middle of the rear axle of a
+    /// vehicle, the center of others.
     pub(super) fn reference_point(&self, state: &State) -> Vec2 {
         state.position - Vec2::from_angle(state.heading_rad) * self.center_ahead_m()
     }
 
-    /// How far the center lies ahead of the point of reference.
+    /// The distance of the center ahead of the reference point.
     fn center_ahead_m(&self) -> f64 {
         match self.kind() {
             Kind::Vehicle(_) => 0.5 * WHEELBASE_SHARE * self.extent.length_m,
@@ -58,7 +58,7 @@ impl Body {
         }
     }
 
-    /// A height that is usual for its class; none is recorded.
+    /// The nominal height of its class; none is recorded.
     const fn height_m(&self) -> f64 {
         match self.class {
             AgentClass::Vehicle | AgentClass::Unknown => 1.5,

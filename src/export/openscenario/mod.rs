@@ -1,7 +1,7 @@
-//! OpenSCENARIO XML 1.2: what is a scenario as entities that follow trajectories?
+//! OpenSCENARIO XML 1.2: a scenario as entities that follow trajectories.
 //!
-//! Every road user follows a polyline of timed vertices. Players differ in what they make of times, so that one form is kept to
-//! that all of them read: vertices have times of the scenario (`absolute`), which some players take them for in any case, and
+//! Every road user follows a polyline of timed vertices. Players interpret times differently, so the files use a form
+//! that all of them read: vertices have times of the scenario (`absolute`), as some players assume anyway, and
 //! conditions have no edge (`rising` would never fire at the start).
 
 mod entities;
@@ -25,23 +25,23 @@ pub(super) const NOTES: &str = "<id>.xosc: OpenSCENARIO XML 1.2, valid against i
     lanes side by side do not know of each other. Sizes along the vertical, axles and performance \
     are not recorded; usual ones are written. The date in the files is a placeholder: equal corpora give equal files.";
 
-/// Where the roads are.
+/// The folder of roads.
 const ROADS_FOLDER: &str = "roads";
-/// The files have no date of their own, and the format demands one.
+/// A fixed date, because the format requires one.
 const DATE: &str = "1970-01-01T00:00:00";
 
 /// Writes a file for each scenario, and one with its roads for each scene.
 pub(super) struct OpenScenario {
     dir: PathBuf,
     ego: EgoMotion,
-    /// The roads of scenes that were met.
+    /// The roads of earlier scenes.
     roads: BTreeMap<SceneId, Roads>,
 }
 
 /// The roads of a scene.
 #[derive(Debug, Clone, Default)]
 struct Roads {
-    /// Relative to the export's folder; none where the scene has no lanes.
+    /// Relative to the export's folder; `None` if the scene has no lanes.
     file: Option<String>,
     assumed: Vec<(&'static str, u64)>,
 }
@@ -100,7 +100,7 @@ impl Exporter for OpenScenario {
         }
         let roads = self.roads(item)?;
         let logic = roads.file.as_ref().map(|file| element("LogicFile").attr("filepath", file));
-        // Players take the first entity for the ego.
+        // Players assume that the first entity is the ego.
         actors.sort_by_key(|actor| actor.name != EGO_NAME);
         let root = element("OpenSCENARIO")
             .child(header(item))
@@ -132,7 +132,7 @@ impl Actor {
         element("ScenarioObject").attr("name", &self.name).child(self.body.element(&self.name))
     }
 
-    /// Where it is at each of its timesteps, headings going on beyond ±π so that nothing is interpolated the long way round.
+    /// Its positions, with headings that continue beyond ±π, so that they are interpolated the short way.
     fn positions(&self) -> Vec<Element> {
         let mut heading_rad = None;
         let position = |state: &State| {
@@ -156,7 +156,7 @@ impl Actor {
 /// The name of the ego's entity.
 const EGO_NAME: &str = "Ego";
 
-/// The names of the tracks' entities, no two alike.
+/// The unique names of the tracks' entities.
 fn names(item: &Item<'_>) -> Vec<String> {
     let scene = item.scene();
     let mut used = BTreeSet::new();
@@ -181,7 +181,7 @@ fn stretches(entries: &[Option<State>]) -> Vec<(usize, Vec<State>)> {
     stretches
 }
 
-/// The stretch that holds the present, up to it; none where there is no state at present.
+/// The stretch with the present, up to it; `None` if there is no state at present.
 fn up_to_present(stretches: Vec<(usize, Vec<State>)>, present: usize) -> Vec<(usize, Vec<State>)> {
     let holds_present = |(first, states): &(usize, Vec<State>)| (*first..first + states.len()).contains(&present);
     let held = stretches.into_iter().filter(holds_present);

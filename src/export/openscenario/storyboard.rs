@@ -1,11 +1,11 @@
-//! Who is where at the start, who follows which trajectory from when on, and when does it end?
+//! The storyboard: initial positions, trajectories, and the end.
 
 use super::Actor;
 use crate::export::text::number;
 use crate::export::xml::{Element, element};
 
-/// Triggers fire this long before the timestep that they are meant for: times that a player sums up from its time steps end
-/// a little below their decimal value, and would be late by a whole step. Far below any player's step.
+/// Triggers fire this much before their timestep, because a player's sum of time steps is slightly below the decimal
+/// value, and the trigger would be late by a whole step. Far below any player's step.
 const TRIGGER_LEAD_S: f64 = 1e-3;
 
 /// The storyboard of these actors over `n_timesteps`.
@@ -13,7 +13,7 @@ pub(super) fn of(actors: &[Actor], n_timesteps: usize, dt_s: f64) -> Element {
     let at_start = actors.iter().filter(|actor| actor.first_timestep == 0);
     let init = element("Init").child(element("Actions").children(at_start.map(begin)));
     let groups: Vec<Element> = actors.iter().filter_map(|actor| maneuver_group(actor, n_timesteps, dt_s)).collect();
-    // A story needs somebody who does something.
+    // A story needs at least one actor.
     let story = (!groups.is_empty()).then(|| {
         let act = element("Act").attr("name", "replay").children(groups).child(start_trigger("start_of_act", 0.0));
         element("Story").attr("name", "scenario").child(act)
@@ -23,7 +23,7 @@ pub(super) fn of(actors: &[Actor], n_timesteps: usize, dt_s: f64) -> Element {
     element("Storyboard").child(init).children(story).child(stop)
 }
 
-/// Puts an actor where it is at first, with the speed it has there.
+/// Places an actor at its first state, with its speed.
 fn begin(actor: &Actor) -> Element {
     let teleport =
         element("PrivateAction").child(element("TeleportAction").children(actor.positions().into_iter().take(1)));
@@ -38,8 +38,8 @@ fn begin(actor: &Actor) -> Element {
     element("Private").attr("entityRef", &actor.name).child(teleport).child(speed)
 }
 
-/// What an actor does: it is added where it comes later, follows its trajectory, and is deleted where it leaves before the
-/// end, unless somebody takes it over. `None` for who is taken over from the start.
+/// The actions of an actor: it is added if it comes later, follows its trajectory, and is deleted if it leaves before
+/// the end, unless a driving function takes it over. `None` if it is taken over from the start.
 fn maneuver_group(actor: &Actor, n_timesteps: usize, dt_s: f64) -> Option<Element> {
     let name = &actor.name;
     let begin_s = actor.first_timestep as f64 * dt_s;
@@ -76,8 +76,8 @@ fn follow(actor: &Actor, dt_s: f64) -> Element {
         element("Vertex").attr("time", number((actor.first_timestep + i) as f64 * dt_s)).child(position)
     };
     let mut positions = actor.positions();
-    // A polyline has at least two vertices, and some players want one of everybody: who is there for one timestep alone stays
-    // where it is for as long.
+    // A polyline has at least two vertices, and some players require one for every actor: an actor with a single
+    // timestep stands for as long.
     if actor.states.len() == 1 {
         positions.extend(actor.positions());
     }
@@ -108,7 +108,7 @@ fn start_trigger(name: &str, begin_s: f64) -> Element {
     element("StartTrigger").child(after(name, begin_s))
 }
 
-/// Holds from a time on. Without an edge, so that it holds at the very start, too.
+/// True from a time on. It has no edge, so that it is true at the start, too.
 fn after(name: &str, time_s: f64) -> Element {
     let time_s = (time_s - TRIGGER_LEAD_S).max(0.0);
     let time = element("SimulationTimeCondition").attr("value", number(time_s)).attr("rule", "greaterOrEqual");

@@ -22,7 +22,7 @@ pub struct ArmPrior {
 impl ArmPrior {
     fn new(n_samples: u64, n_hits: u64) -> Option<Self> {
         let weight = (MOST_SAMPLES / n_samples as f64).min(1.0);
-        (n_samples > 0).then(|| Self { n_samples: weight * n_samples as f64, n_hits: weight * n_hits as f64 })
+        (n_samples > 0).then_some(Self { n_samples: weight * n_samples as f64, n_hits: weight * n_hits as f64 })
     }
 }
 

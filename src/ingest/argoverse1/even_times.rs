@@ -1,8 +1,8 @@
-//! Which states has a track of Argoverse 1 at the even times of a scene, when it is smoothed?
+//! The states of a smoothed Argoverse 1 track at the even times of a scene.
 //!
-//! Timestep `t` is 0.1 s times its distance from the present after the time of the present, whatever the times of the rows: these are
-//! 0.02 to 0.5 s apart. Nothing that is observed depends on the future: states up to the present are smoothed from rows up to the
-//! present alone, and those after it go on from there, smoothed from the rest.
+//! Timesteps are 0.1 s apart and counted from the present, whatever the times of the rows, which are 0.02 to 0.5 s
+//! apart. Observed states do not depend on the future: states up to the present are smoothed from rows up to the
+//! present alone, and later states continue from there, smoothed from the rest.
 
 use super::kinematics::DerivedStates;
 use super::smoother::{Estimate, Node, likeliest_noise_m, smooth};
@@ -10,21 +10,23 @@ use super::{DT_S, RECORDED};
 use crate::geometry::Vec2;
 use crate::scene::{RecordedPosition, State};
 
-/// The heading of who has come this far, meters, is the direction of the velocity, above this speed, m/s; below, where noise turns the
-/// velocity too much, it is the direction from where the agent was last that far away; and slower still it is held.
+/// Once an agent has moved this far, meters, its heading is the direction of its velocity above this speed, m/s. At
+/// lower speeds, where the velocity is too noisy, it is the direction from the last position that far away; if the
+/// agent is slower still, it is held.
 const HEADING_DISTANCE_M: f64 = 2.0;
 const VELOCITY_HEADING_SPEED_MPS: f64 = 2.0;
 const MIN_HEADING_SPEED_MPS: f64 = 0.5;
 
-/// A timestep is one of a track when a row of it is this near, seconds, or the rows around it follow each other in the file.
+/// A track has a timestep if one of its rows is this near, seconds, or if the rows around the timestep are consecutive
+/// in the file.
 const NEAR_S: f64 = DT_S / 2.0;
-/// The same before the first and after the last time of the file: 49 steps may take somewhat less than 4.9 s.
+/// The same tolerance before the first and after the last time of the file: 49 steps may take slightly less than 4.9 s.
 const NEAR_END_S: f64 = 1.5 * DT_S;
 
-/// Times closer than this are one, seconds.
+/// Times closer than this are equal, seconds.
 const SAME_S: f64 = 1e-6;
 
-/// Where the track was at one of the times of its file.
+/// A row of the track.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Row {
     /// Index of the time among those of the file.
@@ -64,7 +66,7 @@ pub(super) fn smoothed_states(rows: &[Row], n_times: usize, n_timesteps: usize) 
     DerivedStates { states, held_headings, headings_from, recorded }
 }
 
-/// The rows and those of `timesteps` at which the track is there, as far as `known` rows of the first `n_times` times tell.
+/// The rows, and those of `timesteps` at which the track exists, by the first `n_times` times of the file.
 fn nodes(rows: &[Row], known: &[Row], n_times: usize, timesteps: std::ops::Range<usize>) -> Vec<(Node, Option<usize>)> {
     let mut nodes: Vec<(Node, Option<usize>)> =
         rows.iter().map(|row| (Node { time_s: row.time_s, recorded: Some(row.position) }, None)).collect();
@@ -93,11 +95,11 @@ fn is_tracked(rows: &[Row], n_times: usize, time_s: f64) -> bool {
         || after.is_some_and(|row| is_near(row, row.time_idx == 0))
 }
 
-/// The estimates as states; whether the heading of each is held; and the first timestep with a known heading where those before are
-/// placeholders, as the track has not moved.
+/// The estimates as states; whether each heading is held; and the first timestep with a known heading, if earlier ones
+/// are placeholders because the track has not moved.
 ///
-/// A heading is the direction of the last motion. Before its first one, an agent has the heading of that if it is observed (or if
-/// nothing of the agent is).
+/// A heading is the direction of the last motion. Before its first motion, an agent has that motion's heading if it is
+/// observed (or if the agent has no observed state).
 fn with_headings(estimates: &[Option<Estimate>]) -> (Vec<Option<State>>, Vec<bool>, usize) {
     let told_rad = |timestep: usize| {
         let estimate = estimates[timestep].filter(|estimate| estimate.velocity.norm() >= MIN_HEADING_SPEED_MPS)?;

@@ -1,23 +1,23 @@
-//! Argoverse 1 records positions only: which headings and velocities follow from them?
+//! Headings and velocities from positions, which are all that Argoverse 1 records.
 //!
-//! Nothing that is observed may depend on the future: states up to the present are derived from observed positions alone.
+//! Observed states must not depend on the future: states up to the present are derived from observed positions alone.
 
 use crate::geometry::Vec2;
 use crate::scene::{RecordedPosition, State};
 
-/// Displacements shorter than this tell no direction, meters: positions jitter by some decimeters.
+/// Displacements shorter than this define no direction, meters: positions jitter by some decimeters.
 const MIN_DISPLACEMENT_M: f64 = 1.0;
 
-/// What follows from the positions of one track.
+/// The kinematics of one track.
 #[derive(Debug)]
 pub(super) struct DerivedStates {
     /// One entry a timestep.
     pub(super) states: Vec<Option<State>>,
-    /// Whether the heading is held because no motion tells it, one entry a timestep.
+    /// Whether the heading is held because the agent moves too slowly, one entry a timestep.
     pub(super) held_headings: Vec<bool>,
     /// The first timestep with a heading of its own: those before are placeholders because the track has not moved.
     pub(super) headings_from: usize,
-    /// The recorded positions, where the states are smoothed.
+    /// The recorded positions, if the states are smoothed.
     pub(super) recorded: Vec<RecordedPosition>,
 }
 
@@ -58,7 +58,7 @@ fn first_motion(tracked: &[(usize, Vec2)]) -> Option<f64> {
     tracked.iter().find(|(_, p)| is_displaced(start, *p)).map(|(_, p)| (*p - start).angle())
 }
 
-/// Compares squares: what stands is compared with all of its past at each timestep.
+/// Compares squares, because a standing agent is compared with its whole past at each timestep.
 fn is_displaced(from: Vec2, to: Vec2) -> bool {
     let Vec2 { x, y } = to - from;
     x * x + y * y >= MIN_DISPLACEMENT_M * MIN_DISPLACEMENT_M

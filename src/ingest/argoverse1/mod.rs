@@ -28,7 +28,7 @@ pub(super) struct Argoverse1<'a> {
     horizon: Horizon,
 }
 
-/// Time between timesteps, seconds. That between rows is uneven.
+/// Time between timesteps, seconds. The time between rows is uneven.
 const DT_S: f64 = 0.1;
 
 impl<'a> Argoverse1<'a> {

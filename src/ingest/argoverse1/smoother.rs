@@ -1,28 +1,29 @@
-//! Argoverse 1's positions are those of a tracker, unfiltered and at uneven times: which motion do they tell?
+//! Estimates motion from Argoverse 1's positions, which come unfiltered and at uneven times from a tracker.
 //!
-//! A Rauch-Tung-Striebel smoother (Särkkä, "Bayesian Filtering and Smoothing", 2013, algorithms 4.2 and 8.2), for each axis alone:
-//! velocities are constant but for white acceleration, and recorded positions have white Gaussian noise, whose standard deviation is
-//! that of the track. The recording vehicle is known to centimeters, what is far from it to half a meter. How the constants were found is
-//! told in `scripts/check_track_smoother.py`, which also checks this file.
+//! A Rauch-Tung-Striebel smoother (Särkkä, "Bayesian Filtering and Smoothing", 2013, algorithms 4.2 and 8.2), for each
+//! axis alone: the acceleration is white noise, and recorded positions have white Gaussian noise with a standard
+//! deviation for each track. The recorder is known to centimeters, agents far from it to half a meter.
+//! `scripts/check_track_smoother.py` explains how the constants were found, and checks this file.
 
 use crate::geometry::Vec2;
 
-/// Spectral density of the acceleration, m²/s³: velocities change by about half a meter per second within a second. Of 0.3, 1, 3 and 10
-/// the one under which the tracks of the train split are most likely together.
+/// Spectral density of the acceleration, m²/s³: velocities change by about half a meter per second within a second. Of
+/// 0.3, 1, 3 and 10, this maximizes the likelihood of all tracks of the train split.
 const ACCELERATION_DENSITY_M2PS3: f64 = 0.3;
 
-/// Standard deviations of recorded positions that a track may have, meters.
+/// The possible standard deviations of a track's recorded positions, meters.
 const NOISE_M: [f64; 8] = [0.02, 0.035, 0.06, 0.1, 0.17, 0.3, 0.5, 0.85];
 
-/// Before a track is seen its noise is log-normal with this median, meters, and this standard deviation of the logarithm.
+/// The prior of a track's noise: log-normal with this median, meters, and this standard deviation of the logarithm.
 const NOISE_MEDIAN_M: f64 = 0.15;
 const NOISE_LOG_STD: f64 = 0.9;
 
-/// Before a track is seen it is this close to its first position, meters, and this fast, m/s; standard deviations.
+/// The prior of a track's state: standard deviations of its distance from the first position, meters, and of its
+/// velocity, m/s.
 const START_STD_M: f64 = 10.0;
 const START_STD_MPS: f64 = 10.0;
 
-/// A time at which a track is recorded, or its state is wanted, or both.
+/// A time at which a track is recorded, or its state is estimated, or both.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Node {
     /// Seconds.
@@ -31,25 +32,25 @@ pub(super) struct Node {
     pub(super) recorded: Option<Vec2>,
 }
 
-/// What is known of a track at a time.
+/// The estimate of a track's state at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Estimate {
     /// Mean of the position, meters.
     pub(super) position: Vec2,
     /// Mean of the velocity, m/s.
     pub(super) velocity: Vec2,
-    /// Of each axis: variance of the position, covariance, variance of the velocity.
+    /// For each axis: variance of the position, covariance, variance of the velocity.
     covariance: [f64; 3],
 }
 
 impl Estimate {
-    /// Before anything but the first position is known.
+    /// The prior at the first position.
     fn at_start(position: Vec2) -> Self {
         let covariance = [START_STD_M * START_STD_M, 0.0, START_STD_MPS * START_STD_MPS];
         Self { position, velocity: Vec2::ZERO, covariance }
     }
 
-    /// The same taken for certain, so that what follows goes on exactly from here.
+    /// The same without uncertainty, so that later states continue exactly from here.
     pub(super) fn for_certain(self) -> Self {
         Self { covariance: [0.0; 3], ..self }
     }
@@ -65,7 +66,7 @@ impl Estimate {
         Self { position: self.position + self.velocity * h_s, velocity: self.velocity, covariance }
     }
 
-    /// With a recorded position, and how likely that was, in nats.
+    /// The estimate after a recorded position, and the position's log-likelihood in nats.
     fn updated(&self, recorded: Vec2, noise_m: f64) -> (Self, f64) {
         let [pp, pv, vv] = self.covariance;
         let variance = pp + noise_m * noise_m;
@@ -79,7 +80,7 @@ impl Estimate {
         (updated, -(std::f64::consts::TAU * variance).ln() - offset.dot(offset) / (2.0 * variance))
     }
 
-    /// What is known here, `h_s` before `next`, from which `predicted` was led to and of which all is known by now.
+    /// The smoothed estimate here, `h_s` before `next`, the smoothed estimate of which `predicted` was the prediction.
     fn smoothed(&self, h_s: f64, predicted: &Self, next: &Self) -> Self {
         let ([pp, pv, vv], [app, apv, avv]) = (self.covariance, predicted.covariance);
         let determinant = app * avv - apv * apv;
@@ -107,8 +108,8 @@ impl Estimate {
     }
 }
 
-/// The estimates at all `nodes`, by ascending time, from all of them. They go on from `before`, an estimate with its time, or else begin
-/// with the first recorded position.
+/// The smoothed estimates at all `nodes`, by ascending time. They continue from `before`, an estimate with its time, or
+/// else begin with the first recorded position.
 pub(super) fn smooth(nodes: &[Node], noise_m: f64, before: Option<(f64, Estimate)>) -> Vec<Estimate> {
     let mut steps = Vec::with_capacity(nodes.len());
     filter(nodes, noise_m, before, &mut |predicted, updated| steps.push((predicted, updated)));
@@ -130,7 +131,8 @@ pub(super) fn likeliest_noise_m(nodes: &[Node]) -> f64 {
     NOISE_M.into_iter().max_by(by_posterior).unwrap_or(NOISE_MEDIAN_M)
 }
 
-/// Tells what is known at each node before and after its position is, and returns how likely all positions are together, in nats.
+/// Calls back with the estimates at each node before and after its position, and returns the log-likelihood of all
+/// positions, in nats.
 fn filter(
     nodes: &[Node],
     noise_m: f64,
@@ -161,7 +163,7 @@ mod tests {
     struct Reference {
         noise_m: f64,
         time_s: Vec<f64>,
-        /// Missing where a state is wanted and no position is recorded.
+        /// Missing if only the state is estimated there.
         recorded: Vec<Option<[f64; 2]>>,
         position_m: Vec<[f64; 2]>,
         velocity_mps: Vec<[f64; 2]>,

@@ -17,11 +17,11 @@ use std::collections::HashMap;
 
 const COLUMNS: [&str; 6] = ["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME"];
 
-/// Most tracks of a file; real ones have hundreds at most, and each takes memory for all timesteps.
+/// Maximum number of tracks of a file; real files have hundreds, and each track takes memory for all timesteps.
 const MAX_TRACKS: usize = 10_000;
 
-/// The scene of a file, cut to `horizon` around the present of the dataset, its tracks smoothed or as they were recorded. Those that are
-/// not smoothed have one row a timestep, whatever its time.
+/// The scene of a file, cut to `horizon` around the present of the dataset, its tracks smoothed or as they were
+/// recorded. Unsmoothed tracks have one row a timestep, whatever its time.
 pub(super) fn parse(unit: &RawUnit, horizon: Horizon, smooths: bool) -> Result<RawScene, Reject> {
     let table = Table::read(unit)?;
     let split = match unit.split {
@@ -188,7 +188,7 @@ fn role_of(object_type: &[u8]) -> TrackRole {
     }
 }
 
-/// Where the columns of the format stand in this file.
+/// The positions of the format's columns in this file.
 fn find_columns(unit: &RawUnit, line: u64, header: &[&[u8]]) -> Result<[usize; COLUMNS.len()], Reject> {
     let find = |name: &str| header.iter().position(|field| field.trim_ascii() == name.as_bytes());
     let missing: Vec<&str> = COLUMNS.into_iter().filter(|name| find(name).is_none()).collect();

@@ -17,7 +17,7 @@ use std::io::{BufRead, Read};
 /// The map stores no widths; the official reader assumes this one.
 const ASSUMED_LANE_WIDTH_M: f64 = 3.8;
 
-/// Larger than any city; what does not end before is not a map.
+/// Larger than the map of any city; a longer file is not a map.
 const MAX_MAP_BYTES: u64 = 256 << 20;
 
 /// The city that a map file is named for: `pruned_argoverse_MIA_10316_vector_map.xml` is `MIA`.
@@ -69,7 +69,7 @@ struct Way {
 }
 
 impl VectorMap {
-    /// Takes in one event; `true` after the last.
+    /// Handles one event; returns `true` after the last.
     fn take(&mut self, event: &Event<'_>) -> Result<bool, Malformed> {
         match event {
             Event::Start(element) => {

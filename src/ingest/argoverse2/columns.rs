@@ -1,4 +1,4 @@
-//! The columns of a scenario file, whatever encoding its writer chose.
+//! The columns of a scenario file, in any encoding.
 
 use crate::containment::contained;
 use crate::ingest::error::Malformed;
@@ -15,14 +15,14 @@ use std::sync::Arc;
 /// A scenario has some hundred tracks of at most 110 rows.
 const MAX_ROWS: usize = 1 << 17;
 
-/// Its columns, and the texts of each of them over all rows, have some hundred kilobytes.
+/// Limit of its columns, and of the text in one of them; real ones have some hundred kilobytes.
 const MAX_BYTES: usize = 64 << 20;
 
 /// Some columns of a file in memory.
 pub(super) struct Table(RecordBatch);
 
 impl Table {
-    /// Decodes the columns of a parquet file that have these `names`. The error says what is wrong with them.
+    /// Decodes the columns of a Parquet file with these `names`.
     pub(super) fn read(bytes: &[u8], names: &[&str]) -> Result<Self, Malformed> {
         let damaged = || Err("the file is damaged beyond decoding".into());
         contained(|| decode(bytes, names)).unwrap_or_else(damaged).map(Self)
@@ -33,12 +33,12 @@ impl Table {
         self.0.num_rows()
     }
 
-    /// The names in `names` that are no columns.
+    /// The entries of `names` that are not columns.
     pub(super) fn missing<'a>(&self, names: &[&'a str]) -> Vec<&'a str> {
         names.iter().copied().filter(|name| self.0.column_by_name(name).is_none()).collect()
     }
 
-    /// A column of text (plain, large, view or dictionary), or of whole numbers, which are names as well.
+    /// A column of text (plain, large, view or dictionary), or of whole numbers, which can be names, too.
     pub(super) fn text(&self, name: &str) -> Result<StringArray, Malformed> {
         let is_text = |found: &DataType| is_string(found) || found.is_integer();
         self.column(name, &DataType::Utf8, "text", is_text)?.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))
@@ -50,7 +50,7 @@ impl Table {
         column.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))
     }
 
-    /// A column of whole numbers of any width, which may be kept as floating-point numbers.
+    /// A column of whole numbers of any width, which may be stored as floating-point numbers.
     pub(super) fn integer(&self, name: &str) -> Result<Int64Array, Malformed> {
         if self.0.column_by_name(name).is_some_and(|column| column.data_type().is_floating()) {
             let numbers = self.float(name)?;
@@ -63,8 +63,8 @@ impl Table {
         column.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))
     }
 
-    /// The column in type `wanted`, without missing values. Only types that are `accepted` are converted: text that looks like
-    /// numbers is another table than this one, or a broken one.
+    /// The column in type `wanted`, without missing values. Only `accepted` types are converted: text that looks like
+    /// numbers means another table, or a broken one.
     fn column(
         &self,
         name: &str,
@@ -81,7 +81,7 @@ impl Table {
             let found = if is_string(found) { "text".to_owned() } else { column.data_type().to_string() };
             return Err(format!("column {name} is of type {found}, expected {expected}").into());
         }
-        // Views share what the file holds once: only now every row gets a copy.
+        // Views share texts; only here does every row get a copy.
         if let Some(views) = column.as_string_view_opt() {
             let n_bytes: usize = views.iter().flatten().map(str::len).sum();
             if n_bytes > MAX_BYTES {
@@ -105,8 +105,8 @@ fn lost(name: &str) -> Malformed {
     format!("column {name} cannot be converted").into()
 }
 
-/// The schema in which the columns of these `names` are decoded: texts as views, so that a long one that many rows share is there
-/// once. Refuses columns that are neither numbers nor texts, of which nothing is known.
+/// The schema in which the columns of these `names` are decoded: texts as views, so that rows share a long text.
+/// Rejects columns that are neither numbers nor text.
 fn views(metadata: &FileMetaData, names: &[&str]) -> Result<SchemaRef, Malformed> {
     let schema = parquet_to_arrow_schema(metadata.schema_descr(), metadata.key_value_metadata())?;
     let in_view = |field: &FieldRef| -> Result<FieldRef, Malformed> {

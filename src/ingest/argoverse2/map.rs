@@ -8,7 +8,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Lanes for bicycles are left out: nobody whom the models drive uses them.
+/// Lanes for bicycles are left out, because no generated vehicle drives on them.
 const DRIVING_LANES: [&str; 2] = ["VEHICLE", "BUS"];
 
 /// Points of a centerline that is computed from the boundaries, as in the official reader.
@@ -43,7 +43,7 @@ struct Point {
     y: f64,
 }
 
-/// Reads a map; the error says what is wrong and where.
+/// Reads a map.
 pub(super) fn parse(json: &[u8]) -> Result<LaneGraph, Malformed> {
     let map: MapJson = serde_json::from_slice(json)?;
     let driving = map.lane_segments.into_values().filter(|lane| DRIVING_LANES.contains(&lane.lane_type.as_str()));

@@ -1,4 +1,4 @@
-//! A scenario and its map are two files, in any order: which belong together?
+//! Pairs scenarios with their maps, two files that come in any order.
 
 use crate::ingest::archive::Entry;
 use crate::ingest::error::Error;
@@ -9,17 +9,17 @@ use std::collections::BTreeMap;
 use std::io::BufRead;
 use std::ops::ControlFlow;
 
-/// How many bytes may wait for their counterpart. Archives hold the two files of a scenario side by side.
+/// Bytes that may wait for their counterpart. Archives have the two files of a scenario side by side.
 const MAX_WAITING_BYTES: usize = 128 << 20;
 
-/// What a file of a scenario holds.
+/// The kind of a file of a scenario.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Part {
     Scenario,
     Map,
 }
 
-/// Which scenario a file belongs to, and what it holds: `scenario_<id>.parquet`, `log_map_archive_<id>.json`.
+/// The scenario and the kind of a file: `scenario_<id>.parquet`, `log_map_archive_<id>.json`.
 pub(super) fn part_of(path: &str) -> Option<(&str, Part)> {
     let name = file_name(path);
     let within = |prefix: &str, suffix: &str| name.strip_prefix(prefix)?.strip_suffix(suffix);
@@ -29,7 +29,7 @@ pub(super) fn part_of(path: &str) -> Option<(&str, Part)> {
     within("log_map_archive_", ".json").map(|id| (id, Part::Map))
 }
 
-/// Emits a scenario as soon as its map is there too; without maps, at once.
+/// Emits a scenario as soon as its map has come, or at once if maps are not read.
 pub(super) struct PairReader {
     needs_maps: bool,
     /// By folder and scenario.

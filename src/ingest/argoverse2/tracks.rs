@@ -23,7 +23,7 @@ const COLUMNS: [&str; 12] = [
     "city",
 ];
 
-/// When the first row was recorded; not every file has it.
+/// The time of the first row; not every file has it.
 const START: &str = "start_timestamp";
 
 const DT_S: f64 = 0.1;
@@ -92,7 +92,7 @@ struct Timesteps {
     n_recorded: usize,
 }
 
-/// The timestep of each row, and how many there are: all, or (not in train and val) those up to the present.
+/// The timestep of each row, and the number of timesteps: all, or (not in train and val) those up to the present.
 fn timesteps(unit: &RawUnit, table: &Table, split: Split) -> Result<Timesteps, Reject> {
     let column = table.integer("timestep").map_err(|detail| unit.reject("malformed_row", detail))?;
     let mut of_row = Vec::with_capacity(column.len());

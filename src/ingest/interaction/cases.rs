@@ -1,4 +1,4 @@
-//! How is a v1.2 table, which holds thousands of cases, cut into its cases without loading it?
+//! Cuts a v1.2 table into its thousands of cases without loading it.
 
 use super::columns::TrackColumns;
 use crate::ingest::csv_rows::Lines;
@@ -7,7 +7,7 @@ use memchr::memmem;
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
-/// Largest case that is kept together; usual ones have 20 to 200 kB.
+/// Maximum size of a case; usual ones have 20 to 200 kB.
 pub(super) const MAX_CASE_BYTES: usize = 64 * 1024 * 1024;
 
 /// Most cases of nothing but rows that are not whole that may turn out to be parts of another one.
@@ -22,10 +22,10 @@ pub(super) struct Case {
     /// As written, such as `1.0`.
     pub(super) id: Vec<u8>,
     pub(super) first_line: u64,
-    /// Left empty where rows are only counted, and where there are too many.
+    /// Empty if rows are only counted, and if there are too many.
     pub(super) rows: Vec<u8>,
     pub(super) n_bytes: usize,
-    /// How many headers stood before it, but for the first.
+    /// Number of headers before it, without the first.
     pub(super) section: usize,
 }
 
@@ -46,16 +46,16 @@ impl Case {
     }
 }
 
-/// What ended the cutting of a table.
+/// Why the cutting of a table ended.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum End {
     /// All of it was read.
     Whole,
-    /// Whoever took the cases wants no more.
+    /// The receiver needs no more cases.
     Stopped,
-    /// It cannot be read on; says why, and what is left out.
+    /// It cannot be read further; the text says why, and what is left out.
     Unreadable(String),
-    /// At this line there is a header with other columns.
+    /// This line is a header with different columns.
     OtherHeader(u64),
 }
 
@@ -75,7 +75,7 @@ pub(super) fn cut_cases(
                 cases.end = Some(End::Whole);
                 cases.end_all(done)
             }
-            // The case that is being read is not whole.
+            // The current case is incomplete.
             Err(error) => {
                 let rest = match (cases.held.is_empty(), &cases.current) {
                     (true, None) => "the file",
@@ -113,7 +113,7 @@ struct Cases<'a> {
 }
 
 impl Cases<'_> {
-    /// Takes a line in. Cases that it ends are `done`.
+    /// Adds a line. Cases that it ends are `done`.
     fn add(&mut self, number: u64, line: &[u8], done: &mut dyn FnMut(Case) -> ControlFlow<()>) -> ControlFlow<()> {
         let goes_on = |case: Option<&Case>| case.is_some_and(|case| case.goes_on_with(line, self.columns));
         if !self.held.is_empty() || !goes_on(self.current.as_ref()) {
@@ -139,7 +139,7 @@ impl Cases<'_> {
         ControlFlow::Continue(())
     }
 
-    /// Nothing goes on.
+    /// No case continues.
     fn end_all(&mut self, done: &mut dyn FnMut(Case) -> ControlFlow<()>) -> ControlFlow<()> {
         self.held.drain(..).chain(self.current.take()).try_for_each(done)
     }
@@ -184,7 +184,7 @@ impl Cases<'_> {
             return before.map_or(ControlFlow::Continue(()), done);
         }
         self.held.extend(before);
-        // Not a table any more: nothing is waited for.
+        // No longer a table.
         let n_given_up = if self.held.len() > MAX_HELD { self.held.len() } else { 0 };
         self.held.drain(..n_given_up).try_for_each(done)
     }
@@ -218,7 +218,7 @@ impl<'a> CaseId<'a> {
         }
     }
 
-    /// Empty where the row does not tell.
+    /// Empty if the row has none.
     fn text(&self) -> &'a [u8] {
         match self {
             Self::Whole(id) | Self::Broken(Some(id)) => id,

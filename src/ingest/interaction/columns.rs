@@ -1,4 +1,4 @@
-//! Which column of a table of tracks holds what, and which version of INTERACTION is it?
+//! The columns of a table of tracks, by which INTERACTION's versions are distinguished.
 
 use crate::ingest::error::Malformed;
 
@@ -7,10 +7,10 @@ const REQUIRED: [&str; 8] = ["track_id", "frame_id", "timestamp_ms", "agent_type
 /// Further columns of all tables but v1.1's tables of pedestrians.
 const SHAPE: [&str; 3] = ["psi_rad", "length", "width"];
 
-/// Most columns of a table; there are at most 14.
+/// Maximum number of columns of a table; real ones have at most 14.
 const MAX_COLUMNS: usize = 256;
 
-/// Where each quantity is, by the names in the header, whatever their order. Further columns are passed over.
+/// The position of each quantity, by the names in the header. Other columns are ignored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct TrackColumns {
     /// Number of columns.
@@ -34,7 +34,7 @@ pub(super) struct TrackColumns {
 }
 
 impl TrackColumns {
-    /// The columns that `header` names, or what is wrong with it.
+    /// The columns in `header`.
     ///
     /// A table without `case_id` is of v1.1, where pedestrians have a table of their own without `psi_rad`, `length` and
     /// `width`; all other tables must have these.

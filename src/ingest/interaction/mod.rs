@@ -1,11 +1,11 @@
-//! How do INTERACTION's recordings become scenes?
+//! The formats of INTERACTION.
 //!
-//! Two versions are in use and told apart by their columns. v1.1 has whole recordings, `vehicle_tracks_NNN.csv` and
-//! `pedestrian_tracks_NNN.csv` in a folder named for the place, which are cut into windows here. v1.2 has tables of cases
-//! of 40 frames, of which 10 are observed; the cases of test sets hold these 10 alone, and mark agents. Maps are Lanelet2
-//! and belong to the place of exactly their name: v1.1's `DR_CHN_Merging_ZS` is neither v1.2's `ZS0` nor its `ZS2`.
+//! Two versions are in use and are distinguished by their columns. v1.1 has whole recordings, `vehicle_tracks_NNN.csv`
+//! and `pedestrian_tracks_NNN.csv` in a folder named for the place, which are cut into windows here. v1.2 has tables of
+//! cases of 40 frames, of which 10 are observed; the cases of test sets hold these 10 alone, and mark agents. Maps are
+//! Lanelet2 files, each named exactly for its place: v1.1's `DR_CHN_Merging_ZS` is neither v1.2's `ZS0` nor its `ZS2`.
 //!
-//! A flaw costs its case or recording, and no other. Reasons of rejects:
+//! An error rejects only its own case or recording. Reasons of rejects:
 //!
 //! | reason | what is wrong |
 //! |---|---|
@@ -61,7 +61,7 @@ impl<'a> Interaction<'a> {
         Self { config, horizon: Horizon::of(config, CASE_HORIZON) }
     }
 
-    /// Whether the configuration asks for a file as far as its name tells.
+    /// Whether the configuration includes a file, by its name.
     fn wants(&self, file: &TrackFile) -> bool {
         let wants_place = file.place.is_empty() || self.config.wants_place(&file.place);
         wants_place && file.split.is_none_or(|split| self.config.wants_split(split))
@@ -91,7 +91,8 @@ impl RecordingSource for Interaction<'_> {
 
     fn n_bytes_parsed(&self, unit: &RawUnit) -> u64 {
         let is_recording = unit.header.is_empty();
-        // The states of a recording's tracks take about as much as its text, and stay until its last window is made.
+        // The states of a recording's tracks take about as much memory as its text, and stay until its last window is
+        // made.
         unit.n_bytes() * if is_recording { 2 } else { 1 }
     }
 
@@ -102,7 +103,7 @@ impl RecordingSource for Interaction<'_> {
     fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Option<MapFile>, Error> {
         let Some(place) = path::place_of_map(&entry.path) else { return Ok(None) };
         let (graph, report) = lanelet2::read_map(reader, &entry.path)?;
-        // v1.2 has each map in both forms; `.osm` is the one that Lanelet2 itself reads.
+        // v1.2 has each map in both forms; Lanelet2 itself reads `.osm`.
         let rank = u8::from(!entry.path.to_ascii_lowercase().ends_with(".osm"));
         Ok(Some(MapFile { id: map_id(Dataset::Interaction, place), graph, rank, warnings: report.summary() }))
     }

@@ -1,17 +1,17 @@
-//! What do the names of INTERACTION's files and folders tell?
+//! The place, split and recording in the names of INTERACTION's files and folders.
 
 use crate::ingest::UnitSplit;
 use crate::scene::Split;
 use std::path::Path;
 
-/// What the name of a table of tracks tells.
+/// The information in the name of a table of tracks.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct TrackFile {
-    /// The location, such as `DR_CHN_Merging_ZS0`; empty where neither file nor folder name it.
+    /// The location, such as `DR_CHN_Merging_ZS0`; empty if neither file nor folder names it.
     pub(super) place: String,
     /// The split, where file or folder name it.
     pub(super) split: Option<Split>,
-    /// The kind of test set behind `test_`, such as `single-agent`, where it is not the usual `multi-agent`. Their cases
+    /// The kind of test set after `test_`, such as `single-agent`, if it is not the usual `multi-agent`. Their cases
     /// have the same numbers.
     pub(super) test_set: Option<String>,
     /// The part of a v1.1 recording that the file is.
@@ -31,7 +31,7 @@ const SPLIT_SUFFIXES: [(&str, Split); 4] =
     [("_train", Split::Train), ("_val", Split::Val), ("_obs", Split::Test), ("_test", Split::Test)];
 
 impl TrackFile {
-    /// What the path of a table within its container tells; `None` where it is no table.
+    /// The information in the path of a table within its container; `None` if it is not a table.
     pub(super) fn of_path(path: &str) -> Option<Self> {
         let (folders, name) = path.rsplit_once('/').unwrap_or(("", path));
         let stem = strip_suffix_ignoring_case(name, ".csv")?;
@@ -55,7 +55,7 @@ impl TrackFile {
         })
     }
 
-    /// What the path of a table tells, or else the folder or archive that it lies in.
+    /// The information in the path of a table, or else in its folder or archive.
     pub(super) fn of(container: &Path, path: &str) -> Option<Self> {
         let mut file = Self::of_path(path)?;
         let container = std::path::absolute(container).unwrap_or_else(|_| container.to_owned());
@@ -75,7 +75,7 @@ impl TrackFile {
         Some(file)
     }
 
-    /// The split of a unit of this file: recordings of which nothing is told are divided by time.
+    /// The split of a unit of this file: recordings without a named split are divided by time.
     pub(super) fn unit_split(&self, is_recording: bool) -> UnitSplit {
         match self.split {
             Some(split) => UnitSplit::All(split),

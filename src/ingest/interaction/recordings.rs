@@ -1,8 +1,8 @@
-//! Which two files are one v1.1 recording?
+//! Joins the two files of a v1.1 recording.
 //!
 //! `vehicle_tracks_NNN.csv` and `pedestrian_tracks_NNN.csv` of a folder belong together, and not every recording has
-//! both. A first pass finds out which do. The earlier file of a pair is held until the other one comes; where more would be
-//! held than fits, the rest waits for further passes.
+//! both. A first pass finds out which do. The earlier file of a pair is held until the other one comes; pairs that do
+//! not fit into memory wait for further passes.
 
 use super::path::RecordingPart;
 use crate::ingest::archive::Entry;
@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-/// Most bytes that are held at a time, unless a single file has more.
+/// Maximum number of bytes held at a time, unless a single file has more.
 const MAX_HELD_BYTES: u64 = 16 * 1024 * 1024;
 
 /// The recordings of all inputs, and the files of them that wait for their counterpart.
@@ -22,7 +22,7 @@ pub(super) struct Recordings {
     pairs: BTreeMap<RecordingKey, Pair>,
     n_noted: usize,
     held: BTreeMap<RecordingKey, RawUnit>,
-    /// The files that were taken in, of which the pedestrians' are marked.
+    /// The files that were added; those of pedestrians are marked.
     done: BTreeSet<(RecordingKey, bool)>,
 }
 
@@ -31,7 +31,7 @@ pub(super) struct Recordings {
 pub(super) struct RecordingKey(PathBuf, String, String);
 
 impl RecordingKey {
-    /// Of the recording that the file `entry` is a part of.
+    /// The recording that the file `entry` belongs to.
     pub(super) fn of(entry: &Entry, part: &RecordingPart) -> Self {
         let folder = entry.path.rsplit_once('/').map_or("", |(folder, _)| folder);
         Self(entry.container.clone(), folder.to_owned(), part.number.clone())
@@ -59,7 +59,7 @@ struct Pair {
 }
 
 impl Recordings {
-    /// Remembers that there is this file. To be called for all files in their order before any is taken in.
+    /// Registers a file. Call it for all files in their order before adding any.
     pub(super) fn note(&mut self, key: RecordingKey, is_pedestrians: bool, n_bytes: u64) {
         let position = self.n_noted;
         self.n_noted += 1;
@@ -90,7 +90,7 @@ impl Recordings {
         self.pairs.values().map(|pair| pair.pass + 1).max().unwrap_or(0)
     }
 
-    /// Takes a file in, and emits its recording if that is whole.
+    /// Adds a file, and emits its recording if that is complete.
     pub(super) fn add(
         &mut self,
         key: RecordingKey,
@@ -114,7 +114,7 @@ impl Recordings {
         emit(Ok(RawUnit { companion, ..vehicles }))
     }
 
-    /// Says that a file cannot be read: its counterpart is a recording of its own.
+    /// Notes that a file cannot be read, so that its counterpart is a recording of its own.
     pub(super) fn give_up(&mut self, key: &RecordingKey, emit: &mut EmitUnit<'_>) -> ControlFlow<()> {
         if let Some(pair) = self.pairs.get_mut(key) {
             pair.is_broken = true;

@@ -1,4 +1,4 @@
-//! What does one row of a table of tracks say?
+//! Parses one row of a table of tracks.
 
 use super::columns::TrackColumns;
 use crate::geometry::Vec2;
@@ -11,11 +11,11 @@ use crate::scene::Extent;
 /// INTERACTION is recorded at 10 Hz, and `timestamp_ms` counts from the start of the recording.
 const MS_PER_FRAME: i64 = 100;
 
-/// Beyond these, a value is a fault of the recording.
+/// Values beyond these limits are errors of the recording.
 const MAX_SPEED_MPS: f64 = 1e3;
 const MAX_FRAME: i64 = 100_000_000;
 const MAX_SIZE_M: f64 = 1e3;
-/// Less is no size.
+/// The least size.
 const MIN_SIZE_M: f64 = 1e-3;
 
 /// One agent at one frame.
@@ -40,7 +40,7 @@ pub(super) struct Row<'a> {
 pub(super) type Flaw = (&'static str, String);
 
 impl<'a> Row<'a> {
-    /// Reads `line`; `cells` is room to work in.
+    /// Reads `line`; `cells` is a buffer.
     pub(super) fn parse(line: &'a [u8], columns: &TrackColumns, cells: &mut Vec<&'a [u8]>) -> Result<Self, Flaw> {
         split_cells(line, cells);
         if cells.len() != columns.n_columns {
@@ -124,7 +124,7 @@ fn optional(cell: &[u8], column: &str) -> Result<Option<f64>, Flaw> {
     }
 }
 
-/// The number in a cell, around which there may be blanks.
+/// The number in a cell, with or without blanks around it.
 fn number(cell: &[u8], column: &str) -> Result<f64, Flaw> {
     let number = decimal::number(cell).or_else(|| decimal::number(cell.trim_ascii()));
     let number = number.ok_or_else(|| malformed(column, cell, "a number"))?;

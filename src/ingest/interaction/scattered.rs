@@ -1,7 +1,8 @@
-//! How does each case of a table become one whole unit, also where its rows do not stand together?
+//! Gathers the rows of each case of a table into one unit, even if they are scattered.
 //!
-//! A first pass finds out which cases are scattered over the table (it may be sorted by track, or shuffled). The second emits
-//! the others as they come and gathers those, as many as fit into memory; the rest is gathered in further passes.
+//! A first pass finds the cases that are scattered over the table, which may be sorted by track, or shuffled. The
+//! second emits the others as they come and gathers as many scattered cases as fit into memory; the rest is gathered in
+//! further passes.
 
 use super::cases::{Case, End, MAX_CASE_BYTES, cut_cases, plain_case_id};
 use super::columns::TrackColumns;
@@ -11,26 +12,26 @@ use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::ops::ControlFlow;
 
-/// Most bytes of rows that are gathered in one pass, unless a single case has more.
+/// Maximum number of bytes gathered in one pass, unless a single case has more.
 pub(super) const MAX_GATHERED_BYTES: usize = 128 * 1024 * 1024;
 
 /// What a first pass over a table found.
 #[derive(Debug, Default)]
 pub(super) struct Survey {
-    /// The cases whose rows do not stand together, by their plain ids.
+    /// The scattered cases, by their plain ids.
     scattered: BTreeMap<String, Fate>,
     /// Passes in which cases are gathered.
     pub(super) n_gathering_passes: usize,
 }
 
-/// What becomes of a scattered case.
+/// The plan for a scattered case.
 #[derive(Debug, Clone, Copy)]
 enum Fate {
     /// It is gathered in this pass, counted from 0.
     Gathered(usize),
-    /// Its rows stand before and after another header: two cases of one name.
+    /// It has rows before and after another header: two cases with one id.
     InTwoTables,
-    /// The table cannot be read to its end, where more rows may be.
+    /// The table cannot be read to its end, so rows may be missing.
     CutShort,
 }
 
@@ -85,8 +86,8 @@ impl Survey {
         survey
     }
 
-    /// Emits the cases of the table in this pass, counted from 0, and what is wrong with it in the first; `table` is a unit to start
-    /// each from. Each case is emitted once, whole or as a reject.
+    /// Emits the cases of the table in this pass, counted from 0, and in the first pass the errors of the table; each
+    /// unit starts as a copy of `table`. Each case is emitted once, complete or as a reject.
     pub(super) fn split_cases(
         &self,
         pass: usize,
@@ -167,7 +168,7 @@ impl Gathered {
     }
 }
 
-/// The unit of a whole case, or why there is none. `lines` are those of its rows, where they do not stand together.
+/// The unit of a complete case, or a reject. `lines` are the lines of its rows if it is scattered.
 fn unit_of(case: Case, lines: Vec<u64>, table: &RawUnit) -> Result<RawUnit, Reject> {
     let id = String::from_utf8_lossy(&case.id).into_owned();
     if id.is_empty() || !id.chars().all(|c| c.is_ascii_graphic() && c != '/') {

@@ -1,4 +1,4 @@
-//! Which scenes does a unit hold: the one of a case, or the windows of a recording?
+//! The scenes of a unit: the one of a case, or the windows of a recording.
 
 use super::cases::plain_case_id;
 use super::columns::TrackColumns;
@@ -15,8 +15,8 @@ const MAX_RECORDING_FRAMES: i64 = 1_000_000;
 
 /// The scene of a v1.2 case.
 ///
-/// The present is the tenth frame of the case, so a shorter history begins later. A case in which nothing comes after the
-/// present, as in test sets, has the history alone.
+/// The present is the tenth frame of the case, so a shorter history begins later. A case without frames after the
+/// present, as in test sets, has only the history.
 pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
     let columns = TrackColumns::of(&unit.header, false).map_err(|detail| unit.reject("bad_header", detail))?;
     let table = Table { file: &unit.file, columns, rows: &unit.bytes, first_line: unit.first_line, lines: &unit.lines };
@@ -53,8 +53,8 @@ pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject>
 
 /// The windows of a v1.1 recording: `window_stride` apart, whole ones only.
 ///
-/// Where nothing tells the split, the last `holdout_share` of the recording is val and the rest is train. Windows across
-/// the cut are rejects, as are windows in which nobody is tracked. The text is left for the tracks before any is made.
+/// If no split is named, the last `holdout_share` of the recording is val and the rest is train. Windows across the cut
+/// are rejects, and so are windows without tracks. The text is dropped before the first window is made.
 pub(super) fn windows(mut unit: RawUnit, horizon: Horizon, config: &IngestConfig) -> Vec<PendingScene<'static>> {
     let rejected = |reject: Reject| -> Vec<PendingScene<'static>> { vec![Box::new(|| Err(reject))] };
     let tracks = match recording_tables(&unit).and_then(|tables| read_tracks(&tables)) {

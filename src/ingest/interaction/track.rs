@@ -1,4 +1,4 @@
-//! Which tracks does a table hold, in the frames of the recording?
+//! The tracks of a table, in the frames of the recording.
 
 use super::CASE_HORIZON;
 use super::columns::TrackColumns;
@@ -10,7 +10,7 @@ use crate::ingest::quotes::printable;
 use crate::scene::{AgentClass, Derivation, Extent, State, Track, TrackId, TrackRole, Trajectory};
 use std::collections::BTreeMap;
 
-/// Slower than this, the direction of a velocity is noise: the heading is held.
+/// Below this speed the direction of a velocity is noise, so the heading is held.
 const MIN_HEADING_SPEED_MPS: f64 = 0.5;
 
 /// Rows of one file.
@@ -21,7 +21,7 @@ pub(super) struct Table<'a> {
     pub(super) rows: &'a [u8],
     /// Line of the file at which `rows` begin.
     pub(super) first_line: u64,
-    /// The line of each row where they do not stand together; else empty.
+    /// The line of each row if the rows are scattered; else empty.
     pub(super) lines: &'a [u64],
 }
 
@@ -36,11 +36,11 @@ pub(super) struct RecordedTrack {
     states: Vec<(i64, State, HeadingSource)>,
 }
 
-/// How the heading of a state is known.
+/// The source of a heading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum HeadingSource {
     Recorded,
-    /// The direction of a velocity that tells one.
+    /// The direction of the velocity.
     Motion,
     /// The agent is slow: the last heading that was known.
     Held,
@@ -50,7 +50,7 @@ enum HeadingSource {
 
 /// Reads the tracks of all tables in order of their first rows.
 ///
-/// A track is of one type; its size is that of its first row that has one, as size is not measured anew in every frame.
+/// A track has one type. Its size is that of its first row with a size, because sizes are not measured in every frame.
 pub(super) fn read_tracks(tables: &[Table<'_>]) -> Result<Vec<RecordedTrack>, Reject> {
     let mut builders: Vec<Builder<'_>> = Vec::new();
     let mut by_id: BTreeMap<&[u8], usize> = BTreeMap::new();
@@ -99,7 +99,8 @@ fn class_of(agent_type: &[u8]) -> Option<AgentClass> {
     }
 }
 
-/// Most tracks of a recording; each takes some kilobytes while it is read, and real ones have thousands.
+/// Maximum number of tracks of a recording; each takes some kilobytes while it is read, and real recordings have
+/// thousands.
 const MAX_TRACKS: usize = 100_000;
 
 /// A track that is being read.
@@ -182,7 +183,7 @@ impl<'a> Builder<'a> {
     }
 }
 
-/// The states by frame. Where no heading is recorded it is the direction of the velocity, held while the agent is slow.
+/// The states by frame. A heading that is not recorded is the direction of the velocity, held while the agent is slow.
 fn states(observations: &[Observation<'_>]) -> Vec<(i64, State, HeadingSource)> {
     let mut known_rad: Option<f64> = None;
     let mut states = Vec::with_capacity(observations.len());
@@ -208,12 +209,12 @@ impl RecordedTrack {
         Some((self.states.first()?.0, self.states.last()?.0))
     }
 
-    /// The track in the `n_timesteps` frames from `first_frame` on, of which `n_history` are observed; `None` where it was not
+    /// The track in the `n_timesteps` frames from `first_frame` on, of which `n_history` are observed; `None` if it was not
     /// tracked in any of them.
     ///
-    /// An agent that is slow from its start on has one heading until it moves: that of its first motion, if it is observed
-    /// moving; else the direction of its first velocity. Looking further ahead would tell the past of a scene in which direction
-    /// the agent is going to leave.
+    /// An agent that is slow from its start on has one heading until it moves: that of its first motion, if it is
+    /// observed moving; else the direction of its first velocity. Looking further ahead would leak the future direction
+    /// of the agent into the past.
     pub(super) fn cut(&self, first_frame: i64, n_timesteps: usize, n_history: usize) -> Option<Track> {
         let end_frame = first_frame + n_timesteps as i64;
         let within = |end_frame: i64| {

@@ -1,4 +1,4 @@
-//! How is a stream of INTERACTION's files cut into units?
+//! Cuts INTERACTION's files into units.
 
 use super::columns::TrackColumns;
 use super::path::{RecordingPart, TrackFile, stem};
@@ -13,16 +13,16 @@ use std::borrow::Cow;
 use std::io::{self, BufRead, Read};
 use std::ops::ControlFlow;
 
-/// Largest file of a v1.1 recording; those of 5 minutes of dense traffic have 20 MB.
+/// Maximum size of a file of a v1.1 recording; 5 minutes of dense traffic have 20 MB.
 const MAX_RECORDING_BYTES: u64 = 128 * 1024 * 1024;
 
 /// Cuts v1.2 tables into cases and joins the files of v1.1 recordings.
 pub(super) struct TableReader<'a> {
     source: &'a Interaction<'a>,
     recordings: Recordings,
-    /// What the first pass found in each entry, in their order; empty for what is no table of cases.
+    /// The survey of each entry by the first pass, in their order; empty for entries that are not tables of cases.
     surveys: Vec<Survey>,
-    /// The current pass, in which cases are emitted; `None` in the first of all, which surveys.
+    /// The current pass, in which cases are emitted; `None` in the first, which surveys.
     pass: Option<usize>,
     n_entries_of_pass: usize,
 }
@@ -32,12 +32,12 @@ impl<'a> TableReader<'a> {
         Self { source, recordings: Recordings::default(), surveys: Vec::new(), pass: None, n_entries_of_pass: 0 }
     }
 
-    /// What there is in a table of cases. Of recordings it is noted that they are there.
+    /// Surveys a table of cases. Files of recordings are only registered.
     fn survey(&mut self, entry: &Entry, part: &RecordingPart, reader: &mut dyn BufRead) -> Survey {
         let mut lines = Lines::new(reader);
         let columns = match lines.next() {
             Ok(Some((_, header))) => TrackColumns::of(header, false).ok(),
-            // This is told in the next pass.
+            // The next pass reports this.
             Ok(None) | Err(_) => None,
         };
         if let Some(columns) = columns.filter(|columns| columns.case_id.is_some()) {
@@ -45,7 +45,7 @@ impl<'a> TableReader<'a> {
         }
         let n_bytes = entry.size.unwrap_or_else(|| {
             let rest = &mut Read::take(&mut *reader, MAX_RECORDING_BYTES);
-            // What cannot be read is told in the next pass, too.
+            // The next pass reports read errors, too.
             io::copy(rest, &mut io::sink()).unwrap_or(MAX_RECORDING_BYTES)
         });
         self.recordings.note(RecordingKey::of(entry, part), part.is_pedestrians, n_bytes);
@@ -54,7 +54,7 @@ impl<'a> TableReader<'a> {
 }
 
 impl TableReader<'_> {
-    /// Whether the next entry of this pass is read in it, and the entry's number.
+    /// Whether this pass reads the next entry, and the entry's number.
     fn is_due(&mut self, pass: usize, key: &RecordingKey) -> (usize, bool) {
         let entry_idx = self.n_entries_of_pass;
         self.n_entries_of_pass += 1;
@@ -84,7 +84,7 @@ impl TableReader<'_> {
         self.recordings.add(key, unit, is_pedestrians, emit)
     }
 
-    /// Emits what is wrong with a file, and its counterpart, if there is one, alone.
+    /// Emits the reject of a file, and its counterpart, if any, as a recording of its own.
     fn leave_out(&mut self, reject: Reject, key: &RecordingKey, emit: &mut EmitUnit<'_>) -> ControlFlow<()> {
         emit(Err(reject))?;
         self.recordings.give_up(key, emit)

@@ -1,4 +1,4 @@
-//! Which line bounds a lanelet on one side, in driving direction?
+//! The left and right bounds of a lanelet, in driving direction.
 
 use super::osm::{Osm, Relation};
 use crate::geometry::{Polyline, Vec2};
@@ -17,7 +17,7 @@ pub(super) struct Bound {
     pub(super) line: Polyline,
 }
 
-/// Why a lanelet cannot be made a lane: reason and detail.
+/// Why a lanelet cannot become a lane: reason and detail.
 pub(super) type Flaw = (&'static str, String);
 
 impl Bound {
@@ -87,8 +87,8 @@ impl Bound {
     }
 }
 
-/// Turns both bounds into driving direction, as Lanelet2 does: ways are drawn in any direction, and what is called left
-/// must lie to the left of what is called right.
+/// Turns both bounds into driving direction, as Lanelet2 does: ways are drawn in any direction, and the left bound must
+/// lie to the left of the right one.
 pub(super) fn align(left: &mut Bound, right: &mut Bound) {
     if left.offset_m(right.middle()) >= 0.0 {
         left.invert();

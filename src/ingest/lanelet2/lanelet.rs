@@ -1,4 +1,4 @@
-//! Which lanelets are lanes, and what does the map say of each?
+//! The lanelets of a map that are lanes, with their attributes.
 
 use super::bound::{Bound, Flaw, align};
 use super::osm::{Osm, Relation};
@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 /// Distance between the points of a centerline, meters.
 const CENTERLINE_SPACING_M: f64 = 2.0;
-/// Most points of a centerline.
+/// Maximum number of points of a centerline.
 const MAX_CENTERLINE_POINTS: usize = 500;
 
 /// Subtypes of lanelets that vehicles drive on. Lanelets without a subtype count, as maps drawn by hand lack it.

@@ -1,9 +1,9 @@
-//! Which lanes does a Lanelet2 map hold?
+//! Reads Lanelet2 maps.
 //!
-//! Lanelet2 maps are OSM XML: nodes, ways (polylines of nodes), and relations. A relation of type `lanelet` has a left and
-//! a right bound. Coordinates are meters on the plane (`.osm_xy`), meters disguised as latitude and longitude near (0°, 0°)
-//! (INTERACTION's `.osm`), or true WGS84 coordinates, for which the frame of the map is the UTM zone of its first node with
-//! the origin at that node. x points east and y north.
+//! Lanelet2 maps are OSM XML: nodes, ways (polylines of nodes), and relations. A relation of type `lanelet` has a left
+//! and a right bound. Coordinates are meters on the plane (`.osm_xy`), meters encoded as latitude and longitude near
+//! (0°, 0°) (INTERACTION's `.osm`), or true WGS84 coordinates. For the last, the frame of the map is the UTM zone of
+//! its first node, with the origin at that node. x points east and y north.
 
 mod bound;
 mod lanelet;
@@ -23,17 +23,17 @@ use projection::LocalUtm;
 use std::collections::BTreeMap;
 use std::io::{BufRead, Read};
 
-/// Largest map that is read. INTERACTION's largest are below 2 MB.
+/// Maximum size of a map. INTERACTION's largest are below 2 MB.
 const MAX_MAP_BYTES: u64 = 64 * 1024 * 1024;
-/// Most points in all bounds together: any number of lanelets may name one way, so the size of the file alone does not
+/// Maximum number of points in all bounds: any number of lanelets may name one way, so the size of the file does not
 /// bound the size of the lanes.
 const MAX_BOUND_POINTS: usize = 2_000_000;
-/// Most bytes in the tags of all lanes together, for the same reason: lanelets share regulatory elements.
+/// Maximum number of bytes in the tags of all lanes, for the same reason: lanelets share regulatory elements.
 const MAX_TAG_BYTES: usize = 64 * 1024 * 1024;
 
-/// Reads a Lanelet2 map: its vehicle lanes in the frame of the recordings, and what was wrong with it.
+/// Reads a Lanelet2 map: its vehicle lanes in the frame of the recordings, and a report of its defects.
 ///
-/// Lanelets that are not whole are left out and reported.
+/// Incomplete lanelets are left out and reported.
 ///
 /// # Errors
 /// [`Error::Map`], naming `file` and line, when the document is not well-formed, has a document type, is beyond all

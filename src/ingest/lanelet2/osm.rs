@@ -1,4 +1,4 @@
-//! Which nodes, ways and relations does an OSM XML document hold?
+//! The nodes, ways and relations of an OSM XML document.
 //!
 //! Only what Lanelet2 uses is read. Documents with a document type are refused, so there are no entities to expand, and
 //! size, depth and attributes are bounded, so that no document can exhaust memory or time.
@@ -19,9 +19,9 @@ const MAX_ATTRIBUTES: usize = 64;
 /// The elements of a document by their ids. Elements that an editor marked as deleted are left out.
 #[derive(Debug, Default)]
 pub(super) struct Osm {
-    /// Where the nodes lie.
+    /// The positions of nodes.
     pub(super) nodes: BTreeMap<i64, NodePosition>,
-    /// Nodes that are in the document but nowhere, and what is wrong with their coordinates.
+    /// Nodes without a usable position, and what is wrong with their coordinates.
     pub(super) misplaced: BTreeMap<i64, String>,
     /// The first node with latitude and longitude, in the order of the document.
     pub(super) first_geo: Option<GeoPoint>,
@@ -113,7 +113,7 @@ struct Document<'a> {
 }
 
 impl Document<'_> {
-    /// Takes in an element at `depth` (1 is the root).
+    /// Handles an element at `depth` (1 is the root).
     fn begin(&mut self, element: &BytesStart<'_>, depth: usize) -> Result<(), Malformed> {
         let name = element.name();
         let name: &str = name.as_ref();
@@ -185,7 +185,7 @@ impl Document<'_> {
     }
 }
 
-/// Inserts unless the key is taken, and says whether it was.
+/// Inserts unless the key exists, and returns whether it did.
 fn insert_new<T>(elements: &mut BTreeMap<i64, T>, id: i64, element: T) -> bool {
     let taken = elements.contains_key(&id);
     if !taken {
@@ -200,7 +200,7 @@ struct Attributes(Vec<(String, String)>);
 impl Attributes {
     fn read(element: &BytesStart<'_>) -> Result<Self, Malformed> {
         let mut pairs = Vec::new();
-        // The library's check for duplicates takes quadratic time; here the first of a name counts.
+        // The library's check for duplicates takes quadratic time; here the first attribute of a name counts.
         for attribute in element.attributes().with_checks(false) {
             let attribute = attribute?;
             if pairs.len() == MAX_ATTRIBUTES {

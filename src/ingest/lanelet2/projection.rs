@@ -1,4 +1,4 @@
-//! Where on the plane does a latitude and longitude lie?
+//! Projects latitude and longitude to the plane.
 //!
 //! Lanelet2 projects with the universal transverse Mercator (UTM) zone of a map's origin and subtracts the origin's
 //! coordinates. The series is Krüger's to the sixth order in the third flattening (Karney, "Transverse Mercator with an
@@ -16,8 +16,8 @@ const CENTRAL_SCALE: f64 = 0.9996;
 /// Easting of the central meridian of a UTM zone, meters.
 const FALSE_EASTING_M: f64 = 500_000.0;
 
-/// Maps this close to latitude and longitude zero are meters in disguise: INTERACTION publishes its maps so. No road
-/// lies there, so real coordinates cannot be mistaken for it.
+/// Maps this close to latitude and longitude zero encode meters, as INTERACTION publishes them. No road lies there, so
+/// real coordinates cannot be mistaken for them.
 const DISGUISE_LIMIT_DEG: f64 = 0.5;
 
 /// Farthest from the equator, degrees.
@@ -43,7 +43,7 @@ pub(super) struct LocalUtm {
 
 impl LocalUtm {
     /// The zone of `origin`, in which `origin` lies at (0, 0). The exceptions of the UTM grid around Norway and
-    /// Svalbard are not made: only distances within the map matter.
+    /// Svalbard are ignored, because only distances within the map matter.
     pub(super) fn around(origin: GeoPoint) -> Self {
         let zone = ((origin.longitude_deg + 180.0) / 6.0).floor().clamp(0.0, 59.0);
         let mut projection = Self { central_meridian_deg: zone.mul_add(6.0, -177.0), origin: Vec2::ZERO };
@@ -51,8 +51,8 @@ impl LocalUtm {
         projection
     }
 
-    /// The projection for a map whose first node is `first_node`: around (0°, 0°), hence zone 31, for maps that are
-    /// meters in disguise (all of INTERACTION), else around the first node itself.
+    /// The projection for a map whose first node is `first_node`: around (0°, 0°), hence zone 31, for maps that encode
+    /// meters (all of INTERACTION), else around the first node itself.
     pub(super) fn for_map(first_node: GeoPoint) -> Self {
         let disguised =
             first_node.latitude_deg.abs() < DISGUISE_LIMIT_DEG && first_node.longitude_deg.abs() < DISGUISE_LIMIT_DEG;

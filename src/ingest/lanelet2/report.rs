@@ -1,4 +1,4 @@
-//! What did a map lack, and what was left out of it for that?
+//! The defects of a map, and the lanelets left out because of them.
 
 use crate::ingest::RejectCount;
 use std::collections::BTreeMap;
@@ -6,10 +6,10 @@ use std::collections::BTreeMap;
 /// How many examples of each warning are kept.
 const MAX_EXAMPLES: usize = 5;
 
-/// What became of the lanelets of a map.
+/// The report on the lanelets of a map.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct MapReport {
-    /// Relations that say they are lanelets.
+    /// Relations of type `lanelet`.
     pub n_lanelets: u64,
     /// Lanelets that vehicles may not use, such as crosswalks; not lanes.
     pub n_not_drivable: u64,

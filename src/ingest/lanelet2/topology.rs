@@ -1,16 +1,16 @@
-//! Which lanes follow on from which, and which lie side by side?
+//! Successors and neighbors of lanes.
 
 use super::lanelet::Lanelet;
 use crate::scene::{Lane, LaneId};
 use std::collections::BTreeMap;
 
-/// More connections than any map has; a map made to have more would exhaust memory.
+/// Maximum number of connections, far more than any map has, so that no map exhausts memory.
 const MAX_CONNECTIONS: usize = 1_000_000;
 
-/// The lanes with their connections, or the number of connections where there are too many.
+/// The lanes with their connections, or the number of connections if there are too many.
 ///
-/// A lane follows on from another where both its bounds begin at the nodes at which the other's end. Lanes lie side by
-/// side where the same ways bound them, in the same direction.
+/// A lane succeeds another if both its bounds begin at the nodes at which the other's end. Lanes are neighbors if the
+/// same ways bound them, in the same direction.
 pub(super) fn connect(lanelets: Vec<Lanelet>) -> Result<Vec<Lane>, usize> {
     let mut beginning_at: BTreeMap<(i64, i64), Vec<LaneId>> = BTreeMap::new();
     let mut ending_at: BTreeMap<(i64, i64), Vec<LaneId>> = BTreeMap::new();
@@ -20,7 +20,7 @@ pub(super) fn connect(lanelets: Vec<Lanelet>) -> Result<Vec<Lane>, usize> {
         let id = LaneId(lanelet.id);
         beginning_at.entry(first_nodes(lanelet)).or_default().push(id);
         ending_at.entry(last_nodes(lanelet)).or_default().push(id);
-        // Where several lanes share a bound on the same side, the one of lowest id is the neighbor.
+        // If several lanes share a bound on the same side, the one with the lowest id is the neighbor.
         right_of.entry(lanelet.left.ways.clone()).or_insert(id);
         left_of.entry(lanelet.right.ways.clone()).or_insert(id);
     }

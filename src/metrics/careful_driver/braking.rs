@@ -1,22 +1,22 @@
-//! How far has a braking driver come after some time, and how fast is it then?
+//! Distance and speed of a braking driver over time.
 
 use super::CarefulDriverConfig;
 
-/// Constant speed, then a deceleration that grows evenly to its largest and stays, until the vehicle stands.
+/// Constant speed, then a deceleration that grows linearly to its maximum and stays there until the vehicle stands.
 pub(super) struct Braking<'a> {
     /// Speed before braking, m/s.
     pub(super) speed_mps: f64,
     /// When braking begins, seconds since the present; `None` for never.
     pub(super) from_s: Option<f64>,
-    /// How braking goes.
+    /// The parameters of braking.
     pub(super) config: &'a CarefulDriverConfig,
 }
 
 impl Braking<'_> {
-    /// When the vehicle stands, seconds since the present. `None` where it never does.
+    /// When the vehicle stands, seconds since the present. `None` if it never does.
     pub(super) fn stands_from_s(&self) -> Option<f64> {
         let (from_s, CarefulDriverConfig { ramp_s, max_deceleration_mps2, .. }) = (self.from_s?, self.config);
-        // The ramp takes away half of what full braking would.
+        // The ramp reduces the speed by half of what full braking would.
         let lost_mps = max_deceleration_mps2 * ramp_s / 2.0;
         Some(match self.speed_mps > lost_mps {
             true => from_s + ramp_s + (self.speed_mps - lost_mps) / max_deceleration_mps2,
@@ -39,12 +39,12 @@ impl Braking<'_> {
         let time_s = self.stands_from_s().map_or(time_s, |stands_s| time_s.min(stands_s));
         let (ramping_s, full_s) = self.phases_s(time_s);
         let (a, ramp_s) = (self.config.max_deceleration_mps2, self.config.ramp_s);
-        // ∫ of the speed: the cubic of the ramp, what the ramp took away ever since, and the parabola of full braking.
+        // ∫ of the speed: the cubic of the ramp, the speed lost in the ramp since, and the parabola of full braking.
         let lost_mps = a * ramping_s * ramping_s / (2.0 * ramp_s);
         self.speed_mps * time_s - a * ramping_s.powi(3) / (6.0 * ramp_s) - lost_mps * full_s - a * full_s * full_s / 2.0
     }
 
-    /// How long, until a time, the deceleration grew, and how long it was full.
+    /// The time by then spent in the ramp, and in full braking.
     fn phases_s(&self, time_s: f64) -> (f64, f64) {
         let braking_s = self.from_s.map_or(0.0, |from_s| (time_s - from_s).max(0.0));
         (braking_s.min(self.config.ramp_s), (braking_s - self.config.ramp_s).max(0.0))

@@ -1,4 +1,4 @@
-//! How careful is the driver, and how able? The parameters of UN Regulation No. 157.
+//! The parameters of the careful driver of UN Regulation No. 157.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,16 +7,16 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CarefulDriverConfig {
-    /// A vehicle that moves sideways by no more than this is only wandering, meters. Default 0.375.
+    /// A vehicle that moves sideways by at most this only wanders in its lane, meters. Default 0.375.
     #[schemars(range(min = 0.0))]
     pub wandering_m: f64,
-    /// Time to see that a vehicle cuts in, seconds. Default 0.4.
+    /// Time to perceive that a vehicle cuts in, seconds. Default 0.4.
     #[schemars(range(min = 0.0))]
     pub perception_s: f64,
     /// A time to collision of at most this is dangerous, seconds. Default 2.
     #[schemars(range(min = 0.0))]
     pub danger_ttc_s: f64,
-    /// Time from the danger to the brake, seconds. Default 0.75.
+    /// Time from danger to braking, seconds. Default 0.75.
     #[schemars(range(min = 0.0))]
     pub delay_s: f64,
     /// Time for the deceleration to reach its maximum, seconds. Default 0.6.
@@ -25,7 +25,7 @@ pub struct CarefulDriverConfig {
     /// The largest deceleration, m/s². Default 7.593, that is 0.774 g.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_deceleration_mps2: f64,
-    /// Width of a lane, meters: its markings are half of it from the path. Default 3.5.
+    /// Width of a lane, meters: its markings lie half of that from the path. Default 3.5.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub lane_width_m: f64,
     /// A vehicle this far beyond the marking intrudes, meters. Default 0.3.

@@ -1,4 +1,5 @@
-//! One who cuts in, seen from the path of the other: when is it seen, when is it a danger, and does it come to a touch?
+//! A cut-in seen from the ego's path: when the driver perceives it, when it becomes dangerous, and whether the boxes
+//! touch.
 
 use super::CarefulDriverConfig;
 use super::braking::Braking;
@@ -9,7 +10,7 @@ use crate::scene::{Extent, Scene, State, Track};
 
 /// Steps of the simulation within a timestep.
 const N_SUBSTEPS: usize = 4;
-/// The simulation goes on for so long after the scene, seconds: enough to stop from 180 km/h.
+/// The simulation continues this long after the scene, seconds: enough to stop from 180 km/h.
 const AFTERMATH_S: f64 = 10.0;
 
 /// Two vehicles from the present on.
@@ -24,14 +25,14 @@ pub(super) struct Encounter<'a> {
     places: Vec<Option<Place>>,
 }
 
-/// Where the other is relative to the path of the ego.
+/// The position of the other relative to the ego's path.
 #[derive(Clone, Copy)]
 struct Place {
     /// Distance of its center from the path, meters; positive on the side on which it is at present.
     offset_m: f64,
-    /// Distance of its nearer flank from the path, meters; negative where it is across it.
+    /// Distance of its nearer flank from the path, meters; negative if it is beyond the path.
     flank_m: f64,
-    /// From the ego's front, where the ego is at present, to its nearest part, meters along the path.
+    /// From the ego's front at present to the nearest part of the other, meters along the path.
     ahead_m: f64,
     /// Its speed along the path, m/s.
     along_mps: f64,
@@ -48,7 +49,7 @@ pub(super) struct Intrusion {
 }
 
 impl<'a> Encounter<'a> {
-    /// `None` where either is not tracked at present.
+    /// `None` if either is not tracked at present.
     pub(super) fn of(scene: &'a Scene, [ego_idx, other_idx]: [usize; 2]) -> Option<Self> {
         let present = scene.current_timestep();
         let (ego, other) = (scene.tracks.get(ego_idx)?, scene.tracks.get(other_idx)?);
@@ -80,8 +81,8 @@ impl<'a> Encounter<'a> {
         })
     }
 
-    /// The first moment from the present on at which the other is in the lane, while the ego keeps its speed of the present. `None`
-    /// where it never is.
+    /// The first moment from the present on at which the other is in the lane, while the ego keeps its present speed;
+    /// `None` if it never is.
     pub(super) fn intrusion(&self, config: &CarefulDriverConfig) -> Option<Intrusion> {
         let limit_m = config.lane_width_m / 2.0 - config.intrusion_m;
         self.future().find(|(_, place)| place.flank_m <= limit_m).map(|(time_s, place)| Intrusion {
@@ -91,7 +92,8 @@ impl<'a> Encounter<'a> {
         })
     }
 
-    /// When the driver has seen that the other cuts in, seconds since the present; negative where that was before. `None` for never.
+    /// When the driver perceives that the other cuts in, seconds since the present; negative before it. `None` for
+    /// never.
     pub(super) fn perceived_s(&self, config: &CarefulDriverConfig) -> Option<f64> {
         let mut farthest_m = f64::NEG_INFINITY;
         for (timestep, place) in self.places.iter().enumerate() {
@@ -104,22 +106,23 @@ impl<'a> Encounter<'a> {
         None
     }
 
-    /// When, from `perceived_s` on, the time to collision along the path is a danger, seconds since the present. `None` for never.
+    /// When, from `perceived_s` on, the time to collision along the path is dangerous, seconds since the present.
+    /// `None` for never.
     pub(super) fn danger_s(&self, perceived_s: f64, config: &CarefulDriverConfig) -> Option<f64> {
         let is_danger = |(time_s, place): &(f64, Place)| {
             let gap_m = place.ahead_m - self.ego_speed_mps * time_s;
             let closing_mps = self.ego_speed_mps - place.along_mps;
-            // Behind the ego's front there is nothing to brake for any more, but alongside there is.
+            // The ego need not brake for a vehicle behind it, but for one alongside.
             let is_passed = gap_m < -(self.ego_extent.length_m + self.other.extent_or_nominal().length_m);
             closing_mps > 0.0 && !is_passed && gap_m <= config.danger_ttc_s * closing_mps
         };
-        // Times of timesteps are rounded products, which must not decide.
+        // Times of timesteps are rounded products; rounding must not decide.
         self.future()
             .find(|(time_s, place)| *time_s >= perceived_s - 1e-9 && is_danger(&(*time_s, *place)))
             .map(|(t, _)| t)
     }
 
-    /// Whether the boxes touch while the ego brakes so.
+    /// Whether the boxes touch while the ego brakes like this.
     pub(super) fn touches(&self, braking: &Braking<'_>) -> bool {
         let step_s = self.scene.dt_s / N_SUBSTEPS as f64;
         let end_s = self.time_s(self.scene.n_timesteps.saturating_sub(1));
@@ -133,7 +136,8 @@ impl<'a> Encounter<'a> {
             if own.overlaps(&self.other.footprint(&other)) {
                 return true;
             }
-            // After the scene the other keeps its velocity: nothing is left to happen once the ego has braked enough or has no reason to.
+            // After the scene the other keeps its velocity, so nothing can happen once the ego has braked enough or
+            // need not brake.
             let along_mps = other.velocity.dot(Vec2::from_angle(heading_rad)).max(0.0);
             let is_over =
                 braking.from_s.is_none_or(|from_s| time_s >= from_s && braking.speed_mps(time_s) <= along_mps);
@@ -144,7 +148,7 @@ impl<'a> Encounter<'a> {
         false
     }
 
-    /// The other's places from the present on, with seconds since then.
+    /// The other's positions from the present on, with seconds since then.
     fn future(&self) -> impl Iterator<Item = (f64, Place)> + '_ {
         let present = self.scene.current_timestep();
         let places = self.places.iter().enumerate().skip(present);
@@ -155,7 +159,8 @@ impl<'a> Encounter<'a> {
         (timestep as f64 - self.scene.current_timestep() as f64) * self.scene.dt_s
     }
 
-    /// The other at a time since the present: evenly between timesteps, at its last velocity after them. `None` in gaps of its track.
+    /// The other at a time since the present: interpolated between timesteps, at its last velocity after them. `None`
+    /// in gaps of its track.
     fn other_at(&self, time_s: f64) -> Option<State> {
         let at = self.scene.current_timestep() as f64 + time_s / self.scene.dt_s;
         let (last, last_state) = self.other.trajectory.valid().next_back()?;

@@ -1,19 +1,21 @@
-//! Could a careful driver have prevented a collision with who cuts in? The performance model of UN Regulation No. 157.
+//! Could a careful driver have prevented a collision after a cut-in? The performance model of UN Regulation No. 157.
 //!
-//! The driver of Annex 3 (guidance on traffic disturbance critical scenarios, cut-in) takes the place of the one who is cut off, with its
-//! speed at the present and on the path that it goes on to drive. Who cuts in moves as it does in the scene, and beyond the end of
-//! the scene at its last velocity.
+//! The driver of Annex 3 (guidance on traffic disturbance critical scenarios, cut-in) takes the place of the ego, with
+//! the ego's speed at present and on its future path. The other moves as it does in the scene, and after the end of the
+//! scene at its last velocity.
 //!
 //! 1. *Perception.* Within 0.375 m of its place in its lane a vehicle only wanders. Once it has come closer to the path than that, it takes
 //!    0.4 s to see that it cuts in. Maps need not show lanes, so its place is where it was farthest from the path up to then.
 //! 2. *Danger.* The driver reacts when, from then on, the time to collision along the path is 2 s or less.
 //! 3. *Reaction.* 0.75 s later it brakes: the deceleration grows evenly over 0.6 s to 0.774 g, that is by 12.65 m/s³, and stays.
 //!
-//! The cut-in is preventable if the boxes never touch until the driver is no faster than who cuts in, or stands. A driver who has nothing to
-//! react to goes on at constant speed. Steering is not modeled, nor the stronger braking of the regulation once both vehicles are in line.
+//! The cut-in is preventable if the boxes do not touch before the driver is no faster than the other, or stands. A
+//! driver without a reason to react keeps its speed. Steering is not modeled, nor is the regulation's stronger braking
+//! once both vehicles are in line.
 //!
-//! Beside this there is the simple bound of paragraph 5.2.5.2: a collision must be avoided if, when who cuts in is 0.3 m beyond the
-//! lane marking, the time to collision exceeds v_rel / (2 · 6 m/s²) + 0.35 s. The marking is taken to lie half a lane's width beside the path.
+//! Paragraph 5.2.5.2 has a simple bound, too: a collision must be avoided if, when the other is 0.3 m beyond the lane
+//! marking, the time to collision exceeds v_rel / (2 · 6 m/s²) + 0.35 s. The marking is taken to lie half a lane's
+//! width beside the path.
 
 mod braking;
 mod config;
@@ -30,23 +32,23 @@ use braking::Braking;
 use encounter::Encounter;
 use serde::{Deserialize, Serialize};
 
-/// What the regulation says of a cut-in.
+/// The judgment of a cut-in by the regulation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CutInJudgment {
     /// Whether the careful driver avoids the collision.
     pub preventable: bool,
-    /// When it begins to brake, seconds since the present; `None` where it sees no reason to.
+    /// When it begins to brake, seconds since the present; `None` if it does not.
     pub braking_from_s: Option<f64>,
-    /// Time to collision at the intrusion, seconds; `None` where the gap does not close then.
+    /// Time to collision at the intrusion, seconds; `None` if the gap does not close then.
     pub intrusion_ttc_s: Option<f64>,
-    /// Whether the simple bound demands that a collision be avoided; `None` where who cuts in is alongside at the intrusion, for which the
-    /// bound is not made.
+    /// Whether the simple bound requires that a collision be avoided; `None` if the other is alongside at the
+    /// intrusion, where the bound does not apply.
     pub avoidance_required: Option<bool>,
 }
 
 impl CutInJudgment {
-    /// That of `other` cutting in before `ego`, by their indices. `None` where either is not tracked at present or the other does not
-    /// come into the lane of the ego in the future.
+    /// Judges how `other` cuts in before `ego`, by their indices; `None` if either is not tracked at present, or the
+    /// other does not enter the ego's lane in the future.
     pub fn of(scene: &Scene, [ego, other]: [usize; 2], config: &CarefulDriverConfig) -> Option<Self> {
         let encounter = Encounter::of(scene, [ego, other])?;
         let intrusion = encounter.intrusion(config)?;

@@ -1,11 +1,11 @@
-//! How many cut-ins could a careful driver have survived?
+//! The share of cut-ins in which a careful driver avoids a collision.
 
 use super::{CarefulDriverConfig, CutInJudgment};
 use crate::metrics::{Direction, Metric, MetricSpec, SampleGroup};
 use std::sync::LazyLock;
 
-/// Of the samples in which the agent asked to be `other` comes into the lane of the one asked to be `ego`, the share in which the careful
-/// driver avoids a collision. Not defined where no such roles were asked, or no sample shows it.
+/// Of the samples in which the requested `other` enters the lane of the requested `ego`, the share in which the careful
+/// driver avoids a collision. Not defined if no such roles were requested, or no sample shows it.
 #[derive(Debug, Clone, Default)]
 pub struct PreventableRate {
     /// The parameters; `None` for the defaults.

@@ -1,4 +1,4 @@
-//! An agent made ready for measures of criticality: where its box is, and how it moves.
+//! The boxes and velocities of an agent, for measures of criticality.
 
 use crate::behavior::sweep::Sweep;
 use crate::geometry::Vec2;
@@ -6,7 +6,7 @@ use crate::scene::{Scene, Trajectory};
 
 /// The boxes and velocities of one agent, one entry a timestep.
 pub(super) struct MovingAgent {
-    /// Which agent of the scene it is.
+    /// Its index in the scene.
     pub(super) agent_idx: usize,
     /// Its boxes.
     pub(super) sweep: Sweep,
@@ -14,7 +14,7 @@ pub(super) struct MovingAgent {
 }
 
 impl MovingAgent {
-    /// An agent of `scene`. `None` where there is no such agent, or none of its states is finite.
+    /// An agent of `scene`; `None` if there is no such agent, or none of its states is finite.
     pub(super) fn of(scene: &Scene, agent_idx: usize) -> Option<Self> {
         let track = scene.tracks.get(agent_idx)?;
         let sweep = Sweep::new(track)?;
@@ -27,8 +27,8 @@ impl MovingAgent {
     }
 }
 
-/// Velocities from positions: over the timestep before and the one after; at the ends of what is tracked over one of the two;
-/// the state's own velocity where neither is there.
+/// Velocities from positions: central differences; one-sided differences at the ends of the track; the state's own
+/// velocity if it has no neighbor.
 fn velocities(trajectory: &Trajectory, dt_s: f64) -> Vec<Option<Vec2>> {
     let velocity = |timestep: usize| {
         let now = trajectory.get(timestep).filter(|state| state.is_finite())?;

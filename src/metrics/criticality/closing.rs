@@ -1,4 +1,4 @@
-//! On a course to collide: how soon, for how long, and how hard must one brake?
+//! Collision courses: the time to collision, the exposure, and the braking needed.
 
 use super::agent::MovingAgent;
 use crate::behavior::footprint::Footprint;
@@ -6,14 +6,14 @@ use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::geometry::Vec2;
 use std::ops::Range;
 
-/// Times to collision beyond this say nothing: nobody keeps course and speed for so long, seconds.
+/// Times to collision beyond this are meaningless, because nobody keeps course and speed for so long, seconds.
 const MAX_TTC_S: f64 = 10.0;
 /// Times to collision below this count as exposure, seconds.
 const EXPOSURE_TTC_S: f64 = 1.5;
-/// More than any brake gives: larger rates all mean that braking does not avoid the crash, m/s².
+/// More than any brake achieves: at larger rates, too, braking does not avoid the crash, m/s².
 pub(super) const MAX_DRAC_MPS2: f64 = 20.0;
 
-/// What the courses of two agents say over some timesteps. [The module](super) has the definitions.
+/// The measures of two agents' courses over some timesteps. [The module](super) has the definitions.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Closing {
     pub(super) min_ttc_s: Option<f64>,
@@ -35,16 +35,17 @@ fn meetings<'a>(
     })
 }
 
-/// Time to collision and the deceleration rate that avoids it. `None` off a course to collide within the longest time.
+/// Time to collision and the deceleration rate that avoids it; `None` if the agents would not collide within the
+/// longest time.
 fn ttc_and_drac([(one, own), (other, theirs)]: Meeting<'_>) -> Option<(f64, f64)> {
     let ttc_s = time_to_collision_s(one, own, other, theirs).filter(|ttc_s| *ttc_s <= MAX_TTC_S)?;
     let drac_mps2 = (own - theirs).norm() / (2.0 * ttc_s);
-    // Boxes that overlap give a quotient by zero.
+    // For boxes that overlap, this divides by zero.
     Some((ttc_s, if drac_mps2 < MAX_DRAC_MPS2 { drac_mps2 } else { MAX_DRAC_MPS2 }))
 }
 
 impl Closing {
-    /// That of two agents over `timesteps`.
+    /// The measures of two agents over `timesteps`.
     pub(super) fn over(first: &MovingAgent, second: &MovingAgent, timesteps: Range<usize>, dt_s: f64) -> Self {
         let mut closing = Self::default();
         for meeting in meetings(first, second, timesteps) {
@@ -58,8 +59,8 @@ impl Closing {
         closing
     }
 
-    /// The worst of this and of two agents, exposure aside. Exact: a timestep is passed over only where the distance between the circles
-    /// around the boxes leaves no room for anything worse than what is known.
+    /// The worst of this and of two agents, exposure aside. Exact: a timestep is skipped only if the distance between
+    /// the circles around the boxes rules out anything worse.
     pub(super) fn worst_with(mut self, first: &MovingAgent, second: &MovingAgent, timesteps: Range<usize>) -> Self {
         for meeting in meetings(first, second, timesteps) {
             let [(one, own), (other, theirs)] = meeting;

@@ -1,4 +1,4 @@
-//! How much time lies between one road user leaving the place where two paths cross and the other one entering it?
+//! Post-encroachment time: between one road user leaving the place where two paths cross and the other entering it.
 
 use super::agent::MovingAgent;
 use crate::behavior::footprint::Footprint;
@@ -9,10 +9,10 @@ use crate::scene::{Scene, State};
 /// Halvings of a timestep by which an entry or exit is located: a thousandth of a timestep.
 const N_HALVINGS: usize = 10;
 
-/// Post-encroachment time of two agents, seconds: the entry of the second less the exit of the first, in whichever order this is
-/// positive. Sweeps over the whole scene count, since who left the area before the present may still be met there, but the second
-/// must enter it in the future. Between timesteps agents are taken to move evenly. `None` where the swept areas do not overlap, where
-/// both are in their overlap at the same time, and where the first never leaves it.
+/// Post-encroachment time of two agents, seconds: the entry of the second minus the exit of the first, in whichever
+/// order this is positive. The first may leave the area before the present, but the second must enter it in the future.
+/// Agents move at constant velocity between timesteps. `None` if the swept areas do not overlap, both are in the
+/// overlap at once, or the first never leaves it.
 pub(super) fn post_encroachment_s(scene: &Scene, [first, second]: [&MovingAgent; 2]) -> Option<f64> {
     if !first.sweep.may_come_within(&second.sweep, 0.0) {
         return None;
@@ -26,16 +26,16 @@ pub(super) fn post_encroachment_s(scene: &Scene, [first, second]: [&MovingAgent;
     gap(&visits[0], &visits[1]).or_else(|| gap(&visits[1], &visits[0]))
 }
 
-/// When an agent is where the other one comes or came, in timesteps.
+/// When an agent is in the conflict area, in timesteps.
 struct Visit {
-    /// `None` where it is there from its first state on.
+    /// `None` if it is there from its first state on.
     entry: Option<f64>,
-    /// `None` where it is still there in its last state.
+    /// `None` if it is still there in its last state.
     exit: Option<f64>,
 }
 
 impl Visit {
-    /// `None` where it is never there.
+    /// `None` if it is never there.
     fn of(scene: &Scene, agent: &MovingAgent, swept: &Sweep) -> Option<Self> {
         let timesteps = 0..scene.n_timesteps;
         let is_there = |footprint: &Footprint| swept.overlaps_any(footprint, timesteps.clone());
@@ -60,7 +60,7 @@ impl Visit {
     }
 }
 
-/// The state a share of the way from one to another.
+/// The state at a fraction of the way from one to another.
 fn between(from: &State, to: &State, share: f64) -> State {
     State {
         position: from.position.lerp(to.position, share),

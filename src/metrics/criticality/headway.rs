@@ -1,4 +1,4 @@
-//! How long until a follower is where its leader is now?
+//! Time headway: until a follower is where its leader is now.
 
 use super::agent::MovingAgent;
 use crate::behavior::driven_path::DrivenPath;
@@ -11,20 +11,20 @@ use std::f64::consts::FRAC_PI_4;
 /// Speeds below this count as standing, m/s.
 const STANDING_MPS: f64 = 0.1;
 
-/// The least time headway of either of two agents behind the other, seconds. `None` where neither follows.
+/// The least time headway of either of two agents behind the other, seconds; `None` if neither follows.
 pub(super) fn min_headway_s(scene: &Scene, [first, second]: [&MovingAgent; 2]) -> Option<f64> {
     let at = |timestep: usize| [headway_s(scene, first, second, timestep), headway_s(scene, second, first, timestep)];
     future(scene).flat_map(at).flatten().reduce(f64::min)
 }
 
-/// The time headway of `follower` behind `leader`, seconds. `None` where it does not follow it then.
+/// The time headway of `follower` behind `leader`, seconds; `None` if it does not follow it then.
 fn headway_s(scene: &Scene, follower: &MovingAgent, leader: &MovingAgent, timestep: usize) -> Option<f64> {
     let speed_mps = follower.velocity(timestep).map(Vec2::norm).filter(|speed_mps| *speed_mps > STANDING_MPS)?;
     let track = &scene.tracks[follower.agent_idx];
     let leading = &scene.tracks[leader.agent_idx];
     let state = leading.trajectory.get(timestep).filter(|state| state.is_finite())?;
     let own = track.trajectory.get(timestep)?;
-    // Who is behind is quicker to see than where on a path.
+    // A cheap test of who is behind, before the projection onto a path.
     if (state.position - own.position).dot(Vec2::from_angle(own.heading_rad)) <= 0.0 {
         return None;
     }

@@ -1,8 +1,8 @@
 //! How close does a scene come to a collision? Surrogate measures of safety, for one pair of road users and for the worst pair.
 //!
-//! All are taken over the future, the timesteps from `n_history` on, and from positions and headings alone, so that recorded and
-//! generated scenes are measured in the same way. A measure that is not defined, such as a time to a collision that no course leads
-//! to, is absent.
+//! All measures are taken over the future, the timesteps from `n_history` on, and from positions and headings alone, so
+//! that recorded and generated scenes are measured alike. A measure that is not defined, such as a time to collision
+//! without a collision course, is absent.
 //!
 //! | Measure | Definition | Source |
 //! |---|---|---|
@@ -14,9 +14,9 @@
 //! | post-encroachment time (PET) | time between one leaving the conflict area and the other entering it, whoever comes first; the conflict area is where the areas that their boxes sweep overlap | Allen, Shin and Cooper 1978 |
 //! | smallest distance | between the boxes at the same timestep, 0 where they overlap | |
 //!
-//! Velocities are central differences of positions. PET is about paths that cross: who follows another, or merges and stays, never leaves
-//! the conflict area within the scene, and has none. (The parameter `pet_s` of a near miss asks for the least time between two being
-//! on the same place, which following has, too.)
+//! Velocities are central differences of positions. PET is about paths that cross: an agent that follows another, or
+//! merges and stays, never leaves the conflict area within the scene, so it has none. (The parameter `pet_s` of a near
+//! miss is the least time between two agents being in the same place, which following has, too.)
 
 mod agent;
 mod closing;
@@ -36,29 +36,29 @@ use agent::MovingAgent;
 use closing::Closing;
 use serde::{Deserialize, Serialize};
 
-/// How critical the encounter of two road users is. [The module](self) has the definitions.
+/// The criticality of an encounter of two road users. [The module](self) has the definitions.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct PairCriticality {
-    /// Least time to collision, seconds; `None` where no course of at most 10 s leads to one.
+    /// Least time to collision, seconds; `None` if they are never on course to collide within 10 s.
     pub min_ttc_s: Option<f64>,
     /// Time exposed to a time to collision below 1.5 s, seconds.
     pub tet_s: f64,
     /// That time, weighted by how far below it is, s².
     pub tit_s2: f64,
-    /// Largest deceleration rate to avoid a crash, m/s²; 0 where none was ever needed.
+    /// Largest deceleration rate to avoid a crash, m/s²; 0 if none is needed.
     pub max_drac_mps2: f64,
-    /// Least time headway of either behind the other, seconds; `None` where neither follows the other.
+    /// Least time headway of either behind the other, seconds; `None` if neither follows the other.
     pub min_headway_s: Option<f64>,
-    /// Post-encroachment time, seconds; `None` where paths do not cross, or one stays on the other's.
+    /// Post-encroachment time, seconds; `None` if paths do not cross, or one stays on the other's.
     pub pet_s: Option<f64>,
     /// Smallest distance between the boxes, meters.
     pub min_distance_m: f64,
 }
 
-/// How critical a scene is: the worst of all pairs, measure by measure.
+/// The criticality of a scene: the worst of all pairs, measure by measure.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SceneCriticality {
-    /// Least time to collision, seconds; `None` where no two are on a course to collide within 10 s.
+    /// Least time to collision, seconds; `None` if no two are on a course to collide within 10 s.
     pub min_ttc_s: Option<f64>,
     /// Largest deceleration rate to avoid a crash, m/s².
     pub max_drac_mps2: f64,
@@ -67,7 +67,8 @@ pub struct SceneCriticality {
 }
 
 impl PairCriticality {
-    /// That of two agents of a scene, by their indices. `None` where they are never tracked together in the future.
+    /// The criticality of two agents of a scene, by their indices; `None` if they are never tracked together in the
+    /// future.
     pub fn of(scene: &Scene, pair: [usize; 2]) -> Option<Self> {
         let [first, second] = [MovingAgent::of(scene, pair[0])?, MovingAgent::of(scene, pair[1])?];
         let (min_distance_m, _) = first.sweep.min_distance_m(&second.sweep, future(scene))?;
@@ -85,8 +86,8 @@ impl PairCriticality {
 }
 
 impl SceneCriticality {
-    /// That of all pairs of road users that are tracked at present. Pairs whose boxes overlap at present already, and pairs that both
-    /// stand, do not count, as they do not for the collision rate. `None` without any such pair.
+    /// The criticality of all pairs of road users that are tracked at present. Pairs that already overlap at present,
+    /// and pairs that both stand, do not count, as in the collision rate. `None` without such a pair.
     pub fn of(scene: &Scene) -> Option<Self> {
         let present = scene.current_timestep();
         let agents: Vec<(MovingAgent, bool)> = super::sample_group::present_agents(scene)
@@ -109,7 +110,7 @@ impl SceneCriticality {
         worst
     }
 
-    /// The worst of `worst` and a pair; whatever of the pair cannot be worse is not computed.
+    /// The worst of `worst` and a pair; measures of the pair that cannot be worse are not computed.
     fn with_pair(worst: Option<Self>, scene: &Scene, first: &MovingAgent, second: &MovingAgent) -> Option<Self> {
         let known = worst.unwrap_or(Self { min_ttc_s: None, max_drac_mps2: 0.0, min_distance_m: f64::INFINITY });
         let closing = Closing { min_ttc_s: known.min_ttc_s, max_drac_mps2: known.max_drac_mps2, ..Closing::default() };

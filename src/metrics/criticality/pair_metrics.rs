@@ -1,10 +1,10 @@
-//! Criticality of the pair that was asked, as metrics.
+//! Criticality of the requested pair, as metrics.
 
 use super::PairCriticality;
 use crate::metrics::{Direction, Metric, MetricSpec, SampleGroup};
 
-/// A measure of the agents that have the first two roles of the request; the mean over the samples for which it is defined. Not
-/// defined where fewer than two agents were asked.
+/// A measure of the agents that have the first two roles of the request; the mean over the samples for which it is
+/// defined. Not defined if fewer than two agents were requested.
 #[derive(Debug, Clone, Copy)]
 pub enum PairMetric {
     /// Least time to collision.

@@ -1,15 +1,16 @@
-//! How far is an event from all recorded events of its kind, by its parameters?
+//! Distances of events from the recorded events of their behavior, by their parameters.
 
 use super::nearest::NearestIndex;
 use crate::behavior::{BehaviorEvent, EventLabel};
 
 /// The recorded positive events of one behavior as points, one coordinate a parameter.
 ///
-/// Parameters count that every recorded event has, that have a unit, and that are no times in the scene (`t_…_s`): of a cut-in gap, speeds,
-/// lateral speed, shift and smallest distance. Each is divided by its spread among the recorded events, 0.7413 of the range between the
-/// quartiles, which is the standard deviation of normally distributed values (the standard deviation itself where the quartiles
-/// coincide; a parameter that never varies is left out). The distance of two events is the root mean square of the differences: 1 says that
-/// they differ by a typical spread in every parameter.
+/// A parameter counts if every recorded event has it, and it has a unit and is not a time in the scene (`t_…_s`): for a
+/// cut-in these are gap, speeds, lateral speed, shift and smallest distance. Each is divided by its spread among the
+/// recorded events: 0.7413 of the interquartile range, which is the standard deviation of normally distributed values
+/// (the standard deviation itself if the quartiles coincide), but at least 0.1 of its unit; a parameter that never
+/// varies is left out. The distance of two events is the root mean square of the differences: 1 means that they differ
+/// by a typical spread in every parameter.
 pub struct EventSpace {
     /// Names and spreads.
     axes: Vec<(String, f64)>,
@@ -17,8 +18,8 @@ pub struct EventSpace {
 }
 
 impl EventSpace {
-    /// The space of the positive events of `behavior` among `events`. `None` where there are fewer than two, or none of their
-    /// parameters varies.
+    /// The space of the positive events of `behavior` among `events`; `None` if there are fewer than two, or none of
+    /// their parameters varies.
     pub fn new(behavior: &str, events: &[BehaviorEvent]) -> Option<Self> {
         let recorded: Vec<&BehaviorEvent> =
             events.iter().filter(|event| event.behavior == behavior && event.label == EventLabel::Positive).collect();
@@ -42,7 +43,7 @@ impl EventSpace {
         Some(space)
     }
 
-    /// The distance of `event` from the nearest recorded one. `None` where it lacks a parameter that recorded events have.
+    /// The distance of `event` from the nearest recorded one; `None` if it lacks a parameter that recorded events have.
     pub fn distance_to_nearest(&self, event: &BehaviorEvent) -> Option<f64> {
         self.index.nearest(&self.point(event)?, |a, b| distance(a, b)).map(|(_, distance)| distance)
     }
@@ -52,14 +53,18 @@ impl EventSpace {
     }
 }
 
-/// Whether a parameter says how an event went, and not when in the scene or on which side.
+/// Whether a parameter describes the event itself, not its time in the scene or its side.
 fn is_coordinate(name: &str) -> bool {
     let has_unit =
         ["_m", "_s", "_mps", "_mps2", "_mps3", "_rad", "_radps", "_deg", "_per_m"].iter().any(|u| name.ends_with(u));
     has_unit && !name.starts_with("t_")
 }
 
-/// The robust standard deviation of values. `None` where they do not vary.
+/// The least spread, in the unit of the parameter. If egos keep their lanes to the micrometer, a shift of a centimeter is
+/// nothing new.
+const LEAST_SPREAD: f64 = 0.1;
+
+/// The robust standard deviation of values, at least [`LEAST_SPREAD`]; `None` if they do not vary.
 fn spread(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let n = values.len();
@@ -70,11 +75,11 @@ fn spread(mut values: Vec<f64>) -> Option<f64> {
     };
     let robust = 0.7413 * (quantile(0.75) - quantile(0.25));
     if robust > 0.0 {
-        return Some(robust);
+        return Some(robust.max(LEAST_SPREAD));
     }
     let mean = values.iter().sum::<f64>() / n as f64;
     let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / n as f64;
-    (variance > 0.0).then(|| variance.sqrt())
+    (variance > 0.0).then(|| variance.sqrt().max(LEAST_SPREAD))
 }
 
 fn distance(a: &[f64], b: &[f64]) -> f64 {
@@ -117,6 +122,17 @@ mod tests {
         assert!((novelty(54.826).expect("a gap") - 1.0).abs() < 1e-9);
         assert_eq!(space.distance_to_nearest(&event(EventLabel::Positive, &[])), None);
         assert!(EventSpace::new("near_miss", &events).is_none() && EventSpace::new("cut_in", &events[..1]).is_none());
+    }
+
+    #[test]
+    fn what_hardly_varies_does_not_decide() {
+        let recorded = |i: u32| {
+            event(EventLabel::Positive, &[("gap_m", 10.0 * f64::from(i)), ("ego_shift_m", 1e-6 * f64::from(i))])
+        };
+        let events: Vec<BehaviorEvent> = (0..5).map(recorded).collect();
+        let space = EventSpace::new("cut_in", &events).expect("they vary");
+        let shifted = event(EventLabel::Positive, &[("gap_m", 20.0), ("ego_shift_m", 0.01)]);
+        assert!(space.distance_to_nearest(&shifted).expect("complete") < 0.1);
     }
 
     #[test]

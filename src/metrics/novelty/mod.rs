@@ -1,7 +1,7 @@
-//! How new is a scenario? Its distance from recorded events of its kind, and from the scenarios before it.
+//! Novelty of a scenario: its distance from recorded events of its behavior, and from earlier scenarios.
 //!
-//! [`EventSpace`] compares events by their parameters, [`PairPath`] scenarios by the paths of those who were asked; [`PathIndex`] finds
-//! the nearest of many.
+//! [`EventSpace`] compares events by their parameters, [`PairPath`] scenarios by the paths of the requested agents;
+//! [`PathIndex`] finds the nearest of many.
 
 mod event_space;
 mod nearest;

@@ -1,8 +1,8 @@
-//! Which of many points is nearest, by any distance that keeps the triangle inequality?
+//! Nearest-neighbor search for any distance with the triangle inequality.
 
 use std::collections::BTreeSet;
 
-/// A key that sorts as the number does.
+/// A key that sorts like the number.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Key(f64);
 
@@ -20,9 +20,9 @@ impl Ord for Key {
     }
 }
 
-/// Points in the order of their distance from the first of them, the pivot. By the triangle inequality |d(a, pivot) - d(b, pivot)| is at
-/// most d(a, b), so that only points whose distance from the pivot is similar need a look. A search is exact; it takes as many
-/// distances as there are points in that band: few where points are spread out, all of them in the worst case.
+/// Points in the order of their distance from the first of them, the pivot. By the triangle inequality |d(a, pivot) -
+/// d(b, pivot)| is at most d(a, b), so only points at a similar distance from the pivot are compared. A search is exact
+/// and computes a distance for each point in that band: few if points are spread out, all of them in the worst case.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct NearestIndex<P> {
     points: Vec<P>,
@@ -36,7 +36,7 @@ impl<P> Default for NearestIndex<P> {
 }
 
 impl<P> NearestIndex<P> {
-    /// Adds a point; points are numbered in the order in which they come. Returns its number.
+    /// Adds a point and returns its number; points are numbered in the order in which they are added.
     pub(super) fn insert(&mut self, point: P, distance: impl Fn(&P, &P) -> f64) -> usize {
         let idx = self.points.len();
         let key = self.points.first().map_or(0.0, |pivot| distance(pivot, &point));
@@ -45,7 +45,7 @@ impl<P> NearestIndex<P> {
         idx
     }
 
-    /// The nearest point, by its number, and its distance; of equally near ones the first that came. `None` without points.
+    /// The number and distance of the nearest point, the first of equals; `None` without points.
     pub(super) fn nearest(&self, point: &P, distance: impl Fn(&P, &P) -> f64) -> Option<(usize, f64)> {
         let pivot = self.points.first()?;
         let key = distance(pivot, point);
@@ -59,7 +59,7 @@ impl<P> NearestIndex<P> {
             let (up, down) = (apart(above.peek()), apart(below.peek()));
             let next = if up <= down { above.next() } else { below.next() };
             let Some((other, idx)) = next else { break };
-            // Rounding must not rule out what is exactly as near.
+            // Rounding must not exclude a point that is equally near.
             if best.is_some_and(|(least, _)| (other.0 - key).abs() > least + 1e-9) {
                 break;
             }

@@ -1,4 +1,4 @@
-//! How far apart are two scenarios, by the future paths of those who were asked?
+//! Distances between scenarios by the future paths of the requested agents.
 
 use super::nearest::NearestIndex;
 use crate::geometry::{Transform2, Vec2};
@@ -12,13 +12,15 @@ pub const DUPLICATE_DISTANCE_M: f64 = 0.25;
 /// Time between the positions of a path, seconds.
 const SPACING_S: f64 = 0.5;
 
-/// The future positions of those who were asked (of a pair both), in the frame of the first of them at the present: origin at its
-/// position, x axis along its heading. So scenarios of different places compare, and what counts is how the two move to each other.
+/// The future positions of the requested agents (both of a pair), in the frame of the first of them at present: origin
+/// at its position, x axis along its heading. Scenarios of different places are thus comparable, and only relative
+/// motion counts.
 ///
-/// Motion is smooth, so a position in the middle of each half second stands for all of it: every accepted scenario stays in memory.
+/// Because motion is smooth and all accepted scenarios stay in memory, the position in the middle of each half second
+/// represents it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PairPath {
-    /// Agent by agent, each one a half second; meters. Who is not tracked at a timestep is held where it was last.
+    /// One position for each agent and half second, meters. An agent without a state stays at its last position.
     points: Box<[[f32; 2]]>,
     n_agents: usize,
 }
@@ -27,7 +29,7 @@ pub struct PairPath {
 impl Eq for PairPath {}
 
 impl PairPath {
-    /// That of the agents of these roles. `None` where nobody was asked, or one of them is not tracked at present.
+    /// The path of the agents of these roles; `None` without roles, or if one of the agents is not tracked at present.
     pub fn of(scene: &Scene, asked: &Roles) -> Option<Self> {
         let present = scene.current_timestep();
         let agents: Vec<usize> = asked.tracks().map(|track| scene.track_idx(track)).collect::<Option<_>>()?;
@@ -58,10 +60,10 @@ impl PairPath {
     }
 }
 
-/// The scenarios so far. Those compare that were asked the same behavior, of as many agents, over as much time.
+/// The scenarios so far. Only scenarios with the same requested behavior, number of agents and duration are compared.
 ///
-/// A search is exact. It costs a logarithm, and a distance for each scenario that lies about as far from the first one of its kind
-/// ([`NearestIndex`]); memory is 16 bytes for each agent and second, beside the id.
+/// A search is exact; [`NearestIndex`] states its cost. A scenario takes 16 bytes for each agent and second, beside its
+/// id.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PathIndex {
     kinds: BTreeMap<Kind, OfKind>,
@@ -78,7 +80,7 @@ struct OfKind {
 }
 
 impl PathIndex {
-    /// The nearest scenario of this kind so far, by its id, and its distance in meters. `None` where there is none.
+    /// The id of the nearest scenario of this kind so far, and its distance in meters; `None` if there is none.
     pub fn nearest(&self, behavior: &str, path: &PairPath) -> Option<(&str, f64)> {
         let OfKind { ids, paths } = self.kinds.get(&kind(behavior, path))?;
         let (idx, distance_m) = paths.nearest(path, PairPath::distance_m)?;

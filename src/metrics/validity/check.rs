@@ -1,4 +1,4 @@
-//! What is checked, and what a failed check says.
+//! The validity checks, and violations of them.
 
 use crate::scene::{Scene, TrackId};
 use schemars::JsonSchema;
@@ -20,7 +20,7 @@ pub enum Check {
     YawRate,
     /// A vehicle turns more tightly than its steering allows at its speed, or on the spot.
     Curvature,
-    /// A vehicle moves in another direction than it points to.
+    /// A vehicle does not move in the direction of its heading.
     Heading,
     /// A road user jumps where given and generated states meet.
     StartPosition,
@@ -82,7 +82,7 @@ impl Check {
         }
     }
 
-    /// What its value is, in a line.
+    /// The meaning of its value in a line.
     pub const fn description(self) -> &'static str {
         match self {
             Self::Acceleration => "a vehicle speeds up by more than the limit, along its motion",
@@ -113,9 +113,9 @@ pub struct Violation {
     pub track: TrackId,
     /// When.
     pub timestep: usize,
-    /// What was found, in the check's unit.
+    /// The value, in the check's unit.
     pub value: f64,
-    /// What is allowed.
+    /// The limit.
     pub limit: f64,
 }
 
@@ -130,13 +130,13 @@ impl Violation {
         Self { check, track: scene.tracks[agent_idx].id.clone(), timestep, value, limit }
     }
 
-    /// How far the value is beyond its limit; what is no number is infinitely far.
+    /// How far the value is beyond its limit; infinite for NaN.
     pub(super) fn excess(&self) -> f64 {
         if self.value.is_nan() { f64::INFINITY } else { self.value - self.limit }
     }
 }
 
-/// Whether `value` breaks `limit`; what is no number does.
+/// Whether `value` breaks `limit`; NaN does.
 pub(super) fn exceeds(value: f64, limit: f64) -> bool {
     value.is_nan() || value > limit
 }

@@ -1,4 +1,4 @@
-//! Does anybody drive into somebody, though nobody asked for it?
+//! The check for collisions, except requested ones.
 
 use super::{Check, Judged, ValidityConfig, Violation, keep_worse};
 use crate::geometry::Vec2;
@@ -6,11 +6,12 @@ use crate::metrics::collision_rate::collisions;
 use crate::scene::{Scene, Track};
 use std::borrow::Cow;
 
-/// The collision with the highest relative speed, as the collision rate counts them: boxes that overlap at a future timestep and did
-/// not at present, of two of whom at least one moves. One of the two must be generated there; the two that were asked are excused
-/// where a collision was asked for or the limits say so. Where the recording gives no size, nothing is claimed that the smallest of
-/// its kind would not do ([`Track::extent_or_least`]), and nothing of two who are in each other at present by a usual size of one of them:
-/// trackers follow some vehicles twice. The metrics of collisions take usual sizes.
+/// The collision with the highest relative speed, as the collision rate counts them: boxes that overlap at a future
+/// timestep and did not at present, of two agents of which at least one moves. One of the two must be generated there.
+/// The requested agents are excused if a collision was requested or the limits allow it. If the recording gives no
+/// size, an agent has the least size of its class ([`Track::extent_or_least`]), and two agents do not count if they
+/// overlap at present with one at its nominal size: trackers follow some vehicles twice. The metrics of collisions take
+/// nominal sizes.
 pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Violation> {
     let scene = judged.scene;
     let asked: Vec<usize> = judged.asked.tracks().filter_map(|track| scene.track_idx(track)).collect();
@@ -25,13 +26,13 @@ pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Viol
         }
         let velocity = |agent_idx: usize| scene.state(agent_idx, collision.timestep).map_or(Vec2::ZERO, |s| s.velocity);
         let relative_mps = (velocity(first) - velocity(second)).norm();
-        // Any touch is one too many, at whatever speed.
+        // Any touch is a violation, at whatever speed.
         keep_worse(&mut worst, Violation::new(Check::Collision, scene, first, collision.timestep, (relative_mps, 0.0)));
     }
     worst
 }
 
-/// Whether the smallest box of one of the two is in the usual box of the other at present.
+/// Whether the least box of one agent overlaps the nominal box of the other at present.
 fn may_be_one(scene: &Scene, pair: [usize; 2]) -> bool {
     let boxes = pair.map(|agent_idx| {
         let track = &scene.tracks[agent_idx];
@@ -42,7 +43,7 @@ fn may_be_one(scene: &Scene, pair: [usize; 2]) -> bool {
     usual.overlaps(&other_least) || least.overlaps(&other_usual)
 }
 
-/// The scene with agents of unknown size as small as any of their kind.
+/// The scene with agents of unknown size at their least size.
 fn at_least_size(scene: &Scene) -> Cow<'_, Scene> {
     if scene.tracks.iter().all(|track| track.extent.is_some()) {
         return Cow::Borrowed(scene);

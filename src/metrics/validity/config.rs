@@ -1,4 +1,4 @@
-//! Which limits must a valid scenario keep?
+//! The limits of a valid scenario.
 
 use super::Check;
 use crate::scene::Dataset;
@@ -14,11 +14,11 @@ use std::collections::BTreeSet;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ValidityConfig {
-    /// Checks that are left out.
+    /// Checks to skip.
     pub skip: Vec<Check>,
-    /// The datasets whose positions are good enough for checks of motion: acceleration, deceleration, lateral acceleration, jerk, yaw
-    /// rate, curvature, heading and both of the start. Default `interaction` and `argoverse2`: in Argoverse 1 positions are those of
-    /// a tracker, unfiltered and at uneven times: no recorded scene would pass.
+    /// The datasets whose positions are good enough for checks of motion: acceleration, deceleration, lateral
+    /// acceleration, jerk, yaw rate, curvature, heading and both of the start. Default `interaction` and `argoverse2`:
+    /// Argoverse 1 has positions of a tracker, unfiltered and at uneven times, so that no recorded scene would pass.
     pub motion_of: Vec<Dataset>,
     /// Positions and headings are fitted over this time, seconds. Default 0.7.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 5.0))]
@@ -41,26 +41,26 @@ pub struct ValidityConfig {
     /// Largest curvature of a path, 1/m: the yaw rate may be this times the speed. Default 0.3, a circle of 3.3 m.
     #[schemars(range(min = 0.0))]
     pub max_curvature_per_m: f64,
-    /// Added to that yaw rate, rad/s, so that noise of agents that stand or creep is not judged. Default 0.2.
+    /// Added to that yaw rate, rad/s, so that noise of agents that stand or creep does not count. Default 0.2.
     #[schemars(range(min = 0.0))]
     pub yaw_rate_slack_radps: f64,
     /// Largest angle between heading and motion, radians, for vehicles faster than 2 m/s. Default 0.35, 20 degrees.
     #[schemars(range(min = 0.0))]
     pub max_slip_rad: f64,
-    /// Where given and generated states meet: largest distance of the next state from where the last motion leads, meters.
+    /// Where given and generated states meet: largest distance of the next state from the extrapolated motion, meters.
     /// Default 0.3.
     #[schemars(range(min = 0.0))]
     pub max_start_offset_m: f64,
     /// Where given and generated states meet: largest turn from one timestep to the next, radians. Default 0.2.
     #[schemars(range(min = 0.0))]
     pub max_start_turn_rad: f64,
-    /// How far the center of a vehicle may leave the lanes (those without boundaries: 1.9 m on either side of their center line), meters.
-    /// Default 0.3.
+    /// How far the center of a vehicle may be outside the lanes (for lanes without boundaries: 1.9 m on either side of
+    /// their center line), meters. Default 0.3.
     #[schemars(range(min = 0.0))]
     pub offroad_slack_m: f64,
-    /// Where more than this share of the states of recorded vehicles lies off the road, or more than this share of the
-    /// recorded scenes holds a departure from it, the map of the place lacks parts of the road: departures are not
-    /// judged there, and every table says so. Default 0.03; 1 to judge them by any map.
+    /// If more than this share of the states of recorded vehicles lies off the road, or more than this share of the
+    /// recorded scenes has a departure from it, the map of the place lacks parts of the road: departures are not judged
+    /// there, and every table says so. Default 0.03; 1 to judge them by any map.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_recorded_offroad: f64,
     /// Places where departures are not judged, in addition to those that `max_recorded_offroad` excludes.

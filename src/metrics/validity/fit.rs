@@ -1,4 +1,4 @@
-//! How does an agent move around a timestep? Polynomials fitted to its positions nearby.
+//! The motion of an agent around a timestep, by polynomials fitted to its positions.
 
 use crate::geometry::{Vec2, unwrap_angles};
 use crate::scene::{State, Trajectory};
@@ -31,7 +31,7 @@ impl Fitter {
         Self { half: (((window_s / dt_s - 1.0) / 2.0 - 1e-9).ceil() as usize).max(2), dt_s }
     }
 
-    /// The fit around `middle`. `None` where the window has a state that is missing or not finite.
+    /// The fit around `middle`. `None` if the window has a state that is missing or not finite.
     pub(super) fn at(&self, trajectory: &Trajectory, middle: usize) -> Option<LocalFit> {
         let first = middle.checked_sub(self.half)?;
         let states: Vec<&State> = (first..=middle + self.half)

@@ -1,28 +1,29 @@
-//! Does the map of a place say where vehicles drive there? Told from the place's own recordings.
+//! Does the map of a place show the whole road? Its recordings tell.
 
 use super::{Check, Judged, ValidityConfig, offroad};
 use crate::metrics::road::Road;
 use crate::scene::{Roles, Scene};
 use serde::{Deserialize, Serialize};
 
-/// Timesteps between the states that are looked at: neighbors say the same.
+/// Every so many timesteps are counted; neighboring timesteps are redundant.
 const STRIDE: usize = 5;
 
 /// How well the recorded vehicles of a place keep to its lanes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MapFit {
-    /// Recorded scenes looked at.
+    /// Number of recorded scenes.
     pub n_scenes: u64,
-    /// In which a vehicle leaves the road.
+    /// Number of scenes in which a vehicle leaves the road.
     pub n_scenes_leaving: u64,
-    /// States of vehicles looked at.
+    /// Number of counted states of vehicles.
     pub n_states: u64,
-    /// Which are off the road.
+    /// Number of states off the road.
     pub n_states_off: u64,
 }
 
 impl MapFit {
-    /// That of a recorded scene: every fifth state of its vehicles, and whether it would pass the check of departures.
+    /// The counts of a recorded scene: every fifth state of its vehicles, and whether it passes the check of
+    /// departures.
     pub fn of(scene: &Scene, config: &ValidityConfig) -> Self {
         let judged = Judged::future_of(scene, Roles::none());
         let road = Road::new(&scene.lanes);
@@ -38,7 +39,7 @@ impl MapFit {
         }
     }
 
-    /// Both together.
+    /// The sum of both.
     #[must_use]
     pub const fn with(self, other: Self) -> Self {
         Self {
@@ -49,8 +50,8 @@ impl MapFit {
         }
     }
 
-    /// Whether departures from the road can be judged by the map: at most the share of the configuration of the recorded states lies off the
-    /// road, and at most that share of the recorded scenes, or a single one, holds a departure.
+    /// Whether departures from the road can be judged by the map: at most the configured share of the recorded states
+    /// lies off the road, and at most that share of the recorded scenes, or a single one, has a departure.
     pub fn allows_offroad(&self, config: &ValidityConfig) -> bool {
         let is_rare = |n: u64, of: u64| n as f64 <= config.max_recorded_offroad * of as f64;
         is_rare(self.n_states_off, self.n_states)
@@ -59,8 +60,8 @@ impl MapFit {
 }
 
 impl Judged<'_> {
-    /// The checks that are not made of the scene, whatever happens in it: those that the configuration leaves out, those of motion where the
-    /// dataset does not allow them, and of departures from the road where there is no map, or one that does not say where the road is.
+    /// The checks that are not made of the scene: those that the configuration skips, those of motion if the dataset
+    /// does not allow them, and of departures from the road if there is no map, or the map lacks parts of the road.
     pub fn not_checked(&self, config: &ValidityConfig) -> Vec<Check> {
         let is_made = |check: Check| match check {
             _ if config.skip.contains(&check) => false,

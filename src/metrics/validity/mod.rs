@@ -1,11 +1,12 @@
 //! Could it have happened? Checks of single scenarios that no recording of real traffic should fail.
 //!
-//! Every check looks at what was generated: at windows of time that hold a generated state, at collisions of generated agents, at
-//! the seams between given and generated states. The recording, seen as if it had been generated, is judged beside it: what it passes
-//! shows how much the limits ask.
+//! Only generated states count: windows of time that contain a generated state, collisions of generated agents, the
+//! seams between given and generated states. The recording is judged beside it, as if it had been generated, and shows
+//! how strict the limits are.
 //!
-//! Velocities, accelerations and jerks come from polynomials fitted to positions over 0.7 s ([`LocalFit`]), so that rounding and the
-//! noise of trackers do not count, but a step in position or speed does. One check a function; [`Check`] names them all.
+//! Velocities, accelerations and jerks come from polynomials fitted to positions over 0.7 s ([`LocalFit`]), so that
+//! rounding and the noise of trackers do not count, but a step in position or speed does. Each check is a function;
+//! [`Check`] names them all.
 
 mod check;
 mod collision;
@@ -31,7 +32,7 @@ use crate::scene::{AgentClass, Roles, Scene};
 pub struct Judged<'a> {
     /// The scene.
     pub scene: &'a Scene,
-    /// Who was asked to show something: their collisions with each other can be excused.
+    /// The requested agents, whose collisions with each other can be excused.
     pub asked: &'a Roles,
     may_collide: bool,
     generated: Box<dyn Fn(usize, usize) -> bool + 'a>,
@@ -48,13 +49,13 @@ impl<'a> Judged<'a> {
         Self::new(scene, asked, |_, timestep| timestep >= scene.n_history)
     }
 
-    /// The same, with the collisions of those who were asked with each other excused if they were `asked_to_collide`.
+    /// The same, with the collisions of the requested agents with each other excused if they were `asked_to_collide`.
     #[must_use]
     pub fn excused_if(self, asked_to_collide: bool) -> Self {
         Self { may_collide: asked_to_collide, ..self }
     }
 
-    /// Whether a state is there and was generated.
+    /// Whether a state exists and was generated.
     fn is_generated(&self, agent_idx: usize, timestep: usize) -> bool {
         self.scene.state(agent_idx, timestep).is_some() && (self.generated)(agent_idx, timestep)
     }
@@ -65,7 +66,8 @@ impl<'a> Judged<'a> {
         (0..self.scene.tracks.len()).filter(has_any)
     }
 
-    /// Whether the agent drives as vehicles do. Of agents of unknown class too little is known, but in Argoverse 1 nearly all are cars.
+    /// Whether the agent moves like a vehicle. Agents of unknown class count, because nearly all of them are cars in
+    /// Argoverse 1.
     fn is_vehicle(&self, agent_idx: usize) -> bool {
         matches!(
             self.scene.tracks[agent_idx].class,
@@ -91,7 +93,7 @@ impl<'a> Judged<'a> {
     }
 }
 
-/// Keeps of two violations of a check the one that is farther beyond its limit; the first of equals.
+/// Keeps the violation that is farther beyond its limit; the first of equals.
 fn keep_worse(worst: &mut Option<Violation>, candidate: Violation) {
     if worst.as_ref().is_none_or(|known| candidate.excess() > known.excess()) {
         *worst = Some(candidate);

@@ -1,4 +1,4 @@
-//! Can a vehicle move like that? Limits on what polynomials fitted to its path say.
+//! Checks of a vehicle's motion, by polynomials fitted to its path.
 
 use super::check::exceeds;
 use super::fit::Fitter;
@@ -6,9 +6,9 @@ use super::{Check, Judged, LocalFit, ValidityConfig, Violation, keep_worse};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::State;
 
-/// Below this speed the direction of motion is that of the heading, m/s.
+/// Below this speed the heading is taken as the direction of motion, m/s.
 const MOVING_MPS: f64 = 1.0;
-/// Below this speed nothing is said of the angle between heading and motion, m/s: who maneuvers may well go backwards.
+/// Below this speed the angle between heading and motion is not checked, m/s: a maneuvering vehicle may go backward.
 const SLIP_FROM_MPS: f64 = 2.0;
 
 /// The checks of motion that vehicles fail, each at its worst place.
@@ -35,7 +35,7 @@ pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Vi
     worst.into_iter().flatten().collect()
 }
 
-/// What is checked of one fit: the check, its value and its limit.
+/// The checks of one fit, with value and limit.
 fn limits(fit: &LocalFit, state: &State, config: &ValidityConfig) -> [(Check, f64, f64); 7] {
     let speed_mps = fit.velocity.norm();
     let forward = match speed_mps >= MOVING_MPS {

@@ -1,10 +1,11 @@
-//! Does a vehicle leave the road?
+//! The check for departures from the road.
 
 use super::check::exceeds;
 use super::{Check, Judged, ValidityConfig, Violation, keep_worse};
 use crate::metrics::road::Road;
 
-/// The farthest that the center of a vehicle, which is on the road at present, leaves it. Nothing is said of scenes without lanes.
+/// The farthest departure of the center of a vehicle that is on the road at present. Scenes without lanes are not
+/// checked.
 pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Violation> {
     let scene = judged.scene;
     if scene.lanes.is_empty() {

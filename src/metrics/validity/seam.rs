@@ -1,14 +1,14 @@
-//! Does what was generated begin where the past ends? The states on both sides of each seam.
+//! Checks of the seams between given and generated states.
 
 use super::check::exceeds;
 use super::{Check, Judged, ValidityConfig, Violation, keep_worse};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::State;
 
-/// Motion is carried on from the mean velocity over so many timesteps, or as many as there are.
+/// Motion is extrapolated from the mean velocity over at most so many timesteps.
 const N_BEFORE: usize = 3;
 
-/// Jumps in position and heading where a given state is followed by a generated one, or a generated one by a given one.
+/// Jumps in position and heading between a given state and a generated one, in either order.
 pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Violation> {
     let scene = judged.scene;
     let (mut position, mut heading) = (None, None);

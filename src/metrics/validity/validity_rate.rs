@@ -1,4 +1,4 @@
-//! How many samples are valid?
+//! The share of valid samples.
 
 use super::{Judged, ValidityConfig};
 use crate::metrics::{Direction, Metric, MetricSpec, SampleGroup};
@@ -20,7 +20,7 @@ impl Metric for ValidityRate {
             id: "validity_rate",
             unit: "1",
             direction: Direction::HigherIsBetter,
-            description: "share of samples that pass every check of validity",
+            description: "share of samples that pass every validity check",
         }
     }
 

@@ -1,8 +1,8 @@
-//! Features as coordinates in frames of the plane: products of features that were moved to a common frame depend on how their own
-//! frames lie to each other, and on nothing else (Miyato et al. 2024, GTA).
+//! Features as coordinates in frames of the plane: products of features in a common frame depend only on the relative
+//! pose of their own frames (Miyato et al. 2024, GTA).
 //!
-//! Each head's features are taken three at a time, as homogeneous coordinates (u, v, w) of the plane; what a head has beyond
-//! whole triples is left as it is. A frame g with rotation R and origin t acts on them by ρ(g) = [R t; 0 1].
+//! Each head's features are taken three at a time, as homogeneous coordinates (u, v, w) of the plane; features beyond
+//! whole triples stay as they are. A frame g with rotation R and origin t acts on them by ρ(g) = [R t; 0 1].
 
 use candle_core::{CpuStorage, CustomOp1, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
@@ -19,7 +19,7 @@ pub enum FrameMap {
     ToCommon,
     /// ρ⁻¹: from the common frame to the row's own.
     FromCommon,
-    /// ρ⁻ᵀ: what products with `ToCommon` features need on their other side.
+    /// ρ⁻ᵀ: for the other factor of products with `ToCommon` features.
     Dual,
     /// ρᵀ: the transpose of `ToCommon`.
     DualBack,

@@ -92,20 +92,20 @@ pub(super) fn matmul(dst: &mut [f32], into: Into, scale: f32, lhs: Matrix<'_>, r
 fn fitting<F>(dst: &[f32], lhs: &Matrix<'_, F>, rhs: &Matrix<'_, F>) -> (usize, usize, usize) {
     let (m, n, k) = (lhs.n_rows, rhs.n_cols, lhs.n_cols);
     assert_eq!(k, rhs.n_rows, "inner dimensions differ");
-    assert_eq!(dst.len(), m * n, "the product has another size");
+    assert_eq!(dst.len(), m * n, "the product has a different size");
     assert!(lhs.is_inside() && rhs.is_inside(), "a matrix leaves its slice");
     (m, n, k)
 }
 
-/// How exactly factors of products are kept.
+/// The precision of the factors of products.
 pub(super) trait Factors: Send + Sync + 'static {
-    /// What a factor is kept as.
+    /// The type of a factor.
     type Factor: Copy + Default + Send + Sync;
 
-    /// Rows that one task maps: with them its share of inputs and outputs stays in the cache between product and activation.
+    /// Rows of one task, few enough that their inputs and outputs stay in the cache between product and activation.
     const N_ROWS: usize;
 
-    /// The factors that stand for these numbers.
+    /// These numbers as factors.
     fn of(values: Cow<'_, [f32]>) -> Cow<'_, [Self::Factor]>;
 
     /// dst = [dst +] lhs · rhs, as [`matmul`].
@@ -132,7 +132,7 @@ impl Factors for F32 {
 pub(super) struct Tf32;
 
 impl Tf32 {
-    /// Tensor cores read the sign, the exponent and the first ten bits behind the point, and no others.
+    /// Tensor cores read only the sign, the exponent and the first ten bits of the fraction.
     const fn cut(value: f32) -> f32 {
         if value.is_nan() { value } else { f32::from_bits(value.to_bits() & !0x1fff) }
     }
@@ -151,8 +151,8 @@ impl Factors for Tf32 {
     }
 }
 
-/// The nearest number of eight bits, of two equally near ones the even one: what lies beyond them is rounded in whole numbers,
-/// and what is carried goes to the exponent. As `bf16::from_f32`, without its branches, which cost more than the rounding.
+/// The nearest number of eight bits, ties to even: the rest is rounded in integer arithmetic, and a carry goes to the
+/// exponent. As `bf16::from_f32`, without its branches, which cost more than the rounding.
 fn nearest_halved(value: f32) -> bf16 {
     if value.is_nan() {
         return bf16::NAN;
@@ -162,7 +162,7 @@ fn nearest_halved(value: f32) -> bf16 {
 }
 
 thread_local! {
-    /// Room for a product before it becomes `f32`, kept lest each one be cleared first.
+    /// A buffer for a product before it becomes `f32`, reused so that it need not be cleared.
     static PRODUCT: RefCell<Vec<bf16>> = const { RefCell::new(Vec::new()) };
 }
 
@@ -171,7 +171,7 @@ pub(super) struct Bf16;
 
 impl Factors for Bf16 {
     type Factor = bf16;
-    /// Each task packs the weights anew, which more rows make up for.
+    /// Each task packs the weights anew; more rows amortize it.
     const N_ROWS: usize = 256;
 
     fn of(values: Cow<'_, [f32]>) -> Cow<'_, [bf16]> {

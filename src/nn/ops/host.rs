@@ -1,4 +1,4 @@
-//! Access to the values of tensors in host memory: how do fused operations read and write them without copies?
+//! Access to the values of tensors in host memory, without copies.
 
 use std::cell::RefCell;
 use std::ops::Deref;
@@ -34,7 +34,7 @@ impl<S: Deref<Target = Storage>> Deref for Values<S> {
     fn deref(&self) -> &[f32] {
         match &*self.storage {
             Storage::Cpu(CpuStorage::F32(values)) => &values[self.start..self.end],
-            // `values` has made sure of the type, which cannot change under the lock.
+            // `values` has checked the type, which cannot change under the lock.
             _ => &[],
         }
     }

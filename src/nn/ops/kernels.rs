@@ -1,8 +1,8 @@
-//! Loops over slices, written so that the compiler can use vector instructions: how are numbers summed, and exponentials
-//! and sines taken, fast and with the same result on every machine?
+//! Sums, exponentials and sines over slices, in loops that the compiler can vectorize, with the same result on every
+//! machine.
 
-/// Runs loops with the widest vectors that this processor has, where the program itself is compiled for any. Each number comes from
-/// the same operations in the same order, whatever the width.
+/// Compiles loops for the widest vectors of this processor, although the program itself runs on any. Each number comes
+/// from the same operations in the same order, whatever the width.
 #[inline(always)]
 pub(super) fn vectorized<R>(loops: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(loops)

@@ -40,7 +40,7 @@ pub(super) fn reference(
     }
 }
 
-/// The fused implementation with factors kept as `F` says: see [`linear`](super::linear).
+/// The fused implementation, with factors in the precision of `F`: see [`linear`](super::linear).
 pub(super) fn fused<F: Factors>(
     x: &Tensor,
     weight: &Tensor,
@@ -59,7 +59,7 @@ pub(super) fn fused<F: Factors>(
     )
 }
 
-/// x (.., K), W (N, K), b (N) to (.., N), on `rows` alone; the others are 0.
+/// x (.., K), W (N, K), b (N) to (.., N), only on `rows`; the others are 0.
 struct FusedLinear<F> {
     activation: Activation,
     rows: Vec<u32>,
@@ -143,7 +143,7 @@ impl<F: Factors> CustomOp3 for FusedLinear<F> {
         let mut shape = x_layout.dims().to_vec();
         shape.pop();
         shape.push(n_out);
-        // Transposed once here, lest every product pack its weights anew.
+        // Transposed once here; otherwise every product would pack its weights anew.
         let weight = transposed(&F::of(weight.into()), n_in);
         let mut y = vec![0.0; x.len() / n_in * n_out];
         spans(&mut y, n_out, &self.rows, F::N_ROWS).par_iter_mut().for_each(|span| {
@@ -189,7 +189,7 @@ fn transposed<T: Copy + Default + Send + Sync>(matrix: &[T], n_cols: usize) -> V
     let n_rows = matrix.len() / n_cols;
     let mut transposed = vec![T::default(); matrix.len()];
     transposed.par_chunks_mut(N_OUTPUTS * n_rows).enumerate().for_each(|(task, columns)| {
-        // Sixteen rows at a time: what is written then fills whole cache lines.
+        // Sixteen rows at a time, so that writes fill whole cache lines.
         for (block, rows) in matrix.chunks(N_TRANSPOSED * n_cols).enumerate() {
             for (i, column) in columns.chunks_exact_mut(n_rows).enumerate() {
                 let j = task * N_OUTPUTS + i;

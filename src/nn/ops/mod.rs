@@ -1,7 +1,7 @@
-//! The operations that layers are made of: which implementation serves which device and type?
+//! The operations of layers, and which implementation serves which device and type.
 //!
-//! Every operation has a plain implementation in differentiable candle operations. In `f32` one with its own backward pass takes
-//! its place: a fused one on the processor, kernels on a GPU. The choice is made here and nowhere else.
+//! Every operation has a plain implementation in differentiable candle operations. For `f32`, an implementation with
+//! its own backward pass replaces it: a fused one on the processor, kernels on a GPU. The choice is made only here.
 
 mod adam;
 mod attention;
@@ -27,7 +27,7 @@ use self::gemm::{Bf16, F32, Tf32};
 use super::attention::Axis;
 use super::precision::Precision;
 
-/// What follows an affine map.
+/// The activation after an affine map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Activation {
     /// Nothing.
@@ -36,10 +36,10 @@ pub enum Activation {
     Relu,
 }
 
-/// What computes.
+/// The implementations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Backend {
-    /// Operations of candle.
+    /// candle's operations.
     Plain,
     /// One pass over memory of the host.
     Fused,
@@ -47,20 +47,21 @@ enum Backend {
     Kernels,
 }
 
-/// What serves this tensor.
+/// The implementation for this tensor.
 fn backend(x: &Tensor) -> Backend {
     match (x.device(), x.dtype()) {
         #[cfg(test)]
         (Device::Cpu, DType::F32 | DType::BF16) if cuda::is_emulating() => Backend::Kernels,
         (Device::Cpu, DType::F32) => Backend::Fused,
-        // Factors of products may be halved.
+        // Factors of products may have 16 bits.
         (Device::Cuda(_), DType::F32 | DType::BF16) => Backend::Kernels,
         _ => Backend::Plain,
     }
 }
 
-/// activation(x Wᵀ + b): `x` (.., K), `weight` (N, K), `bias` (N) to (.., N). Rows where `valid` (..) is 0 are exactly 0
-/// and cost nothing. With [`Activation::Relu`] only products may read the result: on a GPU in `bf16` it is halved, as their factors.
+/// activation(x Wᵀ + b): `x` (.., K), `weight` (N, K), `bias` (N) to (.., N). Rows where `valid` (..) is 0 are exactly
+/// 0 and cost nothing. With [`Activation::Relu`] only products may read the result: on a GPU in `bf16` it is stored in
+/// 16 bits, as their factors are.
 ///
 /// # Errors
 /// When shapes do not fit.
@@ -203,9 +204,9 @@ pub fn mode_filter(x: &Tensor, modes: &Tensor, gains: &Tensor) -> Result<Tensor>
     }
 }
 
-/// Takes features between frames of the plane: `x` (.., P H F) holds P parts of H heads of F = `head_dim` features; each part's
-/// triples go through its entry of `maps` in the row's frame, `frames` (.., 4): cosine and sine of its rotation, x and y of its
-/// origin. Differentiable in `x` alone.
+/// Maps features between frames of the plane: `x` (.., P H F) holds P parts of H heads of F = `head_dim` features; each
+/// part's triples go through its entry of `maps` in the row's frame, `frames` (.., 4): cosine and sine of its rotation,
+/// x and y of its origin. Differentiable in `x` alone.
 ///
 /// # Errors
 /// When shapes do not fit.
@@ -252,7 +253,7 @@ pub(super) fn adam_step(parameter: &Tensor, moments: &mut Moments, grad: &Tensor
 /// # Errors
 /// When the device fails.
 pub(super) fn sum_of_squares(tensors: &[&Tensor]) -> Result<f64> {
-    // What a GPU sums is fetched once, not tensor by tensor.
+    // A GPU's sums are fetched once, not tensor by tensor.
     let mut on_gpu = Vec::new();
     let mut sum = 0.0;
     for x in tensors {
@@ -284,7 +285,7 @@ pub(super) fn average_step(average: &mut Tensor, value: &Tensor, decay: f64) -> 
     Ok(())
 }
 
-/// What serves all of these tensors, of which the first is changed in place.
+/// The implementation for all of these tensors, the first of which is changed in place.
 fn one_backend(tensors: &[&Tensor]) -> Backend {
     let first = tensors.first().map_or(Backend::Plain, |x| backend(x));
     match tensors.iter().all(|x| backend(x) == first) && tensors.first().is_some_and(|x| x.is_contiguous()) {
@@ -302,7 +303,7 @@ fn mask_of(name: &str, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
 }
 
 /// Softmax over the last dimension of `scores` among entries where `mask` (broadcast to `scores`) is 1. The others get
-/// exactly 0, also where no entry is left.
+/// exactly 0, even if no entry is left.
 fn masked_softmax(scores: &Tensor, mask: &Tensor) -> Result<Tensor> {
     let mask = mask.broadcast_as(scores.shape())?.contiguous()?;
     let keep = mask.ne(0.0)?;

@@ -11,7 +11,7 @@ pub(super) fn reference(x: &Tensor, modes: &Tensor, gains: &Tensor) -> Result<Te
     let modes = modes.flatten(0, 2)?;
     let along = modes.matmul(&x.transpose(2, 3)?.reshape((b * a * d, t, 1))?)?;
     let scaled = along.reshape((b, a, d, t))?.mul(gains)?;
-    // As a row from the left, which spares transposing the modes.
+    // Multiplying a row from the left avoids transposing the modes.
     let back = scaled.reshape((b * a * d, 1, t))?.matmul(&modes)?;
     back.reshape((b, a, d, t))?.transpose(2, 3)?.contiguous()
 }
@@ -30,7 +30,7 @@ struct FusedModeFilter {
 
 impl FusedModeFilter {
     fn apply(&self, x: &[f32], dims: &[usize]) -> Result<Vec<f32>> {
-        let [_, _, t, d] = *dims else { candle_core::bail!("mode_filter: {dims:?} are no states") };
+        let [_, _, t, d] = *dims else { candle_core::bail!("mode_filter: {dims:?} is not a shape of states") };
         let (modes, gains) = (values(&self.modes)?, values(&self.gains)?);
         let mut y = vec![0.0f32; x.len()];
         let agents = y.par_chunks_mut(t * d).zip(x.par_chunks(t * d));

@@ -1,4 +1,4 @@
-//! The largest of several entries, or 0: how a network reads a set.
+//! The largest of several entries, or 0: how a network pools a set.
 
 use std::sync::OnceLock;
 
@@ -33,7 +33,9 @@ impl CustomOp1 for FusedPool {
 
     fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
         let x = slice(x, layout)?;
-        let [outer @ .., k, f] = layout.dims() else { bail!("pool_positive: {:?} are no sets", layout.dims()) };
+        let [outer @ .., k, f] = layout.dims() else {
+            bail!("pool_positive: {:?} is not a shape of sets", layout.dims())
+        };
         let (k, f) = (*k, *f);
         if k >= usize::from(u8::MAX) {
             bail!("pool_positive: {k} entries are too many");
@@ -64,7 +66,7 @@ impl CustomOp1 for FusedPool {
     fn bwd(&self, x: &Tensor, _y: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         let Some(chosen) = self.chosen.get() else { bail!("pool_positive: there was no forward pass") };
         let grad = grad.contiguous()?;
-        let [.., k, f] = x.dims() else { bail!("pool_positive: {:?} are no sets", x.dims()) };
+        let [.., k, f] = x.dims() else { bail!("pool_positive: {:?} is not a shape of sets", x.dims()) };
         let (k, f) = (*k, *f);
         let mut dx = vec![0.0f32; x.elem_count()];
         if k > 0 && f > 0 {

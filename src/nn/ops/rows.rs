@@ -1,4 +1,4 @@
-//! The rows of a matrix that take part in an operation: how is work shared among threads without any on padding?
+//! The rows of a matrix that take part in an operation, shared among threads without work on padding.
 
 use std::borrow::Cow;
 
@@ -49,8 +49,8 @@ impl Span<'_, '_> {
     }
 }
 
-/// Splits a matrix of rows of `width` into spans of `n` of the given `rows` (ascending). The split depends on nothing else,
-/// so that results are the same for any number of threads.
+/// Splits a matrix of rows of `width` into spans of `n` of the given `rows` (ascending). The split does not depend on
+/// the number of threads, and neither do results.
 pub(super) fn spans<'a, 'b>(mut values: &'b mut [f32], width: usize, rows: &'a [u32], n: usize) -> Vec<Span<'a, 'b>> {
     let mut spans = Vec::with_capacity(rows.len().div_ceil(n));
     let mut start = 0;

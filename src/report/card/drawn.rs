@@ -1,4 +1,4 @@
-//! What is drawn of lanes and road users, rounded to what an eye can see?
+//! Lanes and road users in drawings, rounded to visible precision.
 
 use super::ViewRect;
 use crate::scene::{Lane, ObservationMask, Roles, Scene};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// How far a drawn lane may lie from the mapped one, meters.
 const LANE_TOLERANCE_M: f64 = 0.05;
 
-/// A lane's lines in the scene frame, meters; empty where the map has none.
+/// A lane's lines in the scene frame, meters; empty if the map has none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DrawnLane {
     /// Points in driving direction.
@@ -18,10 +18,10 @@ pub struct DrawnLane {
     pub right: Vec<[f64; 2]>,
 }
 
-/// One drawing: a recording, or samples of its future one over the other.
+/// One drawing: a recording, or overlaid samples of its future.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScenePanel {
-    /// What it is, such as `recorded`.
+    /// Its title, such as `recorded`.
     pub title: String,
     /// Whether all of it was recorded.
     pub is_recorded: bool,
@@ -33,7 +33,7 @@ pub struct ScenePanel {
     pub samples: Vec<DrawnSample>,
 }
 
-/// One course of events.
+/// One recording or sample.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DrawnSample {
     /// Its name, such as `sample 4`.
@@ -47,15 +47,15 @@ pub struct DrawnSample {
 pub struct DrawnAgent {
     /// Its track id.
     pub id: String,
-    /// Its part in the event, such as `ego`; `None` for everybody else.
+    /// Its role in the event, such as `ego`; `None` for others.
     pub role: Option<String>,
     /// Length along the heading, meters.
     pub length_m: f64,
     /// Width, meters.
     pub width_m: f64,
-    /// x (m), y (m) and heading (rad) in the scene frame by timestep; `None` where it was not tracked.
+    /// x (m), y (m) and heading (rad) in the scene frame by timestep; `None` if it was not tracked.
     pub states: Vec<Option<[f64; 3]>>,
-    /// Whether the state was given to the model, by timestep; of a recording: whether it is history.
+    /// Whether the state was given to the model, by timestep; for a recording, whether it is history.
     pub observed: Vec<bool>,
 }
 
@@ -103,7 +103,7 @@ impl DrawnSample {
 }
 
 impl DrawnAgent {
-    /// Runs of tracked states that are alike in whether they were observed: whether, first timestep, one past the last.
+    /// Runs of tracked states, all observed or none: whether they are, first timestep, one past the last.
     pub(in crate::report) fn stretches(&self) -> Vec<(bool, usize, usize)> {
         let mut stretches: Vec<(bool, usize, usize)> = Vec::new();
         for (timestep, state) in self.states.iter().enumerate() {
@@ -125,7 +125,7 @@ fn centi(value: f64) -> f64 {
     (value * 100.0).round() / 100.0
 }
 
-/// Leaves out points that lie on the line anyway (Ramer 1972, Douglas and Peucker 1973), within [`LANE_TOLERANCE_M`].
+/// Leaves out points that lie on the line (Ramer 1972, Douglas and Peucker 1973), within [`LANE_TOLERANCE_M`].
 fn simplified(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
     let off_line = |p: &[f64; 2]| {

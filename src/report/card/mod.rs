@@ -1,4 +1,4 @@
-//! What is drawn of one scene, and by what can it be found?
+//! The drawings of one scene, and the keys by which it can be found.
 
 mod drawn;
 mod of_records;
@@ -18,9 +18,9 @@ use serde::{Deserialize, Serialize};
 pub struct SceneCard {
     /// Unique within the report, such as the scenario's id.
     pub id: String,
-    /// What happens, in a few words.
+    /// A short title.
     pub title: String,
-    /// What it can be found by.
+    /// Its keys for filters.
     pub key: CardKey,
     /// Provenance, verdict, parameters of the event.
     pub facts: Vec<Fact>,
@@ -32,25 +32,25 @@ pub struct SceneCard {
     pub panels: Vec<ScenePanel>,
 }
 
-/// What a scene can be found by.
+/// The keys of a scene for filters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CardKey {
     /// The sweep's name.
     pub sweep: String,
-    /// The behavior that was asked for.
+    /// The requested behavior.
     pub behavior: Option<String>,
     /// The bucket of a request that it went into.
     pub bucket: Option<CardBucket>,
     /// The place of the recording.
     pub place: String,
-    /// What came of what was asked for.
+    /// The verdict on the requested behavior.
     pub verdict: Verdict,
-    /// Whether it was accepted, and why not; `None` where that was not decided, and of several samples.
+    /// Whether it was accepted, and why not; `None` if that was not decided, and for several samples.
     pub acceptance: Option<Acceptance>,
     /// How strongly it was guided.
     #[serde(flatten)]
     pub level: GuidanceLevel,
-    /// Parameters of the event and metrics of the scenario; of several samples their mean.
+    /// Parameters of the event and metrics of the scenario; means for several samples.
     pub values: Vec<CardValue>,
 }
 
@@ -61,18 +61,18 @@ pub struct CardBucket {
     pub request: String,
     /// Index of the bucket among those of the request.
     pub idx: usize,
-    /// What it holds: `gap_m 0..5, relative_speed_mps -5..0`.
+    /// Its ranges: `gap_m 0..5, relative_speed_mps -5..0`.
     pub ranges: String,
 }
 
 impl CardBucket {
-    /// The request and what the bucket holds.
+    /// The request and the ranges of the bucket.
     pub fn words(&self) -> String {
         format!("{}: {}", self.request, self.ranges)
     }
 }
 
-/// A number that belongs to a scene.
+/// A figure of a scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CardValue {
     /// Its name in the tables, such as `gap_m`.
@@ -84,7 +84,7 @@ pub struct CardValue {
 /// Whether a scenario was accepted: verified, valid and no near-duplicate.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Acceptance {
-    /// Why it was not, such as `near_duplicate`; empty where it was.
+    /// Why it was not, such as `near_duplicate`; empty if it was.
     pub reasons: Vec<String>,
 }
 
@@ -103,17 +103,17 @@ impl Acceptance {
     }
 }
 
-/// What came of what was asked for.
+/// The verdict on the requested behavior.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// Verified, and the recording does not hold it.
+    /// Verified, and not in the recording.
     New,
-    /// Verified; the recording holds it too.
+    /// Verified, and also in the recording.
     Recorded,
     /// The miner does not find it.
     NotVerified,
-    /// No behavior was asked for.
+    /// No behavior was requested.
     NotAsked,
 }
 
@@ -142,7 +142,7 @@ impl Verdict {
     }
 }
 
-/// A generated scene with what was given of it.
+/// A generated scene with its mask.
 #[derive(Debug, Clone, Copy)]
 pub struct Sample<'a> {
     /// Its name, such as `sample 4`.
@@ -154,8 +154,8 @@ pub struct Sample<'a> {
 }
 
 impl SceneCard {
-    /// Draws `recorded` and, one over the other, `samples` of its future with `roles` highlighted; the view follows those
-    /// tracks. Where there are no roles, it is the ego's.
+    /// Draws `recorded` and, overlaid, `samples` of its future with `roles` highlighted; the view follows those tracks,
+    /// or the ego without roles.
     pub fn new(
         (id, title): (String, String),
         key: CardKey,
@@ -182,7 +182,7 @@ impl SceneCard {
         let title_of_samples = match samples {
             [] => None,
             [one] => Some(format!("generated, {}", one.name)),
-            many => Some(format!("generated, {} samples one over the other", many.len())),
+            many => Some(format!("generated, {} samples overlaid", many.len())),
         };
         let drawn = samples.iter().map(|s| DrawnSample::of(s.name, s.scene, s.observed, roles, &view)).collect();
         panels.extend(title_of_samples.map(|title| panel(title, false, drawn)));

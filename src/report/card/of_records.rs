@@ -1,4 +1,4 @@
-//! From generated scenarios to what is drawn of them: one beside its recording, or many samples of one scene.
+//! Cards of generated scenarios: one beside its recording, or many samples of one scene.
 
 use super::{Acceptance, CardBucket, CardKey, CardValue, Sample, SceneCard, Verdict};
 use crate::report::model::Fact;
@@ -8,7 +8,7 @@ use crate::scenario::{BucketTag, RequestOutcome, ScenarioRecord};
 use crate::scene::{GuidanceLevel, Roles, Scene};
 
 impl Verdict {
-    /// What came of what this scenario was asked for.
+    /// The verdict on this scenario's requested behavior.
     pub fn of(record: &ScenarioRecord) -> Self {
         match (&record.requested_behavior, record.verified, record.recorded_event) {
             (None, _, _) => Self::NotAsked,
@@ -20,8 +20,8 @@ impl Verdict {
 }
 
 impl SceneCard {
-    /// Draws a scenario beside the recording it continues, with its provenance, verdict, the parameters of its event and the
-    /// `metrics` that are known of it. `acceptance` is `None` where nothing was decided.
+    /// Draws a scenario beside the recording it continues, with its provenance, verdict, the parameters of its event
+    /// and its `metrics`. `acceptance` is `None` if nothing was decided.
     pub fn of_record(
         record: &ScenarioRecord,
         recorded: &Scene,
@@ -38,7 +38,7 @@ impl SceneCard {
             .collect();
         let key = CardKey { acceptance: acceptance.cloned(), ..key(record, recorded, values) };
         let asked = record.requested_behavior.as_deref().unwrap_or("continuation").replace('_', " ");
-        // That the behavior is missing is among the reasons.
+        // The reasons include a missing behavior.
         let verdict = match acceptance {
             Some(acceptance) if !record.verified => acceptance.words(),
             Some(acceptance) => format!("{}; {}", key.verdict.words(), acceptance.words()),
@@ -58,8 +58,8 @@ impl SceneCard {
         Self::new((scenario.id.clone(), title), key, facts, recorded, &[sample], roles)
     }
 
-    /// Draws samples of one scene, asked for in the same way, one over the other beside their recording. `metrics` are means
-    /// over them. `None` without samples.
+    /// Draws samples of one scene with the same settings, overlaid, beside their recording. `metrics` are means over
+    /// them. `None` without samples.
     pub fn of_samples(records: &[ScenarioRecord], recorded: &Scene, metrics: &[CardValue]) -> Option<Self> {
         let first = records.first()?;
         let provenance = &first.scenario.provenance;
@@ -107,7 +107,7 @@ fn key(record: &ScenarioRecord, recorded: &Scene, values: Vec<CardValue>) -> Car
     }
 }
 
-/// The bucket of a request that took the scenario.
+/// The bucket of the request that accepted the scenario.
 fn bucket(record: &ScenarioRecord) -> Option<CardBucket> {
     let tag = record.request.as_ref().filter(|tag| tag.outcome == RequestOutcome::Accepted)?;
     let BucketTag { idx, ranges } = tag.bucket.clone()?;

@@ -1,8 +1,9 @@
-//! How are thousands of scenes embedded in one page? As whole numbers, differenced, in as few letters as they need.
+//! Packs thousands of scenes into one page: as whole numbers, differenced, in as few letters as possible.
 //!
-//! Positions are centimeters and headings hundredths of a radian. A number is written in base 64 with five bits a letter, the
-//! lowest bit of all being the sign (the variable-length quantities of source maps). Of states that follow each other only the
-//! error of going straight on is written, which is a letter for most traffic. `player.js` reads what this file writes.
+//! Positions are centimeters and headings hundredths of a radian. A number is written in base 64 with five bits a
+//! letter, the lowest bit of all being the sign (the variable-length quantities of source maps). Consecutive states are
+//! written as the error of linear extrapolation, which is one letter for most traffic. `player.js` reads what this file
+//! writes.
 
 use super::{DrawnLane, DrawnSample};
 
@@ -31,7 +32,7 @@ impl Packed {
     }
 }
 
-/// The lanes: their number; of each, three lines: the number of points and their steps in x and y.
+/// The lanes: their number; for each, three lines: the number of points and their steps in x and y.
 pub(in crate::report) fn pack_lanes(lanes: &[DrawnLane]) -> String {
     let mut packed = Packed::default();
     packed.push_len(lanes.len());
@@ -48,9 +49,9 @@ pub(in crate::report) fn pack_lanes(lanes: &[DrawnLane]) -> String {
     packed.0
 }
 
-/// The states of the agents named by `ids`, in that order; those that the sample does not hold have none. Of each agent: the
-/// number of stretches of states; of each stretch: whether it was observed, the timesteps since the last one, its length, and
-/// its states.
+/// The states of the agents in `ids`, in that order; agents that are not in the sample have none. For each agent: the
+/// number of stretches of states; for each stretch: whether it was observed, the timesteps since the last one, its
+/// length, and its states.
 pub(in crate::report) fn pack_sample(sample: &DrawnSample, ids: &[&str]) -> String {
     let mut packed = Packed::default();
     for id in ids {
@@ -61,7 +62,7 @@ pub(in crate::report) fn pack_sample(sample: &DrawnSample, ids: &[&str]) -> Stri
         let stretches = agent.stretches();
         packed.push_len(stretches.len());
         let mut end_before = 0;
-        // The last two states, for going straight on; the first state is written as it is, the second as a step from it.
+        // The last two states, for extrapolation; the first state is written as it is, the second as a step from it.
         let mut last: Option<[[i64; 3]; 2]> = None;
         for (observed, start, end) in stretches {
             packed.push(i64::from(observed));
@@ -95,7 +96,7 @@ mod tests {
         packed.0
     }
 
-    /// Reads numbers as the definition of the format says, independently of how they were written.
+    /// Reads numbers by the definition of the format, independently of the writer.
     fn numbers(letters: &str) -> Vec<i64> {
         let mut found = Vec::new();
         let (mut value, mut shift) = (0i64, 0);

@@ -1,4 +1,4 @@
-//! Which part of the ground does a drawing show?
+//! The part of the ground in a drawing.
 
 use crate::geometry::Vec2;
 use crate::scene::{Roles, Scene};
@@ -19,7 +19,7 @@ pub struct ViewRect {
 }
 
 impl ViewRect {
-    /// The view that holds the tracks of `roles` in all of `scenes`, which share a frame.
+    /// The view around the tracks of `roles` in all of `scenes`, which share a frame.
     pub(super) fn around(scenes: &[&Scene], roles: &Roles) -> Self {
         let mut points: Vec<Vec2> = Vec::new();
         for track in scenes.iter().flat_map(|scene| &scene.tracks) {
@@ -46,7 +46,7 @@ impl ViewRect {
         Self { min, max }
     }
 
-    /// Whether drawings of it stand better one below the other than side by side.
+    /// Whether drawings of it fit better one below the other than side by side.
     pub fn is_long(&self) -> bool {
         let [width, height] = self.size();
         width > 1.6 * height

@@ -1,4 +1,4 @@
-//! The page that sets two runs side by side.
+//! The page of a comparison of two runs.
 
 use super::plain::plain_table;
 use super::{Section, page};
@@ -7,7 +7,7 @@ use crate::report::plain::PlainTable;
 use crate::report::svg::line_chart;
 use maud::{Markup, html};
 
-/// The comparison as one HTML file that needs no other: equal comparisons give equal bytes.
+/// The comparison as one self-contained HTML file: equal comparisons give equal bytes.
 pub fn render_comparison(comparison: &Comparison) -> String {
     let sections: Vec<Section> = [
         Some(Section::new("settings", "Settings that differ", settings(&comparison.settings()))),

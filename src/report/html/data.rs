@@ -1,4 +1,4 @@
-//! What was read, what was left out and why, and which behaviors the recordings hold.
+//! The sections on the recordings: what was read and left out, and the mined behaviors.
 
 use super::{Section, table};
 use crate::evaluate::MiningSummary;

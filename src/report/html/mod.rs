@@ -1,4 +1,4 @@
-//! The page: which sections, in which order, with what around them?
+//! The page: its sections in their order, and the frame around them.
 
 mod comparison;
 mod data;
@@ -39,7 +39,7 @@ impl Section {
     }
 }
 
-/// The report as one HTML file that needs no other: equal models give equal bytes.
+/// The report as one self-contained HTML file: equal models give equal bytes.
 pub fn render(model: &ReportModel) -> String {
     let first = [
         Some(warnings(model)),
@@ -64,7 +64,7 @@ pub fn render(model: &ReportModel) -> String {
     page(&model.title, &head(model), &sections, &scripts.unwrap_or_default())
 }
 
-/// What comes before the contents: the run at a glance, and what it was.
+/// The part before the contents: the run at a glance, and its facts.
 fn head(model: &ReportModel) -> Markup {
     html! {
         (summary::summary(model))
@@ -72,7 +72,7 @@ fn head(model: &ReportModel) -> Markup {
     }
 }
 
-/// How the titles of our pages end: by it, a page is known for ours.
+/// The end of our pages' titles, by which they are recognized.
 pub const PAGE_MARK: &str = " – djinn report";
 
 /// A whole page around its sections.
@@ -147,7 +147,8 @@ fn facts(facts: &[Fact]) -> Markup {
     }
 }
 
-/// A table, which a script lays out anew where the page is too narrow for it; without scripts it scrolls. `head` and `body` hold the rows.
+/// A table, which a script rearranges if the page is too narrow; without scripts it scrolls. `head` and `body` hold the
+/// rows.
 fn table(caption: &str, head: &Markup, body: &Markup) -> Markup {
     html! {
         div class="scroll" tabindex="0" role="region" aria-label=(caption) {

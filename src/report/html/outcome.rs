@@ -1,4 +1,4 @@
-//! What was asked for, what came out, and what it cost.
+//! The section on requested and generated scenarios, and their cost.
 
 use super::{Section, table};
 use crate::evaluate::SamplingRow;
@@ -60,7 +60,7 @@ fn sampling_table(model: &ReportModel) -> Markup {
     }
 }
 
-/// What the recordings that a sweep continues hold by themselves, as far as it was measured.
+/// The row of the recordings that a sweep continues, if they were measured.
 fn recorded_row(model: &ReportModel, row: &SamplingRow) -> Markup {
     let of = |metric: &str| recorded_value(model, &row.sweep, metric).map_or_else(|| ABSENT.to_owned(), percent);
     let behavior = if row.behavior.is_some() { of("behavior_rate") } else { ABSENT.to_owned() };
@@ -90,7 +90,7 @@ fn rate(row: &SamplingRow) -> Markup {
     }
 }
 
-/// What a verified scenario cost, failures included.
+/// The cost of a verified scenario, including failures.
 fn cost(row: &SamplingRow) -> String {
     if row.n_verified == 0 {
         return ABSENT.to_owned();

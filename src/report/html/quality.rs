@@ -1,4 +1,4 @@
-//! How do generated scenes compare with the recording and with a simple baseline?
+//! Metrics and distributions of generated scenes beside the recording and constant velocity.
 
 use super::{Section, table};
 use crate::evaluate::{MetricDoc, RealismRow};
@@ -19,11 +19,11 @@ pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
     if rows.is_empty() {
         return None;
     }
-    // What is defined nowhere, such as the figures of another dataset, needs no column.
+    // Metrics without any value, such as those of another dataset, get no row.
     let docs: Vec<&MetricDoc> = docs.iter().filter(|doc| rows.iter().any(|row| row.metric == doc.metric)).collect();
     let mut places = distinct(rows.iter().map(|row| row.place.clone()));
     if let [_, _] = &places[..] {
-        // All places together are the one place there is.
+        // With a single place, the table of all places is enough.
         places.retain(|place| !place.is_empty());
     }
     let body = html! {
@@ -43,7 +43,7 @@ pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
     Some(Section::new("metrics", "Metrics beside recording and baseline", body))
 }
 
-/// A row for each metric, a column for each series: metrics are many. More series than fit beside each other make further tables.
+/// A row for each metric, a column for each series. Series that do not fit side by side go into further tables.
 fn place_tables(place: &str, docs: &[&MetricDoc], rows: &[&MetricRow]) -> Markup {
     // In order of first appearance: the writer puts the recording and the baseline first.
     let all_series = distinct(rows.iter().map(|row| row.series()));
@@ -120,7 +120,7 @@ pub(super) fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
     seen
 }
 
-/// Distances of whole sweeps, and histograms with their own.
+/// Distances of whole sweeps, and histograms with their distances.
 pub(super) fn distributions(model: &ReportModel) -> Option<Section> {
     let ReportModel { realism, distributions, .. } = model;
     let reference = distributions.first().and_then(|d| d.series.first()).map(|series| &series.name);

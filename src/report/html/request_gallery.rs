@@ -1,14 +1,14 @@
-//! What was got for a request, at a glance: one drawing for each bucket, which leads to the scene below.
+//! The gallery of a request: one drawing for each bucket, linked to the scene below.
 
 use crate::report::card::{CardBucket, SceneCard};
 use crate::report::number::count;
 use crate::report::svg::scene_panel;
 use maud::{Markup, html};
 
-/// Buckets with a drawing: each takes some tens of kilobytes of the page.
+/// Maximum number of drawings: each takes some tens of kilobytes of the page.
 const N_DRAWN: usize = 24;
 
-/// The first scenario of each bucket of a request among the `cards` of the page; nothing where there is none.
+/// The first scenario of each bucket of a request among the `cards` of the page, if there is one.
 pub(super) fn gallery(request: &str, cards: &[SceneCard]) -> Markup {
     let mut firsts: Vec<(usize, &SceneCard, &CardBucket)> = Vec::new();
     for (card_idx, card) in cards.iter().enumerate() {

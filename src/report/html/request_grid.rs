@@ -1,13 +1,14 @@
-//! The buckets of a request at a glance: one parameter across, the others down, and in each cell what was got of what was asked.
+//! The grid of a request's buckets: one parameter across, the others down, and in each cell the accepted and wanted
+//! scenarios.
 
 use crate::generate::BucketSummary;
 use crate::report::number::{count, optional};
 use maud::{Markup, html};
 
-/// The grid, where there are buckets of two parameters or more.
+/// The grid, for buckets of at least two parameters.
 pub(super) fn grid(buckets: &[BucketSummary]) -> Option<Markup> {
     let (across, down) = buckets.first()?.parts.split_last().filter(|(_, down)| !down.is_empty())?;
-    // The last parameter changes fastest: a row of the grid is a run of buckets that differ in nothing else.
+    // The last parameter changes fastest: a row of the grid is a run of buckets that differ only in it.
     let rows: Vec<&[BucketSummary]> = buckets.chunk_by(|a, b| fixed(a) == fixed(b)).collect();
     Some(html! {
         table class="bucket-grid" {
@@ -58,7 +59,7 @@ fn fixed(bucket: &BucketSummary) -> Vec<&str> {
     fixed_parts(bucket).iter().map(|part| part.range.as_str()).collect()
 }
 
-/// A range of a bucket as people write it.
+/// A range of a bucket for display.
 pub(super) fn range(text: &str) -> String {
     text.replace('-', "−").replace("..", " to ")
 }

@@ -1,4 +1,4 @@
-//! What was asked by parameters, and what was got: buckets, arms, and what each accepted scenario cost.
+//! The section on requests: buckets, arms, and the cost of accepted scenarios.
 
 use super::request_gallery::gallery;
 use super::request_grid::{grid, range};
@@ -39,7 +39,7 @@ fn one(request: &RequestSummary, cards: &[SceneCard]) -> Markup {
     }
 }
 
-/// A row for each bucket; the accepted scenarios of each arm beside each other.
+/// A row for each bucket, with the accepted scenarios of each arm.
 fn buckets(request: &RequestSummary) -> Markup {
     let head = html! {
         tr {
@@ -72,8 +72,8 @@ fn buckets(request: &RequestSummary) -> Markup {
     html! {
         (table(&format!("Buckets of {}", request.name), &head, &body))
         p class="note" {
-            "A bucket holds its lower edge and not its upper one. Pairs can fall into it, as far as their past and the limits of driving tell. Surplus scenarios are as asked, but came when their bucket was full; repeated ones, "
-            "when it had enough of the same scene and agents; in near-duplicates those who were asked move almost as in an accepted scenario. All three are among the samples and not in the corpus. All buckets are filled from the same "
+            "A bucket contains its lower edge and not its upper one. Pairs can fall into it by their past and the limits of driving. Surplus scenarios meet the request, but came when their bucket was full; repeated ones, "
+            "when it had enough of the same scene and agents; in near-duplicates the requested agents move almost as in an accepted scenario. All three are among the samples and not in the corpus. All buckets are filled from the same "
             "samples: the cost of a scenario is what was evaluated while its bucket was open, for other buckets too. Hits are scenarios in the bucket, "
             "accepted or not, of all samples of the arm."
         }

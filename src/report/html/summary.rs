@@ -1,4 +1,4 @@
-//! The first screen: what was asked, what was got, what it cost, and whether to trust it.
+//! The first screen: request, result, cost, and whether to trust it.
 
 use crate::evaluate::{SamplingRow, ValidityRow};
 use crate::metrics::Group;
@@ -6,7 +6,7 @@ use crate::report::model::ReportModel;
 use crate::report::number::{count, share, value};
 use maud::{Markup, html};
 
-/// The run in four boxes; those of which the run tells nothing are left out.
+/// The run in four boxes; boxes without content are left out.
 pub(super) fn summary(model: &ReportModel) -> Markup {
     html! {
         ul class="summary" {

@@ -1,4 +1,4 @@
-//! Curves over guidance strength: what is got, and at which price.
+//! The section of curves over guidance strength: yield and cost.
 
 use super::Section;
 use crate::report::model::ReportModel;
@@ -11,8 +11,8 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
     (!charts.is_empty()).then(|| {
         let body = html! {
             p class="note" {
-                "Sweeps at several guidance strengths; 0 is sampling of the same scenes and agents toward nothing. Whiskers are Wilson's 95 % intervals over scenarios; "
-                "samples of one scene are correlated, so the true uncertainty is larger. Level lines are the recordings that the sweep continues, or everybody going on as at the present. "
+                "Sweeps at several guidance strengths; 0 is unguided sampling of the same scenes and agents. Whiskers are Wilson's 95 % intervals over scenarios; "
+                "samples of one scene are correlated, so the true uncertainty is larger. Level lines are the recordings that the sweep continues, or constant velocity. "
                 "Distances are those of the table of motion below; the cost of a verified scenario counts the failures, too."
             }
             div class="grid" { @for chart in &charts { (line_chart(chart)) } }

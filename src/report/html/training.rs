@@ -1,4 +1,4 @@
-//! How were the networks trained, and how good is the classifier?
+//! The section on the training of networks and the quality of the classifier.
 
 use super::plain::plain_table;
 use super::{Section, facts, table};

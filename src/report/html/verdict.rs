@@ -1,4 +1,4 @@
-//! Rejected scenarios? From samples to accepted scenarios, reason by reason, and what the checks say of the recordings.
+//! The section on rejected scenarios: reasons, and the validity checks on scenarios and recordings.
 
 use super::quality::{distinct, heading_of_series};
 use super::{Section, table};
@@ -8,7 +8,7 @@ use crate::report::model::ReportModel;
 use crate::report::number::{ABSENT, count, level, optional, percent, share};
 use maud::{Markup, html};
 
-/// The section. `None` where nothing was evaluated.
+/// The section; `None` if nothing was evaluated.
 pub(super) fn section(model: &ReportModel) -> Option<Section> {
     (!model.acceptance.is_empty()).then(|| {
         let body = html! {
@@ -92,7 +92,7 @@ fn left_out(rows: &[LeftOutRow]) -> Markup {
     }
 }
 
-/// At which places the map tells where the road is.
+/// The places whose maps show the whole road.
 fn maps(rows: &[MapFitRow]) -> Markup {
     let head = html! {
         tr {
@@ -111,7 +111,7 @@ fn maps(rows: &[MapFitRow]) -> Markup {
         }
     };
     html! {
-        (table("Maps, and whether they say where the road is", &head, &body))
+        (table("Maps, and whether they show the whole road", &head, &body))
         p class="note" {
             "Where more of the recorded vehicles' states lie off the lanes, or more recorded scenes hold a departure, than "
             code { "evaluate.validity.max_recorded_offroad" } " says, the map lacks road that people drive on: the check is not made there."
@@ -123,7 +123,7 @@ fn n_not_checked(row: &ValidityRow, check: Check) -> u64 {
     row.not_checked.get(check.id()).copied().unwrap_or(0)
 }
 
-/// Which checks were not made, and of how many scenes.
+/// The checks that were not made, with the numbers of scenes.
 fn not_checked(rows: &[&ValidityRow]) -> Markup {
     let n_scenes: u64 = rows.iter().map(|row| row.n).sum();
     let n_of = |check| rows.iter().map(|row| n_not_checked(row, check)).sum::<u64>();
@@ -132,7 +132,7 @@ fn not_checked(rows: &[&ValidityRow]) -> Markup {
     html! {
         @if !left_out.is_empty() {
             p class="note" {
-                "Not checked, so that nothing is said of it: "
+                "Not checked: "
                 @for (i, (check, n)) in left_out.iter().enumerate() {
                     @if i > 0 { ", " } (check.id().replace('_', " ")) " in " (count(*n)) " of " (count(n_scenes)) " scenes"
                 }

@@ -1,4 +1,4 @@
-//! Where does a value lie on a chart, and which ticks help to read it?
+//! The axes of charts, with their ticks.
 
 use crate::report::number::{coordinate, tick};
 use maud::{Markup, html};
@@ -12,7 +12,7 @@ const RIGHT: f64 = 14.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 46.0;
 
-/// One axis: the values it spans and how they are spread.
+/// One axis: its range, linear or logarithmic.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PlotAxis {
     low: f64,
@@ -46,7 +46,7 @@ impl PlotAxis {
         Self { low, high, log: false }
     }
 
-    /// Where `value` lies: 0 at the low end, 1 at the high end.
+    /// The position of `value`: 0 at the low end, 1 at the high end.
     fn share(&self, value: f64) -> f64 {
         if self.log {
             (value.max(f64::MIN_POSITIVE) / self.low).ln() / (self.high / self.low).ln()
@@ -68,7 +68,7 @@ impl PlotAxis {
     }
 }
 
-/// 1, 2 or 5 times a power of ten, so that about five of them make `span`.
+/// 1, 2 or 5 times a power of ten, about a fifth of `span`.
 fn nice_step(span: f64) -> f64 {
     let raw = span / 5.0;
     let power = 10f64.powf(raw.log10().floor());

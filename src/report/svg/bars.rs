@@ -8,19 +8,19 @@ use maud::{Markup, html};
 const BARS: f64 = 400.0;
 const ROW: f64 = 24.0;
 const VALUES: f64 = 110.0;
-/// Width of a character of a label, about; what the longest label needs is left for all.
+/// Approximate width of a character; all bars leave room for the longest label.
 const CHARACTER: f64 = 6.9;
 const MIN_LABELS: f64 = 120.0;
 
 /// A rate to be drawn.
 pub(in crate::report) struct Bar {
-    /// What it is the rate of.
+    /// The label.
     pub(in crate::report) label: String,
     /// The group that decides its color.
     pub(in crate::report) group: usize,
     /// Between 0 and 1.
     pub(in crate::report) rate: f64,
-    /// How sure it is.
+    /// Its interval.
     pub(in crate::report) interval: Option<Interval>,
 }
 

@@ -1,4 +1,4 @@
-//! How does a drawing of the page become a file of its own, with its style and legend inside?
+//! Drawings of the page as files, with style and legend.
 
 use super::axes::{HEIGHT, WIDTH};
 use super::line::sample;
@@ -14,7 +14,7 @@ const STYLE: &str = include_str!("drawing.css");
 const FONT: &str = "text { font-family: Helvetica, Arial, sans-serif; fill: #1a1d21; } .caption { font-size: 13px; }";
 /// Height of a line of text, SVG user units.
 const LINE: f64 = 18.0;
-/// Width of a scene that stands in a column by itself, and of one beside another.
+/// Width of a scene in a column, and of one beside another.
 const SCENE_WIDTHS: [f64; 2] = [800.0, 480.0];
 
 /// A chart with its title and legend.
@@ -29,7 +29,7 @@ pub(in crate::report) fn distribution_file(distribution: &Distribution) -> Strin
     with_legend(&distribution.title, &histogram_plot(distribution), &names)
 }
 
-/// The panels of a card with their titles, one below the other where they are long.
+/// The panels of a card with their titles, one below the other if they are long.
 pub(in crate::report) fn scene_file(card: &SceneCard) -> String {
     let [width_m, height_m] = card.view.size();
     let is_long = card.view.is_long();

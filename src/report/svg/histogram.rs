@@ -1,4 +1,4 @@
-//! Histograms of several groups over one another.
+//! Overlaid histograms of several groups.
 
 use super::axes::{Plot, PlotAxis};
 use super::line::legend;

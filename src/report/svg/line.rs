@@ -6,7 +6,7 @@ use crate::report::model::{Chart, Curve};
 use crate::report::number::coordinate;
 use maud::{Markup, html};
 
-/// Points of curves with more than these are not marked one by one.
+/// Curves with more points than this have no marks.
 const MAX_MARKED: usize = 12;
 
 /// The chart with its title above and its legend below.
@@ -25,7 +25,7 @@ pub(in crate::report) fn line_plot(chart: &Chart) -> Markup {
     let is_drawn = |[x, y]: [f64; 2]| x.is_finite() && y.is_finite() && (!chart.log_x || x > 0.0);
     let points = || chart.curves.iter().flat_map(|curve| curve.points.iter().copied().filter(|p| is_drawn(*p)));
     let ends = chart.curves.iter().flat_map(|curve| curve.intervals.iter().flatten().copied());
-    // Losses, shares and distances are read against zero; points that are named are figures on both axes.
+    // Losses, shares and distances are read against zero; labeled points have figures on both axes.
     let zero = chart.curves.iter().any(|curve| !curve.labels.is_empty()).then_some(0.0);
     let x = PlotAxis::over(points().map(|p| p[0]).chain(zero), chart.log_x);
     let y = PlotAxis::over(points().map(|p| p[1]).chain(ends).chain([0.0]), false);
@@ -51,7 +51,7 @@ pub(in crate::report) fn line_plot(chart: &Chart) -> Markup {
     plot.draw(&name, &chart.x_label, &chart.y_label, &inner)
 }
 
-/// How sure a point is, as a line with ends.
+/// The interval of a point, as a line with ends.
 fn whisker(plot: &Plot, curve: &Curve, at: usize, stroke: &str) -> Markup {
     let ends = curve.points.get(at).zip(curve.intervals.get(at)).map(|([x, _], [low, high])| {
         let ([x, low], [_, high]) = (plot.point(*x, *low), plot.point(*x, *high));
@@ -79,7 +79,7 @@ pub(super) fn legend<'a>(names: impl Iterator<Item = &'a str>) -> Markup {
     }
 }
 
-/// How the i-th series looks: 26 wide and 8 high.
+/// A sample of the i-th series: 26 wide and 8 high.
 pub(super) fn sample(i: usize) -> Markup {
     html! {
         path class="curve" d="M1 4L25 4" stroke=(color(i)) stroke-dasharray=(dash(i)) fill="none" {}

@@ -1,4 +1,4 @@
-//! How are charts and scenes drawn? Inline SVG whose colors tell apart for color-blind eyes and whose lines differ in more than color.
+//! Charts and scenes as inline SVG, with colors for color-blind readers and lines that differ in more than color.
 
 mod axes;
 mod bars;

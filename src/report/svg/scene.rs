@@ -1,4 +1,4 @@
-//! One still drawing of a scene, to scale: lanes, boxes at the present and at the end, traces of what was given and what was made.
+//! A still drawing of a scene, to scale: lanes, boxes at the present and at the end, given and generated traces.
 
 use super::{PALETTE, path};
 use crate::report::card::{DrawnAgent, DrawnLane, DrawnSample, SceneCard, ScenePanel};
@@ -56,7 +56,7 @@ struct Pen<'a> {
     panel: &'a ScenePanel,
     roles: &'a [&'a str],
     present: usize,
-    /// Opacity of the traces: many samples lie over one another.
+    /// Opacity of the traces, because many samples overlap.
     fades: f64,
 }
 
@@ -67,14 +67,14 @@ impl Pen<'_> {
         role.map_or(context, role_color)
     }
 
-    /// Where the agents of a sample go: dotted gray lines where states were given, colored ones where they were not.
+    /// The traces of the agents of a sample: dotted gray lines for given states, colored ones for generated states.
     fn traces(&self, sample: &DrawnSample) -> Markup {
         let steps = ((GHOST_INTERVAL_S / self.panel.dt_s.max(1e-3)).round() as usize).max(1);
         html! {
             @for agent in in_drawing_order(&sample.agents) {
                 @let strong = agent.role.is_some();
                 @for (observed, start, end) in agent.stretches() {
-                    // Generated stretches are drawn from the state before them to the one after them.
+                    // Generated stretches are drawn from the previous state to the next one.
                     @let (from, to) = if observed { (start, end) } else { (start.saturating_sub(1), (end + 1).min(agent.states.len())) };
                     @let points: Vec<[f64; 2]> = agent.states[from..to].iter().flatten().map(|[x, y, _]| [*x, *y]).collect();
                     @if observed {
@@ -93,7 +93,7 @@ impl Pen<'_> {
         }
     }
 
-    /// Outlines of the agents at their last state; filled where it was given, which is the same in all samples.
+    /// Outlines of the agents at their last state; filled if it was given, which is the same in all samples.
     fn ends(&self, sample: &DrawnSample, is_first: bool) -> Markup {
         html! {
             @for agent in in_drawing_order(&sample.agents) {
@@ -109,7 +109,7 @@ impl Pen<'_> {
     }
 }
 
-/// Those with a role come last, on top.
+/// Agents with a role come last, on top.
 fn in_drawing_order(agents: &[DrawnAgent]) -> Vec<&DrawnAgent> {
     let mut order: Vec<&DrawnAgent> = agents.iter().collect();
     order.sort_by_key(|agent| agent.role.is_some());

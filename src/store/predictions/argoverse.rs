@@ -11,8 +11,8 @@ use std::path::Path;
 /// Writes a file as Argoverse 2's API does (`scenario_id`, `track_id`, `probability`, `predicted_trajectory_x`,
 /// `predicted_trajectory_y`), in the recording's frame.
 ///
-/// Of Argoverse 2 the focal and scored tracks are predicted, with the probability of the joint mode for each of them. Of
-/// Argoverse 1 it is the agent. Its benchmark took HDF5, which is not written here; the columns hold what that needs.
+/// For Argoverse 2, the focal and scored tracks are predicted, each with the probability of the joint mode; for
+/// Argoverse 1, the agent. Its benchmark took HDF5, which is not written here; the columns hold the data that it needs.
 pub struct ArgoversePredictions {
     file: ParquetFile,
 }
@@ -26,8 +26,8 @@ impl ArgoversePredictions {
         Ok(Self { file: ParquetFile::create(path, &schema(), schema().arrow())? })
     }
 
-    /// Adds the modes of a scene. Returns the number of tracks to predict that were left out, because a mode lacks a state of
-    /// theirs.
+    /// Adds the modes of a scene. Returns the number of tracks to predict that were left out because a mode lacks a
+    /// state.
     ///
     /// # Errors
     /// Those of the file system.

@@ -1,4 +1,4 @@
-//! INTERACTION's submissions of the benchmark of many agents: one CSV a place, one row a track and frame, six modes.
+//! Submissions to INTERACTION's multi-agent benchmark: one CSV a place, one row a track and frame, six modes.
 
 use super::predicted;
 use crate::metrics::Modes;
@@ -14,9 +14,9 @@ const N_MODES: usize = 6;
 /// Writes `<place>_sub.csv` for each place into a folder: `case_id,track_id,frame_id,timestamp_ms,track_to_predict,
 /// interesting_agent,x1,y1,psi_rad1,…,x6,y6,psi_rad6`, in the recording's frame, meters and radians, the likeliest mode first.
 ///
-/// Predicted are the tracks that the recording marks, or where it marks none (train and val) the ego and the vehicles that are
-/// recorded throughout, with the ego as the interesting agent. Where there are fewer than six modes the last one is
-/// repeated. Only cases of v1.2 can be submitted: windows of v1.1 recordings have no ids of cases.
+/// The predicted tracks are those that the recording marks. If it marks none (train and val), they are the ego and the
+/// vehicles that are recorded throughout, with the ego as the interesting agent. With fewer than six modes, the last
+/// one is repeated. Only cases of v1.2 can be submitted: windows of v1.1 recordings have no case ids.
 #[derive(Debug)]
 pub struct InteractionPredictions {
     dir: PathBuf,
@@ -29,8 +29,8 @@ impl InteractionPredictions {
         Self { dir: dir.to_owned(), files: BTreeMap::new() }
     }
 
-    /// Adds the modes of a case. Returns the number of tracks to predict that were left out, because a mode lacks a
-    /// state of theirs; all of them where the scene is no case of v1.2.
+    /// Adds the modes of a case. Returns the number of tracks to predict that were left out because a mode lacks a
+    /// state; all of them if the scene is not a case of v1.2.
     ///
     /// # Errors
     /// Those of the file system.
@@ -69,7 +69,7 @@ impl InteractionPredictions {
         Ok(n_left_out)
     }
 
-    /// Gives the files their names. Returns how many there are.
+    /// Gives the files their names and returns their number.
     ///
     /// # Errors
     /// Those of the file system.

@@ -1,6 +1,6 @@
-//! Predictions in the formats that benchmarks take: which scenes, tracks and numbers go where?
+//! Predictions in the formats of benchmarks.
 //!
-//! Like the other formats of other people these are not ours to read again.
+//! They are never read back.
 
 mod argoverse;
 mod interaction;
@@ -11,7 +11,8 @@ pub use interaction::InteractionPredictions;
 use crate::metrics::Modes;
 use crate::scene::{Scene, State};
 
-/// The future states of a track in each mode, in the recording's frame. `None` where there are none or any mode lacks one.
+/// The future states of a track in each mode, in the recording's frame. `None` if there are no modes, or one lacks a
+/// state.
 fn predicted(recorded: &Scene, modes: &Modes, agent_idx: usize) -> Option<Vec<Vec<State>>> {
     let of_mode = |sample: &Scene| -> Option<Vec<State>> {
         let states = (sample.n_history..sample.n_timesteps).map(|timestep| {

@@ -150,7 +150,7 @@ fn a_scene_whose_map_was_never_given_is_refused() {
     let mut writer = SceneWriter::create(dir.path(), OPTIONS).unwrap();
     let scenes = [scene(1, Some((&MapId::from("PIT"), &map(1, 8))))];
     let error = writer.write_batch(&scenes, &[], Some(1), &Value::Null).unwrap_err();
-    assert_eq!(error.to_string(), "cannot store argoverse1/train/PIT/1: its map was not given before it");
+    assert_eq!(error.to_string(), "cannot store argoverse1/train/PIT/1: its map was not added before it");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The columns of the scenario table that say what was judged: validity, criticality, novelty.
+//! The columns of the scenario table for its assessment: validity, criticality, novelty.
 
 use super::columns::{
     Columns, entries, lists, numbers, optional_flags, optional_numbers, optional_texts, small, structs, texts,
@@ -11,20 +11,16 @@ use crate::store::schema::{ColumnExt, column, list_of, list_of_structs};
 use arrow::array::ArrayRef;
 use arrow::datatypes::{DataType, Field, Float64Type, UInt32Type};
 
-/// The columns, in order. All are missing, or empty lists, where a scenario was not judged.
+/// The columns, in order. All are missing, or empty lists, if a scenario was not judged.
 pub(crate) fn fields() -> Vec<Field> {
     let number =
         |name: &str, unit: &str, description: &str| column(name, DataType::Float64, description).unit(unit).optional();
     let flag = |name: &str, description: &str| column(name, DataType::Boolean, description).optional();
     vec![
         flag("accepted", "Whether it is verified, valid and no near-duplicate."),
-        flag("valid", "Whether it passes every check of validity."),
-        column(
-            "violations",
-            list_of(DataType::Utf8),
-            "The checks of validity that it fails, such as collision or jerk.",
-        )
-        .optional(),
+        flag("valid", "Whether it passes every validity check."),
+        column("violations", list_of(DataType::Utf8), "The validity checks that it fails, such as collision or jerk.")
+            .optional(),
         details_field(),
         number(
             "plausibility",
@@ -34,42 +30,54 @@ pub(crate) fn fields() -> Vec<Field> {
         number(
             "pair_min_ttc_s",
             "s",
-            "Least time to collision of the two that were asked, in the future; missing where no course of theirs leads to one within 10 s.",
+            "Least time to collision of the requested agents, in the future; missing if they would not collide within 10 s.",
         ),
         number("pair_tet_s", "s", "Time during which their time to collision is below 1.5 s."),
         number("pair_tit_s2", "s^2", "That time, weighted by how far it is below."),
         number(
             "pair_max_drac_mps2",
             "m/s^2",
-            "Largest deceleration rate to avoid a crash of the two, at most 20; 0 where none is needed.",
+            "Largest deceleration rate to avoid a crash of the requested agents, at most 20; 0 if none is needed.",
         ),
         number(
             "pair_min_headway_s",
             "s",
-            "Least time headway of either of the two behind the other; missing where neither follows.",
+            "Least time headway of either of the requested agents behind the other; missing if neither follows.",
         ),
-        number("pair_pet_s", "s", "Post-encroachment time of the two; missing where their paths do not cross."),
-        number("pair_min_distance_m", "m", "Smallest distance between the boxes of the two; 0 where they overlap."),
-        number("scene_min_ttc_s", "s", "Least time to collision of any two."),
-        number("scene_max_drac_mps2", "m/s^2", "Largest deceleration rate to avoid a crash of any two."),
-        number("scene_min_distance_m", "m", "Smallest distance between the boxes of any two of whom one moves."),
+        number(
+            "pair_pet_s",
+            "s",
+            "Post-encroachment time of the requested agents; missing if their paths do not cross.",
+        ),
+        number(
+            "pair_min_distance_m",
+            "m",
+            "Smallest distance between the boxes of the requested agents; 0 if they overlap.",
+        ),
+        number("scene_min_ttc_s", "s", "Least time to collision of any two agents."),
+        number("scene_max_drac_mps2", "m/s^2", "Largest deceleration rate to avoid a crash of any two agents."),
+        number(
+            "scene_min_distance_m",
+            "m",
+            "Smallest distance between the boxes of any two agents of which one moves.",
+        ),
         flag(
             "preventable",
-            "Of a cut-in: whether the careful driver of UN Regulation No. 157 in the place of the ego avoids a collision; missing for other behaviors, and where the other never comes into the ego's lane.",
+            "For a cut-in: whether the careful driver of UN Regulation No. 157, in place of the ego, avoids a collision; missing for other behaviors, and if the other never enters the ego's lane.",
         ),
         number(
             "careful_braking_from_s",
             "s",
-            "When that driver begins to brake, since the present; missing where it sees no reason to.",
+            "When that driver begins to brake, since the present; missing if it does not brake.",
         ),
         number(
             "intrusion_ttc_s",
             "s",
-            "Time to collision when the other is 0.3 m beyond the lane marking; missing where the gap does not close then.",
+            "Time to collision when the other is 0.3 m beyond the lane marking; missing if the gap does not close then.",
         ),
         flag(
             "avoidance_required",
-            "Whether that time exceeds v_rel / (2 · 6 m/s²) + 0.35 s, so that the regulation demands that a collision be avoided; missing where the other is alongside.",
+            "Whether that time exceeds v_rel / (2 · 6 m/s²) + 0.35 s, so that the regulation requires that a collision be avoided; missing if the other is alongside.",
         ),
         number(
             "nearest_recorded_event",
@@ -79,20 +87,19 @@ pub(crate) fn fields() -> Vec<Field> {
         number(
             "nearest_scenario_m",
             "m",
-            "Mean distance between the paths of those who were asked and of those in the nearest accepted scenario before it, in the frame of the first of them.",
+            "Mean distance between the paths of the requested agents and those of the nearest earlier accepted scenario, in the frame of the first of the agents.",
         ),
-        column("near_duplicate_of", DataType::Utf8, "That scenario, where it is too near to be another one.")
-            .optional(),
+        column("near_duplicate_of", DataType::Utf8, "That scenario, if the two are near-duplicates.").optional(),
     ]
 }
 
 fn details_field() -> Field {
     let members = vec![
         column("check", DataType::Utf8, "The check."),
-        column("track_id", DataType::Utf8, "The track at its worst place; of a collision the first of the two."),
+        column("track_id", DataType::Utf8, "The track at the worst place; for a collision, the first of the two."),
         column("timestep", DataType::UInt32, "The timestep there.").unit("1"),
-        column("value", DataType::Float64, "What was found there, in the unit of the check."),
-        column("limit", DataType::Float64, "What is allowed, in the unit of the check."),
+        column("value", DataType::Float64, "The value there, in the unit of the check."),
+        column("limit", DataType::Float64, "The limit, in the unit of the check."),
     ];
     column(
         "violation_details",
@@ -102,7 +109,7 @@ fn details_field() -> Field {
     .optional()
 }
 
-/// The arrays of these judgments, in the order of [`fields`]; ids of the scenarios are for messages.
+/// The arrays of these assessments, in the order of [`fields`]; the ids of scenarios are for messages.
 pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRef>> {
     let judged = || rows.iter().map(|(_, assessment)| *assessment);
     let violations = |assessment: Option<&Assessment>| assessment.map_or(0, |a| a.violations.len());
@@ -149,7 +156,7 @@ pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRe
     ])
 }
 
-/// The judgment in a row. `None` where the scenario was not judged.
+/// The assessment in a row; `None` if the scenario was not judged.
 pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Option<Assessment>> {
     let number = |name: &str| columns.optional_number::<Float64Type>(name, row);
     let Some(accepted) = columns.optional_flag("accepted", row)? else { return Ok(None) };

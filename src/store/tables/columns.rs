@@ -1,4 +1,5 @@
-//! Between Arrow arrays and plain values: typed columns by name, lists by row, and the few array forms that tables use.
+//! Conversions between Arrow arrays and plain values: typed columns by name, lists by row, and the arrays of our
+//! tables.
 
 use crate::store::{Error, Result};
 use arrow::array::{
@@ -10,8 +11,8 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-/// The columns of a batch or of a struct, by name. All accessors return [`Error::Corrupt`] where a column is missing or
-/// of another type, and never panic on rows within the number of rows.
+/// The columns of a batch or of a struct, by name. All accessors return [`Error::Corrupt`] if a column is missing or of
+/// another type, and do not panic on existing rows.
 #[derive(Clone, Copy)]
 pub(crate) struct Columns<'a> {
     pub(crate) path: &'a Path,
@@ -25,7 +26,7 @@ impl<'a> Columns<'a> {
         Self { path, fields: batch.schema_ref().fields(), arrays: batch.columns() }
     }
 
-    /// Whether there is a column of this name; files of before lack those that came later.
+    /// Whether there is a column of this name; older files lack newer columns.
     pub(crate) fn has(&self, name: &str) -> bool {
         self.fields.iter().any(|field| field.name() == name)
     }
@@ -122,7 +123,7 @@ impl<'a> Columns<'a> {
     }
 }
 
-/// Where in the values of a list column the entries of a row are.
+/// The range of a row's entries in the values of a list column.
 pub(crate) fn entries(list: &ListArray, row: usize) -> Range<usize> {
     let offsets = list.value_offsets();
     // Offsets are validated to ascend from zero when a batch is decoded or built.
@@ -181,7 +182,7 @@ pub(crate) fn number_lists<T: ArrowPrimitiveType, L: IntoIterator<Item = T::Nati
 /// A column of structs with the members of `data_type`.
 ///
 /// # Errors
-/// [`Error::Invalid`] when the arrays do not fit the members, which is a fault of ours.
+/// [`Error::Invalid`] when the arrays do not fit the members, which is a bug.
 pub(crate) fn structs(table: &str, data_type: &DataType, arrays: Vec<ArrayRef>) -> Result<ArrayRef> {
     let members = match data_type {
         DataType::Struct(members) => members.clone(),

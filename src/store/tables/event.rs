@@ -17,7 +17,11 @@ pub(crate) fn schema() -> TableSchema {
     let fields = vec![
         column("event_id", DataType::Utf8, "Unique within the table: scene, behavior and running number."),
         column("behavior", DataType::Utf8, "Name of the behavior."),
-        column("label", DataType::Utf8, "positive: the behavior happens; negative: it only looks like it."),
+        column(
+            "label",
+            DataType::Utf8,
+            "positive: the behavior happens; negative: a hard negative, which only looks like it.",
+        ),
         column("scene_id", DataType::Utf8, "The scene it was found in: dataset/split/place/case."),
         column("dataset", DataType::Utf8, "First part of the scene's name.").optional(),
         column("split", DataType::Utf8, "Second part of the scene's name.").optional(),
@@ -35,7 +39,7 @@ pub(crate) fn schema() -> TableSchema {
     }
 }
 
-/// The roles and parameters that the events of a table may have: a column each.
+/// The roles and parameters with columns in a table of events.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct EventNames<'n> {
     /// Roles.
@@ -45,7 +49,7 @@ pub(crate) struct EventNames<'n> {
 }
 
 impl EventNames<'_> {
-    /// Says which role or parameter of an event has no column.
+    /// The error for a role or parameter of an event without a column.
     fn check(&self, event: &BehaviorEvent) -> Result<()> {
         let role = event.roles.names().find(|role| !self.roles.contains(role));
         let mut parameters = event.parameters.keys().map(String::as_str);
@@ -58,7 +62,7 @@ impl EventNames<'_> {
     }
 }
 
-/// The rows of these events. Events of one scene are numbered through, so that they must not be in two batches.
+/// The rows of these events. Events of one scene are numbered within the batch, so they must be in one batch.
 ///
 /// # Errors
 /// [`Error::Invalid`] when a parameter has the name of another column, or an event has a role or parameter that is not among `names`.
@@ -133,6 +137,6 @@ fn event_ids(events: &[BehaviorEvent]) -> Vec<String> {
 pub(crate) fn scene_part(id: &SceneId, i: usize) -> Option<&str> {
     let mut parts = id.0.splitn(4, '/');
     let part = parts.nth(i)?;
-    // The last of the four is there when as many follow as are missing.
+    // The last of the four exists if as many follow as are missing.
     (i == 3 || parts.nth(2 - i).is_some()).then_some(part)
 }

@@ -43,10 +43,7 @@ pub(crate) const DESCRIPTIONS: &[(&str, &str)] = &[
     ("other_speed_mps", "Speed of the other when it reaches the ego's path."),
     ("path_m", "Length of the path from the event's start to its end."),
     ("pedestrian_speed_mps", "Speed of the pedestrian when it enters the lane."),
-    (
-        "pet_s",
-        "Post-encroachment time: the least time between the two being in one place; missing where they never are.",
-    ),
+    ("pet_s", "Post-encroachment time: the least time between the two being in one place; missing if they never are."),
     ("radius_m", "Path per change of heading of the turn."),
     (
         "relative_speed_mps",
@@ -64,12 +61,9 @@ pub(crate) const DESCRIPTIONS: &[(&str, &str)] = &[
     ("t_other_s", "When the other reaches the ego's path, since timestep 0."),
     (
         "time_headway_s",
-        "Gap per speed of the ego, missing where it stands or is alongside (cut-in); of the follower, mean over the event (tailgating).",
+        "Gap per speed of the ego, missing if it stands or is alongside (cut-in); of the follower, mean over the event (tailgating).",
     ),
-    (
-        "time_to_arrival_s",
-        "Gap per speed of the ego when the pedestrian enters the lane; missing where the ego stands.",
-    ),
+    ("time_to_arrival_s", "Gap per speed of the ego when the pedestrian enters the lane; missing if the ego stands."),
     ("ttc_s", "Gap per relative speed; missing where the two do not close in or are alongside."),
 ];
 

@@ -35,7 +35,7 @@ pub(crate) fn fields() -> Vec<Field> {
         column(
             "edit_tau",
             DataType::Float64,
-            "Noise level from which an edited recording was denoised again; missing where nothing was edited.",
+            "Noise level from which an edited recording was denoised again; missing if nothing was edited.",
         )
         .unit("1")
         .optional(),
@@ -60,13 +60,13 @@ pub(crate) fn fields() -> Vec<Field> {
         column(
             "probability",
             DataType::Float64,
-            "How likely the model holds it to be among the futures of its scene; missing where samples are equally likely.",
+            "How likely the model holds it to be among the futures of its scene; missing if samples are equally likely.",
         )
         .unit("1")
         .optional(),
         column("sampler", DataType::Utf8, "Sampler and number of steps, such as heun-50; forward-1 for the baseline."),
         column("checkpoint", DataType::Utf8, "Fingerprint of the checkpoint of the denoiser or baseline."),
-        column("classifier", DataType::Utf8, "Fingerprint of the classifier checkpoint; missing where none was used.")
+        column("classifier", DataType::Utf8, "Fingerprint of the classifier checkpoint; missing if none was used.")
             .optional(),
         column(
             "settings",

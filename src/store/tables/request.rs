@@ -1,4 +1,4 @@
-//! The columns that say where a scenario comes from within its run: the shard, and the request with its bucket.
+//! The columns for the origin of a scenario within its run: the shard, and the request with its bucket.
 
 use super::columns::{Columns, numbers, optional_numbers, optional_texts, small};
 use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
@@ -10,16 +10,16 @@ use arrow::datatypes::{DataType, Field, UInt32Type};
 /// The columns, in order.
 pub(crate) fn fields() -> Vec<Field> {
     vec![
-        column("shard", DataType::UInt32, "Which shard of the run's samples it was generated in.").optional(),
-        column("request", DataType::Utf8, "The request that asked for it; missing for scenarios of plain sweeps.")
+        column("shard", DataType::UInt32, "The shard of the run's samples in which it was generated.").optional(),
+        column("request", DataType::Utf8, "The request that it was generated for; missing for scenarios of plain sweeps.")
             .optional(),
         column(
             "request_outcome",
             DataType::Utf8,
-            "What became of it: accepted; surplus (its bucket was full), repeated (its bucket had enough of the same scene and agents), near_duplicate (of one that was accepted), outside (of all buckets or conditions), beyond_limits, not_found.",
+            "Its outcome: accepted; surplus (its bucket was full), repeated (its bucket had enough of the same scene and agents), near_duplicate (of an accepted scenario), outside (of all buckets or conditions), beyond_limits, not_found.",
         )
         .optional(),
-        column("bucket", DataType::UInt32, "Index of its bucket among those of the request; missing outside of all.")
+        column("bucket", DataType::UInt32, "Index of its bucket among those of the request; missing if it is in none.")
             .optional(),
         column("bucket_ranges", DataType::Utf8, "What the bucket holds, such as gap_m 0..5, relative_speed_mps -5..0.")
             .optional(),

@@ -1,4 +1,4 @@
-//! Who took part in what: lists of roles and tracks, and the extra columns that make them easy to query.
+//! Lists of roles and tracks, and extra columns for queries.
 
 use super::columns::{Columns, entries, lists, optional_texts, structs, texts};
 use crate::scene::{Roles, TrackId};
@@ -8,7 +8,7 @@ use arrow::array::ArrayRef;
 use arrow::datatypes::{DataType, Field};
 use std::collections::BTreeSet;
 
-/// A column that lists who has which role.
+/// A column with the track of each role.
 pub(crate) fn field(name: &str, description: &str) -> Field {
     let members = vec![
         column("role", DataType::Utf8, "Name of the role."),
@@ -33,12 +33,12 @@ pub(crate) fn decode(columns: &Columns<'_>, name: &str, row: usize) -> Result<Ro
         .collect()
 }
 
-/// What the schema says of the columns of [`flatten`].
+/// The open columns of [`flatten`].
 pub(crate) fn open_columns() -> OpenColumns {
     OpenColumns {
         pattern: "<role>_track_id",
         data_type: DataType::Utf8,
-        description: "The track in this role, such as ego_track_id; missing where the row has no such role.",
+        description: "The track in this role, such as ego_track_id; missing if the row has no such role.",
         known: Vec::new(),
     }
 }

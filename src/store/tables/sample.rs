@@ -20,7 +20,7 @@ pub(crate) fn schema() -> TableSchema {
     fields.push(column(
         "observed",
         list_of(DataType::Boolean),
-        "Whether a state was observed, track by track and in each one entry a timestep; false where there is no state.",
+        "Whether a state was observed, track by track with one entry a timestep; false if there is no state.",
     ));
     TableSchema {
         name: "sample",
@@ -43,7 +43,7 @@ pub(crate) fn encode(records: &[ScenarioRecord]) -> Result<RecordBatch> {
     RecordBatch::try_new(schema().arrow(), arrays).map_err(|error| Error::invalid("samples", error.to_string()))
 }
 
-/// Whether the record will be read back as it is.
+/// Checks that the record can be read back unchanged.
 pub(crate) fn check(record: &ScenarioRecord) -> Result<()> {
     let scenario = &record.scenario;
     let refuse = |detail: &str| Err(Error::invalid(&scenario.id, detail));
@@ -63,7 +63,7 @@ pub(crate) fn check(record: &ScenarioRecord) -> Result<()> {
     }
     if as_stored(&scenario.scene).tracks != scenario.scene.tracks {
         return refuse(
-            "its states are finer than the store keeps: pass the scene through as_stored before verifying it",
+            "its states are not rounded as the store rounds them: pass the scene through as_stored before verifying it",
         );
     }
     Ok(())
@@ -80,7 +80,7 @@ pub(crate) fn decode(batch: &RecordBatch, path: &Path, maps: &dyn MapSource) -> 
         let scene = header.complete(path, tracks, lanes)?;
         let flags = columns.flags("observed", row)?;
         if flags.values().len() != scene.tracks.len() * scene.n_timesteps {
-            return Err(Error::corrupt(path, "a mask has another number of entries than its scene".to_owned()));
+            return Err(Error::corrupt(path, "a mask does not have as many entries as its scene".to_owned()));
         }
         let n_timesteps = scene.n_timesteps;
         let observed = ObservationMask::from_fn(scene.tracks.len(), n_timesteps, |agent_idx, timestep| {

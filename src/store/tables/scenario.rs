@@ -42,7 +42,7 @@ pub(crate) fn schema() -> TableSchema {
 /// The column of parameters while rows are spooled.
 const SPOOLED: &str = "spooled_parameters";
 
-/// Rows without the columns of parameters, which are known only once all rows are.
+/// Rows without the parameter columns, which are known only after the last row.
 pub(crate) struct ScenarioRows {
     arrays: Vec<ArrayRef>,
     parameters: Vec<Option<Parameters>>,
@@ -91,7 +91,7 @@ impl ScenarioRows {
         schema().arrow_with(vec![event_list::parameters_field(SPOOLED)])
     }
 
-    /// The rows with their parameters in one column, to be read again when the names of all parameters are known.
+    /// The rows with their parameters in one column, until the names of all parameters are known.
     pub(crate) fn into_spooled(mut self) -> Result<RecordBatch> {
         let none = Parameters::new();
         let rows = self.parameters.iter().map(|row| row.as_ref().unwrap_or(&none));
@@ -100,7 +100,7 @@ impl ScenarioRows {
             .map_err(|error| Error::invalid("scenarios", error.to_string()))
     }
 
-    /// The rows that [`into_spooled`](Self::into_spooled) gave.
+    /// The rows of [`into_spooled`](Self::into_spooled).
     pub(crate) fn from_spooled(batch: &RecordBatch, path: &Path) -> Result<Self> {
         let columns = Columns::of_batch(batch, path);
         let decode = |row: usize| Ok(Some(event_list::decode_parameters(&columns, SPOOLED, row)?));
@@ -118,7 +118,7 @@ impl ScenarioRows {
     }
 }
 
-/// The record in a row, given its tracks and which of their states were observed.
+/// The record in a row, given its tracks and the mask of their observed states.
 pub(crate) fn decode(
     columns: &Columns<'_>,
     row: usize,

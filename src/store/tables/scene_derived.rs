@@ -1,4 +1,4 @@
-//! What of a scene's tracks was derived rather than recorded, as one nested column: held headings, smoothed positions.
+//! The derived values of a scene's tracks as one nested column: held headings, smoothed positions.
 
 use super::columns::{Columns, entries, flags, lists, numbers, structs, texts};
 use crate::geometry::Vec2;
@@ -10,7 +10,7 @@ use arrow::datatypes::{DataType, Field, Float32Type};
 
 const NAME: &str = "derived";
 
-/// The column; missing in files of before, which do not tell.
+/// The column; missing in older files.
 pub(crate) fn field() -> Field {
     let recorded = |name: &str, unit: &str, description: &str| {
         column(name, list_of(DataType::Float32), description).unit(unit).frame(SCENE_FRAME)
@@ -20,12 +20,12 @@ pub(crate) fn field() -> Field {
         column(
             "heading_held",
             list_of(DataType::Boolean),
-            "Whether the heading is held because no motion tells it, one entry a timestep; elsewhere it follows from the motion.",
+            "Whether the heading is held because the agent moves too slowly, one entry a timestep; otherwise it follows from the motion.",
         ),
         recorded(
             "recorded_t_s",
             "s",
-            "Where states are smoothed, the times after the present at which the agent was recorded; else empty.",
+            "If states are smoothed, the times after the present at which the agent was recorded; otherwise empty.",
         ),
         recorded("recorded_x_m", "m", "Recorded center, one entry a recorded time."),
         recorded("recorded_y_m", "m", "Recorded center, one entry a recorded time."),
@@ -34,7 +34,7 @@ pub(crate) fn field() -> Field {
         .optional()
 }
 
-/// The array of what was derived of these scenes' tracks.
+/// The array of the derived values of these scenes.
 pub(crate) fn encode(scenes: &[&Scene]) -> Result<ArrayRef> {
     let (mut n_of_scene, mut ids) = (Vec::new(), Vec::new());
     let (mut n_held, mut held) = (Vec::new(), Vec::new());
@@ -65,7 +65,7 @@ pub(crate) fn encode(scenes: &[&Scene]) -> Result<ArrayRef> {
     Ok(lists(n_of_scene, structs(NAME, field().data_type(), arrays)?))
 }
 
-/// Marks the `tracks` of the scene in a row as derived where they are.
+/// Adds the derived values in a row to the `tracks` of its scene.
 pub(crate) fn decode(columns: &Columns<'_>, row: usize, tracks: &mut [Track]) -> Result<()> {
     if !columns.has(NAME) {
         return Ok(());
@@ -122,7 +122,7 @@ mod tests {
         assert_eq!(derivations(&read(&batch, 0)), derivations(&scene));
         assert!(derivations(&read(&batch, 1)).iter().all(Option::is_none));
 
-        // Files of before have no such column.
+        // Older files have no such column.
         let columns: Vec<usize> = (0..batch.num_columns() - 1).collect();
         let before = batch.project(&columns).unwrap();
         assert!(derivations(&read(&before, 0)).iter().all(Option::is_none));

@@ -15,7 +15,7 @@ pub(crate) fn fields() -> Vec<Field> {
     vec![
         column("scene_id", DataType::Utf8, "The recorded scene: dataset/split/place/case."),
         column("dataset", DataType::Utf8, "Dataset of the recording."),
-        column("version", DataType::Utf8, "Version or layout of the dataset; empty where there is only one."),
+        column("version", DataType::Utf8, "Version or layout of the dataset; empty if there is only one."),
         column("split", DataType::Utf8, "Split of the dataset: train, val, test or unsplit."),
         column("place", DataType::Utf8, "City or location, as the dataset names it."),
         column("file", DataType::Utf8, "Recording file within its folder or archive."),
@@ -27,11 +27,11 @@ pub(crate) fn fields() -> Vec<Field> {
         column(
             "world_from_scene",
             DataType::Struct(transform_fields().into()),
-            "Takes scene coordinates to the recording: rotate, then translate.",
+            "Transforms scene coordinates to the recording: rotate, then translate.",
         )
         .frame(WORLD_FRAME),
         column("ego_track_id", DataType::Utf8, "Track of the ego, which defines the scene frame."),
-        column("map_id", DataType::Utf8, "Map of the lanes; missing where the dataset was ingested without maps.")
+        column("map_id", DataType::Utf8, "Map of the lanes; missing if the dataset was ingested without maps.")
             .optional(),
         column(
             "lane_ids",
@@ -89,7 +89,7 @@ pub(crate) fn encode(scenes: &[&Scene]) -> Result<Vec<ArrayRef>> {
     ])
 }
 
-/// What a header cannot hold.
+/// Rejects what a header cannot hold.
 fn check(scene: &Scene) -> Result<()> {
     let refuse = |detail: &str| Err(Error::invalid(&scene.id, detail));
     if scene.ego_idx >= scene.tracks.len() {
@@ -105,7 +105,7 @@ fn check(scene: &Scene) -> Result<()> {
     Ok(())
 }
 
-/// A scene without tracks and lanes, and what is needed to find them.
+/// A scene without tracks and lanes, and the keys to find them.
 pub(crate) struct SceneHeader {
     /// Everything but tracks, ego and lanes.
     pub(crate) scene: Scene,

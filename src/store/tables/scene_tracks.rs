@@ -1,4 +1,4 @@
-//! The tracks of a scene as one nested column, and the precision at which states are kept.
+//! The tracks of a scene as one nested column, and the precision of stored states.
 
 use super::columns::{Columns, entries, flags, lists, numbers, optional_numbers, structs, texts};
 use crate::geometry::Vec2;
@@ -18,14 +18,14 @@ pub(crate) fn field() -> Field {
     let fields = vec![
         column("track_id", DataType::Utf8, "The recording's name for the track."),
         column("class", DataType::Utf8, "Kind of road user."),
-        column("role", DataType::Utf8, "What the recording marks the track as: focal, scored, recorder or context."),
-        size("length_m", "Size along the heading; missing where the recording gives none."),
-        size("width_m", "Size across the heading; missing where the recording gives none."),
-        states("x_m", "m", "Center, one entry a timestep; 0 where not valid."),
-        states("y_m", "m", "Center, one entry a timestep; 0 where not valid."),
-        states("heading_rad", "rad", "Direction in (-π, π], one entry a timestep; 0 where not valid."),
-        states("vx_mps", "m/s", "Velocity, one entry a timestep; 0 where not valid."),
-        states("vy_mps", "m/s", "Velocity, one entry a timestep; 0 where not valid."),
+        column("role", DataType::Utf8, "Its role in the recording: focal, scored, recorder or context."),
+        size("length_m", "Size along the heading; missing if the recording gives none."),
+        size("width_m", "Size across the heading; missing if the recording gives none."),
+        states("x_m", "m", "Center, one entry a timestep; 0 if not valid."),
+        states("y_m", "m", "Center, one entry a timestep; 0 if not valid."),
+        states("heading_rad", "rad", "Direction in (-π, π], one entry a timestep; 0 if not valid."),
+        states("vx_mps", "m/s", "Velocity, one entry a timestep; 0 if not valid."),
+        states("vy_mps", "m/s", "Velocity, one entry a timestep; 0 if not valid."),
         column("valid", list_of(DataType::Boolean), "Whether the agent was tracked, one entry a timestep."),
     ];
     column("tracks", list_of_structs(fields), "The road users, in a fixed order.")
@@ -39,7 +39,10 @@ pub(crate) fn encode(scenes: &[&Scene]) -> Result<ArrayRef> {
     for scene in scenes {
         for track in &scene.tracks {
             if track.trajectory.n_timesteps() != scene.n_timesteps {
-                return Err(Error::invalid(&scene.id, format!("track {} has another number of timesteps", track.id)));
+                return Err(Error::invalid(
+                    &scene.id,
+                    format!("track {} has a different number of timesteps", track.id),
+                ));
             }
             lengths.push(scene.n_timesteps);
             for (timestep, state) in track.trajectory.entries().iter().enumerate() {
@@ -83,7 +86,7 @@ fn decode_track(columns: &Columns<'_>, entry: usize, n_timesteps: usize) -> Resu
     let valid = columns.flags("valid", entry)?;
     let id = TrackId(columns.text("track_id", entry)?.to_owned());
     if states.iter().any(|column| column.len() != n_timesteps) || valid.values().len() != n_timesteps {
-        return Err(Error::corrupt(columns.path, format!("track {id} has another number of timesteps than its scene")));
+        return Err(Error::corrupt(columns.path, format!("track {id} does not have as many timesteps as its scene")));
     }
     let state = |timestep: usize| {
         let numbers = states.map(|column| column[timestep]);
@@ -132,8 +135,8 @@ pub(crate) fn state_of([x, y, heading, vx, vy]: [f32; 5]) -> State {
     }
 }
 
-/// The scene as the store gives it back: states and sizes rounded to single precision (below 0.01 mm within 100 m).
-/// Apply it to generated scenes before they are verified, so that what was verified is what is written.
+/// The scene as the store returns it: states and sizes rounded to single precision (below 0.01 mm within 100 m). Apply
+/// it to generated scenes before they are verified, so that what was verified is what is written.
 pub fn as_stored(scene: &Scene) -> Scene {
     let rounded = |number: f64| f64::from(number as f32);
     let track = |track: &Track| Track {

@@ -1,5 +1,5 @@
-//! The columns of a table with one row a state: who, when, where in the scene frame and in that of the recording. The
-//! tables of tracks and of recordings share them.
+//! The columns of a table with one row a state: agent, time, and position in the frames of the scene and the recording.
+//! The tables of tracks and of recordings share them.
 
 use super::columns::{Columns, flags, numbers, optional_numbers, small, texts};
 use super::scene_tracks::{extent_of, single, state_of};
@@ -31,7 +31,7 @@ pub(crate) fn rows_of(scene: &Scene) -> impl Iterator<Item = StateRow<'_>> {
     })
 }
 
-/// Who it is.
+/// The columns that identify the agent.
 pub(crate) fn who_fields(unique_within: &str) -> Vec<Field> {
     vec![
         column(
@@ -40,11 +40,7 @@ pub(crate) fn who_fields(unique_within: &str) -> Vec<Field> {
             &format!("The recording's name for the track; unique within the {unique_within}."),
         ),
         column("class", DataType::Utf8, "Kind of road user."),
-        column(
-            "recorded_role",
-            DataType::Utf8,
-            "What the recording marks the track as: focal, scored, recorder or context.",
-        ),
+        column("recorded_role", DataType::Utf8, "Its role in the recording: focal, scored, recorder or context."),
         column("is_ego", DataType::Boolean, "Whether it is the ego, which defines the scene frame."),
     ]
 }
@@ -59,7 +55,7 @@ pub(crate) fn who(rows: &[StateRow<'_>]) -> Vec<ArrayRef> {
     ]
 }
 
-/// When it was.
+/// The columns of time.
 pub(crate) fn when_fields() -> Vec<Field> {
     vec![
         column("timestep", DataType::UInt32, "Timestep, from 0.").unit("1"),
@@ -76,7 +72,7 @@ pub(crate) fn when(rows: &[StateRow<'_>]) -> Result<Vec<ArrayRef>> {
     ])
 }
 
-/// Where it was, how it moved and how large it is.
+/// The columns of position, motion and size.
 pub(crate) fn state_fields() -> Vec<Field> {
     let scene = |name: &str, unit: &str, description: &str| {
         column(name, DataType::Float32, description).unit(unit).frame(SCENE_FRAME)
@@ -94,8 +90,8 @@ pub(crate) fn state_fields() -> Vec<Field> {
         world("world_x_m", "m", "Position of its center along x."),
         world("world_y_m", "m", "Position of its center along y."),
         world("world_heading_rad", "rad", "Direction in which it points, in (-π, π]; 0 is along x."),
-        size("length_m", "Size along the heading; missing where the recording gives none."),
-        size("width_m", "Size across the heading; missing where the recording gives none."),
+        size("length_m", "Size along the heading; missing if the recording gives none."),
+        size("width_m", "Size across the heading; missing if the recording gives none."),
     ]
 }
 

@@ -15,7 +15,7 @@ pub(crate) fn schema() -> TableSchema {
     let mut fields = vec![column("scenario_id", DataType::Utf8, "The scenario.")];
     fields.extend(state_rows::who_fields("scenario"));
     fields.push(
-        column("event_role", DataType::Utf8, "Its role in the first requested event; missing when it has none.")
+        column("event_role", DataType::Utf8, "Its role in the first requested event; missing if it has none.")
             .optional(),
     );
     fields.extend(state_rows::when_fields());
@@ -52,7 +52,7 @@ pub(crate) fn encode(record: &ScenarioRecord) -> Result<RecordBatch> {
     RecordBatch::try_new(schema().arrow(), arrays).map_err(|error| Error::invalid("tracks", error.to_string()))
 }
 
-/// The tracks of one scenario, whose rows are all of `columns`, and which of their states were observed.
+/// The tracks of one scenario, whose rows are all of `columns`, and the mask of their observed states.
 pub(crate) fn decode(
     columns: &Columns<'_>,
     n_rows: usize,

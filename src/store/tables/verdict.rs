@@ -1,4 +1,4 @@
-//! The table of verdicts: one row a generated scenario, with what became of it.
+//! The table of verdicts: one row a generated scenario.
 
 use super::columns::{Columns, entries, flags, lists, numbers, optional_numbers, texts};
 use super::{strength_column, weight_column};
@@ -13,8 +13,8 @@ use std::path::Path;
 /// `verdict.v3`.
 pub(crate) fn schema() -> TableSchema {
     let fields = vec![
-        column("scenario_id", DataType::Utf8, "The scenario, as in the samples and, where it was kept, in the corpus."),
-        column("sweep", DataType::Utf8, "The sweep that asked for it."),
+        column("scenario_id", DataType::Utf8, "The scenario, as in the samples and, if it was kept, in the corpus."),
+        column("sweep", DataType::Utf8, "The sweep that it belongs to."),
         strength_column(),
         weight_column(),
         column("accepted", DataType::Boolean, "Whether it is verified, valid and no near-duplicate."),

@@ -1,8 +1,8 @@
-//! How do the ranks of a training find each other, and whom do they refuse?
+//! Brings the ranks of a training together, and rejects processes that do not belong to it.
 //!
-//! Rank 0 listens at an address that all know. Each other rank calls there, says what it is about to train, and where it listens itself.
-//! Once all are there, rank 0 tells everybody who is where, and each rank calls those between 0 and itself. Whatever else calls in the
-//! meantime is ignored.
+//! Rank 0 listens at an address that all know. Each other rank connects to it and sends the description of its training
+//! and the port at which it listens itself. Once all have come, rank 0 sends all addresses, and each rank connects to
+//! those between 0 and itself. Connections of other programs are ignored.
 
 use super::Tcp;
 use super::wire::{receive_message, send_message};
@@ -16,11 +16,11 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long a caller may take for each stretch of its first message.
+/// How long a peer may take for each part of its first message.
 const GREETING: Duration = Duration::from_secs(5);
 /// How long one attempt to connect may take.
 const CALL: Duration = Duration::from_secs(5);
-/// Time between attempts, and between looks for callers.
+/// Time between attempts to connect or to accept.
 const PAUSE: Duration = Duration::from_millis(20);
 
 /// The place of a process among the ranks of a training.
@@ -36,22 +36,22 @@ pub struct Seat {
     pub port: u16,
 }
 
-/// What the ranks must agree on, and how long they wait for each other.
+/// The description that ranks compare, and how long they wait for each other.
 pub struct Meeting<'a, I> {
-    /// What this rank is about to train.
+    /// The description of this rank's training.
     pub own: I,
-    /// What differs between that and what another rank is about to train; `None` if they fit together.
+    /// The difference from another rank's description; `None` if they fit together.
     pub difference: &'a dyn Fn(&I) -> Option<String>,
     /// How long to wait for the others.
     pub patience: Duration,
 }
 
 impl<I: DeserializeOwned> Meeting<'_, I> {
-    /// The same of what another rank says that it is about to train.
+    /// The difference from the description in another rank's message.
     fn difference(&self, about: Value) -> Option<String> {
         match serde_json::from_value(about) {
             Ok(theirs) => (self.difference)(&theirs),
-            Err(_) => Some("its program describes trainings in another way".to_owned()),
+            Err(_) => Some("its program describes trainings differently".to_owned()),
         }
     }
 }
@@ -62,27 +62,27 @@ pub enum JoinError {
     /// This rank does not fit the others.
     #[error("rank 0 refused this process: {0}")]
     Refused(String),
-    /// Some did not come in time.
+    /// Some ranks did not come in time.
     #[error("{} of {n_ranks} ranks did not come within {seconds} s: {}{}", missing.len(), list(missing), described(refused))]
     Missing {
         /// Their numbers.
         missing: Vec<usize>,
         /// Number of ranks.
         n_ranks: usize,
-        /// How long was waited.
+        /// How long rank 0 waited.
         seconds: u64,
-        /// Those that came and were refused, and why.
+        /// Processes that were rejected, with the reasons.
         refused: Vec<String>,
     },
-    /// Rank 0 is not there.
+    /// Rank 0 does not answer.
     #[error("rank 0 does not answer at {address}")]
     NoAnswer {
-        /// Where it should be.
+        /// Its address.
         address: String,
-        /// What happened instead.
+        /// The cause.
         source: io::Error,
     },
-    /// Rank 0 cannot be called.
+    /// Rank 0 cannot listen.
     #[error("cannot listen for other ranks at {address}")]
     CannotListen {
         /// Where.
@@ -90,7 +90,7 @@ pub enum JoinError {
         /// Why not.
         source: io::Error,
     },
-    /// A rank left while the others were still to come.
+    /// A rank left before all had come.
     #[error("a connection between ranks broke before the training began")]
     Broken(#[from] io::Error),
 }
@@ -103,25 +103,25 @@ fn described(refused: &[String]) -> String {
     if refused.is_empty() { String::new() } else { format!("; refused: {}", refused.join("; ")) }
 }
 
-/// What a caller says first.
+/// The first message of a connection.
 #[derive(Debug, Serialize, Deserialize)]
 enum Greeting {
-    /// To rank 0: who it is, what it is about to train, and at which port of its machine it listens.
+    /// To rank 0: the sender's number, the description of its training, and the port at which it listens.
     Join { rank: usize, n_ranks: usize, about: Value, port: u16 },
-    /// To another rank: who it is, and which meeting both come from.
+    /// To another rank: the sender's number, and the id of the meeting.
     Link { rank: usize, meeting: String },
 }
 
-/// What rank 0 answers.
+/// The answer of rank 0.
 #[derive(Debug, Serialize, Deserialize)]
 enum Answer {
-    /// All are there: what the meeting is called, and where each rank from 1 listens.
+    /// All have come: the id of the meeting, and the addresses of the ranks from 1.
     Welcome { meeting: String, listeners: Vec<SocketAddr> },
     /// They do not fit together.
     Refused { why: String },
 }
 
-/// Brings the ranks of a training together. Before this returns, nothing should have been computed.
+/// Brings the ranks of a training together. Call it before computing anything.
 ///
 /// # Errors
 /// When one does not come in time, or does not fit the others.
@@ -130,7 +130,7 @@ pub fn join<I: Serialize + DeserializeOwned>(seat: &Seat, meeting: &Meeting<'_, 
     Ok(Tcp::new(seat.rank, peers)?)
 }
 
-/// Rank 0: waits for all others and tells them of each other.
+/// Rank 0: waits for all others and sends them each other's addresses.
 fn receive_ranks<I: DeserializeOwned>(
     seat: &Seat,
     meeting: &Meeting<'_, I>,
@@ -151,7 +151,7 @@ fn receive_ranks<I: DeserializeOwned>(
                 refused,
             });
         };
-        // Links are for other ranks, and who has left has no address.
+        // Links are for other ranks, and a peer that has left has no address.
         let (Greeting::Join { rank, n_ranks: of, about, port }, Ok(address)) = (greeting, caller.peer_addr()) else {
             continue;
         };
@@ -177,7 +177,7 @@ fn receive_ranks<I: DeserializeOwned>(
     Ok(peers)
 }
 
-/// What rank 0 has against a caller that says it is this rank of so many. A rank that was killed may come again.
+/// Why rank 0 rejects a process with this number of so many ranks, if it does. A rank that was killed may come again.
 fn objection(seat: &Seat, (rank, of): (usize, usize), earlier: Option<&TcpStream>) -> Option<String> {
     if of != seat.n_ranks {
         return Some(format!("it is one of {of} ranks, rank 0 one of {}", seat.n_ranks));
@@ -194,13 +194,13 @@ fn is_there(stream: &TcpStream) -> bool {
     matches!(looked, Err(error) if error.kind() == ErrorKind::WouldBlock) && stream.set_nonblocking(false).is_ok()
 }
 
-/// Any other rank: calls rank 0, and then the others.
+/// Any other rank: connects to rank 0, and then to the others.
 fn call_first<I: Serialize>(seat: &Seat, meeting: &Meeting<'_, I>) -> Result<Vec<Option<TcpStream>>, JoinError> {
     let Seat { rank, n_ranks, host, port } = seat;
     let no_answer = |source| JoinError::NoAnswer { address: format!("{host}:{port}"), source };
     let resolve = || Ok((host.as_str(), *port).to_socket_addrs()?.collect());
     let first = connect(&resolve, Instant::now() + meeting.patience).map_err(no_answer)?;
-    // Others find this rank where rank 0 does.
+    // Others reach this rank at the address at which rank 0 does.
     let door = Door::open(&[SocketAddr::new(first.local_addr()?.ip(), 0)])?;
     let about = serde_json::to_value(&meeting.own).map_err(io::Error::from)?;
     let greeting = Greeting::Join { rank: *rank, n_ranks: *n_ranks, about, port: door.port()? };
@@ -232,8 +232,8 @@ fn call_first<I: Serialize>(seat: &Seat, meeting: &Meeting<'_, I>) -> Result<Vec
     Ok(peers)
 }
 
-/// Where rank 0 listens: at its address where that is known, else at all addresses of its machine, since it may be called by a name that
-/// leads elsewhere on the machine itself.
+/// The addresses at which rank 0 listens: its own if that is an address, else all of its machine, because its name may
+/// resolve differently on the machine itself.
 fn addresses_to_listen_at(host: &str, port: u16) -> Vec<SocketAddr> {
     let any = [IpAddr::from(Ipv6Addr::UNSPECIFIED), IpAddr::from(Ipv4Addr::UNSPECIFIED)];
     let ips = match (host, host.parse::<IpAddr>()) {
@@ -244,7 +244,8 @@ fn addresses_to_listen_at(host: &str, port: u16) -> Vec<SocketAddr> {
     ips.into_iter().map(|ip| SocketAddr::new(ip, port)).collect()
 }
 
-/// Calls one of the addresses that `resolve` gives, until it answers: whoever is called may not be there yet, nor its name be known.
+/// Connects to one of the addresses that `resolve` returns, and retries until one answers: the peer may not listen yet,
+/// and its name may not resolve yet.
 fn connect(resolve: &dyn Fn() -> io::Result<Vec<SocketAddr>>, until: Instant) -> io::Result<TcpStream> {
     loop {
         let called = resolve().and_then(|addresses| {
@@ -264,17 +265,17 @@ fn connect(resolve: &dyn Fn() -> io::Result<Vec<SocketAddr>>, until: Instant) ->
     }
 }
 
-/// Where callers come in. Each is heard in a thread of its own, so that those who say nothing keep nobody waiting.
+/// Accepts connections. Each is read in a thread of its own, so that silent ones block nobody.
 struct Door {
     listener: TcpListener,
     heard: (Sender<Caller>, Receiver<Caller>),
 }
 
-/// Somebody who has said what we understand.
+/// A connection with a valid first message.
 type Caller = (TcpStream, Greeting);
 
 impl Door {
-    /// Listens at the first of these addresses that can be had.
+    /// Listens at the first of these addresses that is available.
     fn open(addresses: &[SocketAddr]) -> io::Result<Self> {
         let listener = TcpListener::bind(addresses)?;
         listener.set_nonblocking(true)?;
@@ -285,11 +286,11 @@ impl Door {
         Ok(self.listener.local_addr()?.port())
     }
 
-    /// The next caller that says something of ours; `None` if there is none by then.
+    /// The next connection with a valid message; `None` if there is none by the deadline.
     fn next_caller(&self, until: Instant) -> Option<Caller> {
         let (say, heard) = &self.heard;
         loop {
-            // Nobody waits there, or somebody has left again.
+            // Nobody waits there, or the peer has left again.
             while let Ok((caller, _)) = self.listener.accept() {
                 let say = say.clone();
                 thread::spawn(move || {

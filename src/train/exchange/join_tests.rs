@@ -47,7 +47,7 @@ fn a_wrong_rank_is_refused_and_the_right_one_may_still_come() {
     let other = call(&seats[0]);
     send_message(&other, &json!({ "Join": { "rank": 1, "n_ranks": 2, "about": { "plan": "a" }, "port": 9 } })).unwrap();
     let answer: Value = receive_message(&other).unwrap();
-    assert_eq!(answer["Refused"]["why"], "its program describes trainings in another way");
+    assert_eq!(answer["Refused"]["why"], "its program describes trainings differently");
     let second = begin(&seats[1], "plan a", 20_000).join().unwrap().unwrap();
     let first = first.join().unwrap().unwrap();
     let echo = thread::spawn(move || second.all_gather(b"b").unwrap());

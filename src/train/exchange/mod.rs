@@ -1,8 +1,8 @@
-//! How do the ranks of a training exchange bytes?
+//! Exchanges bytes among the ranks of a training.
 //!
-//! A rank is one of several processes that train one model together, numbered from 0. An exchange carries bytes and computes nothing, so
-//! that whatever carries them leads to the same model. [`Tcp`] does it over the network; between GPUs, a transport such as NCCL would
-//! implement the same trait.
+//! A rank is one of several processes that train one model together, numbered from 0. An exchange carries bytes and
+//! computes nothing, so the model does not depend on the transport. [`Tcp`] uses the network; between GPUs, a transport
+//! such as NCCL would implement the same trait.
 
 mod join;
 #[cfg(test)]
@@ -19,13 +19,13 @@ pub use tcp::Tcp;
 
 use std::io;
 
-/// Another rank is gone, or says nothing any more.
+/// Another rank is gone or does not answer.
 #[derive(Debug, thiserror::Error)]
 #[error("rank {rank} of this training is gone or does not answer")]
 pub struct Lost {
     /// Its number.
     pub rank: usize,
-    /// How that was found.
+    /// The cause.
     pub source: io::Error,
 }
 
@@ -51,7 +51,7 @@ pub trait Exchange: Sync {
         self.all_to_all(&vec![bytes; self.n_ranks()])
     }
 
-    /// Returns on every rank the `bytes` of rank 0; what the others give does not count.
+    /// Returns the `bytes` of rank 0 on every rank; those of the others are ignored.
     ///
     /// # Errors
     /// When a rank is gone.

@@ -1,4 +1,4 @@
-//! The exchange over TCP: each rank has a connection to every other one.
+//! The exchange over TCP, with a connection between every two ranks.
 
 use super::wire::{receive_frame, send_frame};
 use super::{Exchange, Lost};
@@ -9,17 +9,17 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// For so long a rank may say nothing. Ranks wait for each other within a step, an evaluation or a saved state. The system tells at once
-/// of a process that is gone; this is for machines that are.
+/// How long a rank may be silent: ranks wait for each other during a step, an evaluation or a saved state. The system
+/// reports a lost process at once; this limit is for lost machines.
 const SILENCE: Duration = Duration::from_secs(600);
 
-/// Connections to all other ranks, over which bytes go as they are: neither encrypted nor authenticated.
+/// Connections to all other ranks, neither encrypted nor authenticated.
 #[derive(Debug)]
 pub struct Tcp {
     rank: usize,
     /// By rank; `None` at the place of this one.
     peers: Vec<Option<TcpStream>>,
-    /// Exchanges so far: what the next one is called on the wire.
+    /// Number of exchanges so far, which identifies the next one on the wire.
     n_exchanges: AtomicU64,
 }
 
@@ -41,7 +41,7 @@ impl Tcp {
         peer.and_then(work).map_err(|source| Lost { rank, source })
     }
 
-    /// Ends all connections: whoever waits for this rank learns it now.
+    /// Ends all connections, so that ranks that wait for this one get an error now.
     fn close(&self) {
         for peer in self.peers.iter().flatten() {
             // It may be closed already.
@@ -63,7 +63,7 @@ impl Exchange for Tcp {
         let (rank, n_ranks) = (self.rank, self.n_ranks());
         let number = self.n_exchanges.fetch_add(1, Ordering::Relaxed);
         let send = || {
-            // Each begins with another one, so that nobody is sent everything at once.
+            // Each rank begins with a different peer, so that no rank receives everything at once.
             (1..n_ranks)
                 .map(|ahead| (rank + ahead) % n_ranks)
                 .try_for_each(|to| self.with(to, |peer| send_frame(peer, number, slices[to])))
@@ -76,7 +76,7 @@ impl Exchange for Tcp {
             }
             Ok(received)
         };
-        // Sending and receiving go on at once: if all sent first, full buffers would make them wait for each other.
+        // Sending and receiving are concurrent: if all ranks sent first, full buffers would block them.
         thread::scope(|scope| {
             let sending = scope.spawn(send);
             let received = receive();

@@ -1,14 +1,14 @@
-//! What is on the wire: frames of bytes once ranks know each other, and before that messages that may come from anybody.
+//! The wire format: messages, which may come from anybody, until the ranks have met, and then frames of bytes.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::io::{Error, ErrorKind, Read, Result, Write};
 
-/// What every message of a meeting begins with: another program, or another version of ours, says something else.
+/// The first bytes of every message of a meeting, by which other programs and versions are recognized.
 const MAGIC: [u8; 16] = *b"djinn ranks 1\r\n\0";
-/// No message is longer; a stranger cannot make us wait for more, nor fill the memory.
+/// Maximum length of a message, so that no stranger can exhaust time or memory.
 const MAX_MESSAGE: u64 = 1 << 20;
-/// Memory that is set aside for a frame before its bytes are there.
+/// Memory that is allocated for a frame before its bytes arrive.
 const MAX_RESERVED: u64 = 1 << 26;
 
 /// Sends a message.
@@ -17,15 +17,18 @@ pub(super) fn send_message(mut to: impl Write, message: &impl Serialize) -> Resu
     to.write_all(&[&MAGIC[..], &(text.len() as u64).to_le_bytes(), &text].concat())
 }
 
-/// Receives a message, and not a byte more.
+/// Receives a message, without reading beyond it.
 ///
 /// # Errors
-/// When it is none of ours.
+/// When it is not a message of this version.
 pub(super) fn receive_message<M: DeserializeOwned>(mut from: impl Read) -> Result<M> {
     let (mut magic, mut length) = ([0; MAGIC.len()], [0; 8]);
     from.read_exact(&mut magic)?;
     if magic != MAGIC {
-        return Err(Error::new(ErrorKind::InvalidData, "what was received is no message of a rank of this version"));
+        return Err(Error::new(
+            ErrorKind::InvalidData,
+            "received something other than a message of a rank of this version",
+        ));
     }
     from.read_exact(&mut length)?;
     let length = u64::from_le_bytes(length);
@@ -48,7 +51,7 @@ pub(super) fn send_frame(mut to: impl Write, number: u64, bytes: &[u8]) -> Resul
 /// Receives the frame of this number.
 ///
 /// # Errors
-/// When it is another one: the ranks have not made the same calls.
+/// When it has another number, because the ranks have not made the same calls.
 pub(super) fn receive_frame(mut from: impl Read, number: u64) -> Result<Vec<u8>> {
     let (mut found, mut length) = ([0; 8], [0; 8]);
     from.read_exact(&mut found)?;
@@ -89,7 +92,7 @@ mod tests {
     #[test]
     fn what_is_not_ours_is_an_error() {
         let said = |wire: &[u8]| receive_message::<usize>(wire).unwrap_err().to_string();
-        assert!(said(b"GET / HTTP/1.1\r\nHost: example.org\r\n\r\n").contains("no message of a rank"));
+        assert!(said(b"GET / HTTP/1.1\r\nHost: example.org\r\n\r\n").contains("other than a message of a rank"));
         let huge = [&MAGIC[..], &u64::MAX.to_le_bytes()].concat();
         assert!(said(&huge).contains("expected at most 1048576"), "{}", said(&huge));
         let mut whole = Vec::new();
@@ -98,7 +101,7 @@ mod tests {
         let mut frame = Vec::new();
         send_frame(&mut frame, 5, b"abc").unwrap();
         assert_eq!(receive_frame(&frame[..], 6).unwrap_err().to_string(), "exchange 5 was received, expected 6");
-        // A frame may claim any length: memory grows with what comes.
+        // A frame may claim any length, so memory grows with the received bytes.
         frame[8..16].copy_from_slice(&u64::MAX.to_le_bytes());
         assert_eq!(receive_frame(&frame[..], 5).unwrap_err().kind(), ErrorKind::UnexpectedEof);
     }

@@ -43,7 +43,7 @@ impl Groups {
         self.n_heads * self.head_dim
     }
 
-    /// What all three kernels are told.
+    /// The arguments that all three kernels share.
     fn counts<'a>(self) -> impl Iterator<Item = Argument<'a>> {
         let Self { n_heads, q_width, kv_width, key_column, n_queries, n_keys, inner, queries, keys, .. } = self;
         let strides = [queries.outer, queries.between, queries.step, keys.outer, keys.between, keys.step];
@@ -178,8 +178,8 @@ fn forward(groups: Groups, inputs: &Inputs) -> Result<(Storage, Tensor)> {
     Ok((mixed, tensor(log_sums, (n_rows, n_heads))))
 }
 
-/// Writes the gradient at the queries to columns of `to`, whose rows are as wide as theirs, and gives what the gradient at the keys needs
-/// of it.
+/// Writes the gradient at the queries to columns of `to`, whose rows are as wide as theirs, and returns what the
+/// gradient at the keys needs.
 fn at_queries(
     groups: Groups,
     inputs: &Inputs,

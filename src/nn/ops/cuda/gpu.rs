@@ -21,7 +21,7 @@ const SOURCE: &str = concat!(
     include_str!("sinusoidal.cu"),
 );
 
-/// What a kernel is given, kept alive until it is launched.
+/// The arguments of a kernel, kept alive until it is launched.
 enum Given<'a> {
     Tensor(CudaView<'a, f32>),
     Halved(CudaView<'a, bf16>),
@@ -87,9 +87,9 @@ pub(super) fn run(launch: &Launch<'_>, device: &CudaDevice) -> Result<Vec<Storag
             shared_mem_bytes: blocks(launch.n_shared * size_of::<f32>())?,
         };
         #[expect(unsafe_code, reason = "kernels take pointers")]
-        // SAFETY: kernels read and write inside their buffers alone, which the emulator checks in tests for the launches that are made
-        // here, with fences around every buffer. Tensors that are changed in place belong to the optimizer, and everything runs in the
-        // order of one stream.
+        // SAFETY: kernels read and write only inside their buffers; the emulator checks this in tests for the same
+        // launches, with fences around every buffer. Tensors that are changed in place belong to the optimizer, and
+        // everything runs in the order of one stream.
         unsafe { builder.launch(config) }.w()?;
     }
     let new = given.into_iter().filter_map(|given| match given {

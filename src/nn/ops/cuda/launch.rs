@@ -1,11 +1,11 @@
-//! One launch of a kernel: what runs, on how many threads, with which arguments?
+//! One launch of a kernel: its name, threads and arguments.
 
 use candle_core::op::BackpropOp;
 use candle_core::{DType, Device, Result, Shape, Storage, Tensor, bail};
 
 /// Threads of a warp.
 pub(super) const WARP: usize = 32;
-/// Threads of a block where nothing speaks for another number.
+/// The default number of threads of a block.
 pub(super) const THREADS: usize = 256;
 
 /// An argument of a kernel, in the order of its declaration.
@@ -19,7 +19,7 @@ pub(super) enum Argument<'a> {
     InOut(&'a Tensor),
     /// A new buffer of so many numbers. The kernel writes all of them.
     Out(usize),
-    /// The same of `bf16`.
+    /// The same in `bf16`.
     OutHalved(usize),
     /// A count.
     Count(usize),
@@ -33,13 +33,13 @@ impl Argument<'_> {
         if halved { Self::OutHalved(len) } else { Self::Out(len) }
     }
 
-    /// Tells a kernel whether numbers are halved.
+    /// The flag of a kernel: whether numbers have 16 bits.
     pub(super) const fn flag(value: bool) -> Self {
         Self::Count(value as usize)
     }
 }
 
-/// Whether the numbers of `x` are halved.
+/// Whether the numbers of `x` have 16 bits.
 pub(super) fn is_halved(x: &Tensor) -> bool {
     x.dtype() == DType::BF16
 }
@@ -49,7 +49,7 @@ pub(super) fn is_halved(x: &Tensor) -> bool {
 pub(super) struct Launch<'a> {
     /// The kernel's name.
     pub(super) kernel: &'static str,
-    /// Features of an attention head, for kernels that know them when they are compiled; any number for others.
+    /// Features of an attention head, for kernels compiled for one number of them; any number for others.
     pub(super) head_dim: usize,
     /// Blocks, in two dimensions.
     pub(super) blocks: (usize, usize),
@@ -57,7 +57,7 @@ pub(super) struct Launch<'a> {
     pub(super) threads: usize,
     /// Numbers of shared memory of a block.
     pub(super) n_shared: usize,
-    /// What the kernel is given.
+    /// The arguments of the kernel.
     pub(super) arguments: &'a [Argument<'a>],
 }
 

@@ -8,9 +8,11 @@ use super::node::node;
 use crate::nn::ops::Activation;
 use crate::nn::precision::Precision;
 
-/// See [`linear`](crate::nn::ops::linear). Padding is computed like everything else and only then set to 0, so it has to be finite.
+/// See [`linear`](crate::nn::ops::linear). Padding is computed like everything else and then set to 0, so it must be
+/// finite.
 ///
-/// In `bf16` factors are rounded once for both passes, and `x` may be halved already: what becomes a factor again is then the same.
+/// In `bf16`, factors are rounded once for both passes. `x` may already have 16 bits; rounding it again changes
+/// nothing.
 pub(in crate::nn::ops) fn linear(
     x: &Tensor,
     weight: &Tensor,
@@ -26,10 +28,10 @@ pub(in crate::nn::ops) fn linear(
     let product = precision.multiply(&rows, &matrix.t()?)?.contiguous()?;
     let shift = bias.detach().contiguous()?;
     let all_valid = valid.is_none();
-    // Where all rows are valid, the kernel looks at none of these.
+    // If all rows are valid, the kernel reads none of these.
     let valid = valid.map_or_else(|| Ok(shift.clone()), Tensor::contiguous)?;
     let relu = activation == Activation::Relu;
-    // Nothing but another product reads what comes out of ReLU.
+    // Only another product reads the output of ReLU.
     let halved = relu && is_halved(&product);
     let counts = move || [Count(n), Count(n_out), Argument::flag(relu), Argument::flag(all_valid)];
     let arguments: Vec<_> = ([InEither(&product), In(&shift), In(&valid)].into_iter())

@@ -1,8 +1,8 @@
-//! Operations on NVIDIA GPUs in `f32`: which kernels of our own replace the plain implementation there?
+//! Operations on NVIDIA GPUs in `f32`, by kernels of our own.
 //!
-//! Products of matrices are cuBLAS's; around them lie the kernels of the `.cu` files: attention that never stores its weights, layer
-//! normalization, what comes before and after a product, encodings, the optimizer. They are compiled when the first network
-//! runs, by NVRTC for the GPU at hand. All sums have a fixed order, so that the same input gives the same bytes.
+//! Matrix products are cuBLAS's; the kernels in the `.cu` files do the rest: attention that never stores its weights,
+//! layer normalization, steps before and after a product, encodings, the optimizer. NVRTC compiles them for the GPU at
+//! hand when the first network runs. All sums have a fixed order, so that the same input gives the same bytes.
 //!
 //! The Rust side knows tensors and launches, not devices. In tests the same launches run on the host, where an emulator steps
 //! through the threads of every block: values, gradients, bounds and barriers are checked on machines without a GPU.

@@ -1,4 +1,4 @@
-//! Nodes of candle's graph around results that are there already.
+//! Nodes of candle's graph around results that are already computed.
 
 use std::sync::Mutex;
 
@@ -6,7 +6,7 @@ use std::sync::Mutex;
 use candle_core::CudaStorage;
 use candle_core::{CpuStorage, CustomOp1, CustomOp2, CustomOp3, Layout, Result, Shape, Storage, Tensor, bail};
 
-/// The gradients at the arguments from the result and its gradient, for those arguments that want one.
+/// The gradients at the arguments that need one, from the result and its gradient.
 pub(super) trait Backward:
     Fn(&Tensor, &Tensor, &[bool]) -> Result<Vec<Option<Tensor>>> + Send + Sync + 'static
 {
@@ -36,7 +36,7 @@ pub(super) fn node(
 
 struct Node<F> {
     name: &'static str,
-    /// Taken by the one forward pass.
+    /// Consumed by the only forward pass.
     result: Mutex<Option<(Storage, Shape)>>,
     backward: F,
 }

@@ -1,4 +1,4 @@
-//! One scene on the page: a heading, the drawings or their place, and what the player needs.
+//! One scene on the page: a heading, the drawings or room for them, and the player's data.
 
 use super::json;
 use crate::report::card::{SceneCard, pack_sample};
@@ -39,7 +39,7 @@ fn still(card: &SceneCard) -> Markup {
     }
 }
 
-/// About how much room the drawings take, so that the page keeps its length while they come and go.
+/// About the size of the drawings, so that the page keeps its length while they come and go.
 fn aspect_ratio(card: &SceneCard) -> String {
     let [width, height] = card.view.size();
     let n = card.panels.len().max(1) as f64;
@@ -47,10 +47,10 @@ fn aspect_ratio(card: &SceneCard) -> String {
     format!("{ratio:.2}")
 }
 
-/// What the player needs, with facts where the page does not hold them otherwise.
+/// The player's data, with facts if they are not on the page already.
 fn player_data(card: &SceneCard, lanes_idx: usize, with_facts: bool) -> Value {
     let roles = card.roles();
-    // Agents that are in any of the drawings, each once.
+    // The agents in the drawings, each once.
     let mut agents: Vec<(&str, Value)> = Vec::new();
     for agent in card.panels.iter().flat_map(|panel| &panel.samples).flat_map(|sample| &sample.agents) {
         if agents.iter().all(|(id, _)| *id != agent.id) {

@@ -1,4 +1,4 @@
-//! By what can scenes be found? A form, and what the page knows of every scene to answer it.
+//! The filters for scenes: a form, and the keys of every scene.
 
 use super::ranges::{Range, groups, ranges};
 use crate::report::card::{CardBucket, SceneCard, Verdict};
@@ -7,7 +7,7 @@ use crate::scene::GuidanceLevel;
 use maud::{Markup, html};
 use serde_json::{Value, json};
 
-/// The form. It is shown by the script that answers it.
+/// The form. The script that handles it shows it.
 pub(super) fn form(cards: &[SceneCard]) -> Markup {
     let plain = |word: &str| (word.to_owned(), word.replace('_', " "));
     let sweeps = distinct(cards.iter().map(|card| (card.key.sweep.clone(), card.key.sweep.clone())));
@@ -52,7 +52,7 @@ const NO_BEHAVIOR: &str = "none";
 const ACCEPTED: &str = "accepted";
 const REJECTED: &str = "rejected";
 
-/// Accepted, rejected, and rejected for each of the reasons that there are.
+/// Accepted, rejected, and rejected for each of the reasons that occur.
 fn decisions(cards: &[SceneCard]) -> Vec<(String, String)> {
     let known: Vec<Vec<String>> = cards.iter().map(tags).collect();
     let has = |tag: &str| known.iter().flatten().any(|known| known == tag);
@@ -67,7 +67,7 @@ fn decisions(cards: &[SceneCard]) -> Vec<(String, String)> {
     options
 }
 
-/// The decisions that find a card; none where nothing was decided.
+/// The decisions by which a card is found; none if nothing was decided.
 fn tags(card: &SceneCard) -> Vec<String> {
     match &card.key.acceptance {
         None => Vec::new(),
@@ -93,7 +93,7 @@ fn choice(name: &str, label: &str, options: &[(String, String)]) -> Markup {
     }
 }
 
-/// What the form is answered from: the names of the figures, and of each scene its sweep, behavior, place, verdict, strength,
+/// The data of the filters: the names of the figures, and for each scene its sweep, behavior, place, verdict, strength,
 /// bucket, decisions and figures.
 pub(super) fn index(cards: &[SceneCard]) -> Value {
     let ranges = ranges(cards);
@@ -119,7 +119,7 @@ pub(super) fn index(cards: &[SceneCard]) -> Value {
     })
 }
 
-/// Four decimals are enough to choose by.
+/// Four decimals are enough for filters.
 fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }

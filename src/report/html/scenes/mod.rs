@@ -1,7 +1,7 @@
-//! The drawings: each generated scene beside its recording, with what it came from, to be played and filtered.
+//! The section of drawings: each generated scene beside its recording, with its provenance, to play and filter.
 //!
-//! The page holds a still drawing of the first scenes, for print and for browsers without script. Of all scenes it holds packed
-//! states (see `card/packed.rs`), from which `player.js` draws those that come into view.
+//! The page has still drawings of the first scenes, for print and for browsers without scripts, and packed states of
+//! all scenes (see `card/packed.rs`), from which `player.js` draws those that come into view.
 
 mod card;
 mod filters;
@@ -37,7 +37,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
     })
 }
 
-/// How much of each sweep is drawn, and what to change for more.
+/// How much of each sweep is drawn, and the setting to change for more.
 fn drawn(rows: &[Drawn]) -> Markup {
     let head = html! {
         tr { th scope="col" { "Sweep" } th scope="col" { "What" } th scope="col" class="n" { "Drawn" } th scope="col" class="n" { "There are" }

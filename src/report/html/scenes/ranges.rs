@@ -1,4 +1,4 @@
-//! Of which figures can ranges be asked for? Those in which scenes differ, in groups that open one by one.
+//! The ranges of figures to filter by: figures in which scenes differ, in groups that open one by one.
 
 use crate::metrics;
 use crate::report::card::{SceneCard, Verdict};
@@ -14,7 +14,7 @@ pub(super) struct Range<'a> {
     high: f64,
 }
 
-/// What a figure is about.
+/// The subject of a figure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Group {
     Event,
@@ -35,7 +35,7 @@ impl Group {
         }
     }
 
-    /// Metrics are told by their names; what is no metric is a parameter of an event, or says how often there is one.
+    /// Metrics are recognized by their names; other figures are parameters of an event, or the number of events.
     fn of(name: &str) -> Self {
         let is_of = |parts: &[&str]| parts.iter().any(|part| name.contains(part));
         match () {
@@ -47,7 +47,7 @@ impl Group {
     }
 }
 
-/// The figures that are not the same everywhere: parameters of events, then metrics.
+/// The figures in which scenes differ: parameters of events, then metrics.
 pub(super) fn ranges(cards: &[SceneCard]) -> Vec<Range<'_>> {
     let mut ranges: Vec<Range<'_>> = Vec::new();
     // Scenes with an event name its parameters first.
