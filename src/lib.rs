@@ -6,9 +6,11 @@ pub mod containment;
 pub mod files;
 pub mod geometry;
 pub mod progress;
-pub mod scene;
 pub mod seed;
 pub mod settings;
+
+pub mod cloud;
+pub mod scene;
 
 pub mod behavior;
 pub mod ingest;

@@ -25,7 +25,8 @@ A pipeline file has one section per stage: [ingest], [mine], [train.denoiser], [
 relative to the current directory. Results go to <output>/<pipeline>/<run>/. A stage runs again only if its \
 configuration or inputs changed. A model that took more than ten minutes to train is retrained only if its own section \
 changed, or with --redo; the old model is moved aside. Several workers can share generation and evaluation, and \
-several processes a training: they are told by RANK, WORLD_SIZE, MASTER_ADDR and MASTER_PORT (pipelines/CLUSTER.md).
+several processes a training: they are told by RANK, WORLD_SIZE, MASTER_ADDR and MASTER_PORT. Recordings and the output \
+may be in object stores (s3://, gs://, az://), whose credentials come from the environment (pipelines/CLUSTER.md).
 
 Examples:
   djinn run pipelines/cut_in_corpus.toml
@@ -33,6 +34,7 @@ Examples:
   djinn run pipelines/cut_in_corpus.toml --run more --set run.seed=1
   djinn run pipelines/cut_in_corpus.toml --stage ingest --stage mine
   djinn run pipelines/cut_in_corpus.toml --stage generate --part work --worker 3/100
+  djinn run pipelines/cut_in_corpus.toml --output s3://traffic/runs --cache-dir /scratch/djinn
   djinn run pipelines/cut_in_corpus.toml --set 'ingest.inputs=[\"/data/INTERACTION-v1_2.zip\"]'";
 
 /// Of `submit`.

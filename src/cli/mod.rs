@@ -11,6 +11,7 @@ mod printer;
 mod progress;
 mod signals;
 
+use crate::cloud::use_cache_dir;
 use args::{Args, Command};
 use clap::Parser;
 use printer::Printer;
@@ -23,6 +24,7 @@ pub fn main() -> ExitCode {
         Err(error) => return exit::of_usage(&error),
     };
     let printer = Printer::new(&args.output);
+    args.output.cache_dir.iter().for_each(|dir| use_cache_dir(dir));
     signals::watch();
     let outcome = panics::told(|| match &args.command {
         Command::Run(run) => commands::run(run, &args.output, &printer),

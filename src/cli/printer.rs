@@ -1,6 +1,7 @@
 //! What may be printed, where, and in which colors?
 
 use super::args::OutputArgs;
+use crate::files::in_their_names;
 use crate::pipeline::{Blame, Failure, Result};
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
@@ -66,9 +67,10 @@ impl Printer {
     }
 }
 
-/// The text with its control characters escaped, but for tabs and ends of lines: terminals obey them, and names of files and of entries of
+/// The text with URLs in the place of what shows them on disk, and with its control characters escaped, but for tabs and ends of lines: terminals obey them, and names of files and of entries of
 /// archives come from others.
 fn plain(text: &str) -> String {
+    let text = in_their_names(text);
     let mut plain = String::with_capacity(text.len());
     for c in text.chars() {
         if c.is_control() && !matches!(c, '\n' | '\t') { plain.extend(c.escape_debug()) } else { plain.push(c) }

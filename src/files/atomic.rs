@@ -1,5 +1,6 @@
 //! Files that are either whole or absent: how does a killed or failed write leave no damaged file under its final name?
 
+use super::mirror::{tell_committed, tell_removed};
 use super::written::{enter, sync_folder};
 use fs_err as fs;
 use serde::{Deserialize, Serialize};
@@ -66,10 +67,16 @@ impl AtomicFile {
         self.n_bytes
     }
 
+    /// Size and hash of what was written so far.
+    pub fn stamp(&self) -> FileStamp {
+        FileStamp { n_bytes: self.n_bytes, checksum: self.hasher.finalize().to_hex().to_string() }
+    }
+
     /// Brings the content to the disk and the file to its final name.
     ///
     /// # Errors
-    /// Whatever the file system says; nothing is then under the final name that was not before.
+    /// Whatever the file system says; nothing is then under the final name that was not before. Those of the folder's
+    /// [`Mirror`](super::Mirror), which is told last.
     pub fn commit(mut self) -> io::Result<FileStamp> {
         let Some(mut file) = self.file.take() else {
             return Err(io::Error::other("the file is committed already"));
@@ -85,7 +92,8 @@ impl AtomicFile {
             return Err(error);
         }
         sync_folder(self.path.parent().unwrap_or(Path::new("")))?;
-        Ok(FileStamp { n_bytes: self.n_bytes, checksum: self.hasher.finalize().to_hex().to_string() })
+        tell_committed(&self.path)?;
+        Ok(self.stamp())
     }
 }
 
@@ -134,7 +142,8 @@ pub fn write_atomically<E: From<io::Error>>(
 pub fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
     enter(to)?;
     if fs::hard_link(from, to).is_ok() {
-        return sync_folder(to.parent().unwrap_or(Path::new("")));
+        sync_folder(to.parent().unwrap_or(Path::new("")))?;
+        return tell_committed(to);
     }
     let mut from = fs::File::open(from)?;
     write_atomically(to, |file| io::copy(&mut from, file).map(drop)).map(drop)
@@ -146,9 +155,10 @@ pub fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
 /// Whatever the file system says, except that the file is missing.
 pub fn remove_if_present(path: &Path) -> io::Result<()> {
     match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => Ok(()),
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
     }
+    tell_removed(path)
 }
 
 /// A name beside `path` for what is to become it: `<name>.<16 hexadecimal digits>.partial`. The digits are drawn anew each

@@ -1,4 +1,4 @@
-//! What may a command write, and what may it remove? Whole files, lists of what is ours, locks, and overlaps.
+//! What may a command write, and what may it remove? Whole files, lists of what is ours, locks, overlaps, and who else is told.
 //!
 //! The rule: a command removes only files that a list of ours names. It refuses an output that overlaps an input or holds
 //! files of somebody else, and says so before it touches anything.
@@ -7,6 +7,7 @@ mod atomic;
 mod error;
 mod exchange;
 mod lock;
+mod mirror;
 mod new_folder;
 mod overlap;
 mod regular;
@@ -21,6 +22,7 @@ pub use atomic::{
 pub use error::{Error, PathRelation, Result};
 pub use exchange::exchange;
 pub use lock::{LOCK_FILE, Lock};
+pub use mirror::{Mirror, call, in_their_names, mirror, mirror_above, name_elsewhere, tell_committed, unmirror};
 pub use new_folder::NewFolder;
 pub use overlap::{check_overlap, resolve};
 pub use regular::regular;

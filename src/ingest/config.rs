@@ -14,7 +14,8 @@ pub struct IngestConfig {
     /// The dataset that the inputs belong to.
     #[schemars(schema_with = "dataset_schema")]
     pub dataset: Dataset,
-    /// Folders, archives (`.zip`, `.tar`, `.tar.gz`, `.tgz`) and files (also `.gz`) to read, as downloaded.
+    /// Folders, archives (`.zip`, `.tar`, `.tar.gz`, `.tgz`) and files (also `.gz`) to read, as downloaded; with the feature
+    /// `cloud`, also such in object stores (`s3://bucket/x.zip`, `gs://bucket/folder`).
     pub inputs: Vec<PathBuf>,
     /// Whether scenes must have maps.
     #[serde(default)]

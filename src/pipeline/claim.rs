@@ -3,8 +3,9 @@
 use super::failure::{Failure, Result};
 use super::record::{StageRecord, done_path, started_path};
 use super::run::{CONFIG_FILE, RUN_FILE, TIMINGS_FILE};
-use super::stage::{Stage, StageId};
-use crate::files::{self, Error, check_overlap, foreign, is_link, is_partial_of};
+use super::stage::{Stage, StageId, StageInput};
+use crate::cloud::ObjectUrl;
+use crate::files::{self, Error, check_overlap, foreign, is_link, is_partial_of, name_elsewhere};
 use crate::store::read_json;
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -19,6 +20,7 @@ pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Res
             let inputs = reader.inputs().into_iter().filter(|input| input.producer != Some(writer.id()));
             for input in inputs {
                 for name in writer.outputs() {
+                    check_urls(&root.join(name), &input)?;
                     check_overlap(&root.join(name), [(input.name.as_str(), input.path.as_path())]).map_err(
                         |error| {
                             let failure = Failure::from(error).context(format!("stage {} cannot run", writer.id()));
@@ -35,6 +37,17 @@ pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Res
         }
     }
     Ok(())
+}
+
+/// Refuses an output in a bucket that overlaps an input there.
+fn check_urls(output: &Path, input: &StageInput) -> Result<()> {
+    let of = |path: &Path| ObjectUrl::of(path).map_err(Failure::input);
+    let Some(output_url) = name_elsewhere(output).map_or(Ok(None), |name| of(Path::new(&name)))? else { return Ok(()) };
+    let relation = of(&input.path)?.and_then(|input| output_url.relation_to(&input));
+    let Some(relation) = relation else { return Ok(()) };
+    let (output, name, input) = (output_url.to_string().into(), input.name.clone(), input.path.clone());
+    Err(Failure::from(Error::Overlap { output, relation, name, input })
+        .with_hint("use separate folders for recordings and results"))
 }
 
 /// Refuses a folder with a file of somebody else's under a name that every command writes.

@@ -23,7 +23,8 @@ pub struct PathFingerprint {
     /// Hash of the whole content where `hash` is not. `None` also in records of versions that took none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub whole: Option<String>,
-    /// Hash of the sizes and times of the files that `whole` was taken of: while they stay, it is not taken again.
+    /// Hash of the sizes and times of the files that `whole` was taken of, or of the tags of objects: while they stay, it is not taken
+    /// again.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub times: Option<String>,
 }

@@ -1,8 +1,8 @@
 //! Decides which stages must run, which can be reused and which resume, and runs them.
 
 use super::claim;
-use super::failure::{Failure, Result};
-use super::fingerprint::fingerprint_to;
+use super::failure::{Blame, Failure, Result};
+use super::fingerprint::{PathFingerprint, fingerprint_to};
 use super::keep::{Kept, kept};
 use super::older;
 use super::record::{InputRecord, StageRecord, started_path};
@@ -10,6 +10,7 @@ use super::run::times_seen;
 use super::stage::{Stage, StageContext, StageId, StageInput};
 use super::stale;
 use super::work::Work;
+use crate::cloud::Recordings;
 use crate::files::remove_if_present;
 use crate::progress::Progress;
 use serde::Serialize;
@@ -113,6 +114,7 @@ fn identify_inputs(
         let record = match identify(root, planned, &input, earlier) {
             Ok(record) => record,
             // Results stay valid when their recordings are removed.
+            Err(failure) if failure.blame != Blame::Input => return Err(failure),
             Err(failure) => match earlier.and_then(|earlier| earlier.missing_input(&input)) {
                 Some(record) => {
                     missing.get_or_insert(failure);
@@ -339,8 +341,8 @@ fn identify(
         }
     }
     let known = earlier.and_then(|earlier| earlier.known_content(&input.name, &input.path));
-    let content = fingerprint_to(&input.path, None, known).map_err(|error| {
-        let failure = Failure::input(error).context(format!("failed to read the input {}", input.name));
+    let content = fingerprint_input(&input.path, known).map_err(|failure| {
+        let failure = failure.context(format!("failed to read the input {}", input.name));
         match input.producer {
             Some(producer) => failure.with_hint(format!(
                 "`djinn {}` writes it; see --help for how to use another path",
@@ -350,6 +352,19 @@ fn identify(
         }
     })?;
     Ok(InputRecord::Path { path: input.path.clone(), content })
+}
+
+/// What an input from outside holds. Of objects that are as they were when it was `known`, nothing is downloaded.
+fn fingerprint_input(path: &Path, known: Option<&PathFingerprint>) -> Result<PathFingerprint> {
+    let Some(recordings) = Recordings::at(path)? else {
+        return fingerprint_to(path, None, known).map_err(Failure::input);
+    };
+    let tag = Some(recordings.tag());
+    if let Some(known) = known.filter(|known| known.times == tag) {
+        return Ok(known.clone());
+    }
+    let content = fingerprint_to(&recordings.on_disk()?, None, None).map_err(Failure::input)?;
+    Ok(PathFingerprint { times: tag, ..content })
 }
 
 /// The action for a stage. If it is reused, `expected` learns when its outputs were last verified.

@@ -14,13 +14,13 @@ use super::log::{LOG_FILE, Logged};
 use super::record::{InputRecord, StageRecord};
 use super::stage::{StageContext, StageId};
 use super::work::Work;
-use crate::files::Lock;
+use crate::files::{Lock, mirror_above, name_elsewhere};
 use crate::nn::Compute;
 use crate::progress::Progress;
 use crate::store::{read_json, write_atomically, write_json_atomically};
 use crate::train::Exchange;
 use serde::{Deserialize, Serialize};
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -115,7 +115,8 @@ pub fn run_stages(
     let compute = if computes { compute.open()? } else { Compute::cpu() };
     let root = folder.root.as_path();
     let logged = Logged::open(&root.join(LOG_FILE), progress)?;
-    logged.line(&format!("djinn {} begins in {}", env!("CARGO_PKG_VERSION"), root.display()));
+    let place = name_elsewhere(root).unwrap_or_else(|| root.display().to_string());
+    logged.line(&format!("djinn {} begins in {}", env!("CARGO_PKG_VERSION"), place));
     for PlannedStage { expected, action, .. } in &planned {
         logged.line(&format!("{}: {action}", expected.stage));
     }
@@ -140,17 +141,28 @@ pub fn run_stages(
     save(None)?;
     let clock = RefCell::new(StageClock::open(root));
     let context = StageContext { root, compute: &compute, progress: &logged, exchange };
+    let is_new = Cell::new(false);
     let mut after = |record: &StageRecord| {
         clock.borrow_mut().keep_times(record)?;
-        save(Some(record))
+        save(Some(record))?;
+        if is_new.take() { publish(root) } else { Ok(()) }
     };
-    let outcome = execute(planned, &context, &mut after, &mut |stage, moment| clock.borrow_mut().take(stage, moment));
+    let mut around = |stage: StageId, moment: Moment| {
+        is_new.set(moment == Moment::End);
+        clock.borrow_mut().take(stage, moment)
+    };
+    let outcome = execute(planned, &context, &mut after, &mut around);
     match &outcome {
         Ok(_) => logged.line("done"),
         Err(Failure { blame: Blame::Later, error, .. }) => logged.line(&format!("stopped: {error:#}")),
         Err(failure) => logged.line(&format!("failed: {:#}", failure.error)),
     }
     outcome
+}
+
+/// Lets others see the outputs of a stage that just ended, where the folder has a mirror.
+fn publish(root: &Path) -> anyhow::Result<()> {
+    mirror_above(root).map_or(Ok(()), |mirror| Ok(mirror.publish()?))
 }
 
 /// A folder to write into, locked against other processes.

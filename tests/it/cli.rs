@@ -167,3 +167,41 @@ fn two_processes_do_not_write_into_one_folder() {
     let outcome = workspace.run("out", &[]).expect(1);
     assert!(outcome.stderr.contains("is in use by"), "{}", outcome.stderr);
 }
+
+#[test]
+fn urls_of_object_stores_are_refused_where_they_cannot_be() {
+    let workspace = Workspace::new();
+    let pipeline = workspace.path("small.toml");
+    let pipeline = pipeline.to_str().unwrap();
+    for args in [
+        &["corpus", "filter", "x", "--where", "verified", "--out", "s3://bucket/out"][..],
+        &["export", "commonroad", "x", "--out", "gs://bucket/out"],
+        &["generate", "--denoiser", "s3://bucket/model", "--output", "x"],
+        &["status", "x", "--cache-dir", "s3://bucket/cache"],
+    ] {
+        let said = djinn(args).expect(1).stderr;
+        assert!(said.contains("expected a path on disk, not a URL of an object store"), "{said}");
+    }
+    let said = djinn(&["submit", pipeline, "--engine", "slurm", "--output", "s3://bucket/runs"]).expect(1).stderr;
+    assert!(said.contains("s3://bucket/runs/small/main cannot hold the output of jobs"), "{said}");
+    let said = djinn(&["run", pipeline, "--output", "s3://me:hunter2@bucket/runs"]).expect(1).stderr;
+    assert!(said.contains("no credentials; they come from the environment") && !said.contains("hunter2"), "{said}");
+    assert!(!std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("s3:").exists());
+}
+
+#[cfg(not(feature = "cloud"))]
+#[test]
+fn a_build_without_object_stores_says_which_has_them() {
+    let workspace = Workspace::new();
+    let pipeline = workspace.path("small.toml");
+    for args in [
+        &["run", pipeline.to_str().unwrap(), "--output", "s3://bucket/runs"][..],
+        &["status", "gs://bucket/runs/small/main"],
+        &["corpus", "validate", "az://container/corpus"],
+        &["inspect", "s3://bucket/corpus"],
+        &["mine", "--output", "s3://bucket/run"],
+    ] {
+        let said = djinn(args).expect(1).stderr;
+        assert!(said.contains("built without object stores") && said.contains("--features cloud"), "{said}");
+    }
+}

@@ -1,5 +1,6 @@
 //! Arguments of `djinn corpus`.
 
+use super::on_disk;
 use crate::cli::help;
 use clap::Subcommand;
 use std::path::PathBuf;
@@ -39,7 +40,7 @@ pub(in crate::cli) struct CorpusMergeArgs {
     #[arg(value_name = "DIR", required = true)]
     pub(in crate::cli) corpora: Vec<PathBuf>,
     /// The folder to write; it must not exist yet
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) out: PathBuf,
 }
 
@@ -52,7 +53,7 @@ pub(in crate::cli) struct CorpusFilterArgs {
     #[arg(long = "where", value_name = "CONDITION", required = true)]
     pub(in crate::cli) conditions: Vec<String>,
     /// The folder to write; it must not exist yet
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) out: PathBuf,
 }
 
@@ -71,7 +72,7 @@ pub(in crate::cli) struct CorpusSampleArgs {
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     pub(in crate::cli) seed: u64,
     /// The folder to write; it must not exist yet
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) out: PathBuf,
 }
 

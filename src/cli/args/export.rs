@@ -1,5 +1,6 @@
 //! Arguments of `djinn export`.
 
+use super::on_disk;
 use crate::export::ExportFormat;
 use std::path::PathBuf;
 
@@ -12,7 +13,7 @@ pub(in crate::cli) struct ExportArgs {
     #[arg(value_name = "CORPUS")]
     pub(in crate::cli) corpus: PathBuf,
     /// The folder to write to; it must be new or empty
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) out: PathBuf,
     /// Only verified scenarios: those that show the requested behavior
     #[arg(long)]

@@ -11,9 +11,11 @@ pub(in crate::cli) use self::export::ExportArgs;
 use self::stages::{EvaluateArgs, GenerateArgs, ModelArgs, SceneStageArgs, ScenesArg, not_for_comparisons};
 pub(in crate::cli) use self::stages::{IngestArgs, ReportArgs, StageArgs, TrainCommand};
 use super::help;
+use crate::cloud::ObjectUrl;
 use crate::nn::Precision;
 use crate::pipeline::parts::{Part, Worker};
 use crate::pipeline::{DeviceChoice, StageId};
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -42,6 +44,9 @@ pub(in crate::cli) struct OutputArgs {
     /// Number of worker threads; 0 uses every core. Results do not depend on it
     #[arg(long, value_name = "N", global = true, help_heading = "Global options")]
     pub(in crate::cli) threads: Option<usize>,
+    /// Where to keep what is read from object stores [default: DJINN_CACHE_DIR, or djinn in the user's cache folder]
+    #[arg(long, value_name = "DIR", global = true, help_heading = "Global options", value_parser = on_disk())]
+    pub(in crate::cli) cache_dir: Option<PathBuf>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -117,7 +122,7 @@ pub(in crate::cli) struct RunArgs {
 /// Where the results of a pipeline go.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct RunPlace {
-    /// The folder for the results of all pipelines [default: run.output of the file, or output]
+    /// The folder for the results of all pipelines, also s3://… [default: run.output of the file, or output]
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) output: Option<PathBuf>,
     /// Name of the run; reusing a name resumes that run
@@ -137,7 +142,7 @@ pub(in crate::cli) struct RegenerateArgs {
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) corpus: Option<PathBuf>,
     /// Write the new scenario to this file, as a sample shard of one row
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = on_disk())]
     pub(in crate::cli) out: Option<PathBuf>,
     /// The device to compute on: cpu, cuda or cuda:N, as in run.device; only the same kind gives the same bytes
     #[arg(long, default_value_t)]
@@ -149,6 +154,14 @@ pub(in crate::cli) struct RegenerateArgs {
     pub(in crate::cli) scenes: ScenesArg,
     #[command(flatten)]
     pub(in crate::cli) models: ModelArgs,
+}
+
+/// Reads a path that cannot be in an object store.
+fn on_disk() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().try_map(|path| match ObjectUrl::is_meant(&path) {
+        true => Err("expected a path on disk, not a URL of an object store; copy it from or to there"),
+        false => Ok(path),
+    })
 }
 
 #[derive(Debug, clap::Args)]

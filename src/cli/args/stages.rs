@@ -1,5 +1,6 @@
 //! Arguments of the stages of a pipeline, each run alone.
 
+use super::on_disk;
 use crate::cli::help;
 use crate::pipeline::layout::Layout;
 use crate::scene::Dataset;
@@ -27,7 +28,7 @@ pub(in crate::cli) enum TrainCommand {
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct StageArgs {
     /// A pipeline file; the stage's section of it is used [default: the section's defaults]
-    #[arg(long, value_name = "PIPELINE.toml")]
+    #[arg(long, value_name = "PIPELINE.toml", value_parser = on_disk())]
     pub(in crate::cli) config: Option<PathBuf>,
     /// Override a setting, such as run.seed=7 (may be repeated)
     #[arg(long, value_name = "KEY=VALUE")]
@@ -100,10 +101,10 @@ pub(in crate::cli) struct EvaluateArgs {
     #[command(flatten)]
     pub(in crate::cli) scenes: ScenesArg,
     /// The recorded events, to measure novelty against [default: events.parquet in the run folder, if present]
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = on_disk())]
     pub(in crate::cli) events: Option<PathBuf>,
     /// The folder of generated scenarios [default: samples in the run folder]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) samples: Option<PathBuf>,
     #[command(flatten)]
     pub(in crate::cli) stage: StageArgs,
@@ -118,7 +119,7 @@ pub(in crate::cli) struct ReportArgs {
     #[arg(long, num_args = 2, value_names = ["RUN_A", "RUN_B"], conflicts_with_all = ["from", "config", "set", "dry_run", "redo"])]
     pub(in crate::cli) compare: Option<Vec<PathBuf>>,
     /// The file for the comparison [default: comparison.html]
-    #[arg(long, value_name = "FILE", requires = "compare")]
+    #[arg(long, value_name = "FILE", requires = "compare", value_parser = on_disk())]
     pub(in crate::cli) out: Option<PathBuf>,
     #[command(flatten)]
     pub(in crate::cli) stage: StageArgs,
@@ -136,21 +137,21 @@ pub(super) fn not_for_comparisons(output: clap::Arg) -> clap::Arg {
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct ScenesArg {
     /// The scene store to read [default: scenes in the run folder]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) scenes: Option<PathBuf>,
 }
 
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct EventsArg {
     /// The events to read [default: events.parquet in the run folder]
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = on_disk())]
     pub(in crate::cli) events: Option<PathBuf>,
 }
 
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct DenoiserArg {
     /// The folder of a trained denoiser [default: denoiser in the run folder]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) denoiser: Option<PathBuf>,
 }
 
@@ -160,13 +161,13 @@ pub(in crate::cli) struct ModelArgs {
     #[command(flatten)]
     denoiser: DenoiserArg,
     /// The folder of a distilled denoiser [default: distilled in the run folder]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = on_disk())]
     distilled: Option<PathBuf>,
     /// The folder of a trained classifier [default: classifier in the run folder]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = on_disk())]
     classifier: Option<PathBuf>,
     /// The folder of a trained baseline [default: baseline in the run folder]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = on_disk())]
     baseline: Option<PathBuf>,
 }
 

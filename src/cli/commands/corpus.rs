@@ -3,6 +3,7 @@
 use crate::cli::args::{CorpusCommand, OutputArgs};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
+use crate::cloud::{Access, Place};
 use crate::corpus::{
     Condition, CopyOutcome, DiffReport, Finding, SampleOptions, Severity, ValidationReport, diff, filter, merge,
     sample, validate,
@@ -10,14 +11,15 @@ use crate::corpus::{
 use crate::pipeline::{Failure, Result};
 use serde::Serialize;
 use std::fmt::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, printer: &Printer) -> Result<()> {
     super::use_threads(output, 0)?;
     let progress = TerminalProgress::new(output, *printer);
     match command {
         CorpusCommand::Validate(args) => {
-            let report = validate(&args.corpus, &progress)?;
+            let place = read(&args.corpus)?;
+            let report = validate(place.path(), &progress)?;
             print(printer, args.json, &report, validation_text)?;
             match report.n_damages {
                 0 => Ok(()),
@@ -30,7 +32,9 @@ pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, print
         }
         CorpusCommand::Merge(args) => {
             super::begins_anew(&args.out);
-            let outcome = merge(&args.corpora, &args.out, &progress)?;
+            let places = args.corpora.iter().map(|path| read(path)).collect::<Result<Vec<_>>>()?;
+            let corpora: Vec<PathBuf> = places.iter().map(|place| place.path().to_owned()).collect();
+            let outcome = merge(&corpora, &args.out, &progress)?;
             tell(printer, &outcome, &args.out);
             Ok(())
         }
@@ -38,22 +42,27 @@ pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, print
             let conditions = args.conditions.iter().map(|text| text.parse::<Condition>());
             let conditions = conditions.collect::<std::result::Result<Vec<_>, _>>()?;
             super::begins_anew(&args.out);
-            let outcome = filter(&args.corpus, &conditions, &args.out, &progress)?;
+            let outcome = filter(read(&args.corpus)?.path(), &conditions, &args.out, &progress)?;
             tell(printer, &outcome, &args.out);
             Ok(())
         }
         CorpusCommand::Sample(args) => {
             let options = SampleOptions { n: args.n, by: args.by.clone(), seed: args.seed };
             super::begins_anew(&args.out);
-            let outcome = sample(&args.corpus, &options, &args.out, &progress)?;
+            let outcome = sample(read(&args.corpus)?.path(), &options, &args.out, &progress)?;
             tell(printer, &outcome, &args.out);
             Ok(())
         }
         CorpusCommand::Diff(args) => {
-            let report = diff(&args.a, &args.b, &progress)?;
+            let report = diff(read(&args.a)?.path(), read(&args.b)?.path(), &progress)?;
             print(printer, args.json, &report, diff_text)
         }
     }
+}
+
+/// A corpus, wherever it is.
+fn read(corpus: &Path) -> Result<Place> {
+    Ok(Place::open(corpus, Access::Read)?)
 }
 
 /// Prints data as JSON or as text.

@@ -3,6 +3,7 @@
 use crate::cli::args::{ExportArgs, OutputArgs};
 use crate::cli::printer::{Printer, stderr_line};
 use crate::cli::progress::TerminalProgress;
+use crate::cloud::{Access, Place};
 use crate::export::{EgoMotion, Selection, export_corpus};
 use crate::pipeline::{Failure, Result};
 use std::path::Path;
@@ -23,8 +24,9 @@ pub(in crate::cli) fn export(args: &ExportArgs, output: &OutputArgs, printer: &P
     };
     super::begins_anew(&args.out);
     let progress = TerminalProgress::new(output, *printer);
-    let report = export_corpus(&args.corpus, args.format, &args.out, &selection, ego, &progress);
-    let report = report.map_err(|error| hinted(error.into(), &args.corpus))?;
+    let corpus = Place::open(&args.corpus, Access::Read)?;
+    let report = export_corpus(corpus.path(), args.format, &args.out, &selection, ego, &progress);
+    let report = report.map_err(|error| hinted(error.into(), corpus.path()))?;
     for warning in report.warnings() {
         stderr_line(&printer.warning_line(&warning));
     }

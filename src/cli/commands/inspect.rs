@@ -2,11 +2,13 @@
 
 use crate::cli::args::InspectArgs;
 use crate::cli::printer::Printer;
+use crate::cloud::{Access, Place};
 use crate::pipeline::Result;
 use crate::pipeline::inspect::inspect as describe;
 
 pub(in crate::cli) fn inspect(args: &InspectArgs, printer: &Printer) -> Result<()> {
-    let description = describe(&args.path)?;
+    let place = Place::open(&args.path, Access::Read)?;
+    let description = describe(place.path())?;
     if args.json {
         let text = serde_json::to_string_pretty(&description.json()).map_err(anyhow::Error::from)?;
         printer.data(&format!("{text}\n"))

@@ -23,12 +23,14 @@ pub(super) use submit::submit;
 use crate::cli::args::OutputArgs;
 use crate::cli::printer::Printer;
 use crate::cli::signals;
+use crate::cloud::Place;
+use crate::files::in_their_names;
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::estimate::estimate;
 use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::memory::{check_memory, estimate_memory, machine_memory};
-use crate::pipeline::{Failure, Kept, Result, StageId};
+use crate::pipeline::{Blame, Failure, Kept, Result, StageId};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -39,11 +41,21 @@ fn use_threads(output: &OutputArgs, configured: usize) -> Result<()> {
     rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(Failure::fault)
 }
 
+/// Ends the work in a folder: brings what it wrote to where the folder is, whatever its outcome.
+fn finish(place: Place, outcome: Result<()>) -> Result<()> {
+    match (outcome, place.finish()) {
+        (Ok(()), finished) => Ok(finished?),
+        // What is not there counts for more than what it says.
+        (Err(failure), Err(error)) if matches!(failure.blame, Blame::Gate | Blame::Later) => Err(error.into()),
+        (Err(failure), _) => Err(failure),
+    }
+}
+
 /// Says what a signal leaves of work in a folder of stages.
 fn resumes_in(root: &Path) {
     signals::leaves_resumable(format!(
         "finished shards and saved training states are kept in {}; run the same command again to continue",
-        root.display()
+        in_their_names(&root.to_string_lossy())
     ));
 }
 

@@ -3,6 +3,7 @@
 use super::{begins_anew, use_threads};
 use crate::cli::args::{OutputArgs, RegenerateArgs};
 use crate::cli::printer::Printer;
+use crate::cloud::{Access, Place};
 use crate::files::check_overlap;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::regenerate::{Regenerated, regenerate as generate_again};
@@ -13,17 +14,19 @@ use std::path::Path;
 pub(in crate::cli) fn regenerate(args: &RegenerateArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
     use_threads(output, 0)?;
     let beside_corpus = args.corpus.as_deref().and_then(Path::parent);
-    let root = args.from.as_deref().or(beside_corpus).unwrap_or(Path::new("."));
-    let mut layout = Layout::below(root);
+    let root = Place::open(args.from.as_deref().or(beside_corpus).unwrap_or(Path::new(".")), Access::Read)?;
+    let corpus = args.corpus.as_ref().map(|corpus| Place::open(corpus, Access::Read)).transpose()?;
+    let corpus = corpus.as_ref().map(Place::path);
+    let mut layout = Layout::below(root.path());
     args.scenes.scenes.iter().for_each(|path| layout.scenes.clone_from(path));
     args.models.replace_in(&mut layout);
     if let Some(path) = &args.out {
-        check_new(path, &layout, args.corpus.as_deref())?;
+        check_new(path, &layout, corpus)?;
         begins_anew(path);
     }
     let compute = ComputeChoice { device: args.device, precision: args.precision };
     let Regenerated { stored, again, differences, n_columns } =
-        generate_again(&args.scenario, &layout, args.corpus.as_deref(), &compute.open()?)?;
+        generate_again(&args.scenario, &layout, corpus, &compute.open()?)?;
     if let Some(path) = &args.out {
         write_samples(path, std::slice::from_ref(&again))?;
     }

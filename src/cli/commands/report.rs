@@ -2,6 +2,7 @@
 
 use crate::cli::args::{Command, OutputArgs, ReportArgs};
 use crate::cli::printer::Printer;
+use crate::cloud::{Access, Place};
 use crate::pipeline::Result;
 use crate::pipeline::compare::write_comparison;
 use std::path::Path;
@@ -18,7 +19,8 @@ pub(in crate::cli) fn report(
     let Some([a, b]) = args.compare.as_deref() else { return super::stage(command, output, printer) };
     let page = args.out.as_deref().unwrap_or(Path::new(COMPARISON_FILE));
     super::begins_anew(page);
-    write_comparison(a, b, page)?;
+    let (a, b) = (Place::open(a, Access::Read)?, Place::open(b, Access::Read)?);
+    write_comparison(a.path(), b.path(), page)?;
     printer.message(format_args!("the comparison is in {}", page.display()));
     Ok(())
 }

@@ -4,6 +4,7 @@ use super::{announce, print_dry_run, refuse_too_large, resumes_in, use_threads};
 use crate::cli::args::{OutputArgs, RunArgs, RunPlace};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
+use crate::cloud::{Access, Place};
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
@@ -11,33 +12,54 @@ use crate::pipeline::parts::{self, InParts, Part, TakenOver};
 use crate::pipeline::run::{RunFolder, run_stages};
 use crate::pipeline::{ComputeChoice, Failure, Result, StageId, graph, ranks, stages};
 use crate::settings;
+use crate::train::Seat;
 use std::path::{Path, PathBuf};
 
 pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
     let (config, root) = load(&args.pipeline, &args.set, &args.place)?;
     use_threads(output, config.run.threads)?;
-    let layout = Layout::below(&root);
+    let may_train = !args.dry_run && args.part != Some(Part::Work);
+    let seat = if may_train { ranks::seat(&selected(args, &config))? } else { None };
+    let access = match &seat {
+        _ if args.dry_run => Access::Read,
+        _ if args.part == Some(Part::Work) => Access::Work,
+        Some(seat) if seat.rank > 0 => Access::Read,
+        _ => Access::Write,
+    };
+    let place = Place::open(&root, access)?;
+    let outcome = run_in(place.path(), (args, &config), seat.as_ref(), output, printer);
+    super::finish(place, outcome)
+}
+
+/// Runs the pipeline in the folder `root`.
+fn run_in(
+    root: &Path,
+    (args, config): (&RunArgs, &PipelineConfig),
+    seat: Option<&Seat>,
+    output: &OutputArgs,
+    printer: &Printer,
+) -> Result<()> {
+    let layout = Layout::below(root);
     let plan = || -> Result<Vec<PlannedStage<'_>>> {
-        let planned = graph::plan(&root, stages::of_pipeline(&config, &layout)?, &args.redo)?;
+        let planned = graph::plan(root, stages::of_pipeline(config, &layout)?, &args.redo)?;
         let planned = if args.stage.is_empty() { planned } else { graph::select(planned, &args.stage)? };
-        refuse_too_large(&config, &layout, &planned)?;
+        refuse_too_large(config, &layout, &planned)?;
         Ok(planned)
     };
     if args.dry_run {
-        return print_dry_run(&config, &layout, &plan()?, printer);
+        return print_dry_run(config, &layout, &plan()?, printer);
     }
-    resumes_in(&root);
+    resumes_in(root);
     let progress = TerminalProgress::new(output, *printer);
     let compute = config.run.compute();
-    let in_parts = args.part.map(|part| stage_in_parts(args, part, &config, &layout)).transpose()?;
+    let in_parts = args.part.map(|part| stage_in_parts(args, part, config, &layout)).transpose()?;
     if let (Some((_, stage)), Some(worker)) = (&in_parts, args.worker) {
-        return stage.work(&root, worker, compute, &progress);
+        return stage.work(root, worker, compute, &progress);
     }
-    let seat = ranks::seat(&selected(args, &config))?;
-    if let Some(seat) = seat.as_ref().filter(|seat| seat.rank > 0) {
-        return ranks::help(seat, &config, &root, plan()?, &progress);
+    if let Some(seat) = seat.filter(|seat| seat.rank > 0) {
+        return ranks::help(seat, config, root, plan()?, &progress);
     }
-    let folder = RunFolder::open(&root)?;
+    let folder = RunFolder::open(root)?;
     let mut planned = plan()?;
     let mut finished = Vec::new();
     match &in_parts {
@@ -52,16 +74,16 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
         }
         None => {
             for planned in &mut planned {
-                let Some(stage) = parts::in_parts(planned.stage.id(), &config, &layout) else { continue };
+                let Some(stage) = parts::in_parts(planned.stage.id(), config, &layout) else { continue };
                 finished.extend(take_over(args, stage.as_ref(), &folder, planned, compute, printer)?);
             }
         }
     }
     announce(&planned, output, printer);
-    let exchange = ranks::meet(seat.as_ref(), &config, &planned, &progress)?;
-    let records = run_stages(&folder, Some(&config), compute, planned, &progress, exchange.as_ref())?;
+    let exchange = ranks::meet(seat, config, &planned, &progress)?;
+    let records = run_stages(&folder, Some(config), compute, planned, &progress, exchange.as_ref())?;
     ranks::dismiss(exchange.as_ref());
-    finished.into_iter().try_for_each(|stage| parts::sealed(&root, stage))?;
+    finished.into_iter().try_for_each(|stage| parts::sealed(root, stage))?;
     printer.message(format_args!("results are in {}", root.display()));
     // Where a report comes later, the run ends with it.
     if in_parts.is_some() && config.report.is_some() { Ok(()) } else { stages::check_gates(&records) }

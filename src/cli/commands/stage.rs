@@ -4,41 +4,61 @@ use super::{announce, print_dry_run, refuse_too_large, resumes_in, use_threads};
 use crate::cli::args::{Command, IngestArgs, OutputArgs, StageArgs, TrainCommand};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
+use crate::cloud::{Access, Place};
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::run::{RunFolder, run_stages};
 use crate::pipeline::{Failure, Result, StageId, graph, ranks, stages};
+use crate::train::Seat;
 use std::path::{Path, PathBuf};
 
 pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Printer) -> Result<()> {
     let Some(request) = Request::from_command(command) else {
         return Err(Failure::fault(anyhow::anyhow!("this command runs no stage")));
     };
-    let Request { id, args, layout, overrides } = request;
+    let Request { id, args, mut layout, overrides, reads } = request;
     let overrides = [overrides, args.set.clone()].concat();
     let config = PipelineConfig::load(args.config.as_deref(), &overrides)?.with_section(id);
     use_threads(output, config.run.threads)?;
-    let root = args.output.as_path();
+    let seat = if args.dry_run { None } else { ranks::seat(&[id])? };
+    let is_reader = args.dry_run || seat.as_ref().is_some_and(|seat| seat.rank > 0);
+    let place = Place::open(&args.output, if is_reader { Access::Read } else { Access::Write })?;
+    let other = reads.map(|folder| Place::open(folder, Access::Read)).transpose()?;
+    for (named, place) in [(Some(args.output.as_path()), Some(&place)), (reads, other.as_ref())] {
+        named.zip(place).iter().for_each(|(named, place)| layout.move_below(named, place.path()));
+    }
+    let outcome = run_in(place.path(), (id, args), (&config, &layout), seat.as_ref(), output, printer);
+    super::finish(place, outcome)
+}
+
+/// Runs the stage in the folder `root`.
+fn run_in(
+    root: &Path,
+    (id, args): (StageId, &StageArgs),
+    (config, layout): (&PipelineConfig, &Layout),
+    seat: Option<&Seat>,
+    output: &OutputArgs,
+    printer: &Printer,
+) -> Result<()> {
     let redo = if args.redo { vec![id] } else { Vec::new() };
     let plan = || -> Result<Vec<PlannedStage<'_>>> {
-        let planned = graph::plan(root, vec![stages::alone(id, &config, &layout)?], &redo)?;
-        refuse_too_large(&config, &layout, &planned)?;
+        let planned = graph::plan(root, vec![stages::alone(id, config, layout)?], &redo)?;
+        refuse_too_large(config, layout, &planned)?;
         Ok(planned)
     };
     if args.dry_run {
-        return print_dry_run(&config, &layout, &plan()?, printer);
+        return print_dry_run(config, layout, &plan()?, printer);
     }
     resumes_in(root);
     let progress = TerminalProgress::new(output, *printer);
-    let seat = ranks::seat(&[id])?;
-    if let Some(seat) = seat.as_ref().filter(|seat| seat.rank > 0) {
-        return ranks::help(seat, &config, root, plan()?, &progress);
+    if let Some(seat) = seat.filter(|seat| seat.rank > 0) {
+        return ranks::help(seat, config, root, plan()?, &progress);
     }
     let folder = RunFolder::open(root)?;
     let planned = plan()?;
     announce(&planned, output, printer);
-    let exchange = ranks::meet(seat.as_ref(), &config, &planned, &progress)?;
+    let exchange = ranks::meet(seat, config, &planned, &progress)?;
     let records = run_stages(&folder, None, config.run.compute(), planned, &progress, exchange.as_ref())?;
     ranks::dismiss(exchange.as_ref());
     stages::check_gates(&records)
@@ -51,11 +71,13 @@ struct Request<'a> {
     layout: Layout,
     /// What the command's own arguments say, as overrides of the configuration.
     overrides: Vec<String>,
+    /// A run folder that it reads, other than the one it writes.
+    reads: Option<&'a Path>,
 }
 
 impl<'a> Request<'a> {
     fn new(id: StageId, args: &'a StageArgs) -> Self {
-        Self { id, args, layout: Layout::below(&args.output), overrides: Vec::new() }
+        Self { id, args, layout: Layout::below(&args.output), overrides: Vec::new(), reads: None }
     }
 
     fn ingest(args: &'a IngestArgs) -> Self {
@@ -100,6 +122,7 @@ impl<'a> Request<'a> {
                 let mut request = Self::new(StageId::Report, &args.stage);
                 if let Some(folder) = &args.from {
                     request.layout = Layout::below(folder);
+                    request.reads = Some(folder);
                 }
                 request
             }

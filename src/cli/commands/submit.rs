@@ -3,6 +3,7 @@
 use super::run::load;
 use crate::cli::args::SubmitArgs;
 use crate::cli::printer::Printer;
+use crate::cloud::ObjectUrl;
 use crate::pipeline::cluster::{Engine, JobGraph, Submission, cautions, kubernetes, slurm};
 use crate::pipeline::layout::Layout;
 use crate::pipeline::{Failure, Result, stages};
@@ -14,6 +15,12 @@ pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()>
     let cluster = config.cluster.clone().unwrap_or_default();
     // What cannot work is refused now and not by each of the jobs.
     stages::of_pipeline(&config, &Layout::below(&root))?.iter().try_for_each(|stage| stage.check())?;
+    if args.engine != Engine::Json && ObjectUrl::is_meant(&root) {
+        let message = format!("{} cannot hold the output of jobs: run.output is in an object store", root.display());
+        return Err(Failure::input_message(message).with_hint(
+            "`--engine json` prints the jobs, to be run with the credentials of the store in their environment",
+        ));
+    }
     let submission = Submission {
         engine: args.engine,
         pipeline: &args.pipeline,

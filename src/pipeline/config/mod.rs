@@ -6,6 +6,7 @@
 
 mod load;
 mod overrides;
+mod urls;
 
 pub use load::{ConfigError, ConfigPlace, parse};
 pub use overrides::Override;
@@ -83,7 +84,8 @@ pub struct RunConfig {
     pub device: DeviceChoice,
     /// Precision of the matrix products of networks: `f32`, or `tf32` or `bf16` for the tensor cores of a GPU.
     pub precision: Precision,
-    /// The folder that holds the folders of all pipelines.
+    /// The folder that holds the folders of all pipelines; with the feature `cloud`, also one in an object store, such as
+    /// `s3://bucket/runs`.
     pub output: PathBuf,
 }
 
@@ -126,12 +128,13 @@ impl PipelineConfig {
         Ok(config)
     }
 
-    /// Refuses numbers beyond the ranges that the schema states, and texts that would break pages and terminals.
+    /// Refuses numbers beyond the ranges that the schema states, URLs where they cannot be, and texts that would break pages and terminals.
     ///
     /// # Errors
     /// Names the setting.
     pub fn check(&self) -> settings::Result {
         settings::check_ranges(self)?;
+        urls::check_urls(self)?;
         settings::printable("run.name", &self.run.name)?;
         self.cluster.as_ref().map_or(Ok(()), ClusterConfig::validate).map_err(|issue| issue.within("cluster"))?;
         self.report.as_ref().map_or(Ok(()), |report| settings::printable("report.title", &report.title))

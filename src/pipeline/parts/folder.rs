@@ -5,7 +5,7 @@
 use super::Identity;
 use super::PartFile;
 use super::tries::is_try_of;
-use crate::files::{files_below, foreign, remove_if_present, remove_listed};
+use crate::files::{files_below, foreign, mirror_above, remove_if_present, remove_listed};
 use crate::pipeline::stages::is_round_file;
 use crate::pipeline::{Failure, PartFacts, Result, StageId};
 use crate::store::{read_json, write_json_atomically};
@@ -119,7 +119,23 @@ impl PartsFolder {
 
     /// Whether the plan is still there: nobody has sealed or discarded it.
     pub(super) fn is_there(&self) -> bool {
+        self.refresh();
         self.dir.join(ABOUT_FILE).exists()
+    }
+
+    /// Shows what other workers have done, where the folder has a mirror. If that fails, what is known already stays true: the next
+    /// shard that is written tells of the failure.
+    pub(super) fn refresh(&self) {
+        if let Some(mirror) = mirror_above(&self.dir) {
+            drop(mirror.refresh(&self.dir));
+        }
+    }
+
+    /// The length of a shard's file, which may be on another machine.
+    fn n_bytes(&self, file: &str) -> Option<u64> {
+        let path = self.dir.join(file);
+        let here = fs_err::metadata(&path).ok().map(|metadata| metadata.len());
+        here.or_else(|| mirror_above(&path)?.n_bytes_elsewhere(&path))
     }
 
     /// What its workers have in common.
@@ -172,7 +188,7 @@ impl PartsFolder {
     pub(super) fn finished<S: PartFile>(&self, idx: usize) -> Option<PartShard<S>> {
         let shard: PartShard<S> = read_json(&self.sidecar(idx)).ok()?;
         let (file, stamp) = shard.shard.file();
-        let is_whole = fs_err::metadata(self.dir.join(file)).is_ok_and(|metadata| metadata.len() == stamp.n_bytes);
+        let is_whole = self.n_bytes(file) == Some(stamp.n_bytes);
         (is_whole && self.dir.ends_with(&shard.plan_id)).then_some(shard)
     }
 

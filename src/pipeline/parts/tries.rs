@@ -5,6 +5,7 @@
 //! try writes its reason into the mark.
 
 use super::folder::PartsFolder;
+use crate::files::tell_committed;
 use crate::pipeline::clock::utc_now;
 use crate::pipeline::{Failure, Result};
 use crate::store::{read_json, write_json_atomically};
@@ -100,6 +101,7 @@ pub(super) fn begin(folder: &PartsFolder, idx: usize, worker: &str) -> Result<Op
         match fs_err::File::options().write(true).create_new(true).open(&path) {
             Ok(mut file) => {
                 file.write_all(&text)?;
+                tell_committed(&path)?;
                 return Ok(Some(path));
             }
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {}

@@ -4,7 +4,7 @@ use super::Identity;
 use super::folder::{PartShard, PartsFolder};
 use super::tries::{self, Tries};
 use super::{PartFile, PartedStage};
-use crate::files::remove_if_present;
+use crate::files::{remove_if_present, tell_committed};
 use crate::pipeline::graph::{check_inputs, expected};
 use crate::pipeline::log::Logged;
 use crate::pipeline::{Blame, ComputeChoice, Failure, Result, StageRecord};
@@ -96,6 +96,8 @@ pub(super) fn work<S: PartedStage>(
         Ok(()) => logged.line("no shard is left to start"),
         Err(failure) => logged.line(&format!("ended: {:#}", failure.error)),
     }
+    let told = tell_committed(&folder.log(worker.number));
+    let outcome = outcome.and_then(|()| Ok(told?));
     // Sealing or discarding a plan removes the folder while its last workers may still run.
     outcome.map_err(|failure| if folder.is_there() { failure } else { no_plan() })
 }
@@ -130,7 +132,10 @@ impl<'a, S: PartFile> Shards<'a, S> {
     pub(super) fn finished(&self, idx: usize) -> Option<S> {
         Some(match self.finished.borrow_mut().entry(idx) {
             Entry::Occupied(known) => known.get().shard.clone(),
-            Entry::Vacant(place) => place.insert(self.folder.finished::<S>(idx)?).shard.clone(),
+            Entry::Vacant(place) => {
+                self.folder.refresh();
+                place.insert(self.folder.finished::<S>(idx)?).shard.clone()
+            }
         })
     }
 

@@ -1,7 +1,7 @@
 //! Whose failure is an error of each layer? Here, once, for all stages.
 
 use crate::pipeline::{Blame, Failure};
-use crate::{corpus, evaluate, export, files, generate, ingest, nn, store, train};
+use crate::{cloud, corpus, evaluate, export, files, generate, ingest, nn, store, train};
 use std::io::ErrorKind;
 
 impl From<ingest::Error> for Failure {
@@ -38,9 +38,16 @@ impl From<store::Error> for Failure {
 impl From<files::Error> for Failure {
     fn from(error: files::Error) -> Self {
         match error {
-            files::Error::Io(error) => Self::fault(error),
+            files::Error::Io(error) => error.into(),
             error => Self::input(error),
         }
+    }
+}
+
+/// What a store refuses is for the user to act on.
+impl From<cloud::Error> for Failure {
+    fn from(error: cloud::Error) -> Self {
+        if error.is_refusal() { Self::input(error) } else { Self::fault(error) }
     }
 }
 

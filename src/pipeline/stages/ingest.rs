@@ -1,10 +1,12 @@
 //! Recordings to a scene store, resuming after the last whole shard.
 
+use crate::cloud::Recordings;
 use crate::ingest::{IngestBatch, IngestConfig, IngestReport, ingest};
 use crate::pipeline::layout::SCENES;
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::store::{SceneWriter, SceneWriterOptions};
 use serde_json::{Value, json};
+use std::path::PathBuf;
 
 /// The stage.
 pub struct Ingest<'a> {
@@ -31,7 +33,7 @@ impl Stage for Ingest<'_> {
 
     fn inputs(&self) -> Vec<StageInput> {
         let named = |what: &'static str| {
-            move |(idx, path): (usize, &std::path::PathBuf)| StageInput::external(format!("{what}.{idx}"), path)
+            move |(idx, path): (usize, &PathBuf)| StageInput::external(format!("{what}.{idx}"), path)
         };
         let recordings = self.config.inputs.iter().enumerate().map(named("inputs"));
         recordings.chain(self.config.map_inputs.iter().enumerate().map(named("map_inputs"))).collect()
@@ -47,7 +49,8 @@ impl Stage for Ingest<'_> {
         let done: Option<IngestReport> =
             finished.map(|shard| serde_json::from_value(shard.report)).transpose().map_err(anyhow::Error::from)?;
         let mut total = done.clone().unwrap_or_default();
-        let report = ingest(self.config, done.as_ref(), context.progress, &mut |batch: IngestBatch| {
+        let config = on_disk(self.config)?;
+        let report = ingest(&config, done.as_ref(), context.progress, &mut |batch: IngestBatch| {
             total.merge(&batch.report);
             let so_far = serde_json::to_value(&total)?;
             Ok(writer.write_batch(&batch.scenes, &batch.maps, batch.units_done, &so_far)?)
@@ -60,4 +63,11 @@ impl Stage for Ingest<'_> {
             "n_rejects": report.n_rejects(),
         }))
     }
+}
+
+/// The section with the places of its inputs on disk, where those of URLs are downloaded to.
+fn on_disk(config: &IngestConfig) -> Result<IngestConfig> {
+    let place = |path: &PathBuf| Ok(Recordings::at(path)?.map_or(Ok(path.clone()), |recordings| recordings.on_disk())?);
+    let places = |paths: &[PathBuf]| paths.iter().map(place).collect::<Result<Vec<_>>>();
+    Ok(IngestConfig { inputs: places(&config.inputs)?, map_inputs: places(&config.map_inputs)?, ..config.clone() })
 }

@@ -324,6 +324,27 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
     (&["cluster.image=two words"], &["cluster.image is \"two words\", expected one word"]),
     (&["cluster.volumes={ data = 'data' }"], &["cluster.volumes.data is \"data\", expected an absolute path"]),
     (&["cluster.lines=[\"\", \"a\\nb\"]"], &["cluster.lines.1 is \"a\\nb\"", "without control characters"]),
+    // URLs of object stores.
+    (
+        &["train.denoiser.checkpoint=s3://bucket/model.safetensors"],
+        &["train.denoiser.checkpoint is s3://bucket/model.safetensors, expected a path on disk", "copy it to disk"],
+    ),
+    (
+        &["train.denoiser.data=[{ scenes = \"gs://bucket/scenes\" }]"],
+        &["train.denoiser.data.0.scenes is gs://bucket/scenes, expected a path on disk"],
+    ),
+    (&["run.output=s3://"], &["run.output is no URL of an object store: expected s3://bucket/folder"]),
+    (
+        &["ingest.inputs=[\"az://b/../x\"]"],
+        &["ingest.inputs.0 is no URL of an object store", "none called `.` or `..`"],
+    ),
+    #[cfg(not(feature = "cloud"))]
+    (
+        &["ingest.inputs=[\"s3://bucket/x.zip\"]"],
+        &["ingest.inputs.0 is s3://bucket/x.zip", "built without object stores", "--features cloud"],
+    ),
+    #[cfg(not(feature = "cloud"))]
+    (&["run.output=az://container/runs"], &["run.output is az://container/runs", "built without object stores"]),
     // Types, and where a mistake stands.
     (&["generate.batch_size=-1"], &["--set generate.batch_size=-1", "expected a whole number of at least 0"]),
     (&["generate.batch_size=many"], &["--set generate.batch_size=many", "expected a whole number of at least 0"]),

@@ -1,0 +1,115 @@
+//! Why can an object store not be used, and who can mend it?
+
+use super::ObjectUrl;
+use crate::files;
+use crate::settings::Unreadable;
+use std::io;
+
+/// What goes wrong with objects. No message holds a credential.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A URL that is none.
+    #[error(transparent)]
+    Url(#[from] Unreadable),
+    /// A build without the feature.
+    #[error(
+        "cannot open {url}: this djinn was built without object stores; use one that was built with them \
+         (`cargo build --release --features cloud`), or copy the files to disk"
+    )]
+    NotBuilt {
+        /// What should be opened.
+        url: ObjectUrl,
+    },
+    /// Nothing is there.
+    #[error("{url} does not exist, neither as an object nor as a folder of objects")]
+    Missing {
+        /// What was looked for.
+        url: ObjectUrl,
+    },
+    /// The store does not let us.
+    #[error("cannot {doing} {url}: {why}; check the credentials and the settings of the store in the environment")]
+    Denied {
+        /// What was to be done.
+        doing: &'static str,
+        /// With what.
+        url: ObjectUrl,
+        /// What the store says.
+        why: String,
+    },
+    /// The store, or the way there, does not work.
+    #[error("cannot {doing} {url}: tried {n_attempts} times in {seconds:.0} s; last: {why}")]
+    Failed {
+        /// What was to be done.
+        doing: &'static str,
+        /// With what.
+        url: ObjectUrl,
+        /// How often it was tried.
+        n_attempts: usize,
+        /// For how long.
+        seconds: f64,
+        /// What went wrong the last time.
+        why: String,
+    },
+    /// Objects that somebody else wrote since they were last seen.
+    #[error(
+        "cannot write {url}: something else has written it since this command looked; nothing of it was changed; \
+         make sure that only one command at a time writes there, and run the same command again"
+    )]
+    Changed {
+        /// The first of them.
+        url: ObjectUrl,
+    },
+    /// An object that was replaced while it was downloaded.
+    #[error("{url} was replaced while it was read; run the same command again once it stays as it is")]
+    Replaced {
+        /// The object.
+        url: ObjectUrl,
+    },
+    /// A name that cannot be a file.
+    #[error("{url} cannot be kept on disk: its name is no relative path; move it out of the folder")]
+    Unnamable {
+        /// The object.
+        url: ObjectUrl,
+    },
+    /// A place that another process of this machine writes to.
+    #[error("{url} is in use by {holder} on this machine; wait for it, or choose another output")]
+    Busy {
+        /// The place.
+        url: ObjectUrl,
+        /// Who holds it.
+        holder: String,
+    },
+    /// No folder for what is downloaded.
+    #[error("no folder for downloads is known: pass --cache-dir, or set DJINN_CACHE_DIR")]
+    NoCache,
+    /// The disk does not work.
+    #[error(transparent)]
+    Files(#[from] files::Error),
+}
+
+impl Error {
+    /// Whether the user can mend it; otherwise the machine failed.
+    pub fn is_refusal(&self) -> bool {
+        match self {
+            Self::Failed { .. } => false,
+            Self::Files(error) => !matches!(error, files::Error::Io(_)),
+            _ => true,
+        }
+    }
+}
+
+impl From<io::Error> for Error {
+    fn from(error: io::Error) -> Self {
+        Self::Files(error.into())
+    }
+}
+
+/// For those who only know of files.
+impl From<Error> for io::Error {
+    fn from(error: Error) -> Self {
+        Self::other(error)
+    }
+}
+
+/// The results of this module.
+pub type Result<T, E = Error> = std::result::Result<T, E>;

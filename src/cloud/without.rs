@@ -1,0 +1,50 @@
+//! Object stores in a build without them: there can be no such thing.
+
+use super::error::{Error, Result};
+use super::{Access, ObjectUrl};
+use std::path::{Path, PathBuf};
+
+/// A folder of objects, shown on disk.
+#[derive(Debug)]
+pub(super) enum Shown {}
+
+impl Shown {
+    pub(super) fn open(url: &ObjectUrl, _: Access, _: Option<&Path>) -> Result<Self> {
+        Err(Error::NotBuilt { url: url.clone() })
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        match *self {}
+    }
+
+    pub(super) fn finish(&self) -> Result<()> {
+        match *self {}
+    }
+}
+
+/// Recordings in an object store.
+#[derive(Debug)]
+pub enum Recordings {}
+
+impl Recordings {
+    /// Those at a URL; `None` for a path on disk.
+    ///
+    /// # Errors
+    /// Whenever it is a URL.
+    pub fn at(path: &Path) -> Result<Option<Self>> {
+        ObjectUrl::of(path)?.map_or(Ok(None), |url| Err(Error::NotBuilt { url }))
+    }
+
+    /// What changes with them.
+    pub fn tag(&self) -> String {
+        match *self {}
+    }
+
+    /// Where they are on disk.
+    ///
+    /// # Errors
+    /// None.
+    pub fn on_disk(&self) -> Result<PathBuf> {
+        match *self {}
+    }
+}

@@ -1,0 +1,106 @@
+//! Who else must know what happens in a folder?
+//!
+//! A folder can be the view of one that is kept elsewhere, and that other machines see. Those who write and read it need
+//! not know: what has its final name here is told to the folder's [`Mirror`].
+
+use std::borrow::Cow;
+use std::fmt::Debug;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+
+/// Keeps a folder and its other place alike. Its errors are those of the other place.
+pub trait Mirror: Debug + Send + Sync {
+    /// A file has its final name and is whole.
+    ///
+    /// # Errors
+    /// When the others cannot be told.
+    fn committed(&self, path: &Path) -> io::Result<()>;
+    /// A file was removed.
+    ///
+    /// # Errors
+    /// When the others cannot be told.
+    fn removed(&self, path: &Path) -> io::Result<()>;
+    /// Shows in the folder `dir` what others have written, as often as is reasonable.
+    ///
+    /// # Errors
+    /// When it cannot be had.
+    fn refresh(&self, dir: &Path) -> io::Result<()>;
+    /// The length of a file of others whose content is not shown here, bytes.
+    fn n_bytes_elsewhere(&self, path: &Path) -> Option<u64>;
+    /// Makes the other place as the whole folder is now. Nothing in it may be half done.
+    ///
+    /// # Errors
+    /// When somebody else has written there; those of the other place.
+    fn publish(&self) -> io::Result<()>;
+}
+
+/// A folder with its mirror; or one that only has another name for people.
+struct Mirrored {
+    dir: PathBuf,
+    name: String,
+    mirror: Option<Arc<dyn Mirror>>,
+}
+
+/// Folders are few, and are looked up once for each file.
+static MIRRORED: RwLock<Vec<Mirrored>> = RwLock::new(Vec::new());
+
+/// From now on, what happens below `dir` is told to `mirror`, and messages call it `name`.
+pub fn mirror(dir: &Path, name: String, mirror: Arc<dyn Mirror>) {
+    list_mut().push(Mirrored { dir: dir.to_owned(), name, mirror: Some(mirror) });
+}
+
+/// From now on, messages call `dir`, or the file of that name, `name`.
+pub fn call(dir: &Path, name: String) {
+    list_mut().push(Mirrored { dir: dir.to_owned(), name, mirror: None });
+}
+
+/// Ends what [`mirror`] began. Messages that are still to come find the name.
+pub fn unmirror(dir: &Path) {
+    list_mut().iter_mut().filter(|mirrored| mirrored.dir == dir).for_each(|mirrored| mirrored.mirror = None);
+}
+
+/// The mirror of the folder above `path` that has one.
+pub fn mirror_above(path: &Path) -> Option<Arc<dyn Mirror>> {
+    list().iter().find(|mirrored| path.starts_with(&mirrored.dir))?.mirror.clone()
+}
+
+/// Tells the mirror of the folder, if it has one, that a file has its final name. An [`AtomicFile`](super::AtomicFile) does so by itself.
+///
+/// # Errors
+/// Those of the mirror.
+pub fn tell_committed(path: &Path) -> io::Result<()> {
+    mirror_above(path).map_or(Ok(()), |mirror| mirror.committed(path))
+}
+
+/// Tells the mirror of the folder, if it has one, that a file was removed.
+///
+/// # Errors
+/// Those of the mirror.
+pub(super) fn tell_removed(path: &Path) -> io::Result<()> {
+    mirror_above(path).map_or(Ok(()), |mirror| mirror.removed(path))
+}
+
+/// The name for people of a file or folder that is shown from elsewhere, such as its URL; `None` for all others.
+pub fn name_elsewhere(path: &Path) -> Option<String> {
+    list().iter().find_map(|Mirrored { dir, name, .. }| {
+        let below = path.strip_prefix(dir).ok()?.to_string_lossy();
+        Some(if below.is_empty() { name.clone() } else { format!("{name}/{below}") })
+    })
+}
+
+/// A message that says where things are, and not where they are shown.
+pub fn in_their_names(message: &str) -> Cow<'_, str> {
+    list().iter().fold(Cow::Borrowed(message), |message, Mirrored { dir, name, .. }| {
+        let dir = dir.to_string_lossy();
+        if message.contains(dir.as_ref()) { Cow::Owned(message.replace(dir.as_ref(), name)) } else { message }
+    })
+}
+
+fn list() -> RwLockReadGuard<'static, Vec<Mirrored>> {
+    MIRRORED.read().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn list_mut() -> RwLockWriteGuard<'static, Vec<Mirrored>> {
+    MIRRORED.write().unwrap_or_else(PoisonError::into_inner)
+}
