@@ -124,9 +124,11 @@ fn choose_ego(raw: &RawScene, present: usize, seed: Seed) -> Option<(usize, Stat
     let is_present = |track: &Track| track.trajectory.is_valid(present);
     let is_whole = |track: &Track| track.trajectory.n_valid() == raw.n_timesteps;
     let draw = |is_eligible: &dyn Fn(&Track) -> bool| {
-        let eligible: Vec<usize> = (0..raw.tracks.len())
+        let mut eligible: Vec<usize> = (0..raw.tracks.len())
             .filter(|idx| raw.tracks[*idx].class.is_motorized() && is_eligible(&raw.tracks[*idx]))
             .collect();
+        // Numbers in their order, whatever the order of rows in the recording.
+        eligible.sort_by_key(|idx| (raw.tracks[*idx].id.0.len(), &raw.tracks[*idx].id.0));
         let drawn = seed.derive_named("ego", &raw.id.0).rng().below(eligible.len());
         eligible.get(drawn).copied()
     };

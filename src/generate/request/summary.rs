@@ -87,7 +87,7 @@ pub struct Yield {
     pub n_outside: u64,
     /// Of those: beyond a limit.
     pub n_beyond_limits: u64,
-    /// Of those: in a bucket, accepted or not.
+    /// Of those: in a bucket, accepted or not, near-duplicates aside.
     pub n_hits: u64,
     /// Of those: accepted.
     pub n_accepted: u64,
@@ -119,7 +119,7 @@ pub struct BucketSummary {
     pub n_near_duplicates: u64,
     /// Accepted scenarios by arm.
     pub accepted_by_arm: Vec<u64>,
-    /// Scenarios in it by arm, accepted or not.
+    /// Scenarios in it by arm, accepted or not, near-duplicates aside.
     pub hits_by_arm: Vec<u64>,
     /// The same of the first round.
     pub first_round_hits_by_arm: Vec<u64>,

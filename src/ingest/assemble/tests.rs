@@ -89,6 +89,17 @@ fn without_a_focal_track_the_draw_depends_on_seed_and_scene_alone() {
 }
 
 #[test]
+fn the_order_of_tracks_in_the_recording_does_not_choose_the_ego() {
+    let tracks: Vec<Track> = (1..=12).map(|id| context(&id.to_string(), 10.0 * f64::from(id), 0.0)).collect();
+    for seed in 0..20 {
+        let config = IngestConfig { seed, ..config() };
+        let ego = |tracks: Vec<Track>| assemble(raw(tracks), None, &config).expect("complete").0.ego().id.0.clone();
+        let reversed: Vec<Track> = tracks.iter().rev().cloned().collect();
+        assert_eq!(ego(tracks.clone()), ego(reversed));
+    }
+}
+
+#[test]
 fn whole_tracks_are_preferred_as_ego_and_pedestrians_never_drawn() {
     let partial = track("p", TrackRole::Context, Vec2::ZERO, 0.0, |t| t >= PRESENT);
     let pedestrian = Track { class: AgentClass::Pedestrian, ..context("w", 1.0, 1.0) };

@@ -75,7 +75,7 @@ fn buckets(request: &RequestSummary) -> Markup {
             "A bucket contains its lower edge and not its upper one. Pairs can fall into it by their past and the limits of driving. Surplus scenarios meet the request, but came when their bucket was full; repeated ones, "
             "when it had enough of the same scene and agents; in near-duplicates the requested agents move almost as in an accepted scenario. All three are among the samples and not in the corpus. All buckets are filled from the same "
             "samples: the cost of a scenario is what was evaluated while its bucket was open, for other buckets too. Hits are scenarios in the bucket, "
-            "accepted or not, of all samples of the arm."
+            "accepted or not, near-duplicates aside, of all samples of the arm."
         }
     }
 }
