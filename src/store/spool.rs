@@ -69,11 +69,11 @@ impl<T: DeserializeOwned> Spooled<T> {
             if n_left == 0 {
                 return None;
             }
-            let value = next_value(&mut file, &mut n_left);
+            let value = next_value(&path, &mut file, &mut n_left);
             if value.is_err() {
                 n_left = 0;
             }
-            Some(value.map_err(|detail| Error::corrupt(&path, detail)))
+            Some(value)
         }))
     }
 }
@@ -88,17 +88,18 @@ impl<T> Spooled<T> {
     }
 }
 
-/// The next value of a file of which `n_left` bytes are not read yet, or what is wrong with it.
-fn next_value<T: DeserializeOwned>(file: &mut impl Read, n_left: &mut u64) -> std::result::Result<T, String> {
-    let unreadable = |error: std::io::Error| format!("it cannot be read: {error}");
+/// The next value of a file of which `n_left` bytes are not read yet.
+fn next_value<T: DeserializeOwned>(path: &Path, file: &mut impl Read, n_left: &mut u64) -> Result<T> {
+    let unreadable = |error: std::io::Error| Error::corrupt(path, format!("it cannot be read: {error}"));
     let mut length = [0; 4];
     file.read_exact(&mut length).map_err(unreadable)?;
     let length = u32::from_le_bytes(length);
     // A damaged length must not allocate more than the file has.
-    *n_left = n_left.checked_sub(4 + u64::from(length)).ok_or("it ends within a value")?;
+    let rest = n_left.checked_sub(4 + u64::from(length));
+    *n_left = rest.ok_or_else(|| Error::corrupt(path, "it ends within a value"))?;
     let mut bytes = vec![0; length as usize];
     file.read_exact(&mut bytes).map_err(unreadable)?;
-    postcard::from_bytes(&bytes).map_err(|error| format!("it cannot be decoded: {error}"))
+    postcard::from_bytes(&bytes).map_err(|error| Error::corrupt(path, format!("it cannot be decoded: {error}")))
 }
 
 #[cfg(test)]
