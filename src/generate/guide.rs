@@ -27,8 +27,11 @@ const ESTIMATE_SIGMA: f64 = 0.1;
 pub(super) type Wishes = Vec<(&'static str, f64)>;
 
 /// The rules of traffic for every sample: boxes a hand's breadth apart (recordings have no more), centers on the road,
-/// vehicles that point where they drive. Agents with roles in `may_collide` may touch each other.
-fn rules_of_traffic(may_collide: Option<[&str; 2]>) -> [ObjectiveConfig; 3] {
+/// vehicles that point where they drive. Agents that are asked to collide may touch each other.
+pub(super) fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
+    let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
+    let may_collide = <[&str; 2]>::try_from(roles).ok();
+    let may_collide = may_collide.filter(|_| sweep.asks_for_collision() && !sweep.asks_anybody());
     let agents = AgentSelector::default();
     [
         ObjectiveConfig::NoCollision(NoCollision {
@@ -77,11 +80,14 @@ struct Classified {
 
 impl Guided<'_> {
     /// The context of the sampled batch for objectives.
-    fn objective_context(&self) -> Result<SceneContext, Error> {
+    pub(super) fn objective_context(&self) -> Result<SceneContext, Error> {
         let rows: Vec<ContextRow<'_>> = (self.cells.iter().zip(self.agents))
             .map(|((cell, scene), agents)| ContextRow { scene, ego_idx: agents.0, roles: &cell.roles })
             .collect();
-        let targets = self.cells.iter().flat_map(|(cell, _)| self.samples.clone().map(|sample| cell.target(sample)));
+        // The particles of a group have one target.
+        let n = self.sweep.group_size();
+        let targets =
+            self.cells.iter().flat_map(|(cell, _)| self.samples.clone().map(move |sample| cell.target(sample / n)));
         let context = SceneContext::new(self.batch, &rows)?.repeated(self.samples.len())?;
         Ok(context.aiming_at(targets.collect())?)
     }
@@ -124,6 +130,12 @@ impl<'g> Generator<'g> {
         }
         if level.weight != 0.0 {
             parts.push("classifier_free".to_owned());
+        }
+        if diffusion.particles.is_some() {
+            parts.push("particles".to_owned());
+        }
+        if diffusion.noise_optimization.is_some() {
+            parts.push("noise_optimization".to_owned());
         }
         if sweep.uses_template() {
             parts.push("template".to_owned());
@@ -183,10 +195,7 @@ impl<'g> Generator<'g> {
         }
         let context = guided.objective_context()?;
         let sum = |objectives| ObjectiveSum { objectives, batch: guided.repeated, context: &context };
-        let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
-        let may_collide = <[&str; 2]>::try_from(roles).ok();
-        let may_collide = may_collide.filter(|_| sweep.asks_for_collision() && !sweep.asks_anybody());
-        let (wished, rules) = (sum(&asked.objectives), rules_of_traffic(may_collide));
+        let (wished, rules) = (sum(&asked.objectives), rules_of_traffic(sweep));
         let rules = sum(&rules);
         let wishing = self.on_estimates(guided, inner, &wished);
         let inner: &dyn Denoiser = if has_objectives { &wishing } else { inner };

@@ -25,6 +25,7 @@ mod regenerate;
 mod request;
 mod sample;
 mod select;
+mod steer;
 mod sweep;
 #[cfg(test)]
 mod testing;

@@ -2,6 +2,7 @@
 
 mod combined;
 mod guidance;
+mod steering;
 
 use super::testing::*;
 use super::*;

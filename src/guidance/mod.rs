@@ -11,7 +11,9 @@ mod estimate_potential;
 mod guided_denoiser;
 mod lane_ways;
 mod mask_change;
+mod noise_optimization;
 mod objectives;
+mod particles;
 mod road_corridors;
 mod scene_context;
 #[cfg(test)]
@@ -31,11 +33,13 @@ pub use clean_guided_denoiser::{
 pub use estimate_potential::EstimatePotential;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
+pub use noise_optimization::{MOST_STEPS, NoiseOptimizationConfig};
 pub use objectives::{
     AccelerationLimit, AdversarialTtc, Collision, CrossAhead, CutIn, CutOut, Goal, GoalFrame, HardBrake, KeepDistance,
     LaneChange, NearMiss, NoCollision, ObjectiveConfig, PedestrianStepsOut, RoadPoints, SceneObjective, Side,
     SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, Tailgating, TargetSpeed, WrongWay,
 };
+pub use particles::{ParticleConfig, Particles};
 pub use scene_context::{ContextRow, SceneContext, Target};
 
 use candle_core::{Result, Tensor};

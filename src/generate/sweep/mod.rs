@@ -7,6 +7,7 @@ mod level;
 mod resolve;
 mod resolved;
 mod settings;
+mod steering;
 
 pub use config::{
     Aim, ArmConfig, ClassifierInput, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig,
