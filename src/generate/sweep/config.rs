@@ -4,8 +4,10 @@ use super::keys::SweepKeys;
 use crate::diffusion::SamplerConfig;
 use crate::generate::{ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig};
 use crate::guidance::{
-    GuidanceConfig, NoiseOptimizationConfig, ObjectiveConfig, ObjectiveGuidanceConfig, ParticleConfig,
+    ClassifierPotential, GuidanceConfig, NoiseOptimizationConfig, ObjectiveConfig, ObjectiveGuidanceConfig,
+    ParticleConfig,
 };
+use crate::model::ClassifierInput;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -97,6 +99,8 @@ pub struct SweepGuidance {
     pub classifier_scope: ClassifierScope,
     /// What the classifier is shown.
     pub classifier_input: ClassifierInput,
+    /// What of the classifier is made large.
+    pub classifier_potential: ClassifierPotential,
     /// Objectives for the trajectories, in addition to a behavior or instead of one.
     pub objectives: Vec<ObjectiveConfig>,
     /// How objectives become shifts of the clean estimate.
@@ -115,19 +119,6 @@ pub enum ClassifierScope {
     AnyPair,
     /// None: only objectives guide. Pairs are chosen and verified as with `pair`.
     None,
-}
-
-/// What the classifier of the behavior sees of a sample during sampling.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ClassifierInput {
-    /// The noisy states (paper, section 5.2), on which it was trained, at every noise level.
-    #[default]
-    NoisyStates,
-    /// The denoiser's clean estimate, as objectives are. Needed if more than the history is observed (`observe`): the
-    /// classifier was not trained on noisy states under other masks. `objective_guidance` says how its gradient becomes
-    /// a shift.
-    CleanEstimate,
 }
 
 /// Which events guided samples aim at.

@@ -1,13 +1,14 @@
 //! Can a sweep be sampled as written? The only place that checks it and fills in defaults.
 
 use super::{
-    Aim, ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
-    SamplingConfig, SweepConfig, SweepModel,
+    Aim, ArmConfig, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep, SamplingConfig,
+    SweepConfig, SweepModel,
 };
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerConfig;
 use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig, SelectConfig};
 use crate::guidance::{CleanGradient, GuidanceConfig};
+use crate::model::ClassifierInput;
 use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
 use crate::tensor::MaskTask;

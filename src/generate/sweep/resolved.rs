@@ -121,6 +121,26 @@ impl ResolvedSweep {
             })
     }
 
+    /// Refuses to be guided by a classifier of clean futures where it cannot judge.
+    ///
+    /// # Errors
+    /// Names the key and what to set.
+    pub fn check_clean_classifier(&self) -> Result<(), Error> {
+        let guidance = self.diffusion().filter(|_| self.needs_classifier()).map(|diffusion| &diffusion.guidance);
+        let why = match guidance {
+            Some(guidance) if guidance.classifier_input.is_noisy() => {
+                "classifier_input is \"noisy_states\", but the classifier was trained on clean estimates; set \
+                 classifier_input = \"clean_estimate\""
+            }
+            Some(guidance) if guidance.classifier_scope == ClassifierScope::AnyPair => {
+                "classifier_scope is \"any_pair\", which needs a classifier of noisy states; set train.classifier.input = \
+                 \"noisy_states\", or classifier_scope = \"pair\""
+            }
+            _ => return Ok(()),
+        };
+        Err(Error::Config(format!("sweep {}: {why}", self.name)))
+    }
+
     /// The parameters of the event at which its template and the objectives of its guidance can aim.
     pub(in crate::generate) fn aims_at(&self) -> BTreeSet<&'static str> {
         let guided = self.diffusion().filter(|diffusion| diffusion.is_steered());

@@ -45,6 +45,9 @@ impl Diffusion {
             settings["guidance"] = json!(guidance.gate);
             settings["classifier_scope"] = json!(guidance.classifier_scope);
             settings["classifier_input"] = json!(guidance.classifier_input);
+            if !guidance.classifier_potential.is_default() {
+                settings["classifier_potential"] = json!(guidance.classifier_potential);
+            }
             settings["objectives"] = json!(guidance.objectives);
             settings["objective_guidance"] = json!(guidance.objective_guidance);
         }
