@@ -30,3 +30,4 @@ mod stages;
 #[cfg(unix)]
 mod submit;
 mod support;
+mod told_events;
