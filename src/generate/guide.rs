@@ -116,8 +116,8 @@ impl<'g> Generator<'g> {
     }
 
     /// What guides samples of this level: `none`, or the classifier and the objectives in order, such as
-    /// `classifier:cut_in+no_collision`; `classifier_any_pair:cut_in` where no pair is requested; and `classifier_free`
-    /// where samples lean toward states.
+    /// `classifier:cut_in+no_collision`; `classifier_any_pair:cut_in` where no pair is requested; `classifier_free` where
+    /// samples lean toward states, and `event` where the denoiser is told of the requested event.
     pub(super) fn guidance_kind(&self, sweep: &ResolvedSweep, diffusion: &Diffusion, level: GuidanceLevel) -> String {
         let scope = if sweep.asks_anybody() { "classifier_any_pair" } else { "classifier" };
         let classifier = self.guiding_classifier(sweep, level.strength);
@@ -126,8 +126,9 @@ impl<'g> Generator<'g> {
             let objectives = &diffusion.guidance.objectives;
             parts.extend(objectives.iter().map(|objective| objective.kind().to_owned()));
         }
-        if level.weight != 0.0 {
-            parts.push("classifier_free".to_owned());
+        if let Some(config) = diffusion.classifier_free.as_ref().filter(|_| level.weight != 0.0) {
+            let named = [(!config.extra.is_empty(), "classifier_free"), (config.event, "event")];
+            parts.extend(named.into_iter().filter(|(acts, _)| *acts).map(|(_, name)| name.to_owned()));
         }
         if diffusion.particles.is_some() {
             parts.push("particles".to_owned());

@@ -31,6 +31,9 @@ mod sweep;
 mod testing;
 #[cfg(test)]
 mod tests;
+mod told;
+#[cfg(test)]
+mod told_tests;
 mod verify;
 
 pub use conditioning::{ClassifierFreeConfig, EditConfig, EditNoise};

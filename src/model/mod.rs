@@ -3,6 +3,9 @@
 mod behavior_classifier;
 mod classifier_checkpoint;
 mod denoiser_checkpoint;
+mod event_input;
+#[cfg(test)]
+mod event_tests;
 mod future_classifier;
 mod geometric_network;
 #[cfg(test)]

@@ -34,12 +34,33 @@ impl SceneDenoiser {
     /// # Errors
     /// Fails when the configuration is no network.
     pub fn new(params: &mut Params, config: &NetworkConfig, state_dim: usize, edm: Edm, seed: Seed) -> Result<Self> {
+        Self::with_events(params, config, (state_dim, 0), edm, seed)
+    }
+
+    /// The same that can be told of events by `n_event_inputs` inputs of each agent, beside states of `state_dim` dimensions.
+    ///
+    /// # Errors
+    /// When the configuration is no network, or DJINN's, which cannot be told of events.
+    pub fn with_events(
+        params: &mut Params,
+        config: &NetworkConfig,
+        (state_dim, n_event_inputs): (usize, usize),
+        edm: Edm,
+        seed: Seed,
+    ) -> Result<Self> {
+        if n_event_inputs > 0 && config.geometry.is_none() {
+            candle_core::bail!("only the geometric network can be told of events");
+        }
         let mut scope = Scope::root(params, seed);
         let network = match &config.geometry {
             None => Network::Scene(Box::new(SceneNetwork::new(&mut scope, config, state_dim)?), config.path_input),
-            Some(geometry) => {
-                Network::Geometric(Box::new(GeometricNetwork::new(&mut scope, config, geometry, state_dim)?))
-            }
+            Some(geometry) => Network::Geometric(Box::new(GeometricNetwork::new(
+                &mut scope,
+                config,
+                geometry,
+                state_dim,
+                n_event_inputs,
+            )?)),
         };
         Ok(Self { network, edm })
     }

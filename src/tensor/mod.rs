@@ -5,6 +5,7 @@ mod agent_row;
 mod batch_buffers;
 mod collate;
 mod eigen;
+mod event_vocabulary;
 mod features;
 mod future_features;
 mod hidden_states;
@@ -23,9 +24,11 @@ mod surroundings;
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
+mod told_event;
 
 pub use agent_frame::AgentFrame;
 pub use collate::{Collator, FutureValidity, SceneView};
+pub use event_vocabulary::{EventExample, EventVocabulary, KnownBehavior, ONSET, ValueUnit};
 pub use features::{FeatureLayout, LANE_POINTS};
 pub use future_features::{FutureFeatures, Moments, ScenePair};
 pub use lane_pieces::{LanePiece, LanePoint, PIECE_FLAGS, PIECE_POINTS};
@@ -37,3 +40,4 @@ pub use repeated_rows::RepeatedRows;
 pub use scene_batch::{SceneBatch, SceneTensors, Surroundings};
 pub use sight::Sight;
 pub use surroundings::{AgentSurroundings, RowSurroundings, SeenPiece, SurroundingsLayout};
+pub use told_event::{ToldEvent, present_of};

@@ -2,7 +2,7 @@
 
 use super::objective_loss::check_objectives;
 use super::section::{Own, SceneTraining, scene_training_section};
-use super::{ConsistencyTuning, Error, FitConfig, LearningRateDecay, StepDistillation};
+use super::{ConsistencyTuning, Error, EventTraining, FitConfig, LearningRateDecay, StepDistillation};
 use crate::diffusion::Edm;
 use crate::guidance::ObjectiveConfig;
 use crate::model::{DenoiserSpec, Distillation};
@@ -76,6 +76,10 @@ scene_training_section! {
         /// Objectives for samples, in addition to matching the denoiser (method `steps` only): each adds its weight
         /// times its cost beyond that of the recording, √(1 - 2 J) - 1 per scene.
         pub objectives: Vec<ObjectiveConfig>,
+        /// Mined events that the network is told of, of the behaviors that its denoiser was told of, in the same order. Left out: the
+        /// distilled denoiser cannot be told of events.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub events: Option<EventTraining>,
         /// A checkpoint of the same denoiser, distilled to the same steps, to start from: to train it toward other
         /// objectives.
         pub start_from: Option<std::path::PathBuf>,
@@ -89,6 +93,7 @@ impl Default for DistillTrainingConfig {
             huber: 0.01,
             path_loss: 0.1,
             objectives: Vec::new(),
+            events: None,
             tasks: TaskWeights::default(),
             data: Vec::new(),
             own_weight: None,
@@ -122,6 +127,9 @@ pub struct DistillTraining {
     pub path_loss: f64,
     /// The objectives for samples.
     pub objectives: Vec<ObjectiveConfig>,
+    /// The events that the network is told of.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub events: Option<EventTraining>,
     /// Tasks, batches, evaluations and the schedule.
     pub common: SceneTraining,
 }
@@ -139,11 +147,15 @@ impl DistillTrainingConfig {
             let message = "train.distill.objectives need method = { kind = \"steps\" }: they apply where its steps end";
             return Err(Error::Config(message.to_owned()));
         }
+        if let Some(events) = &self.events {
+            events.validate().map_err(|issue| Self::refusal(issue.within("events")))?;
+        }
         Ok(DistillTraining {
             method: self.method.clone(),
             huber: self.huber,
             path_loss: self.path_loss,
             objectives: self.objectives.clone(),
+            events: self.events.clone(),
             common: self.scene_training(&SceneTraining::default())?,
         })
     }

@@ -25,6 +25,10 @@ mod distill_config;
 #[cfg(test)]
 mod distill_tests;
 mod error;
+mod event_config;
+#[cfg(test)]
+mod event_tests;
+mod events;
 mod exchange;
 mod fit;
 mod fit_config;
@@ -61,6 +65,8 @@ pub use denoising::DenoisingTask;
 pub use distill::{DistillSource, distill_denoiser};
 pub use distill_config::{DistillMethod, DistillTraining, DistillTrainingConfig};
 pub use error::Error;
+pub use event_config::EventTraining;
+pub use events::{LearnedEvent, LearnedEvents};
 pub use exchange::{Alone, Exchange, JoinError, Lost, Meeting, Seat, Tcp, join};
 pub use fit::{FitOutcome, FitStatistics, fit};
 pub use fit_config::{FitConfig, LearningRateDecay};

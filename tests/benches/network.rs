@@ -123,6 +123,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
         objectives: Vec::new(),
         changed_losses: Vec::new(),
         losses_by_place: Vec::new(),
+        events: None,
         distillation: None,
     };
     let networks = |precision: Precision| -> Result<(Params, SceneDenoiser, SceneDenoiser)> {

@@ -31,3 +31,4 @@ mod steering;
 #[cfg(unix)]
 mod submit;
 mod support;
+mod told_events;

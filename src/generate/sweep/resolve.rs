@@ -56,7 +56,7 @@ impl SweepConfig {
             return Err(Issue::new(
                 "aim",
                 "is \"feasible\", which needs a behavior, particular agents to show it (classifier_scope other than \"any_pair\"), and what can \
-                 aim at the event's parameters: template = true, or strengths other than 0 and an objective, such as objectives = [{ kind = \
+                 aim at the event's parameters: template = true, classifier_free = { event = true }, or strengths other than 0 and an objective, such as objectives = [{ kind = \
                  \"cut_in\" }]",
             ));
         }
@@ -208,6 +208,13 @@ impl DiffusionConfig {
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         if let Some(config) = &self.classifier_free {
             config.validate(roles).map_err(|issue| issue.within("classifier_free"))?;
+            if config.event && (roles.is_empty() || self.guidance.classifier_scope == ClassifierScope::AnyPair) {
+                return Err(Issue::new(
+                    "classifier_free.event",
+                    "is true, which needs a behavior and particular agents to show it: set behavior = \"cut_in\" or another, and \
+                     classifier_scope other than \"any_pair\"",
+                ));
+            }
         }
         if let Some(edit) = &self.edit {
             edit.validate(roles).map_err(|issue| issue.within("edit"))?;

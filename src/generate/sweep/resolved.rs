@@ -141,12 +141,16 @@ impl ResolvedSweep {
         Err(Error::Config(format!("sweep {}: {why}", self.name)))
     }
 
-    /// The parameters of the event at which its template and the objectives of its guidance can aim.
+    /// The parameters of the event at which its template and the objectives of its guidance can aim, and those that its
+    /// denoiser is told.
     pub(in crate::generate) fn aims_at(&self) -> BTreeSet<&'static str> {
         let guided = self.diffusion().filter(|diffusion| diffusion.is_steered());
         let objectives = guided.into_iter().flat_map(|diffusion| &diffusion.guidance.objectives);
         let of_template = self.diffusion().map_or(&[][..], |diffusion| diffusion.template);
-        objectives.flat_map(|objective| objective.objective().aims_at()).chain(of_template).copied().collect()
+        let told = self.behavior.as_deref().filter(|_| self.tells_event()).and_then(BehaviorEntry::of);
+        let told = told.map_or(&[][..], |entry| entry.parameters);
+        let aimed_at = objectives.flat_map(|objective| objective.objective().aims_at());
+        aimed_at.chain(of_template).chain(told).copied().collect()
     }
 
     /// Whether the requested event is a collision.
@@ -159,11 +163,17 @@ impl ResolvedSweep {
         self.diffusion().is_some_and(|diffusion| diffusion.guidance.classifier_scope == ClassifierScope::AnyPair)
     }
 
-    /// Evaluations of the network for one sample; classifier-free guidance doubles them, a derivative of the network costs
-    /// as much as two, and the baseline needs one.
+    /// Whether its denoiser is told of the requested event.
+    pub fn tells_event(&self) -> bool {
+        self.diffusion().and_then(|diffusion| diffusion.classifier_free.as_ref()).is_some_and(|config| config.event)
+    }
+
+    /// Evaluations of the network for one sample; classifier-free guidance doubles them at weights that mix two
+    /// estimates, a derivative of the network costs as much as two, and the baseline needs one.
     pub fn n_evaluations(&self) -> u64 {
         self.diffusion().map_or(1, |diffusion| {
-            let n_calls = if diffusion.classifier_free.is_some() { 2 } else { 1 };
+            let mixes = |level: &GuidanceLevel| ![0.0, 1.0].contains(&level.weight);
+            let n_calls = if diffusion.levels.iter().any(mixes) { 2 } else { 1 };
             let n_optimizing = diffusion.noise_optimization.map_or(0, |c| c.n_evaluations(diffusion.sampler.n_steps()));
             diffusion.sampler.n_evaluations() as u64 * n_calls + n_optimizing as u64
         })

@@ -36,6 +36,7 @@ use super::failure::{Failure, Result};
 use super::layout::Layout;
 use super::record::StageRecord;
 use super::stage::{Stage, StageId};
+use crate::behavior::BehaviorEntry;
 use crate::evaluate::{EvaluateConfig, GateResult};
 use crate::ingest::IngestConfig;
 use crate::metrics::DUPLICATE_DISTANCE_M;
@@ -44,12 +45,35 @@ use serde_json::{Value, json};
 
 /// The stages whose sections the configuration has, in the order in which they run.
 pub fn of_pipeline<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Result<Vec<Box<dyn Stage + 'a>>> {
+    check_learned_events(config)?;
     let stages: Vec<_> = StageId::ALL.into_iter().filter_map(|id| build(id, config, layout)).collect();
     if stages.is_empty() {
         return Err(Failure::input_message("the pipeline has no stages")
             .with_hint("give it sections such as [ingest] and [mine]; see pipelines/quickstart.toml"));
     }
     Ok(stages)
+}
+
+/// Refuses events to learn from that the pipeline does not mine.
+fn check_learned_events(config: &PipelineConfig) -> Result<()> {
+    let Some(mine) = &config.mine else { return Ok(()) };
+    let mined: Vec<&str> = mine.build()?.iter().map(|behavior| behavior.id()).collect();
+    let denoiser = config.train.denoiser.as_ref().map(|section| ("train.denoiser", &section.events));
+    let distill = config.train.distill.as_ref().map(|section| ("train.distill", &section.events));
+    for (section, events) in denoiser.into_iter().chain(distill) {
+        let behaviors = events.as_ref().map_or(&[][..], |events| &events.behaviors);
+        // Names that no behavior has are refused by the section itself.
+        let is_known = |id: &&String| BehaviorEntry::of(id).is_some();
+        if let Some((i, id)) =
+            behaviors.iter().enumerate().find(|(_, id)| is_known(id) && !mined.contains(&id.as_str()))
+        {
+            let mined = mined.join(", ");
+            return Err(Failure::input_message(format_args!(
+                "{section}.events.behaviors.{i} is \"{id}\", expected one of mine.behaviors, which are {mined}"
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// One stage, with its defaults if the configuration has no section for it.

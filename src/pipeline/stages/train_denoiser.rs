@@ -1,7 +1,7 @@
 //! Scenes to a denoiser.
 
 use super::train::{Recipe, Source};
-use super::training_scenes::{OpenedScenes, training_summary};
+use super::training_scenes::{OpenedScenes, mined, training_summary};
 use crate::model::DenoiserSpec;
 use crate::pipeline::layout::{DENOISER, Layout};
 use crate::pipeline::{Result, StageId};
@@ -13,13 +13,14 @@ impl Recipe for DenoiserTrainingConfig {
     const STAGE: StageId = StageId::TrainDenoiser;
     const VERSION: u32 = 2;
     const OUTPUTS: &'static [&'static str] = &[DENOISER];
-    const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
+    const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::Mine];
 
     fn source(&self) -> Source<'_> {
         Source {
             checkpoint: self.checkpoint.as_deref(),
             start_from: self.start_from.as_deref(),
             scenes: Some(self.scene_choice()),
+            events: self.events.is_some(),
         }
     }
 
@@ -33,7 +34,9 @@ impl Recipe for DenoiserTrainingConfig {
 
     fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Option<Value>> {
         let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
-        let data = scenes.training_data(self.state_dim, self.resolve()?.network.geometry.is_some())?;
+        let events = scenes.events(&layout.events, self.events.as_ref())?;
+        let mut data = scenes.training_data(self.state_dim, self.resolve()?.network.geometry.is_some())?;
+        data.events = mined(&events);
         let start = self.read_start(&job.compute.device)?;
         let outcome = train_denoiser(&self.resolve()?, &data, start.as_ref(), job)?;
         Ok(outcome.map(|outcome| training_summary(&data, outcome.spec.steps, &outcome)))

@@ -189,6 +189,37 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
         ],
         &["train.denoiser.tasks"],
     ),
+    // Events.
+    (
+        &["train.denoiser.events={ behaviors = [\"cut_in\"], share = 1.0 }"],
+        &["train.denoiser.events.share is 1, expected more than 0 and less than 1"],
+    ),
+    (
+        &["train.denoiser.events={ behaviors = [\"cut_in\"], value_dropout = 1.0 }"],
+        &["train.denoiser.events.value_dropout is 1, expected 0 up to below 1"],
+    ),
+    (&["train.denoiser.events={ behaviors = [] }"], &["train.denoiser.events.behaviors is empty"]),
+    (
+        &["train.denoiser.events={ behaviors = [\"drift\"] }"],
+        &["train.denoiser.events.behaviors.0 is \"drift\", expected one of cut_in, "],
+    ),
+    (
+        &["train.denoiser.events={ behaviors = [\"near_miss\"] }"],
+        &["train.denoiser.events.behaviors.0 is \"near_miss\", expected one of mine.behaviors, which are cut_in"],
+    ),
+    (
+        &["train.denoiser.events={ behaviors = [\"cut_in\"] }", "train.denoiser.network={}"],
+        &["train.denoiser.events needs train.denoiser.network.geometry"],
+    ),
+    (
+        &["train.distill.events={ behaviors = [\"cut_in\", \"cut_in\"] }"],
+        &["train.distill.events.behaviors.1 is cut_in, which is already listed"],
+    ),
+    (
+        &["generate.sweeps.0.classifier_free={ event = true }"],
+        &["generate.sweeps.0.classifier_free.event is true, which needs a behavior"],
+    ),
+    (&["generate.sweeps.1.classifier_free={}"], &["generate.sweeps.1.classifier_free.extra has no rule"]),
     // Sampling.
     (
         &["generate.sampler.s_tmin=2.0", "generate.sampler.s_tmax=1.0"],
