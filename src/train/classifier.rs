@@ -34,7 +34,7 @@ training_section! {
         pub pos_weight: Option<f64>,
         /// Distribution of the training noise levels.
         pub noise: NoiseDistribution,
-        /// Maximum number of pairs to train on; negative ones are dropped first.
+        /// Maximum number of pairs to train on; negative ones are dropped first, until half are positive.
         #[schemars(range(min = 1, max = 1_000_000_000))]
         pub max_examples: usize,
         /// Maximum number of held-out pairs per evaluation.

@@ -28,7 +28,8 @@ pub struct LabeledPair {
 
 impl LabeledPair {
     /// The pairs of `events`, which are all of one behavior, by scene. A pair with several events is positive if one of
-    /// them is. With more than `max_pairs` pairs, random negative ones are left out, and then positive ones.
+    /// them is. With more than `max_pairs` pairs, random negative ones are left out until half are positive, then random
+    /// ones of both.
     pub fn of_events(events: &[MinedEvent<'_>], max_pairs: usize, seed: Seed) -> Vec<Self> {
         let mut labels: BTreeMap<(usize, TrackId, TrackId), bool> = BTreeMap::new();
         for MinedEvent { scene_idx, event } in events {
@@ -88,9 +89,11 @@ fn limit(mut pairs: Vec<LabeledPair>, max_pairs: usize, seed: Seed) -> Vec<Label
     if pairs.len() > max_pairs {
         let mut order: Vec<usize> = (0..pairs.len()).collect();
         seed.derive("examples", &[]).rng().shuffle(&mut order);
-        order.sort_by_key(|i| !pairs[*i].is_positive);
+        let (positive, negative): (Vec<usize>, Vec<usize>) = order.into_iter().partition(|i| pairs[*i].is_positive);
+        let n_positive = max_pairs.div_ceil(2).max(max_pairs.saturating_sub(negative.len())).min(positive.len());
         let mut is_kept = vec![false; pairs.len()];
-        order[..max_pairs].iter().for_each(|i| is_kept[*i] = true);
+        let kept = positive[..n_positive].iter().chain(&negative[..max_pairs - n_positive]);
+        kept.for_each(|i| is_kept[*i] = true);
         let mut is_kept = is_kept.into_iter();
         pairs.retain(|_| is_kept.next().unwrap_or(false));
     }
