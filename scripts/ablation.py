@@ -129,14 +129,14 @@ def main():
     parser.add_argument("--scenes", type=pathlib.Path, required=True, help="scenes of all places, as `djinn ingest` wrote them")
     parser.add_argument("--set", action="append", default=[], help="a setting of the pipeline, such as its inputs")
     parser.add_argument("--seconds", type=float, default=300.0, help="processor time of each training")
-    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--rows", nargs="*", choices=ROWS, default=list(ROWS), metavar="ROW", help=", ".join(ROWS))
     parser.add_argument("--output", type=pathlib.Path, default=pathlib.Path("output/ablation"))
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
     shared = [*arguments.set, f"train.denoiser.data=[{{ scenes = '{arguments.scenes}' }}]", "train.denoiser.own_weight=0"]
     done = {row: [] for row in arguments.rows}
-    for seed in range(1, arguments.seeds + 1):
+    for seed in arguments.seeds:
         for row in arguments.rows:
             done[row].append(measure(arguments, row, [*shared, *ROWS[row][1]], seed))
     header = ["network and data", "steps", *(name for name, _, _ in METRICS.values()), "map turned"]

@@ -2,11 +2,12 @@
 
     pip install polars numpy
     djinn run pipelines/behaviors/arms.toml --set 'ingest.inputs=["/data/INTERACTION-sim-multi-v1_2.zip"]'
-    python scripts/compare_arms.py output/arms/main [output/arms/seed_2 ...]
+    python scripts/compare_arms.py output/arms/main [output/arms/seed_2 ...] [--by place]
 
 Sweeps are named BEHAVIOR/ARM in their pipeline's `name`. Prints a Markdown table over all runs: shares of samples with the middle
 95 % of 10,000 draws of pairs with replacement (fixed seed), pairs with a sample that is verified and valid, spread of the last
-positions (MFD), and the Wasserstein distances of the motion of all agents from the recordings of the same scenes.
+positions (MFD), and the Wasserstein distances of the motion of all agents from the recordings of the same scenes. With `--by place` there is a
+row for each place, without the figures that runs give for sweeps as a whole.
 """
 
 import argparse
@@ -23,13 +24,14 @@ NOT_VALIDITY = ["not_verified", "nothing_asked", "near_duplicate", "surplus", "r
 
 
 def samples(run):
-    """A row for each judged sample: sweep, strength, scene, whether it is verified, valid and accepted."""
-    columns = ["scenario_id", "scene_id", "verified", "guidance_roles"]
+    """A row for each judged sample: sweep, strength, place, scene, whether it is verified, valid and accepted."""
+    columns = ["scenario_id", "scene_id", "place", "verified", "guidance_roles"]
     drawn = pl.concat([pl.read_parquet(path, columns=columns) for path in sorted((run / "samples").glob("samples-*.parquet"))])
     pair = pl.concat_str("scene_id", pl.col("guidance_roles").list.eval(pl.element().struct.json_encode()).list.join(" ")).alias("pair")
     verdicts = pl.read_parquet(run / "verdicts.parquet", columns=["scenario_id", "sweep", "strength", "accepted", "reasons"])
     flaws = pl.col("reasons").list.set_difference(pl.lit(NOT_VALIDITY, dtype=pl.List(pl.String)))
-    return verdicts.join(drawn.with_columns(pair), on="scenario_id").with_columns(valid=flaws.list.len() == 0)
+    rows = verdicts.join(drawn.with_columns(pair), on="scenario_id").with_columns(valid=flaws.list.len() == 0)
+    return rows.with_columns(both=pl.col("verified") & pl.col("valid"))
 
 
 def share(rows, column):
@@ -71,16 +73,24 @@ def novelty(runs, sweep, strength):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", type=pathlib.Path, nargs="+", help="folders of evaluated runs that differ in their seed")
+    parser.add_argument("--by", choices=["place"], help="a row for each place")
     arguments = parser.parse_args()
     rows = pl.concat([samples(run) for run in arguments.runs])
-    header = ["behavior", "arm", "samples", "verified (%)", "valid (%)", "accepted", "pairs within the samples", "MFD (m)", "from recorded events", *MOTION.values()]
+    by = [arguments.by] if arguments.by else []
+    whole = [] if by else ["MFD (m)", "from recorded events", *MOTION.values()]
+    header = ["behavior", *by, "arm", "samples", "verified (%)", "valid (%)", "both (%)", "accepted", "pairs within the samples", *whole]
     print("| " + " | ".join(header) + " |\n" + "|---" * len(header) + "|")
-    for (sweep, strength), own in rows.group_by("sweep", "strength", maintain_order=True):
+    rows = rows.with_columns(pl.col("sweep").str.split("/").list.first().alias("behavior"))
+    groups = rows.sort("behavior", *by, maintain_order=True) if by else rows
+    for (sweep, strength, *place), own in groups.group_by("sweep", "strength", *by, maintain_order=True):
         behavior, _, arm = sweep.partition("/")
-        both = own.group_by("pair").agg((pl.col("verified") & pl.col("valid")).any().alias("works"))
-        cells = [behavior, arm + (f", α = {strength:g}" if strength else ""), f"{own.height}", share(own, "verified"), share(own, "valid")]
-        cells += [f"{own['accepted'].sum()}", f"{both['works'].sum()} of {both.height}", spread(arguments.runs, sweep, strength), novelty(arguments.runs, sweep, strength)]
-        print("| " + " | ".join([*cells, *(realism(arguments.runs, sweep, strength, quantity) for quantity in MOTION)]) + " |")
+        both = own.group_by("pair").agg(pl.col("both").any().alias("works"))
+        cells = [behavior, *place, arm + (f", α = {strength:g}" if strength else ""), f"{own.height}", share(own, "verified"), share(own, "valid"), share(own, "both")]
+        cells += [f"{own['accepted'].sum()}", f"{both['works'].sum()} of {both.height}"]
+        if not by:
+            cells += [spread(arguments.runs, sweep, strength), novelty(arguments.runs, sweep, strength)]
+            cells += [realism(arguments.runs, sweep, strength, quantity) for quantity in MOTION]
+        print("| " + " | ".join(cells) + " |")
 
 
 if __name__ == "__main__":

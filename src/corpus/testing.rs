@@ -4,7 +4,7 @@ use crate::metrics::{Group, MetricRow};
 use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceLevel, LaneGraph, LaneId, MapId, Scene};
 use crate::store::testing::{map, record, scene};
-use crate::store::{CorpusManifest, CorpusNotes, CorpusWriter, MapSource, Result, as_stored};
+use crate::store::{CorpusManifest, CorpusNotes, CorpusWriter, MapSource, Result, SCENES_PER_FILE, as_stored};
 use std::path::Path;
 
 /// Any map, as seed 5 makes it.
@@ -45,8 +45,13 @@ pub(super) fn records(seeds: impl IntoIterator<Item = u64>) -> Vec<ScenarioRecor
 
 /// Writes a corpus of these records with a metric value of each, and one over all.
 pub(super) fn write(dir: &Path, records: &[ScenarioRecord]) -> CorpusManifest {
+    write_in_files_of(SCENES_PER_FILE, dir, records)
+}
+
+/// The same with files of this many scenarios or scenes.
+pub(super) fn write_in_files_of(scenes_per_file: usize, dir: &Path, records: &[ScenarioRecord]) -> CorpusManifest {
     let maps = AnyMap(5);
-    let mut writer = CorpusWriter::create(dir, &maps).unwrap();
+    let mut writer = CorpusWriter::create(dir, &maps).unwrap().in_files_of(scenes_per_file);
     writer.write_scenarios(records).unwrap();
     let metric = |record: Option<&ScenarioRecord>| MetricRow {
         group: Group::Sweep("guided".to_owned()),

@@ -1,12 +1,12 @@
 //! Do merge, filter, sample and diff keep what they should, and refuse what they must?
 
-use super::testing::{AnyMap, recorded, records, write};
+use super::testing::{AnyMap, recorded, records, write, write_in_files_of};
 use super::*;
 use crate::files;
 use crate::progress::Silent;
 use crate::scenario::ScenarioRecord;
 use crate::store::testing::folder_bytes;
-use crate::store::{CorpusManifest, CorpusNotes, CorpusReader, CorpusScan, CorpusWriter};
+use crate::store::{CorpusManifest, CorpusNotes, CorpusReader, CorpusScan, CorpusTable, CorpusWriter};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -98,6 +98,34 @@ fn recordings_are_the_same_wherever_batches_break() {
     assert_eq!((outcome.n_duplicates, outcome.n_differing_recordings), (460, 0));
     let tables = |dir: &Path| CorpusManifest::read(dir).unwrap().tables;
     assert_eq!(tables(&folder.path("out"))["recordings"], tables(&a)["recordings"]);
+}
+
+#[test]
+fn a_corpus_of_many_files_is_read_judged_and_copied_as_one_of_few() {
+    let folder = Folder::new();
+    let (few, many, copied) = (folder.corpus("few", 0..40), folder.path("many"), folder.path("copied"));
+    let manifest = write_in_files_of(7, &many, &records(0..40));
+    let n_units: Vec<usize> = manifest.scenarios_by_partition.iter().map(|count| count.n_scenarios as usize).collect();
+    for table in [CorpusTable::Scenarios, CorpusTable::Tracks] {
+        assert_eq!(manifest.files(table).len(), n_units.iter().map(|n| n.div_ceil(7)).sum::<usize>());
+    }
+    // Every third of 40 scenes is at one place, the others at the other.
+    assert_eq!(manifest.files(CorpusTable::Recordings).len(), 14_usize.div_ceil(7) + 26_usize.div_ceil(7));
+    assert_eq!(manifest.files(CorpusTable::Scenarios)[0].n_rows, 7);
+
+    let [of_few, of_many] = [&few, &many].map(|dir| CorpusReader::open(dir).unwrap());
+    assert!(of_few.scenario_ids().unwrap().eq(of_many.scenario_ids().unwrap()));
+    assert!((0..of_few.len()).all(|i| of_few.scenario(i).unwrap() == of_many.scenario(i).unwrap()));
+    let found = diff(&few, &many, &Silent).unwrap();
+    assert_eq!((found.n_only_in, found.n_changed, found.shifts.len()), ([0, 0], 0, 0));
+    let report = validate(&many, &Silent).unwrap();
+    assert_eq!((report.n_damages, report.n_remarks), (0, 0), "{:?}", report.findings);
+    filtered(&many, &["n_timesteps > 0"], &copied).unwrap();
+    assert_holds(&copied, &records(0..40));
+    let (before, after) = (folder_bytes(&few), folder_bytes(&copied));
+    for (file, bytes) in before.iter().filter(|(file, _)| file.contains('/')) {
+        assert!(after[file] == *bytes, "{file} differs");
+    }
 }
 
 #[test]

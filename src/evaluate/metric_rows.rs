@@ -8,7 +8,8 @@ use super::error::Result;
 use super::measures::MetricDoc;
 use crate::metrics::{AggregateTally, Group, MetricRow, SeriesKey};
 use crate::scene::SceneId;
-use crate::store::{self, MetricSpool, SpooledMetrics};
+use crate::store::{self, Spool, Spooled};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -24,19 +25,33 @@ pub(super) struct CellNames<'a> {
     pub(super) scenario_ids: &'a [String],
 }
 
-/// Collects figures as rows in files: one for each series of scenes, and one for the scenarios.
+/// What all metrics say of a scene in a series, or of one of its scenarios.
+#[derive(Debug, Serialize, Deserialize)]
+struct Values {
+    /// The number of the series.
+    series: usize,
+    place: String,
+    scene_id: SceneId,
+    /// `None` for the samples of the scene together.
+    scenario_id: Option<String>,
+    n_samples: u64,
+    /// One for each metric; `None` where it is not defined.
+    values: Vec<Option<f64>>,
+}
+
+/// Collects figures in files: one for each series of scenes, and one for the scenarios.
 pub(super) struct MetricRows {
     docs: Vec<MetricDoc>,
     scratch: PathBuf,
-    series: Vec<(SeriesKey, MetricSpool)>,
-    of_scenarios: MetricSpool,
+    series: Vec<(SeriesKey, Spool<Values>)>,
+    of_scenarios: Spool<Values>,
 }
 
 impl MetricRows {
     /// Starts without rows of these metrics. Creates files in the folder `scratch`, which last until the rows are
     /// removed.
     pub(super) fn create(docs: Vec<MetricDoc>, scratch: &Path) -> Result<Self> {
-        let of_scenarios = MetricSpool::create(&scratch.join("metrics.scenarios.spool"))?;
+        let of_scenarios = Spool::create(&scratch.join("metrics.scenarios.spool"))?;
         Ok(Self { docs, scratch: scratch.to_owned(), series: Vec::new(), of_scenarios })
     }
 
@@ -49,19 +64,17 @@ impl MetricRows {
             (series, scenario_ids.len() as u64, Some(&figures.together)),
         ];
         for (key, n_samples, values) in parts {
-            let Some(values) = values else { continue };
-            let at = self.spool_of(key)?;
-            for (metric, value) in defined(&self.docs, values) {
-                let row = row(key, place, metric, value, n_samples);
-                self.series[at].1.push(MetricRow { scene_id: Some(scene_id.clone()), ..row })?;
-            }
+            let Some(values) = values.cloned() else { continue };
+            let series = self.number_of(key)?;
+            let (place, scene_id) = (place.to_owned(), scene_id.clone());
+            let values = Values { series, place, scene_id, scenario_id: None, n_samples, values };
+            self.series[series].1.push(&values)?;
         }
+        let series = self.number_of(series)?;
         for (scenario_id, values) in scenario_ids.iter().zip(&figures.alone) {
-            for (metric, value) in defined(&self.docs, values) {
-                let (scene_id, scenario_id) = (Some(scene_id.clone()), Some(scenario_id.clone()));
-                let row = row(series, place, metric, value, 1);
-                self.of_scenarios.push(MetricRow { scene_id, scenario_id, ..row })?;
-            }
+            let (place, scene_id, scenario_id) = (place.to_owned(), scene_id.clone(), Some(scenario_id.clone()));
+            let values = Values { series, place, scene_id, scenario_id, n_samples: 1, values: values.clone() };
+            self.of_scenarios.push(&values)?;
         }
         Ok(())
     }
@@ -76,23 +89,23 @@ impl MetricRows {
         })
     }
 
-    /// The index of the file of a series; creates the file if there is none.
-    fn spool_of(&mut self, key: &SeriesKey) -> Result<usize> {
+    /// The number of a series; begins its file if it is new.
+    fn number_of(&mut self, key: &SeriesKey) -> Result<usize> {
         if let Some(at) = self.series.iter().position(|(known, _)| known == key) {
             return Ok(at);
         }
         let name = format!("metrics.series-{}.spool", self.series.len());
-        self.series.push((key.clone(), MetricSpool::create(&self.scratch.join(name))?));
+        self.series.push((key.clone(), Spool::create(&self.scratch.join(name))?));
         Ok(self.series.len() - 1)
     }
 }
 
-/// The rows of an evaluation, in files that last until [`FinishedRows::remove`].
+/// The figures of an evaluation, in files that last until [`FinishedRows::remove`].
 #[derive(Debug)]
 pub(super) struct FinishedRows {
     docs: Vec<MetricDoc>,
-    series: Vec<(SeriesKey, SpooledMetrics)>,
-    of_scenarios: SpooledMetrics,
+    series: Vec<(SeriesKey, Spooled<Values>)>,
+    of_scenarios: Spooled<Values>,
 }
 
 impl FinishedRows {
@@ -102,14 +115,15 @@ impl FinishedRows {
         let mut by_place: BTreeMap<String, Vec<Vec<AggregateTally>>> = BTreeMap::from([(String::new(), none.clone())]);
         for visit in [AggregateTally::add, AggregateTally::compare] {
             for (at, (_, spool)) in self.series.iter().enumerate() {
-                for row in spool.rows()? {
-                    let MetricRow { place, metric, value, .. } = row?;
-                    let Some(idx) = self.docs.iter().position(|doc| doc.metric == metric) else { continue };
+                for scene in spool.values()? {
+                    let Values { place, values, .. } = scene?;
                     if !by_place.contains_key(&place) {
                         by_place.insert(place.clone(), none.clone());
                     }
                     for place in ["", &place] {
-                        by_place.get_mut(place).into_iter().for_each(|here| visit(&mut here[at][idx], value));
+                        let Some(here) = by_place.get_mut(place) else { continue };
+                        let tallies = here[at].iter_mut().zip(&values);
+                        tallies.for_each(|(tally, value)| value.iter().for_each(|value| visit(tally, *value)));
                     }
                 }
             }
@@ -129,25 +143,44 @@ impl FinishedRows {
 
     /// The values of every scene, in the order of series.
     pub(super) fn of_scenes(&self) -> Result<impl Iterator<Item = store::Result<MetricRow>>> {
-        let spools = self.series.iter().map(|(_, spool)| Ok(spool.rows()?));
+        let spools = self.series.iter().map(|(_, spool)| Ok(self.rows(spool.values()?)));
         Ok(spools.collect::<Result<Vec<_>>>()?.into_iter().flatten())
     }
 
     /// The values of every scenario, in the order of the samples.
     pub(super) fn of_scenarios(&self) -> Result<impl Iterator<Item = store::Result<MetricRow>>> {
-        Ok(self.of_scenarios.rows()?)
+        Ok(self.rows(self.of_scenarios.values()?))
     }
 
     /// Removes the files.
     pub(super) fn remove(self) -> Result<()> {
         let mut spools = self.series.into_iter().map(|(_, spool)| spool).chain([self.of_scenarios]);
-        Ok(spools.try_for_each(SpooledMetrics::remove)?)
+        Ok(spools.try_for_each(Spooled::remove)?)
     }
-}
 
-/// The metrics with a value.
-fn defined<'a>(docs: &'a [MetricDoc], values: &'a [Option<f64>]) -> impl Iterator<Item = (&'a str, f64)> {
-    docs.iter().zip(values).filter_map(|(doc, value)| Some((doc.metric.as_str(), (*value)?)))
+    /// A row for each metric with a value.
+    fn rows(
+        &self,
+        values: impl Iterator<Item = store::Result<Values>>,
+    ) -> impl Iterator<Item = store::Result<MetricRow>> {
+        values.flat_map(|values| {
+            let (rows, error) = match values {
+                Ok(values) => (self.rows_of(values), None),
+                Err(error) => (Vec::new(), Some(Err(error))),
+            };
+            rows.into_iter().map(Ok).chain(error)
+        })
+    }
+
+    fn rows_of(&self, of: Values) -> Vec<MetricRow> {
+        let (key, _) = &self.series[of.series];
+        let metrics = self.docs.iter().zip(of.values);
+        let defined = metrics.filter_map(|(doc, value)| {
+            let row = row(key, &of.place, &doc.metric, value?, of.n_samples);
+            Some(MetricRow { scene_id: Some(of.scene_id.clone()), scenario_id: of.scenario_id.clone(), ..row })
+        });
+        defined.collect()
+    }
 }
 
 fn row(key: &SeriesKey, place: &str, metric: &str, value: f64, n: u64) -> MetricRow {

@@ -1,19 +1,17 @@
 //! Guides the denoiser of a batch as its sweep says: by the classifier and the objectives, nested.
 
 use super::pairs::{possible_pairs, slots};
-use super::{
-    Cell, ClassifierInput, ClassifierScope, Diffusion, Error, Generator, ObserveConfig, ResolvedSweep, SelectConfig,
-};
+use super::{Cell, ClassifierScope, Diffusion, Error, Generator, ObserveConfig, ResolvedSweep, SelectConfig};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::Denoiser;
 use crate::guidance::{
-    AgentSelector, AnyPairGuidance, ClassifierGuidance, CleanGuidedDenoiser, CleanPotential, ContextRow,
-    EstimatePotential, Guidance, GuidanceConfig, GuidedDenoiser, MaskChange, NoCollision, ObjectiveConfig,
-    ObjectiveGuidanceConfig, ObjectiveSum, RoadPoints, SceneContext, SlipLimit, StayOnRoad,
+    AgentSelector, AnyPairGuidance, ClassifierGuidance, ClassifierPotential, CleanGuidedDenoiser, CleanPotential,
+    ContextRow, EstimatePotential, FutureGuidance, Guidance, GuidanceConfig, GuidedDenoiser, MaskChange, NoCollision,
+    ObjectiveConfig, ObjectiveGuidanceConfig, ObjectiveSum, RoadPoints, SceneContext, SlipLimit, StayOnRoad,
 };
-use crate::model::TrainedClassifier;
+use crate::model::{ClassifierInput, TrainedClassifier};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Scene};
-use crate::tensor::{FutureValidity, SceneBatch, SceneView};
+use crate::tensor::{FutureFeatures, FutureValidity, SceneBatch, ScenePair, SceneView};
 use candle_core::{DType, Tensor};
 use std::ops::Range;
 
@@ -27,8 +25,11 @@ const ESTIMATE_SIGMA: f64 = 0.1;
 pub(super) type Wishes = Vec<(&'static str, f64)>;
 
 /// The rules of traffic for every sample: boxes a hand's breadth apart (recordings have no more), centers on the road,
-/// vehicles that point where they drive. Agents with roles in `may_collide` may touch each other.
-fn rules_of_traffic(may_collide: Option<[&str; 2]>) -> [ObjectiveConfig; 3] {
+/// vehicles that point where they drive. Agents that are asked to collide may touch each other.
+pub(super) fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
+    let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
+    let may_collide = <[&str; 2]>::try_from(roles).ok();
+    let may_collide = may_collide.filter(|_| sweep.asks_for_collision() && !sweep.asks_anybody());
     let agents = AgentSelector::default();
     [
         ObjectiveConfig::NoCollision(NoCollision {
@@ -77,11 +78,14 @@ struct Classified {
 
 impl Guided<'_> {
     /// The context of the sampled batch for objectives.
-    fn objective_context(&self) -> Result<SceneContext, Error> {
+    pub(super) fn objective_context(&self) -> Result<SceneContext, Error> {
         let rows: Vec<ContextRow<'_>> = (self.cells.iter().zip(self.agents))
             .map(|((cell, scene), agents)| ContextRow { scene, ego_idx: agents.0, roles: &cell.roles })
             .collect();
-        let targets = self.cells.iter().flat_map(|(cell, _)| self.samples.clone().map(|sample| cell.target(sample)));
+        // The particles of a group have one target.
+        let n = self.sweep.group_size();
+        let targets =
+            self.cells.iter().flat_map(|(cell, _)| self.samples.clone().map(move |sample| cell.target(sample / n)));
         let context = SceneContext::new(self.batch, &rows)?.repeated(self.samples.len())?;
         Ok(context.aiming_at(targets.collect())?)
     }
@@ -126,6 +130,12 @@ impl<'g> Generator<'g> {
             let named = [(!config.extra.is_empty(), "classifier_free"), (config.event, "event")];
             parts.extend(named.into_iter().filter(|(acts, _)| *acts).map(|(_, name)| name.to_owned()));
         }
+        if diffusion.particles.is_some() {
+            parts.push("particles".to_owned());
+        }
+        if diffusion.noise_optimization.is_some() {
+            parts.push("noise_optimization".to_owned());
+        }
         if sweep.uses_template() {
             parts.push("template".to_owned());
         }
@@ -144,6 +154,10 @@ impl<'g> Generator<'g> {
         let Guided { sweep, diffusion, level: GuidanceLevel { strength, .. }, .. } = *guided;
         let asked = &diffusion.guidance;
         let classifier = self.guiding_classifier(sweep, strength);
+        if let Some(classifier) = classifier.filter(|classifier| !classifier.spec.input.is_noisy()) {
+            let potential = self.future_guidance(guided, classifier)?;
+            return self.guided_by_objectives(guided, &self.by_classifier(guided, inner, &potential), sample);
+        }
         let shown = classifier.map(|_| self.classified_batch(guided)).transpose()?.flatten();
         let guidance = match classifier {
             Some(classifier) => Some(self.classifier_guidance(guided, classifier, shown.as_ref().map(|s| &s.batch))?),
@@ -160,7 +174,7 @@ impl<'g> Generator<'g> {
             strength,
             config: asked.gate,
         });
-        let of_estimate = of_estimate.as_ref().map(|potential| self.on_estimates(guided, inner, potential));
+        let of_estimate = of_estimate.as_ref().map(|potential| self.by_classifier(guided, inner, potential));
         let inner: &dyn Denoiser = match (asked.classifier_input, &of_noisy, &of_estimate) {
             (ClassifierInput::NoisyStates, Some(denoiser), _) => denoiser,
             (ClassifierInput::CleanEstimate, _, Some(denoiser)) => denoiser,
@@ -184,10 +198,7 @@ impl<'g> Generator<'g> {
         }
         let context = guided.objective_context()?;
         let sum = |objectives| ObjectiveSum { objectives, batch: guided.repeated, context: &context };
-        let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
-        let may_collide = <[&str; 2]>::try_from(roles).ok();
-        let may_collide = may_collide.filter(|_| sweep.asks_for_collision() && !sweep.asks_anybody());
-        let (wished, rules) = (sum(&asked.objectives), rules_of_traffic(may_collide));
+        let (wished, rules) = (sum(&asked.objectives), rules_of_traffic(sweep));
         let rules = sum(&rules);
         let wishing = self.on_estimates(guided, inner, &wished);
         let inner: &dyn Denoiser = if has_objectives { &wishing } else { inner };
@@ -221,6 +232,35 @@ impl<'g> Generator<'g> {
         }
     }
 
+    /// The same by a classifier's potential: damping presumes a best value, which log odds do not have.
+    fn by_classifier<'a>(
+        &self,
+        guided: &Guided<'_>,
+        inner: &'a dyn Denoiser,
+        potential: &'a dyn CleanPotential,
+    ) -> CleanGuidedDenoiser<'a> {
+        let mut denoiser = self.on_estimates(guided, inner, potential);
+        denoiser.config.damped &= guided.diffusion.guidance.classifier_potential == ClassifierPotential::LogProbability;
+        denoiser
+    }
+
+    /// The guidance of a classifier of clean futures over the sampled states.
+    fn future_guidance<'a>(
+        &self,
+        guided: &Guided<'a>,
+        classifier: &'a TrainedClassifier,
+    ) -> Result<FutureGuidance<'a>, Error> {
+        let pair =
+            |((_, scene), agents): (&(&'a Cell, &'a Scene), &(usize, usize))| ScenePair { scene, agents: *agents };
+        let pairs: Vec<ScenePair<'_>> = guided.cells.iter().zip(guided.agents).map(pair).collect();
+        Ok(FutureGuidance {
+            classifier: classifier.network.of_clean_futures()?,
+            batch: guided.repeated,
+            pairs: FutureFeatures::new(guided.batch, &pairs)?.repeated(guided.samples.len())?,
+            potential: guided.diffusion.guidance.classifier_potential,
+        })
+    }
+
     /// The scenes as the classifier was trained on them, with only their histories observed, if the sweep observes
     /// other states.
     fn classified_batch(&self, guided: &Guided<'_>) -> Result<Option<Classified>, Error> {
@@ -247,17 +287,18 @@ impl<'g> Generator<'g> {
         batch: Option<&SceneBatch>,
     ) -> Result<Box<dyn Guidance + 'a>, Error> {
         let batch = batch.unwrap_or(guided.repeated);
+        let potential = guided.diffusion.guidance.classifier_potential;
         let every = |row: usize| std::iter::repeat_n(row, guided.samples.len());
         if guided.sweep.asks_anybody() {
             let own: Vec<Vec<(usize, usize)>> =
                 (0..guided.cells.len()).map(|row| self.any_pairs(guided, row)).collect();
             let pairs: Vec<_> = (0..own.len()).flat_map(every).map(|row| own[row].clone()).collect();
-            return Ok(Box::new(AnyPairGuidance::new(classifier, batch, &pairs)?));
+            return Ok(Box::new(AnyPairGuidance::new(classifier, batch, &pairs, potential)?));
         }
         let agents: Vec<(usize, usize)> =
             (0..guided.agents.len()).flat_map(every).map(|row| guided.agents[row]).collect();
         let pairs = classifier.spec.features(batch, &slots(batch, &agents)?)?;
-        Ok(Box::new(ClassifierGuidance { classifier: &classifier.network, pairs }))
+        Ok(Box::new(ClassifierGuidance { classifier: classifier.network.of_noisy_states()?, pairs, potential }))
     }
 
     /// The pairs of a cell's scene that may perform the behavior, easiest first, as places on the agent axis of its

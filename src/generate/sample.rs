@@ -5,6 +5,7 @@ use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_veloc
 use super::guide::{Guided, Wishes};
 use super::select::Candidate;
 use super::{Cell, ClassifierFreeConfig, Diffusion, Error, Generator, ResolvedSweep, ShardPlan};
+use crate::diffusion::sampler::Going;
 use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::nn::in_pool;
@@ -177,6 +178,8 @@ impl Generator<'_> {
             }
             return batches;
         }
+        // The particles of a group share a batch.
+        let batch_size = batch_size - batch_size % sweep.group_size();
         for members in order.chunks((batch_size / n_samples).max(1)) {
             for first in (0..n_samples).step_by(batch_size) {
                 batches.push((members.to_vec(), first..n_samples.min(first + batch_size)));
@@ -235,7 +238,7 @@ impl Generator<'_> {
             repeated: &tensors,
             samples: batch.samples.clone(),
         };
-        let denoise = |denoiser: &dyn Denoiser| self.denoise((batch, diffusion), &tensors, denoiser, progress);
+        let denoise = |denoiser: &dyn Denoiser| self.denoise(&guided, (denoiser, &bound), progress);
         let x = match wanted {
             Some(extended) => {
                 let change = MaskChange::new(&tensors, &extended)?;
@@ -300,29 +303,45 @@ impl Generator<'_> {
         }
     }
 
-    /// Diffused states (B, A, T, D) of all samples of a batch.
+    /// Diffused states (B, A, T, D) of all samples of a batch, by a denoiser and the same without guidance.
     fn denoise(
         &self,
-        (batch, diffusion): (&Batch<'_>, &Diffusion),
-        tensors: &SceneBatch,
-        denoiser: &dyn Denoiser,
+        guided: &Guided<'_>,
+        (denoiser, unguided): (&dyn Denoiser, &dyn Denoiser),
         progress: &dyn Progress,
     ) -> Result<Tensor, Error> {
-        let seeds = batch.cells.iter().flat_map(|(cell, _)| {
-            let scene_seed = self.seed().derive_named("noise", &cell.scene_id.0);
-            batch.samples.clone().map(move |sample_idx| sample_seed(scene_seed, sample_idx))
+        let seeds = guided.cells.iter().flat_map(|(cell, _)| {
+            let scene_seed = self.scene_seed(cell);
+            guided.samples.clone().map(move |sample_idx| sample_seed(scene_seed, sample_idx))
         });
         let mut noise = NoiseSource::new(seeds.collect());
-        let row_dims = &tensors.x0.dims()[1..];
+        let like = &guided.repeated.x0;
         let mut observer = |step: &Step<'_>| progress.note(&format!("step {} of {}", step.step_idx + 1, step.n_steps));
         let edm = &self.spec().edm;
-        let Diffusion { sampler, edit, .. } = diffusion;
-        if let Some(edit) = edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
-            let x = noisy_guide(edit, &tensors.x0, &mut noise)?;
-            let sigmas = edit.schedule(edm, sampler);
-            return Ok(sampler.integrate(&sigmas, denoiser, x, &mut noise, &mut observer)?);
-        }
-        Ok(sampler.sample(edm, denoiser, row_dims, &tensors.x0, &mut noise, &mut observer)?)
+        let Diffusion { sampler, edit, .. } = guided.diffusion;
+        let (x, sigmas) = match edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
+            Some(edit) => (noisy_guide(edit, like, &mut noise)?, edit.schedule(edm, sampler)),
+            None => {
+                let sigma_start = sampler.sigma_start(edm);
+                let sigmas = sampler.schedule(edm, sigma_start);
+                let z = noise.draw(&like.dims()[1..], like.dtype(), like.device())?;
+                let z = self.optimized(guided, unguided, &sigmas, z)?;
+                ((z * sigma_start)?, sigmas)
+            }
+        };
+        let context = guided.diffusion.particles.map(|_| guided.objective_context()).transpose()?;
+        let wished = context.as_ref().map(|context| guided.objectives(&guided.diffusion.guidance.objectives, context));
+        let mut particles = wished.as_ref().and_then(|wished| self.particles(guided, wished));
+        let mut resampler = |going: &Going<'_>| match &mut particles {
+            Some(particles) => particles.step(going),
+            None => Ok(None),
+        };
+        Ok(sampler.integrate_resampled(&sigmas, denoiser, x, &mut noise, &mut resampler, &mut observer)?)
+    }
+
+    /// The seed of the noise of a cell's scene.
+    pub(super) fn scene_seed(&self, cell: &Cell) -> Seed {
+        self.seed().derive_named("noise", &cell.scene_id.0)
     }
 
     /// The samples of one cell that the sweep's selection keeps, strength by strength.

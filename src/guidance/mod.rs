@@ -8,10 +8,13 @@ mod classifier;
 mod classifier_free;
 mod clean_guided_denoiser;
 mod estimate_potential;
+mod future_guidance;
 mod guided_denoiser;
 mod lane_ways;
 mod mask_change;
+mod noise_optimization;
 mod objectives;
+mod particles;
 mod road_corridors;
 mod scene_context;
 #[cfg(test)]
@@ -23,19 +26,22 @@ mod tests;
 
 pub use agent_selector::AgentSelector;
 pub use any_pair::AnyPairGuidance;
-pub use classifier::ClassifierGuidance;
+pub use classifier::{ClassifierGuidance, ClassifierPotential};
 pub use classifier_free::{BranchChange, ClassifierFreeDenoiser};
 pub use clean_guided_denoiser::{
     CleanGradient, CleanGuidedDenoiser, CleanPotential, ObjectiveGuidanceConfig, ObjectiveSum,
 };
 pub use estimate_potential::EstimatePotential;
+pub use future_guidance::FutureGuidance;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
+pub use noise_optimization::{MOST_STEPS, NoiseOptimizationConfig};
 pub use objectives::{
     AccelerationLimit, AdversarialTtc, Collision, CrossAhead, CutIn, CutOut, Goal, GoalFrame, HardBrake, KeepDistance,
     LaneChange, NearMiss, NoCollision, ObjectiveConfig, PedestrianStepsOut, RoadPoints, SceneObjective, Side,
     SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, Tailgating, TargetSpeed, WrongWay,
 };
+pub use particles::{ParticleConfig, Particles};
 pub use scene_context::{ContextRow, SceneContext, Target};
 
 use candle_core::{Result, Tensor};

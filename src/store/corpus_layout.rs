@@ -1,9 +1,10 @@
 //! The layout of a corpus folder: its tables, and the partitions of the large ones.
 //!
 //! Scenarios and their tracks are partitioned by behavior and place, recordings by place, in folders with Hive's names
-//! (`behavior=cut_in/place=PIT`), so that DuckDB, polars and pyarrow skip files that a query does not need. Lanes (each
-//! map once) and metric values (some twenty short rows a scenario, and aggregates without a place) are single files.
-//! Within a partition the rows of `tracks` follow the order of the rows of `scenarios`.
+//! (`behavior=cut_in/place=PIT`), so that DuckDB, polars and pyarrow skip files that a query does not need. A file holds
+//! at most [`SCENES_PER_FILE`] of them, and the next ones are in another. Lanes (each map once) and metric values (some
+//! twenty short rows a scenario, and aggregates without a place) are single files. The rows of a file of `tracks` follow
+//! the order of the rows of the file of `scenarios` with the same number.
 
 use super::schema::TableSchema;
 use super::tables::{lane, metric, recording, scenario, track};
@@ -14,6 +15,10 @@ use std::fmt::Write;
 pub(crate) const NO_BEHAVIOR: &str = "none";
 /// Hive's name for a missing value, which readers turn into one.
 const MISSING: &str = "__HIVE_DEFAULT_PARTITION__";
+
+/// Scenarios, or recorded scenes, of a file. It bounds the size of files, which are uploaded and verified as a whole, and
+/// the memory of their footers.
+pub(crate) const SCENES_PER_FILE: usize = 16 * 1024;
 
 /// The tables of a corpus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -78,8 +83,18 @@ impl CorpusTable {
         }
     }
 
-    /// The file of a partition, with `/` between folders.
-    pub fn file(self, partition: &Partition) -> String {
+    /// The column whose value is the same in all rows of a scenario or a scene, which are in one file; `None` for a single
+    /// file.
+    pub(crate) const fn unit(self) -> Option<&'static str> {
+        match self {
+            Self::Scenarios | Self::Tracks => Some("scenario_id"),
+            Self::Recordings => Some("scene_id"),
+            Self::Lanes | Self::Metrics => None,
+        }
+    }
+
+    /// File `number` of a partition, with `/` between folders.
+    pub fn file(self, partition: &Partition, number: usize) -> String {
         let mut path = self.name().to_owned();
         if self.keys().is_empty() {
             return path + ".parquet";
@@ -88,7 +103,7 @@ impl CorpusTable {
             // Writing to a string cannot fail.
             let _ = write!(path, "/{key}={}", encoded(partition.value(key)));
         }
-        path + "/part-00000.parquet"
+        format!("{path}/part-{number:05}.parquet")
     }
 
     /// The partition of this table for `behavior` and `place`.
@@ -146,7 +161,7 @@ mod tests {
 
     #[test]
     fn folders_are_named_as_hive_names_them() {
-        let file = |table: CorpusTable, behavior, place| table.file(&table.partition(behavior, place));
+        let file = |table: CorpusTable, behavior, place| table.file(&table.partition(behavior, place), 0);
         let cut_in = Some("cut_in");
         assert_eq!(
             file(CorpusTable::Scenarios, cut_in, "DR_CHN_Merging_ZS0"),

@@ -3,7 +3,7 @@
 
 use super::atomic::write_json_atomically;
 use super::corpus_card::{CARD_FILE, card};
-use super::corpus_layout::{CorpusTable, NO_BEHAVIOR, Partition};
+use super::corpus_layout::{CorpusTable, NO_BEHAVIOR, Partition, SCENES_PER_FILE};
 use super::corpus_manifest::{CorpusManifest, CorpusNotes, FileEntry, PartitionCount, TableEntry};
 use super::parquet_file::ParquetFile;
 use super::scene_manifest::MANIFEST_FILE;
@@ -12,7 +12,7 @@ use super::tables::lane;
 use super::{Error, Result};
 use crate::files::{clear, write_atomically};
 use crate::scene::{Dataset, LaneGraph, MapId};
-use arrow::array::{RecordBatch, UInt32Array};
+use arrow::array::{Array, RecordBatch, StringArray, UInt32Array};
 use arrow::compute::{concat_batches, take_record_batch};
 use arrow::datatypes::SchemaRef;
 use fs_err as fs;
@@ -26,10 +26,15 @@ const ROWS_PER_WRITE: usize = 4 * 1024;
 /// Bytes of unfinished row groups over all files. Beyond it, the largest row group is ended early.
 const MAX_BYTES_IN_MEMORY: usize = 16 << 20;
 
-/// Writes the tables of a corpus. Memory is bounded by the number of open files, not by the number of rows.
+/// Writes the tables of a corpus. Memory is bounded by the number of open files, one for each partition, not by the
+/// number of rows.
 pub(crate) struct CorpusSink {
     dir: PathBuf,
+    scenes_per_file: usize,
+    /// The unfinished file of each partition.
     parts: BTreeMap<(CorpusTable, Partition), Part>,
+    /// The finished files, with their numbers.
+    files: BTreeMap<(CorpusTable, Partition, usize), FileEntry>,
     counts: BTreeMap<(String, String), PartitionCount>,
     manifest: CorpusManifest,
     /// The columns of scenarios, for a corpus without scenarios.
@@ -40,6 +45,12 @@ pub(crate) struct CorpusSink {
 struct Part {
     file: ParquetFile,
     path: PathBuf,
+    /// Its number in the partition.
+    number: usize,
+    /// Scenarios or scenes so far.
+    n_units: usize,
+    /// The last of them.
+    last_unit: String,
     pending: Vec<RecordBatch>,
     n_pending: usize,
 }
@@ -49,9 +60,16 @@ impl CorpusSink {
     /// list of ours names them; any other file is an error.
     pub(crate) fn create(dir: &Path) -> Result<Self> {
         clear(dir)?;
-        let (parts, counts) = (BTreeMap::new(), BTreeMap::new());
+        let (parts, files, counts) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
         let (manifest, scenario_schema) = (CorpusManifest::empty(), CorpusTable::Scenarios.schema().arrow());
-        Ok(Self { dir: dir.to_owned(), parts, counts, manifest, scenario_schema })
+        let (dir, scenes_per_file) = (dir.to_owned(), SCENES_PER_FILE);
+        Ok(Self { dir, scenes_per_file, parts, files, counts, manifest, scenario_schema })
+    }
+
+    /// The same with files of this many scenarios or scenes.
+    #[cfg(test)]
+    pub(crate) fn in_files_of(self, scenes_per_file: usize) -> Self {
+        Self { scenes_per_file, ..self }
     }
 
     /// Adds rows of scenarios to their partitions and counts them. Their columns must be the same in all calls.
@@ -77,19 +95,24 @@ impl CorpusSink {
         self.write(CorpusTable::Lanes, &Partition::default(), &lane::encode(&[(id, lanes)])?)
     }
 
-    /// Adds rows to a file of a table, without the columns that its folder's name holds.
+    /// Adds rows to the files of a partition, without the columns that its folder's name holds. All rows of a scenario or
+    /// scene must come one after the other.
     pub(crate) fn write(&mut self, table: CorpusTable, partition: &Partition, batch: &RecordBatch) -> Result<()> {
-        let batch = without(batch, table.keys())?;
+        let mut rest = without(batch, table.keys())?;
         let key = (table, partition.clone());
         if !self.parts.contains_key(&key) {
-            let part = Part::create(&self.dir, table, partition, &batch)?;
-            self.parts.insert(key.clone(), part);
+            self.parts.insert(key.clone(), Part::create(&self.dir, table, partition, 0, &rest)?);
         }
-        let Some(part) = self.parts.get_mut(&key) else { return Ok(()) };
-        part.n_pending += batch.num_rows();
-        part.pending.push(batch);
-        while part.n_pending >= ROWS_PER_WRITE {
-            part.write_pending(ROWS_PER_WRITE)?;
+        while let Some(part) = self.parts.get_mut(&key) {
+            let n_rows = part.n_rows_that_fit(table, &rest, self.scenes_per_file)?;
+            part.push(rest.slice(0, n_rows))?;
+            if n_rows == rest.num_rows() {
+                break;
+            }
+            rest = rest.slice(n_rows, rest.num_rows() - n_rows);
+            let next = Part::create(&self.dir, table, partition, part.number + 1, &rest)?;
+            let full = std::mem::replace(part, next);
+            self.files.insert((table, partition.clone(), full.number), full.finish(table, partition)?);
         }
         self.limit_memory()
     }
@@ -147,9 +170,12 @@ impl CorpusSink {
                 self.write(table, &table.partition(None, ""), &empty)?;
             }
         }
-        let mut manifest = self.manifest;
         for ((table, partition), part) in self.parts {
-            let file = part.finish(table.file(&partition), partition)?;
+            let file = (part.number, part.finish(table, &partition)?);
+            self.files.insert((table, partition, file.0), file.1);
+        }
+        let mut manifest = self.manifest;
+        for ((table, ..), file) in self.files {
             let entry = manifest.tables.entry(table.name().to_owned()).or_insert_with(|| TableEntry {
                 schema: table.schema().id(),
                 n_rows: 0,
@@ -178,13 +204,47 @@ impl CorpusSink {
 }
 
 impl Part {
-    fn create(dir: &Path, table: CorpusTable, partition: &Partition, batch: &RecordBatch) -> Result<Self> {
-        let path = dir.join(table.file(partition));
+    fn create(
+        dir: &Path,
+        table: CorpusTable,
+        partition: &Partition,
+        number: usize,
+        batch: &RecordBatch,
+    ) -> Result<Self> {
+        let path = dir.join(table.file(partition, number));
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder)?;
         }
         let file = ParquetFile::create(&path, &table.file_schema(), batch.schema())?;
-        Ok(Self { file, path, pending: Vec::new(), n_pending: 0 })
+        Ok(Self { file, path, number, n_units: 0, last_unit: String::new(), pending: Vec::new(), n_pending: 0 })
+    }
+
+    /// How many of these rows belong into the file, which ends when it has `n_max` whole scenarios or scenes. Counts those
+    /// that begin.
+    fn n_rows_that_fit(&mut self, table: CorpusTable, rows: &RecordBatch, n_max: usize) -> Result<usize> {
+        let Some(unit) = table.unit() else { return Ok(rows.num_rows()) };
+        let ids: &StringArray = Columns::of_batch(rows, &self.path).get(unit)?;
+        for row in 0..ids.len() {
+            if self.n_units > 0 && ids.value(row) == self.last_unit {
+                continue;
+            }
+            if self.n_units == n_max {
+                return Ok(row);
+            }
+            self.n_units += 1;
+            ids.value(row).clone_into(&mut self.last_unit);
+        }
+        Ok(ids.len())
+    }
+
+    /// Adds rows; writes those of which there are enough.
+    fn push(&mut self, rows: RecordBatch) -> Result<()> {
+        self.n_pending += rows.num_rows();
+        self.pending.push(rows);
+        while self.n_pending >= ROWS_PER_WRITE {
+            self.write_pending(ROWS_PER_WRITE)?;
+        }
+        Ok(())
     }
 
     /// Writes the first `n_rows` of the waiting rows.
@@ -201,9 +261,10 @@ impl Part {
         Ok(())
     }
 
-    fn finish(mut self, path: String, partition: Partition) -> Result<FileEntry> {
+    fn finish(mut self, table: CorpusTable, partition: &Partition) -> Result<FileEntry> {
         self.write_pending(self.n_pending)?;
-        Ok(FileEntry { path, partition, n_rows: self.file.n_rows(), stamp: self.file.finish()? })
+        let (path, n_rows) = (table.file(partition, self.number), self.file.n_rows());
+        Ok(FileEntry { path, partition: partition.clone(), n_rows, stamp: self.file.finish()? })
     }
 }
 

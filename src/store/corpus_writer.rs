@@ -55,6 +55,12 @@ impl<'m> CorpusWriter<'m> {
         })
     }
 
+    /// The same with files of this many scenarios or scenes.
+    #[cfg(test)]
+    pub(crate) fn in_files_of(self, scenes_per_file: usize) -> Self {
+        Self { sink: self.sink.in_files_of(scenes_per_file), ..self }
+    }
+
     /// Adds scenarios, in the order given.
     ///
     /// # Errors

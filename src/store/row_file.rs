@@ -14,7 +14,6 @@ pub(super) const ROWS_PER_BATCH: usize = 8 * 1024;
 pub(super) struct RowFile<T> {
     file: ParquetFile,
     pending: Vec<T>,
-    rows_per_batch: usize,
     encode: fn(&[T]) -> Result<RecordBatch>,
 }
 
@@ -22,26 +21,16 @@ impl<T> RowFile<T> {
     /// Begins a file of this table; `encode` turns rows into batches.
     pub(super) fn create(path: &Path, table: &TableSchema, encode: fn(&[T]) -> Result<RecordBatch>) -> Result<Self> {
         let file = ParquetFile::create(path, table, encode(&[])?.schema())?;
-        Ok(Self { file, pending: Vec::new(), rows_per_batch: ROWS_PER_BATCH, encode })
-    }
-
-    /// The same with batches of this many rows.
-    pub(super) fn in_batches_of(self, rows_per_batch: usize) -> Self {
-        Self { rows_per_batch, ..self }
+        Ok(Self { file, pending: Vec::new(), encode })
     }
 
     /// Adds a row.
     pub(super) fn push(&mut self, row: T) -> Result<()> {
         self.pending.push(row);
-        if self.pending.len() == self.rows_per_batch {
+        if self.pending.len() == ROWS_PER_BATCH {
             self.write_pending()?;
         }
         Ok(())
-    }
-
-    /// Ends the row group if it takes more than this many bytes of memory.
-    pub(super) fn limit_memory(&mut self, n_bytes: usize) -> Result<()> {
-        if self.file.n_bytes_in_memory() > n_bytes { self.file.flush() } else { Ok(()) }
     }
 
     /// Writes the footer and gives the file its name.

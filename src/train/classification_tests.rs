@@ -5,8 +5,8 @@ use super::*;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::diffusion::NoiseDistribution;
 use crate::guidance::testing::{N_HISTORY, denoiser_spec, is_positive, scene};
-use crate::guidance::{ClassifierGuidance, Guidance, log_potential_gradient};
-use crate::model::{DenoiserSpec, ModelSpec, TrainedClassifier};
+use crate::guidance::{ClassifierGuidance, ClassifierPotential, Guidance, log_potential_gradient};
+use crate::model::{ClassifierInput, ClassifierSpec, DenoiserSpec, ModelSpec, TrainedClassifier, TrainedDenoiser};
 use crate::nn::testing::{scalar, values};
 use crate::nn::{Compute, Params};
 use crate::progress::{Progress, Silent};
@@ -34,23 +34,45 @@ fn event(idx: usize, label: EventLabel) -> BehaviorEvent {
     }
 }
 
-fn examples(indices: std::ops::Range<usize>, max_examples: usize) -> PairExamples {
+fn pairs(indices: std::ops::Range<usize>, max_pairs: usize) -> Vec<LabeledPair> {
     let label = |idx| if is_positive(idx) { EventLabel::Positive } else { EventLabel::Negative };
     let events: Vec<(usize, BehaviorEvent)> = indices.map(|idx| (idx, event(idx, label(idx)))).collect();
     let mined: Vec<MinedEvent<'_>> =
         events.iter().map(|(scene_idx, event)| MinedEvent { scene_idx: *scene_idx, event }).collect();
-    PairExamples::gather(&scenes(1000), &mined, max_examples, Seed(2)).unwrap()
+    LabeledPair::of_events(&mined, max_pairs, Seed(2))
+}
+
+fn examples(pairs: &[LabeledPair]) -> PairExamples {
+    PairExamples::gather(&scenes(1000), pairs).unwrap()
+}
+
+/// A denoiser that has learned nothing.
+fn untrained(spec: DenoiserSpec) -> TrainedDenoiser {
+    let network = spec.build(&mut Params::new(&Compute::cpu()).frozen(), Seed(1)).unwrap();
+    TrainedDenoiser { network, spec, fingerprint: String::new() }
 }
 
 fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progress) -> Result<ClassifierReport, Error> {
-    let (train, held_out) = (examples(0..240, 1000), examples(240..400, 1000));
+    train_with(ClassifierInput::NoisyStates, denoiser, steps, dir, progress)
+}
+
+fn train_with(
+    input: ClassifierInput,
+    denoiser: &DenoiserSpec,
+    steps: u64,
+    dir: &Path,
+    progress: &dyn Progress,
+) -> Result<ClassifierReport, Error> {
+    let (train, held_out) = (pairs(0..240, 1000), pairs(240..400, 1000));
     let data = PairData {
         roles: vec!["ego".to_owned(), "other".to_owned()],
+        dataset: &scenes(1000),
         train: &train,
         held_out: &held_out,
         fingerprint: "events".to_owned(),
     };
     let config = ClassifierTrainingConfig {
+        input,
         seed: 4,
         steps,
         batch_size: 32,
@@ -59,7 +81,8 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
         save_every: 7,
         ..ClassifierTrainingConfig::default()
     };
-    train_classifier(&config, denoiser, &data, TrainJob { progress, ..job(4, dir) }).map(Option::unwrap)
+    let job = TrainJob { progress, ..job(4, dir) };
+    train_classifier(&config, &untrained(denoiser.clone()), &data, job).map(Option::unwrap)
 }
 
 #[test]
@@ -83,11 +106,10 @@ fn it_separates_the_better_the_less_noise_there_is() {
 /// With logits of 1 throughout, a positive example costs ln(1 + 1/e) and a negative one ln(1 + e). A quarter of the examples are positive.
 #[test]
 fn labels_count_as_in_uniform_draws_times_the_weight_of_positive_ones() {
-    let (dir, examples) = (tempfile::tempdir().unwrap(), examples(0..240, 1000));
+    let (dir, examples) = (tempfile::tempdir().unwrap(), examples(&pairs(0..240, 1000)));
     let denoiser = denoiser_spec(StateParametrization::Residual);
     for (pos_weight, share_of_positive) in [(1.0, 0.25), (3.0, 0.5), (9.0, 0.75)] {
-        let mut spec = train(&denoiser, 1, dir.path(), &Silent).unwrap().spec;
-        spec.pos_weight = pos_weight;
+        let spec = train(&denoiser, 1, dir.path(), &Silent).unwrap().spec;
         let mut params = Params::new(&Compute::cpu());
         let classifier = spec.build(&mut params, Seed(1)).unwrap();
         let constant = params.tensors().into_iter().map(|(name, tensor)| {
@@ -95,16 +117,15 @@ fn labels_count_as_in_uniform_draws_times_the_weight_of_positive_ones() {
             (name, value.unwrap())
         });
         params.load(&constant.collect()).unwrap();
+        let noise = NoiseDistribution::default();
+        let inputs = NoisyPairs { spec: &spec, noise, train: &examples, held_out: &examples, device: &Device::Cpu };
         let task = ClassificationTask {
             classifier: &classifier,
             frozen: &classifier,
-            spec: &spec,
-            noise: NoiseDistribution::default(),
+            inputs: &inputs,
+            pos_weight,
             batch_size: 16,
-            train: &examples,
-            held_out: &examples,
             seed: Seed(6),
-            device: &Device::Cpu,
         };
         let expected = share_of_positive * (-1f64).exp().ln_1p() + (1.0 - share_of_positive) * 1f64.exp().ln_1p();
         let loss = scalar(&task.loss(&BatchPart::whole(0, 16), None).unwrap());
@@ -151,7 +172,9 @@ fn its_gradient_pushes_the_second_agent_toward_the_first() {
         let scenes = [401, 402, 403].map(|idx| Scene { ego_idx: 1, ..scene(idx) });
         let batch = denoiser.collator().predictive(&scenes.each_ref(), FutureValidity::Everything);
         let pairs = trained.spec.features(&batch, &[(1, 2); 3]).unwrap();
-        let guidance = ClassifierGuidance { classifier: &trained.network, pairs };
+        let classifier = trained.network.of_noisy_states().unwrap();
+        let potential = ClassifierPotential::LogProbability;
+        let guidance = ClassifierGuidance { classifier, pairs, potential };
         let sigma = Tensor::new(&[0.1f32; 3], &Device::Cpu).unwrap();
         let gradient = log_potential_gradient(&guidance, &batch.x0, &sigma).unwrap();
 
@@ -178,8 +201,8 @@ fn its_gradient_pushes_the_second_agent_toward_the_first() {
 
 #[test]
 fn too_many_examples_lose_negative_ones_first() {
-    let examples = examples(0..40, 15);
-    assert_eq!((examples.positive().len(), examples.negative().len()), (10, 5));
+    let examples = examples(&pairs(0..40, 15));
+    assert_eq!((examples.labels().positive().len(), examples.labels().negative().len()), (10, 5));
     let scene = &examples.examples()[0].scene;
     let ids: Vec<&str> = scene.tracks.iter().map(|track| track.id.0.as_str()).collect();
     assert_eq!((ids, scene.ego_idx, examples.examples()[0].pair), (vec!["behind", "ahead"], 0, (0, 1)));
@@ -190,24 +213,52 @@ fn one_positive_event_makes_a_pair_positive() {
     let events = [event(1, EventLabel::Negative), event(1, EventLabel::Positive), event(2, EventLabel::Negative)];
     let mined: Vec<MinedEvent<'_>> =
         events.iter().zip([1, 1, 2]).map(|(event, scene_idx)| MinedEvent { scene_idx, event }).collect();
-    let examples = PairExamples::gather(&scenes(10), &mined, 10, Seed(0)).unwrap();
-    assert_eq!((examples.positive(), examples.negative()), (&[0][..], &[1][..]));
+    let pairs = LabeledPair::of_events(&mined, 10, Seed(0));
+    assert_eq!(
+        pairs.iter().map(|pair| (pair.scene_idx, pair.is_positive)).collect::<Vec<_>>(),
+        [(1, true), (2, false)]
+    );
 }
 
 #[test]
 fn missing_examples_and_tracks_are_named() {
-    let only_negative = examples(1..4, 10);
-    let data =
-        PairData { roles: Vec::new(), train: &only_negative, held_out: &only_negative, fingerprint: String::new() };
+    let only_negative = pairs(1..4, 10);
+    let data = PairData {
+        roles: Vec::new(),
+        dataset: &scenes(10),
+        train: &only_negative,
+        held_out: &only_negative,
+        fingerprint: String::new(),
+    };
     let dir = tempfile::tempdir().unwrap();
     let config = ClassifierTrainingConfig::default();
-    let denoiser = denoiser_spec(StateParametrization::Residual);
+    let denoiser = untrained(denoiser_spec(StateParametrization::Residual));
     let error = train_classifier(&config, &denoiser, &data, job(0, dir.path())).unwrap_err();
     assert!(error.to_string().contains("0 positive and 3 negative"), "{error}");
 
     let roles = Roles::from([("ego", "behind"), ("other", "stranger")]);
     let stranger = BehaviorEvent { roles, ..event(1, EventLabel::Negative) };
     let mined = [MinedEvent { scene_idx: 1, event: &stranger }];
-    let error = PairExamples::gather(&scenes(10), &mined, 10, Seed(0)).unwrap_err();
+    let error = PairExamples::gather(&scenes(10), &LabeledPair::of_events(&mined, 10, Seed(0))).unwrap_err();
     assert!(error.to_string().contains("no track stranger"), "{error}");
+}
+
+#[test]
+fn clean_estimates_are_told_apart_the_same_way_every_time() {
+    let denoiser = denoiser_spec(StateParametrization::Motion);
+    let train = |dir: &Path| train_with(ClassifierInput::CleanEstimate, &denoiser, 120, dir, &Silent).unwrap();
+    let (dir, again) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let report = train(dir.path());
+    assert_eq!((report.spec.input, report.spec.n_positive), (ClassifierInput::CleanEstimate, 60));
+    assert_eq!(report.fingerprint, train(again.path()).fingerprint);
+    // An untrained denoiser returns what it is given where there is little noise, and nearly nothing where there is much.
+    let of = |level: usize| &report.by_noise_level[level];
+    assert!(of(0).auc.unwrap() > 0.97 && of(0).calibration_error.unwrap() < 0.15, "{:?}", of(0));
+    assert!(of(5).auc.unwrap() < of(0).auc.unwrap() - 0.1, "{:?}", of(5));
+    // The checkpoint says what it is; that of a classifier of noisy states reads as before.
+    let read = |dir: &Path| TrainedClassifier::read(&dir.join("model.safetensors"), &Compute::cpu()).unwrap();
+    let trained = read(dir.path());
+    assert!(trained.network.of_clean_futures().is_ok() && trained.network.of_noisy_states().is_err());
+    let noisy = serde_json::to_value(ClassifierSpec { input: ClassifierInput::NoisyStates, ..trained.spec }).unwrap();
+    assert_eq!(noisy.get("input"), None);
 }

@@ -1,4 +1,4 @@
-//! Precision, recall, accuracy and area under the ROC curve of a classifier, by noise level.
+//! Precision, recall, accuracy, area under the ROC curve and calibration of a classifier, by noise level.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,11 +21,18 @@ pub struct NoiseLevelReport {
     pub accuracy: Option<f64>,
     /// Probability that a random positive pair scores higher than a random negative one, ties counting half.
     pub auc: Option<f64>,
+    /// Expected calibration error: the mean distance of probabilities from the share of positive pairs in ten bins of
+    /// probability, where positive pairs count as much as in training. Reports of earlier versions lack it.
+    pub calibration_error: Option<f64>,
 }
 
+/// Bins of probability of the calibration error.
+const N_BINS: usize = 10;
+
 impl NoiseLevelReport {
-    /// The figures of pairs with these logits and labels at noise level `sigma`.
-    pub fn new(sigma: f64, logits: &[f64], is_positive: &[bool]) -> Self {
+    /// The figures of pairs with these logits and labels at noise level `sigma`, of a classifier for which positive pairs counted
+    /// `pos_weight` times as much as negative ones.
+    pub fn new(sigma: f64, logits: &[f64], is_positive: &[bool], pos_weight: f64) -> Self {
         let count = |called: bool, label: bool| {
             let matches = |(logit, is_positive): (&f64, &bool)| (*logit > 0.0) == called && *is_positive == label;
             logits.iter().zip(is_positive).filter(|pair| matches(*pair)).count() as u64
@@ -42,8 +49,21 @@ impl NoiseLevelReport {
             false_positive_rate: share(false_alarms, false_alarms + rejections),
             accuracy: share(hits + rejections, hits + misses + false_alarms + rejections),
             auc: area_under_roc(logits, is_positive),
+            calibration_error: calibration_error(logits, is_positive, pos_weight),
         }
     }
+}
+
+/// Σ over bins of |Σ w (p - y)| / Σ w, with w = `pos_weight` for positive pairs and 1 for negative ones; `None` without pairs.
+fn calibration_error(logits: &[f64], is_positive: &[bool], pos_weight: f64) -> Option<f64> {
+    let (mut excess, mut total) = ([0.0; N_BINS], 0.0);
+    for (logit, is_positive) in logits.iter().zip(is_positive) {
+        let p = 1.0 / (1.0 + (-logit).exp());
+        let (weight, label) = if *is_positive { (pos_weight, 1.0) } else { (1.0, 0.0) };
+        excess[((p * N_BINS as f64) as usize).min(N_BINS - 1)] += weight * (p - label);
+        total += weight;
+    }
+    (total > 0.0).then(|| excess.iter().map(|excess| excess.abs()).sum::<f64>() / total)
 }
 
 /// The Mann-Whitney statistic of the positive scores, scaled to [0, 1]; `None` unless both classes are present.
@@ -70,7 +90,7 @@ mod tests {
     #[test]
     fn hand_counted_figures() {
         // Scores:          called + + - - +; labels + - + - +.
-        let report = NoiseLevelReport::new(0.5, &[2.0, 1.0, -0.5, -2.0, 0.3], &[true, false, true, false, true]);
+        let report = NoiseLevelReport::new(0.5, &[2.0, 1.0, -0.5, -2.0, 0.3], &[true, false, true, false, true], 1.0);
         assert_eq!((report.n_positive, report.n_negative), (3, 2));
         assert_eq!(report.precision, Some(2.0 / 3.0));
         assert_eq!(report.recall, Some(2.0 / 3.0));
@@ -80,11 +100,22 @@ mod tests {
         assert!((report.auc.unwrap() - 4.0 / 6.0).abs() < 1e-12);
     }
 
+    /// p = 1/2 twice, of which one is positive, and p = 0.9, which is negative. Weights of 1: |0.5 - 0.5| and 0.9, of 3 pairs. If positive
+    /// pairs count three times: 0.5 - 1.5 in the first bin, and 0.9, of 5.
+    #[test]
+    fn probabilities_are_compared_with_shares_bin_by_bin() {
+        let logits = [0.0, 0.0, 9f64.ln()];
+        let labels = [true, false, false];
+        assert!((calibration_error(&logits, &labels, 1.0).unwrap() - 0.3).abs() < 1e-12);
+        assert!((calibration_error(&logits, &labels, 3.0).unwrap() - 1.9 / 5.0).abs() < 1e-12);
+        assert_eq!(calibration_error(&[], &[], 1.0), None);
+    }
+
     #[test]
     fn ties_count_half_and_one_class_has_no_area() {
         assert_eq!(area_under_roc(&[1.0, 1.0], &[true, false]), Some(0.5));
         assert_eq!(area_under_roc(&[1.0, 2.0], &[true, true]), None);
-        let nothing = NoiseLevelReport::new(1.0, &[], &[]);
+        let nothing = NoiseLevelReport::new(1.0, &[], &[], 1.0);
         assert_eq!((nothing.precision, nothing.recall, nothing.accuracy), (None, None, None));
     }
 }

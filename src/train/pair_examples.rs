@@ -1,21 +1,15 @@
-//! Turns mined events into training examples for a pairwise classifier.
+//! Labeled pairs as a classifier of noisy states is shown them: scenes of two agents under noise of every level.
 
-use super::{Error, SceneDataset};
-use crate::behavior::{BehaviorEvent, EventLabel};
-use crate::scene::{LaneGraph, Scene, TrackId};
+use super::{Error, LabeledPair, Labels, PairInputs, SceneDataset};
+use crate::diffusion::{NoiseDistribution, NoiseSource, rows_like};
+use crate::model::{ClassifierNetwork, ClassifierSpec};
+use crate::scene::{LaneGraph, ObservationMask, Scene};
 use crate::seed::Seed;
+use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView};
+use candle_core::{Device, Tensor};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
-
-/// A mined event with the place of its scene in the dataset.
-#[derive(Debug, Clone, Copy)]
-pub struct MinedEvent<'a> {
-    /// Index of the scene in the dataset.
-    pub scene_idx: usize,
-    /// The event.
-    pub event: &'a BehaviorEvent,
-}
 
 /// A scene reduced to what the classifier of one pair needs.
 #[derive(Debug, Clone)]
@@ -24,57 +18,32 @@ pub struct PairExample {
     pub scene: Scene,
     /// Indices of the first and second role among the scene's tracks; equal for behaviors of a single agent.
     pub pair: (usize, usize),
-    /// Whether the pair performs the behavior.
-    pub is_positive: bool,
 }
 
 /// Examples of one behavior, positive and hard negative.
 #[derive(Debug, Clone, Default)]
 pub struct PairExamples {
     examples: Vec<PairExample>,
-    positive: Vec<usize>,
-    negative: Vec<usize>,
+    labels: Labels,
 }
 
-/// The pair of a scene that a label belongs to.
-type PairKey = (usize, TrackId, TrackId);
-
 impl PairExamples {
-    /// The examples of `events`, which are all of one behavior. A pair with several events is positive if one of them
-    /// is. With more than `max_examples` pairs, random negative ones are left out, and then positive ones.
+    /// The examples of `pairs`, which come by scene.
     ///
     /// # Errors
-    /// When a scene cannot be loaded or lacks the tracks of its events.
-    pub fn gather(
-        dataset: &dyn SceneDataset,
-        events: &[MinedEvent<'_>],
-        max_examples: usize,
-        seed: Seed,
-    ) -> Result<Self, Error> {
-        let mut labels: BTreeMap<PairKey, bool> = BTreeMap::new();
-        for MinedEvent { scene_idx, event } in events {
-            let mut tracks = event.roles.tracks().cloned();
-            let Some(first) = tracks.next() else { continue };
-            let second = tracks.next().unwrap_or_else(|| first.clone());
-            *labels.entry((*scene_idx, first, second)).or_default() |= event.label == EventLabel::Positive;
-        }
-        let kept = limit(labels, max_examples, seed);
+    /// When a scene cannot be loaded or lacks the tracks of its pairs.
+    pub fn gather(dataset: &dyn SceneDataset, pairs: &[LabeledPair]) -> Result<Self, Error> {
         // Each scene is loaded once, and results are collected in order.
-        let by_scene: Vec<&[(PairKey, bool)]> = kept.chunk_by(|a, b| a.0.0 == b.0.0).collect();
+        let by_scene: Vec<&[LabeledPair]> = pairs.chunk_by(|a, b| a.scene_idx == b.scene_idx).collect();
         let loaded: Vec<Vec<PairExample>> = by_scene
             .par_iter()
             .map(|pairs| {
-                let scene = dataset.scene(pairs[0].0.0).map_err(Error::Scene)?;
-                pairs.iter().map(|(key, is_positive)| PairExample::new(&scene, key, *is_positive)).collect()
+                let scene = dataset.scene(pairs[0].scene_idx).map_err(Error::Scene)?;
+                pairs.iter().map(|pair| Ok(PairExample::new(&scene, pair.agents(&scene)?))).collect()
             })
             .collect::<Result<_, Error>>()?;
-        Ok(Self::new(loaded.into_iter().flatten().collect()))
-    }
-
-    /// The given examples.
-    pub fn new(examples: Vec<PairExample>) -> Self {
-        let (positive, negative) = (0..examples.len()).partition(|i| examples[*i].is_positive);
-        Self { examples, positive, negative }
+        let labels = Labels::new(pairs.iter().map(|pair| pair.is_positive).collect());
+        Ok(Self { examples: loaded.into_iter().flatten().collect(), labels })
     }
 
     /// All examples, in a fixed order.
@@ -82,44 +51,105 @@ impl PairExamples {
         &self.examples
     }
 
-    /// Indices of the positive examples.
-    pub fn positive(&self) -> &[usize] {
-        &self.positive
-    }
-
-    /// Indices of the negative examples.
-    pub fn negative(&self) -> &[usize] {
-        &self.negative
+    /// Their labels.
+    pub const fn labels(&self) -> &Labels {
+        &self.labels
     }
 }
 
 impl PairExample {
-    fn new(scene: &Scene, (_, first, second): &PairKey, is_positive: bool) -> Result<Self, Error> {
-        let find = |track: &TrackId| {
-            scene
-                .track_idx(track)
-                .ok_or_else(|| Error::Config(format!("scene {} has no track {track}; mine the scenes again", scene.id)))
-        };
-        let mut kept = vec![find(first)?, find(second)?];
+    fn new(scene: &Scene, (first, second): (usize, usize)) -> Self {
+        let mut kept = vec![first, second];
         kept.dedup();
         let pair = (0, kept.len() - 1);
         let tracks = kept.iter().map(|track_idx| scene.tracks[*track_idx].clone()).collect();
         let scene = Scene { tracks, ego_idx: 0, lanes: Arc::new(LaneGraph::default()), ..scene.clone() };
-        Ok(Self { scene, pair, is_positive })
+        Self { scene, pair }
     }
 }
 
-/// At most `max_examples` of the labeled pairs, in their order.
-fn limit(labels: BTreeMap<PairKey, bool>, max_examples: usize, seed: Seed) -> Vec<(PairKey, bool)> {
-    let mut labels: Vec<(PairKey, bool)> = labels.into_iter().collect();
-    if labels.len() > max_examples {
-        let mut order: Vec<usize> = (0..labels.len()).collect();
-        seed.derive("examples", &[]).rng().shuffle(&mut order);
-        order.sort_by_key(|i| !labels[*i].1);
-        let mut is_kept = vec![false; labels.len()];
-        order[..max_examples].iter().for_each(|i| is_kept[*i] = true);
-        let mut is_kept = is_kept.into_iter();
-        labels.retain(|_| is_kept.next().unwrap_or(false));
+/// The pairs of a training on noisy states.
+pub struct NoisyPairs<'a> {
+    /// What the classifier is.
+    pub spec: &'a ClassifierSpec,
+    /// Distribution of the training noise levels.
+    pub noise: NoiseDistribution,
+    /// Pairs to train on, of both labels.
+    pub train: &'a PairExamples,
+    /// Held-out pairs.
+    pub held_out: &'a PairExamples,
+    /// Where tensors live.
+    pub device: &'a Device,
+}
+
+impl NoisyPairs<'_> {
+    /// The logits (B) of pairs at the noise levels `sigmas`, with noise from `noise`.
+    fn logits(
+        &self,
+        classifier: &ClassifierNetwork,
+        examples: &[&PairExample],
+        sigmas: &[f64],
+        noise: &mut NoiseSource,
+    ) -> Result<Tensor, Error> {
+        let batch = self.collate(examples)?;
+        let pairs: Vec<(usize, usize)> = examples.iter().map(|example| example.pair).collect();
+        let sigma_rows = rows_like(sigmas.to_vec(), &batch.x0)?;
+        let x = (&batch.x0 + noise.draw_like(&batch.x0)?.broadcast_mul(&sigma_rows)?)?;
+        let features = self.spec.features(&batch, &pairs)?;
+        Ok(classifier.of_noisy_states()?.logits(&features, &x, &sigma_rows.flatten_all()?)?)
     }
-    labels
+
+    fn collate(&self, examples: &[&PairExample]) -> Result<SceneBatch, Error> {
+        let masks: Vec<ObservationMask> = examples
+            .iter()
+            .map(|PairExample { scene, .. }| {
+                ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history)
+            })
+            .collect();
+        let view = |(example, mask)| {
+            let PairExample { scene, .. }: &PairExample = example;
+            SceneView { scene, ego_idx: scene.ego_idx, mask }
+        };
+        let views: Vec<SceneView<'_>> = examples.iter().copied().zip(&masks).map(view).collect();
+        let collator = Collator {
+            normalizer: self.spec.normalizer.clone(),
+            n_timesteps: self.spec.n_timesteps,
+            max_agents: 2,
+            max_lanes: 0,
+            sight: None,
+        };
+        Ok(collator.collate(&views, FutureValidity::Recorded, self.device)?)
+    }
+}
+
+impl PairInputs for NoisyPairs<'_> {
+    fn train(&self) -> &Labels {
+        &self.train.labels
+    }
+
+    fn held_out(&self) -> &Labels {
+        &self.held_out.labels
+    }
+
+    fn training_logits(
+        &self,
+        classifier: &ClassifierNetwork,
+        pairs: &[usize],
+        seeds: Vec<Seed>,
+    ) -> Result<Tensor, Error> {
+        let examples: Vec<&PairExample> = pairs.iter().map(|i| &self.train.examples[*i]).collect();
+        let sigmas: Vec<f64> = seeds.iter().map(|seed| self.noise.draw(&mut seed.derive("sigma", &[]).rng())).collect();
+        self.logits(classifier, &examples, &sigmas, &mut NoiseSource::new(seeds))
+    }
+
+    fn held_out_logits(
+        &self,
+        classifier: &ClassifierNetwork,
+        pairs: Range<usize>,
+        (_, sigma): (usize, f64),
+        seeds: Vec<Seed>,
+    ) -> Result<Tensor, Error> {
+        let examples: Vec<&PairExample> = self.held_out.examples[pairs].iter().collect();
+        self.logits(classifier, &examples, &vec![sigma; examples.len()], &mut NoiseSource::new(seeds))
+    }
 }

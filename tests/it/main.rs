@@ -27,6 +27,7 @@ mod signals;
 #[path = "../skipped.rs"]
 mod skipped;
 mod stages;
+mod steering;
 #[cfg(unix)]
 mod submit;
 mod support;

@@ -241,7 +241,7 @@ fn every_flipped_byte_and_every_cut_is_found() {
 fn strangers_edited_cards_and_missing_recordings_are_told() {
     let corpus = Corpus::new();
     let stranger =
-        CorpusTable::Tracks.file(&Partition { behavior: Some("old".to_owned()), place: Some("PIT".to_owned()) });
+        CorpusTable::Tracks.file(&Partition { behavior: Some("old".to_owned()), place: Some("PIT".to_owned()) }, 0);
     fs_err::create_dir_all(corpus.path.join(&stranger).parent().unwrap()).unwrap();
     fs_err::copy(corpus.path.join("lanes.parquet"), corpus.path.join(&stranger)).unwrap();
     fs_err::write(corpus.path.join("README.md"), "mine now").unwrap();

@@ -3,7 +3,11 @@
 use super::keys::SweepKeys;
 use crate::diffusion::SamplerConfig;
 use crate::generate::{ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig};
-use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
+use crate::guidance::{
+    ClassifierPotential, GuidanceConfig, NoiseOptimizationConfig, ObjectiveConfig, ObjectiveGuidanceConfig,
+    ParticleConfig,
+};
+use crate::model::ClassifierInput;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -74,6 +78,10 @@ pub struct DiffusionConfig {
     pub strengths: Vec<f64>,
     /// What guides.
     pub guidance: SweepGuidance,
+    /// How groups of samples are resampled by the objectives; `None`: each sample stands alone.
+    pub particles: Option<ParticleConfig>,
+    /// How the noise that samples start from is optimized; `None`: it is random.
+    pub noise_optimization: Option<NoiseOptimizationConfig>,
     /// States that samples lean toward.
     pub classifier_free: Option<ClassifierFreeConfig>,
     /// Edits of the recording that samples start from.
@@ -91,6 +99,8 @@ pub struct SweepGuidance {
     pub classifier_scope: ClassifierScope,
     /// What the classifier is shown.
     pub classifier_input: ClassifierInput,
+    /// What of the classifier is made large.
+    pub classifier_potential: ClassifierPotential,
     /// Objectives for the trajectories, in addition to a behavior or instead of one.
     pub objectives: Vec<ObjectiveConfig>,
     /// How objectives become shifts of the clean estimate.
@@ -109,19 +119,6 @@ pub enum ClassifierScope {
     AnyPair,
     /// None: only objectives guide. Pairs are chosen and verified as with `pair`.
     None,
-}
-
-/// What the classifier of the behavior sees of a sample during sampling.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ClassifierInput {
-    /// The noisy states (paper, section 5.2), on which it was trained, at every noise level.
-    #[default]
-    NoisyStates,
-    /// The denoiser's clean estimate, as objectives are. Needed if more than the history is observed (`observe`): the
-    /// classifier was not trained on noisy states under other masks. `objective_guidance` says how its gradient becomes
-    /// a shift.
-    CleanEstimate,
 }
 
 /// Which events guided samples aim at.

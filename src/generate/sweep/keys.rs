@@ -4,12 +4,15 @@
 //! Each kind of sweep then takes the keys that it knows; the remaining keys are refused.
 
 use super::config::{
-    Aim, ArmConfig, ClassifierInput, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig,
-    SweepGuidance,
+    Aim, ArmConfig, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig, SweepGuidance,
 };
 use crate::diffusion::SamplerConfig;
 use crate::generate::{ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig};
-use crate::guidance::{GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
+use crate::guidance::{
+    ClassifierPotential, GuidanceConfig, NoiseOptimizationConfig, ObjectiveConfig, ObjectiveGuidanceConfig,
+    ParticleConfig,
+};
+use crate::model::ClassifierInput;
 use crate::settings::{Issue, Result};
 use schemars::{JsonSchema, Schema};
 use serde::{Deserialize, Serialize};
@@ -51,9 +54,15 @@ pub(super) struct SweepKeys {
     /// Which agents the classifier of the behavior judges.
     #[serde(skip_serializing_if = "Option::is_none")]
     classifier_scope: Option<ClassifierScope>,
-    /// What the classifier of the behavior sees.
+    /// What the classifier of the behavior is shown. One that was trained on noisy states can be shown clean estimates,
+    /// as objectives are, but not the other way around. Needed if more than the history is observed (`observe`): no classifier
+    /// was trained on noisy states under other masks. `objective_guidance` says how the gradient at an estimate becomes a
+    /// shift.
     #[serde(skip_serializing_if = "Option::is_none")]
     classifier_input: Option<ClassifierInput>,
+    /// What of the classifier is made large.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    classifier_potential: Option<ClassifierPotential>,
     /// Objectives for the trajectories, in addition to a behavior or instead of one.
     #[serde(skip_serializing_if = "Option::is_none")]
     objectives: Option<Vec<ObjectiveConfig>>,
@@ -65,6 +74,15 @@ pub(super) struct SweepKeys {
     /// How objectives become shifts of the clean estimate.
     #[serde(skip_serializing_if = "Option::is_none")]
     objective_guidance: Option<ObjectiveGuidanceConfig>,
+    /// Groups of samples of a pair that are resampled by the objectives on the way, at every guidance strength: those
+    /// with promising estimates go on several times. Needs a sampler that adds noise, such as `dpmpp_2m` with `eta`. It
+    /// costs no evaluations of the network. Left out: each sample stands alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    particles: Option<ParticleConfig>,
+    /// The noise that samples start from is moved toward better values of the objectives and the rules of traffic, by
+    /// gradients through all steps of the sampler, which must be `euler` with few steps. Left out: it is random.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    noise_optimization: Option<NoiseOptimizationConfig>,
     /// Which agents are to show the behavior.
     #[serde(skip_serializing_if = "Option::is_none")]
     pairs: Option<PairSelectionConfig>,
@@ -133,9 +151,12 @@ impl SweepKeys {
                 gate: self.guidance.take().unwrap_or_default(),
                 classifier_scope: self.classifier_scope.take().unwrap_or_default(),
                 classifier_input: self.classifier_input.take().unwrap_or_default(),
+                classifier_potential: self.classifier_potential.take().unwrap_or_default(),
                 objectives: self.objectives.take().unwrap_or_default(),
                 objective_guidance: self.objective_guidance.take().unwrap_or_default(),
             },
+            particles: self.particles.take(),
+            noise_optimization: self.noise_optimization.take(),
             classifier_free: self.classifier_free.take(),
             edit: self.edit.take(),
             template: self.template.take().unwrap_or_default(),
@@ -212,8 +233,14 @@ impl From<ArmConfig> for SweepKeys {
         let keys =
             Self { name: config.name, model, n_samples: Some(n_samples), observe: Some(observe), ..Self::default() };
         let Some(diffusion) = diffusion else { return keys };
-        let SweepGuidance { gate, classifier_scope, classifier_input, objectives, objective_guidance } =
-            diffusion.guidance;
+        let SweepGuidance {
+            gate,
+            classifier_scope,
+            classifier_input,
+            classifier_potential,
+            objectives,
+            objective_guidance,
+        } = diffusion.guidance;
         Self {
             sampler: diffusion.sampler,
             validity_strength: diffusion.validity_strength,
@@ -221,8 +248,11 @@ impl From<ArmConfig> for SweepKeys {
             guidance: Some(gate),
             classifier_scope: Some(classifier_scope),
             classifier_input: Some(classifier_input),
+            classifier_potential: Some(classifier_potential).filter(|potential| !potential.is_default()),
             objectives: Some(objectives),
             objective_guidance: Some(objective_guidance),
+            particles: diffusion.particles,
+            noise_optimization: diffusion.noise_optimization,
             classifier_free: diffusion.classifier_free,
             edit: diffusion.edit,
             template: diffusion.template.then_some(true),

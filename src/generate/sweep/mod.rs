@@ -7,10 +7,10 @@ mod level;
 mod resolve;
 mod resolved;
 mod settings;
+mod steering;
 
 pub use config::{
-    Aim, ArmConfig, ClassifierInput, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig,
-    SweepGuidance,
+    Aim, ArmConfig, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig, SweepGuidance,
 };
 pub(super) use resolve::mined;
 pub use resolved::{Diffusion, ResolvedSweep, SweepModel};

@@ -1,13 +1,14 @@
 //! Can a sweep be sampled as written? The only place that checks it and fills in defaults.
 
 use super::{
-    Aim, ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
-    SamplingConfig, SweepConfig, SweepModel,
+    Aim, ArmConfig, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep, SamplingConfig,
+    SweepConfig, SweepModel,
 };
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerConfig;
 use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig, SelectConfig};
 use crate::guidance::{CleanGradient, GuidanceConfig};
+use crate::model::ClassifierInput;
 use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
 use crate::tensor::MaskTask;
@@ -149,6 +150,14 @@ impl SamplingConfig {
     fn resolve(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         self.observe.validate(roles).map_err(|issue| issue.within("observe"))?;
+        let model = self.resolve_model(purpose)?;
+        if let SweepModel::Denoiser(diffusion) | SweepModel::Distilled(diffusion) = &model {
+            diffusion.check_steering(self.n_samples, purpose.config.batch_size)?;
+        }
+        Ok(model)
+    }
+
+    fn resolve_model(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
         match &self.model {
             ModelConfig::Denoiser(diffusion) => {
                 let resolved = diffusion.resolve(purpose, &self.observe)?;
@@ -215,6 +224,8 @@ impl DiffusionConfig {
             validity_strength: self.validity_strength.unwrap_or(purpose.config.validity_strength),
             levels,
             guidance: self.guidance.clone(),
+            particles: self.particles,
+            noise_optimization: self.noise_optimization,
             classifier_free: self.classifier_free.clone(),
             edit: self.edit.clone(),
             template: self.template_parameters(purpose)?,
@@ -283,11 +294,11 @@ impl Diffusion {
             };
             return Err(Issue::new("strengths", missing));
         }
-        if has_objectives && !self.is_guided() && !purpose.selects_by_objectives {
+        if has_objectives && !self.is_steered() && !purpose.selects_by_objectives {
             return Err(Issue::new(
                 "objectives",
-                "have no effect at strength 0; add a strength, such as strengths = [1.0], or select by them, such as \
-                 select = { best = 1, by = [\"objectives\"] }",
+                "have no effect at strength 0; add a strength, such as strengths = [1.0], particles or noise_optimization, or \
+                 select by them, such as select = { best = 1, by = [\"objectives\"] }",
             ));
         }
         let roles = purpose.behavior.filter(|_| !is_anybody).map_or(&[][..], Behavior::roles);

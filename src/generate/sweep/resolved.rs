@@ -4,6 +4,7 @@ use super::{Aim, ClassifierScope, SweepGuidance};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::{Edm, SamplerConfig};
 use crate::generate::{ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig};
+use crate::guidance::{NoiseOptimizationConfig, ParticleConfig};
 use crate::model::Distillation;
 use crate::scene::GuidanceLevel;
 use std::collections::BTreeSet;
@@ -55,6 +56,10 @@ pub struct Diffusion {
     pub levels: Vec<GuidanceLevel>,
     /// The guidance at strengths other than 0.
     pub guidance: SweepGuidance,
+    /// How groups of samples are resampled by the objectives, at every level.
+    pub particles: Option<ParticleConfig>,
+    /// How the noise that samples start from is optimized, at every level.
+    pub noise_optimization: Option<NoiseOptimizationConfig>,
     /// States that samples lean toward.
     pub classifier_free: Option<ClassifierFreeConfig>,
     /// Edits of the recording that samples start from.
@@ -93,9 +98,18 @@ impl ResolvedSweep {
         self.diffusion().is_some_and(|diffusion| !diffusion.template.is_empty())
     }
 
-    /// Whether some of its samples are forecasts: not guided, not edited, without wanted states and without a template.
+    /// Samples that are resampled together: particles of one group, or one.
+    pub fn group_size(&self) -> usize {
+        self.diffusion().and_then(|diffusion| diffusion.particles).map_or(1, |particles| particles.n)
+    }
+
+    /// Whether some of its samples are forecasts: not steered in any way.
     pub fn has_unguided(&self) -> bool {
-        self.diffusion().is_none_or(|diffusion| diffusion.edit.is_none() && diffusion.template.is_empty())
+        let is_free = |diffusion: &Diffusion| {
+            let steers = diffusion.particles.is_some() || diffusion.noise_optimization.is_some();
+            diffusion.edit.is_none() && diffusion.template.is_empty() && !steers
+        };
+        self.diffusion().is_none_or(is_free)
             && self.levels().iter().any(|level| level.strength == 0.0 && level.weight == 0.0)
     }
 
@@ -107,10 +121,30 @@ impl ResolvedSweep {
             })
     }
 
-    /// The parameters of the event at which its template and the objectives of its guidance can aim, and those that its denoiser is
-    /// told.
+    /// Refuses to be guided by a classifier of clean futures where it cannot judge.
+    ///
+    /// # Errors
+    /// Names the key and what to set.
+    pub fn check_clean_classifier(&self) -> Result<(), Error> {
+        let guidance = self.diffusion().filter(|_| self.needs_classifier()).map(|diffusion| &diffusion.guidance);
+        let why = match guidance {
+            Some(guidance) if guidance.classifier_input.is_noisy() => {
+                "classifier_input is \"noisy_states\", but the classifier was trained on clean estimates; set \
+                 classifier_input = \"clean_estimate\""
+            }
+            Some(guidance) if guidance.classifier_scope == ClassifierScope::AnyPair => {
+                "classifier_scope is \"any_pair\", which needs a classifier of noisy states; set train.classifier.input = \
+                 \"noisy_states\", or classifier_scope = \"pair\""
+            }
+            _ => return Ok(()),
+        };
+        Err(Error::Config(format!("sweep {}: {why}", self.name)))
+    }
+
+    /// The parameters of the event at which its template and the objectives of its guidance can aim, and those that its
+    /// denoiser is told.
     pub(in crate::generate) fn aims_at(&self) -> BTreeSet<&'static str> {
-        let guided = self.diffusion().filter(|diffusion| diffusion.is_guided());
+        let guided = self.diffusion().filter(|diffusion| diffusion.is_steered());
         let objectives = guided.into_iter().flat_map(|diffusion| &diffusion.guidance.objectives);
         let of_template = self.diffusion().map_or(&[][..], |diffusion| diffusion.template);
         let told = self.behavior.as_deref().filter(|_| self.tells_event()).and_then(BehaviorEntry::of);
@@ -134,13 +168,14 @@ impl ResolvedSweep {
         self.diffusion().and_then(|diffusion| diffusion.classifier_free.as_ref()).is_some_and(|config| config.event)
     }
 
-    /// Evaluations of the network for one sample; classifier-free guidance doubles them at weights that mix two estimates, and the
-    /// baseline needs one.
+    /// Evaluations of the network for one sample; classifier-free guidance doubles them at weights that mix two
+    /// estimates, a derivative of the network costs as much as two, and the baseline needs one.
     pub fn n_evaluations(&self) -> u64 {
         self.diffusion().map_or(1, |diffusion| {
             let mixes = |level: &GuidanceLevel| ![0.0, 1.0].contains(&level.weight);
             let n_calls = if diffusion.levels.iter().any(mixes) { 2 } else { 1 };
-            diffusion.sampler.n_evaluations() as u64 * n_calls
+            let n_optimizing = diffusion.noise_optimization.map_or(0, |c| c.n_evaluations(diffusion.sampler.n_steps()));
+            diffusion.sampler.n_evaluations() as u64 * n_calls + n_optimizing as u64
         })
     }
 
@@ -184,5 +219,10 @@ impl Diffusion {
     /// Whether some samples are guided.
     pub(in crate::generate) fn is_guided(&self) -> bool {
         self.levels.iter().any(|level| level.strength != 0.0)
+    }
+
+    /// Whether objectives steer some samples, by any means.
+    pub(in crate::generate) fn is_steered(&self) -> bool {
+        self.is_guided() || self.particles.is_some() || self.noise_optimization.is_some()
     }
 }

@@ -36,12 +36,23 @@ impl Diffusion {
         if !self.template.is_empty() {
             settings["template"] = json!(true);
         }
+        if let Some(particles) = &self.particles {
+            settings["particles"] = json!(particles);
+            settings["objectives"] = json!(self.guidance.objectives);
+        }
+        if let Some(optimization) = &self.noise_optimization {
+            settings["noise_optimization"] = json!(optimization);
+            settings["objectives"] = json!(self.guidance.objectives);
+        }
         if level.strength != 0.0 {
             let guidance = &self.guidance;
             settings["strength"] = json!(level.strength);
             settings["guidance"] = json!(guidance.gate);
             settings["classifier_scope"] = json!(guidance.classifier_scope);
             settings["classifier_input"] = json!(guidance.classifier_input);
+            if !guidance.classifier_potential.is_default() {
+                settings["classifier_potential"] = json!(guidance.classifier_potential);
+            }
             settings["objectives"] = json!(guidance.objectives);
             settings["objective_guidance"] = json!(guidance.objective_guidance);
         }

@@ -93,6 +93,31 @@ fn classifier_and_objectives_act_together() {
     assert!(guided.iter().zip(&classified).any(|(a, b)| difference_m(&a.scenario.scene, &b.scenario.scene) > 1e-3));
 }
 
+/// An untrained classifier wants something or other; log odds want more of it than log p, which is all that is told apart here.
+#[test]
+fn a_classifier_of_clean_futures_guides_the_pair_by_either_potential() {
+    let (denoiser, classifiers, behaviors) = (denoiser(0), [classifier_of_estimates()], drift());
+    let models = Models { denoiser: &denoiser, classifiers: &classifiers, distilled: None, baseline: None };
+    let run = |rest: &str| {
+        let config = resolve(&format!("{SWEEPS}    classifier_input = 'clean_estimate'\n    {rest}"));
+        let generator =
+            Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu).unwrap();
+        let plan = generator.plan(&index(12)).unwrap();
+        generator.generate(plan.shards.last().unwrap(), &Silent).unwrap().records
+    };
+    let (log_p, log_odds) = (run(""), run("classifier_potential = 'log_odds'"));
+    assert_eq!(kinds(&log_p), ["classifier:drift", "none"]);
+    assert_eq!(log_odds, run("classifier_potential = 'log_odds'"));
+    assert!(!log_p[0].scenario.provenance.settings.contains("classifier_potential"));
+    for (a, b) in log_p.iter().zip(&log_odds) {
+        let differs = difference_m(&a.scenario.scene, &b.scenario.scene) > 1e-3;
+        let guided = a.scenario.provenance.guidance.level.strength != 0.0;
+        assert_eq!(differs, guided);
+        let told = b.scenario.provenance.settings.contains(r#""classifier_potential":"log_odds""#);
+        assert_eq!(told, guided);
+    }
+}
+
 #[test]
 fn objectives_alone_may_serve_a_behavior() {
     let toml = format!(

@@ -8,7 +8,7 @@ use crate::pipeline::layout::{CLASSIFIER, Layout};
 use crate::pipeline::{Failure, Result, StageId, fingerprint_path};
 use crate::store::{SceneStore, read_events};
 use crate::train::{
-    ClassifierReport, ClassifierTrainingConfig, MinedEvent, PairData, PairExamples, TrainJob, train_classifier,
+    ClassifierReport, ClassifierTrainingConfig, LabeledPair, MinedEvent, PairData, TrainJob, train_classifier,
 };
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -40,17 +40,14 @@ impl Recipe for ClassifierTrainingConfig {
         let events = read_events(&layout.events, |event| event.behavior == self.behavior)?;
         let roles = roles(&self.behavior, &events)?;
         let TrainingScenes { train, held_out } = TrainingScenes::new(store.index(), &self.splits, &self.places);
-        let gather = |scenes: &[usize], max_examples: usize, purpose: &str| {
-            let mined = mined(&store, &events, scenes);
-            PairExamples::gather(&store, &mined, max_examples, job.seed.derive(purpose, &[]))
+        let pairs = |scenes: &[usize], max_pairs: usize, purpose: &str| {
+            LabeledPair::of_events(&mined(&store, &events, scenes), max_pairs, job.seed.derive(purpose, &[]))
         };
-        let (train, held_out) = (
-            gather(&train, self.max_examples, "train examples")?,
-            gather(&held_out, self.max_held_out, "held-out examples")?,
-        );
+        let train = pairs(&train, self.max_examples, "train examples");
+        let held_out = pairs(&held_out, self.max_held_out, "held-out examples");
         let fingerprint = fingerprint_path(&layout.events)?.hash;
-        let data = PairData { roles, train: &train, held_out: &held_out, fingerprint };
-        let report = train_classifier(self, &denoiser.spec, &data, job)?;
+        let data = PairData { roles, dataset: &store, train: &train, held_out: &held_out, fingerprint };
+        let report = train_classifier(self, &denoiser, &data, job)?;
         let summary = |report: ClassifierReport| {
             json!({
                 "fingerprint": report.fingerprint,

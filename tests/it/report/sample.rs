@@ -138,6 +138,7 @@ fn quality(i: u32) -> NoiseLevelReport {
         false_positive_rate: Some(0.02),
         accuracy: Some(0.9),
         auc: Some(0.5 + 0.48 * skill),
+        calibration_error: Some(0.04),
     }
 }
 
