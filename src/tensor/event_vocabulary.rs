@@ -119,7 +119,7 @@ impl KnownBehavior {
     }
 
     /// At most `n` of `examples`, drawn from `seed`, in their order, with few digits.
-    pub fn chosen_examples(examples: Vec<EventExample>, n: usize, seed: Seed) -> Vec<EventExample> {
+    pub fn chosen_examples(examples: &[EventExample], n: usize, seed: Seed) -> Vec<EventExample> {
         let mut order: Vec<usize> = (0..examples.len()).collect();
         seed.rng().shuffle(&mut order);
         order.truncate(n);
@@ -210,10 +210,10 @@ mod tests {
     fn few_examples_are_kept_in_their_order() {
         let example = |i: usize| EventExample { present: vec![i as f64 + 1e-9], values: BTreeMap::new() };
         let all: Vec<EventExample> = (0..50).map(example).collect();
-        let kept = KnownBehavior::chosen_examples(all.clone(), 10, Seed(3));
+        let kept = KnownBehavior::chosen_examples(&all, 10, Seed(3));
         let presents: Vec<f64> = kept.iter().map(|example| example.present[0]).collect();
         assert!(presents.len() == 10 && presents.windows(2).all(|pair| pair[0] < pair[1]), "{presents:?}");
         assert!(presents.iter().all(|value| value.fract() == 0.0), "{presents:?}");
-        assert_eq!(KnownBehavior::chosen_examples(all, 99, Seed(3)).len(), 50);
+        assert_eq!(KnownBehavior::chosen_examples(&all, 99, Seed(3)).len(), 50);
     }
 }

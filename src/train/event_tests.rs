@@ -28,7 +28,7 @@ fn forks(n: usize) -> (MadeScenes<impl Fn(usize) -> Scene + Sync>, Vec<BehaviorE
     let scenes = MadeScenes(n, |idx: usize| fork(idx, &[Drive::straight(0.0, 20.0, 0.0, 9.0)]));
     let made = |idx: usize| {
         let side = if idx.is_multiple_of(2) { 1.0 } else { -1.0 };
-        event(BEHAVIORS[usize::from(idx % 5 == 0)], EventLabel::Positive, 5, side, &scenes.scene(idx).unwrap())
+        event(BEHAVIORS[usize::from(idx.is_multiple_of(5))], EventLabel::Positive, 5, side, &scenes.scene(idx).unwrap())
     };
     let events = (0..n).map(made).collect();
     (scenes, events)
@@ -79,7 +79,7 @@ fn positive_events_after_the_present_count() {
     assert_eq!(all.by_behavior.iter().map(Vec::len).collect::<Vec<_>>(), [16, 4]);
     let held_out: Vec<usize> = all.held_out.iter().map(|event| event.scene_idx).collect();
     assert!(held_out.len() == 4 && held_out.iter().all(|idx| (20..28).contains(idx)), "{held_out:?}");
-    assert_eq!(held_out.iter().filter(|idx| **idx % 5 == 0).count(), 2, "behaviors take turns: {held_out:?}");
+    assert_eq!(held_out.iter().filter(|idx| idx.is_multiple_of(5)).count(), 2, "behaviors take turns: {held_out:?}");
     // From timestep 3 to timestep 5 of 0.1 s.
     assert!((all.events[0].values[ONSET] - 0.2).abs() < 1e-9);
     let known = &all.vocabulary.behaviors[1];

@@ -165,11 +165,8 @@ fn known_behavior(
         Ok(present.map(|present| EventExample { present, values: events[*i].values.clone() }))
     };
     let examples = candidates.par_iter().map(example).collect::<Result<Vec<_>, Error>>()?;
-    let examples = KnownBehavior::chosen_examples(
-        examples.into_iter().flatten().collect(),
-        N_EXAMPLES,
-        seed.derive("chosen", &[]),
-    );
+    let examples: Vec<EventExample> = examples.into_iter().flatten().collect();
+    let examples = KnownBehavior::chosen_examples(&examples, N_EXAMPLES, seed.derive("chosen", &[]));
     let roles = BehaviorEntry::of(id).map_or(&[][..], |entry| entry.roles);
     let values: Vec<BTreeMap<String, f64>> = events.iter().map(|event| event.values.clone()).collect();
     Ok(KnownBehavior::new(id, roles, &values, examples))

@@ -119,7 +119,7 @@ impl Drawn {
 }
 
 /// Adds the scalar figures of a batch, which counts by its number of rows.
-fn add_figures(sums: &mut [f64], n_rows: usize, figures: Vec<Tensor>) -> Result<(), Error> {
+fn add_figures(sums: &mut [f64], n_rows: usize, figures: &[Tensor]) -> Result<(), Error> {
     for (sum, figure) in sums.iter_mut().zip(figures) {
         *sum += f64::from(figure.to_scalar::<f32>()?) * n_rows as f64;
     }
@@ -204,7 +204,7 @@ impl SceneDraws<'_> {
     ) -> Result<Vec<f64>, Error> {
         let mut sums = vec![0.0; n];
         for chunk in scenes.chunks(self.batch_size) {
-            add_figures(&mut sums, chunk.len(), figures(&self.held_out_batch(chunk, change)?)?)?;
+            add_figures(&mut sums, chunk.len(), &figures(&self.held_out_batch(chunk, change)?)?)?;
         }
         let n_scenes = scenes.len().max(1) as f64;
         Ok(sums.into_iter().map(|sum| sum / n_scenes).collect())
@@ -234,7 +234,7 @@ impl SceneDraws<'_> {
             let seeds = (first..first + chunk.len()).map(|i| self.seed.derive("held-out event", &[i as u64]));
             let (seeds, rngs) = seeds.map(|seed| (seed, seed.rng())).unzip();
             let rows = chunk.iter().map(drawn).collect::<Result<Vec<_>, Error>>()?;
-            add_figures(&mut sums, chunk.len(), figures(&self.collate(&rows, seeds, rngs)?)?)?;
+            add_figures(&mut sums, chunk.len(), &figures(&self.collate(&rows, seeds, rngs)?)?)?;
         }
         Ok(sums.into_iter().map(|sum| sum / held_out.len().max(1) as f64).collect())
     }

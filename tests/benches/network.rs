@@ -136,6 +136,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
         collator: &spec.collator(),
         dataset: &store,
         train: &[WeightedGroups::single(train)],
+        events: None,
         held_out: &[],
         masks: &MaskSampler::new(&training.common.tasks).ok_or("no task has a weight")?,
         batch_size,
