@@ -143,13 +143,13 @@ impl FinishedRows {
 
     /// The values of every scene, in the order of series.
     pub(super) fn of_scenes(&self) -> Result<impl Iterator<Item = store::Result<MetricRow>>> {
-        let spools = self.series.iter().map(|(_, spool)| Ok(self.rows(spool.values()?)));
+        let spools = self.series.iter().map(|(_, spool)| self.rows(spool));
         Ok(spools.collect::<Result<Vec<_>>>()?.into_iter().flatten())
     }
 
     /// The values of every scenario, in the order of the samples.
     pub(super) fn of_scenarios(&self) -> Result<impl Iterator<Item = store::Result<MetricRow>>> {
-        Ok(self.rows(self.of_scenarios.values()?))
+        self.rows(&self.of_scenarios)
     }
 
     /// Removes the files.
@@ -159,27 +159,28 @@ impl FinishedRows {
     }
 
     /// A row for each metric with a value.
-    fn rows(
-        &self,
-        values: impl Iterator<Item = store::Result<Values>>,
-    ) -> impl Iterator<Item = store::Result<MetricRow>> {
-        values.flat_map(|values| {
-            let (rows, error) = match values {
-                Ok(values) => (self.rows_of(values), None),
+    fn rows<'r>(
+        &'r self,
+        spool: &'r Spooled<Values>,
+    ) -> Result<impl Iterator<Item = store::Result<MetricRow>> + use<'r>> {
+        Ok(spool.values()?.flat_map(|values| {
+            let (rows, error) = match values.and_then(|values| self.rows_of(spool, values)) {
+                Ok(rows) => (rows, None),
                 Err(error) => (Vec::new(), Some(Err(error))),
             };
             rows.into_iter().map(Ok).chain(error)
-        })
+        }))
     }
 
-    fn rows_of(&self, of: Values) -> Vec<MetricRow> {
-        let (key, _) = &self.series[of.series];
+    fn rows_of(&self, spool: &Spooled<Values>, of: Values) -> store::Result<Vec<MetricRow>> {
+        let series = self.series.get(of.series).filter(|_| of.values.len() == self.docs.len());
+        let (key, _) = series.ok_or_else(|| spool.corrupt("a value is of no series or of other metrics"))?;
         let metrics = self.docs.iter().zip(of.values);
         let defined = metrics.filter_map(|(doc, value)| {
             let row = row(key, &of.place, &doc.metric, value?, of.n_samples);
             Some(MetricRow { scene_id: Some(of.scene_id.clone()), scenario_id: of.scenario_id.clone(), ..row })
         });
-        defined.collect()
+        Ok(defined.collect())
     }
 }
 
@@ -231,6 +232,30 @@ mod tests {
         assert!(all.iter().all(|row| row.scene_id == Some(recorded().id) && row.std_error.is_none()));
         rows.remove().unwrap();
         assert!(!scratch.path().join("metrics.scenarios.spool").exists());
+    }
+
+    #[test]
+    fn figures_of_no_series_or_of_other_metrics_are_an_error() {
+        let (_, figures, docs) = evaluated_cell(&record(2.0, false, false, recorded()), &recorded());
+        let scratch = tempfile::tempdir().unwrap();
+        let series = SeriesKey { group: Group::Unguided, sweep: "s".to_owned(), level: GuidanceLevel::UNGUIDED };
+        let mut rows = MetricRows::create(docs, scratch.path()).unwrap();
+        let scenario_ids = ["s-4".to_owned()];
+        let cell = CellNames { series: &series, place: "A", scene_id: &recorded().id, scenario_ids: &scenario_ids };
+        rows.add(&cell, &figures).unwrap();
+        let mut rows = rows.finish().unwrap();
+        let errors = |rows: &FinishedRows| {
+            let found = rows.of_scenarios().unwrap().filter_map(|row| Some(row.err()?.to_string()));
+            found.collect::<Vec<_>>()
+        };
+        assert_eq!(errors(&rows), [""; 0]);
+        let doc = rows.docs.pop().unwrap();
+        let of_other_metrics = errors(&rows);
+        rows.docs.push(doc);
+        rows.series.clear();
+        for said in [of_other_metrics, errors(&rows)] {
+            assert!(said.len() == 1 && said[0].contains("metrics.scenarios.spool"), "{said:?}");
+        }
     }
 
     #[test]

@@ -79,6 +79,11 @@ impl<T: DeserializeOwned> Spooled<T> {
 }
 
 impl<T> Spooled<T> {
+    /// The error that a value of this file makes no sense.
+    pub(crate) fn corrupt(&self, detail: &str) -> Error {
+        Error::corrupt(&self.path, detail)
+    }
+
     /// Removes the file.
     ///
     /// # Errors
