@@ -14,16 +14,6 @@ pub enum Error {
     /// A file could not be written or read.
     #[error("cannot use the training folder")]
     Io(#[from] std::io::Error),
-    /// The recorded statistics are not those of the training state beside them.
-    #[error("{path}, line {line}: not a line of training statistics; remove the folder to train from the start")]
-    Statistics {
-        /// The file.
-        path: PathBuf,
-        /// The line, from 1.
-        line: usize,
-        /// What the parser found.
-        source: serde_json::Error,
-    },
     /// A training state that changed since it was saved.
     #[error(
         "{path} has changed since it was saved, or the disk is failing; restore it from a copy, or remove it to train from the start"

@@ -78,7 +78,7 @@ pub fn fit(
     if let Some(ema) = &mut run.ema {
         ema.swap(params)?;
     }
-    let outcome = FitOutcome { steps_taken: run.position.step - first_step, statistics: run.statistics };
+    let outcome = FitOutcome { steps_taken: run.position.step - first_step, statistics: run.position.statistics };
     Ok(Some(outcome).filter(|_| exchange.rank() == 0))
 }
 
@@ -135,7 +135,7 @@ impl Run {
         let (loss, norm) = (self.position.loss_sum / n_steps, self.position.norm_sum / n_steps);
         self.position.loss_sum = 0.0;
         self.position.norm_sum = 0.0;
-        self.statistics.push(FitStatistics {
+        self.position.statistics.push(FitStatistics {
             step: self.position.step,
             loss: Some(loss),
             gradient_norm: Some(norm),
@@ -153,7 +153,7 @@ impl Run {
         if let Some(ema) = &mut self.ema {
             ema.swap(params)?;
         }
-        self.statistics.push(FitStatistics {
+        self.position.statistics.push(FitStatistics {
             step: self.position.step,
             loss: None,
             gradient_norm: None,
@@ -261,6 +261,8 @@ mod tests {
         let (expected, undisturbed) = train(whole.path(), None);
         for fails_at in [3, 13, 14, 21] {
             assert!(train(stopped.path(), Some(fails_at)).1.is_err());
+            // The state holds the statistics; the file is for people.
+            fs::write(stopped.path().join("statistics.jsonl"), "damaged").unwrap();
         }
         let (found, resumed) = train(stopped.path(), None);
         assert_eq!(found, expected);
@@ -269,8 +271,11 @@ mod tests {
             let read = |dir: &Path| fs::read(dir.join(name)).unwrap();
             assert_eq!(read(whole.path()), read(stopped.path()), "{name}");
         }
+        let whole_statistics = fs::read(whole.path().join("statistics.jsonl")).unwrap();
+        fs::remove_file(whole.path().join("statistics.jsonl")).unwrap();
         let (again, outcome) = train(whole.path(), None);
         assert_eq!((again, outcome.unwrap().steps_taken), (expected, 0));
+        assert_eq!(fs::read(whole.path().join("statistics.jsonl")).unwrap(), whole_statistics);
     }
 
     /// A gradient of 1 everywhere, so that each of Adam's steps is the learning rate.

@@ -22,6 +22,9 @@ pub(super) struct Position {
     pub(super) loss_sum: f64,
     /// Sum of the gradients' norms since then.
     pub(super) norm_sum: f64,
+    /// All lines of statistics up to here. Empty in states of older versions.
+    #[serde(default)]
+    pub(super) statistics: Vec<FitStatistics>,
     /// Hash of the rest of the state, with its tensors. `None` in states of older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) checksum: Option<String>,
@@ -44,7 +47,6 @@ pub(super) struct Run {
     pub(super) adam: Adam,
     pub(super) ema: Option<Ema>,
     pub(super) position: Position,
-    pub(super) statistics: Vec<FitStatistics>,
 }
 
 impl Run {
@@ -66,7 +68,6 @@ impl Run {
             adam: Adam::default(),
             ema: None,
             position: Position::default(),
-            statistics: Vec::new(),
         };
         let path = Self::state_path(dir);
         let mut saved = Vec::new();
@@ -97,34 +98,19 @@ impl Run {
                 false => Ema::resume(config.ema_decay, run.position.ema_updates, averages),
             });
         }
-        run.read_statistics()?;
+        if !run.position.statistics.is_empty() {
+            run.write_statistics()?;
+        }
         Ok(run)
     }
 
-    /// Reads the lines up to the state: a run may have been killed between writing the two.
-    fn read_statistics(&mut self) -> Result<(), Error> {
-        let path = self.dir.join("statistics.jsonl");
-        if self.position.step == 0 || !self.keeps_files || !path.exists() {
-            return Ok(());
-        }
-        for (i, line) in fs::read_to_string(&path)?.lines().enumerate() {
-            let parsed = serde_json::from_str::<FitStatistics>(line);
-            match parsed {
-                Ok(line) if line.step <= self.position.step => self.statistics.push(line),
-                Ok(_) => break,
-                Err(source) => return Err(Error::Statistics { path, line: i + 1, source }),
-            }
-        }
-        Ok(())
-    }
-
-    /// Rewritten each time: the file is small, and it is always complete.
+    /// Writes the lines for people and reports. The file is small and always complete; nothing resumes from it.
     pub(super) fn write_statistics(&self) -> Result<(), Error> {
         if !self.keeps_files {
             return Ok(());
         }
         let mut text = Vec::new();
-        for line in &self.statistics {
+        for line in &self.position.statistics {
             serde_json::to_writer(&mut text, line).map_err(std::io::Error::from)?;
             text.push(b'\n');
         }
@@ -169,7 +155,15 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let config = FitConfig { ema_decay: 0.9, ..FitConfig::default() };
         let mut run = Run::open(&config, &mut params(), dir.path(), &Alone).unwrap();
-        run.position = Position { step: 7, ema_updates: 7, loss_sum: 0.5, norm_sum: 1e-300, checksum: None };
+        let line = FitStatistics { step: 5, loss: Some(0.1), gradient_norm: Some(1e9), evaluation: BTreeMap::new() };
+        run.position = Position {
+            step: 7,
+            ema_updates: 7,
+            loss_sum: 0.5,
+            norm_sum: 1e-300,
+            statistics: vec![line],
+            checksum: None,
+        };
         run.save(&params()).unwrap();
         let open = || Run::open(&config, &mut params(), dir.path(), &Alone);
         let resumed = open().unwrap().position;
