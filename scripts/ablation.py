@@ -1,8 +1,10 @@
-"""What is each part of the geometric denoiser worth? Trainings that differ in one thing, given the same processor time.
+"""What is each part of a model or its training worth? Trainings that differ in one thing, given the same processor time.
 
     pip install polars numpy
     python scripts/ablation.py pipelines/models/ablation.toml --djinn target/release/djinn \
         --set 'ingest.inputs=["/data/INTERACTION-sim-multi-v1_2.zip"]' --scenes output/simulated/scenes
+
+The other pipelines of that form are ablation_rules.toml and ablation_two_steps.toml, beside it.
 
 Each row trains with one thread. The cost of one of its steps (user and system time of the process) is measured on trainings of
 two lengths first, and decides how many steps fit into --seconds, so that a loaded machine changes nothing but how long it
@@ -16,6 +18,7 @@ import os
 import pathlib
 import shutil
 import subprocess
+import typing
 
 import numpy as np
 import polars as pl
@@ -45,7 +48,7 @@ def geometry(**changed):
 
 
 BLIND = {"own_pose": False, "n_neighbors": 0, "n_nearest_lanes": 0}
-ROWS = {
+NETWORKS = {
     "paper_three_places": ("the paper's network, three places", [*PAPER, *THREE_PLACES]),
     "paper": ("+ 35 simulated places", PAPER),
     "paper_balanced": (
@@ -60,6 +63,44 @@ ROWS = {
     "patch_1": ("`small`, patches of 1", geometry(patch=1)),
     "patch_2": ("`small`, patches of 2", geometry(patch=2)),
     "patch_5": ("`small`, patches of 5", geometry(patch=5)),
+}
+
+
+def objectives(section, weight, *more):
+    """The rules of traffic as objectives of a training."""
+    kinds = ["'no_collision', margin_m = 0.3", "'stay_on_road'", "'slip_limit'", *more]
+    entries = ", ".join(f"{{ kind = {kind}, weight = {weight} }}" for kind in kinds)
+    return f"{section}.objectives=[{entries}]"
+
+
+RULES = {
+    "further": ("trained further", []),
+    "further_rules": ("trained further with the rules of traffic", [objectives("train.denoiser", 0.1)]),
+}
+TWO_STEPS = {
+    "two_steps": ("two steps", []),
+    "two_steps_rules": (
+        "two steps with the rules of traffic",
+        [objectives("train.distill", 0.25, "'acceleration_limit', limit_mps2 = 5.0")],
+    ),
+}
+
+
+class Table(typing.NamedTuple):
+    """Rows that differ in one thing, and what they train."""
+
+    rows: dict
+    section: str  # of the pipeline file
+    stages: list  # those needed for the training
+    folder: str  # of the trained model, in that of the run
+
+
+DENOISER = ("train.denoiser", ["ingest", "train_denoiser"], "denoiser")
+DISTILLED = ("train.distill", ["ingest", "train_denoiser", "train_distill"], "distilled")
+TABLES = {
+    "ablation": Table(NETWORKS, *DENOISER),
+    "ablation_rules": Table(RULES, *DENOISER),
+    "ablation_two_steps": Table(TWO_STEPS, *DISTILLED),
 }
 
 
@@ -78,10 +119,11 @@ def run(arguments, name, settings, stages, log):
 
 def step_cost_s(arguments, name, settings, log):
     """Processor time of one training step."""
+    table = TABLES[arguments.pipeline.stem]
     spent = []
     for steps in CALIBRATION_STEPS:
-        quick = [*settings, f"train.denoiser.steps={steps}", "train.denoiser.n_eval_scenes=1"]
-        spent.append(run(arguments, f"{name}-steps-{steps}", quick, ["ingest", "train_denoiser"], log))
+        quick = [*settings, f"{table.section}.steps={steps}", f"{table.section}.n_eval_scenes=1"]
+        spent.append(run(arguments, f"{name}-steps-{steps}", quick, table.stages, log))
         shutil.rmtree(arguments.output / arguments.pipeline.stem / f"{name}-steps-{steps}")
     return (spent[1] - spent[0]) / (CALIBRATION_STEPS[1] - CALIBRATION_STEPS[0])
 
@@ -89,6 +131,7 @@ def step_cost_s(arguments, name, settings, log):
 def measure(arguments, row, settings, seed):
     """Trains one row with one seed, samples and evaluates it, once. Returns where, and its steps."""
     name = f"{row}-{seed}"
+    section = TABLES[arguments.pipeline.stem].section
     folder = arguments.output / arguments.pipeline.stem / name
     cost_file = arguments.output / f"{row}.cost_s"
     with open(arguments.output / f"{name}.log", "a") as log:
@@ -96,8 +139,7 @@ def measure(arguments, row, settings, seed):
             cost_file.write_text(str(step_cost_s(arguments, row, settings, log)))
         steps = round(arguments.seconds / float(cost_file.read_text()))
         if not (folder / "evaluate.done.json").exists():
-            settings = [*settings, f"run.seed={seed}", f"train.denoiser.steps={steps}"]
-            settings.append(f"train.denoiser.evaluate_every={steps}")
+            settings = [*settings, f"run.seed={seed}", f"{section}.steps={steps}", f"{section}.evaluate_every={steps}"]
             run(arguments, name, settings, [], log)
     return folder, steps
 
@@ -116,10 +158,10 @@ def cell(folders, metric):
 
 
 def map_effect(folder):
-    """Held-out loss with the map turned, over that with the map as it is."""
-    lines = [json.loads(line)["evaluation"] for line in open(folder / "denoiser" / "statistics.jsonl")]
-    last = [line for line in lines if LOSS in line and TURNED in line][-1]
-    return last[TURNED] / last[LOSS]
+    """Held-out loss with the map turned, over that with the map as it is; a dash where that is not measured."""
+    lines = [json.loads(line)["evaluation"] for line in open(folder / "statistics.jsonl")]
+    measured = [line for line in lines if LOSS in line and TURNED in line]
+    return f"{measured[-1][TURNED] / measured[-1][LOSS]:.1f}" if measured else "–"
 
 
 def main():
@@ -130,21 +172,26 @@ def main():
     parser.add_argument("--set", action="append", default=[], help="a setting of the pipeline, such as its inputs")
     parser.add_argument("--seconds", type=float, default=300.0, help="processor time of each training")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--rows", nargs="*", choices=ROWS, default=list(ROWS), metavar="ROW", help=", ".join(ROWS))
+    names = "; ".join(f"{table}: {', '.join(TABLES[table].rows)}" for table in TABLES)
+    parser.add_argument("--rows", nargs="*", metavar="ROW", help=f"only these of the pipeline's rows ({names})")
     parser.add_argument("--output", type=pathlib.Path, default=pathlib.Path("output/ablation"))
     arguments = parser.parse_args()
+    table = TABLES.get(arguments.pipeline.stem) or parser.error(f"{arguments.pipeline}: expected one of {', '.join(TABLES)}")
+    if unknown := set(arguments.rows or []) - set(table.rows):
+        parser.error(f"{', '.join(unknown)}: expected rows among {', '.join(table.rows)}")
+    rows = {row: table.rows[row] for row in arguments.rows or table.rows}
     arguments.output.mkdir(parents=True, exist_ok=True)
-    shared = [*arguments.set, f"train.denoiser.data=[{{ scenes = '{arguments.scenes}' }}]", "train.denoiser.own_weight=0"]
-    done = {row: [] for row in arguments.rows}
+    shared = [*arguments.set, f"{table.section}.data=[{{ scenes = '{arguments.scenes}' }}]", f"{table.section}.own_weight=0"]
+    done = {row: [] for row in rows}
     for seed in arguments.seeds:
-        for row in arguments.rows:
-            done[row].append(measure(arguments, row, [*shared, *ROWS[row][1]], seed))
-    header = ["network and data", "steps", *(name for name, _, _ in METRICS.values()), "map turned"]
+        for row, (_, settings) in rows.items():
+            done[row].append(measure(arguments, row, [*shared, *settings], seed))
+    header = ["training", "steps", *(name for name, _, _ in METRICS.values()), "map turned"]
     print("| " + " | ".join(header) + " |\n" + "|---" * len(header) + "|")
     for row, measured in done.items():
         folders = [folder for folder, _ in measured]
-        turned = " / ".join(f"{map_effect(folder):.1f}" for folder in folders)
-        cells = [ROWS[row][0], str(measured[0][1]), *(cell(folders, metric) for metric in METRICS), turned]
+        turned = " / ".join(map_effect(folder / table.folder) for folder in folders)
+        cells = [rows[row][0], str(measured[0][1]), *(cell(folders, metric) for metric in METRICS), turned]
         print("| " + " | ".join(cells) + " |")
 
 
