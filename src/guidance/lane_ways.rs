@@ -40,6 +40,17 @@ impl LaneWays {
         Self { lanes: Arc::clone(lanes), row_from_scene: *row_from_scene }
     }
 
+    /// Whether the scene has no lanes.
+    pub(super) fn is_empty(&self) -> bool {
+        self.lanes.is_empty()
+    }
+
+    /// The lines, in the row's frame, that lead on from the lanes that an agent at `pose` is in.
+    pub(super) fn ahead(&self, pose: WayPose) -> Vec<Polyline> {
+        let own = self.own(self.in_scene(pose));
+        self.in_row(own.into_iter().flat_map(|lane| self.lines(lane.id)).collect())
+    }
+
     /// The lines, in the row's frame, of the lanes beside those that an agent at `pose` is in, on its left (`side` > 0) or right: lanes that the
     /// map names as neighbors, and parallel ones that do not join.
     pub(super) fn beside(&self, pose: WayPose, side: f64) -> Vec<Polyline> {

@@ -23,6 +23,7 @@ mod scene_tests;
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
+mod turning_way;
 
 pub use agent_selector::AgentSelector;
 pub use any_pair::AnyPairGuidance;
@@ -39,7 +40,7 @@ pub use noise_optimization::{MOST_STEPS, NoiseOptimizationConfig};
 pub use objectives::{
     AccelerationLimit, AdversarialTtc, Collision, CrossAhead, CutIn, CutOut, Goal, GoalFrame, HardBrake, KeepDistance,
     LaneChange, NearMiss, NoCollision, ObjectiveConfig, PedestrianStepsOut, RoadPoints, SceneObjective, Side,
-    SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, Tailgating, TargetSpeed, WrongWay,
+    SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, Tailgating, TargetSpeed, Turn, WrongWay,
 };
 pub use particles::{ParticleConfig, Particles};
 pub use scene_context::{ContextRow, SceneContext, Target};

@@ -40,6 +40,7 @@ mod target_speed;
 mod testing;
 #[cfg(test)]
 mod tests;
+mod turn;
 mod wrong_way;
 
 pub use acceleration_limit::AccelerationLimit;
@@ -62,6 +63,7 @@ pub use stay_on_road::{RoadPoints, StayOnRoad};
 pub use stop_at_line::StopAtLine;
 pub use tailgating::Tailgating;
 pub use target_speed::TargetSpeed;
+pub use turn::Turn;
 pub use wrong_way::WrongWay;
 
 use super::{AgentSelector, SceneContext};
@@ -161,6 +163,8 @@ objectives! {
     CutOut = "cut_out",
     /// Step into the way of a vehicle.
     PedestrianStepsOut = "pedestrian_steps_out",
+    /// Turn to the left or right.
+    Turn = "turn",
     /// Drive in the oncoming lane.
     WrongWay = "wrong_way",
 }

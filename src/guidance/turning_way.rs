@@ -1,0 +1,127 @@
+//! Along which line does an agent turn? Along a lane that bends, or, without a map, along an arc.
+
+use super::lane_ways::{LaneWays, WayPose};
+use crate::geometry::{Polyline, Vec2, angle_difference};
+
+/// A turn begins and ends where these shares of its change of heading are reached.
+const START_SHARE: f64 = 0.1;
+const END_SHARE: f64 = 0.9;
+/// The radii of turns without a map, meters.
+const LEAST_RADIUS_M: f64 = 6.0;
+const MOST_RADIUS_M: f64 = 40.0;
+/// The share of the way that an agent drives at its speed on which it turns without a map.
+const TURNING_SHARE: f64 = 0.7;
+/// Length of the pieces of an arc, meters, and of the straight lines at its ends.
+const PIECE_M: f64 = 0.5;
+const EXTENSION_M: f64 = 60.0;
+
+/// A line that turns, in the row's frame.
+#[derive(Debug, Clone)]
+pub(super) struct TurningWay {
+    pub(super) line: Polyline,
+    /// The stations between which the wanted change of heading is reached, meters.
+    pub(super) wanted_m: [f64; 2],
+    /// The stations between which it turns, meters.
+    pub(super) bend_m: [f64; 2],
+}
+
+/// What is asked of a turn.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct WantedTurn {
+    /// +1 to the left, -1 to the right.
+    pub(super) sign: f64,
+    /// The range of the change of heading toward that side, radians.
+    pub(super) change_rad: [f64; 2],
+    /// The heading from which it is measured, radians.
+    pub(super) from_rad: f64,
+}
+
+impl TurningWay {
+    /// The way on from `pose` along the lanes that reaches the wanted change of heading first; without lanes, an arc that
+    /// an agent of `reach_m` meters of way within the scene can drive. `None` if no lane turns so.
+    pub(super) fn of(lanes: &LaneWays, pose: WayPose, wanted: WantedTurn, reach_m: f64) -> Option<Self> {
+        if lanes.is_empty() {
+            return Self::along(arc(pose, wanted, reach_m), pose, wanted);
+        }
+        let ways = lanes.ahead(pose).into_iter().filter_map(|line| Self::along(line, pose, wanted));
+        let ahead_m = |way: &Self| way.wanted_m[0] - way.line.project(pose.position).map_or(0.0, |at| at.station_m);
+        ways.min_by(|a, b| ahead_m(a).total_cmp(&ahead_m(b)))
+    }
+
+    /// The way along `line`, if it turns as wanted ahead of `pose`.
+    fn along(line: Polyline, pose: WayPose, wanted: WantedTurn) -> Option<Self> {
+        let start_m = line.project(pose.position)?.station_m;
+        // The change of heading on each piece ahead, with the station at which the piece begins.
+        let (mut station_m, mut previous_rad, mut turned_rad) = (0.0, wanted.from_rad, 0.0);
+        let mut turned: Vec<(f64, f64)> = Vec::new();
+        for pair in line.0.windows(2) {
+            let (begin_m, piece) = (station_m, pair[1] - pair[0]);
+            station_m += piece.norm();
+            if station_m > start_m {
+                turned_rad += wanted.sign * angle_difference(piece.angle(), previous_rad);
+                previous_rad = piece.angle();
+                turned.push((begin_m.max(start_m), turned_rad));
+            }
+        }
+        let reached = |rad: f64| turned.iter().find(|(_, turned_rad)| *turned_rad >= rad).map(|(at_m, _)| *at_m);
+        let [least, most] = wanted.change_rad;
+        let wanted_m = [reached(least)?, reached(most).unwrap_or(f64::MAX)];
+        let bend_m = [reached(START_SHARE * least)?, reached(END_SHARE * least)?];
+        Some(Self { line, wanted_m, bend_m })
+    }
+}
+
+/// Straight on, then an arc, then straight on again.
+fn arc(pose: WayPose, wanted: WantedTurn, reach_m: f64) -> Polyline {
+    let done_rad = wanted.sign * angle_difference(pose.heading_rad, wanted.from_rad);
+    let [least, most] = wanted.change_rad;
+    let angle_rad = (f64::midpoint(least, most) - done_rad).max(0.0);
+    let radius_m = (TURNING_SHARE * reach_m / angle_rad.max(0.1)).clamp(LEAST_RADIUS_M, MOST_RADIUS_M);
+    let forward = Vec2::from_angle(pose.heading_rad);
+    let center =
+        pose.position + Vec2::from_angle(pose.heading_rad + wanted.sign * std::f64::consts::FRAC_PI_2) * radius_m;
+    let n_pieces = (angle_rad * radius_m / PIECE_M).ceil().max(1.0) as usize;
+    let on_arc = |i: usize| {
+        let turned = wanted.sign * angle_rad * i as f64 / n_pieces as f64;
+        let outward = pose.heading_rad - wanted.sign * std::f64::consts::FRAC_PI_2 + turned;
+        center + Vec2::from_angle(outward) * radius_m
+    };
+    let onward = Vec2::from_angle(pose.heading_rad + wanted.sign * angle_rad) * EXTENSION_M;
+    let mut points = vec![pose.position - forward * EXTENSION_M];
+    points.extend((0..=n_pieces).map(on_arc));
+    points.push(on_arc(n_pieces) + onward);
+    Polyline(points)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Transform2;
+    use crate::scene::LaneGraph;
+    use std::f64::consts::FRAC_PI_2;
+
+    const POSE: WayPose = WayPose { position: Vec2::ZERO, heading_rad: 0.0 };
+
+    #[test]
+    fn without_lanes_the_way_is_an_arc_to_the_wanted_side() {
+        let none = LaneWays::new(&LaneGraph::default().into(), &Transform2::IDENTITY);
+        for sign in [1.0, -1.0] {
+            let wanted = WantedTurn { sign, change_rad: [FRAC_PI_2 - 0.2, FRAC_PI_2 + 0.2], from_rad: 0.0 };
+            // 70 % of 22.44 m are a quarter of a circle of 10 m, which ends 10 m ahead and aside.
+            let way = TurningWay::of(&none, POSE, wanted, 5.0 * std::f64::consts::PI / 0.7).unwrap();
+            assert!(way.line.0[way.line.0.len() - 2].distance(Vec2::new(10.0, sign * 10.0)) < 1e-9);
+            // The wanted change is reached where 1.371 rad of 10 m are driven, after 60 m before the pose.
+            assert!((way.wanted_m[0] - 60.0 - 13.71).abs() < 0.5, "{:?}", way.wanted_m);
+            assert!(way.bend_m[0] < 62.5 && way.bend_m[1] < way.wanted_m[0]);
+        }
+    }
+
+    #[test]
+    fn what_was_turned_before_counts() {
+        let none = LaneWays::new(&LaneGraph::default().into(), &Transform2::IDENTITY);
+        let wanted = WantedTurn { sign: 1.0, change_rad: [1.0, 1.4], from_rad: -1.5 };
+        let way = TurningWay::of(&none, POSE, wanted, 20.0).unwrap();
+        // It has turned by 1.5 rad already: more than the most.
+        assert!((way.wanted_m[0] - 60.0).abs() < 1e-9, "{:?}", way.wanted_m);
+    }
+}
