@@ -19,6 +19,8 @@ const EXTENSION_M: f64 = 60.0;
 #[derive(Debug, Clone)]
 pub(super) struct TurningWay {
     pub(super) line: Polyline,
+    /// The station of the present place, meters.
+    pub(super) start_m: f64,
     /// The stations between which the wanted change of heading is reached, meters.
     pub(super) wanted_m: [f64; 2],
     /// The stations between which it turns, meters.
@@ -44,8 +46,50 @@ impl TurningWay {
             return Self::along(arc(pose, wanted, reach_m), pose, wanted);
         }
         let ways = lanes.ahead(pose).into_iter().filter_map(|line| Self::along(line, pose, wanted));
-        let ahead_m = |way: &Self| way.wanted_m[0] - way.line.project(pose.position).map_or(0.0, |at| at.station_m);
+        let ahead_m = |way: &Self| way.wanted_m[0] - way.start_m;
         ways.min_by(|a, b| ahead_m(a).total_cmp(&ahead_m(b)))
+    }
+
+    /// Where an agent that drives steps of these lengths should be on the line after each of them, meters: as far as it
+    /// has driven, but with a mean speed in the bend that is wanted, and evenly farther or less far where that does not end
+    /// where it is wanted.
+    pub(super) fn stations_m(&self, steps_m: &[f64], wanted_step_m: [f64; 2]) -> Vec<f64> {
+        let driven_m = |steps_m: &[f64]| -> Vec<f64> {
+            let so_far = steps_m.iter().scan(self.start_m, |at_m, step_m| {
+                *at_m += step_m;
+                Some(*at_m)
+            });
+            so_far.collect()
+        };
+        let is_in_bend = |at_m: f64| (self.bend_m[0]..=self.bend_m[1]).contains(&at_m);
+        let before = driven_m(steps_m);
+        let in_bend = steps_m.iter().zip(&before).filter(|(_, at_m)| is_in_bend(**at_m)).map(|(step_m, _)| *step_m);
+        let (n, sum_m) = in_bend.fold((0, 0.0), |(n, sum_m), step_m| (n + 1, sum_m + step_m));
+        let mean_m = sum_m / f64::from(n.max(1));
+        let factor = if mean_m > 0.0 { mean_m.clamp(wanted_step_m[0], wanted_step_m[1]) / mean_m } else { 1.0 };
+        let scaled = |(step_m, at_m): (&f64, &f64)| if is_in_bend(*at_m) { step_m * factor } else { *step_m };
+        let mut stations_m = driven_m(&steps_m.iter().zip(&before).map(scaled).collect::<Vec<_>>());
+        let end_m = stations_m.last().copied().unwrap_or(self.start_m);
+        let lack_m = end_m.clamp(self.wanted_m[0], self.wanted_m[1]) - end_m;
+        let n_steps = stations_m.len() as f64;
+        stations_m.iter_mut().enumerate().for_each(|(i, at_m)| *at_m += lack_m * (i + 1) as f64 / n_steps);
+        stations_m
+    }
+
+    /// The point `station_m` along the line, and the heading there, radians.
+    pub(super) fn at(&self, station_m: f64) -> (Vec2, f64) {
+        let mut left_m = station_m;
+        let mut last = (self.line.0[0], 0.0);
+        for pair in self.line.0.windows(2) {
+            let along = pair[1] - pair[0];
+            let length_m = along.norm();
+            last = (pair[0] + along * (left_m / length_m), along.angle());
+            if left_m <= length_m {
+                break;
+            }
+            left_m -= length_m;
+        }
+        last
     }
 
     /// The way along `line`, if it turns as wanted ahead of `pose`.
@@ -67,7 +111,7 @@ impl TurningWay {
         let [least, most] = wanted.change_rad;
         let wanted_m = [reached(least)?, reached(most).unwrap_or(f64::MAX)];
         let bend_m = [reached(START_SHARE * least)?, reached(END_SHARE * least)?];
-        Some(Self { line, wanted_m, bend_m })
+        Some(Self { line, start_m, wanted_m, bend_m })
     }
 }
 
@@ -114,6 +158,23 @@ mod tests {
             assert!((way.wanted_m[0] - 60.0 - 13.71).abs() < 0.5, "{:?}", way.wanted_m);
             assert!(way.bend_m[0] < 62.5 && way.bend_m[1] < way.wanted_m[0]);
         }
+    }
+
+    #[test]
+    fn stations_follow_the_steps_with_the_wanted_speed_in_the_bend_to_the_wanted_end() {
+        let line = Polyline(vec![Vec2::ZERO, Vec2::new(100.0, 0.0)]);
+        let way = |wanted_m| TurningWay { line: line.clone(), start_m: 10.0, wanted_m, bend_m: [13.0, 17.0] };
+        let steps_m = [2.0; 5];
+        let (anywhere, any) = ([0.0, 1e3], [0.0, 1e3]);
+        assert_eq!(way(anywhere).stations_m(&steps_m, any), [12.0, 14.0, 16.0, 18.0, 20.0]);
+        // Two of the steps end in the bend.
+        assert_eq!(way(anywhere).stations_m(&steps_m, [0.0, 1.0]), [12.0, 13.0, 14.0, 16.0, 18.0]);
+        assert_eq!(way(anywhere).stations_m(&steps_m, [3.0, 4.0]), [12.0, 15.0, 18.0, 20.0, 22.0]);
+        // What lacks at the end is shared by all.
+        assert_eq!(way([25.0, 30.0]).stations_m(&steps_m, any), [13.0, 16.0, 19.0, 22.0, 25.0]);
+        assert_eq!(way([10.0, 15.0]).stations_m(&steps_m, any), [11.0, 12.0, 13.0, 14.0, 15.0]);
+        assert_eq!(way([10.0, 10.0]).stations_m(&[0.0; 3], [1.0, 2.0]), [10.0; 3]);
+        assert_eq!(way(anywhere).at(12.5), (Vec2::new(12.5, 0.0), 0.0));
     }
 
     #[test]

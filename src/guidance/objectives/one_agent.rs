@@ -1,11 +1,11 @@
 //! The one agent of each row that an objective is about, and how far it is from a line.
 
-use super::motion::norm;
 use super::pairs::Agents;
 use super::{AgentSelector, SceneContext, Side};
 use crate::geometry::{Polyline, Vec2};
 use crate::guidance::lane_ways::WayPose;
 use candle_core::{D, DType, Result, Tensor};
+use std::ops::Range;
 
 /// The parameter that says to which side one goes, as events report it: +1 left, -1 right.
 pub(super) const SIDE: &str = "side";
@@ -62,48 +62,27 @@ impl OneAgent {
         }
     }
 
-    /// The time that is generated, seconds.
-    pub(super) fn future_s(&self, dt_s: f64) -> f64 {
-        (self.n_timesteps - 1 - self.present) as f64 * dt_s
+    /// The timesteps after the present.
+    pub(super) fn future(&self) -> Range<usize> {
+        self.present + 1..self.n_timesteps
     }
 
-    /// 1 at the last timestep of each row whose state is generated and valid, row by row, B · T numbers.
-    pub(super) fn last_counted(&self) -> Result<Tensor> {
-        let n = self.n_timesteps;
-        let counts = self.counts.detach().to_dtype(DType::F64)?.to_vec2::<f64>()?;
-        let last = |own: &Vec<f64>| own.iter().rposition(|counts| *counts > 0.0);
-        let rows = counts.iter().map(last);
-        let values: Vec<f64> =
-            rows.flat_map(|last| (0..n).map(move |t| f64::from(u8::from(Some(t) == last)))).collect();
-        Tensor::from_vec(values, (counts.len(), n), self.counts.device())?.to_dtype(self.counts.dtype())
+    /// How far it drives up to each timestep after the present from the one before, meters; 0 where it is not there.
+    pub(super) fn steps_m(&self, row: usize) -> Vec<f64> {
+        let is_there = |t: usize| self.is_valid[row * self.n_timesteps + t] > 0.0;
+        let step_m = |t: usize| match is_there(t - 1) && is_there(t) {
+            true => self.position(row, t - 1).distance(self.position(row, t)),
+            false => 0.0,
+        };
+        self.future().map(step_m).collect()
     }
 
-    /// The mean speed of each row where its line is between two stations, (B, 1), m/s, and 1 for rows that have one, (B).
-    pub(super) fn mean_speed(
-        &self,
-        frame: &LineFrame,
-        between_m: &[Option<[f64; 2]>],
-        dt_s: f64,
-    ) -> Result<(Tensor, Tensor)> {
-        let n = self.n_timesteps;
-        let stations = frame.station_m.detach().to_dtype(DType::F64)?.to_vec2::<f64>()?;
-        let is_valid = |row: usize, timestep: usize| self.is_valid[row * n + timestep] > 0.0;
-        let mut is_in = vec![0.0; between_m.len() * (n - 1)];
-        for (row, bend) in between_m.iter().enumerate() {
-            let Some([begin_m, end_m]) = *bend else { continue };
-            for t in 1..n {
-                let is_inside = (begin_m..=end_m).contains(&stations[row][t]);
-                let is_driven = is_inside && is_valid(row, t) && is_valid(row, t - 1);
-                is_in[row * (n - 1) + t - 1] = f64::from(u8::from(is_driven));
-            }
-        }
-        let is_in = Tensor::from_vec(is_in, (between_m.len(), n - 1), self.states.device())?;
-        let is_in = (is_in.to_dtype(self.states.dtype())? * self.counts.narrow(1, 1, n - 1)?)?;
-        let at = self.states.narrow(D::Minus1, 0, 2)?;
-        let speed_mps = norm(&((at.narrow(1, 1, n - 1)? - at.narrow(1, 0, n - 1)?)? * (1.0 / dt_s))?)?;
-        let n_in = is_in.sum_keepdim(1)?;
-        let mean_mps = ((speed_mps * is_in)?.sum_keepdim(1)? / (&n_in + 1e-6)?)?;
-        Ok((mean_mps, n_in.squeeze(1)?.minimum(1.0)?))
+    /// Places (B, F, 2) and headings (B, F) at the timesteps after the present, and which of them count (B, F).
+    pub(super) fn futures(&self) -> Result<(Tensor, Tensor, Tensor)> {
+        let Range { start, end } = self.future();
+        let states = self.states.narrow(1, start, end - start)?;
+        let headings = states.narrow(D::Minus1, 2, 1)?.squeeze(D::Minus1)?;
+        Ok((states.narrow(D::Minus1, 0, 2)?, headings, self.counts.narrow(1, start, end - start)?))
     }
 
     /// The first and the last timestep at which it has a state.
@@ -141,15 +120,13 @@ impl OneAgent {
     pub(super) fn across(&self, lines: &[Option<Polyline>]) -> Result<LineFrame> {
         let n_rows = lines.len();
         let list = || Vec::with_capacity(n_rows * self.n_timesteps);
-        let (mut x, mut y, mut cos, mut sin, mut station_m) = (list(), list(), list(), list(), list());
+        let (mut x, mut y, mut cos, mut sin) = (list(), list(), list(), list());
         for (row, line) in lines.iter().enumerate() {
             for timestep in 0..self.n_timesteps {
                 let place = self.position(row, timestep);
                 let near = line.as_ref().and_then(|line| line.project(place));
-                let (point, along, at_m) = near.map_or((place, Vec2::ZERO, 0.0), |near| {
-                    (near.point, Vec2::from_angle(near.heading_rad), near.station_m)
-                });
-                station_m.push(at_m);
+                let (point, along) =
+                    near.map_or((place, Vec2::ZERO), |near| (near.point, Vec2::from_angle(near.heading_rad)));
                 x.push(point.x);
                 y.push(point.y);
                 cos.push(along.x);
@@ -164,10 +141,9 @@ impl OneAgent {
         let (dx, dy) = ((coordinate(0)? - constant(x)?)?, (coordinate(1)? - constant(y)?)?);
         let (cos, sin) = (constant(cos)?, constant(sin)?);
         let across_m = ((&dy * &cos)? - (&dx * &sin)?)?;
-        let station_m = (((&dx * &cos)? + (&dy * &sin)?)? + constant(station_m)?)?;
         let has_line: Vec<f64> = lines.iter().map(|line| f64::from(u8::from(line.is_some()))).collect();
         let has_line = Tensor::from_vec(has_line, n_rows, states.device())?.to_dtype(states.dtype())?;
-        Ok(LineFrame { across_m, station_m, has_line })
+        Ok(LineFrame { across_m, has_line })
     }
 }
 
@@ -175,8 +151,6 @@ impl OneAgent {
 pub(super) struct LineFrame {
     /// Way to the left of it, (B, T), meters.
     pub(super) across_m: Tensor,
-    /// Way along it, (B, T), meters.
-    pub(super) station_m: Tensor,
     /// 1 for rows with a line, (B).
     pub(super) has_line: Tensor,
 }

@@ -105,19 +105,7 @@ pub(super) fn assert_gradients_match(objective: &dyn SceneObjective, traffic: &T
 
 /// The same for the entries of these agents.
 pub(super) fn assert_gradients_of_match(objective: &dyn SceneObjective, traffic: &Traffic, agents: &[usize]) {
-    assert_gradients_match_where(objective, traffic, |at| agents.contains(&(at / (3 * N_TIMESTEPS))));
-}
-
-/// The same for generated entries: observed ones may decide what is asked, and nothing pulls at them.
-pub(super) fn assert_gradients_of_generated_match(objective: &dyn SceneObjective, traffic: &Traffic) {
-    assert_gradients_match_where(objective, traffic, |at| traffic.generated().contains(&(at / 3 % N_TIMESTEPS)));
-}
-
-fn assert_gradients_match_where(
-    objective: &dyn SceneObjective,
-    traffic: &Traffic,
-    is_compared: impl Fn(usize) -> bool,
-) {
+    let is_compared = |at: usize| agents.contains(&(at / (3 * N_TIMESTEPS)));
     let gradient = traffic.gradient(objective);
     let states: Vec<f64> = traffic.states.flatten_all().unwrap().to_vec1().unwrap();
     let value = |at: usize, h: f64| {

@@ -1,10 +1,9 @@
 //! Turn to the left or right.
 
-use super::motion::penalty;
+use super::motion::{norm, penalty};
 use super::one_agent::OneAgent;
-use super::{
-    AgentSelector, SceneContext, SceneObjective, Side, agent, beyond, default_weight, interval, one, one_agent,
-};
+use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, default_weight, interval, one, one_agent};
+use crate::geometry::Vec2;
 use crate::guidance::turning_way::{TurningWay, WantedTurn};
 use crate::settings;
 use candle_core::{Result, Tensor};
@@ -14,13 +13,15 @@ use serde::{Deserialize, Serialize};
 /// Turn to one side along the next lane that turns there, far enough within the scene.
 ///
 /// The way leads on from the agent's own lane and is the one on which the wanted change of heading is nearest; on a scene
-/// without lanes it is an arc. With d(t) the offset from its center line, s the agent's last place along it, and v the mean
-/// speed in the bend,
+/// without lanes it is an arc. Its station s(t) is where the agent would be on it with the lengths of its own steps, if they
+/// had the wanted mean speed in the bend and ended where the way has turned by the wanted change. With d(t) the distance
+/// from there, and θ(t) the angle from the heading of the way there,
 ///
-/// J = -mean of ½ (max(|d| - within, 0) / τ)² - ½ (\[s\] / 2 m)² - ½ (\[v\] / 1 m/s)²
+/// J = -mean of ½ (max(d - within, 0) / τ)² + (1 - cos θ) / (0.3 rad)²
 ///
-/// where \[·\] is the distance to the wanted interval; s is wanted where the way has turned by the wanted change. 0 if no
-/// lane turns so: see `pairs.only_feasible`.
+/// over the generated future. Stations are held: a gradient through them, or the nearest point of the way, would let an
+/// agent pay less by stopping ahead of the bend. Headings count where they are generated. 0 if no lane turns so: see
+/// `pairs.only_feasible`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Turn {
@@ -40,11 +41,11 @@ pub struct Turn {
     /// The range of the mean speed in the bend, m/s. Left out: that of the target (`mean_speed_mps`), else any.
     #[serde(default)]
     pub mean_speed_mps: Option<[f64; 2]>,
-    /// How far from the center line of the way the agent may be, meters.
+    /// How far from its place on the way the agent may be, meters.
     #[serde(default = "one")]
     #[schemars(range(min = 0.0, max = 10.0))]
     pub within_m: f64,
-    /// The error τ of the offset that costs ½, meters.
+    /// The error τ of the distance that costs ½, meters.
     #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
@@ -57,9 +58,8 @@ const MEAN_SPEED: &str = "mean_speed_mps";
 const ANY_CHANGE_RAD: [f64; 2] = [1.2, 2.6];
 /// The mean speed without a target, m/s.
 const ANY_SPEED_MPS: [f64; 2] = [0.0, 1e3];
-/// The errors of the last place and of the speed that cost ½, meters and m/s.
-const PLACE_TOLERANCE_M: f64 = 2.0;
-const SPEED_TOLERANCE_MPS: f64 = 1.0;
+/// The error of the heading that costs ½, radians.
+const HEADING_TOLERANCE_RAD: f64 = 0.3;
 
 impl SceneObjective for Turn {
     fn agents(&self) -> Vec<&AgentSelector> {
@@ -78,39 +78,46 @@ impl SceneObjective for Turn {
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let asked = OneAgent::gather(states, context, &self.agents)?;
-        let n_rows = states.dim(0)?;
-        let ways: Vec<Option<TurningWay>> = (0..n_rows).map(|row| self.way(&asked, context, row)).collect();
-        let lines: Vec<_> = ways.iter().map(|way| way.as_ref().map(|way| way.line.clone())).collect();
-        let frame = asked.across(&lines)?;
-        let aside_m = (frame.across_m.abs()? - self.within_m)?.relu()?;
-        let n_counted = (asked.counts.sum(1)? + 1e-6)?;
-        let aside = ((penalty(&aside_m, self.tolerance_m)? * &asked.counts)?.sum(1)? / n_counted)?;
-        let constant = |values: Vec<f64>, shape: (usize, usize)| {
-            Tensor::from_vec(values, shape, states.device())?.to_dtype(states.dtype())
-        };
-        // Rows without a way have no line, and count nothing below.
-        let wanted_m = ways.iter().flat_map(|way| way.as_ref().map_or([0.0, f64::MAX], |way| way.wanted_m));
-        let wanted_m = constant(wanted_m.map(|m| m.min(1e6)).collect(), (n_rows, 2))?;
-        let last = asked.last_counted()?;
-        let place_m = (&frame.station_m * &last)?.sum_keepdim(1)?;
-        let has_last = last.sum(1)?;
-        let place = (penalty(&beyond(&place_m, &wanted_m)?.squeeze(1)?, PLACE_TOLERANCE_M)? * has_last)?;
-        let bends: Vec<_> = ways.iter().map(|way| way.as_ref().map(|way| way.bend_m)).collect();
-        let (speed_mps, has_speed) = asked.mean_speed(&frame, &bends, context.dt_s)?;
-        let wanted_mps = context.wanted(MEAN_SPEED, self.mean_speed_mps, ANY_SPEED_MPS, states)?;
-        let speed = (penalty(&beyond(&speed_mps, &wanted_mps)?.squeeze(1)?, SPEED_TOLERANCE_MPS)? * has_speed)?;
-        ((aside + place)? + speed)? * frame.has_line
+        let (n_rows, n_ahead) = (states.dim(0)?, asked.future().len());
+        let (mut points, mut headings, mut is_asked) = (Vec::new(), Vec::new(), Vec::new());
+        for row in 0..n_rows {
+            let wanted = self.wanted(&asked, context, row);
+            is_asked.push(f64::from(u8::from(wanted.is_some())));
+            for (point, heading_rad) in wanted.unwrap_or_else(|| vec![(Vec2::ZERO, 0.0); n_ahead]) {
+                points.extend([point.x, point.y]);
+                headings.push(heading_rad);
+            }
+        }
+        let constant = |values: Vec<f64>| Tensor::new(values, states.device())?.to_dtype(states.dtype());
+        let (places, own_headings, counts) = asked.futures()?;
+        let aside_m = norm(&(places - constant(points)?.reshape((n_rows, n_ahead, 2))?)?)?;
+        let mut costs = penalty(&(aside_m - self.within_m)?.relu()?, self.tolerance_m)?;
+        if context.generates_headings {
+            let off = (own_headings - constant(headings)?.reshape((n_rows, n_ahead))?)?;
+            costs = (costs + ((off.cos()? - 1.0)? * HEADING_TOLERANCE_RAD.powi(-2))?)?;
+        }
+        ((costs * &counts)?.sum(1)? / (counts.sum(1)? + 1e-6)?)? * constant(is_asked)?
     }
 }
 
 impl Turn {
+    /// Where the agent of a row should be at each timestep after the present, and its heading there; `None` if no lane
+    /// turns so.
+    fn wanted(&self, asked: &OneAgent, context: &SceneContext, row: usize) -> Option<Vec<(Vec2, f64)>> {
+        let way = self.way(asked, context, row)?;
+        let target = context.targets[row].get(MEAN_SPEED).copied();
+        let speed_mps = self.mean_speed_mps.or(target).unwrap_or(ANY_SPEED_MPS);
+        let stations_m = way.stations_m(&asked.steps_m(row), speed_mps.map(|mps| mps * context.dt_s));
+        Some(stations_m.into_iter().map(|station_m| way.at(station_m)).collect())
+    }
+
     fn way(&self, asked: &OneAgent, context: &SceneContext, row: usize) -> Option<TurningWay> {
         let sign = self.side.sign();
         let toward = |[least, most]: &[f64; 2]| if sign > 0.0 { [*least, *most] } else { [-most, -least] };
         let target = context.targets[row].get(HEADING_CHANGE).map(toward);
         let change_rad = self.heading_change_rad.or(target).unwrap_or(ANY_CHANGE_RAD);
         let wanted = WantedTurn { sign, change_rad, from_rad: asked.first_heading_rad(row)? };
-        let reach_m = asked.present_speed_mps(row, context.dt_s)? * asked.future_s(context.dt_s);
+        let reach_m = asked.present_speed_mps(row, context.dt_s)? * asked.future().len() as f64 * context.dt_s;
         TurningWay::of(&context.ways[row], asked.pose(row), wanted, reach_m)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::lane_change::settled;
 use super::one_agent::OneAgent;
-use super::{AgentSelector, SceneContext, SceneObjective, agent, default_weight, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, agent, default_weight, half, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -32,7 +32,7 @@ pub struct WrongWay {
     #[schemars(range(min = 0.0, max = 10.0))]
     pub within_m: f64,
     /// The error τ of the offset that costs ½, meters.
-    #[serde(default = "default_tolerance_m")]
+    #[serde(default = "half")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub tolerance_m: f64,
 }
@@ -43,11 +43,6 @@ const fn default_against_s() -> f64 {
 
 const fn default_within_m() -> f64 {
     1.2
-}
-
-/// Much less than for lane changes: the denoiser has hardly seen anyone drive against a lane, and pulls back.
-const fn default_tolerance_m() -> f64 {
-    0.05
 }
 
 impl SceneObjective for WrongWay {
@@ -83,8 +78,8 @@ mod tests {
 
     #[test]
     fn the_cost_is_that_of_the_way_to_the_oncoming_lane() {
-        // 3.2 m aside, of which 1.2 m may be missing: ½ (2 / 0.05)².
-        assert!((traffic().potential(&objective())[0] + 800.0).abs() < 1e-3);
+        // 3.2 m aside, of which 1.2 m may be missing: ½ (2 / 0.5)².
+        assert!((traffic().potential(&objective())[0] + 8.0).abs() < 1e-5);
         assert_gradients_match(&objective(), &traffic());
     }
 
