@@ -36,7 +36,7 @@ pub use estimate_potential::EstimatePotential;
 pub use future_guidance::FutureGuidance;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
-pub use noise_optimization::{MOST_STEPS, NoiseOptimizationConfig};
+pub use noise_optimization::{EVALUATIONS_PER_GRADIENT, MOST_STEPS, NoiseOptimizationConfig};
 pub use objectives::{
     AccelerationLimit, AdversarialTtc, Collision, CrossAhead, CutIn, CutOut, Goal, GoalFrame, HardBrake, KeepDistance,
     LaneChange, NearMiss, NoCollision, ObjectiveConfig, PedestrianStepsOut, RoadPoints, SceneObjective, Side,

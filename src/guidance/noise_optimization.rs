@@ -27,7 +27,7 @@ impl Default for NoiseOptimizationConfig {
 }
 
 /// What an evaluation of the network with its derivative counts as, in evaluations without: 2.5 of them were measured.
-const EVALUATIONS_PER_GRADIENT: usize = 3;
+pub const EVALUATIONS_PER_GRADIENT: usize = 3;
 /// The most steps of a sampler that can be differentiated: memory grows with them.
 pub const MOST_STEPS: usize = 8;
 

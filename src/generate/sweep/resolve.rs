@@ -184,7 +184,7 @@ impl SamplingConfig {
                         ),
                     ));
                 }
-                if resolved.goes_through_network(purpose) {
+                if resolved.goes_through_network(resolved.classifies(purpose)) {
                     return Err(Issue::new(
                         "objective_guidance.gradient",
                         "is \"through_network\", which needs a denoiser that predicts means; a distilled one does not, so use \"clean\"",
@@ -267,11 +267,10 @@ impl Diffusion {
         self.is_guided() && purpose.behavior.is_some() && self.guidance.classifier_scope != ClassifierScope::None
     }
 
-    /// Whether potentials of clean estimates are carried back through the network.
-    fn goes_through_network(&self, purpose: &Purpose<'_>) -> bool {
+    /// Whether potentials of clean estimates are carried back through the network, with a classifier that guides or not.
+    pub(super) fn goes_through_network(&self, classifies: bool) -> bool {
         let guidance = &self.guidance;
-        let judges_estimates = (self.classifies(purpose)
-            && guidance.classifier_input == ClassifierInput::CleanEstimate)
+        let judges_estimates = (classifies && guidance.classifier_input == ClassifierInput::CleanEstimate)
             || (self.is_guided() && !guidance.objectives.is_empty());
         judges_estimates && guidance.objective_guidance.gradient == CleanGradient::ThroughNetwork
     }
@@ -306,7 +305,7 @@ impl Diffusion {
             let (key, kind) = (format!("objectives.{i}"), objective.kind());
             objective.validate(roles).map_err(|why| Issue::new(key, format_args!("({kind}): {why}")))?;
         }
-        if self.goes_through_network(purpose)
+        if self.goes_through_network(classifies)
             && has_objectives
             && classifies
             && guidance.classifier_input == ClassifierInput::CleanEstimate

@@ -4,7 +4,7 @@ use super::{Aim, ClassifierScope, SweepGuidance};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::{Edm, SamplerConfig};
 use crate::generate::{ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig};
-use crate::guidance::{NoiseOptimizationConfig, ParticleConfig};
+use crate::guidance::{EVALUATIONS_PER_GRADIENT, NoiseOptimizationConfig, ParticleConfig};
 use crate::model::Distillation;
 use crate::scene::GuidanceLevel;
 use std::collections::BTreeSet;
@@ -168,14 +168,17 @@ impl ResolvedSweep {
         self.diffusion().and_then(|diffusion| diffusion.classifier_free.as_ref()).is_some_and(|config| config.event)
     }
 
-    /// Evaluations of the network for one sample; classifier-free guidance doubles them at weights that mix two
-    /// estimates, a derivative of the network costs as much as two, and the baseline needs one.
+    /// Evaluations of the network for one sample, as many as at its most expensive level. Classifier-free guidance
+    /// doubles them at weights that mix two estimates, a derivative of the network costs as much as two, wherever
+    /// guidance acts, and the baseline needs one.
     pub fn n_evaluations(&self) -> u64 {
         self.diffusion().map_or(1, |diffusion| {
             let mixes = |level: &GuidanceLevel| ![0.0, 1.0].contains(&level.weight);
             let n_calls = if diffusion.levels.iter().any(mixes) { 2 } else { 1 };
+            let n_each =
+                if diffusion.goes_through_network(self.needs_classifier()) { EVALUATIONS_PER_GRADIENT } else { 1 };
             let n_optimizing = diffusion.noise_optimization.map_or(0, |c| c.n_evaluations(diffusion.sampler.n_steps()));
-            diffusion.sampler.n_evaluations() as u64 * n_calls + n_optimizing as u64
+            (diffusion.sampler.n_evaluations() * n_each + n_optimizing) as u64 * n_calls
         })
     }
 

@@ -100,6 +100,10 @@ fn the_particles_of_a_group_share_their_aim() {
         // Two steps, and eight times two with derivatives, which cost three each.
         assert_eq!((sweep.n_evaluations(), sweep.has_unguided()), (2 + 8 * 2 * 3, false));
     });
+    let through = "strengths = [1.0]
+objective_guidance = { gradient = 'through_network' }";
+    let through = PARTICLES.replace("particles = { n = 4, strength = 20.0 }", through);
+    with_generator(&config(&through), 0, |generator| assert_eq!(generator.config.sweeps[0].n_evaluations(), 6 * 3));
 }
 
 #[test]
