@@ -125,7 +125,23 @@ fn mined_events_are_told_asked_for_and_generated_again() {
     }
     workspace.run("two", &["--threads", "2"]).expect(0);
     assert_same(&files(&root), &files(&workspace.run_folder("two")));
+    stages_alone_take_the_events(&workspace, &root);
     what_does_not_fit_is_refused(&workspace);
+}
+
+/// Trained by themselves, with every input named, models have the same bytes.
+fn stages_alone_take_the_events(workspace: &Workspace, root: &Path) {
+    let (pipeline, alone) = (workspace.path("small.toml"), workspace.path("alone"));
+    let input = |name: &str| root.join(name).to_str().unwrap().to_owned();
+    let (scenes, events, denoiser) = (input("scenes"), input("events.parquet"), input("denoiser"));
+    let inputs = ["--scenes", &scenes, "--events", &events, "--denoiser", &denoiser];
+    for (stage, folder, n_inputs) in [("denoiser", "denoiser", 4), ("distill", "distilled", 6)] {
+        let mut arguments = vec!["train", stage, "--config", pipeline.to_str().unwrap(), "-o", alone.to_str().unwrap()];
+        arguments.extend(&inputs[..n_inputs]);
+        djinn(&arguments).expect(0);
+        let model = |root: &Path| fs_err::read(root.join(folder).join("model.safetensors")).unwrap();
+        assert_eq!(model(root), model(&alone), "{stage}");
+    }
 }
 
 fn what_does_not_fit_is_refused(workspace: &Workspace) {

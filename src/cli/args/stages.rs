@@ -12,13 +12,13 @@ use std::path::PathBuf;
 pub(in crate::cli) enum TrainCommand {
     /// Train the diffusion model that generates scenarios
     #[command(after_help = help::TRAIN_DENOISER)]
-    Denoiser(SceneStageArgs),
+    Denoiser(TrainDenoiserArgs),
     /// Tune a trained diffusion model to need few evaluations
     #[command(after_help = help::TRAIN_DISTILL)]
-    Distill(TrainDistillArgs),
+    Distill(TrainFurtherArgs),
     /// Train the classifier that guides generation toward a behavior
     #[command(after_help = help::TRAIN_CLASSIFIER)]
-    Classifier(TrainClassifierArgs),
+    Classifier(TrainFurtherArgs),
     /// Train Scene Transformer, the baseline to compare the diffusion model with
     #[command(after_help = help::TRAIN_BASELINE)]
     Baseline(SceneStageArgs),
@@ -65,17 +65,18 @@ pub(in crate::cli) struct SceneStageArgs {
 }
 
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct TrainDistillArgs {
+pub(in crate::cli) struct TrainDenoiserArgs {
     #[command(flatten)]
     pub(in crate::cli) scenes: ScenesArg,
     #[command(flatten)]
-    pub(in crate::cli) denoiser: DenoiserArg,
+    pub(in crate::cli) events: EventsArg,
     #[command(flatten)]
     pub(in crate::cli) stage: StageArgs,
 }
 
+/// What a training takes that starts from a denoiser.
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct TrainClassifierArgs {
+pub(in crate::cli) struct TrainFurtherArgs {
     #[command(flatten)]
     pub(in crate::cli) scenes: ScenesArg,
     #[command(flatten)]
