@@ -9,6 +9,7 @@ mod aim;
 mod baseline;
 #[cfg(test)]
 mod baseline_tests;
+mod batch;
 mod conditioning;
 #[cfg(test)]
 mod conditioning_tests;

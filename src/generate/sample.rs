@@ -1,20 +1,14 @@
-//! How does a shard of the plan become scenarios? Scenes of similar size form batches, which are denoised, decoded and
+//! How does a shard of the plan become scenarios? Scenes of similar size form batches, and their samples are selected and
 //! checked.
 
-use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_velocities};
-use super::guide::{Guided, Wishes};
+use super::batch::{Batch, Draw};
+use super::conditioning::Conditioned;
 use super::select::Candidate;
-use super::{Cell, ClassifierFreeConfig, Diffusion, Error, Generator, ResolvedSweep, ShardPlan};
-use crate::diffusion::sampler::Going;
-use crate::diffusion::{Denoiser, NoiseSource, Step};
-use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
+use super::{Cell, Error, Generator, ResolvedSweep, ShardPlan};
 use crate::nn::in_pool;
 use crate::progress::Progress;
 use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceLevel, Roles, Scene, SceneId, UnfitScene};
-use crate::seed::Seed;
-use crate::tensor::{FutureValidity, SceneBatch, SceneView};
-use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -46,24 +40,6 @@ pub struct RejectedSample {
     pub seed: u64,
     /// Why it is none.
     pub reason: String,
-}
-
-/// The cells of one batch with their conditioning, the samples of each, and the strength or weight.
-struct Batch<'a> {
-    sweep: &'a ResolvedSweep,
-    cells: Vec<(&'a Cell, &'a Conditioned)>,
-    samples: Range<usize>,
-    level: GuidanceLevel,
-}
-
-/// The result of one sample.
-#[derive(Debug, Clone)]
-struct Draw {
-    scene: Scene,
-    /// Its probability, where it has one.
-    probability: Option<f64>,
-    /// The values of the objectives, if samples are selected by them.
-    wishes: Wishes,
 }
 
 /// One of the samples of a cell, or why there is none.
@@ -188,162 +164,6 @@ impl Generator<'_> {
         batches
     }
 
-    /// The samples of a batch: all of its first cell, then all of the next.
-    fn sample(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
-        match batch.sweep.diffusion() {
-            Some(diffusion) => self.sample_denoiser(batch, diffusion, progress),
-            None => self.sample_baseline(batch, progress),
-        }
-    }
-
-    fn sample_baseline(
-        &self,
-        batch: &Batch<'_>,
-        progress: &dyn Progress,
-    ) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
-        let given: Vec<&Conditioned> = batch.cells.iter().map(|(_, given)| *given).collect();
-        let predicted = self.predict(batch.sweep, &given, batch.samples.clone())?;
-        progress.advance(predicted.len() as u64);
-        let draw = |(scene, probability)| {
-            Ok(Draw { scene: checked(scene)?, probability: Some(probability), wishes: Wishes::new() })
-        };
-        Ok(predicted.into_iter().map(draw).collect())
-    }
-
-    fn sample_denoiser(
-        &self,
-        batch: &Batch<'_>,
-        diffusion: &Diffusion,
-        progress: &dyn Progress,
-    ) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
-        let agents: Vec<(usize, usize)> = batch.cells.iter().map(|(_, given)| given.agents).collect();
-        let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
-        let tensors = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
-        let n_samples = batch.samples.len();
-        let denoiser = self.denoiser(batch.sweep)?;
-        let bound = denoiser.network.bind(&tensors, n_samples)?;
-        let wanted = match diffusion.classifier_free.as_ref().filter(|_| batch.level.weight != 0.0) {
-            Some(config) => Some(self.wanted(config, batch, &tensors)?),
-            None => None,
-        };
-        let (own, tensors) = (&tensors, tensors.repeated(n_samples)?);
-        let cells: Vec<(&Cell, &Scene)> = batch.cells.iter().map(|(cell, given)| (*cell, &given.scene)).collect();
-        let guided = Guided {
-            sweep: batch.sweep,
-            diffusion,
-            level: batch.level,
-            cells: &cells,
-            agents: &agents,
-            batch: own,
-            repeated: &tensors,
-            samples: batch.samples.clone(),
-        };
-        let denoise = |denoiser: &dyn Denoiser| self.denoise(&guided, (denoiser, &bound), progress);
-        let x = match wanted {
-            Some(extended) => {
-                let change = MaskChange::new(&tensors, &extended)?;
-                let conditional = denoiser.network.bind(&extended, 1)?;
-                let leaning = ClassifierFreeDenoiser {
-                    unconditional: &bound,
-                    conditional: &conditional,
-                    change: &change,
-                    weight: batch.level.weight,
-                };
-                self.guided(&guided, &leaning, denoise)?
-            }
-            None => self.guided(&guided, &bound, denoise)?,
-        };
-        let sources: Vec<&Scene> =
-            batch.cells.iter().flat_map(|(_, given)| std::iter::repeat_n(&given.scene, n_samples)).collect();
-        let (scenes, wishes) = (tensors.decode_scenes(&x, &sources)?, guided.wishes(&x)?);
-        progress.advance(scenes.len() as u64);
-        let draw = |(scene, wishes)| Ok(Draw { scene: checked(scene)?, probability: None, wishes });
-        Ok(scenes.into_iter().zip(wishes).map(draw).collect())
-    }
-
-    /// The samples of a batch, one a row, as the conditional branch sees them: with their wanted states observed as well, and told of
-    /// their events.
-    fn wanted(&self, config: &ClassifierFreeConfig, batch: &Batch<'_>, base: &SceneBatch) -> Result<SceneBatch, Error> {
-        let wanted = match config.extra.is_empty() {
-            true => base.repeated(batch.samples.len())?,
-            false => self.wanted_states(config, batch, base)?,
-        };
-        if !config.event {
-            return Ok(wanted);
-        }
-        let mut told = Vec::new();
-        for (cell, given) in &batch.cells {
-            for sample_idx in batch.samples.clone() {
-                told.push(self.told_event(batch.sweep, cell, &given.scene, sample_idx)?);
-            }
-        }
-        Ok(wanted.telling(self.vocabulary(batch.sweep)?, &told)?)
-    }
-
-    /// The same with only the wanted states.
-    fn wanted_states(
-        &self,
-        config: &ClassifierFreeConfig,
-        batch: &Batch<'_>,
-        base: &SceneBatch,
-    ) -> Result<SceneBatch, Error> {
-        let mut wanted = Vec::new();
-        for (row, (cell, given)) in batch.cells.iter().enumerate() {
-            let of_cell = self.wanted_of_cell(config, (*cell, *given), batch.samples.clone(), (base, row))?;
-            wanted.extend(of_cell.into_iter().map(|wanted| (wanted, given.agents.0)));
-        }
-        let views: Vec<SceneView<'_>> = wanted
-            .iter()
-            .map(|(Wanted { scene, mask }, ego_idx)| SceneView { scene, ego_idx: *ego_idx, mask })
-            .collect();
-        let extended = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
-        match config.mask_velocity {
-            true => without_wanted_velocities(&extended, &base.repeated(batch.samples.len())?),
-            false => Ok(extended),
-        }
-    }
-
-    /// Diffused states (B, A, T, D) of all samples of a batch, by a denoiser and the same without guidance.
-    fn denoise(
-        &self,
-        guided: &Guided<'_>,
-        (denoiser, unguided): (&dyn Denoiser, &dyn Denoiser),
-        progress: &dyn Progress,
-    ) -> Result<Tensor, Error> {
-        let seeds = guided.cells.iter().flat_map(|(cell, _)| {
-            let scene_seed = self.scene_seed(cell);
-            guided.samples.clone().map(move |sample_idx| sample_seed(scene_seed, sample_idx))
-        });
-        let mut noise = NoiseSource::new(seeds.collect());
-        let like = &guided.repeated.x0;
-        let mut observer = |step: &Step<'_>| progress.note(&format!("step {} of {}", step.step_idx + 1, step.n_steps));
-        let edm = &self.spec().edm;
-        let Diffusion { sampler, edit, .. } = guided.diffusion;
-        let (x, sigmas) = match edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
-            Some(edit) => (noisy_guide(edit, like, &mut noise)?, edit.schedule(edm, sampler)),
-            None => {
-                let sigma_start = sampler.sigma_start(edm);
-                let sigmas = sampler.schedule(edm, sigma_start);
-                let z = noise.draw(&like.dims()[1..], like.dtype(), like.device())?;
-                let z = self.optimized(guided, unguided, &sigmas, z)?;
-                ((z * sigma_start)?, sigmas)
-            }
-        };
-        let context = guided.diffusion.particles.map(|_| guided.objective_context()).transpose()?;
-        let wished = context.as_ref().map(|context| guided.objectives(&guided.diffusion.guidance.objectives, context));
-        let mut particles = wished.as_ref().and_then(|wished| self.particles(guided, wished));
-        let mut resampler = |going: &Going<'_>| match &mut particles {
-            Some(particles) => particles.step(going),
-            None => Ok(None),
-        };
-        Ok(sampler.integrate_resampled(&sigmas, denoiser, x, &mut noise, &mut resampler, &mut observer)?)
-    }
-
-    /// The seed of the noise of a cell's scene.
-    pub(super) fn scene_seed(&self, cell: &Cell) -> Seed {
-        self.seed().derive_named("noise", &cell.scene_id.0)
-    }
-
     /// The samples of one cell that the sweep's selection keeps, strength by strength.
     fn select(
         &self,
@@ -380,12 +200,6 @@ impl Generator<'_> {
     }
 }
 
-/// The seed of a sample's noise. It depends only on the run's seed, the scene and the sample: all strengths of a scene
-/// start from the same noise, whatever the batches and shards.
-fn sample_seed(scene_seed: Seed, sample_idx: usize) -> Seed {
-    scene_seed.derive("sample", &[sample_idx as u64])
-}
-
 /// The requested agents of a cell, as tracks of its scene; the scene's ego agent twice if there are none. The first is
 /// at the center of what the denoiser sees, as in the classifier's training.
 fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
@@ -400,14 +214,4 @@ fn agents(cell: &Cell, scene: &Scene) -> Result<(usize, usize), Error> {
         (Some(only), None) => Ok((only, only)),
         (Some(first), Some(second)) => Ok((first, second)),
     }
-}
-
-/// The scene, if all of its states are finite.
-fn checked(scene: Scene) -> Result<Scene, UnfitScene> {
-    for track in &scene.tracks {
-        if let Some((timestep, _)) = track.trajectory.valid().find(|(_, state)| !state.is_finite()) {
-            return Err(UnfitScene(format!("track {} is not finite at timestep {timestep}", track.id)));
-        }
-    }
-    Ok(scene)
 }

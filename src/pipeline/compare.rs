@@ -6,7 +6,7 @@ use super::stages::of_named_path;
 use super::{Classify, Failure, Result, StageId, StageRecord};
 use crate::evaluate::EvaluationSummary;
 use crate::files::{Error, check_overlap, is_link, regular};
-use crate::report::{ComparedRun, Comparison, Fact, MetricTable, PAGE_MARK, render_comparison};
+use crate::report::{ComparedRun, Comparison, Fact, PAGE_MARK, render_comparison};
 use crate::store::{read_json, write_atomically};
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -94,9 +94,7 @@ fn read_run(root: &Path) -> Result<ComparedRun> {
         let summary: EvaluationSummary = read_json(&metrics).blame_input()?;
         run.facts.push(Fact::new("Scenarios", summary.n_scenarios));
         run.facts.push(Fact::new("Verified, and not in the recording", summary.n_new));
-        run.sampling = summary.sampling;
-        run.realism = summary.realism;
-        run.metrics = MetricTable { docs: summary.docs, rows: summary.aggregates };
+        run.evaluation = summary;
     }
     Ok(run)
 }

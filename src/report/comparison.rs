@@ -1,11 +1,11 @@
 //! The comparison of two runs: settings, results and figures side by side, with differences.
 
-use super::model::{Chart, Fact, MetricTable, ReportModel};
+use super::model::{Chart, Fact};
 use super::number::{ABSENT, count, level, optional, percent, share, value};
 use super::plain::{PlainRow, PlainTable};
 use super::tradeoffs::tradeoffs;
 use super::wilson::wilson_interval;
-use crate::evaluate::{BehaviorCount, MiningSummary, RealismRow, SamplingRow};
+use crate::evaluate::{BehaviorCount, EvaluationSummary, MiningSummary, RealismRow, SamplingRow};
 use crate::metrics::{MetricRow, SeriesKey};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -30,12 +30,8 @@ pub struct ComparedRun {
     pub settings: BTreeMap<String, String>,
     /// The events in the recordings.
     pub mining: Option<MiningSummary>,
-    /// Requested and generated scenarios.
-    pub sampling: Vec<SamplingRow>,
-    /// Metrics; those over all places are compared.
-    pub metrics: MetricTable,
-    /// Distances of motion from the recording.
-    pub realism: Vec<RealismRow>,
+    /// The tables of its evaluation. Metrics over all places are compared.
+    pub evaluation: EvaluationSummary,
 }
 
 /// Differences of more than so many standard errors are marked.
@@ -115,7 +111,9 @@ impl Comparison {
         ];
         let mut table = PlainTable::new("Sampling by sweep, place and guidance strength", &columns);
         let key = |row: &SamplingRow| (row.sweep.clone(), row.place.clone(), row.level);
-        for ((sweep, place, own), a, b) in paired(self.a.sampling.clone(), self.b.sampling.clone(), key) {
+        for ((sweep, place, own), a, b) in
+            paired(self.a.evaluation.sampling.clone(), self.b.evaluation.sampling.clone(), key)
+        {
             let both = |of: &dyn Fn(&SamplingRow) -> String| {
                 [&a, &b].map(|row| row.as_ref().map_or_else(|| ABSENT.to_owned(), of))
             };
@@ -148,7 +146,7 @@ impl Comparison {
     /// A table for each group of each sweep: every metric over all places.
     pub(super) fn metrics(&self) -> Vec<PlainTable> {
         let overall = |run: &ComparedRun| -> Vec<MetricRow> {
-            let rows = run.metrics.rows.iter();
+            let rows = run.evaluation.aggregates.iter();
             rows.filter(|row| row.place.is_empty() && row.scene_id.is_none() && row.scenario_id.is_none())
                 .cloned()
                 .collect()
@@ -203,7 +201,7 @@ impl Comparison {
         let mut table = PlainTable::new("Distance of motion from the recording", &columns);
         let key = |row: &RealismRow| (row.series(), format!("{} ({})", row.quantity, row.unit));
         for ((SeriesKey { group, sweep, level: own }, quantity), a, b) in
-            paired(self.a.realism.clone(), self.b.realism.clone(), key)
+            paired(self.a.evaluation.realism.clone(), self.b.evaluation.realism.clone(), key)
         {
             let both = |of: fn(&RealismRow) -> Option<f64>| [&a, &b].map(|row| row.as_ref().and_then(of));
             let ([w_a, w_b], [js_a, js_b]) = (both(|row| row.wasserstein), both(|row| row.jensen_shannon));
@@ -227,14 +225,15 @@ impl Comparison {
 
     /// Curves over guidance strength of both runs, overlaid.
     pub(super) fn charts(&self) -> Vec<Chart> {
-        let mut both = ReportModel::default();
-        for (letter, run) in [("A", &self.a), ("B", &self.b)] {
+        let mut both = EvaluationSummary::default();
+        for (letter, ComparedRun { evaluation, .. }) in [("A", &self.a), ("B", &self.b)] {
             let name = |sweep: &str| format!("{letter}: {sweep}");
-            both.sampling.extend(run.sampling.iter().map(|row| SamplingRow { sweep: name(&row.sweep), ..row.clone() }));
-            both.realism.extend(run.realism.iter().map(|row| RealismRow { sweep: name(&row.sweep), ..row.clone() }));
-            both.metrics
-                .rows
-                .extend(run.metrics.rows.iter().map(|row| MetricRow { sweep: name(&row.sweep), ..row.clone() }));
+            let sampling = evaluation.sampling.iter();
+            both.sampling.extend(sampling.map(|row| SamplingRow { sweep: name(&row.sweep), ..row.clone() }));
+            let realism = evaluation.realism.iter();
+            both.realism.extend(realism.map(|row| RealismRow { sweep: name(&row.sweep), ..row.clone() }));
+            let aggregates = evaluation.aggregates.iter();
+            both.aggregates.extend(aggregates.map(|row| MetricRow { sweep: name(&row.sweep), ..row.clone() }));
         }
         tradeoffs(&both)
     }

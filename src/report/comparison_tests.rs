@@ -1,8 +1,8 @@
 //! Do comparisons pair what belongs together, and mark what differs by more than chance?
 
 use super::comparison::{ComparedRun, Comparison};
-use super::model::MetricTable;
 use super::plain::PlainTable;
+use crate::evaluate::EvaluationSummary;
 use crate::evaluate::SamplingRow;
 use crate::metrics::{Group, MetricRow};
 use crate::scene::GuidanceLevel;
@@ -45,9 +45,12 @@ fn cells(table: &PlainTable) -> Vec<Vec<&str>> {
 
 #[test]
 fn rows_are_paired_by_what_they_are_about() {
-    let a = ComparedRun { sampling: vec![sampling(0.0, 5), sampling(2.0, 20)], ..ComparedRun::default() };
-    let b =
-        ComparedRun { sampling: vec![sampling(2.0, 60), sampling(0.0, 6), sampling(4.0, 1)], ..ComparedRun::default() };
+    let run = |sampling| {
+        let evaluation = EvaluationSummary { sampling, ..EvaluationSummary::default() };
+        ComparedRun { evaluation, ..ComparedRun::default() }
+    };
+    let a = run(vec![sampling(0.0, 5), sampling(2.0, 20)]);
+    let b = run(vec![sampling(2.0, 60), sampling(0.0, 6), sampling(4.0, 1)]);
     let table = Comparison { a, b }.sampling();
     let differences: Vec<(&str, &str)> = cells(&table).iter().map(|row| (row[2], row[7])).collect();
     // 20 and 60 of 100 are apart by Wilson's intervals, 5 and 6 are not; strength 4 is only in B.
@@ -58,9 +61,9 @@ fn rows_are_paired_by_what_they_are_about() {
 #[test]
 fn metrics_differ_where_twice_the_standard_error_is_exceeded() {
     let run = |ade: f64, fde: f64| ComparedRun {
-        metrics: MetricTable {
-            docs: vec![],
-            rows: vec![metric("min_ade_m", ade, 0.03), metric("min_fde_m", fde, 0.4)],
+        evaluation: EvaluationSummary {
+            aggregates: vec![metric("min_ade_m", ade, 0.03), metric("min_fde_m", fde, 0.4)],
+            ..EvaluationSummary::default()
         },
         ..ComparedRun::default()
     };

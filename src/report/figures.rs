@@ -20,7 +20,7 @@ pub struct FigureFile {
 /// The curves over guidance strength, the distributions, the curves of training, and the first scenes.
 pub fn figures(model: &ReportModel) -> Vec<FigureFile> {
     let mut files = Files::default();
-    for chart in tradeoffs(model) {
+    for chart in tradeoffs(&model.evaluation) {
         files.add(&["curve", &chart.title], chart_file(&chart));
     }
     for distribution in &model.distributions {

@@ -42,7 +42,7 @@ pub use distribution::{Distribution, DistributionSeries};
 pub use figures::{FigureFile, figures};
 pub use gallery::{Drawings, Gallery};
 pub use html::{PAGE_MARK, render, render_comparison};
-pub use model::{Chart, Curve, Fact, MetricTable, ReportModel, TrainingSummary, Warning};
+pub use model::{Chart, Curve, Fact, ReportModel, TrainingSummary, Warning};
 pub use plain::{PlainRow, PlainSection, PlainTable};
 pub use quantities::{EventParameters, MotionDistributions, event_distributions};
 pub use tradeoffs::tradeoffs;

@@ -4,12 +4,9 @@ use super::card::SceneCard;
 use super::choice::Drawn;
 use super::distribution::Distribution;
 use super::plain::{PlainSection, PlainTable};
-use crate::evaluate::{
-    AcceptanceRow, LeftOutRow, MapFitRow, MetricDoc, MiningSummary, RealismRow, SamplingRow, ValidityRow,
-};
+use crate::evaluate::{EvaluationSummary, MiningSummary};
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
-use crate::metrics::MetricRow;
 use crate::train::NoiseLevelReport;
 use serde::{Deserialize, Serialize};
 
@@ -32,26 +29,10 @@ pub struct ReportModel {
     pub training: Vec<TrainingSummary>,
     /// The quality of the classifier at each noise level.
     pub classifier_quality: Vec<NoiseLevelReport>,
-    /// Requested and generated scenarios, one row for each sweep and guidance strength.
-    pub sampling: Vec<SamplingRow>,
     /// The requests and their results.
     pub requests: Vec<RequestSummary>,
-    /// Metrics of generated scenes with those of the recording and of the baseline beside them.
-    pub metrics: MetricTable,
-    /// How far the motion of whole sweeps is from that of the recording.
-    pub realism: Vec<RealismRow>,
-    /// The verdicts on the scenarios of each sweep.
-    #[serde(default)]
-    pub acceptance: Vec<AcceptanceRow>,
-    /// Why samples are not accepted.
-    #[serde(default)]
-    pub left_out: Vec<LeftOutRow>,
-    /// Failed validity checks of scenarios and recordings.
-    #[serde(default)]
-    pub validity: Vec<ValidityRow>,
-    /// The places where the map is good enough to judge departures from the road.
-    #[serde(default)]
-    pub maps: Vec<MapFitRow>,
+    /// The tables of the evaluation.
+    pub evaluation: EvaluationSummary,
     /// Distributions of quantities, recorded and generated.
     pub distributions: Vec<Distribution>,
     /// Generated scenes beside their source recording.
@@ -140,13 +121,4 @@ impl Curve {
     pub fn new(name: impl Into<String>, points: Vec<[f64; 2]>) -> Self {
         Self { name: name.into(), points, intervals: Vec::new(), labels: Vec::new() }
     }
-}
-
-/// Metric values with their definitions.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct MetricTable {
-    /// The metrics, in the order of the columns.
-    pub docs: Vec<MetricDoc>,
-    /// Aggregated rows, without a scene; rows of single scenes are ignored.
-    pub rows: Vec<MetricRow>,
 }

@@ -1,8 +1,8 @@
 //! Curves over guidance strength: yield, collisions, departures from the road and from recorded motion.
 
-use super::model::{Chart, Curve, ReportModel};
+use super::model::{Chart, Curve};
 use super::wilson::wilson_interval;
-use crate::evaluate::{RealismRow, SamplingRow};
+use crate::evaluate::{EvaluationSummary, RealismRow, SamplingRow};
 use crate::metrics::Group;
 use crate::scene::{GuidanceLevel, LevelAxis};
 
@@ -30,11 +30,11 @@ struct SweepCurve<'a> {
 }
 
 /// Charts over guidance strength, with a curve for each sweep with several levels; none if no sweep has several.
-pub fn tradeoffs(model: &ReportModel) -> Vec<Chart> {
-    let sweeps = sweeps(&model.sampling);
+pub fn tradeoffs(evaluation: &EvaluationSummary) -> Vec<Chart> {
+    let sweeps = sweeps(&evaluation.sampling);
     let asked: Vec<&SweepCurve<'_>> = sweeps.iter().filter(|sweep| sweep.has_behavior).collect();
     let all: Vec<&SweepCurve<'_>> = sweeps.iter().collect();
-    let recorded = |metric: &str| recorded_levels(model, &all, metric);
+    let recorded = |metric: &str| recorded_levels(evaluation, &all, metric);
     let mut charts = vec![
         over_strength("Verified scenarios", "% of scenarios", share_curves(&asked, |point| point.n_verified)),
         over_strength(
@@ -57,9 +57,9 @@ pub fn tradeoffs(model: &ReportModel) -> Vec<Chart> {
             "evaluations of the network",
             curves(&asked, evaluations_per_verified),
         ),
-        yield_over_distance(model, &asked),
+        yield_over_distance(evaluation, &asked),
     ];
-    charts.extend(distances(model, &all));
+    charts.extend(distances(evaluation, &all));
     charts.retain(|chart| chart.curves.iter().any(|curve| curve.points.len() > 1));
     charts
 }
@@ -150,8 +150,8 @@ fn share_curves(sweeps: &[&SweepCurve<'_>], n_hits: fn(&Point) -> u64) -> Vec<Cu
 }
 
 /// Level lines at the metric of the recordings that each sweep continues.
-fn recorded_levels(model: &ReportModel, sweeps: &[&SweepCurve<'_>], metric: &str) -> Vec<Curve> {
-    levels("recorded", sweeps, |sweep| Some(100.0 * recorded_value(model, sweep.name, metric)?))
+fn recorded_levels(evaluation: &EvaluationSummary, sweeps: &[&SweepCurve<'_>], metric: &str) -> Vec<Curve> {
+    levels("recorded", sweeps, |sweep| Some(100.0 * recorded_value(evaluation, sweep.name, metric)?))
 }
 
 /// A level line for each sweep that has the value.
@@ -166,7 +166,7 @@ fn levels(name: &str, sweeps: &[&SweepCurve<'_>], value: impl Fn(&SweepCurve<'_>
 }
 
 /// A metric of the recordings that a sweep continues, over all places.
-pub(super) fn recorded_value(model: &ReportModel, sweep: &str, metric: &str) -> Option<f64> {
+pub(super) fn recorded_value(evaluation: &EvaluationSummary, sweep: &str, metric: &str) -> Option<f64> {
     let is_it = |row: &&crate::metrics::MetricRow| {
         row.group == Group::Recorded
             && row.sweep == sweep
@@ -174,31 +174,34 @@ pub(super) fn recorded_value(model: &ReportModel, sweep: &str, metric: &str) -> 
             && row.place.is_empty()
             && row.scene_id.is_none()
     };
-    model.metrics.rows.iter().find(is_it).map(|row| row.value)
+    evaluation.aggregates.iter().find(is_it).map(|row| row.value)
 }
 
-fn realism_of<'a>(model: &'a ReportModel, sweep: &'a SweepCurve<'_>) -> impl Iterator<Item = &'a RealismRow> {
-    model.realism.iter().filter(|row| row.sweep == sweep.name && row.group != Group::ConstantVelocity)
+fn realism_of<'a>(
+    evaluation: &'a EvaluationSummary,
+    sweep: &'a SweepCurve<'_>,
+) -> impl Iterator<Item = &'a RealismRow> {
+    evaluation.realism.iter().filter(|row| row.sweep == sweep.name && row.group != Group::ConstantVelocity)
 }
 
 /// One chart for each quantity of motion: its distance from the recording, with that of the constant velocity as a level.
-fn distances(model: &ReportModel, sweeps: &[&SweepCurve<'_>]) -> Vec<Chart> {
+fn distances(evaluation: &EvaluationSummary, sweeps: &[&SweepCurve<'_>]) -> Vec<Chart> {
     let mut quantities: Vec<(&str, &str)> = Vec::new();
-    for row in sweeps.iter().flat_map(|sweep| realism_of(model, sweep)) {
+    for row in sweeps.iter().flat_map(|sweep| realism_of(evaluation, sweep)) {
         if !quantities.contains(&(row.quantity.as_str(), row.unit.as_str())) {
             quantities.push((&row.quantity, &row.unit));
         }
     }
     let chart = |(quantity, unit): (&str, &str)| {
         let of_sweep = |sweep: &&SweepCurve<'_>| {
-            let rows = realism_of(model, sweep).filter(|row| row.quantity == quantity);
+            let rows = realism_of(evaluation, sweep).filter(|row| row.quantity == quantity);
             let mut points: Vec<[f64; 2]> =
                 rows.filter_map(|row| Some([sweep.axis.read(row.level), row.wasserstein?])).collect();
             points.sort_by(|a, b| a[0].total_cmp(&b[0]));
             Curve::new(sweep.name, points)
         };
         let constant_velocity = |sweep: &SweepCurve<'_>| {
-            let mut rows = model.realism.iter().filter(|row| row.sweep == sweep.name && row.quantity == quantity);
+            let mut rows = evaluation.realism.iter().filter(|row| row.sweep == sweep.name && row.quantity == quantity);
             rows.find(|row| row.group == Group::ConstantVelocity)?.wasserstein
         };
         over_strength(
@@ -211,11 +214,11 @@ fn distances(model: &ReportModel, sweeps: &[&SweepCurve<'_>]) -> Vec<Chart> {
 }
 
 /// Yield over realism, with a point for each strength.
-fn yield_over_distance(model: &ReportModel, sweeps: &[&SweepCurve<'_>]) -> Chart {
+fn yield_over_distance(evaluation: &EvaluationSummary, sweeps: &[&SweepCurve<'_>]) -> Chart {
     let of_sweep = |sweep: &&SweepCurve<'_>| {
         let mut curve = Curve::new(sweep.name, Vec::new());
         for point in &sweep.points {
-            let at_level = realism_of(model, sweep).filter(|row| row.level == point.level);
+            let at_level = realism_of(evaluation, sweep).filter(|row| row.level == point.level);
             let divergences: Vec<f64> = at_level.filter_map(|row| row.jensen_shannon).collect();
             if divergences.is_empty() {
                 continue;

@@ -1,8 +1,7 @@
 //! Are the curves over guidance strength those that one would draw by hand?
 
-use super::model::{MetricTable, ReportModel};
 use super::tradeoffs::tradeoffs;
-use crate::evaluate::{RealismRow, SamplingRow};
+use crate::evaluate::{EvaluationSummary, RealismRow, SamplingRow};
 use crate::metrics::{Group, MetricRow};
 use crate::scene::GuidanceLevel;
 
@@ -23,7 +22,7 @@ fn row(place: &str, strength: f64, n_scenarios: u64, n_verified: u64, offroad_ra
     }
 }
 
-fn model() -> ReportModel {
+fn evaluation() -> EvaluationSummary {
     let recorded = MetricRow {
         group: Group::Recorded,
         sweep: "cut_ins".into(),
@@ -36,7 +35,7 @@ fn model() -> ReportModel {
         n: 20,
         std_error: None,
     };
-    ReportModel {
+    EvaluationSummary {
         // Strengths and places out of order; a sweep of one strength is no curve.
         sampling: vec![
             row("A", 30.0, 30, 15, Some(0.2)),
@@ -45,14 +44,14 @@ fn model() -> ReportModel {
             row("B", 0.0, 10, 0, None),
             SamplingRow { sweep: "plain".into(), behavior: None, ..row("A", 0.0, 30, 0, None) },
         ],
-        metrics: MetricTable { docs: vec![], rows: vec![recorded] },
-        ..ReportModel::default()
+        aggregates: vec![recorded],
+        ..EvaluationSummary::default()
     }
 }
 
 #[test]
 fn places_are_added_up_and_strengths_ordered() {
-    let charts = tradeoffs(&model());
+    let charts = tradeoffs(&evaluation());
     let find = |title: &str| charts.iter().find(|chart| chart.title.starts_with(title)).expect(title);
     let verified = &find("Verified scenarios").curves;
     assert_eq!(verified.len(), 1);
@@ -72,9 +71,9 @@ fn places_are_added_up_and_strengths_ordered() {
 
 #[test]
 fn runs_without_several_strengths_have_no_curves() {
-    let mut model = model();
-    model.sampling.retain(|row| row.level == GuidanceLevel::UNGUIDED);
-    assert!(tradeoffs(&model).is_empty() && tradeoffs(&ReportModel::default()).is_empty());
+    let mut evaluation = evaluation();
+    evaluation.sampling.retain(|row| row.level == GuidanceLevel::UNGUIDED);
+    assert!(tradeoffs(&evaluation).is_empty() && tradeoffs(&EvaluationSummary::default()).is_empty());
 }
 
 #[test]
@@ -95,8 +94,8 @@ fn yield_is_shown_over_the_mean_distance() {
     let rows = [(0.0, "a", 0.1), (0.0, "b", 0.3), (30.0, "a", 0.2), (30.0, "b", 0.6)];
     let mut rows = rows.map(|(s, q, d)| realism(s, q, d)).to_vec();
     rows.insert(0, RealismRow { group: Group::ConstantVelocity, ..realism(0.0, "b", 0.5) });
-    let model = ReportModel { realism: rows, ..model() };
-    let charts = tradeoffs(&model);
+    let evaluation = EvaluationSummary { realism: rows, ..evaluation() };
+    let charts = tradeoffs(&evaluation);
     let find = |title: &str| charts.iter().find(|chart| chart.title.contains(title)).expect(title);
     let [near, far] = find("Yield against").curves[0].points[..] else { panic!("two strengths") };
     assert!((near[0] - 0.2).abs() < 1e-12 && (far[0] - 0.4).abs() < 1e-12 && near[1] == 7.5 && far[1] == 50.0);

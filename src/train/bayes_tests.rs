@@ -20,12 +20,8 @@ impl Gaussian {
 }
 
 impl PairInputs for Gaussian {
-    fn train(&self) -> &Labels {
-        &self.0
-    }
-
-    fn held_out(&self) -> &Labels {
-        &self.0
+    fn labels(&self) -> [&Labels; 2] {
+        [&self.0; 2]
     }
 
     fn training_logits(&self, c: &ClassifierNetwork, pairs: &[usize], _: Vec<Seed>) -> Result<Tensor, Error> {

@@ -13,11 +13,8 @@ pub const REPORT_SIGMAS: [f64; 6] = [0.02, 0.1, 0.3, 1.0, 3.0, 10.0];
 
 /// Labeled pairs as a classifier is shown them.
 pub trait PairInputs: Sync {
-    /// Labels of the pairs to train on, of which there are both.
-    fn train(&self) -> &Labels;
-
-    /// Labels of the held-out pairs.
-    fn held_out(&self) -> &Labels;
+    /// Labels of the pairs to train on, of which there are both, and of the held-out pairs.
+    fn labels(&self) -> [&Labels; 2];
 
     /// The logits (B) of these training pairs, each seen as its seed draws.
     ///
@@ -66,7 +63,7 @@ impl ClassificationTask<'_> {
     /// best.
     fn draw(&self, step: u64) -> (Vec<usize>, Vec<f64>) {
         let mut rng = self.seed.derive("batch", &[step]).rng();
-        let labels = self.inputs.train();
+        let [labels, _] = self.inputs.labels();
         let (n_positive, n_negative) = (labels.positive().len() as f64, labels.negative().len() as f64);
         let positive_mass = n_positive * self.pos_weight / (n_positive * self.pos_weight + n_negative);
         let draw = |row: usize| {
@@ -84,7 +81,7 @@ impl ClassificationTask<'_> {
     /// # Errors
     /// When a tensor operation fails.
     pub fn report(&self) -> Result<Vec<NoiseLevelReport>, Error> {
-        let is_positive = self.inputs.held_out().is_positive();
+        let is_positive = self.inputs.labels()[1].is_positive();
         let at_level = |(level, sigma): (usize, f64)| {
             let mut logits = Vec::with_capacity(is_positive.len());
             for first in (0..is_positive.len()).step_by(self.batch_size) {
@@ -111,7 +108,7 @@ impl TrainTask for ClassificationTask<'_> {
         let seeds: Vec<Seed> = rows.clone().map(|row| self.seed.derive("row", &[*step, row as u64])).collect();
         let logits = self.inputs.training_logits(self.classifier, pairs, seeds)?;
         // -ln p of the label: the sign of the logit is the label's.
-        let is_positive = self.inputs.train().is_positive();
+        let is_positive = self.inputs.labels()[0].is_positive();
         let signs = pairs.iter().map(|i| if is_positive[*i] { 1.0 } else { -1.0 }).collect();
         let log_likelihood = log_sigmoid(&(&logits * rows_like(signs, &logits)?)?)?;
         let weighted = (log_likelihood * rows_like(weights, &logits)?)?;

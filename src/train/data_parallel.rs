@@ -32,7 +32,7 @@ impl<'a> DataParallel<'a> {
     /// # Errors
     /// When the ranks cannot share the parts evenly.
     pub(super) fn new(n_parts: usize, batch_size: usize, exchange: &'a dyn Exchange) -> Result<Self, Error> {
-        check_ranks(n_parts, exchange.n_ranks()).map_err(Error::Config)?;
+        check_ranks(n_parts, exchange.n_ranks())?;
         Ok(Self { exchange, n_parts, batch_size })
     }
 
@@ -116,14 +116,24 @@ impl<'a> DataParallel<'a> {
 /// Rejects numbers of ranks that cannot share so many parts evenly.
 ///
 /// # Errors
-/// The message says why.
-pub fn check_ranks(n_parts: usize, n_ranks: usize) -> Result<(), String> {
+/// When they cannot.
+pub const fn check_ranks(n_parts: usize, n_ranks: usize) -> Result<(), UnevenRanks> {
     match n_ranks > 0 && n_parts.is_power_of_two() && n_parts.is_multiple_of(n_ranks) {
         true => Ok(()),
-        false => Err(format!(
-            "{n_ranks} ranks cannot share {n_parts} parts of a batch, expected a number of ranks that divides that of parts"
-        )),
+        false => Err(UnevenRanks { n_parts, n_ranks }),
     }
+}
+
+/// Ranks that cannot share the parts of a batch evenly.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{n_ranks} ranks cannot share {n_parts} parts of a batch, expected a number of ranks that divides that of parts"
+)]
+pub struct UnevenRanks {
+    /// Parts of a batch.
+    pub n_parts: usize,
+    /// Processes that train together.
+    pub n_ranks: usize,
 }
 
 /// The divisors of a batch, summed over its parts, from the ranks' messages after their first byte.

@@ -59,7 +59,7 @@ pub use classification::{ClassificationTask, PairInputs, REPORT_SIGMAS};
 pub use classifier::{ClassifierReport, ClassifierTrainingConfig, PairData, train_classifier};
 pub use classifier_report::NoiseLevelReport;
 pub use consistency::{ConsistencyTask, ConsistencyTuning, LevelGap};
-pub use data_parallel::check_ranks;
+pub use data_parallel::{UnevenRanks, check_ranks};
 pub use denoiser::train_denoiser;
 pub use denoising::DenoisingTask;
 pub use distill::{DistillSource, distill_denoiser};

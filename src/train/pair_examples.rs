@@ -123,12 +123,8 @@ impl NoisyPairs<'_> {
 }
 
 impl PairInputs for NoisyPairs<'_> {
-    fn train(&self) -> &Labels {
-        &self.train.labels
-    }
-
-    fn held_out(&self) -> &Labels {
-        &self.held_out.labels
+    fn labels(&self) -> [&Labels; 2] {
+        [&self.train.labels, &self.held_out.labels]
     }
 
     fn training_logits(

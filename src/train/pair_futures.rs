@@ -166,12 +166,8 @@ impl PairFutures {
 }
 
 impl PairInputs for CleanPairs {
-    fn train(&self) -> &Labels {
-        &self.train.labels
-    }
-
-    fn held_out(&self) -> &Labels {
-        &self.held_out.labels
+    fn labels(&self) -> [&Labels; 2] {
+        [&self.train.labels, &self.held_out.labels]
     }
 
     fn training_logits(

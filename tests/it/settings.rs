@@ -1,14 +1,17 @@
 //! Is every setting that cannot work refused before anything runs, by its key, its value and what was expected?
 //!
-//! A new setting gets its row: with a range in `settings/ranges.rs`, anything else in `settings/refused.rs`.
+//! A new setting gets its row: with a range in `settings/ranges.rs`, anything else in `settings/refused.rs` or, if it is of
+//! sampling or requests, in `settings/refused_generation.rs`.
 
 mod ranges;
 mod refused;
+mod refused_generation;
 
 use crate::support::{SMALL_PIPELINE, Workspace};
 use djinn::pipeline::config::parse;
 use ranges::{BEYOND_RANGES, NOT_NAN, WITHIN_RANGES};
 use refused::REFUSED;
+use refused_generation::REFUSED_GENERATION;
 
 /// Dry runs with these settings end with 1 and say these words, in one line that names no type of the program.
 fn expect_refusals(rows: &[(Vec<String>, Vec<String>)]) {
@@ -50,7 +53,13 @@ fn numbers_beyond_their_ranges_are_refused_with_the_range() {
 #[test]
 fn what_cannot_work_is_refused_in_words() {
     let owned = |texts: &[&str]| texts.iter().map(|text| (*text).to_owned()).collect();
-    expect_refusals(&REFUSED.iter().map(|(settings, words)| (owned(settings), owned(words))).collect::<Vec<_>>());
+    expect_refusals(
+        &REFUSED
+            .iter()
+            .chain(REFUSED_GENERATION)
+            .map(|(settings, words)| (owned(settings), owned(words)))
+            .collect::<Vec<_>>(),
+    );
 }
 
 #[test]

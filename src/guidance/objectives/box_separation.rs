@@ -64,9 +64,8 @@ impl Half {
 mod tests {
     use super::super::AgentSelector;
     use super::super::pairs::PairQuery;
-    use super::super::testing::Traffic;
+    use super::super::testing::{Traffic, footprint};
     use super::*;
-    use crate::geometry::{OrientedBox, Vec2};
     use crate::seed::Seed;
 
     #[test]
@@ -86,11 +85,7 @@ mod tests {
             let separations_m = separation_m(&pairs).unwrap().to_vec2::<f64>().unwrap();
             let states = traffic.states_vec();
             for (t, separation_m) in separations_m[0].iter().enumerate() {
-                let footprint = |agent: usize| {
-                    let [x, y, heading_rad] = states[0][agent][t][..] else { unreachable!() };
-                    OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.5, width_m: 1.8 }
-                };
-                let (a, b) = (footprint(0), footprint(1));
+                let [a, b] = [0, 1].map(|agent| footprint(&states[0], agent, t));
                 assert!(*separation_m <= a.distance(&b) + 0.02, "{separation_m} above {}", a.distance(&b));
                 // Boxes that are apart by more than the smoothing are seen to be apart: their nearest points span an
                 // axis, or a corner faces a corner, where the separation is at least 1 / √2 of the distance.

@@ -78,9 +78,8 @@ impl SceneObjective for Collision {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{Traffic, after_ascent, assert_gradients_match};
+    use super::super::testing::{Traffic, after_ascent, assert_gradients_match, footprint};
     use super::*;
-    use crate::geometry::{OrientedBox, Vec2};
 
     fn objective(relative_speed_mps: Option<[f64; 2]>) -> Collision {
         let defaults: Collision =
@@ -105,10 +104,7 @@ mod tests {
     #[test]
     fn they_touch_as_fast_as_is_asked() {
         let states = &after_ascent(&objective(Some([6.0, 8.0])), &crossing(), 400)[0];
-        let footprint = |agent: usize, t: usize| {
-            let [x, y, heading_rad] = states[agent][t][..] else { unreachable!() };
-            OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.5, width_m: 1.8 }
-        };
+        let footprint = |agent: usize, t: usize| footprint(states, agent, t);
         let relative_mps = |t: usize| {
             let between = |t: usize| footprint(1, t).center - footprint(0, t).center;
             (between(t) - between(t - 1)).norm() / 0.2

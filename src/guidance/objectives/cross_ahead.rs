@@ -83,9 +83,8 @@ impl SceneObjective for CrossAhead {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{Traffic, after_ascent, assert_gradients_match};
+    use super::super::testing::{Traffic, after_ascent, assert_gradients_match, footprint};
     use super::*;
-    use crate::geometry::{OrientedBox, Vec2};
 
     fn objective(pet_s: Option<[f64; 2]>) -> CrossAhead {
         let defaults: CrossAhead =
@@ -120,10 +119,7 @@ mod tests {
     #[test]
     fn following_the_gradient_the_other_comes_later_by_what_is_asked() {
         let states = &after_ascent(&objective(Some([0.7, 0.9])), &crossing(2.0), 600)[0];
-        let footprint = |agent: usize, t: usize| {
-            let [x, y, heading_rad] = states[agent][t][..] else { unreachable!() };
-            OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.5, width_m: 1.8 }
-        };
+        let footprint = |agent: usize, t: usize| footprint(states, agent, t);
         let overlap = |t: usize, u: usize| footprint(0, t).overlaps(&footprint(1, u));
         let times = || 0..states[0].len();
         assert!(times().all(|t| !overlap(t, t)));

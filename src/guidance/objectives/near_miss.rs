@@ -185,9 +185,8 @@ fn in_time(wanted_s: &[Vec<f64>], context: &SceneContext, like: &Tensor) -> Resu
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{Traffic, after_ascent, assert_gradients_match};
+    use super::super::testing::{Traffic, after_ascent, assert_gradients_match, footprint};
     use super::*;
-    use crate::geometry::{OrientedBox, Vec2};
 
     fn objective(ttc_s: Option<[f64; 2]>) -> NearMiss {
         let defaults: NearMiss = toml::from_str("agents = 'ego'\nto = 'other'").expect("everything else has a default");
@@ -201,11 +200,6 @@ mod tests {
 
     fn crossing() -> Traffic {
         Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (18.0, -15.0, 1.4, 7.0)])
-    }
-
-    fn footprint(states: &[Vec<Vec<f64>>], agent: usize, t: usize) -> OrientedBox {
-        let [x, y, heading_rad] = states[agent][t][..] else { unreachable!() };
-        OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.5, width_m: 1.8 }
     }
 
     #[test]

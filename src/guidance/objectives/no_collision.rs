@@ -71,9 +71,8 @@ const SMOOTHING_M: f64 = 0.25;
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{Traffic, after_ascent, assert_gradients_match};
+    use super::super::testing::{Traffic, after_ascent, assert_gradients_match, footprint};
     use super::*;
-    use crate::geometry::{OrientedBox, Vec2};
 
     fn objective() -> NoCollision {
         NoCollision { weight: 1.0, agents: AgentSelector::default(), except: None, margin_m: 0.5, tolerance_m: 0.5 }
@@ -85,12 +84,10 @@ mod tests {
     }
 
     fn n_overlaps(states: &[Vec<Vec<f64>>]) -> usize {
-        let footprint = |agent: usize, t: usize| {
-            let [x, y, heading_rad] = states[agent][t][..] else { unreachable!() };
-            OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.5, width_m: 1.8 }
-        };
         let pairs = [(0, 1), (0, 2), (1, 2)];
-        let overlaps = |t: usize| pairs.iter().filter(|(a, b)| footprint(*a, t).overlaps(&footprint(*b, t))).count();
+        let overlaps = |t: usize| {
+            pairs.iter().filter(|(a, b)| footprint(states, *a, t).overlaps(&footprint(states, *b, t))).count()
+        };
         (0..states[0].len()).map(overlaps).sum()
     }
 

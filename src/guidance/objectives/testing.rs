@@ -1,7 +1,7 @@
 //! Traffic for tests of objectives, in double precision: gradients against finite differences, and what following them does.
 
 use super::SceneObjective;
-use crate::geometry::{Polyline, Transform2, Vec2};
+use crate::geometry::{OrientedBox, Polyline, Transform2, Vec2};
 use crate::guidance::SceneContext;
 use crate::guidance::lane_ways::LaneWays;
 use crate::scene::{Lane, LaneGraph};
@@ -151,4 +151,10 @@ pub(super) fn after_ascent(
         moved = Traffic { states: Var::from_tensor(&states).unwrap(), context: moved.context };
     }
     nested(moved.states.as_tensor())
+}
+
+/// The box of a car at a timestep of the states of one row.
+pub(super) fn footprint(states: &[Vec<Vec<f64>>], agent: usize, t: usize) -> OrientedBox {
+    let [x, y, heading_rad] = states[agent][t][..] else { unreachable!() };
+    OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.5, width_m: 1.8 }
 }

@@ -91,6 +91,7 @@ impl From<train::Error> for Failure {
     fn from(error: train::Error) -> Self {
         let blame = match &error {
             train::Error::Config(_)
+            | train::Error::Ranks(_)
             | train::Error::NoScenes(_)
             | train::Error::NoExamples { .. }
             | train::Error::Diverged { .. } => Blame::Input,

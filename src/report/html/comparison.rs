@@ -47,7 +47,7 @@ fn charts(comparison: &Comparison) -> Option<Section> {
 
 fn metrics(comparison: &Comparison) -> Option<Section> {
     let tables = comparison.metrics();
-    let docs = [&comparison.a, &comparison.b].map(|run| &run.metrics.docs);
+    let docs = [&comparison.a, &comparison.b].map(|run| &run.evaluation.docs);
     (!tables.is_empty()).then(|| {
         let body = html! {
             p class="note" {

@@ -10,17 +10,17 @@ use crate::report::wilson::wilson_interval;
 use maud::{Markup, html};
 
 pub(super) fn section(model: &ReportModel) -> Option<Section> {
-    (!model.sampling.is_empty()).then(|| {
+    (!model.evaluation.sampling.is_empty()).then(|| {
         let body = html! {
             (sampling_table(model))
-            (yield_chart(&model.sampling))
+            (yield_chart(&model.evaluation.sampling))
         };
         Section::new("outcome", "Requested and generated", body)
     })
 }
 
 fn sampling_table(model: &ReportModel) -> Markup {
-    let rows = &model.sampling;
+    let rows = &model.evaluation.sampling;
     let head = html! {
         tr {
             th scope="col" { "Sweep" } th scope="col" { "Behavior" } th scope="col" { "Place" }
@@ -62,7 +62,8 @@ fn sampling_table(model: &ReportModel) -> Markup {
 
 /// The row of the recordings that a sweep continues, if they were measured.
 fn recorded_row(model: &ReportModel, row: &SamplingRow) -> Markup {
-    let of = |metric: &str| recorded_value(model, &row.sweep, metric).map_or_else(|| ABSENT.to_owned(), percent);
+    let of =
+        |metric: &str| recorded_value(&model.evaluation, &row.sweep, metric).map_or_else(|| ABSENT.to_owned(), percent);
     let behavior = if row.behavior.is_some() { of("behavior_rate") } else { ABSENT.to_owned() };
     let (collision, offroad) = (of("collision_rate"), of("offroad_rate"));
     html! {

@@ -1,10 +1,10 @@
 //! Metrics and distributions of generated scenes beside the recording and constant velocity.
 
 use super::{Section, table};
-use crate::evaluate::{MetricDoc, RealismRow};
+use crate::evaluate::{EvaluationSummary, MetricDoc, RealismRow};
 use crate::metrics::{Direction, Group, MetricRow, SeriesKey};
 use crate::report::distribution::Distribution;
-use crate::report::model::{MetricTable, ReportModel};
+use crate::report::model::ReportModel;
 use crate::report::number::{ABSENT, count, level, optional, uncertainty};
 use crate::report::svg::histogram;
 use maud::{Markup, html};
@@ -14,8 +14,9 @@ const N_SERIES_BESIDE: usize = 7;
 
 /// The metric tables, one for each place, and the definitions.
 pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
-    let MetricTable { docs, rows } = &model.metrics;
-    let rows: Vec<&MetricRow> = rows.iter().filter(|row| row.scene_id.is_none() && row.scenario_id.is_none()).collect();
+    let EvaluationSummary { docs, aggregates, .. } = &model.evaluation;
+    let rows: Vec<&MetricRow> =
+        aggregates.iter().filter(|row| row.scene_id.is_none() && row.scenario_id.is_none()).collect();
     if rows.is_empty() {
         return None;
     }
@@ -122,7 +123,7 @@ pub(super) fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
 
 /// Distances of whole sweeps, and histograms with their distances.
 pub(super) fn distributions(model: &ReportModel) -> Option<Section> {
-    let ReportModel { realism, distributions, .. } = model;
+    let (realism, distributions) = (&model.evaluation.realism, &model.distributions);
     let reference = distributions.first().and_then(|d| d.series.first()).map(|series| &series.name);
     (!realism.is_empty() || !distributions.is_empty()).then(|| {
         let body = html! {

@@ -10,7 +10,7 @@ use maud::{Markup, html};
 pub(super) fn summary(model: &ReportModel) -> Markup {
     html! {
         ul class="summary" {
-            @if !model.sampling.is_empty() || !model.requests.is_empty() {
+            @if !model.evaluation.sampling.is_empty() || !model.requests.is_empty() {
                 (answer("Asked", &asked(model)))
                 (answer("Got", &got(model)))
                 (answer("Cost", &cost(model)))
@@ -28,11 +28,11 @@ fn answer(question: &str, body: &Markup) -> Markup {
 
 fn asked(model: &ReportModel) -> Markup {
     let n_of = |behavior: Option<&str>| -> u64 {
-        let rows = model.sampling.iter().filter(|row| row.behavior.as_deref() == behavior);
+        let rows = model.evaluation.sampling.iter().filter(|row| row.behavior.as_deref() == behavior);
         rows.map(|row| row.n_scenarios).sum()
     };
     let mut behaviors: Vec<Option<&str>> = Vec::new();
-    for row in &model.sampling {
+    for row in &model.evaluation.sampling {
         if !behaviors.contains(&row.behavior.as_deref()) {
             behaviors.push(row.behavior.as_deref());
         }
@@ -50,12 +50,12 @@ fn asked(model: &ReportModel) -> Markup {
 }
 
 fn got(model: &ReportModel) -> Markup {
-    let asked: Vec<&SamplingRow> = model.sampling.iter().filter(|row| row.behavior.is_some()).collect();
+    let asked: Vec<&SamplingRow> = model.evaluation.sampling.iter().filter(|row| row.behavior.is_some()).collect();
     let sum = |rows: &[&SamplingRow], of: fn(&SamplingRow) -> u64| rows.iter().map(|row| of(row)).sum::<u64>();
-    let n_accepted: u64 = model.acceptance.iter().map(|row| row.n_accepted).sum();
-    let n_judged: u64 = model.acceptance.iter().map(|row| row.n_scenarios).sum();
+    let n_accepted: u64 = model.evaluation.acceptance.iter().map(|row| row.n_accepted).sum();
+    let n_judged: u64 = model.evaluation.acceptance.iter().map(|row| row.n_scenarios).sum();
     html! {
-        @if !model.acceptance.is_empty() {
+        @if !model.evaluation.acceptance.is_empty() {
             p { strong { (count(n_accepted)) } " accepted of " (count(n_judged)) ": verified, valid, no near-duplicate" }
         }
         @if !asked.is_empty() {
@@ -69,9 +69,9 @@ fn got(model: &ReportModel) -> Markup {
 }
 
 fn cost(model: &ReportModel) -> Markup {
-    let n_evaluations: u64 = model.sampling.iter().map(|row| row.n_evaluations * row.n_scenarios).sum();
-    let n_samples: u64 = model.sampling.iter().map(|row| row.n_scenarios).sum();
-    let n_accepted: u64 = model.acceptance.iter().map(|row| row.n_accepted).sum();
+    let n_evaluations: u64 = model.evaluation.sampling.iter().map(|row| row.n_evaluations * row.n_scenarios).sum();
+    let n_samples: u64 = model.evaluation.sampling.iter().map(|row| row.n_scenarios).sum();
+    let n_accepted: u64 = model.evaluation.acceptance.iter().map(|row| row.n_accepted).sum();
     html! {
         p { strong { (count(n_evaluations)) } " evaluations of the denoiser for " (count(n_samples)) " samples" }
         @if n_accepted > 0 { p { strong { (value(n_evaluations as f64 / n_accepted as f64)) } " for each accepted scenario" } }
@@ -79,7 +79,7 @@ fn cost(model: &ReportModel) -> Markup {
 }
 
 fn trust(model: &ReportModel) -> Markup {
-    let over_all = || model.validity.iter().filter(|row| row.place.is_empty());
+    let over_all = || model.evaluation.validity.iter().filter(|row| row.place.is_empty());
     let rate = |rows: Vec<&ValidityRow>| {
         let (n_valid, n) = rows.iter().fold((0, 0), |(n_valid, n), row| (n_valid + row.n_valid, n + row.n));
         (n > 0).then(|| share(n_valid, n))

@@ -7,7 +7,7 @@ use crate::report::tradeoffs::tradeoffs;
 use maud::html;
 
 pub(super) fn section(model: &ReportModel) -> Option<Section> {
-    let charts = tradeoffs(model);
+    let charts = tradeoffs(&model.evaluation);
     (!charts.is_empty()).then(|| {
         let body = html! {
             p class="note" {

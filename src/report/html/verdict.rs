@@ -10,12 +10,12 @@ use maud::{Markup, html};
 
 /// The section; `None` if nothing was evaluated.
 pub(super) fn section(model: &ReportModel) -> Option<Section> {
-    (!model.acceptance.is_empty()).then(|| {
+    (!model.evaluation.acceptance.is_empty()).then(|| {
         let body = html! {
-            (acceptance(&model.acceptance))
-            @if !model.left_out.is_empty() { (left_out(&model.left_out)) }
-            (validity(&model.validity))
-            @if model.maps.iter().any(|map| !map.allows_offroad) { (maps(&model.maps)) }
+            (acceptance(&model.evaluation.acceptance))
+            @if !model.evaluation.left_out.is_empty() { (left_out(&model.evaluation.left_out)) }
+            (validity(&model.evaluation.validity))
+            @if model.evaluation.maps.iter().any(|map| !map.allows_offroad) { (maps(&model.evaluation.maps)) }
         };
         Section::new("verdicts", "Rejected scenarios", body)
     })

@@ -11,9 +11,7 @@ fn run(name: &str) -> ComparedRun {
         facts: vec![Fact::new("Seed", name)],
         settings: [("run.seed".to_owned(), name.to_owned())].into(),
         mining: model.mining,
-        sampling: model.sampling,
-        metrics: model.metrics,
-        realism: model.realism,
+        evaluation: model.evaluation,
     }
 }
 

@@ -10,7 +10,7 @@ use crate::nn::Compute;
 use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use crate::pipeline::stages::{SampleManifest, checkpoint_file, read_requests};
 use crate::pipeline::{Classify, Result, StageId};
-use crate::report::{Drawings, Fact, MetricTable, ReportModel, TrainingSummary, Warning, cautions};
+use crate::report::{Drawings, Fact, ReportModel, TrainingSummary, Warning, cautions};
 use crate::store::{SceneManifest, read_json};
 use crate::train::{ClassifierReport, FitStatistics, map_warnings};
 use std::path::Path;
@@ -149,13 +149,7 @@ fn add_evaluation(model: &mut ReportModel, summary: EvaluationSummary) {
     );
     let of_maps = summary.maps.iter().filter_map(MapFitRow::caution);
     model.warnings.extend(of_maps.map(|message| warning(StageId::Evaluate, message)));
-    model.maps = summary.maps;
-    model.sampling = summary.sampling;
-    model.realism = summary.realism;
-    model.acceptance = summary.acceptance;
-    model.left_out = summary.left_out;
-    model.validity = summary.validity;
-    model.metrics = MetricTable { docs: summary.docs, rows: summary.aggregates };
+    model.evaluation = summary;
 }
 
 fn add_samples(model: &mut ReportModel, stage: &Report<'_>) -> Result<()> {

@@ -1,13 +1,29 @@
 //! What came out: scenarios that were asked for, found, accepted and measured.
 
-use djinn::evaluate::{AcceptanceRow, LeftOutRow, MapFitRow, MetricDoc, RealismRow, SamplingRow, ValidityRow};
+use djinn::evaluate::{
+    AcceptanceRow, EvaluationSummary, LeftOutRow, MapFitRow, MetricDoc, RealismRow, SamplingRow, ValidityRow,
+};
 use djinn::generate::{ArmSummary, BucketPart, BucketSummary, BudgetConfig, Ended, RequestSummary, Yield};
 use djinn::metrics::{Direction, MapFit, MetricRow};
-use djinn::report::MetricTable;
 use djinn::scene::GuidanceLevel;
 use std::collections::BTreeMap;
 
-pub(super) fn acceptance(name: &str) -> Vec<AcceptanceRow> {
+pub(super) fn evaluation(name: &str) -> EvaluationSummary {
+    let (docs, aggregates) = metrics(name);
+    EvaluationSummary {
+        sampling: sampling(name),
+        docs,
+        aggregates,
+        realism: realism(name),
+        acceptance: acceptance(name),
+        left_out: left_out(name),
+        validity: validity(name),
+        maps: maps(),
+        ..EvaluationSummary::default()
+    }
+}
+
+fn acceptance(name: &str) -> Vec<AcceptanceRow> {
     let row = |strength: f64, n_verified, n_accepted| AcceptanceRow {
         sweep: name.into(),
         level: GuidanceLevel::of_strength(strength),
@@ -21,7 +37,7 @@ pub(super) fn acceptance(name: &str) -> Vec<AcceptanceRow> {
     vec![row(0.0, 4, 3), row(2.0, 31, 22)]
 }
 
-pub(super) fn left_out(name: &str) -> Vec<LeftOutRow> {
+fn left_out(name: &str) -> Vec<LeftOutRow> {
     let row = |reason: &str, strength: Option<f64>, n_left_out, n_found| LeftOutRow {
         stage: if strength.is_some() { "evaluate" } else { "generate" }.into(),
         sweep: name.into(),
@@ -39,7 +55,7 @@ pub(super) fn left_out(name: &str) -> Vec<LeftOutRow> {
     ]
 }
 
-pub(super) fn validity(name: &str) -> Vec<ValidityRow> {
+fn validity(name: &str) -> Vec<ValidityRow> {
     let row = |group: &str, strength: f64, n_valid, n_collision: u64| ValidityRow {
         group: group.to_owned().into(),
         sweep: name.into(),
@@ -55,7 +71,7 @@ pub(super) fn validity(name: &str) -> Vec<ValidityRow> {
 }
 
 /// A map that fits, and one that lacks road.
-pub(super) fn maps() -> Vec<MapFitRow> {
+fn maps() -> Vec<MapFitRow> {
     let row = |place: &str, n_states_off: u64, allows_offroad: bool| MapFitRow {
         place: place.into(),
         fit: MapFit { n_scenes: 50, n_scenes_leaving: n_states_off / 100, n_states: 4000, n_states_off },
@@ -120,7 +136,7 @@ pub(super) fn request(name: &str) -> RequestSummary {
     }
 }
 
-pub(super) fn sampling(name: &str) -> Vec<SamplingRow> {
+fn sampling(name: &str) -> Vec<SamplingRow> {
     let row = |sweep: &str, strength: f64, n_verified, n_collision| SamplingRow {
         sweep: sweep.into(),
         behavior: Some("cut_in".into()),
@@ -138,7 +154,7 @@ pub(super) fn sampling(name: &str) -> Vec<SamplingRow> {
     vec![row("cut_in", 0.0, 9, 4), row("cut_in", 1.0, 21, 5), row("cut_in", 2.0, 47, 9), row("cut_in", 4.0, 61, 31)]
 }
 
-pub(super) fn realism(name: &str) -> Vec<RealismRow> {
+fn realism(name: &str) -> Vec<RealismRow> {
     let row = |group: &str, strength: f64, (quantity, unit): (&str, &str), distance: Option<f64>| RealismRow {
         group: group.to_owned().into(),
         sweep: name.into(),
@@ -160,7 +176,7 @@ pub(super) fn realism(name: &str) -> Vec<RealismRow> {
         .collect()
 }
 
-pub(super) fn metrics(name: &str) -> MetricTable {
+fn metrics(name: &str) -> (Vec<MetricDoc>, Vec<MetricRow>) {
     let doc = |metric: &str, unit: &str, direction: Direction, description: &str| MetricDoc {
         metric: metric.into(),
         unit: unit.into(),
@@ -213,5 +229,5 @@ pub(super) fn metrics(name: &str) -> MetricTable {
             "Largest distance between the final positions of two samples, mean over agents.",
         ),
     ];
-    MetricTable { docs, rows }
+    (docs, rows)
 }
