@@ -164,8 +164,11 @@ fn the_target_decides_what_is_left_open() {
     assert_eq!(asked.potential(&objective(Side::Right)), [0.0]);
 }
 
-fn lanes(lanes: Vec<(i64, Vec<(f64, f64)>, Vec<i64>)>) -> LaneGraph {
-    let lane = |(id, points, successors): (i64, Vec<(f64, f64)>, Vec<i64>)| {
+/// Identifier, center line and successors.
+type LaneRow = (i64, Vec<(f64, f64)>, Vec<i64>);
+
+fn lanes(lanes: Vec<LaneRow>) -> LaneGraph {
+    let lane = |(id, points, successors): LaneRow| {
         let points = points.into_iter().map(|(x, y)| Vec2::new(x, y)).collect();
         let lane = Lane::unconnected(id, Polyline(points), Default::default());
         Lane { successors: successors.into_iter().map(LaneId).collect(), ..lane }
