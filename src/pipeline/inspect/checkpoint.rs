@@ -32,7 +32,7 @@ pub(super) fn describe(path: &Path) -> Result<Option<Description>> {
             if let Some(covariance) = value.get_mut("motion_covariance").filter(|found| found.is_object()) {
                 *covariance = json!(format!("of {} timesteps", covariance["n_timesteps"]));
             }
-            for behavior in value["behaviors"].as_array_mut().into_iter().flatten() {
+            for behavior in value.get_mut("behaviors").and_then(Value::as_array_mut).into_iter().flatten() {
                 if let Some(examples) = behavior.get_mut("examples").filter(|found| found.is_array()) {
                     *examples = json!(format!("{} events", examples.as_array().map_or(0, Vec::len)));
                 }
