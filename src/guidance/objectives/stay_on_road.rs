@@ -68,7 +68,7 @@ impl SceneObjective for StayOnRoad {
         let share = 1.0 / places.len() as f64;
         for points in places {
             let excess_m = |at: &Tensor| (outside_m(&points, at, context)? + self.margin_m)?.relu();
-            let observed_m = excess_m(&last_observed)?.max_keepdim(2)?.detach();
+            let observed_m = excess_m(&last_observed)?.max_keepdim(2)?;
             let added_m = excess_m(&counts)?.broadcast_sub(&observed_m)?.relu()?;
             let values = (penalty(&added_m, self.tolerance_m)? * share)?;
             let own = integral(&values, &terms, &agents, context.dt_s)?;
