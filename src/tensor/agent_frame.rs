@@ -69,12 +69,33 @@ impl AgentFrame {
                 };
             }
             if let Some(slot) = slot {
+                hold_still(&mut entries, &latent[slot]);
                 let with_heading = with_heading && !self.derives_heading(track);
                 derive_motion(&mut entries, &latent[slot], source.dt_s, with_heading);
             }
             track.trajectory = Trajectory::new(entries);
         }
         Scene { tracks, n_timesteps, ..source.clone() }
+    }
+}
+
+/// A step shorter than this is no motion, meters: 0.04 m/s at 10 Hz, below what any recording resolves.
+const STILL_STEP_M: f64 = 0.004;
+
+/// Leaves out the steps of a sample that are too short to be motion, after the last observed state: who stands is exactly
+/// still. What follows moves along, by less than the steps that were left out.
+fn hold_still(entries: &mut [Option<State>], latent: &[u8]) {
+    let n_entries = entries.len();
+    let mut left_out = Vec2::ZERO;
+    let first = (0..n_entries).rfind(|t| latent[*t] == 0 && entries[*t].is_some()).map_or(n_entries, |last| last + 1);
+    for timestep in first..n_entries {
+        let (before, Some(state)) = (entries[timestep - 1], entries[timestep]) else { continue };
+        let mut held = State { position: state.position - left_out, ..state };
+        if let Some(before) = before.filter(|before| held.position.distance(before.position) < STILL_STEP_M) {
+            left_out = left_out + (held.position - before.position);
+            held = State { position: before.position, heading_rad: before.heading_rad, ..held };
+        }
+        entries[timestep] = Some(held);
     }
 }
 
@@ -103,6 +124,35 @@ fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, with_h
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn who_stands_is_exactly_still_and_who_starts_loses_millimeters() {
+        // Half a millimeter of noise about x = 2, then a start at 2 m/s².
+        let noise = |t: usize| if t.is_multiple_of(2) { 0.0005 } else { -0.0005 };
+        let at = |t: usize| 2.0 + noise(t) + 0.01 * (t.saturating_sub(6) as f64).powi(2);
+        let state =
+            |t: usize| Some(State { position: Vec2::new(at(t), 0.0), heading_rad: noise(t), ..State::default() });
+        let mut entries: Vec<Option<State>> = (0..12).map(state).collect();
+        let mut latent = [1; 12];
+        latent[..2].fill(0);
+        hold_still(&mut entries, &latent);
+        assert_eq!(entries[0], state(0));
+        for entry in &entries[2..7] {
+            assert_eq!(*entry, state(1), "as it was last observed");
+        }
+        for t in 7..12 {
+            let shift_m = entries[t].unwrap().position.x - at(t);
+            assert!(shift_m.abs() < 0.004, "{t}: {shift_m}");
+        }
+        // Up to an observed state nothing moves, lest it be missed.
+        let mut entries: Vec<Option<State>> = (0..12).map(state).collect();
+        latent[11] = 0;
+        hold_still(&mut entries, &latent);
+        assert_eq!(entries, (0..12).map(state).collect::<Vec<_>>());
+        // Without anything observed, too.
+        hold_still(&mut entries, &[1; 12]);
+        assert_eq!(entries, (0..12).map(state).collect::<Vec<_>>());
+    }
 
     #[test]
     fn velocities_are_those_at_the_timesteps() {
