@@ -1,6 +1,6 @@
 //! The `[generate]` section: how many scenarios of what kind, from which scenes.
 
-use super::{ArmConfig, Error, ModelConfig, RequestConfig, ResolvedGeneration, SamplingConfig, SweepConfig};
+use super::{ArmConfig, Error, RequestConfig, ResolvedGeneration, SweepConfig};
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
@@ -145,19 +145,6 @@ impl GenerateConfig {
         }
         self.resolve_requests(behaviors, &mut resolved)?;
         Ok(resolved)
-    }
-
-    /// The most evaluations of the network through which noise is optimized at once; 0 if none is.
-    pub fn n_differentiated(&self) -> usize {
-        let samplings = self.sweeps.iter().map(|sweep| &sweep.sampling);
-        let samplings = samplings.chain(self.arms.iter().map(|arm| &arm.sampling));
-        let of_sampling = |sampling: &SamplingConfig| match &sampling.model {
-            ModelConfig::Denoiser(diffusion) | ModelConfig::Distilled(diffusion) => {
-                diffusion.noise_optimization.map(|_| diffusion.sampler.as_ref().unwrap_or(&self.sampler).n_steps())
-            }
-            ModelConfig::Baseline => None,
-        };
-        samplings.filter_map(of_sampling).max().unwrap_or(0)
     }
 
     /// Whether sweeps select, or requests accept, by metrics for which `is_such` holds.

@@ -26,7 +26,7 @@ pub(super) type Wishes = Vec<(&'static str, f64)>;
 
 /// The rules of traffic for every sample: boxes a hand's breadth apart (recordings have no more), centers on the road,
 /// vehicles that point where they drive. Agents that are asked to collide may touch each other.
-pub(super) fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
+fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
     let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
     let may_collide = <[&str; 2]>::try_from(roles).ok();
     let may_collide = may_collide.filter(|_| sweep.asks_for_collision() && !sweep.asks_anybody());
@@ -78,14 +78,11 @@ struct Classified {
 
 impl Guided<'_> {
     /// The context of the sampled batch for objectives.
-    pub(super) fn objective_context(&self) -> Result<SceneContext, Error> {
+    fn objective_context(&self) -> Result<SceneContext, Error> {
         let rows: Vec<ContextRow<'_>> = (self.cells.iter().zip(self.agents))
             .map(|((cell, scene), agents)| ContextRow { scene, ego_idx: agents.0, roles: &cell.roles })
             .collect();
-        // The particles of a group have one target.
-        let n = self.sweep.group_size();
-        let targets =
-            self.cells.iter().flat_map(|(cell, _)| self.samples.clone().map(move |sample| cell.target(sample / n)));
+        let targets = self.cells.iter().flat_map(|(cell, _)| self.samples.clone().map(|sample| cell.target(sample)));
         let context = SceneContext::new(self.batch, &rows)?.repeated(self.samples.len())?;
         Ok(context.aiming_at(targets.collect())?)
     }
@@ -129,12 +126,6 @@ impl<'g> Generator<'g> {
         if let Some(config) = diffusion.classifier_free.as_ref().filter(|_| level.weight != 0.0) {
             let named = [(!config.extra.is_empty(), "classifier_free"), (config.event, "event")];
             parts.extend(named.into_iter().filter(|(acts, _)| *acts).map(|(_, name)| name.to_owned()));
-        }
-        if diffusion.particles.is_some() {
-            parts.push("particles".to_owned());
-        }
-        if diffusion.noise_optimization.is_some() {
-            parts.push("noise_optimization".to_owned());
         }
         if sweep.uses_template() {
             parts.push("template".to_owned());

@@ -26,7 +26,6 @@ mod regenerate;
 mod request;
 mod sample;
 mod select;
-mod steer;
 mod sweep;
 #[cfg(test)]
 mod testing;

@@ -2,7 +2,6 @@
 
 mod combined;
 mod guidance;
-mod steering;
 
 use super::testing::*;
 use super::*;

@@ -27,7 +27,6 @@ mod signals;
 #[path = "../skipped.rs"]
 mod skipped;
 mod stages;
-mod steering;
 #[cfg(unix)]
 mod submit;
 mod support;

@@ -1,7 +1,6 @@
 //! Sampling of consistency models: jump to the end, add noise again, jump again.
 
-use super::resampler::resample;
-use super::{Observer, Resampler, Step, denoise_at, steps};
+use super::{Observer, Step, denoise_at, steps};
 use crate::diffusion::{Denoiser, NoiseSource};
 use crate::settings::{self, Issue};
 use candle_core::{Result, Tensor};
@@ -56,13 +55,11 @@ pub(super) fn integrate(
     denoiser: &dyn Denoiser,
     mut x: Tensor,
     noise: &mut NoiseSource,
-    resampler: &mut Resampler<'_>,
     observer: &mut Observer<'_>,
 ) -> Result<Tensor> {
     let n_steps = sigmas.len().saturating_sub(1);
     for (step_idx, sigma, sigma_next) in steps(sigmas) {
-        let mut x0_hat = denoise_at(denoiser, &x, sigma)?;
-        resample(resampler, (sigma, sigma_next > 0.0), &mut x0_hat, &mut [])?;
+        let x0_hat = denoise_at(denoiser, &x, sigma)?;
         x = match sigma_next {
             0.0 => x0_hat.clone(),
             _ => (&x0_hat + (noise.draw_like(&x)? * sigma_next)?)?,

@@ -5,7 +5,6 @@ mod dpmpp_2m;
 mod euler;
 mod grid;
 mod heun;
-mod resampler;
 #[cfg(test)]
 mod tests;
 
@@ -14,7 +13,6 @@ pub use dpmpp_2m::Dpmpp2mConfig;
 pub use euler::EulerConfig;
 pub use grid::StepGrid;
 pub use heun::HeunConfig;
-pub use resampler::{Going, Resampler};
 
 use super::{Denoiser, Edm, NoiseSource};
 use crate::settings;
@@ -136,7 +134,6 @@ impl SamplerConfig {
             Self::Heun(config) if config.s_churn > 0.0 => format!("heun-{}-churn-{}", config.n_steps, config.s_churn),
             Self::Heun(config) => format!("heun-{}", config.n_steps),
             Self::Euler(config) => format!("euler-{}", config.n_steps),
-            Self::Dpmpp2m(config) if config.eta > 0.0 => format!("dpmpp_2m-{}-eta-{}", config.n_steps, config.eta),
             Self::Dpmpp2m(config) => format!("dpmpp_2m-{}", config.n_steps),
             Self::Consistency(config) => {
                 let levels: Vec<String> = config.levels.iter().map(|level| format!("-{level}")).collect();
@@ -171,35 +168,11 @@ impl SamplerConfig {
         noise: &mut NoiseSource,
         observer: &mut Observer<'_>,
     ) -> Result<Tensor> {
-        self.integrate_resampled(sigmas, denoiser, x, noise, &mut |_| Ok(None), observer)
-    }
-
-    /// The same, with rows that `resampler` replaces by copies of others on the way. Each row keeps its own noise, so
-    /// that copies part at the next noise that is added.
-    pub fn integrate_resampled(
-        &self,
-        sigmas: &[f64],
-        denoiser: &dyn Denoiser,
-        x: Tensor,
-        noise: &mut NoiseSource,
-        resampler: &mut Resampler<'_>,
-        observer: &mut Observer<'_>,
-    ) -> Result<Tensor> {
         match self {
-            Self::Heun(config) => heun::integrate(config, sigmas, denoiser, x, noise, resampler, observer),
+            Self::Heun(config) => heun::integrate(config, sigmas, denoiser, x, noise, observer),
             Self::Euler(_) => euler::integrate(sigmas, denoiser, x, observer),
-            Self::Dpmpp2m(config) => dpmpp_2m::integrate(config, sigmas, denoiser, x, noise, resampler, observer),
-            Self::Consistency(_) => consistency::integrate(sigmas, denoiser, x, noise, resampler, observer),
-        }
-    }
-
-    /// Whether it adds noise on the way, which lets copies of a state part.
-    pub fn adds_noise(&self) -> bool {
-        match self {
-            Self::Heun(config) => config.s_churn > 0.0 && config.s_noise > 0.0,
-            Self::Dpmpp2m(config) => config.eta > 0.0,
-            Self::Consistency(config) => !config.levels.is_empty(),
-            Self::Euler(_) => false,
+            Self::Dpmpp2m(_) => dpmpp_2m::integrate(sigmas, denoiser, x, observer),
+            Self::Consistency(_) => consistency::integrate(sigmas, denoiser, x, noise, observer),
         }
     }
 }
@@ -207,13 +180,8 @@ impl SamplerConfig {
 /// D(x; σ) with the same noise level in every row, without the graph of a trainable network behind it: over many steps
 /// that graph would keep the activations of every evaluation alive.
 fn denoise_at(denoiser: &dyn Denoiser, x: &Tensor, sigma: f64) -> Result<Tensor> {
-    Ok(evaluate_at(denoiser, x, sigma)?.detach())
-}
-
-/// D(x; σ) with the same noise level in every row.
-fn evaluate_at(denoiser: &dyn Denoiser, x: &Tensor, sigma: f64) -> Result<Tensor> {
     let sigma = Tensor::full(sigma, x.dim(0)?, x.device())?.to_dtype(x.dtype())?;
-    denoiser.denoise(x, &sigma)
+    Ok(denoiser.denoise(x, &sigma)?.detach())
 }
 
 /// The slope dx/dσ = (x - D(x; σ)) / σ of the probability-flow equation (EDM, equation 3 in equation 1).

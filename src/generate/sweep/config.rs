@@ -3,10 +3,7 @@
 use super::keys::SweepKeys;
 use crate::diffusion::SamplerConfig;
 use crate::generate::{ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig};
-use crate::guidance::{
-    ClassifierPotential, GuidanceConfig, NoiseOptimizationConfig, ObjectiveConfig, ObjectiveGuidanceConfig,
-    ParticleConfig,
-};
+use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
 use crate::model::ClassifierInput;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -78,10 +75,6 @@ pub struct DiffusionConfig {
     pub strengths: Vec<f64>,
     /// What guides.
     pub guidance: SweepGuidance,
-    /// How groups of samples are resampled by the objectives; `None`: each sample stands alone.
-    pub particles: Option<ParticleConfig>,
-    /// How the noise that samples start from is optimized; `None`: it is random.
-    pub noise_optimization: Option<NoiseOptimizationConfig>,
     /// States that samples lean toward.
     pub classifier_free: Option<ClassifierFreeConfig>,
     /// Edits of the recording that samples start from.

@@ -8,10 +8,7 @@ use super::config::{
 };
 use crate::diffusion::SamplerConfig;
 use crate::generate::{ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig};
-use crate::guidance::{
-    ClassifierPotential, GuidanceConfig, NoiseOptimizationConfig, ObjectiveConfig, ObjectiveGuidanceConfig,
-    ParticleConfig,
-};
+use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
 use crate::model::ClassifierInput;
 use crate::settings::{Issue, Result};
 use schemars::{JsonSchema, Schema};
@@ -74,15 +71,6 @@ pub(super) struct SweepKeys {
     /// How objectives become shifts of the clean estimate.
     #[serde(skip_serializing_if = "Option::is_none")]
     objective_guidance: Option<ObjectiveGuidanceConfig>,
-    /// Groups of samples of a pair that are resampled by the objectives on the way, at every guidance strength: those
-    /// with promising estimates go on several times. Needs a sampler that adds noise, such as `dpmpp_2m` with `eta`. It
-    /// costs no evaluations of the network. Left out: each sample stands alone.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    particles: Option<ParticleConfig>,
-    /// The noise that samples start from is moved toward better values of the objectives and the rules of traffic, by
-    /// gradients through all steps of the sampler, which must be `euler` with few steps. Left out: it is random.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    noise_optimization: Option<NoiseOptimizationConfig>,
     /// Which agents are to show the behavior.
     #[serde(skip_serializing_if = "Option::is_none")]
     pairs: Option<PairSelectionConfig>,
@@ -155,8 +143,6 @@ impl SweepKeys {
                 objectives: self.objectives.take().unwrap_or_default(),
                 objective_guidance: self.objective_guidance.take().unwrap_or_default(),
             },
-            particles: self.particles.take(),
-            noise_optimization: self.noise_optimization.take(),
             classifier_free: self.classifier_free.take(),
             edit: self.edit.take(),
             template: self.template.take().unwrap_or_default(),
@@ -251,8 +237,6 @@ impl From<ArmConfig> for SweepKeys {
             classifier_potential: Some(classifier_potential).filter(|potential| !potential.is_default()),
             objectives: Some(objectives),
             objective_guidance: Some(objective_guidance),
-            particles: diffusion.particles,
-            noise_optimization: diffusion.noise_optimization,
             classifier_free: diffusion.classifier_free,
             edit: diffusion.edit,
             template: diffusion.template.then_some(true),

@@ -7,7 +7,6 @@ mod level;
 mod resolve;
 mod resolved;
 mod settings;
-mod steering;
 
 pub use config::{
     Aim, ArmConfig, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig, SweepGuidance,

@@ -150,14 +150,6 @@ impl SamplingConfig {
     fn resolve(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         self.observe.validate(roles).map_err(|issue| issue.within("observe"))?;
-        let model = self.resolve_model(purpose)?;
-        if let SweepModel::Denoiser(diffusion) | SweepModel::Distilled(diffusion) = &model {
-            diffusion.check_steering(self.n_samples, purpose.config.batch_size)?;
-        }
-        Ok(model)
-    }
-
-    fn resolve_model(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
         match &self.model {
             ModelConfig::Denoiser(diffusion) => {
                 let resolved = diffusion.resolve(purpose, &self.observe)?;
@@ -224,8 +216,6 @@ impl DiffusionConfig {
             validity_strength: self.validity_strength.unwrap_or(purpose.config.validity_strength),
             levels,
             guidance: self.guidance.clone(),
-            particles: self.particles,
-            noise_optimization: self.noise_optimization,
             classifier_free: self.classifier_free.clone(),
             edit: self.edit.clone(),
             template: self.template_parameters(purpose)?,
@@ -293,11 +283,11 @@ impl Diffusion {
             };
             return Err(Issue::new("strengths", missing));
         }
-        if has_objectives && !self.is_steered() && !purpose.selects_by_objectives {
+        if has_objectives && !self.is_guided() && !purpose.selects_by_objectives {
             return Err(Issue::new(
                 "objectives",
-                "have no effect at strength 0; add a strength, such as strengths = [1.0], particles or noise_optimization, or \
-                 select by them, such as select = { best = 1, by = [\"objectives\"] }",
+                "have no effect at strength 0; add a strength, such as strengths = [1.0], or select by them, such as \
+                 select = { best = 1, by = [\"objectives\"] }",
             ));
         }
         let roles = purpose.behavior.filter(|_| !is_anybody).map_or(&[][..], Behavior::roles);

@@ -4,7 +4,7 @@ use super::{Aim, ClassifierScope, SweepGuidance};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::{Edm, SamplerConfig};
 use crate::generate::{ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig};
-use crate::guidance::{EVALUATIONS_PER_GRADIENT, NoiseOptimizationConfig, ParticleConfig};
+use crate::guidance::EVALUATIONS_PER_GRADIENT;
 use crate::model::Distillation;
 use crate::scene::GuidanceLevel;
 use std::collections::BTreeSet;
@@ -56,10 +56,6 @@ pub struct Diffusion {
     pub levels: Vec<GuidanceLevel>,
     /// The guidance at strengths other than 0.
     pub guidance: SweepGuidance,
-    /// How groups of samples are resampled by the objectives, at every level.
-    pub particles: Option<ParticleConfig>,
-    /// How the noise that samples start from is optimized, at every level.
-    pub noise_optimization: Option<NoiseOptimizationConfig>,
     /// States that samples lean toward.
     pub classifier_free: Option<ClassifierFreeConfig>,
     /// Edits of the recording that samples start from.
@@ -98,18 +94,9 @@ impl ResolvedSweep {
         self.diffusion().is_some_and(|diffusion| !diffusion.template.is_empty())
     }
 
-    /// Samples that are resampled together: particles of one group, or one.
-    pub fn group_size(&self) -> usize {
-        self.diffusion().and_then(|diffusion| diffusion.particles).map_or(1, |particles| particles.n)
-    }
-
-    /// Whether some of its samples are forecasts: not steered in any way.
+    /// Whether some of its samples are forecasts: not guided, not edited, without wanted states and without a template.
     pub fn has_unguided(&self) -> bool {
-        let is_free = |diffusion: &Diffusion| {
-            let steers = diffusion.particles.is_some() || diffusion.noise_optimization.is_some();
-            diffusion.edit.is_none() && diffusion.template.is_empty() && !steers
-        };
-        self.diffusion().is_none_or(is_free)
+        self.diffusion().is_none_or(|diffusion| diffusion.edit.is_none() && diffusion.template.is_empty())
             && self.levels().iter().any(|level| level.strength == 0.0 && level.weight == 0.0)
     }
 
@@ -144,7 +131,7 @@ impl ResolvedSweep {
     /// The parameters of the event at which its template and the objectives of its guidance can aim, and those that its
     /// denoiser is told.
     pub(in crate::generate) fn aims_at(&self) -> BTreeSet<&'static str> {
-        let guided = self.diffusion().filter(|diffusion| diffusion.is_steered());
+        let guided = self.diffusion().filter(|diffusion| diffusion.is_guided());
         let objectives = guided.into_iter().flat_map(|diffusion| &diffusion.guidance.objectives);
         let of_template = self.diffusion().map_or(&[][..], |diffusion| diffusion.template);
         let told = self.behavior.as_deref().filter(|_| self.tells_event()).and_then(BehaviorEntry::of);
@@ -177,8 +164,7 @@ impl ResolvedSweep {
             let n_calls = if diffusion.levels.iter().any(mixes) { 2 } else { 1 };
             let n_each =
                 if diffusion.goes_through_network(self.needs_classifier()) { EVALUATIONS_PER_GRADIENT } else { 1 };
-            let n_optimizing = diffusion.noise_optimization.map_or(0, |c| c.n_evaluations(diffusion.sampler.n_steps()));
-            (diffusion.sampler.n_evaluations() * n_each + n_optimizing) as u64 * n_calls
+            (diffusion.sampler.n_evaluations() * n_each) as u64 * n_calls
         })
     }
 
@@ -222,10 +208,5 @@ impl Diffusion {
     /// Whether some samples are guided.
     pub(in crate::generate) fn is_guided(&self) -> bool {
         self.levels.iter().any(|level| level.strength != 0.0)
-    }
-
-    /// Whether objectives steer some samples, by any means.
-    pub(in crate::generate) fn is_steered(&self) -> bool {
-        self.is_guided() || self.particles.is_some() || self.noise_optimization.is_some()
     }
 }

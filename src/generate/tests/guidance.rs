@@ -52,6 +52,15 @@ fn objectives_guide_without_a_behavior() {
     }
 }
 
+#[test]
+fn a_derivative_of_the_network_counts_as_two_evaluations_more() {
+    for (options, n_each) in [("", 1), ("objective_guidance = { gradient = 'through_network' }", 3)] {
+        let sampler = SamplerConfig::Heun(HeunConfig::with_steps(12));
+        let config = GenerateConfig { sampler, ..config(&format!("{OBJECTIVES}{options}")) };
+        with_generator(&config, 0, |generator| assert_eq!(generator.config.sweeps[0].n_evaluations(), 23 * n_each));
+    }
+}
+
 /// Whether two boxes of the scene overlap after the history.
 fn collides(scene: &Scene) -> bool {
     let overlap =
