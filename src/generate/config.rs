@@ -101,8 +101,8 @@ impl Default for PairSelectionConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PairRanking {
-    /// Those with the highest probability by the classifier of noisy states, from their history; without one, those that
-    /// can show the behavior with the least effort.
+    /// Those with the highest probability by the classifier, from their history; without a classifier, those that can
+    /// show the behavior with the least effort.
     #[default]
     Classifier,
     /// Those that can show it with the least effort, by the limits of driving; if that is undefined, the closest.

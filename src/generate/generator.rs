@@ -181,18 +181,11 @@ impl<'a> Generator<'a> {
         };
         let (own, denoiser) = (&classifier.spec, self.spec());
         let differs = |what| Err(Error::Mismatch { behavior: behavior.clone(), what });
-        if (own.n_history, own.n_timesteps) != (denoiser.n_history, denoiser.n_timesteps) {
-            return differs("number of timesteps");
-        }
-        if !own.input.is_noisy() {
-            return if (own.dt_s - denoiser.dt_s).abs() < 1e-6 {
-                sweep.check_clean_classifier()
-            } else {
-                differs("timestep")
-            };
-        }
         if own.edm != denoiser.edm {
             return differs("diffusion");
+        }
+        if (own.n_history, own.n_timesteps) != (denoiser.n_history, denoiser.n_timesteps) {
+            return differs("number of timesteps");
         }
         if !same_scales(&own.normalizer, &denoiser.normalizer) {
             return differs("normalization");

@@ -3,12 +3,10 @@
 //! One objective a file. All share one sign convention: potentials are maximized.
 
 mod agent_selector;
-mod any_pair;
 mod classifier;
 mod classifier_free;
 mod clean_guided_denoiser;
 mod estimate_potential;
-mod future_guidance;
 mod guided_denoiser;
 mod lane_ways;
 mod mask_change;
@@ -24,14 +22,12 @@ mod tests;
 mod turning_way;
 
 pub use agent_selector::AgentSelector;
-pub use any_pair::AnyPairGuidance;
 pub use classifier::{ClassifierGuidance, ClassifierPotential};
 pub use classifier_free::{BranchChange, ClassifierFreeDenoiser};
 pub use clean_guided_denoiser::{
     CleanGradient, CleanGuidedDenoiser, CleanPotential, EVALUATIONS_PER_GRADIENT, ObjectiveGuidanceConfig, ObjectiveSum,
 };
 pub use estimate_potential::EstimatePotential;
-pub use future_guidance::FutureGuidance;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
 pub use objectives::{

@@ -34,12 +34,7 @@ pub struct DenoisingTask<'a> {
 
 impl DenoisingTask<'_> {
     /// D(x0 + σ ε; σ), one σ a row, with ε drawn from `seeds`.
-    pub(super) fn estimate(
-        denoiser: &SceneDenoiser,
-        batch: &SceneBatch,
-        sigmas: &[f64],
-        seeds: &[Seed],
-    ) -> Result<Tensor, Error> {
+    fn estimate(denoiser: &SceneDenoiser, batch: &SceneBatch, sigmas: &[f64], seeds: &[Seed]) -> Result<Tensor, Error> {
         let sigma_rows = rows_like(sigmas.to_vec(), &batch.x0)?;
         let noise = NoiseSource::new(seeds.to_vec()).draw_like(&batch.x0)?.broadcast_mul(&sigma_rows)?;
         let x = (&batch.x0 + noise)?.broadcast_mul(&batch.latent.unsqueeze(3)?)?;

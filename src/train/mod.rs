@@ -4,8 +4,6 @@ mod baseline;
 mod baseline_config;
 #[cfg(test)]
 mod baseline_tests;
-#[cfg(test)]
-mod bayes_tests;
 mod changed_losses;
 mod classification;
 #[cfg(test)]
@@ -37,7 +35,6 @@ mod labeled_pairs;
 mod latent_error;
 mod objective_loss;
 mod pair_examples;
-mod pair_futures;
 mod preset;
 mod run_state;
 mod scene_draws;
@@ -55,7 +52,7 @@ mod tree_sum;
 pub use baseline::train_baseline;
 pub use baseline_config::{BaselineTraining, BaselineTrainingConfig};
 pub use changed_losses::map_warnings;
-pub use classification::{ClassificationTask, PairInputs, REPORT_SIGMAS};
+pub use classification::{ClassificationTask, REPORT_SIGMAS};
 pub use classifier::{ClassifierReport, ClassifierTrainingConfig, PairData, train_classifier};
 pub use classifier_report::NoiseLevelReport;
 pub use consistency::{ConsistencyTask, ConsistencyTuning, LevelGap};
@@ -73,7 +70,6 @@ pub use fit_config::{FitConfig, LearningRateDecay};
 pub use joint_futures::{JointFuturesTask, JointLoss};
 pub use labeled_pairs::{LabeledPair, Labels, MinedEvent};
 pub use pair_examples::{NoisyPairs, PairExample, PairExamples};
-pub use pair_futures::CleanPairs;
 pub use preset::{Balance, DenoiserTraining, DenoiserTrainingConfig, Preset};
 pub use scene_draws::{DrawnBatch, Prefetched, SceneDataset, SceneDraws, WeightedGroups};
 pub use section::{MoreScenes, SceneChoice, SceneTraining};

@@ -4,7 +4,6 @@ use super::keys::SweepKeys;
 use crate::diffusion::SamplerConfig;
 use crate::generate::{ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig};
 use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
-use crate::model::ClassifierInput;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -107,11 +106,19 @@ pub enum ClassifierScope {
     /// The requested pair: chosen beforehand, and verified.
     #[default]
     Pair,
-    /// Whichever pair of the scene comes nearest to the behavior (ln of the sum of all pairs' probabilities). No pair
-    /// is requested; a scenario is verified if any pair shows the behavior.
-    AnyPair,
     /// None: only objectives guide. Pairs are chosen and verified as with `pair`.
     None,
+}
+
+/// What the classifier of a behavior is shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ClassifierInput {
+    /// The diffused states of the pair with their noise, at every noise level (paper, section 5.2).
+    #[default]
+    NoisyStates,
+    /// The denoiser's estimate of the pair's future, as objectives see it.
+    CleanEstimate,
 }
 
 /// Which events guided samples aim at.

@@ -4,12 +4,12 @@
 //! Each kind of sweep then takes the keys that it knows; the remaining keys are refused.
 
 use super::config::{
-    Aim, ArmConfig, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig, SweepGuidance,
+    Aim, ArmConfig, ClassifierInput, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig,
+    SweepGuidance,
 };
 use crate::diffusion::SamplerConfig;
 use crate::generate::{ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig};
 use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
-use crate::model::ClassifierInput;
 use crate::settings::{Issue, Result};
 use schemars::{JsonSchema, Schema};
 use serde::{Deserialize, Serialize};
@@ -51,10 +51,9 @@ pub(super) struct SweepKeys {
     /// Which agents the classifier of the behavior judges.
     #[serde(skip_serializing_if = "Option::is_none")]
     classifier_scope: Option<ClassifierScope>,
-    /// What the classifier of the behavior is shown. One that was trained on noisy states can be shown clean estimates,
-    /// as objectives are, but not the other way around. Needed if more than the history is observed (`observe`): no classifier
-    /// was trained on noisy states under other masks. `objective_guidance` says how the gradient at an estimate becomes a
-    /// shift.
+    /// What the classifier of the behavior is shown. Clean estimates are needed if more than the history is observed
+    /// (`observe`): the classifier was not trained on noisy states under other masks. `objective_guidance` says how the
+    /// gradient at an estimate becomes a shift.
     #[serde(skip_serializing_if = "Option::is_none")]
     classifier_input: Option<ClassifierInput>,
     /// What of the classifier is made large.

@@ -9,7 +9,8 @@ mod resolved;
 mod settings;
 
 pub use config::{
-    Aim, ArmConfig, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig, SweepGuidance,
+    Aim, ArmConfig, ClassifierInput, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig,
+    SweepGuidance,
 };
 pub(super) use resolve::mined;
 pub use resolved::{Diffusion, ResolvedSweep, SweepModel};

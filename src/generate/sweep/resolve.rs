@@ -1,14 +1,13 @@
 //! Can a sweep be sampled as written? The only place that checks it and fills in defaults.
 
 use super::{
-    Aim, ArmConfig, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep, SamplingConfig,
-    SweepConfig, SweepModel,
+    Aim, ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
+    SamplingConfig, SweepConfig, SweepModel,
 };
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerConfig;
 use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig, SelectConfig};
 use crate::guidance::{CleanGradient, GuidanceConfig};
-use crate::model::ClassifierInput;
 use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
 use crate::tensor::MaskTask;
@@ -51,19 +50,18 @@ impl SweepConfig {
             observe: self.sampling.observe.clone(),
             model,
         };
-        let can_aim = behavior.is_some() && !sweep.asks_anybody() && !sweep.aims_at().is_empty();
+        let can_aim = behavior.is_some() && !sweep.aims_at().is_empty();
         if self.aim == Aim::Feasible && !can_aim {
             return Err(Issue::new(
                 "aim",
-                "is \"feasible\", which needs a behavior, particular agents to show it (classifier_scope other than \"any_pair\"), and what can \
-                 aim at the event's parameters: template = true, classifier_free = { event = true }, or strengths other than 0 and an objective, such as objectives = [{ kind = \
+                "is \"feasible\", which needs a behavior and what can aim at the event's parameters: template = true, classifier_free = { event = true }, or strengths other than 0 and an objective, such as objectives = [{ kind = \
                  \"cut_in\" }]",
             ));
         }
         if let Some(select) = &self.select {
             let objectives = sweep.diffusion().map_or(&[][..], |diffusion| &diffusion.guidance.objectives);
             let kinds: Vec<&str> = objectives.iter().map(|objective| objective.kind()).collect();
-            let asks_pairs = behavior.is_some_and(|asked| asked.roles().len() > 1) && !sweep.asks_anybody();
+            let asks_pairs = behavior.is_some_and(|asked| asked.roles().len() > 1);
             select.validate(&kinds, asks_pairs).map_err(|issue| issue.within("select"))?;
         }
         Ok(sweep)
@@ -82,15 +80,7 @@ impl ArmConfig {
                 "model",
                 "is \"baseline\", which has a fixed number of futures per scene; use \"denoiser\" or \"distilled\"",
             )),
-            ModelConfig::Denoiser(diffusion) | ModelConfig::Distilled(diffusion) => {
-                match diffusion.guidance.classifier_scope {
-                    ClassifierScope::AnyPair => Err(Issue::new(
-                        "classifier_scope",
-                        "is \"any_pair\", but a request needs particular pairs; use \"pair\" or \"none\"",
-                    )),
-                    ClassifierScope::Pair | ClassifierScope::None => diffusion.levels().map(drop),
-                }
-            }
+            ModelConfig::Denoiser(diffusion) | ModelConfig::Distilled(diffusion) => diffusion.levels().map(drop),
         }
     }
 
@@ -200,11 +190,10 @@ impl DiffusionConfig {
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         if let Some(config) = &self.classifier_free {
             config.validate(roles).map_err(|issue| issue.within("classifier_free"))?;
-            if config.event && (roles.is_empty() || self.guidance.classifier_scope == ClassifierScope::AnyPair) {
+            if config.event && roles.is_empty() {
                 return Err(Issue::new(
                     "classifier_free.event",
-                    "is true, which needs a behavior and particular agents to show it: set behavior = \"cut_in\" or another, and \
-                     classifier_scope other than \"any_pair\"",
+                    "is true, which needs a behavior: set behavior = \"cut_in\" or another",
                 ));
             }
         }
@@ -268,13 +257,6 @@ impl Diffusion {
     fn check_guidance(&self, purpose: &Purpose<'_>, observe: &ObserveConfig) -> Result {
         let guidance = &self.guidance;
         let classifies = self.classifies(purpose);
-        let is_anybody = guidance.classifier_scope == ClassifierScope::AnyPair;
-        if purpose.behavior.is_none() && is_anybody {
-            return Err(Issue::new(
-                "classifier_scope",
-                "is \"any_pair\", which needs a behavior, such as behavior = \"cut_in\"",
-            ));
-        }
         let has_objectives = !guidance.objectives.is_empty();
         if self.is_guided() && !has_objectives && !classifies {
             let missing = match purpose.behavior {
@@ -290,7 +272,7 @@ impl Diffusion {
                  select = { best = 1, by = [\"objectives\"] }",
             ));
         }
-        let roles = purpose.behavior.filter(|_| !is_anybody).map_or(&[][..], Behavior::roles);
+        let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         for (i, objective) in guidance.objectives.iter().enumerate() {
             let (key, kind) = (format!("objectives.{i}"), objective.kind());
             objective.validate(roles).map_err(|why| Issue::new(key, format_args!("({kind}): {why}")))?;

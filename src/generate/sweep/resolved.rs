@@ -108,26 +108,6 @@ impl ResolvedSweep {
             })
     }
 
-    /// Refuses to be guided by a classifier of clean futures where it cannot judge.
-    ///
-    /// # Errors
-    /// Names the key and what to set.
-    pub fn check_clean_classifier(&self) -> Result<(), Error> {
-        let guidance = self.diffusion().filter(|_| self.needs_classifier()).map(|diffusion| &diffusion.guidance);
-        let why = match guidance {
-            Some(guidance) if guidance.classifier_input.is_noisy() => {
-                "classifier_input is \"noisy_states\", but the classifier was trained on clean estimates; set \
-                 classifier_input = \"clean_estimate\""
-            }
-            Some(guidance) if guidance.classifier_scope == ClassifierScope::AnyPair => {
-                "classifier_scope is \"any_pair\", which needs a classifier of noisy states; set train.classifier.input = \
-                 \"noisy_states\", or classifier_scope = \"pair\""
-            }
-            _ => return Ok(()),
-        };
-        Err(Error::Config(format!("sweep {}: {why}", self.name)))
-    }
-
     /// The parameters of the event at which its template and the objectives of its guidance can aim, and those that its
     /// denoiser is told.
     pub(in crate::generate) fn aims_at(&self) -> BTreeSet<&'static str> {
@@ -143,11 +123,6 @@ impl ResolvedSweep {
     /// Whether the requested event is a collision.
     pub(in crate::generate) fn asks_for_collision(&self) -> bool {
         BehaviorEntry::is_collision(self.behavior.as_deref())
-    }
-
-    /// Whether no particular pair is requested.
-    pub(in crate::generate) fn asks_anybody(&self) -> bool {
-        self.diffusion().is_some_and(|diffusion| diffusion.guidance.classifier_scope == ClassifierScope::AnyPair)
     }
 
     /// Whether its denoiser is told of the requested event.

@@ -47,7 +47,7 @@ impl Recipe for ClassifierTrainingConfig {
         let held_out = pairs(&held_out, self.max_held_out, "held-out examples");
         let fingerprint = fingerprint_path(&layout.events)?.hash;
         let data = PairData { roles, dataset: &store, train: &train, held_out: &held_out, fingerprint };
-        let report = train_classifier(self, &denoiser, &data, job)?;
+        let report = train_classifier(self, &denoiser.spec, &data, job)?;
         let summary = |report: ClassifierReport| {
             json!({
                 "fingerprint": report.fingerprint,

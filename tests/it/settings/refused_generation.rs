@@ -17,19 +17,6 @@ pub(super) const REFUSED_GENERATION: &[(&[&str], &[&str])] = &[
         &["generate.sweeps.1.guidance={ sigma_lo = 3.0, sigma_hi = 1.0 }"],
         &["generate.sweeps.1.guidance.sigma_lo is 3, expected at most guidance.sigma_hi, which is 1"],
     ),
-    (
-        &["train.classifier.input=\"clean_estimate\""],
-        &["classifier_input is \"noisy_states\"", "set classifier_input = \"clean_estimate\""],
-    ),
-    (
-        &[
-            "train.classifier.input=\"clean_estimate\"",
-            "generate.sweeps.1.classifier_input=\"clean_estimate\"",
-            "generate.sweeps.1.classifier_scope=\"any_pair\"",
-        ],
-        &["classifier_scope is \"any_pair\", which needs a classifier of noisy states"],
-    ),
-    (&["train.classifier.input=\"noise\""], &["train.classifier.input", "noisy_states", "clean_estimate"]),
     (&["generate.sweeps.1.classifier_potential=\"odds\""], &["log_probability", "log_odds"]),
     (&["generate.sweeps.1.strengths=[1.0, 1.0]"], &["generate.sweeps.1.strengths.1 is 1, which is already listed"]),
     (&["generate.sweeps.1.strengths=[0.0, nan]"], &["generate.sweeps.1.strengths.1 is NaN"]),
