@@ -1,6 +1,6 @@
 //! Training a behavior classifier: weighted cross-entropy on mined pairs.
 
-use super::{BatchPart, Error, NoiseLevelReport, NoisyPairs, TrainTask};
+use super::{Error, NoiseLevelReport, NoisyPairs, TrainTask};
 use crate::diffusion::rows_like;
 use crate::model::{BehaviorClassifier, log_sigmoid};
 use crate::seed::Seed;
@@ -68,15 +68,10 @@ impl ClassificationTask<'_> {
 }
 
 impl TrainTask for ClassificationTask<'_> {
-    fn batch_size(&self) -> usize {
-        self.batch_size
-    }
-
-    fn loss(&self, BatchPart { step, rows }: &BatchPart, _divisors: Option<&[f64]>) -> Result<Tensor, Error> {
-        let (pairs, weights) = self.draw(*step);
-        let (pairs, weights) = (&pairs[rows.clone()], weights[rows.clone()].to_vec());
-        let seeds: Vec<Seed> = rows.clone().map(|row| self.seed.derive("row", &[*step, row as u64])).collect();
-        let logits = self.inputs.training_logits(self.classifier, pairs, seeds)?;
+    fn loss(&self, step: u64) -> Result<Tensor, Error> {
+        let (pairs, weights) = self.draw(step);
+        let seeds: Vec<Seed> = (0..self.batch_size).map(|row| self.seed.derive("row", &[step, row as u64])).collect();
+        let logits = self.inputs.training_logits(self.classifier, &pairs, seeds)?;
         // -ln p of the label: the sign of the logit is the label's.
         let is_positive = self.inputs.labels()[0].is_positive();
         let signs = pairs.iter().map(|i| if is_positive[*i] { 1.0 } else { -1.0 }).collect();

@@ -1,6 +1,6 @@
 //! Does the classifier learn what separates its examples, and does guidance by it push toward the behavior?
 
-use super::testing::{MadeScenes, assert_parts_agree, job};
+use super::testing::{MadeScenes, job};
 use super::*;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::diffusion::NoiseDistribution;
@@ -65,7 +65,7 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
         ..ClassifierTrainingConfig::default()
     };
     let job = TrainJob { progress, ..job(4, dir) };
-    train_classifier(&config, denoiser, &data, job).map(Option::unwrap)
+    train_classifier(&config, denoiser, &data, job)
 }
 
 #[test]
@@ -111,11 +111,8 @@ fn labels_count_as_in_uniform_draws_times_the_weight_of_positive_ones() {
             seed: Seed(6),
         };
         let expected = share_of_positive * (-1f64).exp().ln_1p() + (1.0 - share_of_positive) * 1f64.exp().ln_1p();
-        let loss = scalar(&task.loss(&BatchPart::whole(0, 16), None).unwrap());
+        let loss = scalar(&task.loss(0).unwrap());
         assert!((loss - expected).abs() < 1e-5, "weight {pos_weight}: {loss}, expected {expected}");
-        let mut params = Params::new(&Compute::cpu());
-        let classifier = &spec.build(&mut params, Seed(1)).unwrap();
-        assert_parts_agree(&params, &ClassificationTask { classifier, ..task }, 0);
     }
 }
 

@@ -56,7 +56,6 @@ impl Default for ClassifierTrainingConfig {
             clip_norm: 5.0,
             evaluate_every: 1_000,
             save_every: 500,
-            parts: None,
             checkpoint: None,
             seed: 0,
         }
@@ -70,7 +69,7 @@ impl ClassifierTrainingConfig {
     /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<FitConfig, Error> {
         self.check_ranges()?;
-        self.schedule(&FitConfig { ema_decay: 0.0, ..FitConfig::default() }, self.batch_size)
+        Ok(self.schedule(&FitConfig { ema_decay: 0.0, ..FitConfig::default() }))
     }
 }
 
@@ -104,7 +103,7 @@ pub struct ClassifierReport {
 }
 
 /// Trains the classifier that guides `denoiser`, or resumes its training, and writes it to `model.safetensors` in the
-/// job's folder, and its report to `classifier.json`. `None` on all ranks but the first, which writes the model.
+/// job's folder, and its report to `classifier.json`.
 ///
 /// # Errors
 /// When there are no pairs of one of the labels, or training fails.
@@ -113,7 +112,7 @@ pub fn train_classifier(
     denoiser: &DenoiserSpec,
     data: &PairData<'_>,
     job: TrainJob<'_>,
-) -> Result<Option<ClassifierReport>, Error> {
+) -> Result<ClassifierReport, Error> {
     let fit_config = config.resolve()?;
     let spec = describe(config, denoiser, data, job.seed)?;
     let gather = |pairs| PairExamples::gather(data.dataset, pairs);
@@ -129,13 +128,13 @@ pub fn train_classifier(
         batch_size: config.batch_size,
         seed: job.seed,
     };
-    let Some(outcome) = fit(&fit_config, &mut model.params, &task, job)? else { return Ok(None) };
+    let outcome = fit(&fit_config, &mut model.params, &task, job)?;
     let by_noise_level = task.report()?;
     let TrainOutcome { fingerprint, spec, n_parameters, statistics } = model.finish(spec.clone(), outcome, job)?;
     let report = ClassifierReport { spec, fingerprint, n_parameters, by_noise_level, statistics };
     let text = serde_json::to_vec_pretty(&report).map_err(std::io::Error::from)?;
     write_atomically::<Error>(&job.dir.join("classifier.json"), |file| Ok(file.write_all(&text)?))?;
-    Ok(Some(report))
+    Ok(report)
 }
 
 fn describe(

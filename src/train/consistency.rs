@@ -1,7 +1,7 @@
 //! Tuning a denoiser into a consistency model (ECT, Geng et al. 2024): the loss.
 
 use super::latent_error::{pseudo_huber, squared_error};
-use super::{BatchPart, DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
+use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::{Denoiser, NoiseDistribution, NoiseSource, rows_like};
 use crate::model::SceneDenoiser;
 use crate::settings::{self, Issue};
@@ -145,22 +145,18 @@ impl ConsistencyTask<'_> {
 }
 
 impl TrainTask for ConsistencyTask<'_> {
-    fn batch_size(&self) -> usize {
-        self.draws.batch_size
-    }
-
-    fn loss(&self, part: &BatchPart, _divisors: Option<&[f64]>) -> Result<Tensor, Error> {
-        let DrawnBatch { batch, seeds, mut rngs, .. } = self.draws.training_batch(part)?;
-        let stage = self.tuning.gap.stage(part.step, self.training.common.fit.steps);
+    fn loss(&self, step: u64) -> Result<Tensor, Error> {
+        let DrawnBatch { batch, seeds, mut rngs, .. } = self.draws.training_batch(step)?;
+        let stage = self.tuning.gap.stage(step, self.training.common.fit.steps);
         let levels: Vec<(f64, f64)> = (rngs.iter_mut())
             .map(|rng| self.tuning.noise.draw(rng))
             .map(|t| (t, self.tuning.gap.lower(t, stage)))
             .collect();
-        self.disagreement(self.denoiser, &batch, &levels, &mut NoiseSource::new(seeds), self.batch_size())
+        self.disagreement(self.denoiser, &batch, &levels, &mut NoiseSource::new(seeds), self.draws.batch_size)
     }
 
-    fn prepare(&self, part: &BatchPart) -> Result<(), Error> {
-        self.draws.prepare(part)
+    fn prepare(&self, step: u64) -> Result<(), Error> {
+        self.draws.prepare(step)
     }
 
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {

@@ -20,8 +20,7 @@ pub struct DistillSource<'a> {
 }
 
 /// Tunes the denoiser of `source` and writes it to `model.safetensors` in the job's folder: a checkpoint of the same
-/// network, scales and limits that samples in few evaluations. `None` on all ranks but the first, which writes the
-/// model.
+/// network, scales and limits that samples in few evaluations.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes are not of the teacher's shape, the method or the start does not fit it, or training fails.
@@ -30,7 +29,7 @@ pub fn distill_denoiser(
     data: &TrainingData<'_>,
     DistillSource { teacher, start }: DistillSource<'_>,
     job: TrainJob<'_>,
-) -> Result<Option<TrainOutcome<DenoiserSpec>>, Error> {
+) -> Result<TrainOutcome<DenoiserSpec>, Error> {
     let mut objectives = teacher.metadata.objectives.clone();
     objectives.extend(described(&training.objectives)?);
     let DenoiserSpec { n_history, dt_s, .. } = teacher.metadata;
@@ -76,7 +75,7 @@ pub fn distill_denoiser(
             fit(&training.common.fit, params, &task, job)?
         }
     };
-    outcome.map(|outcome| model.finish(spec, outcome, job)).transpose()
+    model.finish(spec, outcome, job)
 }
 
 /// Gives `events` the units of the teacher, which must know them.

@@ -109,7 +109,6 @@ impl Default for DistillTrainingConfig {
             n_eval_scenes: 48,
             evaluate_every: 500,
             save_every: 250,
-            parts: None,
             start_from: None,
             checkpoint: None,
         }

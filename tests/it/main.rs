@@ -15,8 +15,6 @@ mod fuzz;
 mod mixture;
 mod parts;
 mod pytorch;
-#[cfg(unix)]
-mod ranks;
 mod report;
 mod requests;
 mod safety;

@@ -108,18 +108,6 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
     ),
     (&["train.denoiser.own_weight=0"], &["train.denoiser.own_weight is 0", "scenes of other runs"]),
     // Parts of batches.
-    (
-        &["train.denoiser.batch_size=8", "train.denoiser.parts=3"],
-        &["train.denoiser.parts is 3, expected a power of two, at most batch_size, which is 8"],
-    ),
-    (
-        &["train.denoiser.parts=4"],
-        &["train.denoiser.parts is 4, expected a power of two, at most batch_size, which is 2"],
-    ),
-    (&["train.classifier.parts=32"], &["train.classifier.parts is 32, expected", "which is 16"]),
-    (&["train.distill.parts=16"], &["train.distill.parts is 16, expected", "which is 8"]),
-    (&["train.baseline.parts=6"], &["train.baseline.parts is 6, expected a power of two"]),
-    (&["cluster.ranks=6"], &["cluster.ranks is 6, expected a power of two"]),
     // Networks.
     (
         &["train.denoiser.network.layers=TXYZ"],
