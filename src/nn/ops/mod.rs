@@ -22,7 +22,6 @@ use candle_core::{D, DType, Result, Tensor, bail};
 
 pub(super) use self::adam::{AdamStep, Moments};
 pub use self::frames::FrameMap;
-use self::gemm::{Bf16, F32, Tf32};
 use super::attention::Axis;
 use super::precision::Precision;
 
@@ -58,11 +57,9 @@ pub fn linear(
         bail!("linear: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
     }
     let valid = valid.map(|valid| mask_of("linear", x, valid)).transpose()?;
-    match (is_fused(x), precision) {
-        (true, Precision::F32) => linear::fused::<F32>(x, weight, bias, activation, valid.as_ref()),
-        (true, Precision::Tf32) => linear::fused::<Tf32>(x, weight, bias, activation, valid.as_ref()),
-        (true, Precision::Bf16) => linear::fused::<Bf16>(x, weight, bias, activation, valid.as_ref()),
-        (false, _) => linear::reference(x, weight, bias, activation, valid.as_ref(), precision),
+    match is_fused(x) && precision == Precision::F32 {
+        true => linear::fused(x, weight, bias, activation, valid.as_ref()),
+        false => linear::reference(x, weight, bias, activation, valid.as_ref(), precision),
     }
 }
 

@@ -110,34 +110,6 @@ fn linear_agrees() {
     }
 }
 
-/// Sums in another order may go to the neighbor of a number of eight bits.
-pub(super) const NEIGHBOR: f64 = 1.0 / 128.0;
-
-#[test]
-fn linear_agrees_in_halved_precision() {
-    // Both round factors and results.
-    let arguments = [normal(&[2, 3, 50, 20], 1), normal(&[70, 20], 2), normal(&[70], 3)];
-    for valid in [None, Some(mask(&[2, 3, 50], 0.6, 4))] {
-        let fused: Op<'_> = &|a| linear::fused::<Bf16>(&a[0], &a[1], &a[2], Activation::Relu, valid.as_ref());
-        let plain: Op<'_> =
-            &|a| linear::reference(&a[0], &a[1], &a[2], Activation::Relu, valid.as_ref(), Precision::Bf16);
-        let (fused, plain) = (run(fused, &arguments, DType::F32), run(plain, &arguments, DType::F32));
-        for (fused, plain) in fused.iter().zip(&plain) {
-            assert_close(fused, plain, NEIGHBOR, "halved");
-        }
-        // Result and gradients of input and weight are rounded; that of the bias, the last, is a sum without a product.
-        let exact = run(
-            &|a| linear(&a[0], &a[1], &a[2], Activation::None, valid.as_ref(), Precision::F32),
-            &arguments,
-            DType::F32,
-        );
-        let halved: Op<'_> = &|a| linear::fused::<Bf16>(&a[0], &a[1], &a[2], Activation::None, valid.as_ref());
-        let is_exact: Vec<bool> =
-            exact.iter().zip(run(halved, &arguments, DType::F32)).map(|(exact, halved)| *exact == halved).collect();
-        assert_eq!(is_exact, [false, false, false, true]);
-    }
-}
-
 #[test]
 fn layer_norm_agrees() {
     for dims in [&[2, 3, 50, 24][..], &[1, 128], &[7]] {
@@ -275,11 +247,6 @@ fn results_do_not_depend_on_the_number_of_threads() {
             [
                 run(
                     &|a| linear(&a[0], &a[1], &a[2], Activation::Relu, Some(&valid), Precision::F32),
-                    &[x.clone(), weight.clone(), bias.clone()],
-                    DType::F32,
-                ),
-                run(
-                    &|a| linear::fused::<Bf16>(&a[0], &a[1], &a[2], Activation::Relu, Some(&valid)),
                     &[x.clone(), weight.clone(), bias.clone()],
                     DType::F32,
                 ),

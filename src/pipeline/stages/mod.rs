@@ -197,7 +197,8 @@ mod tests {
         let text = "[mine]\n[train.denoiser]\n[train.distill]\n[train.classifier]\n[train.baseline]\n[generate]\n";
         let layout = Layout::below(std::path::Path::new("out"));
         let sections = |precision: &str| -> Vec<(StageId, Value)> {
-            let config = parse(None, text, &[format!("run.precision={precision}")]).unwrap();
+            let config =
+                parse(None, text, &["run.device=cuda".to_owned(), format!("run.precision={precision}")]).unwrap();
             let stages = of_pipeline(&config, &layout).unwrap();
             stages.iter().map(|stage| (stage.id(), stage.config().unwrap())).collect()
         };

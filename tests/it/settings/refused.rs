@@ -110,6 +110,10 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
     // Parts of batches.
     // Networks.
     (
+        &["run.precision=bf16"],
+        &["run.precision is \"bf16\", which needs the tensor cores of a GPU", "run.precision = \"f32\""],
+    ),
+    (
         &["train.denoiser.network.layers=TXYZ"],
         &["train.denoiser.network.layers is \"TXYZ\", but X is not a layer", "T (time)"],
     ),
