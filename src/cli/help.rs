@@ -83,9 +83,8 @@ Examples:
 
 /// Of `train distill`.
 pub(super) const TRAIN_DISTILL: &str = "\
-The distilled network has the same architecture and samples in one to three evaluations. To use it in a sweep, set \
-model = \"distilled\" and the sampler of train.distill.method: { kind = \"euler\", n_steps = 2, grid = … } for \
-{ kind = \"steps\", n_steps = 2, grid = … }, otherwise { kind = \"consistency\", levels = [0.8] }.
+The distilled network has the same architecture and samples in few evaluations. To use it in a sweep, set \
+model = \"distilled\" and sampler = { kind = \"euler\", n_steps = 2, grid = … } as in train.distill.method.
 
 Examples:
   djinn train distill --config pipelines/few_evaluations.toml --output output/try

@@ -3,7 +3,7 @@
 use super::{Diffusion, Error, ResolvedGeneration, ResolvedSweep};
 use crate::behavior::Behavior;
 use crate::metrics::MetricSettings;
-use crate::model::{DenoiserSpec, Distillation, TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
+use crate::model::{DenoiserSpec, TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::keep_freed_memory;
 use crate::scene::{Scene, SceneId};
 use crate::seed::Seed;
@@ -133,10 +133,11 @@ impl<'a> Generator<'a> {
             )));
         }
         match (sweep.uses_distilled(), &own.distillation) {
-            (true, distillation) => {
-                let distillation = distillation.as_ref().unwrap_or(&Distillation::Consistency);
-                sweep.check_distillation(distillation, &own.edm)
-            }
+            (true, Some(distillation)) => sweep.check_distillation(distillation, &own.edm),
+            (true, None) => Err(Error::Config(format!(
+                "sweep {}: train.distill.checkpoint is an ordinary denoiser; pass a distilled one, or set the sweep's model = \"denoiser\"",
+                sweep.name
+            ))),
             (false, None) => Ok(()),
             (false, Some(_)) => Err(Error::Config(format!(
                 "sweep {}: the denoiser is distilled; pass it as train.distill.checkpoint, and set the sweep's model = \"distilled\"",

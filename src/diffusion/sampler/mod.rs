@@ -1,6 +1,5 @@
 //! Turns noise into samples: the list of samplers, and what they have in common.
 
-mod consistency;
 mod dpmpp_2m;
 mod euler;
 mod grid;
@@ -8,7 +7,6 @@ mod heun;
 #[cfg(test)]
 mod tests;
 
-pub use consistency::ConsistencyConfig;
 pub use dpmpp_2m::Dpmpp2mConfig;
 pub use euler::EulerConfig;
 pub use grid::StepGrid;
@@ -33,9 +31,6 @@ pub enum SamplerConfig {
     /// Second order, one evaluation per step (DPM-Solver++ 2M).
     #[serde(rename = "dpmpp_2m")]
     Dpmpp2m(Dpmpp2mConfig),
-    /// Jumps to the end, for consistency models (`[train.distill]`).
-    #[serde(rename = "consistency")]
-    Consistency(ConsistencyConfig),
 }
 
 impl Default for SamplerConfig {
@@ -69,7 +64,6 @@ impl SamplerConfig {
             Self::Heun(config) => config.n_steps,
             Self::Euler(config) => config.n_steps,
             Self::Dpmpp2m(config) => config.n_steps,
-            Self::Consistency(config) => config.levels.len() + 1,
         }
     }
 
@@ -77,7 +71,7 @@ impl SamplerConfig {
     pub const fn n_evaluations(&self) -> usize {
         match self {
             Self::Heun(config) => (2 * config.n_steps).saturating_sub(1),
-            Self::Euler(_) | Self::Dpmpp2m(_) | Self::Consistency(_) => self.n_steps(),
+            Self::Euler(_) | Self::Dpmpp2m(_) => self.n_steps(),
         }
     }
 
@@ -87,12 +81,8 @@ impl SamplerConfig {
     /// Names the setting that is invalid.
     pub fn validate(&self) -> settings::Result {
         settings::check_ranges(self)?;
-        match self {
-            Self::Consistency(config) => return config.validate(),
-            Self::Heun(HeunConfig { s_tmin, s_tmax: Some(s_tmax), .. }) => {
-                settings::ascending(("s_tmin", *s_tmin), ("s_tmax", *s_tmax))?;
-            }
-            Self::Heun(_) | Self::Euler(_) | Self::Dpmpp2m(_) => {}
+        if let Self::Heun(HeunConfig { s_tmin, s_tmax: Some(s_tmax), .. }) = self {
+            settings::ascending(("s_tmin", *s_tmin), ("s_tmax", *s_tmax))?;
         }
         self.grid().validate().map_err(|issue| issue.within("grid"))
     }
@@ -103,7 +93,6 @@ impl SamplerConfig {
             Self::Heun(config) => config.grid,
             Self::Euler(config) => config.grid,
             Self::Dpmpp2m(config) => config.grid,
-            Self::Consistency(config) => StepGrid { sigma_max: config.sigma_max, sigma_min: None, rho: None },
         }
     }
 
@@ -114,16 +103,11 @@ impl SamplerConfig {
 
     /// The noise levels of its steps from `sigma_start`, the last of them 0.
     pub fn schedule(&self, edm: &Edm, sigma_start: f64) -> Vec<f64> {
-        match self {
-            Self::Consistency(config) => config.schedule(sigma_start),
-            _ => {
-                let edm = self.grid().laid_over(edm);
-                // An edit may begin at or below the last level of the grid: there is one step then, to 0.
-                match sigma_start <= edm.sigma_min {
-                    true => vec![sigma_start, 0.0],
-                    false => edm.schedule_from(sigma_start, self.n_steps()),
-                }
-            }
+        let edm = self.grid().laid_over(edm);
+        // An edit may begin at or below the last level of the grid: there is one step then, to 0.
+        match sigma_start <= edm.sigma_min {
+            true => vec![sigma_start, 0.0],
+            false => edm.schedule_from(sigma_start, self.n_steps()),
         }
     }
 
@@ -135,10 +119,6 @@ impl SamplerConfig {
             Self::Heun(config) => format!("heun-{}", config.n_steps),
             Self::Euler(config) => format!("euler-{}", config.n_steps),
             Self::Dpmpp2m(config) => format!("dpmpp_2m-{}", config.n_steps),
-            Self::Consistency(config) => {
-                let levels: Vec<String> = config.levels.iter().map(|level| format!("-{level}")).collect();
-                format!("consistency{}", levels.concat())
-            }
         };
         name + &self.grid().suffix()
     }
@@ -172,7 +152,6 @@ impl SamplerConfig {
             Self::Heun(config) => heun::integrate(config, sigmas, denoiser, x, noise, observer),
             Self::Euler(_) => euler::integrate(sigmas, denoiser, x, observer),
             Self::Dpmpp2m(_) => dpmpp_2m::integrate(sigmas, denoiser, x, observer),
-            Self::Consistency(_) => consistency::integrate(sigmas, denoiser, x, noise, observer),
         }
     }
 }

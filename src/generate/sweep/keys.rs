@@ -109,7 +109,7 @@ enum ModelKey {
     #[default]
     Denoiser,
     /// The denoiser of `[train.distill]`, in few evaluations: with `sampler = { kind = "euler" }` and the `n_steps` and `grid` of
-    /// `train.distill.method`, or `{ kind = "consistency", sigma_max = 24, levels = [4.0] }` for a consistency model.
+    /// `train.distill.method`.
     Distilled,
     /// Scene Transformer of `[train.baseline]`: samples are its joint futures, the most likely first, with their
     /// probabilities.

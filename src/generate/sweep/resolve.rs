@@ -141,17 +141,7 @@ impl SamplingConfig {
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         self.observe.validate(roles).map_err(|issue| issue.within("observe"))?;
         match &self.model {
-            ModelConfig::Denoiser(diffusion) => {
-                let resolved = diffusion.resolve(purpose, &self.observe)?;
-                match resolved.sampler {
-                    SamplerConfig::Consistency(_) => Err(Issue::new(
-                        "sampler.kind",
-                        "is \"consistency\", which gives blurred samples with an ordinary denoiser; set model = \
-                         \"distilled\", or use \"heun\"",
-                    )),
-                    _ => Ok(SweepModel::Denoiser(resolved)),
-                }
-            }
+            ModelConfig::Denoiser(diffusion) => Ok(SweepModel::Denoiser(diffusion.resolve(purpose, &self.observe)?)),
             ModelConfig::Distilled(diffusion) => {
                 let resolved = diffusion.resolve(purpose, &self.observe)?;
                 if matches!(resolved.sampler, SamplerConfig::Heun(_) | SamplerConfig::Dpmpp2m(_)) {
@@ -160,8 +150,7 @@ impl SamplingConfig {
                         format_args!(
                             "is {}, which expects a denoiser that predicts means; a distilled one does not, and samples would \
                              be far too wide; set sampler = {{ kind = \"euler\", n_steps = 2, grid = … }} as in \
-                             train.distill.method, or {{ kind = \"consistency\", sigma_max = 24, levels = [4.0] }} for a \
-                             consistency model",
+                             train.distill.method",
                             resolved.sampler.name()
                         ),
                     ));

@@ -159,22 +159,14 @@ impl ResolvedSweep {
             Some(edit) => edit.schedule(edm, sampler),
             None => sampler.schedule(edm, sampler.sigma_start(edm)),
         };
-        let refuse = |why: String| Err(Error::Config(format!("sweep {}: {why}", self.name)));
-        match (distillation, sampler) {
-            (Distillation::Steps { sigmas }, SamplerConfig::Euler(_)) if !sigmas.ends_with(&asked) => refuse(format!(
-                "the distilled denoiser steps through the noise levels {sigmas:?}, the sweep through {asked:?}: give it the n_steps and \
-                 grid of train.distill.method, and edits a tau that is one of these levels"
-            )),
-            (Distillation::Steps { sigmas }, SamplerConfig::Consistency(_)) => refuse(format!(
-                "the denoiser was distilled to Euler's steps through {sigmas:?}: give the sweep sampler = {{ kind = \"euler\" }} with the \
-                 n_steps and grid of train.distill.method"
-            )),
-            (Distillation::Consistency, SamplerConfig::Euler(_)) => refuse(
-                "the denoiser was distilled to a consistency model: give the sweep sampler = { kind = \"consistency\", sigma_max = 24, \
-                 levels = [4.0] }"
-                    .to_owned(),
-            ),
-            _ => Ok(()),
+        let Distillation::Steps { sigmas } = distillation;
+        match sigmas.ends_with(&asked) {
+            true => Ok(()),
+            false => Err(Error::Config(format!(
+                "sweep {}: the distilled denoiser steps through the noise levels {sigmas:?}, the sweep through {asked:?}: give it the \
+                 n_steps and grid of train.distill.method, and edits a tau that is one of these levels",
+                self.name
+            ))),
         }
     }
 }

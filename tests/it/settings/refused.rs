@@ -149,28 +149,9 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
         &["train.denoiser.objectives=[{ kind = \"speed_limit\", weight = -1.0, limit_mps = 8.0 }]"],
         &["train.denoiser.objectives.0.weight is -1"],
     ),
+    (&["train.distill.method={ n_steps = 0 }"], &["train.distill.method.n_steps is 0, expected 1 to 1000"]),
     (
-        &["train.distill.objectives=[{ kind = \"speed_limit\", limit_mps = 12.0 }]"],
-        &["train.distill.objectives need method"],
-    ),
-    (
-        &["train.distill.method={ kind = \"consistency\", gap = { n_stages = 0 } }"],
-        &["train.distill.method.gap.n_stages is 0"],
-    ),
-    (
-        &["train.distill.method={ kind = \"consistency\", gap = { n_stages = 24 } }"],
-        &["train.distill.method.gap.n_stages is 24"],
-    ),
-    (
-        &["train.distill.method={ kind = \"consistency\", gap = { ratio = 1.0 } }"],
-        &["train.distill.method.gap.ratio is 1, expected a number beyond 1"],
-    ),
-    (
-        &["train.distill.method={ kind = \"steps\", n_steps = 0 }"],
-        &["train.distill.method.n_steps is 0, expected 1 to 1000"],
-    ),
-    (
-        &["train.distill.method={ kind = \"steps\", teacher_steps = 1000000000000 }"],
+        &["train.distill.method={ teacher_steps = 1000000000000 }"],
         &["train.distill.method.teacher_steps is 1000000000000"],
     ),
     (
