@@ -31,9 +31,9 @@ pub use estimate_potential::EstimatePotential;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
 pub use objectives::{
-    AccelerationLimit, AdversarialTtc, Collision, CrossAhead, CutIn, CutOut, Goal, GoalFrame, HardBrake, KeepDistance,
-    LaneChange, NearMiss, NoCollision, ObjectiveConfig, PedestrianStepsOut, RoadPoints, SceneObjective, Side,
-    SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, Tailgating, TargetSpeed, Turn, WrongWay,
+    AccelerationLimit, Collision, CrossAhead, CutIn, Goal, GoalFrame, HardBrake, KeepDistance, LaneChange, NoCollision,
+    ObjectiveConfig, RoadPoints, SceneObjective, Side, SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,
+    Turn, WrongWay,
 };
 pub use scene_context::{ContextRow, SceneContext, Target};
 
