@@ -6,7 +6,7 @@
 
 use super::feed::{complaint, feed};
 use super::jobs::WORKER;
-use super::{ClusterConfig, Job, JobGraph, yaml};
+use super::{ClusterConfig, Job, JobGraph};
 use crate::pipeline::{Failure, Result};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -21,7 +21,7 @@ const INDEX: &str = "$(JOB_COMPLETION_INDEX)";
 /// takes 28.
 const NAME_LETTERS: usize = 35;
 
-/// The JobSet, as YAML.
+/// The JobSet, as JSON, which `kubectl` reads like YAML.
 ///
 /// # Errors
 /// When the settings lack an image, or no volume holds the files.
@@ -49,7 +49,7 @@ pub fn manifest(graph: &JobGraph, cluster: &ClusterConfig) -> Result<String> {
         "metadata": metadata,
         "spec": {"replicatedJobs": jobs},
     });
-    Ok(yaml::document(&document))
+    Ok(format!("{document:#}\n"))
 }
 
 /// Submits the JobSet to Kubernetes. Returns the output of `kubectl`.

@@ -10,8 +10,8 @@ const CLUSTER: &str = "[cluster]\nworkers = 7\nretries = 3\npartition = 'night'\
 fn the_job_set_is_as_it_was_read_and_found_good() {
     let overrides = ["run.output='$(HOME)/a'".to_owned()];
     let (graph, cluster) = graph_for(Engine::Kubernetes, &format!("{PIPELINE}{CLUSTER}"), &overrides);
-    // `scripts/check_jobset.py tests/golden/jobset.yaml` looks at it with the schemas of Kubernetes.
-    assert_golden("jobset.yaml", &kubernetes::manifest(&graph, &cluster).unwrap());
+    // `scripts/check_jobset.py tests/golden/jobset.json` looks at it with the schemas of Kubernetes.
+    assert_golden("jobset.json", &kubernetes::manifest(&graph, &cluster).unwrap());
 }
 
 #[test]
