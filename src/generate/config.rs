@@ -1,6 +1,6 @@
 //! The `[generate]` section: how many scenarios of what kind, from which scenes.
 
-use super::{ArmConfig, Error, RequestConfig, ResolvedGeneration, SweepConfig};
+use super::{Error, RequestConfig, ResolvedGeneration, SweepConfig};
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
@@ -39,9 +39,9 @@ pub struct GenerateConfig {
     pub seed: u64,
     /// The sweeps, generated in order.
     pub sweeps: Vec<SweepConfig>,
-    /// Ways of sampling that requests may try: settings of sweeps, without `behavior`, `n_scenes`, `pairs` and
-    /// `select`, which the request decides.
-    pub arms: Vec<ArmConfig>,
+    /// Ways of sampling that requests may try: settings of sweeps, without `behavior`, `n_scenes`, `pairs`, `aim`,
+    /// `select` and `stop_after_verified`, which the request decides.
+    pub arms: Vec<SweepConfig>,
     /// Events requested by their parameters, generated after the sweeps.
     pub requests: Vec<RequestConfig>,
 }
@@ -141,7 +141,7 @@ impl GenerateConfig {
             resolved.sweeps.push(sweep.resolve(self, behaviors).map_err(within(format!("generate.sweeps.{i}")))?);
         }
         for (i, arm) in self.arms.iter().enumerate() {
-            arm.check().map_err(within(format!("generate.arms.{i}")))?;
+            arm.validate_arm().map_err(within(format!("generate.arms.{i}")))?;
         }
         self.resolve_requests(behaviors, &mut resolved)?;
         Ok(resolved)

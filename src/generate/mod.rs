@@ -52,7 +52,7 @@ pub use request::{
 pub use sample::{RejectedSample, ShardOutput};
 pub use select::SelectConfig;
 pub use sweep::{
-    Aim, ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
-    SamplingConfig, SweepConfig, SweepGuidance, SweepModel,
+    Aim, ClassifierInput, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance,
+    SweepModel,
 };
 pub use verify::{Verification, verify};

@@ -1,8 +1,8 @@
 //! Can a sweep be sampled as written? The only place that checks it and fills in defaults.
 
 use super::{
-    Aim, ArmConfig, ClassifierInput, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep,
-    SamplingConfig, SweepConfig, SweepModel,
+    Aim, ClassifierInput, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance,
+    SweepModel,
 };
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerConfig;
@@ -37,17 +37,17 @@ impl SweepConfig {
         }
         let behavior = self.behavior.as_deref().map(|id| mined(id, behaviors)).transpose()?;
         let selects_by_objectives = self.select.as_ref().is_some_and(SelectConfig::names_objectives);
-        let model = self.sampling.resolve(&Purpose { config, behavior, selects_by_objectives })?;
+        let model = self.resolve_model(&Purpose { config, behavior, selects_by_objectives })?;
         let sweep = ResolvedSweep {
             name: self.name.clone(),
             n_scenes: self.n_scenes,
-            n_samples: self.sampling.n_samples,
+            n_samples: self.n_samples,
             behavior: self.behavior.clone(),
             pairs: self.pairs.clone(),
             aim: self.aim,
             select: self.select.clone(),
             stop_after_verified: self.stop_after_verified,
-            observe: self.sampling.observe.clone(),
+            observe: self.observe.clone(),
             model,
         };
         let can_aim = behavior.is_some() && !sweep.aims_at().is_empty();
@@ -66,21 +66,20 @@ impl SweepConfig {
         }
         Ok(sweep)
     }
-}
 
-impl ArmConfig {
-    /// Refuses settings that no request could try, whatever its behavior.
-    pub(in crate::generate) fn check(&self) -> Result {
+    /// Refuses settings of an arm that no request could try, whatever its behavior.
+    pub(in crate::generate) fn validate_arm(&self) -> Result {
         settings::printable_name("name", &self.name)?;
         if self.name.contains(['/', '@']) {
             return Err(Issue::new("name", format_args!("is \"{}\", expected one without / and @", self.name)));
         }
-        match &self.sampling.model {
-            ModelConfig::Baseline => Err(Issue::new(
+        self.check_arm()?;
+        match self.model {
+            SampledModel::Baseline => Err(Issue::new(
                 "model",
                 "is \"baseline\", which has a fixed number of futures per scene; use \"denoiser\" or \"distilled\"",
             )),
-            ModelConfig::Denoiser(diffusion) | ModelConfig::Distilled(diffusion) => diffusion.levels().map(drop),
+            SampledModel::Denoiser | SampledModel::Distilled => self.all_levels().map(drop),
         }
     }
 
@@ -88,24 +87,24 @@ impl ArmConfig {
     ///
     /// # Errors
     /// Names the key that does not fit the request's behavior.
-    pub(in crate::generate) fn resolve(
+    pub(in crate::generate) fn resolve_arm(
         &self,
         request: &RequestConfig,
         config: &GenerateConfig,
         behavior: &dyn Behavior,
     ) -> Result<Vec<(ResolvedSweep, GuidanceLevel)>> {
         let behavior = Some(behavior);
-        let model = self.sampling.resolve(&Purpose { config, behavior, selects_by_objectives: false })?;
+        let model = self.resolve_model(&Purpose { config, behavior, selects_by_objectives: false })?;
         let sweep = ResolvedSweep {
             name: format!("{}/{}", request.name, self.name),
             n_scenes: request.n_scenes,
-            n_samples: self.sampling.n_samples,
+            n_samples: self.n_samples,
             behavior: Some(request.behavior.clone()),
             pairs: request.pairs.clone(),
             aim: Aim::default(),
             select: None,
             stop_after_verified: None,
-            observe: self.sampling.observe.clone(),
+            observe: self.observe.clone(),
             model,
         };
         let levels = sweep.levels();
@@ -136,14 +135,14 @@ pub(in crate::generate) fn mined<'a>(id: &str, behaviors: &'a [Box<dyn Behavior>
     })
 }
 
-impl SamplingConfig {
-    fn resolve(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
+impl SweepConfig {
+    fn resolve_model(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         self.observe.validate(roles).map_err(|issue| issue.within("observe"))?;
-        match &self.model {
-            ModelConfig::Denoiser(diffusion) => Ok(SweepModel::Denoiser(diffusion.resolve(purpose, &self.observe)?)),
-            ModelConfig::Distilled(diffusion) => {
-                let resolved = diffusion.resolve(purpose, &self.observe)?;
+        match self.model {
+            SampledModel::Denoiser => Ok(SweepModel::Denoiser(self.resolve_diffusion(purpose)?)),
+            SampledModel::Distilled => {
+                let resolved = self.resolve_diffusion(purpose)?;
                 if matches!(resolved.sampler, SamplerConfig::Heun(_) | SamplerConfig::Dpmpp2m(_)) {
                     return Err(Issue::new(
                         "sampler",
@@ -163,18 +162,16 @@ impl SamplingConfig {
                 }
                 Ok(SweepModel::Distilled(resolved))
             }
-            ModelConfig::Baseline => Ok(SweepModel::Baseline),
+            SampledModel::Baseline => self.check_baseline().map(|()| SweepModel::Baseline),
         }
     }
-}
 
-impl DiffusionConfig {
-    fn resolve(&self, purpose: &Purpose<'_>, observe: &ObserveConfig) -> Result<Diffusion> {
-        let levels = self.levels()?;
+    fn resolve_diffusion(&self, purpose: &Purpose<'_>) -> Result<Diffusion> {
+        let levels = self.all_levels()?;
         if let Some(sampler) = &self.sampler {
             sampler.validate().map_err(|issue| issue.within("sampler"))?;
         }
-        let GuidanceConfig { sigma_lo, sigma_hi, .. } = self.guidance.gate;
+        let GuidanceConfig { sigma_lo, sigma_hi, .. } = self.guidance;
         settings::ascending(("guidance.sigma_lo", sigma_lo), ("guidance.sigma_hi", sigma_hi))?;
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         if let Some(config) = &self.classifier_free {
@@ -193,25 +190,28 @@ impl DiffusionConfig {
             sampler: self.sampler.as_ref().unwrap_or(&purpose.config.sampler).clone(),
             validity_strength: self.validity_strength.unwrap_or(purpose.config.validity_strength),
             levels,
-            guidance: self.guidance.clone(),
+            guidance: SweepGuidance {
+                gate: self.guidance,
+                classifier_scope: self.classifier_scope,
+                classifier_input: self.classifier_input,
+                classifier_potential: self.classifier_potential,
+                objectives: self.objectives.clone(),
+                objective_guidance: self.objective_guidance,
+            },
             classifier_free: self.classifier_free.clone(),
             edit: self.edit.clone(),
             template: self.template_parameters(purpose)?,
         };
-        resolved.check_guidance(purpose, observe).map(|()| resolved)
+        resolved.check_guidance(purpose, &self.observe).map(|()| resolved)
     }
-}
 
-impl DiffusionConfig {
     /// The parameters for which templates are solved; empty without templates.
     fn template_parameters(&self, purpose: &Purpose<'_>) -> Result<&'static [&'static str]> {
         if !self.template {
             return Ok(&[]);
         }
         let refuse = |why: String| Err(Issue::new("template", format_args!("is true, but {why}")));
-        if self.guidance.classifier_scope != ClassifierScope::None
-            && self.strengths.iter().any(|strength| *strength != 0.0)
-        {
+        if self.classifier_scope != ClassifierScope::None && self.strengths.iter().any(|strength| *strength != 0.0) {
             return refuse("the classifier does not know templates; set classifier_scope = \"none\"".to_owned());
         }
         if self.edit.is_some() {

@@ -1,10 +1,12 @@
 //! A sweep that can be sampled: complete, and without contradictions.
 
-use super::{Aim, ClassifierScope, SweepGuidance};
+use super::{Aim, ClassifierInput, ClassifierScope};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::{Edm, SamplerConfig};
 use crate::generate::{ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig};
-use crate::guidance::EVALUATIONS_PER_GRADIENT;
+use crate::guidance::{
+    ClassifierPotential, EVALUATIONS_PER_GRADIENT, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig,
+};
 use crate::model::Distillation;
 use crate::scene::GuidanceLevel;
 use std::collections::BTreeSet;
@@ -43,6 +45,23 @@ pub enum SweepModel {
     Distilled(Diffusion),
     /// Scene Transformer, in one pass.
     Baseline,
+}
+
+/// What guides samples, and how.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SweepGuidance {
+    /// When guidance acts and how far it may go.
+    pub gate: GuidanceConfig,
+    /// Which agents the classifier of the behavior judges.
+    pub classifier_scope: ClassifierScope,
+    /// What the classifier is shown.
+    pub classifier_input: ClassifierInput,
+    /// What of the classifier is made large.
+    pub classifier_potential: ClassifierPotential,
+    /// Objectives for the trajectories, in addition to a behavior or instead of one.
+    pub objectives: Vec<ObjectiveConfig>,
+    /// How objectives become shifts of the clean estimate.
+    pub objective_guidance: ObjectiveGuidanceConfig,
 }
 
 /// How a denoiser is sampled.
