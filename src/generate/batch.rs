@@ -84,6 +84,7 @@ impl Generator<'_> {
             batch: own,
             repeated: &tensors,
             samples: batch.samples.clone(),
+            places_without_road: &self.metric_settings.validity.places_without_road,
         };
         let denoise = |denoiser: &dyn Denoiser| self.denoise(&guided, denoiser, progress);
         let x = match wanted {

@@ -15,6 +15,7 @@ use crate::model::TrainedClassifier;
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Scene};
 use crate::tensor::{FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 /// The noise level at which a classifier sees clean estimates: low enough to preserve a maneuver, but within its
@@ -24,8 +25,8 @@ const ESTIMATE_SIGMA: f64 = 0.1;
 /// The kind and value of each objective, for one sample.
 pub(super) type Wishes = Vec<(&'static str, f64)>;
 
-/// The rules of traffic for every sample: boxes a hand's breadth apart (recordings have no more), centers on the road,
-/// vehicles that point where they drive. Agents that are asked to collide may touch each other.
+/// The rules of traffic for every sample: boxes a hand's breadth apart (recordings have no more), centers no further off
+/// the road than they are, vehicles that point where they drive. Agents that are asked to collide may touch each other.
 fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
     let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
     let may_collide = <[&str; 2]>::try_from(roles).ok();
@@ -68,6 +69,8 @@ pub(super) struct Guided<'a> {
     pub(super) repeated: &'a SceneBatch,
     /// The samples of each cell, by their numbers.
     pub(super) samples: Range<usize>,
+    /// The places whose maps lack parts of the road.
+    pub(super) places_without_road: &'a BTreeSet<String>,
 }
 
 /// Scenes as the classifier was trained on them, and the change of coordinates from the sampled states.
@@ -83,7 +86,9 @@ impl Guided<'_> {
             .map(|((cell, scene), agents)| ContextRow { scene, ego_idx: agents.0, roles: &cell.roles })
             .collect();
         let targets = self.cells.iter().flat_map(|(cell, _)| self.samples.clone().map(|sample| cell.target(sample)));
-        let context = SceneContext::new(self.batch, &rows)?.repeated(self.samples.len())?;
+        let shows_road = |row: usize| !self.places_without_road.contains(&self.cells[row].1.source.place);
+        let context = SceneContext::new(self.batch, &rows)?.with_roads_where(shows_road);
+        let context = context.repeated(self.samples.len())?;
         Ok(context.aiming_at(targets.collect())?)
     }
 

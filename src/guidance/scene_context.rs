@@ -128,6 +128,14 @@ impl SceneContext {
         })
     }
 
+    /// The same without the roads of the rows at whose places the map `shows` only parts of the road, where nobody can be
+    /// said to leave it.
+    #[must_use]
+    pub fn with_roads_where(mut self, shows: impl Fn(usize) -> bool) -> Self {
+        self.roads.iter_mut().enumerate().filter(|(row, _)| !shows(*row)).for_each(|(_, road)| *road = Arc::default());
+        self
+    }
+
     /// The same where the events of the rows are asked to be like `targets`, one a row.
     ///
     /// # Errors

@@ -15,6 +15,9 @@ const MAX_LANE_DISTANCE_M: f64 = 5.0;
 
 /// Largest acceleration of an agent, m/s²: the limit for generated traffic.
 const MAX_ACCELERATION_MPS2: f64 = 5.0;
+/// Recorded velocities disagree with the positions if they differ by more than this in the mean of a track, m/s: twice
+/// what positions rounded to centimeters explain.
+const MAX_VELOCITY_ERROR_MPS: f64 = 0.1;
 /// Lanes belong to a scene if they are within this distance of a place that an agent can reach, meters.
 const SURROUNDINGS_M: f64 = 10.0;
 
@@ -38,6 +41,10 @@ pub(super) fn assemble(
     check_states(&raw)?;
     let present = raw.n_history.saturating_sub(1);
     let mut counts = IngestReport::default();
+    if raw.source.dataset.facts().has_velocities {
+        derive_velocities(&mut raw, &mut counts);
+        check_states(&raw)?;
+    }
     let Some((ego_idx, ego_state)) = choose_ego(&raw, present, Seed(config.seed)) else {
         return Err(reject(&raw, "no_ego", format!("no motorized track is present at timestep {present}")));
     };
@@ -80,6 +87,20 @@ pub(super) fn assemble(
         tracks,
     };
     Ok((scene, counts))
+}
+
+/// Replaces recorded velocities by those that follow from the positions, and counts the tracks whose recorded ones
+/// disagree.
+fn derive_velocities(raw: &mut RawScene, counts: &mut IngestReport) {
+    for track in &mut raw.tracks {
+        let derived = track.trajectory.with_velocities_from_positions(raw.n_history, raw.dt_s);
+        let errors = (track.trajectory.valid().zip(derived.valid()))
+            .map(|((_, recorded), (_, derived))| (recorded.velocity - derived.velocity).norm());
+        let disagrees = errors.sum::<f64>() > MAX_VELOCITY_ERROR_MPS * derived.n_valid() as f64;
+        counts.count_assumed("tracks_whose_recorded_velocities_disagree_with_positions", u64::from(disagrees));
+        track.trajectory = derived;
+    }
+    counts.count_assumed("tracks_with_velocities_from_positions", raw.tracks.len() as u64);
 }
 
 fn reject(raw: &RawScene, reason: &'static str, detail: impl Display) -> Reject {

@@ -101,6 +101,7 @@ impl IngestReport {
             format!("{} rejected as {reason}{first}", rejects.count)
         }));
         parts.extend(self.dropped.iter().map(|(what, n)| format!("{n} {} dropped", what.replace('_', " "))));
+        parts.extend(self.assumed.iter().map(|(what, n)| format!("{n} {}", what.replace('_', " "))));
         parts.join("; ")
     }
 }

@@ -26,6 +26,10 @@ pub struct DatasetFacts {
     pub country: Option<&'static str>,
     /// Whether headings of vehicles are recorded. Otherwise they follow from positions.
     pub has_headings: bool,
+    /// Whether velocities are recorded beside positions. They are a tracker's, filtered, and not the derivative of the
+    /// positions, so that what continues with them jumps: ingest derives velocities from positions and keeps those that
+    /// are recorded only for states without a neighbor in time.
+    pub has_velocities: bool,
     /// Whether positions are good enough to judge motion by: accelerations, jerks, curvature.
     pub has_clean_motion: bool,
     /// Whether the focal agent is the dataset's choice of the agent to predict.
@@ -71,6 +75,7 @@ impl Dataset {
                         Recordings of another origin in its format are under the terms of their maker.",
                 country: None,
                 has_headings: true,
+                has_velocities: true,
                 has_clean_motion: true,
                 has_chosen_focal: false,
                 begins_at_ns: false,
@@ -82,6 +87,7 @@ impl Dataset {
                 terms: "Argoverse 1 (Chang et al. 2019): CC BY-NC-SA 4.0, non-commercial use only.",
                 country: Some("USA"),
                 has_headings: false,
+                has_velocities: false,
                 // Those of a tracker, unfiltered and at uneven times.
                 has_clean_motion: false,
                 has_chosen_focal: true,
@@ -94,6 +100,7 @@ impl Dataset {
                 terms: "Argoverse 2 (Wilson et al. 2021): CC BY-NC-SA 4.0, non-commercial use only.",
                 country: Some("USA"),
                 has_headings: true,
+                has_velocities: true,
                 has_clean_motion: true,
                 has_chosen_focal: true,
                 begins_at_ns: true,

@@ -17,6 +17,7 @@ mod scene;
 pub(crate) mod testing;
 mod track;
 mod trajectory;
+mod velocity;
 
 pub use agent::{AgentClass, Extent};
 pub use agent_ref::AgentRef;
@@ -32,3 +33,4 @@ pub use scenario::{GuidanceTag, Provenance, Scenario};
 pub use scene::{Scene, SceneSource, Split, UnfitScene};
 pub use track::{Track, TrackRole};
 pub use trajectory::{Derivation, RecordedPosition, State, Trajectory};
+pub use velocity::velocity_at;

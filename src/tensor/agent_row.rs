@@ -54,9 +54,11 @@ impl<'a> AgentRow<'a> {
         let shown = |timestep: usize| frame.observed(agent_idx, timestep);
         let recorded = |timestep: usize| track.trajectory.is_valid(timestep);
         let observed = |timestep: usize| shown(timestep) && recorded(timestep);
-        let reference = Reference::new(track, view.scene.dt_s, view.scene.current_timestep(), observed);
-        let is_observed_at_all = reference.at(0).is_some();
         let normalizer = &collator.normalizer;
+        let derives_heading = frame.derives_heading(track);
+        let reference = Reference::new(track, view.scene.dt_s, view.scene.current_timestep(), observed)
+            .continued(normalizer.motion_covariance.as_ref(), !derives_heading);
+        let is_observed_at_all = reference.at(0).is_some();
         let is_residual = normalizer.parametrization != StateParametrization::Scene && is_observed_at_all;
         let (frame_heading_rad, unit) = if is_residual {
             (reference.frame_heading_rad() + frame.ego_from_scene.rotation_rad, normalizer.agent_units())
@@ -85,7 +87,7 @@ impl<'a> AgentRow<'a> {
             is_residual,
             frame_heading_rad,
             unit,
-            derives_heading: frame.derives_heading(track),
+            derives_heading,
         }
     }
 
@@ -208,7 +210,8 @@ impl<'a> AgentRow<'a> {
         rows.write_observed_motion(self.at, self.reference.observed_motion().map(seen), &self.unit);
         let (sight, covariance) =
             self.collator.sight.as_ref().zip(self.collator.normalizer.motion_covariance.as_ref())?;
-        let mut modes = sight.modes_of_motion(covariance, &observed, &latent, n_timesteps);
+        let observed = (observed.as_slice(), self.reference.n_past());
+        let mut modes = sight.modes_of_motion(covariance, observed, &latent, n_timesteps);
         if self.derives_heading {
             modes.clear_from(2, n_timesteps);
         }

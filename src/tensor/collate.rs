@@ -56,7 +56,10 @@ impl Collator {
     /// Fails when the device runs out of memory.
     pub fn collate(&self, views: &[SceneView<'_>], validity: FutureValidity, device: &Device) -> Result<SceneBatch> {
         if self.sight.is_some() && self.normalizer.motion_covariance.is_none() {
-            bail!("surroundings need the covariance of motion, which the normalizer does not have");
+            bail!(
+                "surroundings need the covariance of motion, which the normalizer does not have: no training scene has a track \
+                 that is recorded throughout"
+            );
         }
         let frames: Vec<AgentFrame> = views.iter().map(|view| self.frame(view)).collect();
         let lanes: Vec<Vec<[f32; FeatureLayout::LANE]>> = views
@@ -81,7 +84,10 @@ impl Collator {
         let mut tensors = rows.into_tensors(frames, device)?;
         if let Some(sight) = &self.sight {
             let sizes = [n_agents, self.n_timesteps, self.normalizer.state_dim];
-            tensors.surroundings = Some(sight.surroundings(views, &tensors.frames, &modes_of_agents, sizes, device)?);
+            let covariance = self.normalizer.motion_covariance.as_ref();
+            let surroundings =
+                sight.surroundings(views, &tensors.frames, &modes_of_agents, sizes, covariance, device)?;
+            tensors.surroundings = Some(surroundings);
         }
         SceneBatch::new(tensors)
     }

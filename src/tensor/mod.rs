@@ -4,6 +4,7 @@ mod agent_frame;
 mod agent_row;
 mod batch_buffers;
 mod collate;
+mod continuation;
 mod eigen;
 mod event_vocabulary;
 mod features;

@@ -3,32 +3,60 @@
 //! The motion of traffic is smooth: the numbers that the motion parametrization diffuses are nearly equal from timestep
 //! to timestep. A denoiser that knows their covariance C = Uᵀ Λ U averages white noise away before a network sees it.
 
+use super::continuation::Continuations;
 use super::eigen::{Eigen, symmetric_eigen};
 use super::motion::MotionChain;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The least variance: recordings have outliers in modes with hardly any motion.
+/// The least variance of a mode where the noise of recordings is not known.
 const MIN_VARIANCE: f64 = 1e-4;
+/// The least standard deviation of a mode as a share of the noise of observed positions.
+const MIN_SHARE_OF_NOISE: f64 = 0.2;
 
-/// Covariance of an agent's diffused motion z along time in training traffic, in units of x: entry (i, j) is that of the
-/// timesteps i + 1 and j + 1 after the last observed one, when nothing later is observed.
+/// Covariance of an agent's motion along time in training traffic, in units of x: of K observed steps beyond the velocity at
+/// the present, and of the motion z at N timesteps after it, when nothing later is observed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotionCovariance {
+    /// Number of observed steps K.
+    #[serde(default)]
+    pub n_past: usize,
     /// Number of timesteps N.
     pub n_timesteps: usize,
-    /// One N x N matrix for each diffused dimension, row by row.
+    /// One (K + N) x (K + N) matrix for each diffused dimension, row by row, in order of time.
     pub values: Vec<Vec<f64>>,
+    /// The standard deviation of errors of observed positions and headings that predictions from them allow for, one a
+    /// dimension; none without K.
+    #[serde(default)]
+    pub noise: Vec<f64>,
+    #[serde(skip)]
+    pub(super) continuations: Continuations,
 }
 
 impl MotionCovariance {
-    /// Covariance of the residual r (the sum of z) at `i` and `j` timesteps after the last observed one, counted
-    /// from 1. Beyond N timesteps, motion continues as in the last of them.
-    fn sums(&self, dim: usize, n: usize) -> Vec<f64> {
+    /// A covariance of `n_past` observed steps and `n_timesteps` future ones.
+    pub(super) fn new(n_past: usize, n_timesteps: usize, values: Vec<Vec<f64>>, noise: Vec<f64>) -> Self {
+        Self { n_past, n_timesteps, values, noise, continuations: Continuations::default() }
+    }
+
+    /// The least variance of a mode: half a millimeter of noise a step gives a sample away, and no recording is smoother
+    /// than it is exact.
+    fn min_variance(&self, dim: usize) -> f64 {
+        self.noise.get(dim).map_or(MIN_VARIANCE, |noise| (MIN_SHARE_OF_NOISE * noise).powi(2))
+    }
+
+    /// Covariance of the residual r (the sum of z, or of z - W p after `n_past` observed steps) at `i` and `j` timesteps after
+    /// the last observed one, counted from 1. Beyond N timesteps, motion continues as in the last of them.
+    fn sums(&self, dim: usize, n: usize, n_past: usize) -> Vec<f64> {
         let at = |i: usize| i.min(self.n_timesteps.saturating_sub(1));
-        let z = |i: usize, j: usize| self.values[dim][at(i) * self.n_timesteps + at(j)];
+        let continued = self.continuation(n_past).map(|continuation| &continuation.covariance[dim]);
+        let size = self.n_past + self.n_timesteps;
+        let z = |i: usize, j: usize| match continued {
+            Some(rest) => rest[at(i) * self.n_timesteps + at(j)],
+            None => self.values[dim][(self.n_past + at(i)) * size + self.n_past + at(j)],
+        };
         let mut sums = vec![0.0; n * n];
         for i in 0..n {
             let mut row = 0.0;
@@ -70,6 +98,8 @@ struct Stretch {
     offsets: Vec<usize>,
     /// Timesteps between the observed states at its two ends; `None` if there is one at one end only.
     gap: Option<usize>,
+    /// Number of observed steps from which its motion is predicted.
+    n_past: usize,
 }
 
 /// Computes modes, and caches those of stretches.
@@ -80,11 +110,11 @@ pub(super) struct ModeTable {
 
 impl ModeTable {
     /// The modes of an agent that is observed at `observed` and generated at `latent` timesteps, both ascending, of
-    /// `n_timesteps`. An agent that is never observed has the variance `sigma_data`² everywhere.
+    /// `n_timesteps`. After the last observed one its motion is predicted from `n_past` steps. An agent that is never observed has the variance `sigma_data`² everywhere.
     pub(super) fn modes(
         &self,
         covariance: &MotionCovariance,
-        observed: &[usize],
+        (observed, n_past): (&[usize], usize),
         latent: &[usize],
         n_timesteps: usize,
         sigma_data: f64,
@@ -99,11 +129,11 @@ impl ModeTable {
             }
             return modes;
         }
-        for (timesteps, stretch) in stretches(observed, latent) {
+        for (timesteps, stretch) in stretches(observed, n_past, latent) {
             let eigen = self.of_stretch(covariance, stretch);
             for (dim, Eigen { values, vectors }) in eigen.iter().enumerate() {
                 for ((slot, value), vector) in timesteps.iter().zip(values).zip(vectors.chunks(timesteps.len())) {
-                    modes.variances[dim * n_timesteps + slot] = value.max(MIN_VARIANCE) as f32;
+                    modes.variances[dim * n_timesteps + slot] = value.max(covariance.min_variance(dim)) as f32;
                     for (t, component) in timesteps.iter().zip(vector) {
                         modes.vectors[dim * size + slot * n_timesteps + t] = *component as f32;
                     }
@@ -139,7 +169,7 @@ impl Stretch {
     fn covariance(&self, covariance: &MotionCovariance, dim: usize) -> Vec<f64> {
         let last = self.offsets.last().copied().unwrap_or(0);
         let n = self.gap.unwrap_or(last).max(last);
-        let sums = covariance.sums(dim, n);
+        let sums = covariance.sums(dim, n, self.n_past);
         let free = |i: usize, j: usize| sums[(i - 1) * n + j - 1];
         let residual = |i: usize, j: usize| match self.gap {
             Some(gap) => free(i, j) - free(i, gap) * free(gap, j) / free(gap, gap).max(MIN_VARIANCE),
@@ -151,7 +181,7 @@ impl Stretch {
 }
 
 /// The latent timesteps between observed ones, each stretch in the order in which it is counted from an observed state.
-fn stretches(observed: &[usize], latent: &[usize]) -> Vec<(Vec<usize>, Stretch)> {
+fn stretches(observed: &[usize], n_past: usize, latent: &[usize]) -> Vec<(Vec<usize>, Stretch)> {
     let mut found: Vec<(Vec<usize>, Stretch)> = Vec::new();
     let mut rest = latent;
     while let Some(first) = rest.first() {
@@ -162,12 +192,13 @@ fn stretches(observed: &[usize], latent: &[usize]) -> Vec<(Vec<usize>, Stretch)>
         let stretch = match (next.checked_sub(1).map(|i| observed[i]), observed.get(next)) {
             (Some(before), after) => {
                 let offsets = these.iter().map(|t| t - before).collect();
-                (these.to_vec(), Stretch { offsets, gap: after.map(|after| after - before) })
+                let n_past = if after.is_none() { n_past } else { 0 };
+                (these.to_vec(), Stretch { offsets, gap: after.map(|after| after - before), n_past })
             }
             (None, Some(after)) => {
                 let backward: Vec<usize> = these.iter().rev().copied().collect();
                 let offsets = backward.iter().map(|t| after - t).collect();
-                (backward, Stretch { offsets, gap: None })
+                (backward, Stretch { offsets, gap: None, n_past: 0 })
             }
             (None, None) => continue,
         };
@@ -183,14 +214,14 @@ mod tests {
     /// White motion: z independent, with variance 2.
     fn white(n: usize) -> MotionCovariance {
         let values = (0..n * n).map(|k| if k / n == k % n { 2.0 } else { 0.0 }).collect();
-        MotionCovariance { n_timesteps: n, values: vec![values] }
+        MotionCovariance::new(0, n, vec![values], Vec::new())
     }
 
     #[test]
     fn white_motion_stays_white_in_every_stretch() {
         // A Brownian path given its end is the bridge that the chain is made of: its motion is white again.
         let table = ModeTable::default();
-        let modes = table.modes(&white(6), &[3, 8], &[0, 1, 2, 4, 5, 7, 9, 11], 12, 0.5);
+        let modes = table.modes(&white(6), (&[3, 8], 0), &[0, 1, 2, 4, 5, 7, 9, 11], 12, 0.5);
         for t in 0..12 {
             let expected = if [3, 6, 8, 10].contains(&t) { 0.0 } else { 2.0 };
             assert!((modes.variances[t] - expected).abs() < 1e-5, "{t}: {:?}", modes.variances);
@@ -204,8 +235,8 @@ mod tests {
         // Constant acceleration: z_t = a t, so that one mode holds all the variance.
         let n = 5;
         let values = (0..n * n).map(|k| ((k / n + 1) * (k % n + 1)) as f64).collect();
-        let covariance = MotionCovariance { n_timesteps: n, values: vec![values] };
-        let modes = ModeTable::default().modes(&covariance, &[0], &[1, 2, 3, 4, 5], 6, 0.5);
+        let covariance = MotionCovariance::new(0, n, vec![values], Vec::new());
+        let modes = ModeTable::default().modes(&covariance, (&[0], 0), &[1, 2, 3, 4, 5], 6, 0.5);
         let total: f32 = modes.variances.iter().sum();
         let largest = modes.variances.iter().copied().fold(0.0, f32::max);
         assert!((total - 55.0).abs() < 1e-3 && (largest - 55.0).abs() < 1e-3, "{:?}", modes.variances);
@@ -213,7 +244,21 @@ mod tests {
 
     #[test]
     fn who_is_never_observed_is_white() {
-        let modes = ModeTable::default().modes(&white(3), &[], &[1, 3], 4, 0.5);
+        let modes = ModeTable::default().modes(&white(3), (&[], 0), &[1, 3], 4, 0.5);
         assert_eq!(modes.variances, [0.0, 0.25, 0.0, 0.25]);
+    }
+
+    #[test]
+    fn a_predicted_stretch_has_the_modes_of_the_rest() {
+        // z1 = p + e with e of variance 0.5, z2 = e2 of variance 3; p of variance 2 is observed without noise.
+        let values = vec![2.0, 2.0, 0.0, 2.0, 2.5, 0.0, 0.0, 0.0, 3.0];
+        let covariance = MotionCovariance::new(1, 2, vec![values], vec![0.0]);
+        let variances = |n_past: usize, latent: &[usize]| {
+            let mut found = ModeTable::default().modes(&covariance, (&[0, 1], n_past), latent, 4, 0.5).variances;
+            found.sort_by(f32::total_cmp);
+            found
+        };
+        assert!(variances(1, &[2, 3]).iter().zip([0.0, 0.0, 0.5, 3.0]).all(|(a, b)| (a - b).abs() < 1e-5));
+        assert!(variances(0, &[2, 3]).iter().zip([0.0, 0.0, 2.5, 3.0]).all(|(a, b)| (a - b).abs() < 1e-5));
     }
 }

@@ -118,8 +118,30 @@ impl RootMeanSquare {
 
 /// Share of motions that determine the unit. The rest are jumps of recordings, which must not enlarge it.
 const KEPT_SHARE: f64 = 0.995;
+/// Tracks for each observed step of a prediction.
+const TRACKS_PER_STEP: usize = 10;
+/// Motions so many times beyond the limit are jumps of a recording.
+const JUMP: f64 = 3.0;
+/// Errors of observed positions, meters, and headings, radians: about those of recordings that are rounded to millimeters and
+/// milliradians, with something to spare.
+const POSITION_NOISE_M: f64 = 1e-3;
+const HEADING_NOISE_RAD: f64 = 1e-3;
+/// If the past predicts motion but for less than this share, it is as good as known, and units stay those of the motion.
+const MIN_REST: f64 = 0.1;
 /// Maximum number of motions kept for the constants: enough for three digits.
 const MAX_MOTIONS: usize = 2_000_000;
+
+/// Motion along and across the heading, meters, and turn, radians, by timestep.
+type Motion = Vec<(usize, [f32; 3])>;
+
+/// The motion of an agent.
+#[derive(Debug, Clone, Default)]
+struct TrackMotion {
+    /// Its observed steps beyond the velocity at the present.
+    past: Motion,
+    /// What the motion parametrization diffuses without a prediction from the past.
+    future: Motion,
+}
 
 /// Gathers the constants over training scenes, one after the other.
 #[derive(Debug, Clone, Default)]
@@ -127,8 +149,11 @@ pub struct NormalizerFit {
     position: RootMeanSquare,
     heading: RootMeanSquare,
     residual: [RootMeanSquare; 3],
-    /// Motions of each agent, with the timesteps since the history ended, from 0; NaN where nothing is known.
-    motions: Vec<Vec<(usize, [f32; 3])>>,
+    /// Motions of each agent that is present: of the steps in its history, and of the timesteps after it, both counted from 0;
+    /// turns are NaN where they are not known.
+    motions: Vec<TrackMotion>,
+    /// Number of steps in a history.
+    n_past: usize,
     n_motions: usize,
     velocity: RootMeanSquare,
     extent: RootMeanSquare,
@@ -181,11 +206,17 @@ impl NormalizerFit {
                 // Derived headings do not count for turning.
                 let is_derived = self.leaves_out_derived_headings && !scene.source.dataset.facts().has_headings;
                 let turns = track.class.has_recorded_heading() && !is_derived;
-                let elapsed = |(t, z): (usize, [f64; 3])| {
-                    let [along, across, turn] = z.map(|z| z as f32);
-                    (t - scene.n_history, [along, across, if turns { turn } else { f32::NAN }])
+                let since = |first: usize| {
+                    move |(t, z): (usize, [f64; 3])| {
+                        let [along, across, turn] = z.map(|z| z as f32);
+                        (t - first, [along, across, if turns { turn } else { f32::NAN }])
+                    }
                 };
-                self.motions.push(motion.into_iter().map(elapsed).collect());
+                self.n_past = scene.n_history.saturating_sub(1);
+                self.motions.push(TrackMotion {
+                    past: reference.observed_motion().map(since(1)).collect(),
+                    future: motion.into_iter().map(since(scene.n_history)).collect(),
+                });
             }
         }
     }
@@ -193,9 +224,9 @@ impl NormalizerFit {
     /// The constants.
     pub fn finish(&self, parametrization: StateParametrization, state_dim: usize) -> Normalizer {
         let limits: [f64; 3] = std::array::from_fn(|dim| self.limit(dim));
-        let motion_units: [f64; 3] = std::array::from_fn(|dim| self.motion_unit(dim, limits[dim]));
+        let mut motion_units: [f64; 3] = std::array::from_fn(|dim| self.motion_unit(dim, limits[dim]));
         let motion_covariance = (parametrization == StateParametrization::Motion)
-            .then(|| self.covariance(&limits[..state_dim], &motion_units))
+            .then(|| self.covariance(&limits[..state_dim], &mut motion_units))
             .flatten();
         Normalizer {
             parametrization,
@@ -231,27 +262,56 @@ impl NormalizerFit {
     }
 
     fn known_motion(&self, dim: usize) -> impl Iterator<Item = f32> + '_ {
-        self.motions.iter().flatten().map(move |(_, z)| z[dim]).filter(|z| !z.is_nan())
+        let futures = self.motions.iter().flat_map(|motion| &motion.future);
+        futures.map(move |(_, z)| z[dim]).filter(|z| !z.is_nan())
     }
 
-    /// The covariance of motion, cut off at `limits`, in `units`; `None` without any.
-    fn covariance(&self, limits: &[f64], units: &[f64; 3]) -> Option<MotionCovariance> {
-        let n_timesteps = self.motions.iter().flatten().map(|(elapsed, _)| elapsed + 1).max()?;
+    /// The covariance of motion in units of what is diffused, which are set to those of the motion that is not predicted from
+    /// the past. Only tracks that are recorded throughout count, lest the smallest variances be errors of its estimate, and
+    /// those without jumps far beyond the `limits`. `None` without any.
+    fn covariance(&self, limits: &[f64], units: &mut [f64; 3]) -> Option<MotionCovariance> {
+        let n_timesteps = self.motions.iter().map(|motion| motion.future.len()).max()?;
+        let is_whole = |motion: &&TrackMotion| motion.past.len() == self.n_past && motion.future.len() == n_timesteps;
+        let whole: Vec<&TrackMotion> = self.motions.iter().filter(is_whole).collect();
+        if whole.is_empty() {
+            return None;
+        }
+        // A prediction from k steps is fitted to many more tracks, or it would fit their noise.
+        let n_past = self.n_past.min(whole.len() / TRACKS_PER_STEP);
+        let size = n_past + n_timesteps;
         let of_dim = |(dim, limit): (usize, &f64)| {
-            let mut sums = vec![0.0; n_timesteps * n_timesteps];
-            let mut counts = vec![0u32; n_timesteps * n_timesteps];
-            let scaled = |z: &[f32; 3]| f64::from(z[dim]).clamp(-limit, *limit) / units[dim];
-            for motion in self.motions.iter().filter(|motion| motion.iter().all(|(_, z)| !z[dim].is_nan())) {
-                for (i, a) in motion {
-                    for (j, b) in motion {
-                        sums[i * n_timesteps + j] += scaled(a) * scaled(b);
-                        counts[i * n_timesteps + j] += 1;
-                    }
+            let mut sums = vec![0.0; size * size];
+            let mut n = 0u32;
+            for motion in &whole {
+                let past = &motion.past[self.n_past - n_past..];
+                let values: Vec<f64> = past.iter().chain(&motion.future).map(|(_, z)| f64::from(z[dim])).collect();
+                // One that is NaN is not within the limit either.
+                if !values.iter().all(|value| value.abs() <= JUMP * limit) {
+                    continue;
+                }
+                n += 1;
+                for (row, a) in sums.chunks_exact_mut(size).zip(&values) {
+                    row.iter_mut().zip(&values).for_each(|(sum, b)| *sum += a * b);
                 }
             }
-            sums.iter().zip(counts).map(|(sum, n)| sum / f64::from(n.max(1))).collect()
+            sums.iter().map(|sum| sum / f64::from(n.max(1))).collect::<Vec<f64>>()
         };
-        Some(MotionCovariance { n_timesteps, values: limits.iter().enumerate().map(of_dim).collect() })
+        let meters: Vec<Vec<f64>> = limits.iter().enumerate().map(of_dim).collect();
+        let noise = if n_past > 0 { &[POSITION_NOISE_M, POSITION_NOISE_M, HEADING_NOISE_RAD][..] } else { &[] };
+        let in_units = |units: &[f64; 3]| {
+            let values = meters.iter().zip(units).map(|(own, unit)| own.iter().map(|v| v / (unit * unit)).collect());
+            let noise = noise.iter().zip(units).map(|(noise, unit)| noise / unit).take(meters.len());
+            MotionCovariance::new(n_past, n_timesteps, values.collect(), noise.collect())
+        };
+        let before = in_units(units);
+        for (covariance, unit) in before.continuation(n_past).iter().flat_map(|rest| &rest.covariance).zip(&mut *units)
+        {
+            let variance =
+                (0..n_timesteps).map(|i| covariance[i * (n_timesteps + 1)]).sum::<f64>() / n_timesteps as f64;
+            let share = variance.max(0.0).sqrt() / Normalizer::SIGMA_DATA;
+            *unit *= if share > MIN_REST { share } else { 1.0 };
+        }
+        Some(in_units(units))
     }
 }
 
@@ -270,9 +330,9 @@ mod tests {
     #[test]
     fn a_jump_of_a_recording_decides_no_unit() {
         // 999 motions of 1 m forward and back, none sideways, and one jump.
-        let mut motions: Vec<Vec<(usize, [f32; 3])>> =
-            (0..999).map(|i| vec![(0, [if i % 2 == 0 { 1.0 } else { -1.0 }, 0.0, f32::NAN])]).collect();
-        motions.push(vec![(0, [500.0, 0.0, f32::NAN])]);
+        let future = |along: f32| TrackMotion { past: Vec::new(), future: vec![(0, [along, 0.0, f32::NAN])] };
+        let mut motions: Vec<TrackMotion> = (0..999).map(|i| future(if i % 2 == 0 { 1.0 } else { -1.0 })).collect();
+        motions.push(future(500.0));
         let fit = NormalizerFit { motions, ..NormalizerFit::default() };
         let normalizer = fit.finish(StateParametrization::Motion, 3);
         // A root mean square of 1 m is σ_data units; a dimension without motion or data has a unit of 1.

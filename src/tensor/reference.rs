@@ -1,5 +1,6 @@
 //! The kinematic reference of an agent: its observed states, interpolated and extrapolated.
 
+use super::MotionCovariance;
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
 use crate::scene::{State, Track};
 
@@ -11,12 +12,18 @@ pub(super) struct ReferencePose {
 }
 
 /// The reference trajectory of one agent: its observed states, linear interpolation between them, and the
-/// velocity of the nearest observed state carried on outside of them.
+/// velocity of the nearest observed state carried on outside of them; after the present with the acceleration and the bend
+/// that the observed steps predict ([`Reference::continued`]).
 pub(super) struct Reference<'a> {
     observed: Vec<(usize, &'a State)>,
     /// Place among the observed states of the last one up to the present, or of the first one after it.
     anchor: usize,
     dt_s: f64,
+    /// Number of observed steps from which its motion after the last observed state is predicted.
+    n_past: usize,
+    /// What the prediction adds at 1, 2, … timesteps after the last observed state: meters along and across its heading,
+    /// and radians.
+    added: Vec<[f64; 3]>,
 }
 
 impl<'a> Reference<'a> {
@@ -25,7 +32,28 @@ impl<'a> Reference<'a> {
         let observed: Vec<(usize, &State)> =
             track.trajectory.valid().filter(|(timestep, _)| observed(*timestep)).collect();
         let anchor = observed.partition_point(|(timestep, _)| *timestep <= present).saturating_sub(1);
-        Self { observed, anchor, dt_s }
+        Self { observed, anchor, dt_s, n_past: 0, added: Vec::new() }
+    }
+
+    /// The reference that goes on from the present as `covariance` predicts from the steps up to it, without turning
+    /// unless the agent `turns`. It is the same if something is observed later, or no step leads to the present.
+    pub(super) fn continued(mut self, covariance: Option<&MotionCovariance>, turns: bool) -> Self {
+        let Some(covariance) = covariance.filter(|_| self.anchor + 1 == self.observed.len()) else { return self };
+        let are_consecutive = |pair: &&[(usize, &State)]| pair[0].0 + 1 == pair[1].0;
+        let n_past = self.observed.windows(2).rev().take_while(are_consecutive).count().min(covariance.n_past);
+        let Some(continuation) = covariance.continuation(n_past) else { return self };
+        let steps: Vec<[f64; 3]> = self.observed_motion().map(|(_, step)| step).collect();
+        let mut added = continuation.sums(&steps[steps.len() - n_past..]);
+        if !turns {
+            added.iter_mut().for_each(|sum| sum[2] = 0.0);
+        }
+        (self.n_past, self.added) = (n_past, added);
+        self
+    }
+
+    /// Number of observed steps from which its motion after the last observed state is predicted; 0 if it is not.
+    pub(super) const fn n_past(&self) -> usize {
+        self.n_past
     }
 
     /// The heading of the agent's own frame: that of its last observed state up to the present, so that observing goals
@@ -66,7 +94,7 @@ impl<'a> Reference<'a> {
         };
         match (after.checked_sub(1).map(|i| &self.observed[i]), self.observed.get(after)) {
             (None, None) => None,
-            (Some(before), None) => Some(carried(before)),
+            (Some(before), None) => Some(self.predicted(carried(before), timestep - before.0)),
             (None, Some(next)) => Some(carried(next)),
             (Some((t0, s0)), Some((t1, s1))) => {
                 let fraction = (timestep - t0) as f64 / (t1 - t0) as f64;
@@ -76,6 +104,19 @@ impl<'a> Reference<'a> {
                     heading_rad: wrap_angle(s0.heading_rad + turn * fraction),
                 })
             }
+        }
+    }
+
+    /// `carried` on to `elapsed` timesteps after the last observed state, with what the prediction adds. Beyond its end the
+    /// last step of the prediction is repeated.
+    fn predicted(&self, carried: ReferencePose, elapsed: usize) -> ReferencePose {
+        let (Some(last), Some(i)) = (self.added.len().checked_sub(1), elapsed.checked_sub(1)) else { return carried };
+        let before = last.checked_sub(1).map_or([0.0; 3], |before| self.added[before]);
+        let beyond = i.saturating_sub(last) as f64;
+        let sum = |dim: usize| self.added[i.min(last)][dim] + beyond * (self.added[last][dim] - before[dim]);
+        ReferencePose {
+            position: carried.position + Vec2::new(sum(0), sum(1)).rotated(self.frame_heading_rad()),
+            heading_rad: wrap_angle(carried.heading_rad + sum(2)),
         }
     }
 }
@@ -127,5 +168,35 @@ mod tests {
         }
         assert_eq!(motion.len(), 2);
         assert_eq!(Reference::new(&track, 0.1, 3, |t| t == 7).observed_motion().count(), 0);
+    }
+
+    #[test]
+    fn acceleration_goes_on_where_it_was_observed() {
+        // The covariance of traffic with constant accelerations, seen in three steps before the present.
+        let step = |i: usize| i as f64 - 2.5;
+        let values = (0..64).map(|at| step(at / 8) * step(at % 8)).collect();
+        let covariance = MotionCovariance::new(3, 5, vec![values], vec![0.0]);
+        let track = track();
+        let continued = |observed: &dyn Fn(usize) -> bool| {
+            Reference::new(&track, 0.1, 4, observed).continued(Some(&covariance), true)
+        };
+        // x is t + t²/20 but turned by the heading of 0.4 rad at timestep 4: only motion along that heading is predicted here,
+        // which is that along x but for the cosine, twice.
+        let reference = continued(&|t| t <= 4);
+        assert_eq!(reference.n_past(), 3);
+        for (t, elapsed) in [(5, 1.0), (7, 3.0), (9, 5.0)] {
+            let added =
+                reference.at(t).unwrap().position - Reference::new(&track, 0.1, 4, |t| t <= 4).at(t).unwrap().position;
+            let expected = 0.05 * elapsed * elapsed * 0.4f64.cos();
+            assert!((added.norm() - expected).abs() < 1e-9, "{t}: {added:?}, expected {expected}");
+        }
+        // Beyond the covariance the last step is repeated.
+        let far = reference.at(11).unwrap().position - reference.at(10).unwrap().position;
+        let last = reference.at(9).unwrap().position - reference.at(8).unwrap().position;
+        assert!(far.distance(last) < 1e-9);
+        // A later observation, or a gap before the present: nothing is predicted.
+        assert_eq!(continued(&|t| t <= 4 || t == 7).n_past(), 0);
+        assert_eq!(continued(&|t| t <= 2 || t == 4).n_past(), 0);
+        assert_eq!(continued(&|t| t == 1 || t == 3 || t == 4).n_past(), 1);
     }
 }

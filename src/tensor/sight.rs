@@ -23,11 +23,12 @@ impl Sight {
         Self { n_lanes, modes: Arc::default() }
     }
 
-    /// The modes of an agent's motion, given its `observed` and `latent` timesteps.
+    /// The modes of an agent's motion, given its `observed` and `latent` timesteps; after the last observed one, its motion
+    /// is predicted from `n_past` steps.
     pub(super) fn modes_of_motion(
         &self,
         covariance: &MotionCovariance,
-        observed: &[usize],
+        observed: (&[usize], usize),
         latent: &[usize],
         n_timesteps: usize,
     ) -> MotionModes {
@@ -35,18 +36,19 @@ impl Sight {
     }
 
     /// The surroundings of the agents of all rows, A agents and T timesteps with D diffused dimensions a row.
-    /// `modes_of_agents` have the place of their agent in (B, A).
+    /// `modes_of_agents` have the place of their agent in (B, A); agents are expected to go on as `covariance` predicts.
     pub(super) fn surroundings(
         &self,
         views: &[SceneView<'_>],
         frames: &[Arc<AgentFrame>],
         modes_of_agents: &[(usize, MotionModes)],
         [n_agents, t, d]: [usize; 3],
+        covariance: Option<&MotionCovariance>,
         device: &Device,
     ) -> Result<Surroundings> {
         let n_rows = views.len();
         let seen: Vec<(RowSurroundings, Vec<(Vec2, f64)>)> =
-            views.par_iter().zip(frames).map(|(view, frame)| self.look_around(view, frame, t)).collect();
+            views.par_iter().zip(frames).map(|(view, frame)| self.look_around(view, frame, covariance, t)).collect();
         let n_lanes =
             seen.iter().flat_map(|(row, _)| &row.agents).map(|agent| agent.lanes.len()).max().unwrap_or(0).max(1);
         let n = n_rows * n_agents;
@@ -92,6 +94,7 @@ impl Sight {
         &self,
         view: &SceneView<'_>,
         frame: &AgentFrame,
+        covariance: Option<&MotionCovariance>,
         n_timesteps: usize,
     ) -> (RowSurroundings, Vec<(Vec2, f64)>) {
         let scene = view.scene;
@@ -100,7 +103,7 @@ impl Sight {
             .map(|agent_idx| {
                 let track = &scene.tracks[*agent_idx];
                 let observed = |t: usize| frame.observed(*agent_idx, t) && track.trajectory.is_valid(t);
-                let reference = Reference::new(track, scene.dt_s, present, observed);
+                let reference = Reference::new(track, scene.dt_s, present, observed).continued(covariance, true);
                 let position = |t: usize| reference.at(t).map(|pose| frame.ego_from_scene.point(pose.position));
                 let anchor = reference.anchor_timestep();
                 // Five positions from the anchor to the end of the row describe the path.

@@ -2,10 +2,10 @@
 
 use super::testing::collator;
 use super::*;
-use crate::geometry::angle_difference;
+use crate::geometry::{Vec2, angle_difference};
 use crate::nn::testing::{scalar, values};
 use crate::scene::testing::{Drive, scene, without_states};
-use crate::scene::{ObservationMask, Scene};
+use crate::scene::{ObservationMask, Scene, State, Trajectory};
 use crate::seed::Seed;
 use candle_core::{Device, Tensor};
 
@@ -54,6 +54,7 @@ fn clean_states_decode_to_the_recording_under_every_task_and_parametrization() {
 fn a_zero_residual_is_constant_velocity() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
+    // Three cars are too few to predict motion from.
     for parametrization in [StateParametrization::Residual, StateParametrization::Motion] {
         let batch = collate(&collator([&scene], parametrization), &scene, 0, &mask);
         let decoded = &batch.decode_scenes(&batch.x0.zeros_like().unwrap(), &[&scene]).unwrap()[0];
@@ -66,9 +67,40 @@ fn a_zero_residual_is_constant_velocity() {
 }
 
 #[test]
+fn no_motion_beyond_what_was_seen_goes_on_along_the_bend() {
+    // Traffic that keeps its curvature.
+    let bend = |i: i32| Drive { x: 3.0, y: 4.0, heading_rad: 0.5, speed_mps: 8.0, curvature_1pm: 0.005 * f64::from(i) };
+    let scene = scene(&(-20..20).map(bend).collect::<Vec<_>>());
+    let mask = ObservationMask::predictive(40, 12, 4);
+    let collator = Collator { max_agents: 40, ..collator([&scene], StateParametrization::Motion) };
+    let batch = collate(&collator, &scene, 0, &mask);
+    let decoded = &batch.decode_scenes(&batch.x0.zeros_like().unwrap(), &[&scene]).unwrap()[0];
+    for agent_idx in [0, 10, 20, 39] {
+        let (found, expected) = (decoded.state(agent_idx, 11).unwrap(), scene.state(agent_idx, 11).unwrap());
+        let straight = scene.state(agent_idx, 3).unwrap();
+        let straight = straight.position + straight.velocity * 0.8;
+        let error_m = found.position.distance(expected.position);
+        assert!(error_m < 0.02 + 0.02 * straight.distance(expected.position), "{agent_idx}: {error_m}");
+        assert!(angle_difference(found.heading_rad, expected.heading_rad).abs() < 0.02, "{agent_idx}");
+    }
+    // Whatever is predicted, x0 is the recording.
+    let decoded = &batch.decode_scenes(&batch.x0, &[&scene]).unwrap()[0];
+    assert!(decoded.state(5, 11).unwrap().position.distance(scene.state(5, 11).unwrap().position) < 1e-4);
+}
+
+#[test]
 fn diffused_states_have_the_standard_deviation_sigma_data() {
-    let scene = three_cars();
-    let mask = ObservationMask::predictive(3, 12, 4);
+    // Cars that drive alike up to the present and then depart, each in its way.
+    let mut scene = scene(&[Drive::straight(5.0, 1.0, 0.3, 12.0); 4]);
+    for (track, sign) in scene.tracks.iter_mut().zip([[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]]) {
+        let depart = |(t, state): (usize, &Option<State>)| {
+            let n = t.saturating_sub(3) as f64;
+            let by = Vec2::new(0.05 * sign[0], 0.02 * sign[1]) * (n * n);
+            state.map(|s| State { position: s.position + by, heading_rad: s.heading_rad + 0.01 * sign[0] * n, ..s })
+        };
+        track.trajectory = Trajectory::new(track.trajectory.entries().iter().enumerate().map(depart).collect());
+    }
+    let mask = ObservationMask::predictive(4, 12, 4);
     for parametrization in [StateParametrization::Residual, StateParametrization::Motion] {
         let batch = collate(&collator([&scene], parametrization), &scene, 0, &mask);
         let x0 = batch.x0.flatten_to(2).unwrap();
@@ -86,14 +118,14 @@ fn what_is_to_be_generated_never_shows_in_what_the_network_is_given() {
         let shifted = track.trajectory.entries().iter().enumerate().map(|(t, state)| {
             state.map(|mut s| {
                 if t >= 4 {
-                    s.position = s.position + crate::geometry::Vec2::new(3.0, -2.0);
+                    s.position = s.position + Vec2::new(3.0, -2.0);
                     s.heading_rad += 0.5;
                     s.velocity = s.velocity * 2.0;
                 }
                 s
             })
         });
-        track.trajectory = crate::scene::Trajectory::new(shifted.collect());
+        track.trajectory = Trajectory::new(shifted.collect());
     }
     let mask = ObservationMask::predictive(3, 12, 4);
     for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {

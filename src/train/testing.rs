@@ -24,25 +24,36 @@ impl<F: Fn(usize) -> Scene + Sync> SceneDataset for MadeScenes<F> {
     }
 }
 
-/// Two cars each: one drives on, one turns at a speed that shows in its history.
+/// Two cars each: one drives on, one turns from the present on, at a speed that shows in its history.
 pub(super) fn arcs(n: usize) -> MadeScenes<impl Fn(usize) -> Scene + Sync> {
     let mut rng = Seed(11).rng();
     let speeds_mps: Vec<f64> = (0..n).map(|_| 6.0 + 6.0 * rng.uniform()).collect();
     MadeScenes(n, move |idx: usize| {
-        let turning = Drive { x: 10.0, y: 4.0, heading_rad: 0.2, speed_mps: speeds_mps[idx], curvature_1pm: 0.05 };
-        scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), turning])
+        let car = Drive { x: 10.0, y: 4.0, heading_rad: 0.2, speed_mps: speeds_mps[idx], curvature_1pm: 0.0 };
+        turning_from_the_present(scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), car]), 1, car, 0.05)
     })
+}
+
+/// The scene where the `track_idx`-th of its tracks, which drives straight as `car`, bends from the present on.
+fn turning_from_the_present(mut scene: Scene, track_idx: usize, car: Drive, curvature_1pm: f64) -> Scene {
+    let present = scene.current_timestep();
+    let way_m = car.speed_mps * scene.dt_s * present as f64;
+    let (x, y) = (car.x + way_m * car.heading_rad.cos(), car.y + way_m * car.heading_rad.sin());
+    let bend = self::scene(&[Drive { x, y, curvature_1pm, ..car }]);
+    let track = &mut scene.tracks[track_idx].trajectory;
+    let state = |t: usize| match t.checked_sub(present) {
+        None | Some(0) => track.get(t),
+        Some(elapsed) => bend.tracks[0].trajectory.get(elapsed),
+    };
+    *track = Trajectory::new((0..scene.n_timesteps).map(|t| state(t).copied()).collect());
+    scene
 }
 
 /// The others, and last a car that bears left or right from the present on, which cannot be predicted.
 pub(super) fn fork(idx: usize, others: &[Drive]) -> Scene {
     let side = if idx.is_multiple_of(2) { 1.0 } else { -1.0 };
-    let mut forked = scene(&[others, &[Drive::straight(0.0, 0.0, 0.0, 15.0)]].concat());
-    let turning = scene(&[Drive { curvature_1pm: 0.06 * side, ..Drive::straight(4.5, 0.0, 0.0, 15.0) }]);
-    let track = &mut forked.tracks[others.len()].trajectory;
-    let state = |t: usize| if t < 4 { track.get(t) } else { turning.tracks[0].trajectory.get(t - 3) };
-    *track = Trajectory::new((0..12).map(|t| state(t).copied()).collect());
-    forked
+    let car = Drive::straight(0.0, 0.0, 0.0, 15.0);
+    turning_from_the_present(scene(&[others, &[car]].concat()), others.len(), car, 0.06 * side)
 }
 
 /// The scenes as one source, with the last eight held out.

@@ -7,14 +7,18 @@ use candle_core::{DType, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Stay on the road: J = -½ Σ ∫ (max(d(p(t)) + m, 0) / τ)² dt over the chosen motorized agents, and over their corners with
-/// `points = "corners"` (each counts a quarter).
+/// Stay on the road: J = -½ Σ ∫ (max(e(t) - e₀, 0) / τ)² dt with e(t) = max(d(p(t)) + m, 0), over the chosen motorized agents,
+/// and over their corners with `points = "corners"` (each counts a quarter).
+///
+/// e₀ is the excess e of the agent where it was last observed, so that only what a sample adds to it counts: who is parked
+/// beside the road, or enters it from there, is not dragged onto it.
 ///
 /// d(p) is how far p lies outside of the nearest lane corridor: its distance to the center line of the lane less half the
 /// lane's width (that of the map's boundaries, 3.5 m where it has none), negative inside. Beyond ends that no lane continues,
 /// lanes are carried straight on by 100 m. The nearest corridor is found on the host; by the envelope theorem the gradient
 /// of the distance to its nearest point, held fixed, is that of d, except where two corridors are equally near.
-/// The potential is 0 in scenes without lanes, and agents that are not motorized do not count.
+/// The potential is 0 in scenes without lanes and at places whose maps lack parts of the road, and agents that are not
+/// motorized do not count.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StayOnRoad {
@@ -58,12 +62,15 @@ impl SceneObjective for StayOnRoad {
         let agents = (context.selected(&self.agents)? * &context.motorized)?;
         let terms = context.terms(0)?;
         let counts = terms.broadcast_mul(&agents.unsqueeze(2)?)?;
+        let last_observed = last_observed(context)?.broadcast_mul(&agents.unsqueeze(2)?)?;
         let mut total: Option<Tensor> = None;
         let places = self.places(states, context)?;
         let share = 1.0 / places.len() as f64;
         for points in places {
-            let outside_m = outside_m(&points, &counts, context)?;
-            let values = (penalty(&(outside_m + self.margin_m)?.relu()?, self.tolerance_m)? * share)?;
+            let excess_m = |at: &Tensor| (outside_m(&points, at, context)? + self.margin_m)?.relu();
+            let observed_m = excess_m(&last_observed)?.max_keepdim(2)?;
+            let added_m = excess_m(&counts)?.broadcast_sub(&observed_m)?.relu()?;
+            let values = (penalty(&added_m, self.tolerance_m)? * share)?;
             let own = integral(&values, &terms, &agents, context.dt_s)?;
             total = Some(total.map_or(Ok(own.clone()), |total| total + own)?);
         }
@@ -86,6 +93,23 @@ impl StayOnRoad {
         let corner = |ahead: f64, aside: f64| (&center + (&forward * ahead)?)? + (&left * aside)?;
         [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)].into_iter().map(|(a, b)| corner(a, b)).collect()
     }
+}
+
+/// 1 at the timestep where each agent was last observed up to the present, or else first observed, (B, A, T).
+fn last_observed(context: &SceneContext) -> Result<Tensor> {
+    let observed = (&context.valid * (1.0 - &context.latent)?)?;
+    let n_timesteps = observed.dim(2)?;
+    let mut marks = observed.to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>()?;
+    for agent in marks.chunks_exact_mut(n_timesteps) {
+        let (past, future) = agent.split_at(context.n_history.min(n_timesteps));
+        let first_later = || Some(past.len() + future.iter().position(|mark| *mark > 0.0)?);
+        let last = past.iter().rposition(|mark| *mark > 0.0).or_else(first_later);
+        agent.fill(0.0);
+        if let Some(last) = last {
+            agent[last] = 1.0;
+        }
+    }
+    Tensor::from_vec(marks, observed.shape(), observed.device())?.to_dtype(observed.dtype())
 }
 
 /// How far `points` (B, A, T, 2) lie outside of the nearest corridor, (B, A, T); far inside where they do not count
@@ -123,30 +147,54 @@ mod tests {
         StayOnRoad { weight: 1.0, agents: AgentSelector::default(), points, margin_m: 0.0, tolerance_m: 0.5 }
     }
 
-    /// Cars at y = 1, 3 and -5 m, beside a lane along y = 0 whose edges are at ±1.75 m.
+    /// Cars that drift off a lane along y = 0 whose edges are at ±1.75 m.
     fn traffic() -> Traffic {
-        let mut traffic = Traffic::straight(&[(0.0, 1.0, 0.1, 8.0), (10.0, 3.0, 0.0, 6.0), (20.0, -5.0, 0.2, 5.0)]);
+        let cars = [(0.0, -0.5, 0.12, 12.0), (10.0, -0.5, 0.1, 14.0), (20.0, 0.4, -0.2, 10.0)];
+        Traffic { context: context(&cars), ..Traffic::straight(&cars) }
+    }
+
+    fn context(cars: &[(f64, f64, f64, f64)]) -> SceneContext {
         let lanes = scene(&[Drive::straight(0.0, 0.0, 0.0, 1.0)]).lanes;
         let road = crate::guidance::road_corridors::RoadCorridors::new(&lanes, &Transform2::IDENTITY);
-        traffic.context.roads = vec![Arc::new(road)];
-        traffic
+        SceneContext { roads: vec![Arc::new(road)], ..Traffic::straight(cars).context }
+    }
+
+    /// The cost per second of a car along the lane that was observed at `observed_m` beside its middle and then is at `sampled_m`.
+    fn cost(points: RoadPoints, observed_m: f64, sampled_m: f64) -> f64 {
+        let car = [(0.0, observed_m, 0.0, 5.0)];
+        let mut traffic = Traffic { context: context(&car), ..Traffic::straight(&car) };
+        let shift: Vec<f64> = traffic.context.latent.flatten_all().unwrap().to_vec1().unwrap();
+        let shift = shift.iter().flat_map(|latent| [0.0, latent * (sampled_m - observed_m), 0.0]).collect();
+        let shift = Tensor::from_vec(shift, traffic.states.shape(), traffic.states.device()).unwrap();
+        traffic.states = candle_core::Var::from_tensor(&(traffic.states.as_tensor() + shift).unwrap()).unwrap();
+        -traffic.potential(&on_road(points))[0] / (traffic.n_generated() as f64 * traffic.context.dt_s)
     }
 
     #[test]
     fn the_cost_is_that_of_the_distance_outside() {
-        let mut traffic = Traffic::straight(&[(0.0, 3.75, 0.0, 5.0)]);
-        traffic.context.roads = self::traffic().context.roads;
-        // 2 m outside, 4 tolerances, over the generated timesteps; the norm's rounding is below 1 mm here.
-        let seconds = traffic.n_generated() as f64 * traffic.context.dt_s;
-        let value = traffic.potential(&on_road(RoadPoints::Center))[0];
-        assert!((value + 0.5 * 16.0 * seconds).abs() < 0.4, "{value}");
+        let expected = |outside_m: f64| 0.5 * (outside_m / 0.5).powi(2);
+        // 2 m outside, 4 tolerances; the norm's rounding is below 1 mm here.
+        let found = cost(RoadPoints::Center, 0.0, 3.75);
+        assert!((found - expected(2.0)).abs() < 0.3, "{found}");
         // The corners lie 0.9 m (half the width) nearer to and farther from the road.
-        let cost = |outside_m: f64| 0.5 * (outside_m / 0.5).powi(2);
-        let expected = -0.5 * (cost(2.0 - 0.9) + cost(2.0 + 0.9)) * seconds;
-        let value = traffic.potential(&on_road(RoadPoints::Corners))[0];
-        assert!((value / expected - 1.0).abs() < 0.06, "{value}, expected {expected}");
-        traffic.context.roads = vec![Arc::default()];
+        let found = cost(RoadPoints::Corners, 0.0, 3.75);
+        let of_corners = (expected(2.0 - 0.9) + expected(2.0 + 0.9)) / 2.0;
+        assert!((found / of_corners - 1.0).abs() < 0.06, "{found}, expected {of_corners}");
+        // Without lanes, or where the map lacks parts of the road, there is nothing to leave.
+        let mut traffic = traffic();
+        assert!(traffic.potential(&on_road(RoadPoints::Center))[0] < 0.0);
+        traffic.context = traffic.context.with_roads_where(|_| false);
         assert_eq!(traffic.potential(&on_road(RoadPoints::Center)), [0.0]);
+    }
+
+    #[test]
+    fn who_is_beside_the_road_is_charged_for_going_further_only() {
+        for points in [RoadPoints::Center, RoadPoints::Corners] {
+            assert_eq!(cost(points, 3.75, 3.75), 0.0, "parked");
+            assert_eq!(cost(points, 3.75, 1.0), 0.0, "enters the road");
+            let found = cost(points, 3.75, 4.75);
+            assert!((found - 0.5 * (1.0f64 / 0.5).powi(2)).abs() < 0.1, "{found}");
+        }
     }
 
     #[test]

@@ -250,3 +250,29 @@ fn impossible_states_are_rejected_before_they_are_stored() {
     let reject = assemble(raw(vec![context("a", 0.0, 0.0), fast]), None, &config()).unwrap_err();
     assert_eq!(reject.reason, "out_of_range");
 }
+
+#[test]
+fn velocities_follow_from_positions_whatever_the_columns_say() {
+    // Columns that are turned by three degrees, as a filter's are.
+    let turned = |track: Track| {
+        let turn = |state: &State| State { velocity: state.velocity.rotated(3f64.to_radians()), ..*state };
+        let states = track.trajectory.entries().iter().map(|state| state.as_ref().map(turn)).collect();
+        Track { trajectory: Trajectory::new(states), ..track }
+    };
+    let assembled = |tracks: Vec<Track>| assemble(raw(tracks), None, &config()).unwrap();
+    let (expected, counts) = assembled(vec![context("1", 0.0, 0.0), context("2", 9.0, 0.0)]);
+    assert!(!counts.assumed.contains_key("tracks_whose_recorded_velocities_disagree_with_positions"));
+    let (scene, counts) = assembled(vec![turned(context("1", 0.0, 0.0)), context("2", 9.0, 0.0)]);
+    assert_eq!(counts.assumed["tracks_whose_recorded_velocities_disagree_with_positions"], 1);
+    assert_eq!(counts.assumed["tracks_with_velocities_from_positions"], 2);
+    for (found, expected) in scene.tracks.iter().zip(&expected.tracks) {
+        for ((_, found), (_, expected)) in found.trajectory.valid().zip(expected.trajectory.valid()) {
+            assert!(found.velocity.distance(expected.velocity) < 1e-9, "{found:?}, expected {expected:?}");
+        }
+    }
+    // Argoverse 1 records none: what its reader derived stays.
+    let mut own = raw(vec![turned(context("1", 0.0, 0.0))]);
+    own.source.dataset = Dataset::Argoverse1;
+    let (scene, _) = assemble(own, None, &config()).unwrap();
+    assert!((scene.state(0, PRESENT).unwrap().velocity.angle() - 3f64.to_radians()).abs() < 1e-9);
+}

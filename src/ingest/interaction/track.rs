@@ -1,13 +1,13 @@
 //! The tracks of a table, in the frames of the recording.
 
-use super::CASE_HORIZON;
 use super::columns::TrackColumns;
 use super::row::{Flaw, Row};
+use super::{CASE_HORIZON, DT_S};
 use crate::geometry::{Vec2, wrap_angle};
 use crate::ingest::Reject;
 use crate::ingest::csv_rows::lines_of;
 use crate::ingest::quotes::printable;
-use crate::scene::{AgentClass, Derivation, Extent, State, Track, TrackId, TrackRole, Trajectory};
+use crate::scene::{AgentClass, Derivation, Extent, State, Track, TrackId, TrackRole, Trajectory, velocity_at};
 use std::collections::BTreeMap;
 
 /// Below this speed the direction of a velocity is noise, so the heading is held.
@@ -40,7 +40,7 @@ pub(super) struct RecordedTrack {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum HeadingSource {
     Recorded,
-    /// The direction of the velocity.
+    /// The direction of the motion.
     Motion,
     /// The agent is slow: the last heading that was known.
     Held,
@@ -183,17 +183,23 @@ impl<'a> Builder<'a> {
     }
 }
 
-/// The states by frame. A heading that is not recorded is the direction of the velocity, held while the agent is slow.
+/// The states by frame. A heading that is not recorded is the direction of the motion up to then, held while the agent
+/// is slow.
 fn states(observations: &[Observation<'_>]) -> Vec<(i64, State, HeadingSource)> {
     let mut known_rad: Option<f64> = None;
     let mut states = Vec::with_capacity(observations.len());
-    for Observation { frame_id, position, velocity, heading_rad, .. } in observations {
-        let is_moving = velocity.norm() >= MIN_HEADING_SPEED_MPS;
+    for (index, Observation { frame_id, position, velocity, heading_rad, .. }) in observations.iter().enumerate() {
+        let before = |offset: isize| {
+            let observation = observations.get(index.checked_add_signed(offset)?)?;
+            (offset <= 0 && observation.frame_id - frame_id == offset as i64).then_some(observation.position)
+        };
+        let motion = velocity_at(before, DT_S).unwrap_or(*velocity);
+        let is_moving = motion.norm() >= MIN_HEADING_SPEED_MPS;
         let (heading_rad, source) = match (heading_rad, known_rad) {
             (Some(recorded_rad), _) => (wrap_angle(*recorded_rad), HeadingSource::Recorded),
-            (None, _) if is_moving => (velocity.angle(), HeadingSource::Motion),
+            (None, _) if is_moving => (motion.angle(), HeadingSource::Motion),
             (None, Some(known_rad)) => (known_rad, HeadingSource::Held),
-            (None, None) => (velocity.angle(), HeadingSource::Unknown),
+            (None, None) => (motion.angle(), HeadingSource::Unknown),
         };
         if source != HeadingSource::Unknown {
             known_rad = Some(heading_rad);
@@ -282,11 +288,18 @@ mod tests {
         assert!(tracks[0].cut(6, 4, 1).is_none() && tracks[1].cut(3, 4, 1).is_none());
     }
 
-    /// Headings in degrees and whether they are held, in the frames from `first_frame` on, of which `n_history` are observed.
+    /// Headings in degrees and whether they are held, of who moves with these velocities, in the frames from `first_frame` on, of which `n_history` are observed.
     fn cut(rows: &[(f64, f64)], first_frame: i64, n_history: usize) -> (Vec<f64>, Vec<bool>) {
+        // Positions whose backward differences are these velocities.
+        let (mut at, mut step) = (Vec2::ZERO, Vec2::new(rows[0].0, rows[0].1) * DT_S);
         let row = |(frame, (vx, vy)): (usize, &(f64, f64))| {
-            let frame = frame + 1;
-            format!("P1,{frame},{frame}00,pedestrian/bicycle,0,0,{vx},{vy},,,\n")
+            if frame > 0 {
+                let moved = Vec2::new(*vx, *vy) * DT_S;
+                step = if frame == 1 { moved } else { (moved * 2.0 + step) * (1.0 / 3.0) };
+                at = at + step;
+            }
+            let (frame, Vec2 { x, y }) = (frame + 1, at);
+            format!("P1,{frame},{frame}00,pedestrian/bicycle,{x:.9},{y:.9},{vx},{vy},,,\n")
         };
         let tracks = read(&rows.iter().enumerate().map(row).collect::<String>()).unwrap();
         assert_eq!((tracks[0].extent, tracks[0].class), (None, AgentClass::PedestrianOrCyclist));

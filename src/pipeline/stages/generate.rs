@@ -10,7 +10,7 @@ use crate::evaluate::{for_maps, map_fits};
 use crate::generate::{
     self, GenerateConfig, Generator, Plan, Pool, RequestSummary, ResolvedGeneration, ShardPlan, Shortfall,
 };
-use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings};
+use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings, ValidityConfig};
 use crate::nn::{Compute, Precision};
 use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
@@ -72,7 +72,8 @@ impl Stage for Generate<'_> {
     fn config(&self) -> anyhow::Result<Value> {
         let mut config = serde_json::to_value(self.config)?;
         config["behaviors"] = serde_json::to_value(&self.mine.behaviors)?;
-        if let Some(settings) = self.decisive_settings().filter(|settings| differs_from_default(settings)) {
+        let settings = self.judging_settings();
+        if differs_from_default(&settings) {
             config["metric_settings"] = serde_json::to_value(settings)?;
         }
         if !self.config.requests.is_empty() && self.duplicate_distance_m != DUPLICATE_DISTANCE_M {
@@ -110,7 +111,8 @@ pub(in crate::pipeline) struct Ready<'a> {
     models: &'a LoadedModels,
     /// Samples shards, and finds the buckets of scenarios for requests.
     pub(in crate::pipeline) generator: Generator<'a>,
-    decisive_settings: Option<MetricSettings>,
+    /// The settings by which it judges, if they are not the default ones.
+    metric_settings: Option<MetricSettings>,
 }
 
 impl Ready<'_> {
@@ -153,18 +155,17 @@ impl Generate<'_> {
         let models = LoadedModels::read(self.layout, &resolved.sweeps, compute)?;
         let behaviors = self.mine.build()?;
         let load = |idx: usize| Ok(store.scene(idx)?);
-        let decisive_settings = self.settings_for_maps(&store)?;
-        let metric_settings = decisive_settings.clone().unwrap_or_default();
-        let generator =
-            Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, &compute.device)?;
-        work(&Ready { resolved: &resolved, store: &store, models: &models, generator, decisive_settings })
+        let settings = self.settings_for_maps(&store)?;
+        let metric_settings = Some(settings.clone()).filter(differs_from_default);
+        let generator = Generator::new(&resolved, models.borrowed(), &behaviors, &load, settings, &compute.device)?;
+        work(&Ready { resolved: &resolved, store: &store, models: &models, generator, metric_settings })
     }
 
     fn generate(&self, ready: &Ready<'_>, context: &StageContext<'_>) -> Result<Value> {
-        let Ready { resolved, store, models, generator, decisive_settings } = ready;
+        let Ready { resolved, store, models, generator, metric_settings } = ready;
         let folder = SampleFolder::open_for_writing(&context.root.join(SAMPLES))?;
         let (mine, generate) = (self.mine.clone(), self.config.clone());
-        let metric_settings = decisive_settings.clone();
+        let metric_settings = metric_settings.clone();
         folder.write_settings(&SampleSettings { mine, generate, metric_settings })?;
         let plan = match folder.plan() {
             Some(plan) => plan,
@@ -206,18 +207,22 @@ impl Generate<'_> {
         }))
     }
 
-    /// The settings of metrics, where samples are selected by one that they decide.
-    fn decisive_settings(&self) -> Option<&MetricSettings> {
-        let decide = self.config.selects_by(|id| self.metric_settings.decide(id));
-        Some(&self.metric_settings).filter(|_| decide)
+    /// The settings of metrics that decide what is generated: all of them if samples are selected or accepted by a metric
+    /// that depends on them, else the places without a road, for the rules of traffic.
+    fn judging_settings(&self) -> MetricSettings {
+        if self.config.selects_by(|id| self.metric_settings.decide(id)) {
+            return self.metric_settings.clone();
+        }
+        let places_without_road = self.metric_settings.validity.places_without_road.clone();
+        let validity = ValidityConfig { places_without_road, ..ValidityConfig::default() };
+        MetricSettings { validity, ..MetricSettings::default() }
     }
 
-    /// The settings of metrics by which selections and limits decide, as the evaluation uses them: departures are judged only where
-    /// maps allow it. `None` if they are the default ones, or decide nothing.
-    fn settings_for_maps(&self, store: &SceneStore) -> Result<Option<MetricSettings>> {
-        let Some(settings) = self.decisive_settings() else { return Ok(None) };
+    /// The same, as the evaluation uses them: departures are judged only where maps allow it.
+    fn settings_for_maps(&self, store: &SceneStore) -> Result<MetricSettings> {
+        let settings = self.judging_settings();
         let validity = for_maps(&settings.validity, &map_fits(store, &settings.validity)?);
-        Ok(Some(MetricSettings { validity, ..settings.clone() }).filter(differs_from_default))
+        Ok(MetricSettings { validity, ..settings })
     }
 
     /// The pairs of each request, with the buckets that they can still reach; `None` before scenes and models exist.
@@ -296,13 +301,12 @@ fn generate_shards(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::ValidityConfig;
     use crate::scene::MapId;
     use crate::store::testing::{map, scene};
     use crate::store::{SceneWriter, SceneWriterOptions};
 
     #[test]
-    fn limits_judge_departures_only_where_the_evaluation_does() {
+    fn departures_are_judged_and_mended_only_where_the_evaluation_judges_them() {
         let maps = [(MapId::from("PIT"), map(1, 9))];
         let scenes: Vec<_> = (0..5).map(|seed| scene(seed, Some((&maps[0].0, &maps[0].1)))).collect();
         let dir = tempfile::tempdir().unwrap();
@@ -314,7 +318,7 @@ mod tests {
             for_maps(&ValidityConfig::default(), &map_fits(&store, &ValidityConfig::default()).unwrap());
         assert!(of_evaluation.places_without_road.contains("PIT"), "its map is at random");
 
-        let settings_with = |limits: &str| {
+        let settings_with = |limits: &str, validity: &ValidityConfig| {
             let text = format!(
                 "[[arms]]\nname = 'a'\n[[requests]]\nname = 'r'\nbehavior = 'cut_in'\nper_bucket = 1\narms = ['a']\n\
                  buckets = {{ gap_m = [0, 5] }}\nbudget = {{ n_samples = 9 }}\nlimits = {{ {limits} }}"
@@ -323,7 +327,7 @@ mod tests {
                 config: &toml::from_str(&text).unwrap(),
                 precision: Precision::default(),
                 mine: MineConfig::default(),
-                metric_settings: MetricSettings::default(),
+                metric_settings: MetricSettings { validity: validity.clone(), ..MetricSettings::default() },
                 duplicate_distance_m: DUPLICATE_DISTANCE_M,
                 classified_behavior: None,
                 distill: None,
@@ -331,7 +335,11 @@ mod tests {
             };
             stage.settings_for_maps(&store).unwrap()
         };
-        assert_eq!(settings_with("validity_rate = 1.0").map(|settings| settings.validity), Some(of_evaluation));
-        assert_eq!(settings_with("collision_rate = 0.0"), None);
+        let strict = ValidityConfig { offroad_slack_m: 0.25, ..ValidityConfig::default() };
+        let settings_with = |limits: &str| settings_with(limits, &strict);
+        let judged = settings_with("validity_rate = 1.0").validity;
+        assert_eq!((judged.offroad_slack_m, &judged.places_without_road), (0.25, &of_evaluation.places_without_road));
+        // Limits that do not depend on validity: the rules of traffic know of the maps alone.
+        assert_eq!(settings_with("collision_rate = 0.0").validity, of_evaluation);
     }
 }
